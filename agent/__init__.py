@@ -1,0 +1,1 @@
+"""Methods that take the benchmark, and the model server that reads marks."""

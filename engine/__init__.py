@@ -1,0 +1,1 @@
+"""The benchmark: generation, proofs, observation, scoring, runs, reports, the command line."""

@@ -1,0 +1,1 @@
+"""JRDB files to annotation tables, time-stamped intervals and the graph; the sample world."""

@@ -1,0 +1,67 @@
+"""DDL of the scene namespace: the tables of the property graph, in Cypher.
+
+Names of tables and the properties written here are public. Node keys: `Person` and `SocialGroup` are
+`<sequence>/<number>`, `Frame` is `<sequence>/<six digits>`. Every relationship carries `sequence`, by which queries
+filter (ten times faster than by a property of the node). Relations are intervals of frames, inclusive, with seconds
+beside them; `certain` is false where the fact is unknown: it could be so.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+SCENE_NODES: Final[dict[str, str]] = {
+    "Sequence": "sequence STRING PRIMARY KEY, fps DOUBLE, frame_count INT64, layers STRING[], action_step INT64",
+    "Frame": "id STRING PRIMARY KEY, sequence STRING, frame INT64, seconds DOUBLE, keyframe BOOLEAN, "
+    "annotated BOOLEAN, image BOOLEAN",
+    "Person": "id STRING PRIMARY KEY, sequence STRING, track INT64, gender STRING, age STRING, "
+    "first_frame INT64, last_frame INT64",
+    "Object": "id STRING PRIMARY KEY, sequence STRING, track INT64, category STRING",
+    "SocialGroup": "id STRING PRIMARY KEY, sequence STRING, cluster INT64",
+    "Action": "name STRING PRIMARY KEY, pose BOOLEAN",
+}
+
+_SPAN: Final = "first INT64, last INT64, first_s DOUBLE, last_s DOUBLE"
+
+SCENE_RELS: Final[dict[str, tuple[str, str, str]]] = {
+    "SeenIn": (
+        "Person",
+        "Frame",
+        "sequence STRING, frame INT64, box DOUBLE[4], angle DOUBLE, occlusion STRING, no_eval BOOLEAN, "
+        "clear BOOLEAN, face_visible BOOLEAN, listed BOOLEAN, pose STRING, group_size INT64, sector STRING, "
+        "sector_other STRING, located BOOLEAN, distance DOUBLE, distance_word STRING, distance_word_other STRING, "
+        "cx DOUBLE, cy DOUBLE, cz DOUBLE, heading DOUBLE",
+    ),
+    "Performs": (
+        "Person",
+        "Action",
+        f"sequence STRING, {_SPAN}, difficulty INT64, certain BOOLEAN, gap BOOLEAN",
+    ),
+    "MemberOf": ("Person", "SocialGroup", f"sequence STRING, {_SPAN}, certain BOOLEAN, gap BOOLEAN"),
+    "Interacts": ("Person", "Person", f"label STRING, sequence STRING, {_SPAN}, certain BOOLEAN"),
+    "Beside": ("Person", "Person", f"label STRING, sequence STRING, {_SPAN}, certain BOOLEAN"),
+    "Handles": ("Person", "Object", f"verb STRING, sequence STRING, {_SPAN}, certain BOOLEAN"),
+}
+
+STORAGE_VERSION: Final = 1
+"""Raised when the tables above change: a graph of another version is rebuilt."""
+
+
+def scene_ddl() -> list[str]:
+    """CREATE statements of the scene namespace, nodes first."""
+    statements = [f"CREATE NODE TABLE {name}({columns})" for name, columns in SCENE_NODES.items()]
+    statements += [
+        f"CREATE REL TABLE {name}(FROM {source} TO {target}, {columns})"
+        for name, (source, target, columns) in SCENE_RELS.items()
+    ]
+    return statements
+
+
+def person_key(sequence: str, track: int) -> str:
+    """Key of a `Person` node."""
+    return f"{sequence}/{track}"
+
+
+def frame_key(sequence: str, frame: int) -> str:
+    """Key of a `Frame` node."""
+    return f"{sequence}/{frame:06d}"

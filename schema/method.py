@@ -1,0 +1,123 @@
+"""What a method of the benchmark sees and returns: the public interface of method authors.
+
+A method gets one `Task` at a time: the public columns of a question, the frames it may look at, an `observe` function
+and a `record` function for its transcript. It returns a `Prediction`. Nothing else of the store is in its reach.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from .answers import Answer, AnswerMode, Evidence
+
+Image = npt.NDArray[np.uint8]
+
+StepKind = Literal["model", "observe", "tool", "solve"]
+Status = Literal["answered", "invalid", "error"]
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """A row of `questions.parquet`."""
+
+    question_id: str
+    sequence: str
+    family: str
+    template: str
+    question: str
+    choices: tuple[str, ...]
+    answer_mode: AnswerMode
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceInfo:
+    """A row of `sequences.parquet`: `frames` are those that can be observed, ascending."""
+
+    sequence: str
+    fps: float
+    frame_count: int
+    frames: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """One look: a 480 x 480 x 3 uint8 RGB crop of the stitched panorama, and where it was taken.
+
+    `left` is the crop's left column in stitched pixels, [0, 3760); the crop wraps over the seam. `timestamp` is in
+    seconds from frame 0.
+    """
+
+    sequence: str
+    frame_index: int
+    frame_id: str
+    timestamp: float
+    angle_deg: float
+    fov_deg: float
+    left: int
+    image: Image = field(repr=False, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One line of a transcript; images are named by sequence, frame and angle, their bytes are left out."""
+
+    kind: StepKind
+    request: str
+    response: str
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """What a method says of one question.
+
+    `answer` and `evidence` are judged apart, either may be missing; `status` is invalid when either is unreadable, and
+    `reason` then says why. `raw` is the model's last text.
+    """
+
+    status: Status
+    answer: Answer | None = None
+    evidence: Evidence | None = None
+    raw: str = ""
+    reason: str = ""
+    n_observations: int = 0
+    n_model_calls: int = 0
+    prompt_tokens: int = 0
+    completion_tokens: int = 0
+
+
+class Observe(Protocol):
+    """`observe(sequence, frame_index, angle_deg)`; raises ObserveError for what is not allowed."""
+
+    def __call__(self, sequence: str, frame_index: int, angle_deg: float) -> Observation: ...
+
+
+class Record(Protocol):
+    """Appends a step to the transcript of the question at hand."""
+
+    def __call__(self, step: Step) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One question with everything a method may use to answer it."""
+
+    question: Question
+    sequence: SequenceInfo
+    observe: Observe
+    record: Record
+
+
+class Method(Protocol):
+    """A way to take the benchmark. `answer` is called concurrently from several threads."""
+
+    @property
+    def name(self) -> str: ...
+
+    def answer(self, task: Task) -> Prediction:
+        """Answer one question. An exception becomes an `error` prediction; it never ends the run."""
+        ...

@@ -1,0 +1,269 @@
+"""The graph plan: a question's program, as a small typed pattern over people, relations and times.
+
+One schema for the gold program of every question and for what an agent plans. Nodes are people; conditions and edges
+hold at named times; a time is a stated frame or an event found in the data; the answer says what is read, of whom and
+when. `parse_plan` and `validate` refuse what cannot be run, naming the field; `canonical` is the byte-stable text that
+is hashed and stored.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Final, Literal
+
+import msgspec
+
+from .answers import AnswerMode
+from .errors import PlanError
+
+Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern="^[a-z][a-z0-9_]*$")]
+Label = Annotated[str, msgspec.Meta(min_length=1, max_length=120)]
+_Frame = Annotated[int, msgspec.Meta(ge=0, le=10_000_000)]
+
+Event = Literal["start", "end", "leaves", "returns"]
+Read = Literal[
+    "action",
+    "presence",
+    "distance_change",
+    "next_action",
+    "start",
+    "span",
+    "start_view",
+    "seconds_between",
+    "count",
+]
+Attribute = Literal["gender", "age", "group_size", "sector", "distance"]
+
+_MODES: Final[dict[str, str]] = {
+    "action": "multiple_choice",
+    "presence": "multiple_choice",
+    "distance_change": "multiple_choice",
+    "next_action": "multiple_choice",
+    "start": "frame",
+    "span": "span",
+    "start_view": "frame_viewpoint",
+    "seconds_between": "number",
+    "count": "number",
+}
+
+_READ_TIMES: Final[dict[str, int]] = {
+    "action": 1,
+    "presence": 2,
+    "distance_change": 2,
+    "next_action": 1,
+    "start": 1,
+    "span": 2,
+    "start_view": 1,
+    "seconds_between": 2,
+    "count": 2,
+}
+"""How many times each read names: `at` is one name, or a list of two."""
+
+_EVENT_READS: Final = {"start": ("start",), "start_view": ("start",), "span": ("start", "end")}
+_TIMELESS: Final = frozenset({"gender", "age"})
+
+
+class Time(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
+    """A stated frame, or the first event of a kind after another time.
+
+    `start` and `end` name the `action` that starts or ends; `leaves` and `returns` are of the person alone.
+    """
+
+    frame: _Frame | None = None
+    event: Event | None = None
+    of: Name | None = None
+    action: Label | None = None
+    after: Name | None = None
+
+
+class Condition(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
+    """One thing true of a person: an attribute's value, an action, an object handled, or a labelled interaction.
+
+    Exactly one of `attribute` (with `value`), `action`, `object` (with `verb`) and `interaction` is given. All but
+    gender and age hold `at` a time.
+    """
+
+    attribute: Attribute | None = None
+    value: Label | int | None = None
+    action: Label | None = None
+    object: Label | None = None
+    verb: Label | None = None
+    interaction: Label | None = None
+    at: Name | None = None
+
+
+class Node(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A person of the pattern. All nodes of a plan are different people."""
+
+    id: Name
+    conditions: tuple[Condition, ...] = ()
+
+
+class Edge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A relation from `source` to `target` at a time."""
+
+    source: Name
+    relation: Label
+    target: Name
+    at: Name
+
+
+class AnswerSpec(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
+    """What is read for the answer: `read` of node `of` at one time, or at a list of times.
+
+    `relation` is the relation counted by the read `count`.
+    """
+
+    mode: AnswerMode
+    read: Read
+    of: Name
+    at: Name | tuple[Name, ...]
+    relation: Label | None = None
+
+
+class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A program: nodes and edges at named times, searched from `root`; the answer is read of `target`."""
+
+    root: Name
+    target: Name
+    times: dict[Name, Time]
+    nodes: Annotated[tuple[Node, ...], msgspec.Meta(min_length=1, max_length=16)]
+    edges: Annotated[tuple[Edge, ...], msgspec.Meta(max_length=32)]
+    answer: AnswerSpec
+
+    def asked(self) -> tuple[str, ...]:
+        """The names of the times at which the answer is read."""
+        return (self.answer.at,) if isinstance(self.answer.at, str) else self.answer.at
+
+
+def parse_plan(text: str | bytes) -> Plan:
+    """Read a plan from JSON and validate it. Raises PlanError naming the field."""
+    try:
+        plan = msgspec.json.decode(text, type=Plan)
+    except msgspec.ValidationError as error:
+        message, _, where = str(error).partition(" - at `$")
+        raise PlanError(where.strip("`.") or "plan", message) from None
+    except (msgspec.DecodeError, UnicodeEncodeError, RecursionError) as error:
+        raise PlanError("plan", f"not JSON: {error}") from None
+    validate(plan)
+    return plan
+
+
+def canonical(plan: Plan) -> str:
+    """The plan's one text: sorted keys, no spaces, defaults left out."""
+    return msgspec.json.encode(plan, order="sorted").decode()
+
+
+def plan_json_schema() -> dict[str, Any]:
+    """The plan's JSON Schema, as an agent is shown it."""
+    return msgspec.json.schema(Plan)
+
+
+def validate(plan: Plan) -> None:
+    """Refuse a plan that cannot be run. Raises PlanError naming the field of the first fault."""
+    ids = [node.id for node in plan.nodes]
+    for position, identifier in enumerate(ids):
+        if identifier in ids[:position]:
+            raise PlanError(f"nodes[{position}].id", f"{identifier!r} is used twice")
+    for name, value in (("root", plan.root), ("target", plan.target)):
+        _known(name, value, ids, "node")
+    _check_times(plan, ids)
+    for i, node in enumerate(plan.nodes):
+        for j, condition in enumerate(node.conditions):
+            _check_condition(f"nodes[{i}].conditions[{j}]", condition, plan)
+    for i, edge in enumerate(plan.edges):
+        _known(f"edges[{i}].source", edge.source, ids, "node")
+        _known(f"edges[{i}].target", edge.target, ids, "node")
+        _known(f"edges[{i}].at", edge.at, list(plan.times), "time")
+        if edge.source == edge.target:
+            raise PlanError(f"edges[{i}].target", "an edge joins two different nodes")
+    _check_reach(plan)
+    _check_answer(plan, ids)
+
+
+def _known(field: str, value: str, names: list[str], kind: str) -> None:
+    if value not in names:
+        raise PlanError(field, f"unknown {kind} {value!r}; known: {', '.join(names) or 'none'}")
+
+
+def _check_times(plan: Plan, ids: list[str]) -> None:
+    if not plan.times:
+        raise PlanError("times", "at least one time is needed")
+    for name, time in plan.times.items():
+        field = f"times.{name}"
+        if (time.frame is None) == (time.event is None):
+            raise PlanError(field, "give either a frame or an event")
+        if time.frame is not None:
+            for key in ("of", "action", "after"):
+                if getattr(time, key) is not None:
+                    raise PlanError(f"{field}.{key}", "belongs to an event, not to a frame")
+            continue
+        if time.of is None or time.after is None:
+            raise PlanError(field, "an event needs 'of' and 'after'")
+        _known(f"{field}.of", time.of, ids, "node")
+        _known(f"{field}.after", time.after, list(plan.times), "time")
+        if (time.action is None) != (time.event in ("leaves", "returns")):
+            raise PlanError(f"{field}.action", "is needed by start and end, and by nothing else")
+    for name in plan.times:
+        seen = {name}
+        after = plan.times[name].after
+        while after is not None:
+            if after in seen:
+                raise PlanError(f"times.{name}.after", "events wait for each other in a circle")
+            seen.add(after)
+            after = plan.times[after].after
+
+
+def _check_condition(field: str, condition: Condition, plan: Plan) -> None:
+    kinds = [k for k in ("attribute", "action", "object", "interaction") if getattr(condition, k) is not None]
+    if len(kinds) != 1:
+        raise PlanError(field, "give exactly one of attribute, action, object and interaction")
+    if (condition.attribute is None) != (condition.value is None):
+        raise PlanError(f"{field}.value", "goes with 'attribute', and only with it")
+    if condition.attribute is not None and (condition.attribute == "group_size") != isinstance(
+        condition.value, int
+    ):
+        raise PlanError(f"{field}.value", "is a whole number for group_size and a text for all else")
+    if (condition.object is None) != (condition.verb is None):
+        raise PlanError(f"{field}.verb", "goes with 'object', and only with it")
+    if condition.attribute in _TIMELESS:
+        if condition.at is not None:
+            raise PlanError(f"{field}.at", f"{condition.attribute} holds at any time")
+    elif condition.at is None:
+        raise PlanError(f"{field}.at", "name the time at which this holds")
+    else:
+        _known(f"{field}.at", condition.at, list(plan.times), "time")
+
+
+def _check_reach(plan: Plan) -> None:
+    reached = {plan.root}
+    grown = True
+    while grown:
+        grown = False
+        for edge in plan.edges:
+            if edge.source in reached and edge.target not in reached:
+                reached.add(edge.target)
+                grown = True
+    for i, node in enumerate(plan.nodes):
+        if node.id not in reached:
+            field = "target" if node.id == plan.target else f"nodes[{i}].id"
+            raise PlanError(field, f"{node.id!r} is not reached from the root {plan.root!r} along edges")
+
+
+def _check_answer(plan: Plan, ids: list[str]) -> None:
+    answer = plan.answer
+    _known("answer.of", answer.of, ids, "node")
+    times = plan.asked()
+    for name in times:
+        _known("answer.at", name, list(plan.times), "time")
+    if _MODES[answer.read] != answer.mode:
+        raise PlanError(
+            "answer.mode",
+            f"{answer.mode!r} does not fit the read {answer.read!r}; use {_MODES[answer.read]!r}",
+        )
+    if len(times) != _READ_TIMES[answer.read]:
+        raise PlanError("answer.at", f"the read {answer.read!r} names {_READ_TIMES[answer.read]} time(s)")
+    if (answer.relation is None) != (answer.read != "count"):
+        raise PlanError("answer.relation", "is needed by the read 'count', and by nothing else")
+    for name, event in zip(times, _EVENT_READS.get(answer.read, ()), strict=False):
+        if plan.times[name].event != event:
+            raise PlanError("answer.at", f"the read {answer.read!r} needs {name!r} to be an event {event!r}")

@@ -1,0 +1,112 @@
+"""Every threshold of the benchmark, in one frozen object.
+
+`LoadRules` shape the derived facts in the graph; their hash is stored with it, and questions are generated only from a
+graph built under the same ones. `Rules` adds what generation uses; its hash stands in every row of `answers`. Times
+are seconds where a person would say seconds; the code compares frames (`frames(seconds)`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from typing import Any, Final
+
+import msgspec
+
+from .errors import InputError
+
+FPS: Final = 15.0
+"""Frames per second of every JRDB sequence."""
+
+KEYFRAME_STEP: Final = 15
+"""Frames between keyframes: one per second."""
+
+
+def frames(seconds: float) -> int:
+    """Frames in a span of seconds."""
+    return round(seconds * FPS)
+
+
+class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What makes a fact true, false or unknown."""
+
+    gap_frames: int = 7
+    """Action and membership gaps up to this many frames are closed where the layer has every frame."""
+    clear_min_width: float = 12.0
+    clear_min_height: float = 40.0
+    clear_max_width: float = 480.0
+    sector_margin_deg: float = 5.0
+    narrow_sector_margin_deg: float = 2.0
+    """Margin at the edges of the front-side and back-side sectors, which are only 15 and 10 degrees wide."""
+    distance_margin: float = 0.10
+    """Relative margin round each bound of the distance words."""
+    pair_max_m: float = 5.0
+    pair_margin_m: float = 0.5
+    """Person-frame relations reach 5 m; from 4.5 to 5.5 m they are unknown."""
+    pair_vertical_m: float = 1.35
+    """People farther apart in height are on different floors or steps: their person-frame relation is unknown."""
+    neighbor_max_deg: float = 60.0
+    neighbor_margin_deg: float = 1.0
+    """First to the left or right: nearest within 60 degrees, unknown under 1 degree away or 1 degree ahead of the next."""
+    segment_min_s: float = 2.0
+    segment_edge_s: float = 1.0
+    """Before a stable segment (and after a closed one) the action is false and the person present for this long."""
+    segment_quiet_s: float = 3.0
+    """No other frame with the action true or unknown this near before or after a stable segment."""
+
+
+class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """All thresholds; `load` holds those that are baked into the graph."""
+
+    load: LoadRules = LoadRules()
+    condition_order: tuple[str, ...] = (
+        "gender",
+        "age",
+        "pose",
+        "action",
+        "object",
+        "interaction",
+        "group_size",
+        "sector",
+        "distance",
+    )
+    """Ties between descriptions of equal length go to the earlier kinds."""
+    max_conditions: int = 3
+    min_wait_s: float = 3.0
+    """Least time from the description's time to what is asked, and between two asked times."""
+    shift_s: float = 3.0
+    """How far time.shift moves the asked times."""
+    distance_changed_m: float = 1.5
+    distance_same_m: float = 0.5
+    """Closer or farther from 1.5 m on, about the same below 0.5 m, no question in between."""
+    visible_share: float = 0.5
+    """A box counts as shown by a view when at least this share of its width lies inside."""
+    near_duplicate_s: float = 2.0
+    max_per_person: int = 12
+    max_answer_share: float = 0.34
+
+
+def rules_hash(rules: Rules | LoadRules) -> str:
+    """16 hex digits that change with any threshold."""
+    return hashlib.sha256(msgspec.json.encode(rules, order="sorted")).hexdigest()[:16]
+
+
+def override(rules: Rules, changes: Mapping[str, str]) -> Rules:
+    """Rules with `name=value` overrides applied; names of load rules are written `load.name`.
+
+    Raises InputError for an unknown name or a value of the wrong type.
+    """
+    plain: dict[str, Any] = msgspec.to_builtins(rules)
+    for name, text in changes.items():
+        part, _, key = name.rpartition(".")
+        target = plain.get(part) if part else plain
+        if not isinstance(target, dict) or key not in target or isinstance(target[key], dict):
+            raise InputError(f"there is no rule {name!r}; see Rules in jrdb_avr.schema.rules", field=name)
+        try:
+            target[key] = msgspec.json.decode(text.encode())
+        except msgspec.DecodeError:
+            raise InputError(f"rule {name}: {text!r} is not a JSON value", field=name) from None
+    try:
+        return msgspec.convert(plain, Rules)
+    except msgspec.ValidationError as error:
+        raise InputError(f"rules: {error}", field=str(error)) from None

@@ -1,0 +1,108 @@
+"""Label vocabularies and the explicit tables that normalise their spellings.
+
+Names are used, never numeric ids: projects number the last actions differently. What a table does not know is kept as
+written, reported by the loader, and never used in a question.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+POSES: Final = (
+    "walking",
+    "standing",
+    "sitting",
+    "cycling",
+    "going upstairs",
+    "going downstairs",
+    "bending",
+    "skating",
+    "scootering",
+    "running",
+    "lying",
+)
+"""Pose-type actions: a person is expected to have exactly one of them."""
+
+OTHER_ACTIONS: Final = (
+    "holding sth",
+    "listening to someone",
+    "talking to someone",
+    "looking at robot",
+    "looking into sth",
+    "looking at sth",
+    "typing",
+    "interaction with door",
+    "eating sth",
+    "talking on the phone",
+    "pointing at sth",
+    "reading",
+    "pushing",
+    "greeting gestures",
+    "writing",
+    "pulling",
+)
+
+ACTIONS: Final = POSES + OTHER_ACTIONS
+
+IMPOSSIBLE: Final = "impossible"
+"""Annotators' "cannot be told", of actions and demographics: no fact."""
+
+_ACTION_SPELLINGS: Final = {
+    "opening the door": "interaction with door",
+    "pushing the door": "interaction with door",
+    "holding the door": "interaction with door",
+    "holding something": "holding sth",
+    "looking at something": "looking at sth",
+    "looking into something": "looking into sth",
+    "pointing at something": "pointing at sth",
+    "eating something": "eating sth",
+}
+
+OCCLUSIONS: Final = ("Fully_visible", "Mostly_visible", "Severely_occluded", "Fully_occluded")
+CLEAR_OCCLUSIONS: Final = frozenset(OCCLUSIONS[:2])
+
+ROBOT_SECTORS: Final = ("ahead", "right", "behind", "left")
+"""Sectors of a person as the robot sees it: panorama angles 180, 270, 0, 90, each +-45 degrees."""
+
+PERSON_SECTORS: Final = (
+    "front",
+    "front left",
+    "left",
+    "back left",
+    "back",
+    "back right",
+    "right",
+    "front right",
+)
+"""Sectors in a person's own heading frame; left is counter-clockwise, as the person itself would say."""
+
+DISTANCE_WORDS: Final = ("very close", "close", "moderate", "far", "very far")
+DISTANCE_BOUNDS_M: Final = (0.5, 1.5, 5.0, 10.0)
+"""Upper bounds, inclusive, of all distance words but the last."""
+
+FIRST_LEFT: Final = "first to the left of (robot view)"
+FIRST_RIGHT: Final = "first to the right of (robot view)"
+"""An edge a -> b of this label: b is the first person met when turning from a to the left (or right) as the robot sees it."""
+
+PRESENCE_ANSWERS: Final = ("both times", "only at the first time", "only at the second time", "neither time")
+DISTANCE_ANSWERS: Final = (
+    "closer to the robot",
+    "farther from the robot",
+    "about the same distance",
+    "not in view",
+)
+
+
+def normal_action(raw: str) -> str:
+    """The vocabulary's spelling of an action label; an unknown label comes back stripped and lower-cased.
+
+    >>> normal_action("Opening_the_door")
+    'interaction with door'
+    """
+    plain = " ".join(raw.replace("_", " ").replace("-", " ").lower().split())
+    return _ACTION_SPELLINGS.get(plain, plain)
+
+
+def person_frame_label(sector: str, distance_word: str) -> str:
+    """The label of a person-frame `Beside` edge, as in 'front left, close'."""
+    return f"{sector}, {distance_word}"
