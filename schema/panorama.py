@@ -11,6 +11,7 @@ Functions take floats or numpy arrays alike unless a docstring says otherwise.
 
 from __future__ import annotations
 
+import math
 from typing import Final, NamedTuple, TypeVar, cast
 
 import numpy as np
@@ -42,32 +43,32 @@ class Box(NamedTuple):
 def angle_of_column(column: F) -> F:
     """Panorama angle in degrees, [0, 360), of a column in pixels (any value, wrapped)."""
     # The second modulo catches a tiny negative column, whose first modulo rounds to exactly WIDTH.
-    return cast(F, (column % WIDTH) % WIDTH * (360.0 / WIDTH))
+    return (column % WIDTH) % WIDTH * (360.0 / WIDTH)
 
 
 def column_of_angle(angle_deg: F) -> F:
     """Column in [0, 3760) of a panorama angle in degrees (any finite value, wrapped)."""
-    return cast(F, (angle_deg % 360.0) % 360.0 * (WIDTH / 360.0))
+    return (angle_deg % 360.0) % 360.0 * (WIDTH / 360.0)
 
 
 def angle_of_azimuth(azimuth_rad: F) -> F:
     """Panorama angle in degrees, [0, 360), of an azimuth in radians (counter-clockwise from straight ahead)."""
-    return cast(F, ((180.0 - np.degrees(azimuth_rad)) % 360.0) % 360.0)
+    return ((180.0 - azimuth_rad * (180.0 / math.pi)) % 360.0) % 360.0
 
 
 def row_of_height(z: F, ground_distance: F) -> F:
     """Row of a point `z` metres above the rig at `ground_distance` = hypot(x, y) metres."""
-    return cast(F, HORIZON_ROW - FOCAL_ROWS * z / ground_distance)
+    return HORIZON_ROW - FOCAL_ROWS * z / ground_distance
 
 
 def center_angle(x: F, w: F) -> F:
     """Panorama angle of the centre column of boxes with left edge `x` and width `w`."""
-    return angle_of_column(cast(F, x + w / 2))
+    return angle_of_column(x + w / 2)
 
 
 def clockwise(start_deg: F, end_deg: F) -> F:
     """Degrees, [0, 360), turned clockwise (to the robot's right) from `start_deg` to `end_deg`."""
-    return cast(F, ((end_deg - start_deg) % 360.0) % 360.0)
+    return ((end_deg - start_deg) % 360.0) % 360.0
 
 
 def angle_error(a_deg: F, b_deg: F) -> F:
@@ -113,8 +114,7 @@ def iou(a: Box, b: Box) -> float:
         return 0.0
     turn = round((a.x + a.w / 2 - b.x - b.w / 2) / WIDTH) * WIDTH
     columns = max(
-        min(a.x + a.w, b.x + shift + b.w) - max(a.x, b.x + shift)
-        for shift in (turn - WIDTH, turn, turn + WIDTH)
+        min(a.x + a.w, b.x + shift + b.w) - max(a.x, b.x + shift) for shift in (turn - WIDTH, turn, turn + WIDTH)
     )
     if columns <= 0:
         return 0.0

@@ -219,9 +219,7 @@ def _check_condition(field: str, condition: Condition, plan: Plan) -> None:
         raise PlanError(field, "give exactly one of attribute, action, object and interaction")
     if (condition.attribute is None) != (condition.value is None):
         raise PlanError(f"{field}.value", "goes with 'attribute', and only with it")
-    if condition.attribute is not None and (condition.attribute == "group_size") != isinstance(
-        condition.value, int
-    ):
+    if condition.attribute is not None and (condition.attribute == "group_size") != isinstance(condition.value, int):
         raise PlanError(f"{field}.value", "is a whole number for group_size and a text for all else")
     if (condition.object is None) != (condition.verb is None):
         raise PlanError(f"{field}.verb", "goes with 'object', and only with it")

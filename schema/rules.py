@@ -47,7 +47,7 @@ class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """People farther apart in height are on different floors or steps: their person-frame relation is unknown."""
     neighbor_max_deg: float = 60.0
     neighbor_margin_deg: float = 1.0
-    """First to the left or right: nearest within 60 degrees, unknown under 1 degree away or 1 degree ahead of the next."""
+    """First to the left or right: within 60 degrees; unknown under 1 degree away or 1 degree ahead of the next."""
     segment_min_s: float = 2.0
     segment_edge_s: float = 1.0
     """Before a stable segment (and after a closed one) the action is false and the person present for this long."""

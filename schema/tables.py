@@ -60,9 +60,7 @@ ANNOTATIONS: Final[dict[str, pa.Schema]] = {
         ("cluster", pa.int64()),
         ("difficulty", pa.int8(), True),
     ),
-    "social_activities": _schema(
-        ("sequence", _S), ("frame", _I), ("track", _I), ("activity", _S), ("value", _F, True)
-    ),
+    "social_activities": _schema(("sequence", _S), ("frame", _I), ("track", _I), ("activity", _S), ("value", _F, True)),
     "boxes_3d": _schema(
         ("sequence", _S),
         ("frame", _I),
@@ -156,9 +154,7 @@ INTERVALS: Final[dict[str, pa.Schema]] = {
     ),
     # source -> target: where the target is, seen from the source. Person frame: label '<sector>, <distance word>'.
     # Robot view: one-keyframe rows of FIRST_LEFT and FIRST_RIGHT; an uncertain one may have several targets.
-    "beside": _schema(
-        ("sequence", _S), ("source", _I), ("target", _I), ("label", _S), *_SPAN, ("certain", _B)
-    ),
+    "beside": _schema(("sequence", _S), ("source", _I), ("target", _I), ("label", _S), *_SPAN, ("certain", _B)),
     # Stable segments of actions: [first, last] with the action; start and end as asked for (half a step wider at 1 Hz).
     # quiet_from: the earliest frame from which on the action is false at every annotated frame before the segment.
     # closed: the action is false, and the person present, for a second after the end.

@@ -82,7 +82,7 @@ DISTANCE_BOUNDS_M: Final = (0.5, 1.5, 5.0, 10.0)
 
 FIRST_LEFT: Final = "first to the left of (robot view)"
 FIRST_RIGHT: Final = "first to the right of (robot view)"
-"""An edge a -> b of this label: b is the first person met when turning from a to the left (or right) as the robot sees it."""
+"""An edge a -> b: b is the first person met when turning from a to the left (or right), as the robot sees it."""
 
 PRESENCE_ANSWERS: Final = ("both times", "only at the first time", "only at the second time", "neither time")
 DISTANCE_ANSWERS: Final = (

@@ -1,0 +1,208 @@
+"""The store on disk: where everything lies, atomic writes, and the Parquet side of it.
+
+    STORE/
+      annotations/<layer>/<sequence>.parquet    what the label files say
+      intervals/<kind>/<sequence>.parquet       what follows from them
+      store.json                                the manifest, written last
+      graph.kuzu                                an index over the intervals, rebuildable
+      questions/*.parquet
+      runs/<run_id>/
+
+A file is written beside its place, synced and renamed in, so a reader sees the old one or the new one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import hashlib
+import os
+import re
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from jrdb_avr.schema.errors import InputError, LockedError, StoreError
+from jrdb_avr.schema.rules import LoadRules
+from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, QUESTIONS, RUNS
+
+MANIFEST_VERSION: Final = 1
+
+_SEQUENCE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+
+
+class SequenceEntry(msgspec.Struct, frozen=True):
+    """What the manifest says of a sequence: its layers, and its files' content hashes by path in the store."""
+
+    layers: tuple[str, ...]
+    tables: dict[str, str]
+
+
+class Manifest(msgspec.Struct, frozen=True):
+    """`store.json`. `image_root` is the folder that holds one folder of panoramas per sequence, or None."""
+
+    image_root: str | None
+    load_rules: LoadRules
+    load_rules_hash: str
+    sequences: dict[str, SequenceEntry]
+    graph: dict[str, int | str]
+    """Rows per table of the scene namespace as built, and its storage version."""
+    version: int = MANIFEST_VERSION
+
+
+def safe_sequence(name: str) -> str:
+    """The name, if it can be a sequence's: letters, digits, dot, dash, underscore. Raises InputError otherwise."""
+    if not _SEQUENCE.fullmatch(name) or ".." in name:
+        raise InputError(f"{name!r} cannot be a sequence name: use letters, digits, '.', '_' and '-'", field="sequence")
+    return name
+
+
+def write_atomic(path: Path, write: Callable[[Path], None]) -> None:
+    """Call `write` with a temporary path beside `path`, sync it, rename it in. Raises StoreError if the disk refuses."""
+    temporary: Path | None = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
+        os.close(handle)
+        temporary = Path(name)
+        write(temporary)
+        with temporary.open("rb") as file:
+            os.fsync(file.fileno())
+        # mkstemp makes files private; a store is shared like any other data folder.
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)
+        temporary.replace(path)
+    except OSError as error:
+        # pyarrow raises its own OSError without a number; its text then says what happened.
+        reason = os.strerror(error.errno) if error.errno else str(error).splitlines()[0]
+        hint = "; free some space" if error.errno in (errno.ENOSPC, errno.EFBIG) else ""
+        raise StoreError(f"cannot write {path}: {reason}{hint}") from None
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+class Store:
+    """A store folder. Opening checks nothing; `manifest()` raises StoreError where nothing has been loaded."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+
+    # -- where things are -------------------------------------------------------------------------------------
+
+    @property
+    def graph_path(self) -> Path:
+        return self.path / "graph.kuzu"
+
+    def annotation_path(self, layer: str, sequence: str) -> Path:
+        return self.path / "annotations" / layer / f"{safe_sequence(sequence)}.parquet"
+
+    def interval_path(self, kind: str, sequence: str) -> Path:
+        return self.path / "intervals" / kind / f"{safe_sequence(sequence)}.parquet"
+
+    def question_path(self, table: str) -> Path:
+        return self.path / "questions" / f"{table}.parquet"
+
+    def run_path(self, run_id: str) -> Path:
+        return self.path / "runs" / safe_sequence(run_id)
+
+    # -- tables -----------------------------------------------------------------------------------------------
+
+    def write_annotation(self, layer: str, sequence: str, table: pa.Table) -> str:
+        """Write one annotation table; returns the sha256 of the file."""
+        return write_table(self.annotation_path(layer, sequence), table, ANNOTATIONS[layer])
+
+    def write_interval(self, kind: str, sequence: str, table: pa.Table) -> str:
+        """Write one interval table; returns the sha256 of the file."""
+        return write_table(self.interval_path(kind, sequence), table, INTERVALS[kind])
+
+    def write_questions(self, name: str, table: pa.Table, metadata: dict[str, str]) -> str:
+        """Write one table of `questions/`; returns the sha256 of the file."""
+        return write_table(self.question_path(name), table, QUESTIONS[name], metadata)
+
+    def write_run(self, run_id: str, name: str, table: pa.Table) -> str:
+        """Write one table of a run; returns the sha256 of the file."""
+        return write_table(self.run_path(run_id) / f"{name}.parquet", table, RUNS[name])
+
+    def annotation(self, layer: str, sequence: str) -> pa.Table:
+        return read_table(self.annotation_path(layer, sequence))
+
+    def interval(self, kind: str, sequence: str) -> pa.Table:
+        return read_table(self.interval_path(kind, sequence))
+
+    def questions(self, name: str) -> pa.Table:
+        path = self.question_path(name)
+        if not path.exists():
+            raise StoreError(f"{self.path} has no questions yet: run 'jrdb-avr generate --store {self.path}'")
+        return read_table(path)
+
+    # -- the manifest -----------------------------------------------------------------------------------------
+
+    def manifest(self) -> Manifest:
+        """The manifest. Raises StoreError where nothing is loaded or another version wrote it."""
+        path = self.path / "store.json"
+        try:
+            manifest = msgspec.json.decode(path.read_bytes(), type=Manifest)
+        except FileNotFoundError:
+            raise StoreError(f"{self.path} is no store: run 'jrdb-avr load ROOT --store {self.path}' first") from None
+        except (msgspec.DecodeError, OSError) as error:
+            raise StoreError(f"cannot read {path}: {error}; load the annotations again") from None
+        if manifest.version != MANIFEST_VERSION:
+            raise StoreError(f"{path} has version {manifest.version}, not {MANIFEST_VERSION}: load again")
+        return manifest
+
+    def write_manifest(self, manifest: Manifest) -> None:
+        data = msgspec.json.format(msgspec.json.encode(manifest, order="sorted"), indent=1)
+        write_atomic(self.path / "store.json", lambda path: _write_bytes(path, data))
+
+    # -- one writer -------------------------------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def writing(self, what: str) -> Iterator[None]:
+        """Hold the store's writer lock. Raises LockedError, naming the holder, if another process has it."""
+        lock = self.path / ".writing"
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            file = lock.open("a+")
+        except OSError as error:
+            raise StoreError(f"cannot write to {self.path}: {error.strerror}; choose another --store") from None
+        with file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                file.seek(0)
+                holder = file.read(200).strip() or "another process"
+                raise LockedError(f"{self.path} is being written by {holder}: wait for it", holder=holder) from None
+            file.truncate(0)
+            file.write(f"'{what}', process {os.getpid()}")
+            file.flush()
+            yield
+
+
+def write_table(path: Path, table: pa.Table, schema: pa.Schema, metadata: dict[str, str] | None = None) -> str:
+    """Write a table under a schema, atomically; equal tables give equal bytes. Returns the sha256 of the file."""
+    table = table.select(schema.names).cast(schema)
+    table = table.replace_schema_metadata(metadata or None)
+    write_atomic(path, lambda temporary: pq.write_table(table, temporary, compression="zstd"))
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def read_table(path: Path) -> pa.Table:
+    """Read a Parquet table. Raises StoreError naming the file if it is missing or broken."""
+    try:
+        return pq.ParquetFile(path).read()
+    except (OSError, pa.ArrowException) as error:
+        reason = str(error).splitlines()[0]
+        raise StoreError(f"cannot read {path}: {reason}; run the step that writes it again") from None
+
+
+def _write_bytes(path: Path, data: bytes) -> None:
+    path.write_bytes(data)
