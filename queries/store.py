@@ -64,7 +64,7 @@ def safe_sequence(name: str) -> str:
 
 
 def write_atomic(path: Path, write: Callable[[Path], None]) -> None:
-    """Call `write` with a temporary path beside `path`, sync it, rename it in. Raises StoreError if the disk refuses."""
+    """Call `write` with a path beside `path`, sync the file, rename it in. Raises StoreError if the disk refuses."""
     temporary: Path | None = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

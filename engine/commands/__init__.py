@@ -1,0 +1,1 @@
+"""One module per command: a thin skin over the library."""

@@ -1,0 +1,96 @@
+"""How commands talk: rows as table, CSV, JSON or Parquet, progress bars, and the options they share.
+
+Rows go to stdout, everything else to stderr. `--json` prints exactly one JSON array of row objects. Text from data
+files or models is stripped of control characters before it reaches a terminal.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+import msgspec
+
+C = TypeVar("C", bound=Callable[..., Any])
+
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+
+
+def clean(value: object) -> str:
+    """The value as text that cannot move a terminal's cursor or change its colours."""
+    return _CONTROL.sub("", "" if value is None else str(value))
+
+
+def store_option(function: C) -> C:
+    """Add the required option `--store`."""
+    return click.option(
+        "--store", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder of the store."
+    )(function)
+
+
+def workers_option(function: C) -> C:
+    """Add the option `--workers`: processes that share the sequences; the result does not depend on it."""
+    return click.option("--workers", type=click.IntRange(1, 256), default=2, show_default=True, help="Processes.")(
+        function
+    )
+
+
+def json_option(function: C) -> C:
+    """Add the flag `--json` as the parameter `as_json`."""
+    return click.option("--json", "as_json", is_flag=True, help="Print one JSON array of objects.")(function)
+
+
+def print_json(rows: Sequence[Any]) -> None:
+    """Print one JSON array."""
+    # NaN and infinity are not JSON: msgspec writes null for them.
+    click.echo(msgspec.json.encode(list(rows), enc_hook=str))
+
+
+def print_rows(rows: Sequence[dict[str, Any]], title: str = "", columns: Sequence[str] = ()) -> None:
+    """Print rows as a table for people; `columns` are printed also when there is no row."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    names = list(rows[0]) if rows else list(columns)
+    table = Table(title=title or None, title_justify="left")
+    for name in names:
+        numeric = bool(rows) and all(isinstance(row[name], int | float) for row in rows)
+        table.add_column(name, justify="right" if numeric else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*(Text(_cell(row[name])) for name in names))
+    width = None if sys.stdout.isatty() else 200
+    Console(width=width, highlight=False).print(table)
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return clean(value)
+
+
+def note(message: str) -> None:
+    """One line on stderr."""
+    click.echo(clean(message), err=True)
+
+
+@contextmanager
+def progress(what: str, total: int | None) -> Iterator[Callable[[int], None]]:
+    """A progress bar on stderr, silent where that is no terminal; yields a function that advances it."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task(what, total=total)
+
+        def advance(steps: int = 1) -> None:
+            bar.advance(task, steps)
+
+        yield advance

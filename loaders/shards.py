@@ -1,0 +1,44 @@
+"""Map a function over sequences in worker processes: the sequence is the shard.
+
+The function and its items must be importable and picklable (plain data only travels between our own processes). A
+distributed engine can map the same function; this is the local way.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from typing import TypeVar
+
+from jrdb_avr.schema.errors import StoreError
+
+A = TypeVar("A")
+R = TypeVar("R")
+
+
+def map_shards(
+    function: Callable[[A], R], items: Sequence[A], workers: int, weight: Callable[[A], float]
+) -> Iterator[tuple[int, R]]:
+    """Yield (index of the item, result) as results come, heaviest items started first.
+
+    Over half of all boxes lie in three sequences, so the order matters. Errors of the function are raised here; a worker
+    that dies (killed, out of memory) raises StoreError.
+    """
+    order = sorted(range(len(items)), key=lambda i: (-weight(items[i]), i))
+    if workers <= 1 or len(items) <= 1:
+        for i in order:
+            yield i, function(items[i])
+        return
+    # Spawned, not forked: the engine's threads do not survive a fork.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(workers, len(items)), mp_context=context) as pool:
+        futures = {pool.submit(function, items[i]): i for i in order}
+        try:
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        except BrokenProcessPool:
+            raise StoreError("a worker process died (killed, or out of memory): try fewer --workers") from None
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
