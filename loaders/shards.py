@@ -23,8 +23,8 @@ def map_shards(
 ) -> Iterator[tuple[int, R]]:
     """Yield (index of the item, result) as results come, heaviest items started first.
 
-    Over half of all boxes lie in three sequences, so the order matters. Errors of the function are raised here; a worker
-    that dies (killed, out of memory) raises StoreError.
+    Over half of all boxes lie in three sequences, so the order matters. Errors of the function are raised here; a
+    worker that dies (killed, out of memory) raises StoreError.
     """
     order = sorted(range(len(items)), key=lambda i: (-weight(items[i]), i))
     if workers <= 1 or len(items) <= 1:
