@@ -1,0 +1,70 @@
+"""The manifest of a run, `runs/<run_id>/run.json`: which questions were asked, of whom, and how."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from jrdb_avr.schema.errors import StoreError
+
+from .store import Store, write_atomic
+
+
+class RunManifest(msgspec.Struct, frozen=True):
+    """`run.json`. `questions_sha256` is the hash of the questions file asked from, `question_ids` what was asked of it.
+
+    `synthetic` marks runs of the marker model or on the sample world: their scores are labelled so wherever they are
+    printed. `settings` holds what else shaped the run (budget, sampling, box convention), as plain JSON. `created` is
+    an ISO 8601 time.
+    """
+
+    run_id: str
+    method: str
+    model: str
+    questions_sha256: str
+    question_ids: tuple[str, ...]
+    synthetic: bool
+    settings: dict[str, Any]
+    created: str
+
+
+def questions_hash(store: Store) -> str:
+    """sha256 of the store's questions file, in hex. Raises StoreError where there is none."""
+    path = store.question_path("questions")
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except FileNotFoundError:
+        raise StoreError(f"{store.path} has no questions yet: run 'jrdb-avr generate --store {store.path}'") from None
+    except OSError as error:
+        raise StoreError(f"cannot read {path}: {error.strerror}") from None
+
+
+def write_run_manifest(store: Store, manifest: RunManifest) -> None:
+    """Write `run.json`, atomically."""
+    data = msgspec.json.format(msgspec.json.encode(manifest, order="sorted"), indent=1)
+
+    def write(path: Path) -> None:
+        path.write_bytes(data)
+
+    write_atomic(store.run_path(manifest.run_id) / "run.json", write)
+
+
+def read_run_manifest(store: Store, run_id: str) -> RunManifest:
+    """Read `run.json`. Raises StoreError where the run is missing or its manifest cannot be read."""
+    path = store.run_path(run_id) / "run.json"
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=RunManifest)
+    except FileNotFoundError:
+        known = ", ".join(run_ids(store)) or "none"
+        raise StoreError(f"{store.path} has no run {run_id!r}; runs: {known}") from None
+    except (msgspec.DecodeError, OSError) as error:
+        raise StoreError(f"cannot read {path}: {error}; evaluate again under another run id") from None
+
+
+def run_ids(store: Store) -> list[str]:
+    """Names of the store's runs, sorted."""
+    return sorted(path.parent.name for path in (store.path / "runs").glob("*/run.json"))
