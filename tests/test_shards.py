@@ -1,0 +1,43 @@
+"""Sequences as shards: every result once, whatever the worker count; a dead worker is an error, not a hang."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from jrdb_avr.loaders.shards import map_shards
+from jrdb_avr.schema.errors import InputError, StoreError
+
+
+def square(value: int) -> int:
+    return value * value
+
+
+def refuse(value: int) -> int:
+    raise InputError(f"shard {value} is broken", field="value")
+
+
+def die(value: int) -> int:
+    os._exit(9)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_every_shard_gives_its_result_once(workers):
+    items = [3, 1, 2]
+    assert dict(map_shards(square, items, workers, weight=float)) == {0: 9, 1: 1, 2: 4}
+
+
+def test_the_heaviest_shard_starts_first():
+    assert [index for index, _ in map_shards(square, [3, 9, 5], 1, weight=float)] == [1, 2, 0]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_error_of_a_shard_is_raised_as_it_is(workers):
+    with pytest.raises(InputError, match="is broken"):
+        list(map_shards(refuse, [1, 2], workers, weight=float))
+
+
+def test_a_dead_worker_is_an_error_that_says_what_to_do():
+    with pytest.raises(StoreError, match="fewer --workers"):
+        list(map_shards(die, [1, 2], 2, weight=float))

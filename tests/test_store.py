@@ -1,0 +1,125 @@
+"""The store's files: whole or not at all, one writer, no name that leaves the folder."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import textwrap
+
+import pyarrow as pa
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jrdb_avr.queries.store import Store, read_table, safe_sequence, write_atomic, write_table
+from jrdb_avr.schema.errors import InputError, LockedError, StoreError
+
+SCHEMA = pa.schema([pa.field("a", pa.int32(), nullable=False), pa.field("b", pa.string())])
+TABLE = pa.table({"a": [2, 1], "b": ["x", None]})
+
+
+def test_written_tables_come_back_and_equal_tables_give_equal_bytes(tmp_path):
+    first = write_table(tmp_path / "one.parquet", TABLE, SCHEMA, {"canary": "c"})
+    second = write_table(tmp_path / "two.parquet", TABLE.slice(0), SCHEMA, {"canary": "c"})
+    assert first == second
+    back = read_table(tmp_path / "one.parquet")
+    assert back.to_pydict() == TABLE.to_pydict()
+    assert back.schema.metadata[b"canary"] == b"c"
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_other(tmp_path):
+    path = tmp_path / "file"
+    write_atomic(path, lambda p: p.write_text("old"))
+
+    def broken(p):
+        p.write_text("half")
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(StoreError, match="free some space"):
+        write_atomic(path, broken)
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["file"]
+
+
+def test_a_full_disk_is_one_error_and_nothing_is_half_written(tmp_path):
+    code = textwrap.dedent(
+        f"""
+        import resource, signal, sys
+        import pyarrow as pa
+        from pathlib import Path
+        from jrdb_avr.queries.store import write_table
+        from jrdb_avr.schema.errors import StoreError
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+        schema = pa.schema([pa.field("a", pa.string())])
+        table = pa.table({{"a": [str(i ** 7) for i in range(50000)]}})
+        try:
+            write_table(Path({str(tmp_path / "t.parquet")!r}), table, schema)
+        except StoreError as error:
+            print(error)
+            sys.exit(7)
+        """
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 7, done.stderr
+    assert "cannot write" in done.stdout
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_second_writer_is_refused_and_told_who_writes(tmp_path):
+    store = Store(tmp_path)
+    code = (
+        "import sys\nfrom jrdb_avr.queries.store import Store\nfrom jrdb_avr.schema.errors import LockedError\n"
+        f"store = Store({str(tmp_path)!r})\n"
+        "try:\n    with store.writing('generate'): pass\nexcept LockedError as error:\n    print(error); sys.exit(7)\n"
+    )
+    with store.writing("load"):
+        held = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+        with pytest.raises(LockedError):
+            store.writing("generate").__enter__()
+    assert held.returncode == 7
+    assert f"'load', process {os.getpid()}" in held.stdout
+    free = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert free.returncode == 0
+
+
+def test_a_file_where_the_folder_should_be_is_one_error(tmp_path):
+    (tmp_path / "store").write_text("")
+    with pytest.raises(StoreError, match="choose another --store"), Store(tmp_path / "store").writing("load"):
+        pass
+
+
+@given(st.text(max_size=20))
+def test_a_sequence_name_never_leaves_its_folder(name):
+    try:
+        path = Store("/store").interval_path("frames", safe_sequence(name))
+    except InputError:
+        return
+    assert os.path.dirname(os.path.abspath(path)) == "/store/intervals/frames"
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "a/b", "../x", "a\\b\n", "a\x00", ".hidden", "x" * 101, "a..b"])
+def test_hostile_sequence_names_are_refused(name):
+    with pytest.raises(InputError):
+        safe_sequence(name)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"version": 1}', "null"])
+def test_a_broken_manifest_is_one_error(tmp_path, text):
+    (tmp_path / "store.json").write_text(text)
+    with pytest.raises(StoreError, match="load"):
+        Store(tmp_path).manifest()
+
+
+def test_no_manifest_says_what_to_run(tmp_path):
+    with pytest.raises(StoreError, match="jrdb-avr load"):
+        Store(tmp_path).manifest()
+
+
+def test_a_broken_parquet_file_is_one_error(tmp_path):
+    path = tmp_path / "t.parquet"
+    write_table(path, TABLE, SCHEMA)
+    path.write_bytes(path.read_bytes()[:-20])
+    with pytest.raises(StoreError, match=r"t\.parquet"):
+        read_table(path)
