@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import textwrap
+from pathlib import Path
 
 import pyarrow as pa
 import pytest
@@ -39,7 +40,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_other(tmp_path):
     with pytest.raises(StoreError, match="free some space"):
         write_atomic(path, broken)
     assert path.read_text() == "old"
-    assert os.listdir(tmp_path) == ["file"]
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
 def test_a_full_disk_is_one_error_and_nothing_is_half_written(tmp_path):
@@ -64,7 +65,7 @@ def test_a_full_disk_is_one_error_and_nothing_is_half_written(tmp_path):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 7, done.stderr
     assert "cannot write" in done.stdout
-    assert os.listdir(tmp_path) == []
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_second_writer_is_refused_and_told_who_writes(tmp_path):
@@ -96,7 +97,7 @@ def test_a_sequence_name_never_leaves_its_folder(name):
         path = Store("/store").interval_path("frames", safe_sequence(name))
     except InputError:
         return
-    assert os.path.dirname(os.path.abspath(path)) == "/store/intervals/frames"
+    assert path.resolve().parent == Path("/store/intervals/frames")
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", "a/b", "../x", "a\\b\n", "a\x00", ".hidden", "x" * 101, "a..b"])
