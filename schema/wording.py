@@ -275,7 +275,7 @@ def moment(frame: int) -> str:
     return f"{frame / FPS:.1f} s (frame {frame})"
 
 
-_MOMENT: Final = r"\d{1,7}\.\d s \(frame (?P<%s>\d{1,8})\)"
+_MOMENT: Final = r"\d{1,7}\.\d s \(frame (?P<%s>\d{1,7})\)"
 
 
 # -- templates ------------------------------------------------------------------------------------------------
