@@ -10,7 +10,16 @@ from hypothesis import strategies as st
 from jrdb_avr.schema import wording
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time, canonical, parse_plan
-from jrdb_avr.schema.vocabulary import ACTIONS, DISTANCE_WORDS, OTHER_ACTIONS, POSES, ROBOT_SECTORS
+from jrdb_avr.schema.vocabulary import (
+    ACTIONS,
+    AGES,
+    DISTANCE_WORDS,
+    GENDERS,
+    INTERACTIONS,
+    OTHER_ACTIONS,
+    POSES,
+    ROBOT_SECTORS,
+)
 from jrdb_avr.schema.wording import TEMPLATES, describe, in_order, moment, parse, question_id, question_key, render
 
 KEYS = st.text("0123456789abcdef", min_size=64, max_size=64)
@@ -23,10 +32,10 @@ def attribute(name, values, timed=True):
 
 CONDITIONS = st.lists(
     st.one_of(
-        attribute("gender", ["female", "male"], timed=False),
-        attribute("age", ["child", "adolescent", "young", "middle-aged", "elderly"], timed=False),
+        attribute("gender", list(GENDERS), timed=False),
+        attribute("age", list(AGES), timed=False),
         st.sampled_from(ACTIONS).map(lambda action: Condition(action=action, at="t0")),
-        st.sampled_from(sorted(wording.INTERACTION_PHRASES)).map(lambda label: Condition(interaction=label, at="t0")),
+        st.sampled_from(INTERACTIONS).map(lambda label: Condition(interaction=label, at="t0")),
         attribute("group_size", [1, 2, 3, 7, 12, 13, 28]),
         attribute("sector", list(ROBOT_SECTORS)),
         attribute("distance", list(DISTANCE_WORDS)),
@@ -81,8 +90,9 @@ def test_this_table_holds_the_templates_of_its_two_families():
     assert all(len(set(row.paraphrases)) >= 3 for row in TEMPLATES.values())
 
 
-def test_every_action_has_words_and_no_two_share_them():
+def test_every_action_and_interaction_has_words_and_no_two_share_them():
     assert set(wording.ACTION_PHRASES) == set(ACTIONS)
+    assert set(wording.INTERACTION_PHRASES) == set(INTERACTIONS)
     phrases = [*wording.ACTION_PHRASES.values(), *wording.INTERACTION_PHRASES.values()]
     assert len(set(phrases)) == len(phrases)
     # Lists of phrases are split at these.
