@@ -1,0 +1,114 @@
+"""Parameters of Cypher statements, bound under types that hold them.
+
+The engine takes a parameter's type from its value: 5 becomes INT8, a list takes the type of what stands in it, an empty
+list has none. So `$name` is rewritten to `CAST($name AS INT64)` and the like, from the Python value. Text inside
+quotes, backticks and comments is left alone.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any, Final
+
+from jrdb_avr.schema.errors import QueryError
+
+_TOKEN = re.compile(
+    r"""(?P<skip>'(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|`[^`]*`|//[^\n]*|/\*.*?\*/)"""
+    r"""|(?P<count>\b(?:LIMIT|SKIP)\s+)?\$(?P<name>[A-Za-z_][A-Za-z0-9_]*)""",
+    re.DOTALL | re.IGNORECASE,
+)
+
+_INT64: Final = range(-(2**63), 2**63)
+
+
+def bind(cypher: str, params: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
+    """The statement with typed parameters, and the values to bind.
+
+    Values may be None, bool, int (64 bits), float, str, lists and dicts of these, numpy scalars, and Arrow tables (for
+    `LOAD FROM $name`). A final semicolon is taken off. Raises QueryError where there are two statements, the names given are not the names used, or a value cannot be bound.
+    """
+    cypher = cypher.strip().removesuffix(";")
+    if ";" in strip_literals(cypher):
+        raise QueryError("one statement at a time: there is a ';' inside")
+    values = {name: _plain(name, value) for name, value in params.items()}
+    used: set[str] = set()
+
+    def typed(match: re.Match[str]) -> str:
+        name = match["name"]
+        if name is None:
+            return match[0]
+        used.add(name)
+        # LIMIT and SKIP take a bare parameter only, and convert it themselves.
+        if match["count"] or name not in values:
+            return match[0]
+        value = values[name]
+        kind = _type(name, value) if isinstance(value, int | list | dict) else None
+        return f"CAST(${name} AS {kind})" if kind else match[0]
+
+    text = _TOKEN.sub(typed, cypher)
+    if used != values.keys():
+        missing = ", ".join(f"${name}" for name in sorted(used - values.keys()))
+        extra = ", ".join(sorted(values.keys() - used))
+        raise QueryError(f"give a value for {missing}" if missing else f"the statement has no parameter {extra}")
+    return text, values
+
+
+def parameters(cypher: str) -> list[str]:
+    """Names of the parameters of a statement, sorted."""
+    return sorted({match["name"] for match in _TOKEN.finditer(cypher) if match["name"]})
+
+
+def strip_literals(cypher: str) -> str:
+    """The statement with every quoted text, quoted name and comment replaced by a space."""
+    return _TOKEN.sub(lambda match: match[0] if match["name"] else " ", cypher)
+
+
+def _plain(name: str, value: Any) -> Any:
+    if value is None or isinstance(value, bool | str | float) or type(value).__module__.startswith("pyarrow"):
+        return value
+    if isinstance(value, int):
+        if value not in _INT64:
+            raise QueryError(f"${name}: {value} does not fit 64 bits")
+        return value
+    if isinstance(value, list | tuple):
+        return [_plain(name, item) for item in value]
+    if isinstance(value, dict):
+        return {key: _plain(name, item) for key, item in value.items()}
+    if hasattr(value, "item") and hasattr(value, "dtype") and getattr(value, "ndim", 1) == 0:
+        return _plain(name, value.item())
+    raise QueryError(f"${name}: a {type(value).__name__} cannot be bound")
+
+
+def _type(name: str, value: Any) -> str | None:
+    """The engine's type of a plain value; None where nothing tells (None, an empty list's items)."""
+    match value:
+        case bool():
+            return "BOOL"
+        case int():
+            return "INT64"
+        case float():
+            return "DOUBLE"
+        case str():
+            return "STRING"
+        case dict():
+            parts = [f"`{key}` {_type(name, item) or 'STRING'}" for key, item in value.items()]
+            return f"STRUCT({', '.join(parts)})" if parts else None
+        case list() if value and all(isinstance(item, dict) for item in value):
+            if any(item.keys() != value[0].keys() for item in value):
+                raise QueryError(f"${name}: all rows need the same keys")
+            columns = {key: _common(name, [item[key] for item in value]) for key in value[0]}
+            return f"STRUCT({', '.join(f'`{key}` {kind}' for key, kind in columns.items())})[]"
+        case list():
+            return f"{_common(name, value)}[]"
+        case _:
+            return None
+
+
+def _common(name: str, items: list[Any]) -> str:
+    kinds = {kind for item in items if (kind := _type(name, item)) is not None}
+    if kinds == {"INT64", "DOUBLE"}:
+        return "DOUBLE"
+    if len(kinds) > 1:
+        raise QueryError(f"${name}: values of one list need one type, not {', '.join(sorted(kinds))}")
+    return kinds.pop() if kinds else "STRING"

@@ -1,0 +1,432 @@
+"""The one handle on the graph: locks, plan guard, COPY, bound parameters, Arrow out.
+
+Kùzu needs care that every caller would otherwise have to remember:
+
+- *One Database per path per process, one writing process or many reading ones.* The engine's own lock is a POSIX one,
+  which a second opening of the file in the same process silently drops. So databases are shared within a process, an
+  `flock` on `<path>.lock` keeps processes apart, and nothing else opens the database file while it is in use.
+- *Plans with INTERSECT lose parallel edges* (cyclic patterns: 2 rows for a true 4). Every distinct statement that
+  matches a pattern is explained once and refused if its plan holds the operator.
+- *Row order differs between runs*: a read must be ordered, or return a single row, or say `ordered=False`.
+- *Small integers are bound as INT8*, a list by its first rows, an empty list not at all, and a forgotten parameter is
+  NULL: parameters are bound here under 64-bit types, and their names must be the statement's.
+- *One write transaction at a time*: writers of one database wait for each other.
+
+A `Graph` may be used from several threads, which then wait for each other; open another one for reads side by side.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import re
+import threading
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Final, Self
+
+import pyarrow as pa
+
+from jrdb_avr.schema.errors import LockedError, QueryError, StoreError
+
+from .binding import bind, strip_literals
+
+BUFFER_BYTES: Final = 512 << 20
+"""Hard limit of the engine's page cache; 256 MB held every query measured at full size, COPY needs more."""
+
+_MEMORY_BYTES: Final = 1 << 30
+"""Address space of an in-memory database; the engine's default of 8 TiB allows only a few in a process."""
+
+_HEADER: Final = b"KUZU"
+_PAGE: Final = 4096
+_SIDE_FILES: Final = (".wal", ".shadow", ".tmp")
+
+_OPERATOR = re.compile(r"\b([A-Z][A-Z_]*)\[\d+\]")
+_KEEP_ORDER: Final = frozenset({"RESULT_COLLECTOR", "PROJECTION", "SKIP", "LIMIT", "MULTIPLICITY_REDUCER"})
+_MATCH = re.compile(r"\bMATCH\b", re.IGNORECASE)
+
+
+class _Shared:
+    """A Database that the Graphs of this process share, with its lock file and writer lock."""
+
+    def __init__(self, path: Path, read_only: bool, buffer_bytes: int) -> None:
+        self.read_only = read_only
+        self.users = 0
+        self.writer = threading.RLock()
+        self.lock = lock_graph(path, shared=read_only)
+        try:
+            self.database = _open_database(path, read_only, buffer_bytes)
+        except BaseException:
+            if self.lock is not None:
+                self.lock.close()
+            raise
+
+    def close(self) -> None:
+        self.database.close()
+        if self.lock is not None:
+            self.lock.close()
+
+
+_registry: dict[Path, _Shared] = {}
+_registry_lock = threading.Lock()
+
+
+class Graph:
+    """A session on a graph. Made by `Graph.open` or `Graph.memory`; a context manager; closed once used."""
+
+    def __init__(self, database: Any, writer: threading.RLock, path: Path | None, read_only: bool) -> None:
+        import kuzu
+
+        self.path = path
+        self.read_only = read_only
+        self._database = database
+        self._writer = writer
+        self._lock = threading.RLock()
+        self._connection = kuzu.Connection(database)
+        self._plans: dict[str, Plan] = {}
+        self._closed = False
+
+    # -- opening ----------------------------------------------------------------------------------------------
+
+    @classmethod
+    def open(cls, path: str | Path, *, read_only: bool = False, buffer_bytes: int = BUFFER_BYTES) -> Graph:
+        """Open the graph file at `path`, made by `build_graph`.
+
+        Raises StoreError where there is none, or one that is cut short or of another version, and LockedError naming
+        the holder where another process writes it (or, for writing, reads it).
+        """
+        place = Path(path).resolve()
+        with _registry_lock:
+            shared = _registry.get(place)
+            if shared is None:
+                shared = _registry[place] = _Shared(place, read_only, buffer_bytes)
+            elif shared.read_only and not read_only:
+                raise LockedError(f"{path} is open for reading in this process: close it first", holder="this process")
+            shared.users += 1
+        return cls(shared.database, shared.writer, place, read_only)
+
+    @classmethod
+    def memory(cls, *, buffer_bytes: int = BUFFER_BYTES, threads: int = 1) -> Graph:
+        """A new empty graph in memory, for a worker's own sequence."""
+        import kuzu
+
+        database = kuzu.Database(
+            ":memory:", buffer_pool_size=buffer_bytes, max_db_size=_MEMORY_BYTES, max_num_threads=threads
+        )
+        return cls(database, threading.RLock(), None, False)
+
+    def close(self) -> None:
+        """Give the graph back; the file is let go with its last user in this process. Closing twice is harmless."""
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+            self._connection.close()
+            if self.path is None:
+                self._database.close()
+                return
+            with _registry_lock:
+                shared = _registry[self.path]
+                shared.users -= 1
+                if shared.users == 0:
+                    del _registry[self.path]
+                    shared.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    # -- reading ----------------------------------------------------------------------------------------------
+
+    def query(
+        self,
+        cypher: str,
+        params: Mapping[str, Any] | None = None,
+        *,
+        ordered: bool = True,
+        timeout_s: float | None = None,
+    ) -> pa.Table:
+        """Run one reading statement; `$name` in it are bound to `params`.
+
+        Many rows of input are best passed as one Arrow table: `LOAD FROM $rows WITH ...`. A result of several rows
+        needs an ORDER BY, unless `ordered=False` says that its order does not matter. Raises QueryError where the
+        statement is refused (its plan would lose rows, it writes, its order is open), fails, or takes too long.
+        """
+        text, values = bind(cypher, params or {})
+        with self._lock:
+            plan = self._plan(text, values)
+            plan.refuse_intersect(cypher)
+            if plan.writes:
+                raise QueryError(f"this statement writes, use execute(): {_short(cypher)}")
+            if ordered and not plan.ordered:
+                raise QueryError(f"add an ORDER BY, or say ordered=False, to: {_short(cypher)}")
+            return self._run(text, values, timeout_s)
+
+    def explain(self, cypher: str, params: Mapping[str, Any] | None = None) -> Plan:
+        """The engine's plan of a statement. Raises QueryError where it cannot be planned."""
+        text, values = bind(cypher, params or {})
+        with self._lock:
+            return self._plan(text, values)
+
+    # -- writing ----------------------------------------------------------------------------------------------
+
+    def execute(self, cypher: str, params: Mapping[str, Any] | None = None) -> pa.Table:
+        """Run one statement that may write, alone or inside `transaction()`. Raises QueryError, StoreError."""
+        text, values = bind(cypher, params or {})
+        with self._writing(), self._lock:
+            if _MATCH.search(strip_literals(text)):
+                self._plan(text, values).refuse_intersect(cypher)
+            else:
+                # A change of tables may change every plan.
+                self._plans.clear()
+            return self._run(text, values, None)
+
+    def copy(self, table: str, rows: pa.Table) -> None:
+        """Append rows to a table of the graph; columns in the table's order, for edges the two keys first."""
+        # The engine looks for pandas by importlib.util, and fails where nobody has imported it yet.
+        import importlib.util  # noqa: F401
+
+        with self._writing(), self._lock:
+            self._plans.clear()
+            self._run(f"COPY `{_identifier(table)}` FROM $rows", {"rows": rows}, None)
+
+    @contextlib.contextmanager
+    def transaction(self) -> Iterator[None]:
+        """One write transaction round the statements inside; an error rolls all of them back."""
+        with self._writing(), self._lock:
+            self._run("BEGIN TRANSACTION", {}, None)
+            try:
+                yield
+            except BaseException:
+                # The engine has already rolled back if one of its own statements failed.
+                with contextlib.suppress(QueryError, StoreError):
+                    self._run("ROLLBACK", {}, None)
+                raise
+            self._run("COMMIT", {}, None)
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        if self.read_only:
+            raise QueryError("the graph is open for reading only")
+        with self._writer:
+            yield
+
+    # -- the engine -------------------------------------------------------------------------------------------
+
+    def _plan(self, text: str, values: Mapping[str, Any]) -> Plan:
+        plan = self._plans.get(text)
+        if plan is None:
+            plan = Plan(str(self._run(f"EXPLAIN {text}", values, None).column(0)[0].as_py()))
+            self._plans[text] = plan
+        return plan
+
+    def _run(self, text: str, values: Mapping[str, Any], timeout_s: float | None) -> pa.Table:
+        if self._closed:
+            raise QueryError("the graph is closed")
+        try:
+            self._connection.set_query_timeout(0 if timeout_s is None else max(1, round(timeout_s * 1000)))
+            result = self._connection.execute(text, dict(values))
+            if isinstance(result, list):
+                # The rest must go first: the engine crashes when only the last result is kept.
+                for part in result:
+                    part.close()
+                raise QueryError(f"one statement at a time: {_short(text)}")
+            try:
+                # Statements of control (CHECKPOINT, BEGIN) have no columns at all.
+                return result.get_as_arrow() if result.get_column_names() else pa.table({})
+            finally:
+                result.close()
+        except RuntimeError as error:
+            raise _translated(error, text, timeout_s, self.path) from None
+
+
+class Plan:
+    """The engine's plan of one statement, as far as this module judges it."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.operators: tuple[str, ...] = tuple(_OPERATOR.findall(text))
+        self.functions: tuple[str, ...] = tuple(re.findall(r"Function: (\w+)", text))
+
+    @property
+    def writes(self) -> bool:
+        """Whether the statement changes nodes, edges or tables, or moves data in or out."""
+        return any(
+            name in ("SET_PROPERTY", "DELETE", "INSERT", "MERGE", "CREATE_TABLE", "DROP", "ALTER")
+            or name.startswith(("COPY", "INDEX_", "EXPORT", "IMPORT", "BATCH_INSERT"))
+            for name in self.operators
+        )
+
+    @property
+    def ordered(self) -> bool:
+        """Whether the rows come in a stated order, or there is only one."""
+        for name in self.operators:
+            if name in _KEEP_ORDER:
+                continue
+            if name == "AGGREGATE_SCAN":
+                box = self.text.split("AGGREGATE_SCAN[", 1)[1].split("└", 1)[0]
+                return "Group By:" not in box
+            return name in ("ORDER_BY_SCAN", "TOP_K_SCAN")
+        return False
+
+    def refuse_intersect(self, cypher: str) -> None:
+        """Raise QueryError if the plan would lose parallel edges."""
+        if "INTERSECT" in self.operators:
+            raise QueryError(
+                "the engine would lose rows on this cyclic pattern (its plan holds INTERSECT): split it by WITH, or "
+                f"test one side by EXISTS {{ MATCH ... }}: {_short(cypher)}"
+            )
+
+
+@contextlib.contextmanager
+def build_graph(path: str | Path, *, buffer_bytes: int = BUFFER_BYTES) -> Iterator[Graph]:
+    """Build a graph beside `path` and rename it in when the block ends well; otherwise the old one stays.
+
+    Holds the graph's lock throughout. Raises LockedError where anybody has the graph open, StoreError where the disk
+    refuses.
+    """
+    place = Path(path).resolve()
+    with _registry_lock:
+        if place in _registry:
+            raise LockedError(f"{path} is open in this process: close it first", holder="this process")
+    _make_parent(place)
+    lock = lock_graph(place, shared=False)
+    temporary = place.with_name(f".{place.name}.building")
+    try:
+        # What a killed builder left behind; the lock says that nobody is at it.
+        _remove(temporary)
+        import kuzu
+
+        try:
+            database = kuzu.Database(str(temporary), buffer_pool_size=buffer_bytes)
+        except RuntimeError as error:
+            raise _translated(error, "", None, place) from None
+        graph = Graph(database, threading.RLock(), None, False)
+        try:
+            yield graph
+            graph.execute("CHECKPOINT")
+        finally:
+            graph.close()
+        try:
+            with temporary.open("rb") as file:
+                os.fsync(file.fileno())
+            # The old log goes first: beside the new file it would be replayed into it.
+            for suffix in _SIDE_FILES:
+                place.with_name(place.name + suffix).unlink(missing_ok=True)
+            temporary.replace(place)
+        except OSError as error:
+            raise StoreError(f"cannot write {place}: {error.strerror}; free some space and load again") from None
+    finally:
+        _remove(temporary)
+        if lock is not None:
+            lock.close()
+
+
+def lock_graph(path: Path, *, shared: bool) -> IO[str] | None:
+    """Take the side-file lock of a graph, until the file returned is closed.
+
+    Raises LockedError naming the holder. Returns None for reading in a folder where nobody can write.
+    """
+    place = path.with_name(path.name + ".lock")
+    try:
+        file = place.open("a+")
+    except OSError as error:
+        if shared and path.exists():
+            try:
+                file = place.open("r")
+            except OSError:
+                return None
+        else:
+            raise StoreError(f"cannot use {path}: {error.strerror}; check the --store folder") from None
+    try:
+        fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+    except OSError:
+        holder = _holder(file)
+        file.close()
+        raise LockedError(f"{path} is in use by {holder}: wait for it, or end it", holder=holder) from None
+    if not shared:
+        file.truncate(0)
+        file.write(f"process {os.getpid()}")
+        file.flush()
+    return file
+
+
+def _holder(file: IO[str]) -> str:
+    """Who holds the lock: by the kernel's table where there is one, else by what the last writer noted."""
+    inode = str(os.fstat(file.fileno()).st_ino)
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/locks").read_text().splitlines():
+            fields = line.split()
+            if "FLOCK" in fields and len(fields) > 5 and fields[5].rpartition(":")[2] == inode and fields[4] != "-1":
+                command = Path(f"/proc/{fields[4]}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+                return f"process {fields[4]} ({_short(command)})"
+    file.seek(0)
+    return file.read(100).strip() or "another process"
+
+
+def _open_database(path: Path, read_only: bool, buffer_bytes: int) -> Any:
+    rebuild = f"run 'jrdb-avr load --rebuild --store {path.parent}'"
+    try:
+        size = path.stat().st_size
+        # Looked at only while this process has no database open here: closing a file drops the engine's lock on it.
+        with path.open("rb") as file:
+            header = file.read(len(_HEADER))
+    except FileNotFoundError:
+        raise StoreError(f"{path} does not exist: {rebuild}") from None
+    except OSError as error:
+        raise StoreError(f"cannot read {path}: {error.strerror}") from None
+    if header != _HEADER or size % _PAGE:
+        raise StoreError(f"{path} is no whole graph file: {rebuild}")
+    import kuzu
+
+    try:
+        return kuzu.Database(str(path), read_only=read_only, buffer_pool_size=buffer_bytes)
+    except RuntimeError as error:
+        if "lock" in str(error):
+            raise LockedError(f"{path} is in use by another process: wait for it", holder="another process") from None
+        raise StoreError(f"cannot open {path} ({_short(str(error))}): {rebuild}") from None
+
+
+def _translated(error: RuntimeError, text: str, timeout_s: float | None, path: Path | None) -> QueryError | StoreError:
+    message = " ".join(str(error).split())
+    if "Interrupted" in message:
+        return QueryError(f"stopped after {timeout_s:g} s: {_short(text)}" if timeout_s else "interrupted")
+    if "past the end of the file" in message or "Cannot read from file" in message:
+        where = f"{path} is cut short" if path else "the graph file is cut short"
+        return StoreError(f"{where}: run 'jrdb-avr load --rebuild --store {path.parent if path else 'S'}'")
+    if "Buffer manager exception" in message:
+        return QueryError(f"needs more memory than its limit: narrow it (by sequence): {_short(text)}")
+    if "No space left" in message or "File too large" in message or "Cannot write to file" in message:
+        return StoreError(f"cannot write the graph: {_short(message)}; free some space and load again")
+    # The parser lists everything it would have taken instead, and repeats the statement.
+    return QueryError(_short(re.sub(r" expecting \{.*", "", message), 300))
+
+
+def _identifier(name: str) -> str:
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
+        raise QueryError(f"{name!r} is no name of a table")
+    return name
+
+
+def _short(text: str, limit: int = 120) -> str:
+    plain = " ".join(text.split())
+    return plain if len(plain) <= limit else plain[: limit - 3] + "..."
+
+
+def _make_parent(place: Path) -> None:
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(f"cannot write to {place.parent}: {error.strerror}; choose another --store") from None
+
+
+def _remove(path: Path) -> None:
+    for place in (path, *(path.with_name(path.name + suffix) for suffix in _SIDE_FILES)):
+        with contextlib.suppress(OSError):
+            place.unlink(missing_ok=True)
