@@ -26,7 +26,8 @@ def bind(cypher: str, params: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
     """The statement with typed parameters, and the values to bind.
 
     Values may be None, bool, int (64 bits), float, str, lists and dicts of these, numpy scalars, and Arrow tables (for
-    `LOAD FROM $name`). A final semicolon is taken off. Raises QueryError where there are two statements, the names given are not the names used, or a value cannot be bound.
+    `LOAD FROM $name`). A final semicolon is taken off. Raises QueryError where there are two statements, the names
+    given are not the names used, or a value cannot be bound.
     """
     cypher = cypher.strip().removesuffix(";")
     if ";" in strip_literals(cypher):
