@@ -1,0 +1,73 @@
+"""Numbered values turned into Arrow columns, and counting of what a column refuses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from .problems import Problems
+
+Ints = npt.NDArray[np.int64]
+Bools = npt.NDArray[np.bool_]
+
+TRACK_BITS: Final = 31
+
+
+def person_keys(frame: Ints, track: Ints) -> Ints:
+    """One sortable number per (frame, track)."""
+    return (frame << TRACK_BITS) | track
+
+
+def texts(values: Sequence[str], codes: Ints) -> pa.Array:
+    """Strings `values[code]`; null for negative codes."""
+    dictionary = pa.array(values, pa.string())
+    return dictionary.take(pa.array(codes, pa.int64(), mask=codes < 0))
+
+
+def constant(value: str, n: int) -> pa.Array:
+    """A column of `n` equal strings."""
+    return pa.repeat(pa.scalar(value, pa.string()), n)
+
+
+def nullable(values: npt.NDArray[Any], missing: Bools, kind: pa.DataType) -> pa.Array:
+    """Values as an Arrow array, null where `missing`."""
+    return pa.array(values, mask=missing).cast(kind)
+
+
+class Refusals:
+    """Counts what is refused of records that came in file order, naming the frame of the first."""
+
+    def __init__(self, frame: Ints, suffix: str, problems: Problems) -> None:
+        self._frame = frame
+        self._suffix = suffix
+        self._problems = problems
+
+    def count(
+        self, where: Bools, kind: str, reason: str, field: str, value: Callable[[int], object] = lambda row: ""
+    ) -> None:
+        """Add the rows of a mask as one problem; `value` gives the offending value of a row."""
+        n = int(where.sum())
+        if n:
+            row = int(where.argmax())
+            frame = f"{int(self._frame[row]):06d}.{self._suffix}"
+            self._problems.add(kind, reason, frame=frame, field=field, value=value(row), count=n)
+
+
+def first_of_equal(keys: Ints) -> tuple[Ints, Bools]:
+    """A stable ascending order of `keys`, and a mask over it: True at the first of each run of equal keys."""
+    order = np.argsort(keys, kind="stable")
+    ordered = keys[order]
+    first = np.ones(len(ordered), np.bool_)
+    first[1:] = ordered[1:] != ordered[:-1]
+    return order, first
+
+
+def ragged(counts: Ints) -> tuple[Ints, Ints]:
+    """For groups of `counts` members: the group of each member, and its place in the group."""
+    group = np.repeat(np.arange(len(counts)), counts)
+    start = np.cumsum(counts) - counts
+    return group, np.arange(len(group)) - np.repeat(start, counts)

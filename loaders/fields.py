@@ -1,0 +1,136 @@
+"""Single fields of label records: what counts as usable, and how spellings of one thing are read as one.
+
+Every function takes a decoded JSON value of any type and raises ValueError, with the reason, where it is unusable.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from typing import Any, Final
+
+from jrdb_avr.schema.vocabulary import OCCLUSIONS
+
+MAX_TRACK: Final = 2**31 - 2
+MAX_PIXEL: Final = 1e5
+"""No coordinate of a stitched box is that large: the panorama has 3760 columns."""
+MAX_METRE: Final = 1e4
+MAX_TEXT: Final = 100
+
+_PERSON: Final = re.compile(r"pedestrian:([0-9]{1,10})")
+_PREFIXED: Final = re.compile(r"([A-Za-z_ ]+):(-?[0-9]+)")
+
+
+class NotAPersonError(ValueError):
+    """A well-formed label id of something that is no tracked person (another prefix, or -1)."""
+
+
+def track_of(label_id: object) -> int:
+    """The N of `pedestrian:N`. Raises NotAPersonError for other prefixes and -1, ValueError for anything else."""
+    if not isinstance(label_id, str):
+        raise ValueError("label_id is no text" if label_id is not None else "label_id is missing")
+    match = _PERSON.fullmatch(label_id)
+    if match and int(match[1]) <= MAX_TRACK:
+        return int(match[1])
+    if match is None and _PREFIXED.fullmatch(label_id):
+        raise NotAPersonError("label_id is not of a tracked person")
+    raise ValueError("label_id is not pedestrian:N")
+
+
+def number(value: object) -> float:
+    """A finite number; bool is none."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError("not a number")
+    try:
+        result = float(value)
+    except OverflowError:
+        raise ValueError("number too large") from None
+    if not math.isfinite(result):
+        raise ValueError("not a finite number")
+    return result
+
+
+def whole(value: object, low: int, high: int) -> int:
+    """A whole number in [low, high], also as 7.0 or "7"."""
+    if isinstance(value, str) and re.fullmatch(r"-?[0-9]{1,19}", value):
+        value = int(value)
+    result = number(value)
+    if result != math.floor(result):
+        raise ValueError("not a whole number")
+    # Integers beyond 2**53 keep their digits.
+    exact = value if isinstance(value, int) else int(result)
+    if not low <= exact <= high:
+        raise ValueError("number out of range")
+    return exact
+
+
+def flag(value: object) -> bool:
+    """A bool, also as "true" or "false" in any case."""
+    if isinstance(value, bool):
+        return value
+    if isinstance(value, str) and value.lower() in ("true", "false"):
+        return value.lower() == "true"
+    raise ValueError("neither true nor false")
+
+
+def difficulty(value: object) -> int:
+    """A difficulty code 1..3, also as 1.0 or "1"."""
+    return whole(value, 1, 3)
+
+
+def occlusion(value: object) -> str:
+    """One of the four words of occlusion."""
+    if value not in OCCLUSIONS:
+        raise ValueError("unknown word")
+    return str(value)
+
+
+def text(value: object) -> str:
+    """Text that can be stored and printed: no lone surrogates, no control characters, not empty, not endless."""
+    if not isinstance(value, str):
+        raise ValueError("not a text")
+    clean = "".join(c if c.isprintable() else " " for c in value).strip()
+    if not clean:
+        raise ValueError("empty text")
+    if len(clean) > MAX_TEXT:
+        raise ValueError("text too long")
+    return clean
+
+
+def pairs(raw: bytes) -> tuple[list[tuple[str, Any]], list[str]]:
+    """The members of a JSON object, first of equal keys, and the keys that stood there again.
+
+    NaN and Infinity are let through, for the field's own check. Raises ValueError for anything but an object.
+    """
+    value = loose(raw)
+    if not isinstance(value, _Members):
+        raise ValueError("not an object")
+    first: dict[str, Any] = {}
+    again = []
+    for key, item in value.items:
+        if key in first:
+            again.append(key)
+        else:
+            first[key] = item
+    return list(first.items()), again
+
+
+def loose(raw: bytes) -> Any:
+    """Any JSON value, bare NaN and Infinity included; objects come as a private type. Raises ValueError."""
+    try:
+        return json.loads(raw, object_pairs_hook=_Members)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    except ValueError:
+        raise ValueError("not JSON") from None
+
+
+class _Members:
+    """A JSON object with its members as written."""
+
+    def __init__(self, items: list[tuple[str, Any]]) -> None:
+        self.items = items
+
+    def __repr__(self) -> str:
+        return "{...}"

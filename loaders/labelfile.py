@@ -1,0 +1,172 @@
+"""A JRDB label file, `{"labels": {"<frame>.<suffix>": [record, ...]}}`, read frame by frame.
+
+The outer level is cut into raw frames first and each frame is decoded alone: memory stays small, and what is broken
+stays in its own frame or record. A file that cannot be used as a whole raises InputError.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import stat
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final, Generic, TypeVar
+
+import msgspec
+
+from jrdb_avr.schema.errors import InputError
+
+from .jsonscan import MalformedError, elements, members
+from .problems import Problems, shorten
+
+MAX_FILE: Final = 256 << 20
+"""Bytes of the largest file that is read; three times the largest real one, all layers in it."""
+MAX_FRAME: Final = 4 << 20
+MAX_RECORDS: Final = 1000
+"""Records of one frame: JRDB's fullest have about a hundred, and pairs of people grow with the square."""
+SCAN_FROM: Final = 64 << 20
+"""Files from this size on are cut by the scanner, whose memory does not depend on the number of members."""
+
+R = TypeVar("R")
+
+_BROKEN: Final = (msgspec.DecodeError, RecursionError, UnicodeError)
+
+
+class _File(msgspec.Struct, gc=False):
+    labels: dict[str, msgspec.Raw]
+
+
+class RecordReader(Generic[R]):
+    """Decodes records of type R: whole frames at once where they are clean, else one by one.
+
+    `repair` gets the bytes of a record that is not clean, the frame key and the problems, and returns what can be used
+    of it or None. `fields` are the keys that a record has at most once: a frame that holds one more often than it has
+    records repeats a key somewhere (JSON leaves open which of the two counts) and is taken one by one.
+    """
+
+    def __init__(
+        self, record: type[R], repair: Callable[[bytes, str, Problems], R | None], fields: tuple[str, ...]
+    ) -> None:
+        self._frame = msgspec.json.Decoder(list[record])  # type: ignore[valid-type]
+        self._record = msgspec.json.Decoder(record)
+        self._repair = repair
+        self._keys = tuple(f'"{field}"'.encode() for field in fields)
+
+    def read(self, raw: bytes, frame: str, problems: Problems) -> tuple[list[R], bool] | None:
+        """The usable records of a frame, and whether every record was; None where the frame is no list."""
+        try:
+            records = self._frame.decode(raw)
+            if len(records) <= MAX_RECORDS and all(raw.count(key) <= len(records) for key in self._keys):
+                return records, True
+        except _BROKEN:
+            pass
+        records = []
+        try:
+            spans = []
+            for span in elements(raw):
+                spans.append(span)
+                if len(spans) > MAX_RECORDS:
+                    problems.add("frame", f"frame with more than {MAX_RECORDS} records", frame=frame)
+                    return None
+        except MalformedError as error:
+            problems.add("frame", "frame is no list of records", frame=frame, value=str(error))
+            return None
+        for begin, end in spans:
+            record = self._one(raw[begin:end], frame, problems)
+            if record is not None:
+                records.append(record)
+        return records, len(records) == len(spans)
+
+    def _one(self, raw: bytes, frame: str, problems: Problems) -> R | None:
+        try:
+            if all(raw.count(key) <= 1 for key in self._keys):
+                return self._record.decode(raw)
+        except _BROKEN:
+            pass
+        return self._repair(raw, frame, problems)
+
+
+def read_frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> Iterator[tuple[int, str, bytes]]:
+    """Frame number, frame key and raw list of each frame of a label file; the first of equal keys.
+
+    Raises InputError, naming the file, if the file cannot be read as a whole. That may happen after frames were
+    yielded: whoever reads keeps nothing of such a file.
+    """
+    data = _read(path)
+    key_form = re.compile(r"([0-9]{6})\.(?:" + "|".join(suffixes) + ")")
+    seen: set[int] = set()
+    for key, raw in _cut(data, path):
+        match = key_form.fullmatch(key)
+        if match is None:
+            problems.add("frame", "frame key is not six digits and " + "/".join(suffixes), frame=shorten(key))
+        elif int(match[1]) in seen:
+            problems.add("frame", "frame key twice, the first is kept", frame=key)
+        elif len(raw) > MAX_FRAME:
+            problems.add("frame", f"frame larger than {MAX_FRAME >> 20} MB", frame=key)
+        else:
+            seen.add(int(match[1]))
+            yield int(match[1]), key, raw
+
+
+def _read(path: Path) -> bytes:
+    """The bytes of a label file. Raises InputError if it is no file, too large, unreadable, empty or not UTF-8."""
+    name = path.name
+    try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            raise InputError(f"{name}: not a file", file=name)
+        if status.st_size > MAX_FILE:
+            size = f"{status.st_size / (1 << 20):.0f} MB"
+            raise InputError(f"{name}: {size}, larger than the limit of {MAX_FILE >> 20} MB", file=name)
+        data = path.read_bytes()
+    except OSError as error:
+        reason = os.strerror(error.errno or errno.EIO)
+        raise InputError(f"{name}: cannot be read: {reason}", file=name) from None
+    if not data or data.isspace():
+        raise InputError(f"{name}: the file is empty", file=name)
+    if not data.isascii():
+        try:
+            data.decode()
+        except UnicodeDecodeError as error:
+            raise InputError(f"{name}: not UTF-8 at byte {error.start}", file=name) from None
+    return data
+
+
+def _cut(data: bytes, path: Path) -> Iterator[tuple[str, bytes]]:
+    """Frame keys and raw frames, in the order of the file, repeated keys included."""
+    if len(data) < SCAN_FROM and data.count(b'"labels"') == 1:
+        try:
+            labels = msgspec.json.decode(data, type=_File).labels
+        except _BROKEN:
+            pass  # the scanner finds what is usable
+        else:
+            # A key stands before a colon; file_id holds the same text but as a value.
+            written = sum(1 for _ in re.finditer(rb'\.(?:jpg|jpeg|png|pcd|pcb)"\s*:', data))
+            if written == len(labels):
+                for key, raw in labels.items():
+                    yield key, bytes(raw)
+                return
+    yield from _scan(data, path.name)
+
+
+def _scan(data: bytes, name: str) -> Iterator[tuple[str, bytes]]:
+    try:
+        found = [(begin, end) for key, begin, end in members(data) if _key_text(key) == "labels"]
+        if not found:
+            raise InputError(f'{name}: there is no object "labels"', file=name)
+        begin, end = found[0]
+        if data[begin : begin + 1] != b"{":
+            raise InputError(f'{name}: "labels" is not an object', file=name)
+        for key, start, stop in members(data, begin):
+            yield _key_text(key), data[start:stop]
+    except MalformedError as error:
+        raise InputError(f"{name}: not JSON: {error}", file=name) from None
+
+
+def _key_text(key: bytes) -> str:
+    try:
+        return msgspec.json.decode(key, type=str)
+    except _BROKEN:
+        return key.decode("utf-8", "replace")

@@ -1,0 +1,64 @@
+"""What a loader refused or skipped, counted by reason with the first example of each.
+
+Nothing that a file holds may vanish silently: a file, frame, record or field that cannot be used is added here, and the
+load report prints the sums. *Refused* things leave no fact behind; a refused field leaves the rest of its record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import msgspec
+
+
+class Problem(msgspec.Struct):
+    """One reason with its count and its first example."""
+
+    kind: str
+    """file, frame, record or field: how much was lost each time."""
+    reason: str
+    count: int
+    file: str
+    frame: str
+    field: str
+    detail: str
+    """The offending value of the first example, shortened."""
+
+
+class Problems:
+    """A counter of problems of one file."""
+
+    def __init__(self, file: str) -> None:
+        self.file = file
+        self._found: dict[tuple[str, str, str], Problem] = {}
+
+    def add(
+        self, kind: str, reason: str, *, frame: str = "", field: str = "", value: object = "", count: int = 1
+    ) -> None:
+        """Count a problem. Problems of one kind, reason and field are one entry."""
+        known = self._found.get((kind, reason, field))
+        if known is not None:
+            known.count += count
+            return
+        self._found[kind, reason, field] = Problem(kind, reason, count, self.file, frame, field, shorten(value))
+
+    def listed(self) -> list[Problem]:
+        """All entries, by kind, reason and field."""
+        return [self._found[key] for key in sorted(self._found)]
+
+
+def shorten(value: object, length: int = 60) -> str:
+    """The value as printable text of at most `length` characters."""
+    text = value.decode("utf-8", "replace") if isinstance(value, bytes) else value if isinstance(value, str) else ""
+    if not isinstance(value, bytes | str):
+        try:
+            text = repr(value)
+        except (RecursionError, ValueError):  # nested beyond reason, or an int of thousands of digits
+            text = type(value).__name__
+    text = "".join(c if c.isprintable() else " " for c in text[: length + 1])
+    return text if len(text) <= length else text[: length - 1] + "…"
+
+
+def total(problems: Iterable[Problem]) -> int:
+    """How many things were refused or skipped."""
+    return sum(problem.count for problem in problems)

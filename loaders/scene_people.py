@@ -1,0 +1,201 @@
+"""The people of one sequence as arrays: the annotation tables decoded once, for every derived table to read.
+
+All arrays are sorted by (frame, track). `Boxes` are 2D boxes in stitched pixels; `Located` are 3D boxes with lidar
+points, in metres in the robot frame (x forward, y left, z up).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from jrdb_avr.schema.panorama import HEIGHT, center_angle
+from jrdb_avr.schema.rules import LoadRules
+from jrdb_avr.schema.vocabulary import CLEAR_OCCLUSIONS, POSES
+
+from .columns import person_keys
+
+Ints = npt.NDArray[np.int64]
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+HARD = 3
+UNREADABLE = 9
+"""Stands for a missing difficulty in arrays: harder than hard."""
+
+
+@dataclass(frozen=True)
+class Boxes:
+    """2D boxes."""
+
+    frame: Ints
+    track: Ints
+    box: Floats
+    """(n, 4): x, y, w, h."""
+    occlusion: pa.Array
+    no_eval: Bools
+    listed: Bools
+    has_attributes: bool
+    """Whether any record of the sequence carries attributes."""
+
+    @cached_property
+    def keys(self) -> Ints:
+        """One ascending number per (frame, track)."""
+        return person_keys(self.frame, self.track)
+
+    @cached_property
+    def angle(self) -> Floats:
+        """Panorama angle of the box centres, degrees."""
+        return center_angle(self.box[:, 0], self.box[:, 2])
+
+    def clear(self, rules: LoadRules) -> Bools:
+        """The clear view of the rules, per box."""
+        _, y, w, h = self.box.T
+        sized = (w >= rules.clear_min_width) & (w <= rules.clear_max_width) & (h >= rules.clear_min_height)
+        result = sized & (y >= 0) & (y + h <= HEIGHT) & ~self.no_eval
+        if self.has_attributes:
+            visible = np.isin(np.array(self.occlusion.to_pylist(), dtype=object), list(CLEAR_OCCLUSIONS))
+            result &= visible
+        return np.asarray(result)
+
+    def rows(self, frame: Ints, track: Ints) -> Ints:
+        """Row of each (frame, track), -1 where there is no box."""
+        return rows_of(self.keys, person_keys(frame, track))
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Actions, one row per (frame, track, action): spellings of one action are merged, the easier code counts."""
+
+    names: list[str]
+    """Ascending, so that codes sort as names do."""
+    frame: Ints
+    track: Ints
+    action: Ints
+    difficulty: Ints
+    certain: Bools
+    """True of the person: easy or middle, and of poses the only one in the list."""
+
+    @cached_property
+    def is_pose(self) -> Bools:
+        """Per name."""
+        return np.array([name in POSES for name in self.names], np.bool_)
+
+
+@dataclass(frozen=True)
+class Groups:
+    """Cluster rows, at most one per (frame, track)."""
+
+    frame: Ints
+    track: Ints
+    cluster: Ints
+    certain: Bools
+
+
+@dataclass(frozen=True)
+class Located:
+    """3D boxes with lidar points."""
+
+    frame: Ints
+    track: Ints
+    center: Floats
+    """(n, 3)."""
+    heading: Floats
+    """Radians in (-pi, pi], counter-clockwise from straight ahead of the robot."""
+    distance: Floats
+    """Metres from the robot."""
+
+    @cached_property
+    def keys(self) -> Ints:
+        return person_keys(self.frame, self.track)
+
+
+def rows_of(keys: Ints, wanted: Ints) -> Ints:
+    """Position of each wanted key in ascending `keys`, -1 where missing."""
+    if not len(keys):
+        return np.full(len(wanted), -1, np.int64)
+    place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+    return np.where(keys[place] == wanted, place, -1)
+
+
+def read_boxes(table: pa.Table) -> Boxes:
+    """From the annotation table `boxes_2d`, whose rows are sorted by (frame, track)."""
+    box = np.stack([table[name].to_numpy() for name in "xywh"], axis=1)
+    attributed = table["has_attributes"].to_numpy()
+    return Boxes(
+        *_person_columns(table),
+        box,
+        table["occlusion"].combine_chunks(),
+        table["no_eval"].fill_null(False).to_numpy(),
+        table["has_actions"].to_numpy(),
+        bool(attributed.any()),
+    )
+
+
+def read_labels(table: pa.Table) -> Labels:
+    """From the annotation table `actions`."""
+    written = table["action"].combine_chunks().dictionary_encode()
+    spelled = written.dictionary.to_pylist()
+    names = sorted(spelled)
+    rank = np.array([names.index(name) for name in spelled], np.int64)
+    code = written.indices.to_numpy().astype(np.int64)
+    action = rank[code] if len(code) else code
+    frame, track = _person_columns(table)
+    difficulty = table["difficulty"].fill_null(UNREADABLE).to_numpy().astype(np.int64)
+    order = np.lexsort((difficulty, action, track, frame))
+    frame, track, action, difficulty = frame[order], track[order], action[order], difficulty[order]
+    keys = person_keys(frame, track)
+    first = np.ones(len(keys), np.bool_)
+    first[1:] = (keys[1:] != keys[:-1]) | (action[1:] != action[:-1])
+    frame, track, action, difficulty = frame[first], track[first], action[first], difficulty[first]
+    pose = np.array([name in POSES for name in names], np.bool_)[action] if len(action) else np.empty(0, np.bool_)
+    _, person = np.unique(keys[first], return_inverse=True)
+    poses = np.bincount(person, weights=pose)[person] if len(person) else np.empty(0)
+    certain = (difficulty < HARD) & (~pose | (poses == 1))
+    return Labels(names, frame, track, action, difficulty, certain)
+
+
+def read_groups(table: pa.Table) -> Groups:
+    """From the annotation table `groups`."""
+    frame, track = _person_columns(table)
+    certain = table["difficulty"].fill_null(UNREADABLE).to_numpy() < HARD
+    return Groups(frame, track, table["cluster"].to_numpy(), certain)
+
+
+def read_located(table: pa.Table) -> Located:
+    """From the annotation table `boxes_3d`: boxes with lidar points only."""
+    table = table.filter(pa.array(table["num_points"].fill_null(0).to_numpy() > 0))
+    frame, track = _person_columns(table)
+    center = np.stack([table[name].to_numpy() for name in ("cx", "cy", "cz")], axis=1)
+    ground = np.hypot(center[:, 0], center[:, 1])
+    distance = np.where(
+        table["distance"].is_null().to_numpy(), ground, table["distance"].fill_null(0.0).to_numpy()
+    )
+    return Located(frame, track, center, wrap(math.pi - table["rot_z"].to_numpy()), distance)
+
+
+def wrap(radians: Floats) -> Floats:
+    """Angles in [-pi, pi)."""
+    return (radians + math.pi) % (2 * math.pi) - math.pi
+
+
+def _person_columns(table: pa.Table) -> tuple[Ints, Ints]:
+    return table["frame"].to_numpy().astype(np.int64), table["track"].to_numpy().astype(np.int64)
+
+
+def track_spans(tables: Mapping[str, pa.Table]) -> tuple[Ints, Ints, Ints]:
+    """Tracks of any box, 2D or 3D, ascending, with the first and last frame of each."""
+    columns = [_person_columns(tables[layer]) for layer in ("boxes_2d", "boxes_3d")]
+    frame = np.concatenate([pair[0] for pair in columns])
+    track = np.concatenate([pair[1] for pair in columns])
+    order = np.lexsort((frame, track))
+    frame, track = frame[order], track[order]
+    tracks, start = np.unique(track, return_index=True)
+    last = np.append(start[1:], len(track)) - 1
+    return tracks, frame[start], frame[last] if len(track) else frame

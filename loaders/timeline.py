@@ -1,0 +1,127 @@
+"""Which frames a sequence's layers know, at which step, and its keyframes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP
+from jrdb_avr.schema.tables import INTERVALS, LAYERS
+
+from .columns import constant
+
+Ints = npt.NDArray[np.int64]
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The frames a layer should know: first, first + step, ..., last. Frames beyond it do not exist for the layer."""
+
+    first: int
+    last: int
+    step: int
+
+    def index(self, frame: Ints) -> Ints:
+        """Number of a frame on the grid, from 0; meaningless for frames off the grid."""
+        return (frame - self.first) // self.step
+
+    def holds(self, frame: Ints) -> Bools:
+        """Whether frames lie on the grid."""
+        return np.asarray((frame >= self.first) & (frame <= self.last) & ((frame - self.first) % self.step == 0))
+
+    @property
+    def size(self) -> int:
+        return (self.last - self.first) // self.step + 1
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Frames of one sequence. `layers` holds the annotated frames of each layer that knows any, ascending."""
+
+    sequence: str
+    layers: dict[str, Ints]
+    keyframes: Ints
+    frames: Ints
+    """Every frame of any layer, and of any box."""
+
+    def frames_of(self, layer: str) -> Ints:
+        return self.layers.get(layer, np.empty(0, np.int64))
+
+    def grid(self, layer: str) -> Grid | None:
+        """The layer's grid, None where the sequence lacks the layer."""
+        frames = self.frames_of(layer)
+        return Grid(int(frames[0]), int(frames[-1]), step_of(frames)) if len(frames) else None
+
+    @property
+    def action_step(self) -> int:
+        """Step of the layer that sets the keyframes: actions, else 2D, else 3D."""
+        return step_of(self.frames_of(_leading(self.layers)))
+
+
+def step_of(frames: Ints) -> int:
+    """15 where all frames lie whole seconds apart (or there is one), else 1."""
+    return KEYFRAME_STEP if len(frames) < 2 or np.gcd.reduce(np.diff(frames)) % KEYFRAME_STEP == 0 else 1
+
+
+def timeline(sequence: str, frames: pa.Table, box_frames: Ints) -> Timeline:
+    """Read the `frames` table. `box_frames` are the frames with a 2D box, listed in the table or not.
+
+    A keyframe with boxes that the 2D layer does not list holds people who could not be read: nothing unique or absent
+    can be told of it, so it is left out of the keyframes.
+    """
+    names = np.array(frames["layer"].to_pylist(), dtype=object)
+    numbers = frames["frame"].to_numpy().astype(np.int64)
+    layers = {layer: np.unique(numbers[names == layer]) for layer in LAYERS if (names == layer).any()}
+    leading = layers.get(_leading(layers), np.empty(0, np.int64))
+    if not len(leading):
+        keyframes = leading
+    elif step_of(leading) == KEYFRAME_STEP:
+        keyframes = leading
+    else:
+        first = -(-int(leading[0]) // KEYFRAME_STEP) * KEYFRAME_STEP
+        keyframes = np.arange(first, int(leading[-1]) + 1, KEYFRAME_STEP, dtype=np.int64)
+    unread = np.setdiff1d(box_frames, layers.get("2d", np.empty(0, np.int64)))
+    known = np.union1d(numbers, box_frames)
+    return Timeline(sequence, layers, np.setdiff1d(keyframes, unread), known)
+
+
+def _leading(layers: dict[str, Ints]) -> str:
+    return next((layer for layer in ("actions", "2d", "3d") if layer in layers), "")
+
+
+def seconds(frame: Ints) -> Floats:
+    """Seconds of frames, counted from frame 0."""
+    return frame / FPS
+
+
+def sequence_table(line: Timeline, has_attributes: bool) -> pa.Table:
+    """The one row of the interval table `sequence`."""
+    row = {
+        "sequence": line.sequence,
+        "fps": FPS,
+        "frame_count": int(line.frames[-1]) + 1 if len(line.frames) else 0,
+        "layers": list(line.layers),
+        "action_step": line.action_step,
+        "keyframes": line.keyframes.tolist(),
+        "has_attributes": has_attributes,
+    }
+    return pa.Table.from_pylist([row], INTERVALS["sequence"])
+
+
+def frames_table(line: Timeline) -> pa.Table:
+    """The interval table `frames`: one row per frame of any layer."""
+    return pa.table(
+        {
+            "sequence": constant(line.sequence, len(line.frames)),
+            "frame": line.frames,
+            "seconds": seconds(line.frames),
+            "keyframe": np.isin(line.frames, line.keyframes),
+            "annotated": np.isin(line.frames, line.frames_of("2d")),
+            "image": np.isin(line.frames, line.frames_of("images")),
+        }
+    ).cast(INTERVALS["frames"])
