@@ -1,0 +1,38 @@
+"""`python -m jrdb_avr.agent.marker [--port N] [--log FILE]`: serve the marker model until the process is ended.
+
+Prints one line, `marker ready at URL`, once requests are taken. Ends by itself when its standard input is a pipe that
+the parent process has closed, so that a killed run leaves no server behind.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import stat
+import sys
+import threading
+from pathlib import Path
+
+from .server import Server
+
+
+def main() -> None:
+    """Serve until stopped."""
+    parser = argparse.ArgumentParser(prog="python -m jrdb_avr.agent.marker", description="Serve the marker model.")
+    parser.add_argument("--port", type=int, default=0, help="port on 127.0.0.1; a free one if left out")
+    parser.add_argument("--log", type=Path, default=None, help="file for one JSON line per answer")
+    options = parser.parse_args()
+    with Server(options.port, options.log) as server:
+        print(f"marker ready at {server.url}", flush=True)
+        if stat.S_ISFIFO(os.fstat(0).st_mode):
+            threading.Thread(target=_watch, args=(server,), daemon=True).start()
+        server.serve_forever()
+
+
+def _watch(server: Server) -> None:
+    sys.stdin.buffer.read()
+    server.shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,116 @@
+"""Finding the person of a description by its mark: each condition is true, false or unknown of a sighting."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from jrdb_avr.schema.marks import ALONE
+from jrdb_avr.schema.panorama import angle_error
+from jrdb_avr.schema.plan import Condition
+from jrdb_avr.schema.vocabulary import DISTANCE_BOUNDS_M, DISTANCE_WORDS, POSES
+
+from .eyes import Eyes
+from .reading import Sighting
+
+_SECTOR_ANGLES: Final = {"ahead": 180.0, "right": 270.0, "behind": 0.0, "left": 90.0}
+_SWEEP: Final = (180.0, 135.0, 225.0, 90.0, 270.0, 45.0, 315.0, 0.0)
+_BETWEEN: Final = (157.5, 202.5, 112.5, 247.5, 67.5, 292.5, 22.5, 337.5)
+"""Looks that show whole whoever stands across the edges of the first eight."""
+
+_SHOWN_ACTIONS: Final = 2
+"""A mark has room for this many actions beside the pose."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """The person, or None; `missing` says why not, or what was not certain."""
+
+    sighting: Sighting | None
+    missing: str = ""
+
+
+def find(conditions: Sequence[Condition], frame: int, eyes: Eyes) -> Found:
+    """The one person at a legal frame of whom every condition is true.
+
+    The description fits one person alone, so looking ends at the first certain match; a group must first be counted
+    all round. Raises Spent when looks run out.
+    """
+    sized = any(c.attribute == "group_size" and c.value != 1 for c in conditions)
+    sectors = [str(c.value) for c in conditions if c.attribute == "sector"]
+    if sectors and not sized:
+        middle = _SECTOR_ANGLES[sectors[0]]
+        rounds = [(middle - 22.0, middle + 22.0), (middle,)]
+    else:
+        rounds = [_SWEEP, _BETWEEN]
+    for angles in rounds:
+        for angle in angles:
+            eyes.look(frame, angle % 360.0)
+            matches = [] if sized else _certain(conditions, eyes.at(frame))
+            if len(matches) == 1:
+                return Found(matches[0])
+        matches = _certain(conditions, eyes.at(frame))
+        if len(matches) == 1:
+            return Found(matches[0])
+    return _best(conditions, eyes.at(frame))
+
+
+def _certain(conditions: Sequence[Condition], people: Sequence[Sighting]) -> list[Sighting]:
+    return [person for person in people if all(holds(c, person, people) for c in conditions)]
+
+
+def _best(conditions: Sequence[Condition], people: Sequence[Sighting]) -> Found:
+    """Nobody, or several, fit for certain: the only one who could fit."""
+    possible = [p for p in people if all(holds(c, p, people) is not False for c in conditions)]
+    if len(possible) == 1:
+        return Found(possible[0], "mark unreadable: not every condition could be read")
+    return Found(None, "mark unreadable: nobody who was read fits" if not possible else "several people could fit")
+
+
+def holds(condition: Condition, person: Sighting, people: Sequence[Sighting]) -> bool | None:
+    """Whether a condition is true of a person among the people read at the same frame; None where unknown."""
+    mark = person.mark
+    if condition.action is not None:
+        if condition.action in POSES:
+            return None if mark.pose is None else mark.pose == condition.action
+        if condition.action in mark.actions:
+            return True
+        return None if len(mark.actions) >= _SHOWN_ACTIONS else False
+    if condition.interaction is not None:
+        if mark.interaction == condition.interaction:
+            return True
+        # A mark shows one interaction, and a person may be in several.
+        return False if person.complete and mark.interaction is None else None
+    if condition.object is not None:
+        if not person.complete:
+            return None
+        return (mark.object, mark.verb) == (condition.object, condition.verb)
+    match condition.attribute:
+        case "gender":
+            return None if mark.gender is None else mark.gender == condition.value
+        case "age":
+            return None if mark.age is None else mark.age == condition.value
+        case "sector":
+            return bool(angle_error(person.angle, _SECTOR_ANGLES[str(condition.value)]) <= 45.0)
+        case "distance":
+            return None if mark.distance_dm is None else distance_word(mark.distance_dm / 10) == condition.value
+        case _:
+            return _group_holds(condition, person, people)
+
+
+def _group_holds(condition: Condition, person: Sighting, people: Sequence[Sighting]) -> bool | None:
+    if person.mark.group is None:
+        return None
+    if person.mark.group == ALONE:
+        return condition.value == 1
+    size = sum(other.mark.group == person.mark.group for other in people)
+    if size == condition.value:
+        return True
+    # Somebody of the group may be hidden.
+    return None if size < int(str(condition.value)) else False
+
+
+def distance_word(metres: float) -> str:
+    """The word for a distance in metres."""
+    return DISTANCE_WORDS[sum(metres > bound for bound in DISTANCE_BOUNDS_M)]

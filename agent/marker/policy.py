@@ -1,0 +1,283 @@
+"""How the marker model plays a question: find the person, read what is asked, show the evidence.
+
+A read that meets something unreadable, or runs out of looks, gives the best it has and notes why; it never invents a
+box. Thresholds of the question's rules are not used here: a start is searched for as a person would, by stepping and
+closing in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from jrdb_avr.schema.panorama import CROP, Box
+from jrdb_avr.schema.plan import Plan
+from jrdb_avr.schema.rules import frames as frames_in
+from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
+
+from ..decode import write_box
+from .eyes import AROUND, NEARBY, Eyes, Spent, Want
+from .finding import find
+from .reading import Sighting, Task
+
+_STEP: Final = frames_in(2.0)
+"""An action asked about lasts two seconds at least, so steps of two seconds meet it."""
+
+_WAIT: Final = frames_in(3.0)
+"""What is asked about lies three seconds after the description, or more."""
+
+_CLOSE_FRAMES: Final = 10
+"""Closing in ends when the moment is known to this many frames."""
+
+_CLOSING_LOOKS: Final = 3
+_CHANGED_M: Final = 1.0
+
+
+@dataclass
+class Game:
+    """One question: what is asked, what has been seen, and notes of what could not be read."""
+
+    task: Task
+    eyes: Eyes
+    missing: list[str] = field(default_factory=list)
+
+    @property
+    def plan(self) -> Plan:
+        return self.task.plan
+
+    def frame_of(self, name: str) -> int:
+        """A stated time's frame."""
+        frame = self.plan.times[name].frame
+        assert frame is not None, "reads ask for stated times only"
+        return frame
+
+    def note(self, reason: str) -> None:
+        if reason not in self.missing:
+            self.missing.append(reason)
+
+    def choose(self, text: str | None, not_this: str | None = None) -> int:
+        """The number of the choice with this text, else of the first that does not say what is known to be wrong."""
+        if text in self.task.choices:
+            return self.task.choices.index(text) + 1
+        others = [n for n, choice in enumerate(self.task.choices, 1) if choice != not_this]
+        return others[0] if others else 1
+
+
+def play(task: Task) -> tuple[dict[str, Any], list[str]]:
+    """The next turn as the contract's object, and the notes of what was missing when it is an answer."""
+    game = Game(task, Eyes(task))
+    try:
+        return _play(game), game.missing
+    except Want as want:
+        return {"action": "observe", "frame_id": f"{want.frame:06d}", "angle_deg": round(want.angle, 3)}, []
+
+
+def _play(game: Game) -> dict[str, Any]:
+    root = next(node for node in game.plan.nodes if node.id == game.plan.root)
+    t0 = min(time.frame for time in game.plan.times.values() if time.frame is not None)
+    person: Sighting | None = None
+    try:
+        found = find(root.conditions, game.eyes.legal(t0), game.eyes)
+        person = found.sighting
+        if found.missing:
+            game.note(found.missing)
+    except Spent:
+        game.note("budget: the person was not found")
+    answer = _answer(game, person, t0)
+    return {"action": "answer", "answer": answer, "evidence_bboxes": _evidence(game, person)}
+
+
+def _answer(game: Game, person: Sighting | None, t0: int) -> Any:
+    match game.plan.answer.read:
+        case "action":
+            return game.choose(_pose(game, person), person.mark.pose if person else None)
+        case "presence":
+            return game.choose(_presence(game, person))
+        case "distance_change":
+            return game.choose(_distance(game, person))
+        case "start":
+            start, _ = _start(game, person, t0)
+            return {"frame_id": _id(game, start)}
+        case "span":
+            start, end = _span(game, person, t0)
+            return {"start_frame": _id(game, start), "end_frame": _id(game, end)}
+        case other:
+            raise NotImplementedError(other)
+
+
+def _id(game: Game, frame: float) -> str:
+    return f"{min(max(round(frame), 0), game.eyes.frames[-1]):06d}"
+
+
+# -- reads of one moment ----------------------------------------------------------------------------------------------
+
+
+def _seen_at(game: Game, person: Sighting, name: str) -> Sighting | None:
+    """The person at a stated time, all round if need be; notes why where it was not seen."""
+    try:
+        seen = game.eyes.follow(person.mark.identity, game.frame_of(name), AROUND)
+    except Spent:
+        game.note(f"budget: {name} was not looked at all round")
+        return None
+    if seen is None:
+        game.note(f"mark unreadable, or absent, at {name}")
+    return seen
+
+
+def _pose(game: Game, person: Sighting | None) -> str | None:
+    if person is None:
+        return None
+    seen = _seen_at(game, person, game.plan.asked()[0])
+    return None if seen is None else seen.mark.pose
+
+
+def _presence(game: Game, person: Sighting | None) -> str | None:
+    if person is None:
+        return None
+    first, second = (_seen_at(game, person, name) is not None for name in game.plan.asked())
+    both, only_first, only_second, neither = PRESENCE_ANSWERS
+    return (both if second else only_first) if first else (only_second if second else neither)
+
+
+def _distance(game: Game, person: Sighting | None) -> str | None:
+    if person is None or person.mark.distance_dm is None:
+        return None
+    closer, farther, same, unseen = DISTANCE_ANSWERS
+    later = _seen_at(game, person, game.plan.asked()[1])
+    if later is None:
+        return unseen
+    if later.mark.distance_dm is None:
+        return None
+    change = (later.mark.distance_dm - person.mark.distance_dm) / 10
+    return same if abs(change) < _CHANGED_M else (farther if change > 0 else closer)
+
+
+# -- searches in time -------------------------------------------------------------------------------------------------
+
+
+def _does(action: str, seen: Sighting) -> bool:
+    return action == seen.mark.pose if action in POSES else action in seen.mark.actions
+
+
+def _probe(game: Game, person: Sighting, action: str, frame: float) -> bool | None:
+    """Whether the person performs the action at a frame; None where it was not seen near where it was expected."""
+    seen = game.eyes.follow(person.mark.identity, frame, NEARBY)
+    if seen is None:
+        game.note(f"mark unreadable at frame {game.eyes.legal(frame)}")
+        return None
+    return _does(action, seen)
+
+
+def _start(game: Game, person: Sighting | None, t0: int) -> tuple[float, int | None]:
+    """The moment at which the action starts, and a frame at which it was seen after that (None if it never was)."""
+    last = game.eyes.frames[-1]
+    guess = (t0 + _WAIT + last) / 2
+    action = next(time.action for time in game.plan.times.values() if time.event == "start")
+    if person is None or action is None:
+        return guess, None
+    before, after = min(t0 + _WAIT, last) - 1, None
+    try:
+        before, after = _first_seen(game, person, action, before, last)
+        if after is None:
+            game.note("mark unreadable, or the steps were too wide: the action was never seen")
+            return guess, None
+        before, after = _close_in(game, person, action, before, after, wanted=True)
+    except Spent:
+        game.note("budget: the start was not closed in on")
+    seen = sorted(_performed(game, person, action, t0 + 1))
+    if not seen:
+        return guess, None
+    unseen = [frame for frame in _performed(game, person, action, t0 + 1, wanted=False) if frame < seen[0]]
+    return (max([*unseen, before if before < seen[0] else t0]) + seen[0]) / 2, seen[0]
+
+
+def _first_seen(game: Game, person: Sighting, action: str, begin: int, last: int) -> tuple[int, int | None]:
+    """Steps from `begin` on: (last probed frame without the action, first one with it)."""
+    looks = max(game.eyes.spare() - _CLOSING_LOOKS, 1)
+    step = max(_STEP, -(-(last - begin) // looks))
+    before, frame = begin, begin + 1
+    while frame <= last:
+        does = _probe(game, person, action, frame)
+        if does:
+            return before, game.eyes.legal(frame)
+        if does is False:
+            before = game.eyes.legal(frame)
+        if frame == last:
+            break
+        frame = min(frame + step, last)
+    return before, None
+
+
+def _close_in(game: Game, person: Sighting, action: str, low: int, high: int, *, wanted: bool) -> tuple[int, int]:
+    """Halve (low, high] until the change from not `wanted` to `wanted` is known well enough, or cannot be read."""
+    while high - low > _CLOSE_FRAMES:
+        middle = game.eyes.legal((low + high) / 2)
+        if not low < middle < high:
+            break
+        does = _probe(game, person, action, middle)
+        if does is None:
+            break
+        if does is wanted:
+            high = middle
+        else:
+            low = middle
+    return low, high
+
+
+def _span(game: Game, person: Sighting | None, t0: int) -> tuple[float, float]:
+    start, inside = _start(game, person, t0)
+    last = game.eyes.frames[-1]
+    if person is None or inside is None:
+        return start, min(start + 2 * _STEP, last)
+    action = next(time.action for time in game.plan.times.values() if time.event == "start")
+    assert action is not None, "a start names its action"
+    during, after = inside, None
+    try:
+        frame = inside
+        while frame < last and after is None:
+            frame = min(frame + _STEP, last)
+            does = _probe(game, person, action, frame)
+            if does:
+                during = game.eyes.legal(frame)
+            elif does is False:
+                after = game.eyes.legal(frame)
+        if after is not None:
+            during, after = _close_in(game, person, action, during, after, wanted=False)
+    except Spent:
+        game.note("budget: the end was not closed in on")
+    return start, (during + after) / 2 if after is not None else during
+
+
+def _performed(
+    game: Game, person: Sighting, action: str, begin: int, *, wanted: bool = True
+) -> list[int]:
+    """Frames from `begin` on at which the person was seen with (or, not `wanted`, without) the action."""
+    seen = game.eyes.sightings(person.mark.identity)
+    return [s.frame for s in seen if s.frame >= begin and _does(action, s) is wanted]
+
+
+# -- evidence ---------------------------------------------------------------------------------------------------------
+
+
+def _evidence(game: Game, person: Sighting | None) -> list[dict[str, Any]]:
+    """The person's box in the newest picture; looks once more where that picture does not show it whole.
+
+    Empty where the person was never found.
+    """
+    if person is None:
+        return []
+    identity = person.mark.identity
+    newest = game.eyes.looks[-1]
+    shown = newest.of(identity)
+    if shown is None or not shown.whole:
+        best = max(game.eyes.sightings(identity), key=lambda seen: (seen.whole, seen.frame))
+        try:
+            again = game.eyes.again(best.frame, best.angle).of(identity)
+            shown = again or shown
+        except Spent:
+            game.note("budget: no look was left to show the person again")
+    if shown is None:
+        game.note("mark unreadable in the look that should show the person again")
+        return []
+    box = write_box(Box(*shown.box), CROP, CROP)
+    return [{"frame_id": f"{shown.frame:06d}", "bbox": box}]

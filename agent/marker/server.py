@@ -1,0 +1,134 @@
+"""The socket of the marker model: chat completions over HTTP on the loopback interface."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from jrdb_avr.schema.errors import DecodeError
+
+from .policy import play
+from .reading import Reader, read_task
+
+MODEL: Final = "marker"
+_LONGEST_REQUEST: Final = 256 * 1024 * 1024
+_IMAGE_TOKENS: Final = 256
+
+
+class _Request(msgspec.Struct):
+    messages: list[dict[str, Any]]
+    model: str = MODEL
+
+
+class Server(ThreadingHTTPServer):
+    """Serves until `shutdown`; `log` receives one JSON line per answer turn: what was asked, what was missing."""
+
+    daemon_threads = True
+    request_queue_size = 128
+
+    def __init__(self, port: int = 0, log: Path | None = None) -> None:
+        super().__init__(("127.0.0.1", port), _Handler)
+        self.reader = Reader()
+        self._log = log
+        self._lock = threading.Lock()
+
+    @property
+    def url(self) -> str:
+        """The base URL that a client is given."""
+        return f"http://127.0.0.1:{self.server_port}/v1"
+
+    def reply(self, body: bytes) -> dict[str, Any]:
+        """The completion for a request's body. Raises DecodeError for what cannot be understood."""
+        try:
+            request = msgspec.json.decode(body, type=_Request)
+        except msgspec.DecodeError as error:
+            raise DecodeError(f"no chat-completions request: {error}") from None
+        task = read_task(request.messages, self.reader)
+        if task is None:
+            return _completion(request, {"ok": True})
+        turn, missing = play(task)
+        if turn["action"] == "answer":
+            self._write({"question": task.question, "choices": task.choices, "looks": len(task.looks)}, missing)
+        return _completion(request, turn)
+
+    def _write(self, line: Mapping[str, Any], missing: list[str]) -> None:
+        if self._log is None:
+            return
+        with self._lock, self._log.open("ab") as file:
+            file.write(msgspec.json.encode({**line, "missing": missing}) + b"\n")
+
+
+def _completion(request: _Request, turn: Mapping[str, Any]) -> dict[str, Any]:
+    content = msgspec.json.encode(turn).decode()
+    texts, images = _sizes(request.messages)
+    prompt_tokens, completion_tokens = texts // 4 + images * _IMAGE_TOKENS, len(content) // 4
+    return {
+        "id": "marker",
+        "object": "chat.completion",
+        "created": 0,
+        "model": request.model,
+        "choices": [
+            {"index": 0, "finish_reason": "stop", "message": {"role": "assistant", "content": content}},
+        ],
+        "usage": {
+            "prompt_tokens": prompt_tokens,
+            "completion_tokens": completion_tokens,
+            "total_tokens": prompt_tokens + completion_tokens,
+        },
+    }
+
+
+def _sizes(messages: list[dict[str, Any]]) -> tuple[int, int]:
+    """Characters of text and number of images."""
+    texts = images = 0
+    for message in messages:
+        content = message.get("content")
+        for part in content if isinstance(content, list) else [{"text": content}]:
+            texts += len(str(part.get("text") or ""))
+            images += part.get("type") == "image_url"
+    return texts, images
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: Server
+    protocol_version = "HTTP/1.1"
+    # One packet per reply: headers and body apart would wait for each other's acknowledgement.
+    wbufsize = -1
+    disable_nagle_algorithm = True
+
+    def do_POST(self) -> None:  # noqa: N802
+        length = self.headers.get("Content-Length", "")
+        if not length.isdigit() or int(length) > _LONGEST_REQUEST:
+            self.close_connection = True
+            self._send(413, {"error": {"message": "a request needs a Content-Length of at most 256 MB"}})
+            return
+        body = self.rfile.read(int(length))
+        if not self.path.endswith("/chat/completions"):
+            self._send(404, {"error": {"message": f"there is no {self.path}; use /v1/chat/completions"}})
+            return
+        try:
+            self._send(200, self.server.reply(body))
+        except DecodeError as error:
+            self._send(400, {"error": {"message": str(error)}})
+
+    def do_GET(self) -> None:  # noqa: N802
+        if self.path.endswith("/models"):
+            self._send(200, {"object": "list", "data": [{"id": MODEL, "object": "model"}]})
+        else:
+            self._send(404, {"error": {"message": f"there is no {self.path}; use /v1/models"}})
+
+    def _send(self, status: int, value: Mapping[str, Any]) -> None:
+        data = msgspec.json.encode(value)
+        self.send_response(status)
+        self.send_header("Content-Type", "application/json")
+        self.send_header("Content-Length", str(len(data)))
+        self.end_headers()
+        self.wfile.write(data)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Silence: a line per request on stderr would break the progress bar of a run."""

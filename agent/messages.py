@@ -1,0 +1,85 @@
+"""Messages to a model: text and pictures, as they are sent, hashed and told in a transcript."""
+
+from __future__ import annotations
+
+import base64
+import functools
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+from jrdb_avr.schema.errors import ObserveError
+from jrdb_avr.schema.method import Observation
+
+JPEG_QUALITY: Final = 95
+
+
+@dataclass(frozen=True)
+class Picture:
+    """JPEG bytes that travel inline; `name` stands for them wherever bytes are left out."""
+
+    name: str
+    data: bytes
+
+    @functools.cached_property
+    def uri(self) -> str:
+        return "data:image/jpeg;base64," + base64.b64encode(self.data).decode()
+
+    @functools.cached_property
+    def digest(self) -> str:
+        return "sha256:" + hashlib.sha256(self.data).hexdigest()
+
+
+Part = str | Picture
+
+
+@dataclass(frozen=True)
+class Message:
+    """One chat message."""
+
+    role: Literal["system", "user", "assistant"]
+    parts: tuple[Part, ...]
+
+
+def crop_picture(observation: Observation) -> Picture:
+    """The crop of an observation as JPEG of quality 95."""
+    import cv2
+
+    done, data = cv2.imencode(".jpg", observation.image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    if not done:
+        raise ObserveError(f"the crop of frame {observation.frame_id} cannot be written as JPEG")
+    return Picture(f"{observation.sequence} {observation.frame_id} {observation.angle_deg:.6g}", data.tobytes())
+
+
+def wire(messages: Sequence[Message]) -> list[dict[str, Any]]:
+    """Messages in the chat-completions form, pictures as data URIs."""
+    return [_message(message, lambda picture: picture.uri) for message in messages]
+
+
+def fingerprint(messages: Sequence[Message]) -> list[dict[str, Any]]:
+    """Messages in the chat-completions form with each picture's sha256 in place of its bytes."""
+    return [_message(message, lambda picture: picture.digest) for message in messages]
+
+
+def transcript(messages: Sequence[Message]) -> list[dict[str, str]]:
+    """Messages as a person reads them: each picture as `[image SEQUENCE FRAME ANGLE]`, from which it can be redrawn."""
+    return [
+        {
+            "role": message.role,
+            "content": "\n".join(p if isinstance(p, str) else f"[image {p.name}]" for p in message.parts),
+        }
+        for message in messages
+    ]
+
+
+def _message(message: Message, url: Any) -> dict[str, Any]:
+    if all(isinstance(part, str) for part in message.parts):
+        return {"role": message.role, "content": "\n".join(str(part) for part in message.parts)}
+    content = [
+        {"type": "text", "text": part}
+        if isinstance(part, str)
+        else {"type": "image_url", "image_url": {"url": url(part)}}
+        for part in message.parts
+    ]
+    return {"role": message.role, "content": content}

@@ -1,0 +1,79 @@
+"""Prompt texts: one Markdown file each in `prompts/`, with `$name` slots."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import re
+from collections.abc import Sequence
+from importlib.resources import files
+from string import Template
+from typing import NamedTuple
+
+from jrdb_avr.schema.answers import AnswerMode
+
+
+def render(name: str, **slots: object) -> str:
+    """The prompt `prompts/<name>.md` with its slots filled, without a newline at the end.
+
+    Slots are filled once: a `$` in a question's text stays what it is.
+    """
+    return _template(name).substitute({key: str(value) for key, value in slots.items()})
+
+
+@functools.cache
+def _template(name: str) -> Template:
+    return Template((files(__package__) / "prompts" / f"{name}.md").read_text(encoding="utf-8").rstrip("\n"))
+
+
+class ModeText(NamedTuple):
+    """What the prompts say of an answer mode: an example of the form, the rule in words, a line of advice."""
+
+    form: str
+    rule: str
+    advice: str
+
+
+def mode_text(mode: AnswerMode, frame_count: int) -> ModeText:
+    """The three lines of `prompts/answer_<mode>.md`."""
+    slots = {} if mode in ("multiple_choice", "number") else {"last_frame": f"{frame_count - 1:06d}"}
+    return ModeText(*render(f"answer_{mode}", **slots).split("\n"))
+
+
+def choice_lines(choices: Sequence[str]) -> str:
+    """The choices as numbered lines, from 1."""
+    return "\n".join(f"{number}. {choice}" for number, choice in enumerate(choices, 1))
+
+
+def frame_ranges(frames: Sequence[int]) -> str:
+    """Ascending frames as ranges of one step each; `read_frame_ranges` is the inverse.
+
+    >>> frame_ranges([0, 5, 10, 15, 16])
+    '000000 to 000015 in steps of 5, 000016'
+    """
+    parts = []
+    start = 0
+    while start < len(frames):
+        end = min(start + 1, len(frames) - 1)
+        step = frames[end] - frames[start]
+        while end + 1 < len(frames) and frames[end + 1] - frames[end] == step:
+            end += 1
+        if end - start == 1:
+            # Two frames are no range: the second may begin a longer one.
+            end = start
+        first, last = f"{frames[start]:06d}", f"{frames[end]:06d}"
+        parts.append(first if end == start else f"{first} to {last} in steps of {step}")
+        start = end + 1
+    return ", ".join(parts) or "none"
+
+
+_RANGE = re.compile(r"(\d{6})(?: to (\d{6}) in steps of (\d{1,7}))?")
+
+
+def read_frame_ranges(text: str) -> list[int]:
+    """The frames of a text that `frame_ranges` wrote."""
+    matches = [_RANGE.fullmatch(part) for part in text.split(", ")]
+    spans = [
+        range(int(m[1]), int(m[2]) + 1, int(m[3])) if m[2] else range(int(m[1]), int(m[1]) + 1) for m in matches if m
+    ]
+    return list(itertools.chain.from_iterable(spans))
