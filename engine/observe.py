@@ -1,0 +1,198 @@
+"""`observe`: crops of the stitched panorama, by sequence, frame and angle.
+
+An `Observer` is made from public data only, the image folder and the sequences' frames, and returns pixels and where
+they were taken. A caller's words never become a path: a sequence is looked up by name and a frame in its list before
+anything is read.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import operator
+import os
+import threading
+from collections import OrderedDict
+from collections.abc import Iterable
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from jrdb_avr.queries.store import safe_sequence
+from jrdb_avr.schema.errors import ObserveError
+from jrdb_avr.schema.method import Image, Observation, SequenceInfo
+from jrdb_avr.schema.panorama import CROP, FOV_DEG, HEIGHT, WIDTH, crop_left
+
+CACHED_PANORAMAS: Final = 32
+"""Decoded panoramas kept by default, 5.4 MB each."""
+
+_START = b"\xff\xd8"
+_END = b"\xff\xd9"
+_SIZE_MARKERS: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+
+
+class Observer:
+    """Serves observations of `sequences`, whose panoramas lie in `image_root/<sequence>/<six digits>.jpg`.
+
+    May be called from several threads. Memory stays bounded: at most `cached` decoded panoramas are kept, the least
+    recently used goes first.
+    """
+
+    def __init__(
+        self, image_root: str | Path | None, sequences: Iterable[SequenceInfo], *, cached: int = CACHED_PANORAMAS
+    ) -> None:
+        self._root = None if image_root is None else Path(image_root)
+        self._sequences = {safe_sequence(info.sequence): info for info in sequences}
+        self._frames = {name: frozenset(info.frames) for name, info in self._sequences.items()}
+        self._cached = max(1, cached)
+        self._panoramas: OrderedDict[tuple[str, int], Future[Image]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def __call__(self, sequence: str, frame_index: int, angle_deg: float) -> Observation:
+        """The 480 x 480 RGB crop centred on an angle in degrees: 180 ahead, 90 the robot's left, 0 behind, 270 right.
+
+        Any finite angle is wrapped. The image is the caller's own and read-only. Raises ObserveError, saying what is
+        allowed, for an unknown sequence, a frame without an image, an angle that is no number, or a broken image file.
+        """
+        frame = self._check(sequence, frame_index)
+        angle = _angle(angle_deg)
+        left = int(crop_left(angle))
+        return Observation(
+            sequence=sequence,
+            frame_index=frame,
+            frame_id=f"{frame:06d}",
+            timestamp=frame / self._sequences[sequence].fps,
+            angle_deg=angle,
+            fov_deg=round(FOV_DEG, 2),
+            left=left,
+            image=_crop(self._panorama(sequence, frame), left),
+        )
+
+    def panorama(self, sequence: str, frame_index: int) -> Image:
+        """The whole panorama, 480 x 3760 x 3 RGB, read-only. Raises ObserveError as a call does."""
+        return self._panorama(sequence, self._check(sequence, frame_index))
+
+    def _check(self, sequence: str, frame_index: int) -> int:
+        if not isinstance(sequence, str) or sequence not in self._sequences:
+            raise ObserveError(f"no sequence {str(sequence)[:100]!r}; there are: {_some(sorted(self._sequences))}")
+        try:
+            frame = operator.index(frame_index)
+        except TypeError:
+            frame = -1
+        if isinstance(frame_index, bool | np.bool_) or frame not in self._frames[sequence]:
+            frames = self._sequences[sequence].frames
+            raise ObserveError(
+                f"{sequence} has no image at frame {str(frame_index)[:40]}; frames with an image: "
+                + (_near(frames, frame) if frames else "none")
+            )
+        return frame
+
+    def _panorama(self, sequence: str, frame: int) -> Image:
+        key = (sequence, frame)
+        with self._lock:
+            future = self._panoramas.get(key)
+            if future is not None:
+                self._panoramas.move_to_end(key)
+        if future is not None:
+            return future.result()
+        mine: Future[Image] = Future()
+        with self._lock:
+            future = self._panoramas.setdefault(key, mine)
+            if len(self._panoramas) > self._cached:
+                self._panoramas.popitem(last=False)
+        if future is mine:
+            try:
+                mine.set_result(self._decode(sequence, frame))
+            except BaseException as error:
+                # A failure is not remembered: the file may be there on the next call.
+                with self._lock:
+                    if self._panoramas.get(key) is mine:
+                        del self._panoramas[key]
+                mine.set_exception(error)
+        return future.result()
+
+    def _decode(self, sequence: str, frame: int) -> Image:
+        if self._root is None:
+            raise ObserveError("there are no images: load a root that holds images/image_stitched")
+        path = self._root / sequence / f"{frame:06d}.jpg"
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise ObserveError(f"cannot read {path}: {os.strerror(error.errno or 0)}") from None
+        return decode_panorama(data, str(path))
+
+
+def decode_panorama(data: bytes, name: str) -> Image:
+    """A stitched panorama's JPEG as a read-only 480 x 3760 x 3 RGB array; `name` is for messages.
+
+    Raises ObserveError for what is no whole JPEG, or one of another size (which is not decoded).
+    """
+    import cv2
+
+    # The decoder would fill a file that is cut short with grey and say nothing.
+    if not data.startswith(_START) or _END not in data[-64:]:
+        raise ObserveError(f"{name} is no whole JPEG: replace the file")
+    size = _jpeg_size(data)
+    if size != (WIDTH, HEIGHT):
+        shown = "without a size" if size is None else f"{size[0]} x {size[1]}"
+        raise ObserveError(f"{name} is {shown}, a stitched panorama is {WIDTH} x {HEIGHT}")
+    image: Image | None = None
+    with contextlib.suppress(cv2.error):
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION)
+    if image is None or image.shape != (HEIGHT, WIDTH, 3):
+        raise ObserveError(f"{name} cannot be decoded: replace the file")
+    image.flags.writeable = False
+    return image
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+    """Width and height from the frame header, or None where there is none before the image data."""
+    at = 2
+    while at + 9 <= len(data):
+        if data[at] != 0xFF:
+            return None
+        marker = data[at + 1]
+        if marker == 0xFF:
+            at += 1
+        elif marker in _SIZE_MARKERS:
+            return int.from_bytes(data[at + 7 : at + 9]), int.from_bytes(data[at + 5 : at + 7])
+        elif marker == 0xDA:
+            return None
+        else:
+            at += 2 + int.from_bytes(data[at + 2 : at + 4])
+    return None
+
+
+def _crop(panorama: Image, left: int) -> Image:
+    """Columns [left, left + 480), over the seam where need be: a copy, so that no crop keeps a panorama alive."""
+    crop = np.empty((HEIGHT, CROP, 3), np.uint8)
+    first = min(CROP, WIDTH - left)
+    crop[:, :first] = panorama[:, left : left + first]
+    if first < CROP:
+        crop[:, first:] = panorama[:, : CROP - first]
+    crop.flags.writeable = False
+    return crop
+
+
+def _angle(angle_deg: float) -> float:
+    """The angle in [0, 360). Raises ObserveError for what is no finite number."""
+    try:
+        angle = math.nan if isinstance(angle_deg, str | bytes | bool) else float(angle_deg)
+    except (TypeError, ValueError, OverflowError):
+        angle = math.nan
+    if not math.isfinite(angle):
+        raise ObserveError(f"angle {str(angle_deg)[:40]} is no finite number of degrees (180 is ahead, 90 left)")
+    # The second modulo catches a tiny negative angle, whose first rounds to 360.
+    return angle % 360.0 % 360.0
+
+
+def _some(names: list[str], limit: int = 30) -> str:
+    shown = ", ".join(names[:limit]) or "none"
+    return shown if len(names) <= limit else f"{shown} and {len(names) - limit} more"
+
+
+def _near(frames: tuple[int, ...], wanted: int) -> str:
+    nearest = min(frames, key=lambda frame: (abs(frame - wanted), frame))
+    return f"{len(frames)} from {frames[0]} to {frames[-1]}, the nearest is {nearest}"
