@@ -1,0 +1,271 @@
+"""Selection against plain Python: greedy pair by pair, counted answers, any order of the rows."""
+
+import hashlib
+import random
+from collections import Counter
+
+import pyarrow as pa
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jrdb_avr.engine.selection import PROFILES, answer_bin, near_duplicates, select, wait_bin
+from jrdb_avr.schema.plan import canonical
+from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.tables import CANDIDATES
+from jrdb_avr.schema.wording import TEMPLATES, Condition, Slots
+
+RULES = Rules()
+
+SCHEMA = pa.schema(
+    [
+        *CANDIDATES,
+        ("key", pa.string()),
+        ("read_frames", pa.list_(pa.int32())),
+        ("stated", pa.list_(pa.string())),
+        ("times", pa.list_(pa.int32())),
+        ("carried", pa.string()),
+    ]
+)
+
+PLANS = {
+    name: canonical(row.build(Slots((Condition(action="sitting", at="t0"),), dict.fromkeys(row.times, 0), "walking")))
+    for name, row in TEMPLATES.items()
+}
+
+
+def candidate(i, template, answer, *, sequence="s", track=1, read=(0,), stated=(), times=(0,), key=None):
+    return {
+        "sequence": sequence,
+        "family": TEMPLATES[template].family,
+        "template": template,
+        "target_track": track,
+        "plan": PLANS[template],
+        "answer": answer,
+        "key": key or hashlib.sha256(str(i).encode()).hexdigest(),
+        "read_frames": list(read),
+        "stated": list(stated),
+        "times": list(times),
+        "carried": f"row {i}",
+    }
+
+
+def table(rows):
+    return pa.Table.from_pylist(rows, schema=SCHEMA)
+
+
+def names(result):
+    return [row["carried"] for row in result.to_pylist()]
+
+
+# -- near-duplicates ----------------------------------------------------------------------------------------------
+
+ROWS = st.lists(
+    st.tuples(
+        st.sampled_from(["a", "b"]),
+        st.sampled_from(["change", "span"]),
+        st.integers(0, 2),
+        st.tuples(st.integers(0, 150), st.integers(0, 150)),
+    ),
+    max_size=60,
+)
+
+
+@given(ROWS, st.integers(1, 12), st.sampled_from([0.0, 1.0, 2.0, 2.5]))
+@settings(deadline=None)
+def test_near_duplicates_are_the_greedy_choice(drawn, cap, seconds):
+    rules = Rules(max_per_person=cap, near_duplicate_s=seconds)
+    rows = []
+    for i, (sequence, template, track, read) in enumerate(drawn):
+        read = read if template == "span" else read[:1]
+        rows.append(candidate(i, template, "x", sequence=sequence, track=track, read=read))
+    kept = []
+    limit = round(seconds * 15)
+    for row in sorted(rows, key=lambda row: row["key"]):
+        same = [k for k in kept if all(k[c] == row[c] for c in ("sequence", "template", "target_track"))]
+        if any(
+            all(abs(x - y) <= limit for x, y in zip(k["read_frames"], row["read_frames"], strict=True)) for k in same
+        ):
+            continue
+        if len(same) < cap:
+            kept.append(row)
+    result, dropped = near_duplicates(table(rows), rules)
+    assert sorted(names(result)) == sorted(row["carried"] for row in kept)
+    assert result.num_rows + sum(dropped.values()) == len(rows)
+    random.Random(1).shuffle(rows)
+    assert near_duplicates(table(rows), rules)[0].equals(result)
+
+
+def test_exactly_two_seconds_is_near_and_a_frame_more_is_not():
+    rows = [candidate(i, "start", "x", read=(frame,), key=f"{i:064}") for i, frame in enumerate((100, 130, 131, 70))]
+    result, dropped = near_duplicates(table(rows), RULES)
+    assert names(result) == ["row 0", "row 2"]
+    assert dropped == {"near_duplicate": 2}
+
+
+def test_the_cap_is_per_person_and_template():
+    rows = [
+        candidate(f"{template} {track} {i}", template, "x", track=track, read=(i * 100,))
+        for template in ("change", "start")
+        for track in (0, 1)
+        for i in range(20)
+    ]
+    result, dropped = near_duplicates(table(rows), RULES)
+    assert Counter((row["template"], row["target_track"]) for row in result.to_pylist()) == {
+        (template, track): 12 for template in ("change", "start") for track in (0, 1)
+    }
+    assert dropped == {"max_per_person": 32}
+
+
+def test_no_rows():
+    result, dropped = near_duplicates(table([]), RULES)
+    assert result.num_rows == 0 and dropped == {}
+    assert select(table([]), RULES, "all", 0).report == ()
+
+
+# -- balance ------------------------------------------------------------------------------------------------------
+
+
+def choices(counts, template="change", stated=(), times=(0, 60), start=0):
+    rows = []
+    for answer, count in counts.items():
+        for i in range(count):
+            rows.append(
+                candidate(
+                    f"{template} {stated} {times} {answer} {start + i}", template, answer, stated=stated, times=times
+                )
+            )
+    return rows
+
+
+def shares(rows, template):
+    counts = Counter(row["answer"] for row in rows if row["template"] == template)
+    return {answer: count / sum(counts.values()) for answer, count in counts.items()}
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["change", "presence", "distance"]),
+            st.sampled_from(["w", "x", "y", "z"]),
+            st.sampled_from([(), ("reading",), ("reading", "typing")]),
+            st.sampled_from([60, 100, 300]),
+        ),
+        max_size=120,
+    ),
+    st.sampled_from(["all", "paper"]),
+)
+@settings(deadline=None)
+def test_no_answer_takes_more_than_its_share(drawn, profile):
+    rows = [candidate(i, t, a, stated=s, times=(0, wait)) for i, (t, a, s, wait) in enumerate(drawn)]
+    selection = select(table(rows), RULES, profile, 3)
+    kept = selection.table.to_pylist()
+    assert {row["carried"] for row in kept} <= {row["carried"] for row in rows}
+    assert len(kept) == len(set(names(selection.table)))
+    for template in ("change", "presence", "distance"):
+        assert max(shares(kept, template).values(), default=0) <= 0.34
+    random.Random(0).shuffle(rows)
+    again = select(table(rows), RULES, profile, 3)
+    assert again.table.equals(selection.table) and again.report == selection.report
+
+
+def test_answers_are_levelled_within_the_stated_words():
+    rows = choices({"w": 90, "x": 30, "y": 30, "z": 30}, stated=("reading",))
+    rows += choices({"w": 30, "x": 90, "y": 30, "z": 30}, stated=("typing",))
+    kept = select(table(rows), RULES, "all", 0).table.to_pylist()
+    for word, top in (("reading", "w"), ("typing", "x")):
+        counts = Counter(row["answer"] for row in kept if row["stated"] == [word])
+        # 46 / (46 + 90) = 0.338; with 47 it would be 0.343.
+        assert counts == {"w": 30, "x": 30, "y": 30, "z": 30} | {top: 46}
+
+
+def test_words_that_go_with_one_answer_are_pooled():
+    rows = [
+        row for answer, word in (("w", "a"), ("x", "b"), ("y", "c")) for row in choices({answer: 40}, stated=(word,))
+    ]
+    rows += choices({"w": 200}, stated=("d",))
+    counts = Counter(row["answer"] for row in select(table(rows), RULES, "all", 0).table.to_pylist())
+    assert set(counts.values()) <= {40, 41} and sum(counts.values()) >= 120
+
+
+def test_waits_are_levelled_within_an_answer():
+    rows = []
+    for wait, count in ((60, 400), (100, 30), (200, 30)):
+        rows += choices({"w": count, "x": count, "y": count}, times=(0, wait))
+    rows += choices({"w": 300}, times=(0, 60), start=10_000)
+    kept = select(table(rows), Rules(max_answer_share=0.34), "all", 0).table.to_pylist()
+    for answer in "wxy":
+        waits = Counter(row["times"][1] for row in kept if row["answer"] == answer)
+        assert waits[100] == waits[200] == 30
+
+
+def test_two_answers_only_cannot_be_balanced():
+    selection = select(table(choices({"w": 50, "x": 50})), RULES, "all", 0)
+    assert selection.table.num_rows == 0
+    assert selection.report[0]["candidates"] == 100 and selection.report[0]["kept"] == 0
+
+
+def starts(offsets, action="walking"):
+    return [
+        candidate(f"{action} {i}", "start", f'{{"frame":{int(150 + s * 15)}}}', stated=(action,), times=(150,))
+        for i, s in enumerate(offsets)
+    ]
+
+
+def test_event_offsets_are_levelled():
+    generator = random.Random(5)
+    rows = starts([generator.uniform(3, 6) for _ in range(300)] + [generator.uniform(6, 40) for _ in range(100)])
+    kept = select(table(rows), RULES, "all", 0).table.to_pylist()
+    bins = Counter(answer_bin("frame", row["answer"], row["times"]) for row in kept)
+    assert max(bins.values()) <= 0.34 * len(kept)
+    assert len(kept) >= 100
+
+
+def test_few_offsets_stay_as_they_are():
+    rows = starts([3.5, 4, 4.5, 8])
+    assert select(table(rows), RULES, "all", 0).table.num_rows == 4
+
+
+@pytest.mark.parametrize(
+    ("seconds", "number"),
+    [(3, 1), (5.9, 1), (6, 2), (9.9, 2), (10, 3), (14.9, 3), (15, 4), (20.9, 4), (21, 5), (99, 5)],
+)
+def test_offset_bins(seconds, number):
+    assert answer_bin("frame", f'{{"frame":{round(150 + seconds * 15)}}}', [150]) == number
+    span = f'{{"start_frame":{round(150 + seconds * 15)},"end_frame":9999}}'
+    assert answer_bin("span", span, [150]) == number
+
+
+def test_gap_and_wait_bins():
+    assert [answer_bin("number", f'{{"value":{v}}}', [0]) for v in (5, 9.9, 10, 20, 39.9, 40, 400)] == [
+        1,
+        1,
+        2,
+        3,
+        3,
+        4,
+        4,
+    ]
+    assert [wait_bin(round(s * 15)) for s in (3, 5.9, 6, 11.9, 12, 24)] == [1, 1, 2, 2, 3, 4]
+
+
+# -- profiles -----------------------------------------------------------------------------------------------------
+
+
+def test_the_paper_profile():
+    assert list(PROFILES["paper"].values()) == [67, 76, 222, 32, 51, 30, 1620]
+    assert sum(PROFILES["paper"].values()) == 2098
+    answers = {"w": 900, "x": 900, "y": 900}
+    rows = choices(answers) + choices({"w": 40, "x": 40, "y": 40}, "presence")
+    selection = select(table(rows), RULES, "paper", 0)
+    counts = Counter(row["template"] for row in selection.table.to_pylist())
+    # What presence cannot give, change gives.
+    assert counts["presence"] == 120 and 1620 - 3 <= sum(counts.values()) <= 1620
+    short = {row["family"]: row["family_short"] for row in selection.report}
+    assert short["action_boundary"] == 67 and short["long_range"] == 30 and short["unique_anchor"] <= 3
+
+
+def test_the_seed_changes_which_are_kept_and_nothing_else_does():
+    rows = choices({"w": 90, "x": 30, "y": 30, "z": 30})
+    one, two = (select(table(rows), RULES, "all", seed).table for seed in (0, 1))
+    assert one.num_rows == two.num_rows and not one.equals(two)
