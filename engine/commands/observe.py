@@ -1,0 +1,69 @@
+"""`jrdb-avr observe`: write a crop, or the whole panorama, as PNG."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from jrdb_avr.engine.output import note, store_option
+
+
+@click.command(
+    epilog="Example: jrdb-avr observe gates-ai-lab-2019-02-08_0 15 180 --store S --out look.png  "
+    "(180 is straight ahead, 90 the robot's left, 0 behind, 270 its right)"
+)
+@click.argument("sequence")
+@click.argument("frame", type=int)
+@click.argument("angle", type=float, required=False)
+@store_option
+@click.option("--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="PNG file to write.")
+@click.option("--panorama", is_flag=True, help="The whole strip instead of a crop; needs no ANGLE.")
+@click.option("--boxes", is_flag=True, help="Draw the annotated boxes with track, pose and group.")
+def command(
+    sequence: str, frame: int, angle: float | None, store: Path, out: Path, panorama: bool, boxes: bool
+) -> None:
+    """Look at FRAME of SEQUENCE in direction ANGLE (degrees): a 480 x 480 crop as PNG."""
+    if panorama == (angle is not None):
+        raise click.UsageError("give either an ANGLE or --panorama")
+
+    from jrdb_avr.engine.drawing import draw_on_crop, draw_on_panorama
+    from jrdb_avr.engine.observe import Observer
+    from jrdb_avr.queries.sequences import loaded_sequence
+    from jrdb_avr.queries.store import Store
+
+    opened = Store(store)
+    observer = Observer(opened.manifest().image_root, [loaded_sequence(opened, sequence)])
+    people = _sightings(opened, sequence, frame) if boxes else []
+    if angle is None:
+        image = observer.panorama(sequence, frame)
+        if boxes:
+            image = draw_on_panorama(image, people)
+        note(f"{sequence} frame {frame:06d}: whole panorama -> {out}")
+    else:
+        seen = observer(sequence, frame, angle)
+        image = draw_on_crop(seen.image, seen.left, people) if boxes else seen.image
+        note(
+            f"{sequence} frame {seen.frame_id}, {seen.timestamp:.2f} s, angle {seen.angle_deg:g}, "
+            f"left column {seen.left}, {seen.fov_deg} degrees wide -> {out}"
+        )
+    _write_png(out, image)
+
+
+def _sightings(store: Any, sequence: str, frame: int) -> list[dict[str, Any]]:
+    import pyarrow.compute as pc
+
+    table = store.interval("sightings", sequence)
+    rows: list[dict[str, Any]] = table.filter(pc.equal(table["frame"], frame)).to_pylist()
+    # The widest first, so that small boxes are drawn over large ones.
+    return sorted(rows, key=lambda row: (-row["w"], row["track"]))
+
+
+def _write_png(path: Path, image: Any) -> None:
+    import cv2
+
+    from jrdb_avr.queries.store import write_atomic
+
+    _, data = cv2.imencode(".png", image[:, :, ::-1])
+    write_atomic(path, lambda temporary: temporary.write_bytes(data.tobytes()) and None)

@@ -1,0 +1,30 @@
+"""The sequences of a store and their frames, as a method may know them."""
+
+from __future__ import annotations
+
+from jrdb_avr.schema.errors import ObserveError
+from jrdb_avr.schema.method import SequenceInfo
+
+from .store import Store
+
+
+def public_sequences(store: Store) -> list[SequenceInfo]:
+    """The sequences of the published questions. Raises StoreError before `generate`."""
+    return [
+        SequenceInfo(row["sequence"], row["fps"], row["frame_count"], tuple(row["frames"]))
+        for row in store.questions("sequences").to_pylist()
+    ]
+
+
+def loaded_sequence(store: Store, name: str) -> SequenceInfo:
+    """A sequence as loaded, with the frames that have an image.
+
+    Raises StoreError before `load`, ObserveError for a name that is not in the store.
+    """
+    known = sorted(store.manifest().sequences)
+    if name not in known:
+        raise ObserveError(f"no sequence {name[:100]!r}; there are: {', '.join(known) or 'none'}")
+    row = store.interval("sequence", name).to_pylist()[0]
+    frames = store.interval("frames", name)
+    with_image = frames.filter(frames["image"])["frame"].to_pylist()
+    return SequenceInfo(name, row["fps"], row["frame_count"], tuple(sorted(with_image)))
