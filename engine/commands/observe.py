@@ -11,6 +11,8 @@ from jrdb_avr.engine.output import note, store_option
 
 
 @click.command(
+    # An ANGLE may be negative: -90 is no option.
+    context_settings={"ignore_unknown_options": True},
     epilog="Example: jrdb-avr observe gates-ai-lab-2019-02-08_0 15 180 --store S --out look.png  "
     "(180 is straight ahead, 90 the robot's left, 0 behind, 270 its right)"
 )
@@ -66,4 +68,8 @@ def _write_png(path: Path, image: Any) -> None:
     from jrdb_avr.queries.store import write_atomic
 
     _, data = cv2.imencode(".png", image[:, :, ::-1])
-    write_atomic(path, lambda temporary: temporary.write_bytes(data.tobytes()) and None)
+
+    def write(temporary: Path) -> None:
+        temporary.write_bytes(data.tobytes())
+
+    write_atomic(path, write)
