@@ -349,7 +349,7 @@ def _fill(image: Image, strip: tuple[int, int, int, int], color: tuple[int, int,
 
 def _paste(image: Image, plate: Image, x: int, y: int) -> None:
     top, left = max(y, 0), max(x, 0)
-    part = plate[top - y : image.shape[0] - y, left - x : image.shape[1] - x]
+    part = plate[top - y : max(image.shape[0] - y, 0), left - x : max(image.shape[1] - x, 0)]
     image[top : top + part.shape[0], left : left + part.shape[1]] = part
 
 

@@ -1,0 +1,58 @@
+"""`sample`: write a synthetic JRDB root."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from jrdb_avr.engine.output import json_option, note, print_json, print_rows, progress, workers_option
+
+
+@click.command()
+@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@click.option("--sequences", type=click.IntRange(1, 200), default=5, show_default=True, help="Sequences.")
+@click.option("--frames", type=click.IntRange(60, 100_000), default=1050, show_default=True, help="Frames of each.")
+@click.option("--people", type=click.IntRange(1, 300), default=34, show_default=True, help="People in view at a time.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Another seed, another world.")
+@click.option("--no-images", is_flag=True, help="Write label files only.")
+@click.option("--full-scale", is_flag=True, help="27 sequences sized like the JRDB test split, without images.")
+@workers_option
+@json_option
+def command(
+    folder: Path,
+    sequences: int,
+    frames: int,
+    people: int,
+    seed: int,
+    no_images: bool,
+    full_scale: bool,
+    workers: int,
+    as_json: bool,
+) -> None:
+    """Write a synthetic JRDB root: label files and panoramas of marked people.
+
+    \b
+    Example:
+      jrdb-avr sample ./sample
+      jrdb-avr sample ./big --full-scale
+    """
+    from jrdb_avr.loaders.sample.summary import rows
+    from jrdb_avr.loaders.sample.writer import FULL_SCALE, plan, write
+
+    sizes = list(FULL_SCALE) if full_scale else [(frames, people)] * sequences
+    orders = plan(folder, sizes, seed, images=not (no_images or full_scale))
+    done = []
+    with progress("sequences", len(orders)) as advance:
+        for written in write(orders, workers):
+            done.append(written)
+            advance()
+    done.sort(key=lambda written: written.name)
+    table = rows(done)
+    if as_json:
+        print_json(table)
+        return
+    print_rows(table, title="The sample beside JRDB (synthetic)")
+    note(
+        f"{folder}: {len(done)} sequences, {sum(w.boxes for w in done)} boxes, {sum(w.images for w in done)} panoramas"
+    )

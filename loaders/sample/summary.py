@@ -1,0 +1,42 @@
+"""The sample's shares beside those of JRDB."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from .writer import Written
+
+
+def rows(written: Sequence[Written]) -> list[dict[str, Any]]:
+    """One row per share: what, here, in JRDB (the test split; hard labels also its train split)."""
+
+    def share(part: int, whole: int) -> str:
+        return f"{100 * part / whole:.1f} %" if whole else "n/a"
+
+    def total(field: str) -> int:
+        return sum(getattr(one, field) for one in written)
+
+    frames = total("frames")
+    return [
+        {
+            "what": "boxes severely or fully occluded",
+            "here": share(total("occluded"), total("boxes")),
+            "JRDB": "56 %",
+        },
+        {
+            "what": "action labels of difficulty 3",
+            "here": share(total("hard_labels"), total("labels")),
+            "JRDB": "26-42 %",
+        },
+        {
+            "what": "people with a gap at keyframes",
+            "here": share(total("tracks_with_gaps"), total("tracks")),
+            "JRDB": "30 %",
+        },
+        {
+            "what": "people per frame",
+            "here": f"{total('boxes') / frames:.1f}" if frames else "n/a",
+            "JRDB": "34",
+        },
+    ]
