@@ -156,7 +156,7 @@ def _scan(data: bytes, name: str) -> Iterator[tuple[str, bytes]]:
         found = [(begin, end) for key, begin, end in members(data) if _key_text(key) == "labels"]
         if not found:
             raise InputError(f'{name}: there is no object "labels"', file=name)
-        begin, end = found[0]
+        begin, _ = found[0]
         if data[begin : begin + 1] != b"{":
             raise InputError(f'{name}: "labels" is not an object', file=name)
         for key, start, stop in members(data, begin):

@@ -174,9 +174,7 @@ def read_located(table: pa.Table) -> Located:
     frame, track = _person_columns(table)
     center = np.stack([table[name].to_numpy() for name in ("cx", "cy", "cz")], axis=1)
     ground = np.hypot(center[:, 0], center[:, 1])
-    distance = np.where(
-        table["distance"].is_null().to_numpy(), ground, table["distance"].fill_null(0.0).to_numpy()
-    )
+    distance = np.where(table["distance"].is_null().to_numpy(), ground, table["distance"].fill_null(0.0).to_numpy())
     return Located(frame, track, center, wrap(math.pi - table["rot_z"].to_numpy()), distance)
 
 

@@ -78,9 +78,7 @@ def timeline(sequence: str, frames: pa.Table, box_frames: Ints) -> Timeline:
     numbers = frames["frame"].to_numpy().astype(np.int64)
     layers = {layer: np.unique(numbers[names == layer]) for layer in LAYERS if (names == layer).any()}
     leading = layers.get(_leading(layers), np.empty(0, np.int64))
-    if not len(leading):
-        keyframes = leading
-    elif step_of(leading) == KEYFRAME_STEP:
+    if not len(leading) or step_of(leading) == KEYFRAME_STEP:
         keyframes = leading
     else:
         first = -(-int(leading[0]) // KEYFRAME_STEP) * KEYFRAME_STEP

@@ -1,0 +1,49 @@
+"""Annotation tables of one sequence -> its interval tables: a pure function of tables and rules."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pyarrow as pa
+
+from jrdb_avr.schema.rules import LoadRules
+from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS
+
+from .beside import beside_table
+from .columns import constant
+from .runs import action_runs, actions_table, memberships_table
+from .scene_people import read_boxes, read_groups, read_labels, read_located, track_spans
+from .segments import segments_table
+from .sightings import sightings_table
+from .timeline import frames_table, sequence_table, timeline
+
+
+def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules) -> dict[str, pa.Table]:
+    """Interval tables by kind. Layers that `annotations` lacks count as empty."""
+    tables = {layer: annotations.get(layer, schema.empty_table()) for layer, schema in ANNOTATIONS.items()}
+    boxes = read_boxes(tables["boxes_2d"])
+    labels = read_labels(tables["actions"])
+    groups = read_groups(tables["groups"])
+    located = read_located(tables["boxes_3d"])
+    line = timeline(sequence, tables["frames"], np.unique(boxes.frame))
+    runs = action_runs(line, labels, rules)
+    tracks, first, last = track_spans(tables)
+    persons = {
+        "sequence": constant(sequence, len(tracks)),
+        "track": tracks,
+        "gender": pa.nulls(len(tracks), pa.string()),
+        "age": pa.nulls(len(tracks), pa.string()),
+        "first_frame": first,
+        "last_frame": last,
+    }
+    return {
+        "sequence": sequence_table(line, boxes.has_attributes),
+        "frames": frames_table(line),
+        "persons": pa.table(persons).cast(INTERVALS["persons"]),
+        "sightings": sightings_table(line, boxes, labels, groups, located, rules),
+        "actions": actions_table(line, labels, runs),
+        "memberships": memberships_table(line, groups, rules),
+        "beside": beside_table(line, boxes, located, rules),
+        "segments": segments_table(line, boxes, labels, runs, rules),
+    }

@@ -1,0 +1,273 @@
+"""Load a JRDB root into a store, or rebuild a store's derived parts from its annotation tables.
+
+Everything is first written into a staging folder inside the store; the graph is built and its rows are counted; only
+then the new parts are moved in and the manifest is written last. So a load that fails leaves the old store as it was,
+and one that is killed is repaired by running it again: what it left behind is swept away under the writer's lock.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+
+from jrdb_avr.queries.store import Manifest, SequenceEntry, Store
+from jrdb_avr.schema.errors import InputError, StoreError
+from jrdb_avr.schema.rules import LoadRules, rules_hash
+from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, LAYERS
+
+from .boxes2d import load_2d
+from .columns import constant
+from .intervals import derive
+from .layers import Root, SequenceFiles, find_root, image_frames
+from .problems import Problems
+from .report import SequenceReport, UnknownLabel, empty_report
+from .shards import map_shards
+from .timeline import step_of
+
+STAGING: Final = ".loading"
+"""Folder inside the store where a load prepares everything."""
+
+PARTS: Final = ("annotations", "intervals")
+
+Advance = Callable[[int], None]
+
+
+@dataclass(frozen=True)
+class Shard:
+    """One sequence's share of a load, as it travels to a worker."""
+
+    files: SequenceFiles
+    staging: str
+    rules: LoadRules
+
+
+@dataclass(frozen=True)
+class ShardResult:
+    """What a worker sends back: the report, and the manifest's entry (None where nothing could be loaded)."""
+
+    report: SequenceReport
+    entry: SequenceEntry | None
+
+
+def load(
+    root: str | Path, store: Store, rules: LoadRules, workers: int = 2, advance: Advance = lambda steps: None
+) -> list[SequenceReport]:
+    """Load a JRDB root into a store; returns a report per sequence, by name.
+
+    Raises InputError where nothing can be loaded, StoreError where the store cannot be written, LockedError where
+    another process writes it. The store is then as it was.
+    """
+    found = find_root(root)
+    with store.writing("load"), _staging(store) as staging:
+        shards = [Shard(files, str(staging.path), rules) for files in found.sequences]
+        results: dict[str, ShardResult] = {}
+        for i, result in map_shards(load_shard, shards, workers, lambda shard: shard.files.weight):
+            results[found.sequences[i].sequence] = result
+            advance(1)
+        reports = _reports(found, results)
+        entries = {name: result.entry for name, result in sorted(results.items()) if result.entry is not None}
+        if not entries:
+            raise InputError(_nothing(found, reports))
+        image_root = str(found.image_root.resolve()) if found.image_root else None
+        _finish(store, staging, image_root, rules, entries, PARTS)
+    return reports
+
+
+def rebuild(
+    store: Store, rules: LoadRules, workers: int = 2, advance: Advance = lambda steps: None
+) -> dict[str, SequenceEntry]:
+    """Derive intervals and graph again from the annotation tables of a store.
+
+    Raises StoreError where the store holds no annotations or one of its files does not read or is not the one loaded.
+    """
+    with store.writing("load --rebuild"), _staging(store) as staging:
+        manifest = store.manifest()
+        shards = [
+            RebuildShard(name, entry, str(store.path), str(staging.path), rules)
+            for name, entry in sorted(manifest.sequences.items())
+        ]
+        entries: dict[str, SequenceEntry] = {}
+        for i, entry in map_shards(rebuild_shard, shards, workers, lambda shard: shard.weight):
+            entries[shards[i].sequence] = entry
+            advance(1)
+        _finish(store, staging, manifest.image_root, rules, dict(sorted(entries.items())), PARTS[1:])
+    return entries
+
+
+# -- one sequence ------------------------------------------------------------------------------------------------
+
+
+def load_shard(shard: Shard) -> ShardResult:
+    """Read one sequence's files and write its annotation and interval tables into the staging folder."""
+    with _collector_off():
+        files, sequence = shard.files, shard.files.sequence
+        tables: dict[str, pa.Table] = {}
+        frames: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        problems = {layer: Problems(Path(path).name) for layer, path in files.labels.items()}
+        unknown: list[UnknownLabel] = []
+        if "2d" in files.labels:
+            try:
+                labels = load_2d(Path(files.labels["2d"]), sequence, problems["2d"])
+            except InputError as error:
+                problems["2d"].add("file", str(error))
+            else:
+                tables |= labels.tables
+                frames |= labels.frames
+                unknown = [UnknownLabel(*key, count) for key, count in sorted(labels.unknown.items())]
+        listed = [problem for layer in problems.values() for problem in layer.listed()]
+        if not any(len(known) for known, _ in frames.values()):
+            return ShardResult(empty_report(sequence, listed), None)
+        pictures = np.array(image_frames(files.images), np.int64)
+        frames["images"] = pictures, np.ones(len(pictures), np.int64)
+        tables["frames"] = _frames_table(sequence, frames)
+        tables = {layer: tables.get(layer, schema.empty_table()) for layer, schema in ANNOTATIONS.items()}
+        intervals = derive(sequence, tables, shard.rules)
+        entry = _write(Store(shard.staging), sequence, tables, intervals)
+        report = SequenceReport(
+            sequence,
+            list(entry.layers),
+            {layer: step_of(frames[layer][0]) for layer in entry.layers},
+            intervals["frames"].num_rows,
+            intervals["persons"].num_rows,
+            tables["boxes_2d"].num_rows,
+            tables["boxes_3d"].num_rows,
+            unknown,
+            listed,
+            None,
+        )
+        return ShardResult(report, entry)
+
+
+@dataclass(frozen=True)
+class RebuildShard:
+    """One sequence's share of a rebuild."""
+
+    sequence: str
+    entry: SequenceEntry
+    store: str
+    staging: str
+    rules: LoadRules
+
+    @property
+    def weight(self) -> int:
+        path = Store(self.store).annotation_path("boxes_2d", self.sequence)
+        return path.stat().st_size if path.exists() else 0
+
+
+def rebuild_shard(shard: RebuildShard) -> SequenceEntry:
+    """Derive one sequence's intervals from its annotation tables, into the staging folder."""
+    store = Store(shard.store)
+    tables = {layer: store.annotation(layer, shard.sequence) for layer in ANNOTATIONS}
+    intervals = derive(shard.sequence, tables, shard.rules)
+    kept = {path: digest for path, digest in shard.entry.tables.items() if path.startswith(PARTS[0])}
+    entry = _write(Store(shard.staging), shard.sequence, {}, intervals)
+    return SequenceEntry(entry.layers, {**kept, **entry.tables})
+
+
+def _write(
+    staging: Store, sequence: str, annotations: dict[str, pa.Table], intervals: dict[str, pa.Table]
+) -> SequenceEntry:
+    tables = {}
+    for layer, table in annotations.items():
+        path = staging.annotation_path(layer, sequence).relative_to(staging.path)
+        tables[path.as_posix()] = staging.write_annotation(layer, sequence, table)
+    for kind, table in intervals.items():
+        path = staging.interval_path(kind, sequence).relative_to(staging.path)
+        tables[path.as_posix()] = staging.write_interval(kind, sequence, table)
+    layers = intervals["sequence"]["layers"][0].as_py()
+    return SequenceEntry(tuple(layers), tables)
+
+
+def _frames_table(sequence: str, frames: dict[str, tuple[np.ndarray, np.ndarray]]) -> pa.Table:
+    parts = [
+        pa.table(
+            {
+                "sequence": constant(sequence, len(frames[layer][0])),
+                "layer": constant(layer, len(frames[layer][0])),
+                "frame": frames[layer][0],
+                "records": frames[layer][1],
+            }
+        ).cast(ANNOTATIONS["frames"])
+        for layer in LAYERS
+        if layer in frames
+    ]
+    return pa.concat_tables(parts)
+
+
+@contextlib.contextmanager
+def _collector_off() -> Iterator[None]:
+    """Decoding makes millions of objects and no cycles: looking for cycles among them would be most of the work."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+# -- the store ---------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def _staging(store: Store) -> Iterator[Store]:
+    """The staging folder, empty; gone afterwards. Under the writer's lock, so what lies there is nobody's."""
+    staging = Store(store.path / STAGING)
+    try:
+        shutil.rmtree(staging.path, ignore_errors=True)
+        staging.path.mkdir()
+    except OSError as error:
+        raise StoreError(f"cannot write to {store.path}: {error.strerror}; choose another --store") from None
+    try:
+        yield staging
+    finally:
+        shutil.rmtree(staging.path, ignore_errors=True)
+
+
+def _finish(
+    store: Store,
+    staging: Store,
+    image_root: str | None,
+    rules: LoadRules,
+    entries: dict[str, SequenceEntry],
+    parts: Sequence[str],
+) -> None:
+    """Move what is staged in, and write the manifest last."""
+    graph: dict[str, int | str] = {}
+    staging.write_manifest(Manifest(image_root, rules, rules_hash(rules), entries, graph))
+    (store.path / "store.json").unlink(missing_ok=True)
+    for part in parts:
+        _swap(store.path / part, staging.path / part, staging.path / f"old_{part}")
+    (staging.path / "store.json").replace(store.path / "store.json")
+
+
+def _swap(place: Path, new: Path, old: Path) -> None:
+    if place.exists():
+        place.rename(old)
+    new.rename(place)
+
+
+# -- reports -----------------------------------------------------------------------------------------------------
+
+
+def _reports(root: Root, results: dict[str, ShardResult]) -> list[SequenceReport]:
+    reports = [result.report for _, result in sorted(results.items())]
+    for file in root.unnamable:
+        problems = Problems(file.name)
+        problems.add("file", "file name cannot be a sequence name", value=file.name)
+        reports.append(empty_report("", problems.listed()))
+    return reports
+
+
+def _nothing(root: Root, reports: list[SequenceReport]) -> str:
+    first = next((problem for report in reports for problem in report.problems), None)
+    why = f"; first: {first.reason}" if first else ""
+    return f"{root.path}: no sequence could be loaded ({len(reports)} tried){why}"
