@@ -71,7 +71,7 @@ class _Completion(msgspec.Struct):
     usage: _Usage | None = None
 
 
-class _Broken(Exception):
+class _BrokenError(Exception):
     """A try that may be repeated, with the pause that the server asks for (seconds)."""
 
     def __init__(self, reason: str, pause: float | None = None) -> None:
@@ -189,7 +189,7 @@ class Client:
         for attempt in range(self._retries + 1):
             try:
                 return self._try(body)
-            except _Broken as broken:
+            except _BrokenError as broken:
                 if attempt == self._retries:
                     raise EndpointError(
                         f"{self.base_url}: {self._redact(broken.reason)} ({attempt + 1} tries): "
@@ -212,16 +212,16 @@ class Client:
             )
             data = response.content
         except openai.APITimeoutError:
-            raise _Broken(f"no reply within {self._timeout_s:g} s") from None
+            raise _BrokenError(f"no reply within {self._timeout_s:g} s") from None
         except openai.APIConnectionError as error:
-            raise _Broken(f"cannot reach the server ({_one_line(error.__cause__ or error)})") from None
+            raise _BrokenError(f"cannot reach the server ({_one_line(error.__cause__ or error)})") from None
         except openai.APIStatusError as error:
             reason = f"HTTP {error.status_code}: {_one_line(error.message)}"
             if error.status_code == 429 or error.status_code >= 500:
-                raise _Broken(reason, _retry_after(error.response.headers.get("retry-after"))) from None
+                raise _BrokenError(reason, _retry_after(error.response.headers.get("retry-after"))) from None
             raise EndpointError(f"{self.base_url}: {self._redact(reason)}") from None
         except httpx2.HTTPError as error:
-            raise _Broken(f"the reply broke off ({_one_line(error)})") from None
+            raise _BrokenError(f"the reply broke off ({_one_line(error)})") from None
         return _parse(data)
 
     def _redact(self, text: str) -> str:
@@ -233,7 +233,7 @@ def _parse(data: bytes) -> Reply:
         completion = msgspec.json.decode(data, type=_Completion)
         choice = completion.choices[0]
     except (msgspec.DecodeError, IndexError, RecursionError) as error:
-        raise _Broken(f"the reply is no chat completion ({_one_line(error)})") from None
+        raise _BrokenError(f"the reply is no chat completion ({_one_line(error)})") from None
     usage = completion.usage or _Usage()
     return Reply(
         content=choice.message.content or "",

@@ -46,7 +46,8 @@ def crop_picture(observation: Observation) -> Picture:
     """The crop of an observation as JPEG of quality 95."""
     import cv2
 
-    done, data = cv2.imencode(".jpg", observation.image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    image = cv2.cvtColor(observation.image, cv2.COLOR_RGB2BGR)
+    done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     if not done:
         raise ObserveError(f"the crop of frame {observation.frame_id} cannot be written as JPEG")
     return Picture(f"{observation.sequence} {observation.frame_id} {observation.angle_deg:.6g}", data.tobytes())

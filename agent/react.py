@@ -16,7 +16,7 @@ from typing import Any, Final
 import msgspec
 
 from jrdb_avr.schema.answers import Answer, Evidence, encode_answer
-from jrdb_avr.schema.errors import DecodeError, ObserveError
+from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Prediction, Step, Task
 from jrdb_avr.schema.panorama import CROP, angle_error, from_crop
 
@@ -162,10 +162,7 @@ class _Episode:
                 self.steps.append(f"look at frame {frame:06d}, angle {angle:g}: refused, {reason}")
                 self._record("observe", asked, {"refused": reason}, started)
                 return
-        try:
-            observation = self.task.observe(**asked)
-        except ObserveError as error:
-            raise DecodeError(f"the look was refused: {error}") from None
+        observation = self.task.observe(**asked)
         look = _Look(observation, crop_picture(observation))
         self.looks.append(look)
         self.steps.append(f"look at frame {frame:06d}, angle {angle:g}: picture {len(self.looks)}")

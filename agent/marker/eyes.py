@@ -24,7 +24,7 @@ NEARBY: Final = AROUND[:3]
 _SAME_DEG: Final = 1.0
 
 
-class Want(Exception):
+class Want(Exception):  # noqa: N818
     """The next look to make."""
 
     def __init__(self, frame: int, angle: float) -> None:
@@ -33,7 +33,7 @@ class Want(Exception):
         self.angle = angle
 
 
-class Spent(Exception):
+class Spent(Exception):  # noqa: N818
     """No look is left but the one kept for showing the evidence."""
 
 

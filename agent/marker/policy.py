@@ -248,9 +248,7 @@ def _span(game: Game, person: Sighting | None, t0: int) -> tuple[float, float]:
     return start, (during + after) / 2 if after is not None else during
 
 
-def _performed(
-    game: Game, person: Sighting, action: str, begin: int, *, wanted: bool = True
-) -> list[int]:
+def _performed(game: Game, person: Sighting, action: str, begin: int, *, wanted: bool = True) -> list[int]:
     """Frames from `begin` on at which the person was seen with (or, not `wanted`, without) the action."""
     seen = game.eyes.sightings(person.mark.identity)
     return [s.frame for s in seen if s.frame >= begin and _does(action, s) is wanted]

@@ -101,7 +101,7 @@ class _Handler(BaseHTTPRequestHandler):
     wbufsize = -1
     disable_nagle_algorithm = True
 
-    def do_POST(self) -> None:  # noqa: N802
+    def do_POST(self) -> None:
         length = self.headers.get("Content-Length", "")
         if not length.isdigit() or int(length) > _LONGEST_REQUEST:
             self.close_connection = True
@@ -116,7 +116,7 @@ class _Handler(BaseHTTPRequestHandler):
         except DecodeError as error:
             self._send(400, {"error": {"message": str(error)}})
 
-    def do_GET(self) -> None:  # noqa: N802
+    def do_GET(self) -> None:
         if self.path.endswith("/models"):
             self._send(200, {"object": "list", "data": [{"id": MODEL, "object": "model"}]})
         else:
