@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
+
 from jrdb_avr.engine.observe import Observer
 from jrdb_avr.schema.marks import Mark, draw
 from jrdb_avr.schema.method import Question, SequenceInfo, Task

@@ -1,0 +1,200 @@
+"""`jrdb-avr evaluate`: run a method on the questions."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import click
+
+from jrdb_avr.engine.output import json_option, note, print_json, print_rows, progress, store_option
+
+MARKER: Final = "marker"
+METHODS: Final = ("react",)
+
+_EXAMPLE: Final = """\b
+Examples:
+  jrdb-avr evaluate --store S --method react --model marker
+  jrdb-avr evaluate --store S --method react --model Qwen3-VL-8B --base-url http://localhost:8000/v1
+  jrdb-avr evaluate --store S --method react --model marker --resume
+"""
+
+
+@click.command(epilog=_EXAMPLE)
+@store_option
+@click.option("--method", "method_name", required=True, type=click.Choice(METHODS), help="How questions are answered.")
+@click.option("--model", required=True, help="Model id to ask for; 'marker' is the built-in reader of marks.")
+@click.option("--base-url", help="An OpenAI-compatible server, as http://localhost:8000/v1.")
+@click.option("--run-id", help="Name of the run; METHOD-MODEL if left out.")
+@click.option("--questions", "picked", help="Question ids with commas between, or a file with one id per line.")
+@click.option("--limit", type=click.IntRange(1), help="Ask at most this many.")
+@click.option(
+    "--concurrency", type=click.IntRange(1, 64), default=16, show_default=True, help="Questions in flight at a time."
+)
+@click.option("--resume", is_flag=True, help="Finish a run that was stopped, and ask again what ended in an error.")
+@json_option
+def command(
+    store: Path,
+    method_name: str,
+    model: str,
+    base_url: str | None,
+    run_id: str | None,
+    picked: str | None,
+    limit: int | None,
+    concurrency: int,
+    resume: bool,
+    as_json: bool,
+) -> None:
+    """Ask a model the questions of a store, and keep every step.
+
+    The model's key is read from the environment (OPENAI_API_KEY). The run can be stopped at any time and resumed.
+    """
+    from jrdb_avr.engine import runs
+    from jrdb_avr.engine.observe import Observer
+    from jrdb_avr.queries.store import Store
+
+    if base_url is None and model != MARKER:
+        raise click.UsageError(f"--model {model} needs --base-url, the address of the server that has it")
+    place = Store(store)
+    run_id = run_id or default_run_id(method_name, model)
+    folder = place.run_path(run_id)
+    image_root = place.manifest().image_root
+    questions = _questions(place, run_id, picked, limit, resume, image_root)
+    sequences = runs.read_sequences(place)
+    asked = {question.sequence for question in questions}
+    observe = Observer(image_root, [info for name, info in sequences.items() if name in asked])
+    with contextlib.ExitStack() as stack:
+        journal = stack.enter_context(runs.Journal(folder / "journal.jsonl"))
+        url = base_url or stack.enter_context(_marker(folder))
+        method = _method(method_name, url, model, folder, place, run_id, questions, resume)
+        advance = stack.enter_context(progress(f"{method_name}, {model}", len(questions)))
+        runs.ask_all(method, questions, sequences, observe, journal, concurrency, advance)
+        entries = [journal.finished[question.question_id] for question in questions]
+        runs.write_tables(place, run_id, entries)
+    rows = [_summary(run_id, entries)]
+    if as_json:
+        print_json(rows)
+        return
+    print_rows(rows, title="Run (synthetic: the marker model)" if model == MARKER else "Run")
+    if rows[0]["error"]:
+        note(f"{rows[0]['error']} questions ended in an error: run the same command with --resume to ask them again")
+    note(f"next: jrdb-avr score --store {store} {run_id} && jrdb-avr report --store {store}")
+
+
+def default_run_id(method: str, model: str) -> str:
+    """The name of a run that was given none: the same command names the same run, so it can be resumed."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", f"{method}-{model}").strip("-")[:80]
+
+
+def _questions(
+    place: Any, run_id: str, picked: str | None, limit: int | None, resume: bool, image_root: str | None
+) -> list[Any]:
+    """What is asked: the options' choice, or what the run that is resumed asked."""
+    from jrdb_avr.engine import runs
+    from jrdb_avr.queries.runs import questions_hash, read_run_manifest
+    from jrdb_avr.schema.errors import StoreError
+
+    questions = runs.read_questions(place)
+    exists = (place.run_path(run_id) / "run.json").exists()
+    if exists and not resume:
+        raise StoreError(f"run {run_id!r} exists: add --resume to finish it, or give another --run-id")
+    if not exists or picked is not None or limit is not None:
+        chosen = runs.choose(questions, None if picked is None else _ids(picked), limit)
+        kept, without = runs.with_images(chosen, image_root)
+        if without:
+            note(
+                f"{sum(without.values())} of {len(chosen)} questions are left out: {len(without)} sequences have no "
+                f"panoramas ({', '.join(list(without)[:3])}{', ...' if len(without) > 3 else ''})"
+            )
+        if not kept:
+            raise StoreError("no question is left to ask: choose questions of sequences with panoramas")
+        if not exists:
+            return kept
+        questions = kept
+    manifest = read_run_manifest(place, run_id)
+    if manifest.questions_sha256 != questions_hash(place):
+        raise StoreError(f"run {run_id!r} asked other questions than the store has now: give another --run-id")
+    if (picked is not None or limit is not None) and manifest.question_ids != tuple(q.question_id for q in questions):
+        raise StoreError(f"run {run_id!r} asked other questions: leave --questions and --limit out to resume it")
+    return runs.choose(questions, manifest.question_ids, None)
+
+
+def _ids(picked: str) -> list[str]:
+    """Ids of the option `--questions`: a file's lines, or the text's parts."""
+    from jrdb_avr.schema.errors import InputError
+
+    path = Path(picked)
+    try:
+        text = path.read_text(encoding="utf-8") if len(picked) < 1024 and path.is_file() else picked
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot read {picked}: {error}", file=picked) from None
+    ids = [part.strip() for part in re.split(r"[,\n]", text) if part.strip()]
+    if not ids:
+        raise InputError("--questions names no question", field="questions")
+    return ids
+
+
+@contextlib.contextmanager
+def _marker(folder: Path) -> Iterator[str]:
+    from jrdb_avr.agent.marker.child import marker_server
+
+    with marker_server(folder / "marker.jsonl") as url:
+        yield url
+
+
+def _method(
+    name: str, url: str, model: str, folder: Path, place: Any, run_id: str, questions: list[Any], resume: bool
+) -> Any:
+    """The method, its server found to be there, and its settings in the run's manifest."""
+    from jrdb_avr.agent.client import Client
+    from jrdb_avr.agent.decode import convention_of
+    from jrdb_avr.agent.react import ReAct
+    from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, write_run_manifest
+    from jrdb_avr.schema.errors import StoreError
+
+    assert name in METHODS, "the option allows no other"
+    client = Client(url, model, cache=folder / "calls")
+    served = client.probe()
+    method = ReAct(client, convention_of(model))
+    settings = {"method": method.settings(), "endpoint": client.settings(), "served_model": served}
+    if resume and (folder / "run.json").exists():
+        before = read_run_manifest(place, run_id)
+        now = (name, model, method.settings(), served)
+        then = (before.method, before.model, before.settings.get("method"), before.settings.get("served_model"))
+        for what, old, new in zip(("method", "model", "settings", "served model"), then, now, strict=True):
+            if old != new:
+                raise StoreError(f"run {run_id!r} had another {what}: resume it as it was, or give another --run-id")
+        return method
+    write_run_manifest(
+        place,
+        RunManifest(
+            run_id=run_id,
+            method=name,
+            model=model,
+            questions_sha256=questions_hash(place),
+            question_ids=tuple(question.question_id for question in questions),
+            synthetic=model == MARKER,
+            settings=settings,
+            created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        ),
+    )
+    return method
+
+
+def _summary(run_id: str, entries: list[Any]) -> dict[str, Any]:
+    rows = [entry.prediction for entry in entries]
+    count = {status: sum(row["status"] == status for row in rows) for status in ("answered", "invalid", "error")}
+    return {
+        "run_id": run_id,
+        "n": len(rows),
+        **count,
+        "model_calls": sum(row["n_model_calls"] for row in rows),
+        "observations": sum(row["n_observations"] for row in rows),
+        "prompt_tokens": sum(row["prompt_tokens"] for row in rows),
+        "completion_tokens": sum(row["completion_tokens"] for row in rows),
+        "seconds": round(sum(row["seconds"] for row in rows), 3),
+    }

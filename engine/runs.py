@@ -1,0 +1,275 @@
+"""A run: a method asked many questions, with everything it did on record.
+
+    runs/<run_id>/run.json            what was asked, of whom, how; written first
+    runs/<run_id>/journal.jsonl       one line per finished question, synced as it finishes
+    runs/<run_id>/calls/              model calls that finished cleanly
+    runs/<run_id>/predictions.parquet, steps.parquet   written from the journal at the end
+
+A run killed at any point loses nothing that is in the journal; resumed, it asks what is not, and what ended in an
+error. Only the public question tables and images are read here.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import msgspec
+import pyarrow as pa
+
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.answers import encode_answer
+from jrdb_avr.schema.errors import AvrError, InputError, LockedError, StoreError
+from jrdb_avr.schema.method import Method, Observation, Observe, Prediction, Question, SequenceInfo, Step, Task
+from jrdb_avr.schema.tables import RUNS
+
+
+class Finished(msgspec.Struct, frozen=True):
+    """A line of the journal: a question's row of `predictions` and its rows of `steps`, without the run's id."""
+
+    question_id: str
+    prediction: dict[str, Any]
+    steps: list[dict[str, Any]]
+
+    @property
+    def failed(self) -> bool:
+        """Whether the question ended in an error, and is asked again when the run is resumed."""
+        return bool(self.prediction["status"] == "error")
+
+
+# -- what is asked ----------------------------------------------------------------------------------------------------
+
+
+def read_questions(store: Store) -> list[Question]:
+    """The public questions, in the file's order. Raises StoreError where there are none."""
+    rows = store.questions("questions").to_pylist()
+    return [Question(**{**row, "choices": tuple(row["choices"])}) for row in rows]
+
+
+def read_sequences(store: Store) -> dict[str, SequenceInfo]:
+    """The public facts of each sequence, by name."""
+    rows = store.questions("sequences").to_pylist()
+    return {row["sequence"]: SequenceInfo(**{**row, "frames": tuple(row["frames"])}) for row in rows}
+
+
+def choose(questions: Sequence[Question], ids: Iterable[str] | None, limit: int | None) -> list[Question]:
+    """The questions with these ids (None: all), at most `limit`. Raises InputError for an id that is not there."""
+    chosen = list(questions)
+    if ids is not None:
+        by_id = {question.question_id: question for question in questions}
+        wanted = list(dict.fromkeys(ids))
+        unknown = [name for name in wanted if name not in by_id]
+        if unknown:
+            raise InputError(
+                f"{len(unknown)} of {len(wanted)} question ids are not in the store, the first is {unknown[0][:40]!r}",
+                field="question_id",
+            )
+        chosen = [by_id[name] for name in wanted]
+    return chosen[:limit]
+
+
+def with_images(questions: Sequence[Question], image_root: str | None) -> tuple[list[Question], dict[str, int]]:
+    """The questions whose sequence has images, and how many of each other sequence were left out."""
+    seen = {name: _has_images(image_root, name) for name in sorted({q.sequence for q in questions})}
+    kept = [question for question in questions if seen[question.sequence]]
+    out = {name: sum(q.sequence == name for q in questions) for name, found in seen.items() if not found}
+    return kept, out
+
+
+def _has_images(image_root: str | None, sequence: str) -> bool:
+    if image_root is None:
+        return False
+    try:
+        with os.scandir(Path(image_root) / sequence) as entries:
+            return any(entry.name.endswith(".jpg") for entry in entries)
+    except OSError:
+        return False
+
+
+# -- the journal ------------------------------------------------------------------------------------------------------
+
+
+class Journal:
+    """Finished questions on disk, in the order in which they finished; the last line of a question counts.
+
+    Opening takes the file's lock (LockedError if another process runs this run) and drops a last line that a crash
+    cut short. Raises StoreError where the file is damaged elsewhere or cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = path.open("a+b")
+        except OSError as error:
+            raise StoreError(f"cannot write {path}: {error.strerror}; choose another --store") from None
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            self._file.close()
+            raise LockedError(
+                f"{path.parent} is being run by another process: wait for it, or give another --run-id",
+                holder=str(path),
+            ) from None
+        try:
+            self.finished = self._replay()
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _replay(self) -> dict[str, Finished]:
+        self._file.seek(0)
+        data = self._file.read()
+        whole = data.rfind(b"\n") + 1
+        if whole < len(data):
+            self._file.truncate(whole)
+        found: dict[str, Finished] = {}
+        for number, line in enumerate(data[:whole].splitlines(), 1):
+            try:
+                entry = msgspec.json.decode(line, type=Finished)
+            except msgspec.DecodeError:
+                raise StoreError(f"{self._path}, line {number}, is damaged: evaluate under another --run-id") from None
+            found[entry.question_id] = entry
+        return found
+
+    def append(self, entry: Finished) -> None:
+        """Add a finished question; returns when it is on disk."""
+        try:
+            self._file.write(msgspec.json.encode(entry) + b"\n")
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            raise StoreError(f"cannot write {self._path}: {error.strerror}; then run again with --resume") from None
+        self.finished[entry.question_id] = entry
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+
+# -- asking -----------------------------------------------------------------------------------------------------------
+
+
+def ask(method: Method, question: Question, sequence: SequenceInfo, observe: Observe) -> Finished:
+    """Ask one question. Whatever the method raises becomes an `error` prediction with the reason."""
+    steps: list[Step] = []
+    looks: list[None] = []
+
+    def counted(sequence: str, frame_index: int, angle_deg: float) -> Observation:
+        observation = observe(sequence, frame_index, angle_deg)
+        looks.append(None)
+        return observation
+
+    def record(step: Step) -> None:
+        steps.append(step)
+
+    started = time.perf_counter()
+    try:
+        prediction = method.answer(Task(question, sequence, counted, record))
+    except Exception as error:
+        reason = " ".join(str(error).split())
+        prediction = Prediction(
+            status="error",
+            reason=reason if isinstance(error, AvrError) else f"{type(error).__name__}: {reason}",
+            n_observations=len(looks),
+            n_model_calls=sum(step.kind == "model" for step in steps),
+        )
+    return _finished(question.question_id, prediction, steps, time.perf_counter() - started)
+
+
+def _finished(question_id: str, prediction: Prediction, steps: Sequence[Step], seconds: float) -> Finished:
+    evidence = prediction.evidence
+    box: Sequence[float | None] = (None,) * 4 if evidence is None else evidence.box
+    row = {
+        "question_id": question_id,
+        "status": prediction.status,
+        "answer": None if prediction.answer is None else encode_answer(prediction.answer),
+        "evidence_frame": None if evidence is None else evidence.frame,
+        **{f"evidence_{name}": value for name, value in zip("xywh", box, strict=True)},
+        "raw": _storable(prediction.raw),
+        "reason": _storable(prediction.reason),
+        "n_observations": prediction.n_observations,
+        "n_model_calls": prediction.n_model_calls,
+        "prompt_tokens": prediction.prompt_tokens,
+        "completion_tokens": prediction.completion_tokens,
+        "seconds": seconds,
+    }
+    transcript = [
+        {
+            "question_id": question_id,
+            "step": number,
+            "kind": step.kind,
+            "request": _storable(step.request),
+            "response": _storable(step.response),
+            "seconds": step.seconds,
+        }
+        for number, step in enumerate(steps)
+    ]
+    return Finished(question_id, row, transcript)
+
+
+def _storable(text: str) -> str:
+    """The text with what UTF-8 cannot hold (lone surrogates) written out."""
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
+def ask_all(
+    method: Method,
+    questions: Sequence[Question],
+    sequences: Mapping[str, SequenceInfo],
+    observe: Observe,
+    journal: Journal,
+    concurrency: int,
+    advance: Callable[[int], None] = lambda steps: None,
+) -> None:
+    """Ask what the journal does not hold, or holds as an error; `concurrency` questions are in flight at a time.
+
+    The threads are daemons and one thread writes: an interrupt ends the process at once, and loses only what is in
+    flight.
+    """
+    waiting: queue.SimpleQueue[Question] = queue.SimpleQueue()
+    done: queue.SimpleQueue[Finished | BaseException] = queue.SimpleQueue()
+    held = {name for name, entry in journal.finished.items() if not entry.failed}
+    due = [question for question in questions if question.question_id not in held]
+    advance(len(questions) - len(due))
+    for question in due:
+        waiting.put(question)
+
+    def work() -> None:
+        try:
+            while True:
+                question = waiting.get_nowait()
+                done.put(ask(method, question, sequences[question.sequence], observe))
+        except queue.Empty:
+            return
+        except BaseException as error:
+            done.put(error)
+
+    for _ in range(min(concurrency, len(due))):
+        threading.Thread(target=work, daemon=True).start()
+    for _ in due:
+        entry = done.get()
+        if isinstance(entry, BaseException):
+            raise entry
+        journal.append(entry)
+        advance(1)
+
+
+def write_tables(store: Store, run_id: str, entries: Iterable[Finished]) -> None:
+    """Write a run's `predictions` and `steps`, sorted by question and step."""
+    ordered = sorted(entries, key=lambda entry: entry.question_id)
+    predictions = [{"run_id": run_id, **entry.prediction} for entry in ordered]
+    steps = [{"run_id": run_id, **step} for entry in ordered for step in entry.steps]
+    store.write_run(run_id, "steps", pa.Table.from_pylist(steps, schema=RUNS["steps"]))
+    store.write_run(run_id, "predictions", pa.Table.from_pylist(predictions, schema=RUNS["predictions"]))
