@@ -146,7 +146,7 @@ def _first_data(mark: Mark, wide: int, high: int) -> int:
     if len(mark.actions) > 2:
         raise InputError("a mark shows at most two actions beside the pose", field="actions")
     codes = sorted(_code("actions", action, OTHER_ACTIONS) for action in mark.actions)
-    first, second = (codes + [0, 0])[:2]
+    first, second = ([*codes, 0, 0])[:2]
     return _pack(
         [
             (_number("identity", mark.identity, MAX_IDENTITY, 0), 12),
