@@ -1,0 +1,125 @@
+"""The four choices of a question: one is true, the others are wrong in ways that tell how a method fails.
+
+A distractor is first what a perturbed program answers: the description's time instead of the asked one, a shifted
+time, a look-alike who could match when a condition is dropped. Only then follow other poses known to be false for the
+target at the asked time. Nothing unknown is ever a distractor, and no pose that the question states.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from jrdb_avr.schema.rules import FPS, Rules
+from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
+
+from .candidates import VALUES, Candidates
+from .descriptions import Descriptions
+from .proofs import condition_text, target_track
+from .scene import NOBODY, Scene
+
+COUNT: Final = 4
+
+
+@dataclass(frozen=True)
+class Choices:
+    """The texts in their order, the number of the true one from 1, and per choice the perturbation that yields it."""
+
+    texts: tuple[str, ...]
+    true: int
+    perturbations: tuple[str | None, ...]
+
+
+def make_choices(
+    scene: Scene, descriptions: Descriptions, candidates: Candidates, row: int, key: str, rules: Rules
+) -> Choices | None:
+    """The choices of one candidate; None where there are not enough wrong answers."""
+    truth = VALUES[candidates.answer[row]]
+    wrong: dict[str, str | None] = {}
+    for text, perturbation in _perturbed(scene, descriptions, candidates, row, rules):
+        if text != truth:
+            wrong.setdefault(text, perturbation)
+    if candidates.template.pose_answer:
+        stated = {condition.action for condition in descriptions.of(int(candidates.name[row]))}
+        wrong = {text: perturbation for text, perturbation in wrong.items() if text not in stated}
+        for text in _common_poses(scene, key):
+            if text != truth and text not in stated:
+                wrong.setdefault(text, None)
+    else:
+        for text in PRESENCE_ANSWERS if truth in PRESENCE_ANSWERS else DISTANCE_ANSWERS:
+            if text != truth:
+                wrong.setdefault(text, None)
+    if len(wrong) < COUNT - 1:
+        return None
+    chosen = {truth: None, **dict(list(wrong.items())[: COUNT - 1])}
+    texts = tuple(sorted(chosen, key=lambda text: hashlib.sha256(f"{key}\n{text}".encode()).hexdigest()))
+    return Choices(texts, texts.index(truth) + 1, tuple(chosen[text] for text in texts))
+
+
+def _perturbed(
+    scene: Scene, descriptions: Descriptions, candidates: Candidates, row: int, rules: Rules
+) -> Iterator[tuple[str, str]]:
+    """(answer, perturbation) of every perturbed program that has an answer, the most telling first."""
+    name = int(candidates.name[row])
+    times = [int(frames[row]) for time, frames in sorted(candidates.frames.items()) if time.startswith("t")]
+    track = target_track(scene, descriptions, name)
+    if candidates.template.pose_answer:
+        own = _read(scene, candidates, track, [times[0], times[0]], rules)
+        if own is not None:
+            yield own, "pose at t0"
+    for shift in candidates.shifts:
+        if shift.answer[row] != NOBODY:
+            yield VALUES[shift.answer[row]], f"time.shift {shift.by / FPS:+g} s"
+    for condition, tracks in zip(descriptions.of(name), descriptions.look_alikes(name), strict=True):
+        for other in tracks:
+            answer = _read(scene, candidates, other, times, rules) if other != track else None
+            if answer is not None:
+                yield answer, f"look-alike without {condition_text(condition)}"
+
+
+def _read(scene: Scene, candidates: Candidates, track: int, times: list[int], rules: Rules) -> str | None:
+    """What the template's program reads of a person at t0, t1, ...; None where it is unknown."""
+    match candidates.template.name:
+        case "change":
+            line = scene.box_of(track, times[1])
+            pose = scene.poses[line] if line != NOBODY else NOBODY
+            return POSES[pose] if pose != NOBODY else None
+        case "presence":
+            first, second = (_present(scene, track, time) for time in times[1:])
+            if first is None or second is None:
+                return None
+            return PRESENCE_ANSWERS[(0 if second else 1) if first else (2 if second else 3)]
+        case _:
+            return _distance_change(scene, track, times, rules)
+
+
+def _present(scene: Scene, track: int, frame: int) -> bool | None:
+    line = scene.box_of(track, frame)
+    if line != NOBODY and scene.clear[line]:
+        return True
+    return False if scene.absent[scene.moment_of(track, frame)] else None
+
+
+def _distance_change(scene: Scene, track: int, times: list[int], rules: Rules) -> str | None:
+    lines = [scene.box_of(track, time) for time in times]
+    if lines[0] == NOBODY or np.isnan(scene.distances[lines[0]]):
+        return None
+    if scene.absent[scene.moment_of(track, times[1])]:
+        return DISTANCE_ANSWERS[3]
+    if lines[1] == NOBODY or np.isnan(scene.distances[lines[1]]):
+        return None
+    nearer = scene.distances[lines[0]] - scene.distances[lines[1]]
+    if abs(nearer) >= rules.distance_changed_m:
+        return DISTANCE_ANSWERS[0 if nearer > 0 else 1]
+    return DISTANCE_ANSWERS[2] if abs(nearer) < rules.distance_same_m else None
+
+
+def _common_poses(scene: Scene, key: str) -> list[str]:
+    """All poses, the commonest of the scene first; equally common ones by hash."""
+    counts = np.bincount(scene.poses[scene.poses != NOBODY], minlength=len(POSES))
+    ranks = {pose: hashlib.sha256(f"{key}\n{pose}\nfill".encode()).hexdigest() for pose in POSES}
+    return sorted(POSES, key=lambda pose: (-int(counts[POSES.index(pose)]), ranks[pose]))

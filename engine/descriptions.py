@@ -1,0 +1,183 @@
+"""Descriptions: the few conditions that single a person out among everybody with a box at a keyframe.
+
+A set of conditions describes a person when all are true of the person and every other one is excluded by at least one
+of them. The shortest wins; ties go by the rules' order of kinds, then by hash. A person has at a keyframe one
+description, and one that names no pose (often the same), for questions that ask for a pose.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from dataclasses import dataclass
+from functools import cached_property
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+
+from jrdb_avr.schema.plan import Condition
+from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.wording import in_order
+
+from .conditions import DISTANCE, POSE, SECTOR, Conditions, Words, condition_of, find_conditions
+from .scene import NOBODY, Bools, Ints, Scene
+
+
+@dataclass(frozen=True)
+class Descriptions:
+    """The chosen descriptions of a scene.
+
+    Per name (a description given to a sighting): moment, uses (NOBODY-filled), `left` = how many people, the target
+    included, could match when each of its conditions is dropped, and for which kind of question it was chosen.
+    """
+
+    conditions: Conditions
+    sighting: Ints
+    moment: Ints
+    uses: Ints
+    left: Ints
+    general: Bools
+    poseless: Bools
+
+    def anchor(self) -> Bools:
+        """Whether every condition is needed: two or more people could match without it."""
+        return np.all((self.left >= 2) | (self.uses == NOBODY), axis=1)
+
+    def of(self, name: int) -> tuple[Condition, ...]:
+        """The conditions of a name, in the order in which they were chosen."""
+        return tuple(condition_of(int(self.conditions.code[use])) for use in self.uses[name] if use != NOBODY)
+
+    def look_alikes(self, name: int) -> list[list[int]]:
+        """Per condition of a name: the tracks that could match without it, the target's among them."""
+        keyframe = int(self.conditions.keyframe[self.sighting[name]])
+        uses = [use for use in self.uses[name] if use != NOBODY]
+        return [
+            self.conditions.members(keyframe, _could_match(self.conditions, keyframe, [u for u in uses if u != use]))
+            for use in uses
+        ]
+
+    @cached_property
+    def tables(self) -> tuple[pa.Table, pa.Table]:
+        """The graph's tables `Description`, with the conditions as they stand in a plan's JSON, and `Names`."""
+        texts = [conditions_json(self.of(name)) for name in range(len(self.moment))]
+        distinct = sorted(set(texts))
+        number = {text: i for i, text in enumerate(distinct)}
+        names = {
+            "from": pa.array([number[text] for text in texts], pa.int64()),
+            "to": self.moment,
+            "id": np.arange(len(texts)),
+            "anchor": self.anchor(),
+            "general": self.general,
+            "poseless": self.poseless,
+        }
+        nodes = {"id": np.arange(len(distinct)), "conditions": pa.array(distinct, pa.string())}
+        return pa.table(nodes), pa.table(names)
+
+
+def conditions_json(conditions: tuple[Condition, ...]) -> str:
+    """Conditions as they stand in the canonical text of a plan, without the brackets of the list."""
+    return msgspec.json.encode(in_order(conditions), order="sorted").decode()[1:-1]
+
+
+def describe_people(scene: Scene, rules: Rules) -> Descriptions:
+    """Choose the descriptions of everybody at every keyframe of a scene."""
+    conditions = find_conditions(scene, rules)
+    sighting, columns = _subsets(conditions, rules)
+    poseless = ~np.any((conditions.kind[columns] == POSE) & (columns != NOBODY), axis=1)
+    best = _best(scene, conditions, sighting, columns, np.ones(len(sighting), dtype=bool))
+    best_poseless = _best(scene, conditions, sighting, columns, poseless)
+    chosen = np.union1d(best, best_poseless)
+    keyframe = conditions.keyframe[sighting[chosen]]
+    track = conditions.tracks[keyframe, conditions.slot[sighting[chosen]]]
+    return Descriptions(
+        conditions=conditions,
+        sighting=sighting[chosen],
+        moment=scene.person_of(track) * len(scene.keyframes) + keyframe,
+        uses=columns[chosen],
+        left=_left(conditions, sighting[chosen], columns[chosen]),
+        general=np.isin(chosen, best),
+        poseless=np.isin(chosen, best_poseless),
+    )
+
+
+def _subsets(conditions: Conditions, rules: Rules) -> tuple[Ints, Ints]:
+    """(sighting, its uses) of every set of conditions that describes, up to the size at which both kinds are found."""
+    count, most = conditions.held.shape
+    others = conditions.everybody[conditions.keyframe] & ~conditions.alone()
+    weak = np.isin(conditions.kind, (SECTOR, DISTANCE))
+    is_pose = conditions.kind == POSE
+    open_general = np.ones(count, dtype=bool)
+    open_poseless = np.ones(count, dtype=bool)
+    sightings, columns = [np.zeros(0, dtype=np.int64)], [np.zeros((0, rules.max_conditions), dtype=np.int64)]
+    for size in range(1, rules.max_conditions + 1):
+        searched = np.flatnonzero(open_general | open_poseless)
+        for places in itertools.combinations(range(most), size):
+            # Held conditions stand without holes, so the last place decides whether there are as many.
+            rows = searched[conditions.held[searched, places[-1]] != NOBODY]
+            uses = conditions.held[np.ix_(rows, places)]
+            rows, uses = _kept(rows, uses, ~np.all(weak[uses], axis=1))
+            excluded = np.bitwise_or.reduce(conditions.masks[uses], axis=1)
+            alone = np.all((excluded & others[rows]) == others[rows], axis=1)
+            rows, uses = _kept(rows, uses, alone)
+            filled = np.full((len(rows), rules.max_conditions), NOBODY)
+            filled[:, :size] = uses
+            sightings.append(rows)
+            columns.append(filled)
+            open_general[rows] = False
+            open_poseless[rows[~np.any(is_pose[uses], axis=1)]] = False
+    return np.concatenate(sightings), np.concatenate(columns)
+
+
+def _kept(rows: Ints, uses: Ints, which: Bools) -> tuple[Ints, Ints]:
+    return rows[which], uses[which]
+
+
+def _best(scene: Scene, conditions: Conditions, sighting: Ints, uses: Ints, allowed: Bools) -> Ints:
+    """Per sighting the index of its best allowed subset: fewest conditions, then ranks, then hash."""
+    index = np.flatnonzero(allowed)
+    size = np.sum(uses[index] != NOBODY, axis=1)
+    rank = np.where(uses[index] == NOBODY, 0, conditions.rank[uses[index]])
+    keys = [rank[:, place] for place in reversed(range(rank.shape[1]))]
+    order = np.lexsort((*keys, size, sighting[index]))
+    index, size, rank = index[order], size[order], rank[order]
+    owner, first, group = np.unique(sighting[index], return_index=True, return_inverse=True)
+    tied = (size == size[first][group]) & np.all(rank == rank[first][group], axis=1)
+    best = index[first]
+    several = np.bincount(group[tied], minlength=len(owner)) > 1
+    hashes: dict[int, str] = {}
+    for place in np.flatnonzero(tied & several[group]).tolist():
+        row, who = int(index[place]), int(group[place])
+        text = _tie_text(scene, conditions, int(sighting[row]), uses[row])
+        digest = hashlib.sha256(text.encode()).hexdigest()
+        if who not in hashes or digest < hashes[who]:
+            hashes[who] = digest
+            best[who] = row
+    return best
+
+
+def _tie_text(scene: Scene, conditions: Conditions, sighting: int, uses: Ints) -> str:
+    keyframe = int(conditions.keyframe[sighting])
+    track = int(conditions.tracks[keyframe, conditions.slot[sighting]])
+    used = tuple(condition_of(int(conditions.code[use])) for use in uses if use != NOBODY)
+    return f"{scene.sequence}\n{track}\n{int(scene.keyframes[keyframe])}\n{conditions_json(used)}"
+
+
+def _could_match(conditions: Conditions, keyframe: int, uses: list[int]) -> Words:
+    """Mask of the people at a keyframe whom none of these uses excludes."""
+    excluded = np.bitwise_or.reduce(conditions.masks[uses], axis=0) if uses else np.uint64(0)
+    return conditions.everybody[keyframe] & ~excluded
+
+
+def _left(conditions: Conditions, sighting: Ints, uses: Ints) -> Ints:
+    """Per name and condition: how many people could match when it is dropped; 0 where there is no condition."""
+    everybody = conditions.everybody[conditions.keyframe[sighting]]
+    left = np.zeros(uses.shape, dtype=np.int64)
+    # A last row of zeros stands for "no condition": it excludes nobody.
+    masks = np.vstack([conditions.masks, np.zeros((1, everybody.shape[1]), dtype=np.uint64)])
+    for place in range(uses.shape[1]):
+        kept = np.delete(uses, place, axis=1)
+        excluded = np.bitwise_or.reduce(masks[kept], axis=1) if kept.shape[1] else np.zeros_like(everybody)
+        remaining = np.bitwise_count(everybody & ~excluded).sum(axis=1)
+        left[:, place] = np.where(uses[:, place] == NOBODY, 0, remaining)
+    return left

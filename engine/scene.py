@@ -1,0 +1,279 @@
+"""One sequence as generation sees it: people at keyframes, and the in-memory graph that the generators search.
+
+`Scene` holds the interval tables of a sequence as columns. People and keyframes are numbered in order; a person at a
+keyframe is a *moment*, numbered `person * len(keyframes) + keyframe`, so moments of one person lie side by side.
+`scene_graph` copies them into a Kùzu database of this one sequence:
+
+    (Person)-[:Is]->(Moment)              where the person has a box, or is absent; no moment: it is unknown
+    (Description)-[:Names]->(Moment)      the description chosen for this person at this keyframe
+    (Person)-[:Does]->(Segment)           stable segments of actions
+    (Moment)-[:Shift {by}]->(Moment)      the same person `by` frames later, for both directions of time.shift
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from jrdb_avr.queries.handle import Graph
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.panorama import Floats
+from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, frames
+from jrdb_avr.schema.vocabulary import ACTIONS, POSES
+
+from . import views
+
+Ints = npt.NDArray[np.int64]
+Bools = npt.NDArray[np.bool_]
+
+NOBODY: Final = -1
+"""Row number of a box that is not there, and the code of an unknown value."""
+
+_TABLES: Final = ("sequence", "frames", "persons", "sightings", "actions", "segments")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A sequence's facts as columns; rows of `boxes` are sorted by (track, frame)."""
+
+    sequence: str
+    fps: float
+    layers: frozenset[str]
+    keyframes: Ints
+    tracks: Ints
+    annotated: Ints
+    images: Ints
+    boxes: pa.Table
+    actions: pa.Table
+    segments: pa.Table
+
+    # -- boxes ------------------------------------------------------------------------------------------------
+
+    def column(self, name: str) -> npt.NDArray[np.float64]:
+        """A numeric or boolean column of `boxes` as floats, null as NaN."""
+        values = pc.cast(self.boxes[name], pa.float64())
+        return values.to_numpy(zero_copy_only=False)
+
+    def flag(self, name: str) -> Bools:
+        """A boolean column of `boxes`, null as false."""
+        return pc.fill_null(self.boxes[name], False).to_numpy(zero_copy_only=False)
+
+    def codes(self, name: str, words: tuple[str, ...]) -> Ints:
+        """A text column of `boxes` as indices into `words`; null and other words are NOBODY."""
+        found = pc.index_in(self.boxes[name], value_set=pa.array(words))
+        return pc.fill_null(found, NOBODY).to_numpy(zero_copy_only=False).astype(np.int64)
+
+    @cached_property
+    def geometry(self) -> dict[str, Floats]:
+        """Per box: x, y, w, h in stitched pixels and the angle of its centre in degrees."""
+        return {name: self.column(name) for name in ("x", "y", "w", "h", "angle")}
+
+    @cached_property
+    def clear(self) -> Bools:
+        """Per box: whether it is a clear view."""
+        return self.flag("clear")
+
+    @cached_property
+    def box_keys(self) -> Ints:
+        """Sorted (person, frame) keys of the boxes."""
+        person = np.searchsorted(self.tracks, self.boxes["track"].to_numpy())
+        return person * _SPREAD + self.boxes["frame"].to_numpy()
+
+    def box_rows(self, persons: Ints, frames: Ints) -> Ints:
+        """Row in `boxes` of each (person, frame), NOBODY where there is no box."""
+        keys = np.asarray(persons, dtype=np.int64) * _SPREAD + frames
+        at = np.searchsorted(self.box_keys, keys)
+        inside = np.minimum(at, max(len(self.box_keys) - 1, 0))
+        if len(self.box_keys) == 0:
+            return np.full(len(keys), NOBODY)
+        return np.where(self.box_keys[inside] == keys, inside, NOBODY)
+
+    def person_of(self, tracks: Ints) -> Ints:
+        """Number of each track's person."""
+        return np.searchsorted(self.tracks, tracks)
+
+    def box_of(self, track: int, frame: int) -> int:
+        """Row in `boxes` of one person at one frame, or NOBODY."""
+        return int(self.box_rows(self.person_of(np.array([track])), np.array([frame]))[0])
+
+    def moment_of(self, track: int, frame: int) -> int:
+        """Number of a person's moment at a keyframe."""
+        person, keyframe = np.searchsorted(self.tracks, track), np.searchsorted(self.keyframes, frame)
+        return int(person) * len(self.keyframes) + int(keyframe)
+
+    # -- moments ----------------------------------------------------------------------------------------------
+
+    @property
+    def moment_count(self) -> int:
+        return len(self.tracks) * len(self.keyframes)
+
+    def persons(self, moments: Ints) -> Ints:
+        return moments // len(self.keyframes)
+
+    def frames(self, moments: Ints) -> Ints:
+        """Frame of each moment."""
+        return self.keyframes[moments % len(self.keyframes)]
+
+    @cached_property
+    def moment_rows(self) -> Ints:
+        """Row in `boxes` of every moment, NOBODY where the person has no box."""
+        moments = np.arange(self.moment_count)
+        return self.box_rows(self.persons(moments), self.frames(moments))
+
+    @cached_property
+    def absent(self) -> Bools:
+        """Per moment: the frame and both neighbours are annotated and hold no box of the person."""
+        moments = np.arange(self.moment_count)
+        persons, frames = self.persons(moments), self.frames(moments)
+        gone = np.ones(len(moments), dtype=bool)
+        for shift in (-KEYFRAME_STEP, 0, KEYFRAME_STEP):
+            gone &= np.isin(frames + shift, self.annotated)
+            gone &= self.box_rows(persons, frames + shift) == NOBODY
+        return gone
+
+    def has_image(self, frames: Ints) -> Bools:
+        """Whether each frame has an image; true everywhere where the sequence has none at all."""
+        if "images" not in self.layers:
+            return np.ones(len(frames), dtype=bool)
+        return np.isin(frames, self.images)
+
+    @cached_property
+    def poses(self) -> Ints:
+        """Per box: index into POSES of the one certain pose, else NOBODY."""
+        return self.codes("pose", POSES)
+
+    @cached_property
+    def distances(self) -> Floats:
+        """Per box: metres from the robot where the 3D box has lidar points, else NaN."""
+        return np.where(self.flag("located"), self.column("distance"), np.nan)
+
+
+_SPREAD: Final = 1 << 32
+
+
+def load_scene(store: Store, sequence: str) -> Scene:
+    """Read a sequence's interval tables. Raises StoreError where one is missing."""
+    return make_scene({kind: store.interval(kind, sequence) for kind in _TABLES})
+
+
+def make_scene(tables: dict[str, pa.Table]) -> Scene:
+    """A scene from the interval tables of one sequence, by kind, in any row order."""
+    head = tables["sequence"].to_pylist()[0]
+    grid = tables["frames"].sort_by("frame")
+    known = pc.is_in(tables["actions"]["action"], value_set=pa.array(ACTIONS))
+    named = pc.is_in(tables["segments"]["action"], value_set=pa.array(ACTIONS))
+    order = [("track", "ascending"), ("action", "ascending"), ("first", "ascending"), ("last", "ascending")]
+    return Scene(
+        sequence=head["sequence"],
+        fps=head["fps"],
+        layers=frozenset(head["layers"]),
+        keyframes=np.array(sorted(head["keyframes"]), dtype=np.int64),
+        tracks=np.unique(np.concatenate([tables[k]["track"].to_numpy() for k in ("persons", "sightings")])).astype(
+            np.int64
+        ),
+        annotated=grid.filter(grid["annotated"])["frame"].to_numpy().astype(np.int64),
+        images=grid.filter(grid["image"])["frame"].to_numpy().astype(np.int64),
+        boxes=tables["sightings"].sort_by([("track", "ascending"), ("frame", "ascending")]).combine_chunks(),
+        actions=tables["actions"].filter(known).sort_by(order),
+        segments=tables["segments"].filter(named).sort_by(order),
+    )
+
+
+_DDL: Final = (
+    "CREATE NODE TABLE Person(id INT64 PRIMARY KEY, track INT64)",
+    "CREATE NODE TABLE Moment(id INT64 PRIMARY KEY, t INT64, clear BOOLEAN, absent BOOLEAN, image BOOLEAN, "
+    "ahead BOOLEAN, pose STRING, distance DOUBLE)",
+    "CREATE NODE TABLE Description(id INT64 PRIMARY KEY, conditions STRING)",
+    "CREATE NODE TABLE Segment(id INT64 PRIMARY KEY, action STRING, `first` INT64, `last` INT64, start INT64, "
+    "`end` INT64, quiet_from INT64, closed BOOLEAN, first_clear BOOLEAN, first_image BOOLEAN, first_ahead BOOLEAN, "
+    "last_clear BOOLEAN, last_image BOOLEAN, last_ahead BOOLEAN)",
+    "CREATE REL TABLE `Is`(FROM Person TO Moment)",
+    "CREATE REL TABLE Does(FROM Person TO Segment)",
+    "CREATE REL TABLE Shift(FROM Moment TO Moment, by INT64)",
+    "CREATE REL TABLE Names(FROM Description TO Moment, id INT64, anchor BOOLEAN, general BOOLEAN, poseless BOOLEAN)",
+)
+
+
+def scene_graph(scene: Scene, descriptions: pa.Table, names: pa.Table, rules: Rules) -> Graph:
+    """The searchable graph of a sequence, in memory; the caller closes it.
+
+    `descriptions` and `names` hold the columns of the tables `Description` and `Names`.
+    """
+    graph = Graph.memory()
+    for statement in _DDL:
+        graph.execute(statement)
+    persons = np.arange(len(scene.tracks))
+    moments, table = _moments(scene, rules)
+    segments = _segments(scene, rules)
+    graph.copy("Person", pa.table({"id": persons, "track": scene.tracks}))
+    graph.copy("Moment", table)
+    graph.copy("Description", descriptions)
+    graph.copy("Segment", segments)
+    graph.copy("Is", pa.table({"from": scene.persons(moments), "to": moments}))
+    doer = scene.person_of(scene.segments["track"].to_numpy())
+    graph.copy("Does", pa.table({"from": doer, "to": segments["id"]}))
+    for by in (-frames(rules.shift_s), frames(rules.shift_s)):
+        graph.copy("Shift", _shift(scene, moments, by))
+    graph.copy("Names", names)
+    return graph
+
+
+def _shift(scene: Scene, moments: Ints, by: int) -> pa.Table:
+    """Edges between the moments of one person that lie `by` frames apart."""
+    persons, times = scene.persons(moments), scene.frames(moments) + by
+    at = np.minimum(np.searchsorted(scene.keyframes, times), len(scene.keyframes) - 1)
+    there = scene.keyframes[at] == times
+    source, target = moments[there], (persons * len(scene.keyframes) + at)[there]
+    exists = np.isin(target, moments)
+    source, target = source[exists], target[exists]
+    return pa.table({"from": source, "to": target, "by": np.full(len(source), by)})
+
+
+def _seen(scene: Scene, rows: Ints, rules: Rules) -> tuple[Bools, Bools]:
+    """(clear, ahead) per row of `boxes`; false where there is no box."""
+    if len(scene.boxes) == 0:
+        return np.zeros(len(rows), dtype=bool), np.zeros(len(rows), dtype=bool)
+    there = rows != NOBODY
+    in_front = views.ahead(scene.geometry["x"], scene.geometry["w"], rules.visible_share)
+    return scene.clear[rows] & there, in_front[rows] & there
+
+
+def _moments(scene: Scene, rules: Rules) -> tuple[Ints, pa.Table]:
+    moments = np.flatnonzero((scene.moment_rows != NOBODY) | scene.absent)
+    rows = scene.moment_rows[moments]
+    clear, in_front = _seen(scene, rows, rules)
+    there = pa.array(rows, mask=rows == NOBODY)
+    times = scene.frames(moments)
+    distance = pc.take(pa.array(scene.distances, from_pandas=True), there)
+    return moments, pa.table(
+        {
+            "id": moments,
+            "t": times,
+            "clear": clear,
+            "absent": scene.absent[moments],
+            "image": scene.has_image(times),
+            "ahead": in_front,
+            "pose": pc.take(pa.array(POSES), pc.take(pa.array(scene.poses, mask=scene.poses == NOBODY), there)),
+            "distance": distance,
+        }
+    )
+
+
+def _segments(scene: Scene, rules: Rules) -> pa.Table:
+    table = scene.segments
+    persons = scene.person_of(table["track"].to_numpy())
+    columns: dict[str, object] = {"id": np.arange(len(table))}
+    for name in ("action", "first", "last", "start", "end", "quiet_from", "closed"):
+        wide = pa.types.is_integer(table.schema.field(name).type)
+        columns[name] = pc.cast(table[name], pa.int64()) if wide else table[name]
+    for edge in ("first", "last"):
+        times = table[edge].to_numpy().astype(np.int64)
+        clear, in_front = _seen(scene, scene.box_rows(persons, times), rules)
+        columns |= {f"{edge}_clear": clear, f"{edge}_image": scene.has_image(times), f"{edge}_ahead": in_front}
+    return pa.table(columns)

@@ -1,0 +1,306 @@
+"""Generation in one sequence: from its interval tables to its proven candidates, near-duplicates removed.
+
+A pure function of the sequence's tables and the rules, so sequences can be shared among processes or machines.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.plan import parse_plan
+from jrdb_avr.schema.rules import Rules, frames
+from jrdb_avr.schema.tables import CANDIDATES, QUESTIONS
+
+from .candidates import OUTCOMES, PASSED, RULES, Candidates, find_candidates
+from .choices import Choices, make_choices
+from .descriptions import Descriptions, describe_people
+from .proofs import make_record, needed_boxes, proof
+from .proven import BLOCK, candidate_table, frame_lists, with_selection_columns
+from .rederive import Annotations, rederive
+from .scene import Bools, Ints, Scene, load_scene, scene_graph
+from .selection import near_duplicates
+from .templates import TEMPLATES, Template
+
+EXAMPLES: Final = 100
+"""Example rows kept per sequence, template and rule."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A sequence to search. `candidates` is where to write every proven candidate, or None."""
+
+    store: Path
+    sequence: str
+    rules: Rules
+    candidates: Path | None = None
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a sequence gives: kept candidates with their records, refusals, and templates whose layers are missing.
+
+    counts: (template, what) -> number, where what is "candidates", "proven" or a rule that refuses.
+    faults: one line per candidate on which the second path disagrees.
+    """
+
+    sequence: str
+    kept: pa.Table | None
+    rejected: pa.Table
+    counts: dict[tuple[str, str], int]
+    lacking: dict[str, tuple[str, ...]]
+    faults: tuple[str, ...]
+
+
+def search_sequence(job: Job) -> Found:
+    """Find, prove and thin out the candidates of one sequence."""
+    store = Store(job.store)
+    scene = load_scene(store, job.sequence)
+    descriptions = describe_people(scene, job.rules)
+    search = _Search(job, scene, descriptions, Annotations.read(store, job.sequence, job.rules))
+    with scene_graph(scene, *descriptions.tables, job.rules) as graph:
+        for template in TEMPLATES:
+            missing = tuple(layer for layer in template.layers if layer not in scene.layers)
+            if missing:
+                search.lacking[template.name] = missing
+            else:
+                search.judge(find_candidates(scene, graph, template, job.rules))
+    return search.result()
+
+
+class _Search:
+    """Collects what the templates give, one after the other."""
+
+    def __init__(self, job: Job, scene: Scene, descriptions: Descriptions, annotations: Annotations) -> None:
+        self.job = job
+        self.scene = scene
+        self.descriptions = descriptions
+        self.annotations = annotations
+        self.lacking: dict[str, tuple[str, ...]] = {}
+        self.counts: dict[tuple[str, str], int] = {}
+        self.kept: list[pa.Table] = []
+        self.examples: list[dict[str, Any]] = []
+        self.faults: list[str] = []
+        self.writer = pq.ParquetWriter(job.candidates, CANDIDATES) if job.candidates is not None else None
+
+    def judge(self, candidates: Candidates) -> None:
+        template = candidates.template
+        self.counts[template.name, "candidates"] = len(candidates)
+        for rule, count in candidates.refusals().items():
+            self.counts[template.name, rule] = count
+            self._give_examples(candidates, rule)
+        proven = np.flatnonzero(candidates.rule == PASSED)
+        self.counts[template.name, "proven"] = len(proven)
+        if len(proven) == 0:
+            return
+        slim = pa.concat_tables(
+            [self._slim(candidates, proven[i : i + BLOCK]) for i in range(0, len(proven), BLOCK)]
+        ).combine_chunks()
+        kept, dropped = near_duplicates(slim, self.job.rules)
+        for rule, count in dropped.items():
+            self.counts[template.name, rule] = count
+        self._give_dropped_examples(candidates, slim, kept)
+        rows = np.sort(kept["row"].to_numpy())
+        table = candidate_table(self.scene, self.descriptions, candidates, rows)
+        self.kept.append(self._recorded(with_selection_columns(table, candidates), candidates))
+
+    def _slim(self, candidates: Candidates, rows: Ints) -> pa.Table:
+        """Proven candidates without their plans, which are only hashed (and written out where that is asked for)."""
+        table = candidate_table(self.scene, self.descriptions, candidates, rows)
+        if self.writer is not None:
+            self.writer.write_table(table.select(CANDIDATES.names).cast(CANDIDATES))
+        empty = pa.repeat(pa.scalar(""), len(rows))
+        table = table.set_column(table.schema.get_field_index("plan"), "plan", empty)
+        return table.append_column("read_frames", frame_lists(candidates, candidates.template.read, rows))
+
+    def _recorded(self, table: pa.Table, candidates: Candidates) -> pa.Table:
+        """Add the private columns of kept candidates; drop, and report, those that the second path does not confirm."""
+        rows: list[dict[str, Any]] = []
+        stays = []
+        for line in table.select(["row", "target_track", "plan", "answer", "key"]).to_pylist():
+            fault = self._disagreement(candidates, line)
+            agrees = fault is None
+            choices: Choices | None = None
+            if fault is not None:
+                self._refuse(candidates, "rederive", line, fault)
+                self.faults.append(f"{self.scene.sequence} {line['plan']}: {fault}")
+            elif candidates.template.answer is None:
+                choices = make_choices(
+                    self.scene, self.descriptions, candidates, line["row"], line["key"], self.job.rules
+                )
+                if choices is None:
+                    self._refuse(candidates, "choices", line, "fewer than three wrong answers")
+            stays.append(agrees and (choices is not None or candidates.template.answer is not None))
+            if stays[-1]:
+                rows.append(self._private(candidates, line, choices))
+        return _joined_columns(table.filter(pa.array(stays)).drop_columns(["row"]), rows)
+
+    def _disagreement(self, candidates: Candidates, line: dict[str, Any]) -> str | None:
+        """What the second path, from the annotation tables, finds otherwise; None where it confirms the candidate."""
+        template = candidates.template.name
+        second = rederive(self.annotations, parse_plan(line["plan"]), template, self.job.rules)
+        track = line["target_track"]
+        boxes = {(box.frame, box.decisive) for box in needed_boxes(self.scene, track, candidates, line["row"])}
+        if second.outcome != "defined" or second.answer != line["answer"]:
+            return f"answer {line['answer']}, rederived {second.answer or second.outcome}"
+        if second.target != track:
+            return f"target {track}, rederived {second.target}"
+        if second.faults:
+            return second.faults[0]
+        if {(box.frame, box.decisive) for box in second.needed} != boxes:
+            return "other boxes are needed"
+        return None
+
+    def _private(self, candidates: Candidates, line: dict[str, Any], choices: Choices | None) -> dict[str, Any]:
+        record = make_record(self.scene, self.descriptions, candidates, line["row"], self.job.rules)
+        proofs = [*record.proofs, proof("rederive", "annotations", True, "same", line["answer"])]
+        return {
+            "proofs": _json(proofs),
+            "needed": _json([box.plain() for box in record.needed]),
+            "bindings": _json(record.bindings),
+            "hops": record.hops,
+            "time_gap_s": record.time_gap_s,
+            "separation_deg": record.separation_deg,
+            "people_in_scene": record.people_in_scene,
+            "choices": list(choices.texts) if choices else [],
+            "true_choice": choices.true if choices else 0,
+            "distractors": _json(list(choices.perturbations) if choices else []),
+        }
+
+    # -- refusals ---------------------------------------------------------------------------------------------
+
+    def _refuse(self, candidates: Candidates, rule: str, line: dict[str, Any], detail: str) -> None:
+        where = (candidates.template.name, rule)
+        self.counts[where] = self.counts.get(where, 0) + 1
+        if self.counts[where] <= EXAMPLES:
+            self._example(candidates.template, rule, line["target_track"], line["plan"], detail)
+
+    def _give_examples(self, candidates: Candidates, rule: str) -> None:
+        """The first refused candidates by a hash of who and when."""
+        refused = np.flatnonzero(candidates.rule == RULES.index(rule))
+        columns = [self.descriptions.moment[candidates.name[refused]]]
+        columns += [candidates.frames[name][refused] for name in sorted(candidates.frames)]
+        if candidates.template.time_proof == "construction":
+            columns.append(candidates.segment[refused])
+        order = np.lexsort((refused, mixed(columns)))[:EXAMPLES]
+        rows = refused[order]
+        table = candidate_table(self.scene, self.descriptions, candidates, rows, keyed=False)
+        for line in table.select(["row", "target_track", "plan"]).to_pylist():
+            detail = self._detail(candidates, rule, line["row"])
+            self._example(candidates.template, rule, line["target_track"], line["plan"], detail)
+
+    def _detail(self, candidates: Candidates, rule: str, row: int) -> str:
+        match rule:
+            case "anchor":
+                left = self.descriptions.left[candidates.name[row]]
+                return "could match when one condition is dropped: " + ", ".join(str(n) for n in left if n)
+            case "time.shift":
+                return ", ".join(f"{shift.by:+d} frames: {OUTCOMES[shift.outcome[row]]}" for shift in candidates.shifts)
+            case "time.drop":
+                return "every other keyframe with an answer gives the same"
+            case "view.ahead":
+                return "all decisive boxes are seen straight ahead"
+            case "evidence":
+                return "a needed box is no clear view"
+            case _:
+                return "a needed frame has no image"
+
+    def _give_dropped_examples(self, candidates: Candidates, slim: pa.Table, kept: pa.Table) -> None:
+        """Examples of what near-duplicates and the cap dropped, first by key."""
+        dropped = slim.filter(pa.array(~np.isin(slim["row"].to_numpy(), kept["row"].to_numpy()))).sort_by("key")
+        rows = dropped["row"].to_numpy()
+        near = self._near_kept(candidates, rows, kept["row"].to_numpy())
+        for rule, of_rule in (("near_duplicate", near), ("max_per_person", ~near)):
+            shown = rows[of_rule][:EXAMPLES]
+            table = candidate_table(self.scene, self.descriptions, candidates, shown, keyed=False)
+            for line in table.select(["target_track", "plan"]).to_pylist():
+                self._example(candidates.template, rule, line["target_track"], line["plan"], "")
+
+    def _near_kept(self, candidates: Candidates, rows: Ints, kept: Ints) -> Bools:
+        """Whether each row is a near-duplicate of a kept one."""
+        limit = frames(self.job.rules.near_duplicate_s)
+        person = self.descriptions.moment[candidates.name] // len(self.scene.keyframes)
+        order = np.argsort(person[rows], kind="stable")
+        owners = person[rows][order]
+        near = np.zeros(len(rows), dtype=bool)
+        for row in kept.tolist():
+            low, high = np.searchsorted(owners, [person[row], person[row] + 1])
+            rivals = order[low:high]
+            close = np.ones(len(rivals), dtype=bool)
+            for name in candidates.template.read:
+                close &= np.abs(candidates.frames[name][rows[rivals]] - candidates.frames[name][row]) <= limit
+            near[rivals[close]] = True
+        return near
+
+    def _example(self, template: Template, rule: str, track: int, plan: str, detail: str) -> None:
+        self.examples.append(
+            {
+                "kind": "example",
+                "sequence": self.scene.sequence,
+                "family": template.family,
+                "template": template.name,
+                "rule": rule,
+                "candidates": 1,
+                "target_track": track,
+                "plan": plan,
+                "detail": detail or None,
+            }
+        )
+
+    def result(self) -> Found:
+        if self.writer is not None:
+            self.writer.close()
+        return Found(
+            sequence=self.scene.sequence,
+            kept=pa.concat_tables(self.kept) if self.kept else None,
+            rejected=pa.Table.from_pylist(self.examples, schema=QUESTIONS["rejected"]),
+            counts=self.counts,
+            lacking=self.lacking,
+            faults=tuple(self.faults),
+        )
+
+
+def mixed(columns: list[Ints]) -> npt.NDArray[np.uint64]:
+    """A well-mixed number per row of the columns, the same on every machine."""
+    state = np.full(len(columns[0]), 0x9E3779B97F4A7C15, dtype=np.uint64)
+    for column in columns:
+        state = state ^ column.astype(np.uint64)
+        for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
+            state = (state ^ (state >> np.uint64(shift))) * np.uint64(factor)
+        state = state ^ (state >> np.uint64(31))
+    return state
+
+
+_PRIVATE: Final = pa.schema(
+    [
+        ("proofs", pa.string()),
+        ("needed", pa.string()),
+        ("bindings", pa.string()),
+        ("hops", pa.int32()),
+        ("time_gap_s", pa.float64()),
+        ("separation_deg", pa.float64()),
+        ("people_in_scene", pa.int32()),
+        ("choices", pa.list_(pa.string())),
+        ("true_choice", pa.int32()),
+        ("distractors", pa.string()),
+    ]
+)
+
+
+def _joined_columns(table: pa.Table, rows: list[dict[str, Any]]) -> pa.Table:
+    private = pa.Table.from_pylist(rows, schema=_PRIVATE)
+    for name in _PRIVATE.names:
+        table = table.append_column(_PRIVATE.field(name), private[name])
+    return table
+
+
+def _json(value: object) -> str:
+    return msgspec.json.encode(value).decode()
