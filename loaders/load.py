@@ -18,17 +18,19 @@ from typing import Final
 import numpy as np
 import pyarrow as pa
 
+from jrdb_avr.queries.handle import build_graph
 from jrdb_avr.queries.store import Manifest, SequenceEntry, Store
 from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.rules import LoadRules, rules_hash
-from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, LAYERS
+from jrdb_avr.schema.tables import ANNOTATIONS, LAYERS
 
 from .boxes2d import load_2d
 from .columns import constant
 from .intervals import derive
-from .layers import Root, SequenceFiles, find_root, image_frames
+from .layers import Root, SequenceFiles, image_frames
 from .problems import Problems
 from .report import SequenceReport, UnknownLabel, empty_report
+from .scene import build_scene
 from .shards import map_shards
 from .timeline import step_of
 
@@ -58,25 +60,24 @@ class ShardResult:
 
 
 def load(
-    root: str | Path, store: Store, rules: LoadRules, workers: int = 2, advance: Advance = lambda steps: None
+    root: Root, store: Store, rules: LoadRules, workers: int = 2, advance: Advance = lambda steps: None
 ) -> list[SequenceReport]:
-    """Load a JRDB root into a store; returns a report per sequence, by name.
+    """Load a JRDB root, found by `find_root`, into a store; returns a report per sequence, by name.
 
     Raises InputError where nothing can be loaded, StoreError where the store cannot be written, LockedError where
     another process writes it. The store is then as it was.
     """
-    found = find_root(root)
     with store.writing("load"), _staging(store) as staging:
-        shards = [Shard(files, str(staging.path), rules) for files in found.sequences]
+        shards = [Shard(files, str(staging.path), rules) for files in root.sequences]
         results: dict[str, ShardResult] = {}
         for i, result in map_shards(load_shard, shards, workers, lambda shard: shard.files.weight):
-            results[found.sequences[i].sequence] = result
+            results[root.sequences[i].sequence] = result
             advance(1)
-        reports = _reports(found, results)
+        reports = _reports(root, results)
         entries = {name: result.entry for name, result in sorted(results.items()) if result.entry is not None}
         if not entries:
-            raise InputError(_nothing(found, reports))
-        image_root = str(found.image_root.resolve()) if found.image_root else None
+            raise InputError(_nothing(root, reports))
+        image_root = str(root.image_root.resolve()) if root.image_root else None
         _finish(store, staging, image_root, rules, entries, PARTS)
     return reports
 
@@ -241,9 +242,11 @@ def _finish(
     parts: Sequence[str],
 ) -> None:
     """Move what is staged in, and write the manifest last."""
-    graph: dict[str, int | str] = {}
-    staging.write_manifest(Manifest(image_root, rules, rules_hash(rules), entries, graph))
-    (store.path / "store.json").unlink(missing_ok=True)
+    with build_graph(store.graph_path) as graph:
+        rows = build_scene(graph, staging, list(entries))
+        staging.write_manifest(Manifest(image_root, rules, rules_hash(rules), entries, rows))
+        # From here to the end there is no manifest, so nobody takes a half-moved store for a whole one.
+        (store.path / "store.json").unlink(missing_ok=True)
     for part in parts:
         _swap(store.path / part, staging.path / part, staging.path / f"old_{part}")
     (staging.path / "store.json").replace(store.path / "store.json")
