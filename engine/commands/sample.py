@@ -16,6 +16,13 @@ from jrdb_avr.engine.output import json_option, note, print_json, print_rows, pr
 @click.option("--people", type=click.IntRange(1, 300), default=34, show_default=True, help="People in view at a time.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Another seed, another world.")
 @click.option("--no-images", is_flag=True, help="Write label files only.")
+@click.option(
+    "--images",
+    type=click.Choice(("keyframes", "changes", "all")),
+    default="changes",
+    show_default=True,
+    help="Frames with a panorama; 'changes': keyframes and both frames round each change of what people do.",
+)
 @click.option("--full-scale", is_flag=True, help="27 sequences sized like the JRDB test split, without images.")
 @workers_option
 @json_option
@@ -26,6 +33,7 @@ def command(
     people: int,
     seed: int,
     no_images: bool,
+    images: str,
     full_scale: bool,
     workers: int,
     as_json: bool,
@@ -41,7 +49,7 @@ def command(
     from jrdb_avr.loaders.sample.writer import FULL_SCALE, plan, write
 
     sizes = list(FULL_SCALE) if full_scale else [(frames, people)] * sequences
-    orders = plan(folder, sizes, seed, images=not (no_images or full_scale))
+    orders = plan(folder, sizes, seed, images="none" if no_images or full_scale else images)
     done = []
     with progress("sequences", len(orders)) as advance:
         for written in write(orders, workers):

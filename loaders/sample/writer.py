@@ -18,6 +18,7 @@ from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
 from .labels import HARD, annotated, difficulty, labels_2d, labels_3d, occlusion
+from .render import image_frames, write_images
 from .script import NONE
 from .world import World, build
 
@@ -46,7 +47,7 @@ class Order:
     seed: int
     frames: int
     people: int
-    images: bool
+    images: str
 
 
 @dataclass(frozen=True)
@@ -71,8 +72,8 @@ def sequence_name(index: int) -> str:
     return f"sample-{_PLACES[index % len(_PLACES)]}-{index // len(_PLACES) + 1:02d}_{index % 4}"
 
 
-def plan(root: Path, sizes: list[tuple[int, int]], seed: int, images: bool) -> list[Order]:
-    """Orders for sequences of these (frames, people).
+def plan(root: Path, sizes: list[tuple[int, int]], seed: int, images: str) -> list[Order]:
+    """Orders for sequences of these (frames, people); `images` as in `render.image_frames`.
 
     Raises InputError where the folder exists and is not empty.
     """
@@ -97,7 +98,10 @@ def write_sequence(order: Order) -> Written:
         path = root / folder / f"{order.name}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(msgspec.json.encode(layer(world)))
-    return _count(world, 0)
+    images = image_frames(world, order.images)
+    if images:
+        write_images(world, images, root / "images" / "image_stitched" / order.name)
+    return _count(world, len(images))
 
 
 def _count(world: World, images: int) -> Written:
