@@ -23,10 +23,10 @@ from jrdb_avr.schema.tables import ANNOTATIONS
 from jrdb_avr.schema.vocabulary import ACTIONS, IMPOSSIBLE, OCCLUSIONS, normal_action
 
 from . import fields
-from .columns import Ints, Refusals, constant, first_of_equal, person_keys, ragged, texts
-from .jsonscan import MalformedError, members
+from .columns import Distinct, Ints, Refusals, constant, first_of_equal, known_frames, person_keys, ragged, texts
 from .labelfile import RecordReader, read_frames
-from .problems import Problems
+from .problems import Problems, shorten
+from .records import BAD, OTHER, record_parts, repaired_label, track_codes, unpacked
 
 CHUNK: Final = 20_000
 """Records whose columns are taken at once: decoded records are the largest thing in memory."""
@@ -60,14 +60,6 @@ class Record(msgspec.Struct, gc=False):
 
 _RAW_FIELDS: Final = ("action_label", "social_group", "social_activity")
 _READ_ONCE: Final = ("label_id", "box", "attributes", *_RAW_FIELDS)
-
-
-class Distinct(dict[Any, int]):
-    """Numbers distinct values in the order they come: `codes[value]` is the number, adding it where new."""
-
-    def __missing__(self, value: Any) -> int:
-        self[value] = code = len(self)
-        return code
 
 
 class Labels2D:
@@ -105,15 +97,8 @@ def load_2d(path: Path, sequence: str, problems: Problems) -> Labels2D:
 def _repair(raw: bytes, frame: str, problems: Problems) -> Record | None:
     """What can be used of a record that does not decode as it stands; None, with the reason counted, if nothing."""
     parts = record_parts(raw, frame, problems)
-    if parts is None:
-        return None
-    try:
-        label = fields.loose(parts.get("label_id", b"null"))
-        fields.track_of(label)
-    except fields.NotAPersonError:
-        pass  # skipped with the others of its kind
-    except ValueError as error:
-        problems.add("record", str(error), frame=frame, field="label_id", value=parts.get("label_id", b""))
+    label = None if parts is None else repaired_label(parts, frame, problems)
+    if parts is None or label is None:
         return None
     try:
         box = fields.loose(parts.get("box", b"null"))
@@ -135,38 +120,14 @@ def _repair(raw: bytes, frame: str, problems: Problems) -> Record | None:
     return record
 
 
-def record_parts(raw: bytes, frame: str, problems: Problems) -> dict[str, bytes] | None:
-    """Raw values of a record by key, first of equal keys; None if it is no object."""
-    parts: dict[str, bytes] = {}
-    try:
-        for key, begin, end in members(raw):
-            name = fields.loose(key)
-            if name in parts:
-                problems.add("field", "key twice, the first is kept", frame=frame, field=fields_name(name))
-            else:
-                parts[name] = raw[begin:end]
-    except (MalformedError, ValueError):
-        problems.add("record", "record is no object", frame=frame, value=raw)
-        return None
-    return parts
-
-
-def fields_name(name: str) -> str:
-    """A key as the name of a field in a problem."""
-    return "".join(c if c.isprintable() else " " for c in name[:40])
-
-
 def _attributes(raw: bytes | None, frame: str, problems: Problems) -> Attributes | None:
     if raw is None or raw == b"null":
         return None
     try:
-        items, again = fields.pairs(raw)
+        values = unpacked(raw, "attributes", frame, problems)
     except ValueError as error:
         problems.add("field", str(error), frame=frame, field="attributes", value=raw)
         return None
-    for name in again:
-        problems.add("field", "key twice, the first is kept", frame=frame, field=f"attributes.{fields_name(name)}")
-    values = dict(items)
     usable: dict[str, Any] = {}
     # occlusion and truncated are judged with everybody's, by column.
     for name in ("occlusion", "truncated"):
@@ -265,12 +226,6 @@ def _tables(columns: _Columns, sequence: str, complete: list[int], problems: Pro
     return Labels2D(tables, layers, unknown)
 
 
-def known_frames(frames: Ints, rows: Ints) -> tuple[Ints, Ints]:
-    """The frames that a layer knows, ascending, with the number of `rows` (one frame number each) in each."""
-    rows = np.sort(rows)
-    return frames, np.searchsorted(rows, frames, "right") - np.searchsorted(rows, frames, "left")
-
-
 class _Kept:
     """The usable person boxes, sorted by (frame, track), with the codes of their raw sub-objects."""
 
@@ -284,9 +239,8 @@ class _Kept:
 def _keep(columns: _Columns, frame: Ints, refusals: Refusals) -> tuple[Ints, Ints, set[int]]:
     """Track per record, the rows to keep sorted by (frame, track), and the frames with a refused person."""
     labels = list(columns.codes["label_id"])
-    found = np.array([_track_or_code(label) for label in labels], np.int64)
     code = columns.column("label_id")
-    track = found[code] if len(found) else code
+    track = track_codes(labels, code)
     box = columns.column("box")
 
     def label(row: int) -> object:
@@ -295,8 +249,8 @@ def _keep(columns: _Columns, frame: Ints, refusals: Refusals) -> tuple[Ints, Int
     def size(row: int) -> object:
         return box[row].tolist()
 
-    refusals.count(track == _OTHER, "record", "label_id is not of a tracked person", "label_id", label)
-    refusals.count(track == _BAD, "record", "label_id is not pedestrian:N", "label_id", label)
+    refusals.count(track == OTHER, "record", "label_id is not of a tracked person", "label_id", label)
+    refusals.count(track == BAD, "record", "label_id is not pedestrian:N", "label_id", label)
     person = track >= 0
     wild = person & ~(np.abs(box) <= fields.MAX_PIXEL).all(axis=1)
     refusals.count(wild, "record", "box: not finite or far outside the image", "box", size)
@@ -307,20 +261,7 @@ def _keep(columns: _Columns, frame: Ints, refusals: Refusals) -> tuple[Ints, Int
     again = np.zeros(len(frame), np.bool_)
     again[usable[order[~first]]] = True
     refusals.count(again, "record", "same person twice in a frame, the first is kept", "label_id", label)
-    return track, usable[order[first]], set(frame[wild | flat | (track == _BAD)].tolist())
-
-
-_OTHER: Final = -1
-_BAD: Final = -2
-
-
-def _track_or_code(label: str) -> int:
-    try:
-        return fields.track_of(label)
-    except fields.NotAPersonError:
-        return _OTHER
-    except ValueError:
-        return _BAD
+    return track, usable[order[first]], set(frame[wild | flat | (track == BAD)].tolist())
 
 
 def _box_table(
@@ -440,7 +381,7 @@ def _named(raw: bytes, field: str) -> tuple[list[tuple[str, str, Any]], list[_Is
         items, again = fields.pairs(raw)
     except ValueError as error:
         return [], [(str(error), field, raw)]
-    issues += [("key twice, the first is kept", f"{field}.{fields_name(name)}", "") for name in again]
+    issues += [("key twice, the first is kept", f"{field}.{shorten(name)}", "") for name in again]
     named = []
     for name, value in items:
         try:
@@ -485,7 +426,7 @@ def _group(raw: bytes) -> tuple[list[tuple[Any, ...]], list[_Issue]]:
         items, again = fields.pairs(raw)
     except ValueError as error:
         return [], [(str(error), "social_group", raw)]
-    issues: list[_Issue] = [("key twice, the first is kept", f"social_group.{fields_name(name)}", "") for name in again]
+    issues: list[_Issue] = [("key twice, the first is kept", f"social_group.{shorten(name)}", "") for name in again]
     values = dict(items)
     try:
         cluster = fields.whole(values.get("cluster_ID"), -(2**62), 2**62)

@@ -38,6 +38,14 @@ def nullable(values: npt.NDArray[Any], missing: Bools, kind: pa.DataType) -> pa.
     return pa.array(values, mask=missing).cast(kind)
 
 
+class Distinct(dict[Any, int]):
+    """Numbers distinct values in the order they come: `codes[value]` is the number, adding it where new."""
+
+    def __missing__(self, value: Any) -> int:
+        self[value] = code = len(self)
+        return code
+
+
 class Refusals:
     """Counts what is refused of records that came in file order, naming the frame of the first."""
 
@@ -71,3 +79,9 @@ def ragged(counts: Ints) -> tuple[Ints, Ints]:
     group = np.repeat(np.arange(len(counts)), counts)
     start = np.cumsum(counts) - counts
     return group, np.arange(len(group)) - np.repeat(start, counts)
+
+
+def known_frames(frames: Ints, rows: Ints) -> tuple[Ints, Ints]:
+    """The frames that a layer knows, ascending, with the number of `rows` (one frame number each) in each."""
+    rows = np.sort(rows)
+    return frames, np.searchsorted(rows, frames, "right") - np.searchsorted(rows, frames, "left")

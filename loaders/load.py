@@ -25,6 +25,7 @@ from jrdb_avr.schema.rules import LoadRules, rules_hash
 from jrdb_avr.schema.tables import ANNOTATIONS, LAYERS
 
 from .boxes2d import load_2d
+from .boxes3d import heading_check, load_3d
 from .columns import constant
 from .intervals import derive
 from .layers import Root, SequenceFiles, image_frames
@@ -123,6 +124,14 @@ def load_shard(shard: Shard) -> ShardResult:
                 tables |= labels.tables
                 frames |= labels.frames
                 unknown = [UnknownLabel(*key, count) for key, count in sorted(labels.unknown.items())]
+        heading = None
+        if "3d" in files.labels:
+            try:
+                tables["boxes_3d"], frames["3d"] = load_3d(Path(files.labels["3d"]), sequence, problems["3d"])
+            except InputError as error:
+                problems["3d"].add("file", str(error))
+            else:
+                heading = heading_check(tables["boxes_3d"])
         listed = [problem for layer in problems.values() for problem in layer.listed()]
         if not any(len(known) for known, _ in frames.values()):
             return ShardResult(empty_report(sequence, listed), None)
@@ -135,14 +144,14 @@ def load_shard(shard: Shard) -> ShardResult:
         report = SequenceReport(
             sequence,
             list(entry.layers),
-            {layer: step_of(frames[layer][0]) for layer in entry.layers},
+            {layer: step_of(frames[layer][0]) for layer in entry.layers if layer != "images"},
             intervals["frames"].num_rows,
             intervals["persons"].num_rows,
             tables["boxes_2d"].num_rows,
             tables["boxes_3d"].num_rows,
             unknown,
             listed,
-            None,
+            heading,
         )
         return ShardResult(report, entry)
 

@@ -27,7 +27,7 @@ class Heading(msgspec.Struct):
 
 
 class SequenceReport(msgspec.Struct):
-    """One row of the report. Layers and steps are those of the `frames` table."""
+    """One row of the report. Layers are those of the `frames` table; all but the images have an annotation step."""
 
     sequence: str
     layers: list[str]

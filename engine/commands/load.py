@@ -116,7 +116,7 @@ def _summary(report: SequenceReport) -> dict[str, Any]:
     heading = report.heading
     return {
         "sequence": report.sequence,
-        "layers (step)": ", ".join(f"{layer} ({report.steps[layer]})" for layer in report.layers) or "none",
+        "layers (step)": ", ".join(_layer(report, layer) for layer in report.layers) or "none",
         "frames": report.frames,
         "people": report.people,
         "boxes": report.boxes,
@@ -127,6 +127,10 @@ def _summary(report: SequenceReport) -> dict[str, Any]:
         if heading is None or heading.median_deg is None
         else f"{heading.median_deg:.0f}° of {heading.moves}",
     }
+
+
+def _layer(report: SequenceReport, layer: str) -> str:
+    return f"{layer} ({report.steps[layer]})" if layer in report.steps else layer
 
 
 def _problem_row(problem: Problem) -> dict[str, Any]:

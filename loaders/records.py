@@ -1,0 +1,69 @@
+"""What the label records of every layer share: the person they are of, and repair of records that are not clean."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from . import fields
+from .columns import Ints
+from .jsonscan import MalformedError, members
+from .problems import Problems, shorten
+
+OTHER: Final = -1
+BAD: Final = -2
+
+
+def track_codes(labels: Sequence[str], code: Ints) -> Ints:
+    """Track per row of numbered label ids; OTHER for what is no tracked person, BAD for no label id at all."""
+    found = np.array([_track_or_code(label) for label in labels], np.int64)
+    return found[code] if len(found) else code
+
+
+def _track_or_code(label: str) -> int:
+    try:
+        return fields.track_of(label)
+    except fields.NotAPersonError:
+        return OTHER
+    except ValueError:
+        return BAD
+
+
+def record_parts(raw: bytes, frame: str, problems: Problems) -> dict[str, bytes] | None:
+    """Raw values of a record by key, first of equal keys; None, with the reason counted, if it is no object."""
+    parts: dict[str, bytes] = {}
+    try:
+        for key, begin, end in members(raw):
+            name = fields.loose(key)
+            if name in parts:
+                problems.add("field", "key twice, the first is kept", frame=frame, field=shorten(name))
+            else:
+                parts[name] = raw[begin:end]
+    except (MalformedError, ValueError):
+        problems.add("record", "record is no object", frame=frame, value=raw)
+        return None
+    return parts
+
+
+def repaired_label(parts: dict[str, bytes], frame: str, problems: Problems) -> str | None:
+    """The record's label id, whether of a person or not; None, with the reason counted, if it has none."""
+    raw = parts.get("label_id", b"null")
+    try:
+        label = fields.loose(raw)
+        fields.track_of(label)
+    except fields.NotAPersonError:
+        pass  # skipped by column, with the others of its kind
+    except ValueError as error:
+        problems.add("record", str(error), frame=frame, field="label_id", value=raw)
+        return None
+    return str(label)
+
+
+def unpacked(raw: bytes, field: str, frame: str, problems: Problems) -> dict[str, Any]:
+    """Members of a sub-object, first of equal keys, repeated ones counted. Raises ValueError if it is no object."""
+    items, again = fields.pairs(raw)
+    for name in again:
+        problems.add("field", "key twice, the first is kept", frame=frame, field=f"{field}.{shorten(name)}")
+    return dict(items)
