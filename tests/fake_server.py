@@ -73,7 +73,7 @@ class FakeServer:
                 with fake._lock:
                     number = len(fake.requests)
                     fake.requests.append(body)
-                    fake.headers.append(dict(self.headers))
+                    fake.headers.append({name.lower(): value for name, value in self.headers.items()})
                 self.answer(fake.script(body, number))
 
             def answer(self, what):

@@ -1,0 +1,221 @@
+"""The endpoint client against a server that misbehaves, over a real socket."""
+
+import json
+import logging
+import socket
+import threading
+
+import pytest
+from fake_server import Body, CutOff, FakeServer, Slow, Status, completion
+from jrdb_avr.agent.client import Client, Reply
+from jrdb_avr.agent.messages import Message, Picture, fingerprint, transcript, wire
+from jrdb_avr.schema.errors import EndpointError
+
+ASK = [Message("user", ("hello",))]
+SECRET = "sk-very-secret-0123456789"
+
+
+def client(server, **options):
+    pauses = []
+    made = Client(server.url, "fake", pause=pauses.append, **options)
+    return made, pauses
+
+
+def sequence_of(*replies):
+    return lambda request, n: replies[min(n, len(replies) - 1)]
+
+
+def test_a_clean_reply():
+    with FakeServer(sequence_of("hi")) as server:
+        made, pauses = client(server)
+        assert made.complete(ASK) == Reply("hi", "", "stop", "fake-1", 10, 5)
+    assert pauses == []
+    (request,) = server.requests
+    assert request["temperature"] == 0
+    assert request["model"] == "fake"
+    assert request["messages"] == [{"role": "user", "content": "hello"}]
+    assert "response_format" not in request
+
+
+def test_the_schema_travels_as_response_format():
+    schema = {"type": "object"}
+    with FakeServer(sequence_of("{}")) as server:
+        made, _ = client(server)
+        made.complete(ASK, schema)
+        plain, _ = client(server, structured=False)
+        plain.complete(ASK, schema)
+    assert server.requests[0]["response_format"]["type"] == "json_schema"
+    assert server.requests[0]["response_format"]["json_schema"]["schema"] == schema
+    assert "response_format" not in server.requests[1]
+
+
+def test_pictures_travel_inline():
+    picture = Picture("seq 000015 45", b"\xff\xd8jpeg")
+    message = Message("user", ("look", picture))
+    (sent,) = wire([message])
+    assert sent["content"][1]["image_url"]["url"].startswith("data:image/jpeg;base64,")
+    assert "base64" not in json.dumps(fingerprint([message]))
+    assert transcript([message]) == [{"role": "user", "content": "look\n[image seq 000015 45]"}]
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        Status(429, "slow down", (("Retry-After", "7"),)),
+        Status(500),
+        Status(503),
+        CutOff("hi"),
+        Body(b"<html>bad gateway</html>"),
+        Body(b'{"choices": []}'),
+        Body(b""),
+    ],
+)
+def test_what_transport_or_server_broke_is_tried_again(fault):
+    with FakeServer(sequence_of(fault, fault, "hi")) as server:
+        made, pauses = client(server)
+        assert made.complete(ASK).content == "hi"
+    assert len(server.requests) == 3
+    assert pauses == ([7.0, 7.0] if isinstance(fault, Status) and fault.code == 429 else [0.5, 1.0])
+
+
+def test_retries_end():
+    with FakeServer(sequence_of(Status(500, "still\nbroken"))) as server:
+        made, pauses = client(server)
+        with pytest.raises(EndpointError) as caught:
+            made.complete(ASK)
+    assert len(server.requests) == 5
+    assert len(pauses) == 4
+    assert "\n" not in str(caught.value)
+    assert "HTTP 500" in str(caught.value)
+
+
+@pytest.mark.parametrize("code", [400, 401, 403, 404, 422])
+def test_a_refusal_is_not_tried_again(code):
+    with FakeServer(sequence_of(Status(code, "no"))) as server:
+        made, _ = client(server)
+        with pytest.raises(EndpointError, match=f"HTTP {code}"):
+            made.complete(ASK)
+    assert len(server.requests) == 1
+
+
+def test_slow_replies_time_out_and_are_tried_again():
+    with FakeServer(sequence_of(Slow(1.0, "late"), "hi")) as server:
+        made, _ = client(server, timeout_s=0.2)
+        assert made.complete(ASK).content == "hi"
+
+
+def test_nobody_there_is_one_line():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        url = f"http://127.0.0.1:{free.getsockname()[1]}/v1"
+    made = Client(url, "fake", pause=lambda seconds: None)
+    with pytest.raises(EndpointError, match="cannot reach the server") as caught:
+        made.complete(ASK)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "url", ["", "localhost:8000", "ftp://x/v1", "http://", "http://me:pw@host/v1", "http://h/v1?key=1", "http://[::1/v1"]
+)
+def test_addresses_that_cannot_be_used(url):
+    with pytest.raises(EndpointError):
+        Client(url, "fake")
+
+
+# -- the cache --------------------------------------------------------------------------------------------------------
+
+
+def files(folder):
+    return [path for path in folder.rglob("*") if path.is_file()]
+
+
+def test_a_finished_call_is_made_once(tmp_path):
+    with FakeServer(sequence_of("hi")) as server:
+        first, _ = client(server, cache=tmp_path)
+        a = first.complete(ASK, {"type": "object"})
+        second, _ = client(server, cache=tmp_path)
+        assert second.complete(ASK, {"type": "object"}) == a
+        assert len(server.requests) == 1
+        second.complete(ASK, {"type": "array"})
+        second.complete([Message("user", ("hello", Picture("n", b"1")))])
+        second.complete([Message("user", ("hello", Picture("n", b"2")))])
+        assert len(server.requests) == 4
+    assert len(files(tmp_path)) == 4
+
+
+@pytest.mark.parametrize("reply", ["", completion("half", "length"), completion("", "content_filter")])
+def test_what_did_not_finish_cleanly_is_not_kept(tmp_path, reply):
+    with FakeServer(sequence_of(reply)) as server:
+        made, _ = client(server, cache=tmp_path)
+        made.complete(ASK)
+        made.complete(ASK)
+    assert len(server.requests) == 2
+    assert files(tmp_path) == []
+
+
+def test_a_broken_cache_file_is_a_call(tmp_path):
+    with FakeServer(sequence_of("hi")) as server:
+        made, _ = client(server, cache=tmp_path)
+        made.complete(ASK)
+        (kept,) = files(tmp_path)
+        kept.write_bytes(kept.read_bytes()[:5])
+        assert made.complete(ASK).content == "hi"
+        assert made.complete(ASK).content == "hi"
+    assert len(server.requests) == 2
+
+
+def test_many_threads_share_a_client(tmp_path):
+    with FakeServer(lambda request, n: request["messages"][0]["content"]) as server:
+        made, _ = client(server, cache=tmp_path)
+        replies = {}
+
+        def work(i):
+            replies[i] = made.complete([Message("user", (f"q{i}",))]).content
+
+        threads = [threading.Thread(target=work, args=(i,)) for i in range(64)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert replies == {i: f"q{i}" for i in range(64)}
+
+
+# -- keys -------------------------------------------------------------------------------------------------------------
+
+
+def test_the_key_is_sent_and_goes_nowhere_else(tmp_path, monkeypatch, caplog):
+    monkeypatch.setenv("OPENAI_API_KEY", SECRET)
+    caplog.set_level(logging.DEBUG)
+    with FakeServer(sequence_of("hi", Status(401, f"bad key {SECRET}"))) as server:
+        made, _ = client(server, cache=tmp_path)
+        made.complete(ASK)
+        with pytest.raises(EndpointError) as caught:
+            made.complete([Message("user", ("again",))])
+    assert server.headers[0]["authorization"] == f"Bearer {SECRET}"
+    assert SECRET not in str(caught.value)
+    assert SECRET not in caplog.text
+    assert SECRET not in json.dumps(made.settings())
+    for path in files(tmp_path):
+        assert SECRET.encode() not in path.read_bytes()
+
+
+# -- the probe --------------------------------------------------------------------------------------------------------
+
+
+def test_probe_names_the_served_model():
+    with FakeServer(sequence_of('{"ok": true}')) as server:
+        made, _ = client(server)
+        assert made.probe() == "fake-1"
+        assert made.structured
+
+
+def test_probe_finds_a_server_without_json_schema():
+    def script(request, n):
+        return Status(400, "response_format is not supported") if "response_format" in request else "ok"
+
+    with FakeServer(script) as server:
+        made, _ = client(server)
+        made.probe()
+        assert not made.structured
+        made.complete(ASK, {"type": "object"})
+    assert "response_format" not in server.requests[-1]

@@ -1,0 +1,281 @@
+"""The strict contract of replies, and that boxes survive the way there and back."""
+
+import inspect
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from jrdb_avr.agent import decode
+from jrdb_avr.agent.client import Reply
+from jrdb_avr.agent.decode import CONTRACT, convention_of, read_answer, read_evidence, reply_object, write_box
+from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.panorama import CROP, WIDTH, Box, crop_left, from_crop, iou, to_crop
+
+OBJECT = '{"action": "observe", "frame_id": "000150", "angle_deg": 210}'
+
+
+def reply(text, finish_reason="stop", reasoning=""):
+    return Reply(content=text, reasoning=reasoning, finish_reason=finish_reason)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        OBJECT,
+        f"  {OBJECT}\n",
+        f"```json\n{OBJECT}\n```",
+        f"```\n{OBJECT}\n```",
+        f"<think>look left, {{}} </think>{OBJECT}",
+        f"so, left it is</think>\n\n{OBJECT}",
+        f"<|channel>thought\nhm<channel|>{OBJECT}",
+        f"<think>\n</think>\n```json\n{OBJECT}\n```",
+    ],
+)
+def test_one_object_is_read(text):
+    assert reply_object(reply(text)) == json.loads(OBJECT)
+
+
+def test_a_reply_filed_under_reasoning():
+    assert reply_object(reply("", reasoning=f"thoughts</think>{OBJECT}")) == json.loads(OBJECT)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "   ",
+        "null",
+        "[]",
+        "2",
+        '"x"',
+        "I will look left.",
+        f"Sure! {OBJECT}",
+        f"{OBJECT} Hope this helps",
+        f"{OBJECT}\n{OBJECT}",
+        f"```json\n{OBJECT}\n```\n```json\n{OBJECT}\n```",
+        f"```json\n{OBJECT}",
+        f"```python\n{OBJECT}\n```",
+        OBJECT[:-1],
+        OBJECT.replace('"', "'"),
+        '{"a": NaN}',
+        '{"a": Infinity}',
+        '{"a": 1, "a": 2}',
+        '{"a": {"b": 1, "b": 1}}',
+        f"<think>I could say {OBJECT}",
+        "[" * 100_000,
+        '{"a": ' + "9" * 5000 + "}",
+    ],
+)
+def test_anything_else_is_invalid(text):
+    with pytest.raises(DecodeError):
+        reply_object(reply(text))
+
+
+def test_no_answer_is_taken_out_of_the_reasoning():
+    with pytest.raises(DecodeError, match="empty"):
+        reply_object(reply("", reasoning=OBJECT))
+
+
+@pytest.mark.parametrize("finish_reason", ["length", "content_filter", "tool_calls"])
+def test_only_a_finished_reply_counts(finish_reason):
+    with pytest.raises(DecodeError, match="finish_reason"):
+        reply_object(reply(OBJECT, finish_reason))
+
+
+@given(st.text())
+def test_any_text_is_an_object_or_a_reason(text):
+    try:
+        assert isinstance(reply_object(reply(text)), dict)
+    except DecodeError as error:
+        assert "\n" not in str(error)
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(), inner, max_size=4),
+)
+
+
+@given(JSON, st.sampled_from(sorted(["multiple_choice", "frame", "span", "frame_viewpoint", "number"])))
+def test_any_value_is_an_answer_or_a_reason(value, mode):
+    try:
+        read_answer(value, mode, 4, 1000)
+    except DecodeError as error:
+        str(error).encode()
+
+
+@given(JSON)
+def test_any_value_is_a_box_or_a_reason(value):
+    with pytest.raises(DecodeError):
+        read_evidence(value, {150}, CROP, CROP)
+
+
+# -- answers ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("mode", "value", "answer"),
+    [
+        ("multiple_choice", 1, Choice(1)),
+        ("multiple_choice", 4, Choice(4)),
+        ("frame", {"frame_id": "000150"}, FrameAnswer(150)),
+        ("span", {"start_frame": "000010", "end_frame": "000010"}, Span(10, 10)),
+        ("frame_viewpoint", {"frame_id": "000999", "angle_deg": -30}, FrameViewpoint(999, 330.0)),
+        ("number", {"value": "12.5"}, Number(12.5)),
+        ("number", {"value": "4"}, Number(4.0)),
+    ],
+)
+def test_answers_that_fit(mode, value, answer):
+    assert read_answer(value, mode, 4, 1000) == answer
+
+
+@pytest.mark.parametrize(
+    ("mode", "value"),
+    [
+        ("multiple_choice", 0),
+        ("multiple_choice", 5),
+        ("multiple_choice", True),
+        ("multiple_choice", 2.0),
+        ("multiple_choice", "2"),
+        ("multiple_choice", "B"),
+        ("multiple_choice", "sitting"),
+        ("multiple_choice", {"choice": 2}),
+        ("multiple_choice", None),
+        ("frame", 150),
+        ("frame", "000150"),
+        ("frame", {"frame_id": 150}),
+        ("frame", {"frame_id": "150"}),
+        ("frame", {"frame_id": "001000"}),
+        ("frame", {"frame_id": "-00150"}),
+        ("frame", {"frame_id": "٠٠٠١٥٠"}),
+        ("frame", {"frame_id": "000150\n"}),
+        ("frame", {"frame_id": "000150", "angle_deg": 3}),
+        ("span", {"start_frame": "000010"}),
+        ("span", {"start_frame": "000010", "end_frame": "000009"}),
+        ("frame_viewpoint", {"frame_id": "000150"}),
+        ("frame_viewpoint", {"frame_id": "000150", "angle_deg": "90"}),
+        ("frame_viewpoint", {"frame_id": "000150", "angle_deg": float("inf")}),
+        ("frame_viewpoint", {"frame_id": "000150", "angle_deg": 10**400}),
+        ("frame_viewpoint", {"frame_id": "000150", "angle_deg": True}),
+        ("number", {"value": 12.5}),
+        ("number", {"value": "nan"}),
+        ("number", {"value": "1e3"}),
+        ("number", {"value": "about 12"}),
+        ("number", {"value": "12.5", "unit": "s"}),
+        ("number", "12.5"),
+    ],
+)
+def test_answers_that_do_not_fit(mode, value):
+    with pytest.raises(DecodeError):
+        read_answer(value, mode, 4, 1000)
+
+
+# -- boxes ------------------------------------------------------------------------------------------------------------
+
+
+def evidence(bbox, frame="000150", key="bbox"):
+    return [{"frame_id": frame, key: bbox}]
+
+
+def test_a_box_in_thousandths():
+    seen = read_evidence(evidence([0, 250, 500, 1000]), {150}, 480, 480)
+    assert (seen.frame, seen.box, seen.key) == (150, Box(0, 120, 240, 360), "bbox")
+    wide = read_evidence(evidence([0, 250, 500, 1000]), {150}, 3760, 480)
+    assert wide.box == Box(0, 120, 1880, 360)
+
+
+def test_two_percent_outside_is_clipped():
+    assert read_evidence(evidence([-20, 0, 1020, 1000]), {150}, 480, 480).box == Box(0, 0, 480, 480)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        None,
+        [],
+        {},
+        evidence([0, 0, 10, 10]) * 2,
+        [[0, 0, 10, 10]],
+        evidence([-21, 0, 10, 10]),
+        evidence([0, 0, 10, 1021]),
+        evidence([10, 0, 0, 10]),
+        evidence([0, 10, 10, 0]),
+        evidence([5, 0, 5, 10]),
+        evidence([-20, 0, -1, 10]),
+        evidence([0, 0, 10]),
+        evidence([0, 0, 10, 10, 10]),
+        evidence([0, 0, 10.0, 10]),
+        evidence([0, 0, "10", 10]),
+        evidence([0, 0, True, 10]),
+        evidence("0 0 10 10"),
+        evidence([0, 0, 10, 10], "000151"),
+        evidence([0, 0, 10, 10], 150),
+        evidence([0, 0, 10, 10], key="bbox_2d"),
+        [{"frame_id": "000150"}],
+        [{"bbox": [0, 0, 10, 10]}],
+        [{"frame_id": "000150", "bbox": [0, 0, 10, 10], "label": "man"}],
+    ],
+)
+def test_boxes_that_do_not_fit(value):
+    with pytest.raises(DecodeError):
+        read_evidence(value, {150}, 480, 480)
+
+
+def test_conventions_are_declared_by_name():
+    gemma, qwen = convention_of("google/gemma-4-E4B-it"), convention_of("Qwen/Qwen3-VL-8B-Instruct")
+    assert read_evidence(evidence([10, 20, 30, 50], key="box_2d"), {150}, 1000, 1000, gemma).box == Box(20, 10, 30, 20)
+    assert read_evidence(evidence([10, 20, 30, 50]), {150}, 1000, 1000, gemma).box == Box(10, 20, 20, 30)
+    assert read_evidence(evidence([10, 20, 30, 50], key="bbox_2d"), {150}, 1000, 1000, qwen).key == "bbox_2d"
+    assert convention_of("some-other-model") is CONTRACT
+    both = [{"frame_id": "000150", "bbox": [0, 0, 1, 1], "bbox_2d": [0, 0, 9, 9]}]
+    with pytest.raises(DecodeError):
+        read_evidence(both, {150}, 480, 480, qwen)
+
+
+SIDE = st.floats(0, 480, allow_nan=False)
+
+
+@given(SIDE, SIDE, st.floats(8, 480), st.floats(8, 480), st.sampled_from(["xyxy", "yxyx"]))
+def test_boxes_survive_writing_and_reading(x, y, w, h, order):
+    box = Box(x, y, min(w, 480 - x), min(h, 480 - y))
+    if box.w < 2 or box.h < 2:
+        return
+    convention = decode.Convention("test", {"bbox": order})
+    back = read_evidence(evidence(write_box(box, 480, 480, order)), {150}, 480, 480, convention).box
+    for a, b in ((back.x, box.x), (back.y, box.y), (back.x + back.w, box.x + box.w), (back.y + back.h, box.y + box.h)):
+        assert abs(a - b) <= 0.25
+
+
+@given(
+    st.floats(-400, WIDTH + 400, allow_nan=False),
+    st.floats(0, 300),
+    st.floats(12, 400),
+    st.floats(40, 180),
+    st.floats(-40, 40),
+)
+def test_a_box_on_the_ring_survives_crop_contract_and_back(x, y, w, h, off):
+    box = Box(x, y, w, h)
+    left = crop_left((x + w / 2) / WIDTH * 360 + off * (480 - w) / 480 / 2)
+    seen = to_crop(box, left)
+    if seen.x < 0 or seen.x + seen.w > CROP:
+        return
+    back = from_crop(read_evidence(evidence(write_box(seen, CROP, CROP)), {150}, CROP, CROP).box, left)
+    assert iou(back, box) > 0.94
+
+
+def test_no_function_here_can_be_given_the_truth():
+    for name, function in inspect.getmembers(decode, inspect.isfunction):
+        words = set(inspect.signature(function).parameters)
+        assert not words & {"gold", "truth", "target", "answer_key"}, name
+
+
+# -- the schema shown to servers --------------------------------------------------------------------------------------
+
+
+def test_schemas_close_every_object():
+    for mode in ("multiple_choice", "frame", "span", "frame_viewpoint", "number"):
+        schema = decode.answer_schema(mode, ["a", "b"])
+        assert schema["type"] == "integer" or schema["additionalProperties"] is False
+    assert decode.answer_schema("multiple_choice", ["a", "b"])["maximum"] == 2
