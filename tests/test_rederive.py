@@ -1,0 +1,407 @@
+"""The second path on worlds small enough to work out by hand."""
+
+import msgspec
+import pyarrow as pa
+import pytest
+
+from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN, Annotations, rederive
+from jrdb_avr.schema.plan import Condition
+from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.tables import ANNOTATIONS
+from jrdb_avr.schema.wording import TEMPLATES, Slots
+
+RULES = Rules()
+SEQUENCE = "world"
+EASY, MIDDLE, HARD = 1, 2, 3
+
+
+class World:
+    """Annotation tables written person by person."""
+
+    def __init__(self, frames, attributes=True, images=None):
+        self.frames = list(frames)
+        self.attributes = attributes
+        self.images = images
+        self.action_frames = set(self.frames)
+        self.rows = {name: [] for name in ANNOTATIONS}
+
+    def see(self, track, frames, actions=("standing",), *, x=1880.0, w=50, h=150, y=100, occlusion="Fully_visible",
+            no_eval=False, group=None, at=None, points=50):  # fmt: skip
+        """The person has this box, these actions (name, or name and difficulty) and this place at the frames."""
+        for frame in frames:
+            where = {"sequence": SEQUENCE, "frame": frame, "track": track}
+            self.rows["boxes_2d"].append(
+                where
+                | {"x": float(x), "y": float(y), "w": float(w), "h": float(h)}
+                | {"has_attributes": self.attributes, "has_actions": actions is not None, "no_eval": no_eval}
+                | {"occlusion": occlusion if self.attributes else None}
+            )
+            for action in actions or ():
+                name, difficulty = action if isinstance(action, tuple) else (action, EASY)
+                self.rows["actions"].append(where | {"action": name, "raw": name, "difficulty": difficulty})
+            if group is not None:
+                cluster, difficulty = group if isinstance(group, tuple) else (group, EASY)
+                self.rows["groups"].append(where | {"cluster": cluster, "difficulty": difficulty})
+            if at is not None:
+                place = {"cx": at[0], "cy": at[1], "cz": 0.0, "l": 1.0, "w": 1.0, "h": 1.8, "rot_z": 0.0}
+                self.rows["boxes_3d"].append(where | place | {"num_points": points})
+        return self
+
+    def read(self, rules=RULES):
+        layers = {"2d": self.frames, "actions": sorted(self.action_frames)}
+        if self.images is not None:
+            layers["images"] = self.images
+        for layer, frames in layers.items():
+            self.rows["frames"] += [
+                {"sequence": SEQUENCE, "layer": layer, "frame": frame, "records": 1} for frame in frames
+            ]
+        tables = {name: pa.Table.from_pylist(self.rows[name], schema) for name, schema in ANNOTATIONS.items()}
+        return Annotations(tables, rules)
+
+
+def at_t0(**kwargs):
+    return Condition(at="t0", **kwargs)
+
+
+def ask(world, template, conditions, frames, action=None, rules=RULES):
+    row = TEMPLATES[template]
+    plan = row.build(Slots(tuple(conditions), dict(zip(row.times, frames, strict=True)), action))
+    return rederive(world.read(rules), plan, template, rules)
+
+
+SITTING, STANDING, READING = at_t0(action="sitting"), at_t0(action="standing"), at_t0(action="reading")
+EVERY = range(0, 601)
+SECONDS = range(15, 601, 15)
+
+
+# -- facts --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("actions", "pose", "sitting", "reading"),
+    [
+        (("sitting",), "sitting", TRUE, FALSE),
+        ((("sitting", MIDDLE), "reading"), "sitting", TRUE, TRUE),
+        ((("sitting", HARD), ("reading", HARD)), None, UNKNOWN, UNKNOWN),
+        ((("sitting", None),), None, UNKNOWN, FALSE),
+        (("sitting", "bending"), None, UNKNOWN, FALSE),
+        (("reading",), None, UNKNOWN, TRUE),
+        (("standing",), "standing", FALSE, FALSE),
+        ((), None, UNKNOWN, FALSE),
+        (None, None, UNKNOWN, UNKNOWN),
+        ((("sitting", HARD), ("sitting", EASY)), "sitting", TRUE, FALSE),
+    ],
+)
+def test_facts_have_three_values(actions, pose, sitting, reading):
+    annotations = World(SECONDS).see(1, [15], actions).see(1, [30]).read()
+    assert annotations.pose(1, 15) == pose
+    assert annotations.state(1, "sitting", 15) == sitting
+    assert annotations.state(1, "reading", 15) == reading
+    assert annotations.state(1, "reading", 45) == UNKNOWN  # no box
+    assert annotations.state(2, "reading", 15) == UNKNOWN  # nobody
+
+
+@pytest.mark.parametrize(
+    ("change", "clear"),
+    [
+        ({}, True),
+        ({"occlusion": "Mostly_visible"}, True),
+        ({"occlusion": "Severely_occluded"}, False),
+        ({"occlusion": None}, False),
+        ({"no_eval": True}, False),
+        ({"w": 12, "h": 40}, True),
+        ({"w": 11.9}, False),
+        ({"h": 39.9}, False),
+        ({"w": 480}, True),
+        ({"w": 480.1}, False),
+        ({"y": -0.1}, False),
+        ({"y": 330}, True),
+        ({"y": 330.1}, False),
+        ({"x": 3740}, True),
+        ({"x": -20}, True),
+    ],
+)
+def test_a_clear_view(change, clear):
+    assert World(SECONDS).see(1, [15], **change).read().clear(1, 15) is clear
+
+
+def test_without_any_attributes_occlusion_is_not_asked():
+    assert World(SECONDS, attributes=False).see(1, [15]).read().clear(1, 15)
+
+
+@pytest.mark.parametrize(
+    ("angle", "left", "ahead"),
+    [(90, TRUE, FALSE), (129.9, TRUE, FALSE), (130.1, UNKNOWN, UNKNOWN), (139.9, UNKNOWN, UNKNOWN),
+     (140.1, FALSE, TRUE), (0, FALSE, FALSE), (359, FALSE, FALSE), (50.1, TRUE, FALSE), (49.9, UNKNOWN, FALSE), (39.9, FALSE, FALSE)],
+)  # fmt: skip
+def test_sectors_have_margins(angle, left, ahead):
+    annotations = World(SECONDS).see(1, [15], x=angle / 360 * 3760 - 25).read()
+    assert annotations.holds(at_t0(attribute="sector", value="left"), 1, 15) == left
+    assert annotations.holds(at_t0(attribute="sector", value="ahead"), 1, 15) == ahead
+
+
+@pytest.mark.parametrize(
+    ("metres", "close", "moderate"),
+    [(1.0, TRUE, FALSE), (1.349, TRUE, FALSE), (1.35, UNKNOWN, UNKNOWN), (1.65, UNKNOWN, UNKNOWN), (1.651, FALSE, TRUE),
+     (4.49, FALSE, TRUE), (4.5, FALSE, UNKNOWN), (5.5, FALSE, UNKNOWN), (5.51, FALSE, FALSE), (0.5, UNKNOWN, FALSE)],
+)  # fmt: skip
+def test_distance_words_have_margins(metres, close, moderate):
+    annotations = World(SECONDS).see(1, [15], at=(metres, 0.0)).see(1, [30], at=(1.0, 0.0), points=0).read()
+    assert annotations.holds(at_t0(attribute="distance", value="close"), 1, 15) == close
+    assert annotations.holds(at_t0(attribute="distance", value="moderate"), 1, 15) == moderate
+    assert annotations.holds(at_t0(attribute="distance", value="close"), 1, 30) == UNKNOWN
+
+
+def test_group_sizes():
+    def world(**others):
+        return World(SECONDS).see(1, [15], group=7).see(2, [15], group=7).see(3, [15], **others).read()
+
+    assert [world(group=8).group_size(track, 15) for track in (1, 2, 3)] == [2, 2, 1]
+    assert [world(group=7).group_size(track, 15) for track in (1, 2, 3)] == [3, 3, 3]
+    assert [world(group=(7, HARD)).group_size(track, 15) for track in (1, 2, 3)] == [None, None, None]
+    assert [world(group=(8, HARD)).group_size(track, 15) for track in (1, 2, 3)] == [2, 2, None]
+    # Somebody without a row could belong to anybody.
+    assert [world().group_size(track, 15) for track in (1, 2, 3)] == [None, None, None]
+
+
+# -- whom a description means -------------------------------------------------------------------------------------
+
+
+def test_a_description_means_one_person_for_certain():
+    def find(*others):
+        world = World(SECONDS).see(0, [15], ["sitting"])
+        for track, actions in enumerate(others, start=1):
+            world.see(track, [15], actions)
+        return world.read().find((SITTING,), 15)
+
+    assert find(["standing"]) == ("defined", 0)
+    assert find(["sitting"]) == ("ambiguous", None)
+    assert find([("sitting", HARD)]) == ("unknown", None)
+    assert find(None) == ("unknown", None)
+    nobody = World(SECONDS).see(0, [15]).read()
+    assert nobody.find((SITTING,), 15) == ("empty", None)
+    assert nobody.find((SITTING,), 16) == ("unknown", None)  # a frame that nobody labelled
+    # The others count however badly they are seen.
+    hidden = (
+        World(SECONDS).see(0, [15], ["sitting"]).see(1, [15], ["sitting"], occlusion="Fully_occluded", no_eval=True)
+    )
+    assert hidden.read().find((SITTING,), 15) == ("ambiguous", None)
+
+
+def test_each_condition_is_needed():
+    world = World(SECONDS).see(0, SECONDS, ["sitting", "reading"]).see(1, SECONDS, ["standing", "reading"])
+    assert ask(world, "presence", [SITTING], [15, 60, 105]).faults == ()
+    outcome = ask(world, "presence", [SITTING, READING], [15, 60, 105])
+    assert "the description has a condition too many" in outcome.faults
+    alone = World(SECONDS).see(0, SECONDS, ["sitting"])
+    assert "the description has a condition too many" in ask(alone, "presence", [SITTING], [15, 60, 105]).faults
+
+
+# -- change -------------------------------------------------------------------------------------------------------
+
+
+def walk_in():
+    world = World(SECONDS).see(9, SECONDS, ["standing"], x=100)
+    return world.see(1, [15, 30, 45], ["sitting", "reading"]).see(1, [60, 75], ["walking"])
+
+
+def test_change_reads_the_pose():
+    outcome = ask(walk_in(), "change", [READING], [15, 60])
+    assert (outcome.outcome, outcome.answer, outcome.target, outcome.faults) == ("defined", "walking", 1, ())
+    assert outcome.times == (("t0", 15), ("t1", 60))
+    assert [(n.track, n.frame, n.decisive) for n in outcome.needed] == [(1, 15, False), (1, 60, True)]
+
+
+@pytest.mark.parametrize(
+    ("conditions", "times", "said"),
+    [
+        ([READING], [15, 45], "less than 3 s"),
+        ([SITTING], [15, 60], "states a pose"),
+        ([READING], [30, 45], "the same as the answer"),
+        ([READING], [15, 61], "frame 61 is no keyframe"),
+    ],
+)
+def test_change_has_rules(conditions, times, said):
+    world = walk_in().see(1, [61], ["walking"])
+    assert any(said in fault for fault in ask(world, "change", conditions, times).faults)
+
+
+def test_change_of_an_unknown_pose():
+    world = walk_in().see(1, [90], [("walking", HARD)])
+    assert ask(world, "change", [READING], [15, 90]).outcome == "unknown"
+    assert ask(walk_in(), "change", [READING], [15, 90]).outcome == "unknown"  # gone, but seen at 75
+    assert ask(walk_in(), "change", [READING], [15, 105]).outcome == "empty"
+
+
+def test_needed_boxes_are_clear_and_have_images():
+    world = walk_in().see(1, [90], ["walking"], occlusion="Severely_occluded")
+    assert "the person is not in clear view at frame 90" in ask(world, "change", [READING], [15, 90]).faults
+    world = walk_in()
+    world.images = [15, 30]
+    assert ask(world, "change", [READING], [15, 60]).faults == ("frame 60 has no image",)
+
+
+# -- presence and distance ----------------------------------------------------------------------------------------
+
+
+def test_presence():
+    def answer(first, second, world=None):
+        world = world or World(SECONDS).see(9, SECONDS, x=100).see(1, [15, 90, 105], ["sitting"])
+        return ask(world, "presence", [SITTING], [15, first, second])
+
+    assert answer(90, 195).answer == "only at the first time"
+    assert answer(60, 105).outcome == "defined" and answer(60, 105).answer == "only at the second time"
+    assert answer(150, 210).answer == "neither time"
+    assert answer(120, 195).outcome == "unknown"  # seen a second before
+    both = World(SECONDS).see(9, SECONDS, x=100).see(1, SECONDS, ["sitting"])
+    assert answer(60, 105, both).answer == "both times"
+    assert [(n.frame, n.decisive) for n in answer(150, 210).needed] == [(15, True)]
+    assert [(n.frame, n.decisive) for n in answer(90, 195).needed] == [(15, False), (90, True)]
+    hidden = World(SECONDS).see(9, SECONDS, x=100).see(1, SECONDS, ["sitting"])
+    hidden.rows["boxes_2d"][SECONDS.index(60) + len(SECONDS)]["occlusion"] = "Fully_occluded"
+    assert answer(60, 105, hidden).outcome == "unknown"
+
+
+def test_a_one_keyframe_gap_and_the_end_of_the_labels_are_no_absence():
+    world = World(SECONDS).see(9, SECONDS, x=100).see(1, [f for f in SECONDS if f not in (90, 585, 600)], ["sitting"])
+    annotations = world.read()
+    assert not annotations.absent(1, 90) and not annotations.absent(1, 585) and not annotations.absent(1, 600)
+
+
+@pytest.mark.parametrize(
+    ("metres", "answer"),
+    [(8.5, "closer to the robot"), (8.51, None), (9.5, None), (9.51, "about the same distance"),
+     (10.49, "about the same distance"), (10.5, None), (11.5, "farther from the robot"), (14, "farther from the robot")],
+)  # fmt: skip
+def test_distance(metres, answer):
+    world = World(SECONDS).see(9, SECONDS, x=100).see(1, [15], ["sitting"], at=(10.0, 0.0))
+    world.see(1, [60], ["walking"], at=(0.0, -metres))
+    outcome = ask(world, "distance", [SITTING], [15, 60])
+    assert (outcome.answer, outcome.outcome) == (answer, "defined" if answer else "unknown")
+
+
+def test_distance_needs_points_and_knows_absence():
+    world = World(SECONDS).see(9, SECONDS, x=100).see(1, [15], ["sitting"], at=(10.0, 0.0))
+    world.see(1, [60], at=(3.0, 0.0), points=0)
+    assert ask(world, "distance", [SITTING], [15, 60]).outcome == "unknown"
+    outcome = ask(world, "distance", [SITTING], [15, 90])
+    assert outcome.answer == "not in view" and [(n.frame, n.decisive) for n in outcome.needed] == [(15, True)]
+
+
+# -- start and span -----------------------------------------------------------------------------------------------
+
+
+def phone_call(step, on, hard=(), missing=(), occluded=()):
+    """A standing person who reads at the frames `on`; another one walks about all the time."""
+    frames = EVERY if step == 1 else SECONDS
+    world = World(frames).see(9, frames, ["walking"], x=100)
+    for frame in frames:
+        if frame in missing:
+            continue
+        extra = ["reading"] if frame in on else [("reading", HARD)] if frame in hard else []
+        world.see(
+            1, [frame], ["standing", *extra], occlusion="Fully_occluded" if frame in occluded else "Fully_visible"
+        )
+    return world
+
+
+def start(world, t0=15):
+    return ask(world, "start", [STANDING], [t0], "reading")
+
+
+def span(world, t0=15):
+    return ask(world, "span", [STANDING], [t0], "reading")
+
+
+def test_start_and_span_at_fifteen_frames_per_second():
+    world = phone_call(1, range(100, 200))
+    assert start(world).answer == '{"frame":100}'
+    outcome = span(world)
+    assert outcome.answer == '{"start_frame":100,"end_frame":199}'
+    assert outcome.faults == () and outcome.times == (("t0", 15), ("t1", 100), ("t2", 199))
+    assert [(n.frame, n.decisive) for n in outcome.needed] == [(15, False), (100, True), (199, True)]
+
+
+def test_start_and_span_at_one_frame_per_second_are_half_a_step_wider():
+    world = phone_call(15, range(90, 181))
+    assert start(world).answer == '{"frame":83}'
+    assert span(world).answer == '{"start_frame":83,"end_frame":187}'
+    assert start(world, t0=30).faults == () and start(world, t0=45).faults != ()  # 83 - 38 is the last
+
+
+def test_short_gaps_are_closed_at_fifteen_frames_per_second_only():
+    on = [f for f in range(100, 200) if not 140 <= f < 147]
+    assert span(phone_call(1, on)).answer == '{"start_frame":100,"end_frame":199}'
+    assert start(phone_call(1, [f for f in range(100, 200) if not 140 <= f < 148])).outcome == "unknown"
+    on = [f for f in range(90, 301) if f != 180]
+    assert start(phone_call(15, on)).outcome == "unknown"
+    annotations = phone_call(1, [f for f in range(100, 200) if not 140 <= f < 147]).read()
+    assert [annotations.state(1, "reading", f) for f in (99, 100, 139, 140, 146, 147)] == [0, 1, 1, 2, 2, 1]
+
+
+def test_a_closed_gap_may_hold_frames_without_a_box():
+    assert start(phone_call(1, range(100, 200), missing=range(150, 155))).answer == '{"frame":100}'
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        {"on": range(100, 130)},  # 29 frames from first to last
+        {"on": range(100, 200), "hard": [99]},
+        {"on": range(100, 200), "hard": [60]},
+        {"on": range(100, 200), "hard": [200]},
+        {"on": range(100, 200), "hard": [244]},
+        {"on": range(100, 200), "missing": [90]},
+        {"on": range(100, 200), "occluded": [90]},
+        {"on": range(100, 200), "missing": [60]},
+        {"on": range(100, 200), "occluded": [150]},
+    ],
+)
+def test_an_unclear_start_is_unknown(broken):
+    assert start(phone_call(1, **broken)).outcome == "unknown"
+
+
+@pytest.mark.parametrize(
+    "fine",
+    [
+        {"on": range(100, 131)},
+        {"on": range(100, 200), "hard": [245]},
+        {"on": range(100, 200), "occluded": [84, 240]},
+        {"on": range(100, 601)},
+    ],
+)
+def test_a_clear_start_is_known(fine):
+    assert start(phone_call(1, **fine)).answer == '{"frame":100}'
+
+
+def test_the_first_time_after_is_the_first_that_is_not_certainly_false():
+    world = phone_call(1, [*range(100, 160), *range(300, 400)])
+    assert start(world).answer == '{"frame":100}'
+    assert start(world, t0=165).answer == '{"frame":300}'
+    assert start(world, t0=150).outcome == "unknown"  # reading at t0
+    assert start(world, t0=450).outcome == "empty"
+    assert start(phone_call(1, range(100, 200), hard=[40])).outcome == "unknown"
+    assert start(phone_call(1, range(100, 200), hard=[40]), t0=45).answer == '{"frame":100}'
+
+
+def test_a_span_needs_a_clear_end():
+    assert span(phone_call(1, range(100, 200), occluded=[205])).outcome == "unknown"
+    assert span(phone_call(1, range(100, 601))).outcome == "unknown"
+    assert span(phone_call(1, range(100, 586))).answer == '{"start_frame":100,"end_frame":585}'
+    assert span(phone_call(1, range(100, 587))).outcome == "unknown"
+
+
+def test_keyframes():
+    assert World([3, 18, 33]).see(1, [3]).read().keyframes == {3, 18, 33}
+    assert World(range(3, 40)).see(1, [3]).read().keyframes == {15, 30}
+    # A frame with boxes that the 2D layer does not vouch for: somebody there could not be read.
+    world = World([15, 45]).see(1, [15, 30])
+    world.action_frames = {15, 30, 45}
+    assert world.read().keyframes == {15, 45}
+
+
+def test_plans_that_cannot_be_read():
+    world = walk_in()
+    plan = TEMPLATES["change"].build(Slots((READING,), {"t0": 15, "t1": 60}))
+    plan = msgspec.structs.replace(plan, times={"t0": plan.times["t1"], "t1": plan.times["t0"]})
+    assert rederive(world.read(), plan, "change", RULES).outcome != "defined"
