@@ -7,6 +7,7 @@ import threading
 
 import pytest
 from fake_server import Body, CutOff, FakeServer, Slow, Status, completion
+
 from jrdb_avr.agent.client import Client, Reply
 from jrdb_avr.agent.messages import Message, Picture, fingerprint, transcript, wire
 from jrdb_avr.schema.errors import EndpointError
@@ -115,7 +116,8 @@ def test_nobody_there_is_one_line():
 
 
 @pytest.mark.parametrize(
-    "url", ["", "localhost:8000", "ftp://x/v1", "http://", "http://me:pw@host/v1", "http://h/v1?key=1", "http://[::1/v1"]
+    "url",
+    ["", "localhost:8000", "ftp://x/v1", "http://", "http://me:pw@host/v1", "http://h/v1?key=1", "http://[::1/v1"],
 )
 def test_addresses_that_cannot_be_used(url):
     with pytest.raises(EndpointError):

@@ -6,6 +6,7 @@ import json
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from jrdb_avr.agent import decode
 from jrdb_avr.agent.client import Reply
 from jrdb_avr.agent.decode import CONTRACT, convention_of, read_answer, read_evidence, reply_object, write_box

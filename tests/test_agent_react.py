@@ -1,0 +1,221 @@
+"""The ReAct protocol, played by scripted models over a real socket."""
+
+import json
+from pathlib import Path
+
+import pytest
+from fake_server import FakeServer, completion, images, texts
+from hypothesis import given
+from hypothesis import strategies as st
+from painted_world import World, still
+
+from jrdb_avr.agent.client import Client
+from jrdb_avr.agent.prompt import frame_ranges, mode_text, read_frame_ranges
+from jrdb_avr.agent.react import ReAct
+from jrdb_avr.schema.answers import Choice, Evidence
+from jrdb_avr.schema.panorama import Box, crop_left, iou
+
+CHOICES = ("walking", "standing", "sitting", "lying")
+SNAPSHOTS = Path(__file__).parent / "snapshots"
+
+
+@pytest.fixture
+def world(tmp_path):
+    return World(tmp_path, [still(1845, 7, pose="standing"), still(-40, 8, pose="sitting")], tuple(range(0, 300, 5)))
+
+
+def look(frame, angle):
+    return json.dumps({"action": "observe", "frame_id": f"{frame:06d}", "angle_deg": angle})
+
+
+def answer(value=2, frame=150, bbox=(427, 250, 573, 708)):
+    evidence = [{"frame_id": f"{frame:06d}", "bbox": list(bbox)}]
+    return json.dumps({"action": "answer", "answer": value, "evidence_bboxes": evidence})
+
+
+def play(world, replies, mode="multiple_choice", choices=CHOICES, **options):
+    """The prediction, the requests and the steps of a game with these replies (the last one repeats)."""
+    script = replies if callable(replies) else lambda request, n: replies[min(n, len(replies) - 1)]
+    steps = []
+    with FakeServer(script) as server:
+        method = ReAct(Client(server.url, "fake", pause=lambda s: None), **options)
+        prediction = method.answer(world.task("What does the person do?", mode, choices, steps))
+    return prediction, server.requests, steps
+
+
+def test_look_and_answer(world):
+    prediction, requests, steps = play(world, [look(150, 180), answer()])
+    assert prediction.status == "answered"
+    assert prediction.answer == Choice(2)
+    assert prediction.evidence.frame == 150
+    assert iou(Box(*prediction.evidence.box), Box(1845, 120, 70, 220)) > 0.95
+    assert (prediction.n_observations, prediction.n_model_calls) == (1, 2)
+    assert (prediction.prompt_tokens, prediction.completion_tokens) == (20, 10)
+    assert [step.kind for step in steps] == ["model", "observe", "model", "solve"]
+    assert images(requests[0]) == []
+    assert len(images(requests[1])) == 1
+
+
+def test_evidence_over_the_seam(world):
+    # A crop behind the robot: its left column is 3520, the person's box begins 40 columns before the seam.
+    bbox = [round((3720 - 3520) / 0.48), 250, round((3790 - 3520) / 0.48), 708]
+    prediction, _, _ = play(world, [look(150, 360), answer(3, bbox=bbox)])
+    assert prediction.evidence.box[0] == pytest.approx(3720, abs=0.5)
+    assert iou(Box(*prediction.evidence.box), Box(-40, 120, 70, 220)) > 0.95
+
+
+def test_every_turn_carries_all_crops_with_their_places(world):
+    _, requests, _ = play(world, [look(150, 180), look(155, 90), look(0, -45), answer(frame=0)])
+    assert [len(images(request)) for request in requests] == [0, 1, 2, 3]
+    assert images(requests[3])[:2] == images(requests[2])
+    last = texts(requests[3])
+    assert '"frame_id":"000155","timestamp":10.333,"angle_deg":90.0,"fov_deg":45.96,"left":700' in last
+    assert '"angle_deg":315.0' in last
+    assert "Picture 3, the newest:" in last
+    assert "Frames seen: 000000, 000150, 000155" in last
+    assert "Looks made: 3, left: 21" in last
+    assert "Turns left, this one included: 47" in last
+    assert "Legal frames: 000000 to 000295 in steps of 5" in last
+    assert "1. walking\n2. standing\n3. sitting\n4. lying" in last
+
+
+def test_the_first_turn_must_look(world):
+    prediction, requests, _ = play(world, [answer(), look(150, 180), answer()])
+    assert "the first turn must look" in texts(requests[1])
+    assert "malformed" not in texts(requests[2]).rpartition("Turns left")[2]
+    assert prediction.status == "answered"
+
+
+def test_a_second_malformed_turn_ends_the_question(world):
+    prediction, requests, _ = play(world, [look(150, 180), "I look left", look(150, 90), "hm"])
+    assert len(requests) == 4
+    assert "Your last turn was malformed" in texts(requests[2])
+    assert "Your last turn was malformed" not in texts(requests[3])
+    assert prediction.status == "invalid"
+    assert "not one JSON object" in prediction.reason
+    assert prediction.raw == "hm"
+    assert prediction.answer is None and prediction.evidence is None
+
+
+MALFORMED = {
+    "empty": "",
+    "prose": f"Sure: {look(150, 180)}",
+    "length": completion(look(150, 180), "length"),
+    "two objects": look(150, 180) * 2,
+    "no action": '{"frame_id": "000150", "angle_deg": 3}',
+    "other action": '{"action": "think"}',
+    "extra key": look(150, 180)[:-1] + ', "why": "x"}',
+    "illegal frame": look(151, 180),
+    "frame as number": '{"action": "observe", "frame_id": 150, "angle_deg": 3}',
+    "angle as text": '{"action": "observe", "frame_id": "000150", "angle_deg": "left"}',
+    "angle not finite": '{"action": "observe", "frame_id": "000150", "angle_deg": 1e999}',
+    "path as frame": '{"action": "observe", "frame_id": "../../etc", "angle_deg": 3}',
+    "lone surrogate": '{"action": "observe", "\\ud800": 1}',
+}
+
+
+@pytest.mark.parametrize("name", sorted(MALFORMED))
+def test_malformed_turns(world, name):
+    prediction, requests, _ = play(world, [MALFORMED[name]])
+    assert (prediction.status, prediction.n_observations, len(requests)) == ("invalid", 0, 2)
+    assert prediction.reason
+    prediction, _, _ = play(world, [MALFORMED[name], look(150, 180), answer()])
+    assert prediction.status == "answered"
+
+
+def test_a_duplicate_is_refused_told_and_counted(world):
+    prediction, requests, steps = play(
+        world, [look(150, 180), look(150, 180.9), look(150, 179.0), look(150, 181.1), answer()]
+    )
+    assert (prediction.n_observations, prediction.n_model_calls) == (2, 5)
+    assert "refused, within 1 degree" in texts(requests[2])
+    assert len(images(requests[3])) == 1
+    assert prediction.status == "answered"
+    refused = [step for step in steps if "refused" in step.response and step.kind == "observe"]
+    assert len(refused) == 2
+
+
+def test_duplicates_are_found_over_the_seam_and_only_in_the_same_frame(world):
+    prediction, _, _ = play(world, [look(150, 359.8), look(150, 0.3), look(155, 0), answer(frame=155)])
+    assert prediction.n_observations == 2
+
+
+def test_duplicates_end_with_the_turns(world):
+    prediction, requests, _ = play(world, [look(150, 180)], budget=4)
+    assert len(requests) == 10
+    assert prediction.status == "invalid"
+    assert "10 turns" in prediction.reason
+
+
+def test_the_budget_of_looks(world):
+    prediction, requests, _ = play(world, lambda request, n: look(5 * n, 180) if n < 5 else answer(frame=15), budget=4)
+    assert prediction.n_observations == 4
+    assert "no looks are left" in texts(requests[5])
+    assert prediction.status == "answered"
+
+
+def test_evidence_must_be_in_the_newest_crop(world):
+    prediction, requests, _ = play(world, [look(150, 180), look(155, 180), answer(frame=150)])
+    assert prediction.status == "invalid"
+    assert "not a frame of the image at hand" in prediction.reason
+    assert prediction.answer == Choice(2)
+    assert prediction.evidence is None
+    assert len(requests) == 4
+
+
+def test_an_unreadable_answer_leaves_the_box(world):
+    prediction, _, _ = play(world, [look(150, 180), answer("standing")])
+    assert prediction.status == "invalid"
+    assert prediction.answer is None
+    assert isinstance(prediction.evidence, Evidence)
+
+
+def test_the_transcript_names_images_and_holds_none(world):
+    _, _, steps = play(world, [look(150, 180), answer()])
+    kept = json.dumps([[step.request, step.response] for step in steps])
+    assert "base64" not in kept
+    assert "[image painted 000150 180]" in kept
+    for step in steps:
+        json.loads(step.request), json.loads(step.response)
+    assert crop_left(180.0) == json.loads(steps[1].response)["left"]
+
+
+def test_requests_ask_for_the_schema(world):
+    _, requests, _ = play(world, [look(150, 180), answer()])
+    schema = requests[0]["response_format"]["json_schema"]["schema"]
+    assert [option["properties"]["action"]["enum"] for option in schema["anyOf"]] == [["observe"], ["answer"]]
+
+
+@pytest.mark.parametrize("mode", ["multiple_choice", "frame", "span", "frame_viewpoint", "number"])
+def test_prompts_are_as_they_were(world, mode):
+    """The texts are part of the benchmark: a change of one must be meant. Delete a snapshot, run, look at the new one."""
+    choices = CHOICES if mode == "multiple_choice" else ()
+    _, requests, _ = play(world, [look(150, 180), "x", look(150, 180.5), look(150, 90), "y"], mode, choices)
+    system = requests[-1]["messages"][0]["content"]
+    user = "\n".join(part.get("text", "[image]") for part in requests[-1]["messages"][1]["content"])
+    path = SNAPSHOTS / f"react_{mode}.txt"
+    told = f"{system}\n=====\n{user}\n"
+    if not path.exists():
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(told)
+        pytest.fail(f"wrote {path}: read it, then run again")
+    assert told == path.read_text()
+
+
+def test_every_example_answer_is_legal():
+    from jrdb_avr.agent.decode import read_answer
+
+    for mode in ("multiple_choice", "frame", "span", "frame_viewpoint", "number"):
+        read_answer(json.loads(mode_text(mode, 1000).form), mode, 4, 1000)
+
+
+@given(st.lists(st.integers(0, 400), unique=True).map(sorted))
+def test_frame_ranges_are_read_back(frames):
+    assert read_frame_ranges(frame_ranges(frames)) == frames
+
+
+def test_frame_ranges_are_short():
+    assert frame_ranges(range(0, 1726)) == "000000 to 001725 in steps of 1"
+    assert frame_ranges(range(0, 200, 5)) == "000000 to 000195 in steps of 5"
+    assert frame_ranges([7]) == "000007"
+    assert frame_ranges([]) == "none"
