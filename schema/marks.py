@@ -45,6 +45,10 @@ MIN_HEIGHT: Final = (FIRST_ROWS + 2) * MIN_CELL + 4
 BRIGHT: Final = 205
 """Grey level above which a pixel can belong to a plate's margin; everything else in a picture stays below 190."""
 
+RIM: Final = 2
+"""Pixels of the dark rim round a plate, where there is room for it."""
+RIM_COLOR: Final = (40, 40, 40)
+
 ALONE: Final = 0
 """Group number of a person in no group of two or more."""
 MAX_IDENTITY: Final = 4095
@@ -339,7 +343,11 @@ def draw(image: Image, box: Box, mark: Mark) -> None:
         for strip in ((left, y, line, h), (left + w - line, y, line, h)):
             _fill(image, strip, color)
         if plate is not None:
-            _paste(image, plate, left + (w - plate.shape[1]) // 2, y + (h - plate.shape[0]) // 2)
+            across, down = left + (w - plate.shape[1]) // 2, y + (h - plate.shape[0]) // 2
+            # Keeps the plate's white apart from that of a plate farther away; at the least size the frame does.
+            rim = max(0, min(RIM, (w - plate.shape[1]) // 2 - line, (h - plate.shape[0]) // 2 - line))
+            _fill(image, (across - rim, down - rim, plate.shape[1] + 2 * rim, plate.shape[0] + 2 * rim), RIM_COLOR)
+            _paste(image, plate, across, down)
 
 
 def _fill(image: Image, strip: tuple[int, int, int, int], color: tuple[int, int, int]) -> None:
