@@ -132,7 +132,8 @@ def test_without_any_attributes_occlusion_is_not_asked():
 @pytest.mark.parametrize(
     ("angle", "left", "ahead"),
     [(90, TRUE, FALSE), (129.9, TRUE, FALSE), (130.1, UNKNOWN, UNKNOWN), (139.9, UNKNOWN, UNKNOWN),
-     (140.1, FALSE, TRUE), (0, FALSE, FALSE), (359, FALSE, FALSE), (50.1, TRUE, FALSE), (49.9, UNKNOWN, FALSE), (39.9, FALSE, FALSE)],
+     (140.1, FALSE, TRUE), (0, FALSE, FALSE), (359, FALSE, FALSE), (50.1, TRUE, FALSE),
+     (49.9, UNKNOWN, FALSE), (39.9, FALSE, FALSE)],
 )  # fmt: skip
 def test_sectors_have_margins(angle, left, ahead):
     annotations = World(SECONDS).see(1, [15], x=angle / 360 * 3760 - 25).read()
@@ -143,7 +144,8 @@ def test_sectors_have_margins(angle, left, ahead):
 @pytest.mark.parametrize(
     ("metres", "close", "moderate"),
     [(1.0, TRUE, FALSE), (1.349, TRUE, FALSE), (1.35, UNKNOWN, UNKNOWN), (1.65, UNKNOWN, UNKNOWN), (1.651, FALSE, TRUE),
-     (4.49, FALSE, TRUE), (4.5, FALSE, UNKNOWN), (5.5, FALSE, UNKNOWN), (5.51, FALSE, FALSE), (0.5, UNKNOWN, FALSE)],
+     (4.49, FALSE, TRUE), (4.5, FALSE, UNKNOWN), (5.5, FALSE, UNKNOWN), (5.51, FALSE, FALSE),
+     (0.5, UNKNOWN, FALSE)],
 )  # fmt: skip
 def test_distance_words_have_margins(metres, close, moderate):
     annotations = World(SECONDS).see(1, [15], at=(metres, 0.0)).see(1, [30], at=(1.0, 0.0), points=0).read()
@@ -263,7 +265,8 @@ def test_presence():
 
 
 def test_a_one_keyframe_gap_and_the_end_of_the_labels_are_no_absence():
-    world = World(SECONDS).see(9, SECONDS, x=100).see(1, [f for f in SECONDS if f not in (90, 585, 600)], ["sitting"])
+    seen = [frame for frame in SECONDS if frame not in (90, 585, 600)]
+    world = World(SECONDS).see(9, SECONDS, x=100).see(1, seen, ["sitting"])
     annotations = world.read()
     assert not annotations.absent(1, 90) and not annotations.absent(1, 585) and not annotations.absent(1, 600)
 
@@ -271,7 +274,8 @@ def test_a_one_keyframe_gap_and_the_end_of_the_labels_are_no_absence():
 @pytest.mark.parametrize(
     ("metres", "answer"),
     [(8.5, "closer to the robot"), (8.51, None), (9.5, None), (9.51, "about the same distance"),
-     (10.49, "about the same distance"), (10.5, None), (11.5, "farther from the robot"), (14, "farther from the robot")],
+     (10.49, "about the same distance"), (10.5, None), (11.5, "farther from the robot"),
+     (14, "farther from the robot")],
 )  # fmt: skip
 def test_distance(metres, answer):
     world = World(SECONDS).see(9, SECONDS, x=100).see(1, [15], ["sitting"], at=(10.0, 0.0))
