@@ -85,7 +85,9 @@ def find_candidates(scene: Scene, graph: Graph, template: Template, rules: Rules
         segment = _ints(found, "segment")
         for name in ("first", "last", "start", "end"):
             times[name] = scene.segments[name].to_numpy().astype(np.int64)[segment]
-    answer = _codes(found["answer"], VALUES) if "answer" in found.column_names else np.full(count, NOBODY, np.int8)
+    answer = np.full(count, NOBODY, dtype=np.int8)
+    if template.answer is None:
+        answer = _codes(found["answer"], VALUES)
     holds = {
         "anchor": _flags(found, "anchor"),
         "evidence": _flags(found, "evidence"),
@@ -96,7 +98,7 @@ def find_candidates(scene: Scene, graph: Graph, template: Template, rules: Rules
     drop = np.full(count, _DIFFERENT, dtype=np.int8)
     if template.time_proof == "moved":
         step = frames(rules.shift_s)
-        shifts = tuple(_shift(scene, graph, template, rules, moments, times, by) for by in (-step, step))
+        shifts = tuple(_shift(scene, graph, template, rules, moments, times, answer, by) for by in (-step, step))
         drop = _drop(scene, graph, template, rules, moments, times)
         proving = [np.isin(shift.outcome, (_DIFFERENT, _AMBIGUOUS, _EMPTY)) for shift in shifts]
         holds["time.shift"] = np.logical_or.reduce(proving)
@@ -106,7 +108,7 @@ def find_candidates(scene: Scene, graph: Graph, template: Template, rules: Rules
         if RULES[number] in holds:
             rule[~holds[RULES[number]]] = number
     return Candidates(
-        template, _ints(found, "name"), segment, times, answer.astype(np.int8), rule, shifts, drop.astype(np.int8)
+        template, _ints(found, "name"), segment, times, answer, rule, shifts, drop
     )
 
 
@@ -124,16 +126,20 @@ def _shift(
     rules: Rules,
     moments: Mapping[str, Ints],
     times: Mapping[str, Ints],
+    stored: Codes,
     by: int,
 ) -> Shift:
-    """Read the answer with all asked times moved together; the person and t0 stay."""
+    """Read the answer with all asked times moved together; the person and t0 stay.
+
+    The query leaves out what is unknown, and gives no answer where the person who is read is absent.
+    """
     read = _ask(graph, "necessity", f"{template.name}_shift", rules, by=by)
     row = _rows(read, {f"at{name[1:]}": moment for name, moment in moments.items()}, limit=scene.moment_count)
     found = row != NOBODY
-    outcome = np.full(len(row), _UNKNOWN, dtype=np.int8)
     answer = np.full(len(row), NOBODY, dtype=np.int8)
-    outcome[found] = _codes(read["outcome"], OUTCOMES)[row[found]]
     answer[found] = _codes(read["answer"], VALUES)[row[found]]
+    outcome = np.where(answer == stored, _SAME, np.where(answer == NOBODY, _EMPTY, _DIFFERENT)).astype(np.int8)
+    outcome[~found] = _UNKNOWN
     asked = [frame + by for name, frame in times.items() if name != "t0"]
     outside = np.zeros(len(row), dtype=bool)
     for frame in asked:

@@ -187,7 +187,7 @@ def make_scene(tables: dict[str, pa.Table]) -> Scene:
 
 _DDL: Final = (
     "CREATE NODE TABLE Person(id INT64 PRIMARY KEY, track INT64)",
-    "CREATE NODE TABLE Moment(id INT64 PRIMARY KEY, t INT64, clear BOOLEAN, absent BOOLEAN, image BOOLEAN, "
+    "CREATE NODE TABLE Moment(id INT64 PRIMARY KEY, t INT64, seen INT64, clear BOOLEAN, image BOOLEAN, "
     "ahead BOOLEAN, pose STRING, distance DOUBLE)",
     "CREATE NODE TABLE Description(id INT64 PRIMARY KEY, conditions STRING)",
     "CREATE NODE TABLE Segment(id INT64 PRIMARY KEY, action STRING, `first` INT64, `last` INT64, start INT64, "
@@ -255,8 +255,9 @@ def _moments(scene: Scene, rules: Rules) -> tuple[Ints, pa.Table]:
         {
             "id": moments,
             "t": times,
+            # 1 present, 0 absent, null unknown.
+            "seen": pa.array(clear.astype(np.int64), mask=~clear & ~scene.absent[moments]),
             "clear": clear,
-            "absent": scene.absent[moments],
             "image": scene.has_image(times),
             "ahead": in_front,
             "pose": pc.take(pa.array(POSES), pc.take(pa.array(scene.poses, mask=scene.poses == NOBODY), there)),

@@ -2,16 +2,10 @@
 MATCH (:Description)-[n:Names]->(m0:Moment)<-[:`Is`]-(:Person)-[:`Is`]->(m1:Moment)-[s:Shift]->(moved:Moment)
 WHERE n.general AND s.by = $by AND m1.t >= m0.t + $wait AND m0.distance IS NOT NULL
 WITH m0, m1,
-     CASE WHEN m1.absent THEN 'not in view'
-          WHEN m0.distance - m1.distance >= $changed THEN 'closer to the robot'
-          WHEN m1.distance - m0.distance >= $changed THEN 'farther from the robot'
-          WHEN abs(m0.distance - m1.distance) < $same THEN 'about the same distance' END AS stored,
-     CASE WHEN moved.absent THEN 'not in view'
+     CASE WHEN moved.seen = 0 THEN 'not in view'
           WHEN m0.distance - moved.distance >= $changed THEN 'closer to the robot'
           WHEN moved.distance - m0.distance >= $changed THEN 'farther from the robot'
           WHEN abs(m0.distance - moved.distance) < $same THEN 'about the same distance' END AS answer
-WHERE stored IS NOT NULL
-RETURN m0.id AS at0, m1.id AS at1,
-       CASE WHEN answer IS NULL THEN 'unknown' WHEN answer = stored THEN 'same' ELSE 'different' END AS outcome,
-       answer
+WHERE answer IS NOT NULL
+RETURN m0.id AS at0, m1.id AS at1, answer
 ORDER BY at0, at1
