@@ -22,7 +22,7 @@ import re
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 import pyarrow as pa
@@ -161,6 +161,29 @@ class Store:
     def write_manifest(self, manifest: Manifest) -> None:
         data = msgspec.json.format(msgspec.json.encode(manifest, order="sorted"), indent=1)
         write_atomic(self.path / "store.json", lambda path: _write_bytes(path, data))
+
+    # -- questions about it -----------------------------------------------------------------------------------
+
+    def cypher(self, query: str, **params: Any) -> pa.Table:
+        """Ask the scene graph: one reading statement, or the name of a query in `queries/explore/`.
+
+        Raises QueryError where the statement is refused or fails, StoreError where there is no graph.
+        """
+        from .guard import ask_graph
+        from .named import find_query
+
+        return ask_graph(self.graph_path, *find_query("cypher", query, params))
+
+    def sql(self, query: str, **params: Any) -> pa.Table:
+        """Ask the Parquet tables: one SELECT over the views of `queries/sql.py`, or the name of a query in
+        `queries/results/`.
+
+        Raises QueryError where the statement is refused or fails, StoreError where there is no store.
+        """
+        from .named import find_query
+        from .sql import ask_tables
+
+        return ask_tables(self, *find_query("sql", query, params))
 
     # -- one writer -------------------------------------------------------------------------------------------
 

@@ -1,0 +1,119 @@
+"""What `cypher` and `sql` share: their options, named queries, and the four ways to print an Arrow table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from jrdb_avr.engine.output import json_option, print_json, print_rows
+
+C = TypeVar("C", bound=Callable[..., Any])
+
+
+def asking_options(function: C) -> C:
+    """Add the arguments and options of a command that asks."""
+    for decorate in (
+        click.argument("query", required=False),
+        click.option("--store", type=click.Path(file_okay=False, path_type=Path), help="Folder of the store."),
+        click.option("--param", "params", multiple=True, metavar="NAME=VALUE", help="A parameter; JSON or text."),
+        click.option("--timeout", type=click.FloatRange(0.1, 86_400), default=60.0, show_default=True, help="Seconds."),
+        click.option("--list", "listing", is_flag=True, help="List the named queries."),
+        click.option("--csv", "as_csv", is_flag=True, help="Print CSV."),
+        json_option,
+        click.option("--parquet", type=click.Path(dir_okay=False, path_type=Path), help="Write a Parquet file."),
+    ):
+        function = decorate(function)
+    return function
+
+
+def run_asking(
+    language: str,
+    ask: Callable[[Path, str, dict[str, Any], float], Any],
+    store: Path | None,
+    query: str | None,
+    params: tuple[str, ...],
+    timeout: float,
+    listing: bool,
+    as_csv: bool,
+    as_json: bool,
+    parquet: Path | None,
+) -> None:
+    """Answer `query`, a statement or a name, by `ask(store, statement, parameters, seconds)`, and print it."""
+    from jrdb_avr.queries.named import find_query, named_queries
+
+    if as_csv + as_json + (parquet is not None) > 1:
+        raise click.UsageError("choose one of --csv, --json and --parquet")
+    if listing:
+        rows = [
+            {"name": known.name, "answers": known.answers, "parameters": ", ".join(known.defaults)}
+            for known in named_queries(language).values()
+        ]
+        print_json(rows) if as_json else print_rows(rows)
+        return
+    if query is None:
+        raise click.UsageError("give a QUERY or the NAME of one (--list shows them)")
+    if store is None:
+        raise click.UsageError("Missing option '--store'.")
+    table = ask(store, *find_query(language, query, _parameters(params)), timeout)
+    _print_table(table, as_csv, as_json, parquet)
+
+
+def _parameters(params: tuple[str, ...]) -> dict[str, Any]:
+    from jrdb_avr.queries.named import parse_value
+
+    given = {}
+    for text in params:
+        name, equals, value = text.partition("=")
+        if not equals or not name.isidentifier():
+            raise click.UsageError(f"--param {text!r}: write NAME=VALUE")
+        given[name] = parse_value(value)
+    return given
+
+
+def _print_table(table: Any, as_csv: bool, as_json: bool, parquet: Path | None) -> None:
+    table = _unique_names(table)
+    if parquet is not None:
+        import pyarrow.parquet as pq
+
+        from jrdb_avr.queries.store import write_atomic
+
+        write_atomic(parquet, lambda temporary: pq.write_table(table, temporary))
+        click.echo(f"{table.num_rows} rows -> {parquet}", err=True)
+    elif as_json:
+        print_json(table.to_pylist())
+    elif as_csv:
+        click.echo(_csv(table), nl=False)
+    else:
+        print_rows(table.to_pylist(), columns=table.column_names)
+
+
+def _unique_names(table: Any) -> Any:
+    """The table with repeated column names numbered: a row object holds each name once."""
+    names: list[str] = []
+    for name in table.column_names:
+        fresh, number = name, 1
+        while fresh in names:
+            number += 1
+            fresh = f"{name}_{number}"
+        names.append(fresh)
+    return table.rename_columns(names)
+
+
+def _csv(table: Any) -> str:
+    import csv
+    import io
+
+    import msgspec
+
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(table.column_names)
+    for row in table.to_pylist():
+        writer.writerow(
+            msgspec.json.encode(cell, enc_hook=str).decode() if isinstance(cell, list | dict) else cell
+            for cell in row.values()
+        )
+    return out.getvalue()

@@ -1,0 +1,8 @@
+// The frames with most people in view, over all sequences, with how many are clearly seen.
+// param count = 20
+MATCH (:Person)-[seen:SeenIn]->(f:Frame)
+WHERE f.keyframe
+RETURN f.sequence AS sequence, f.frame AS frame, f.seconds AS seconds, count(*) AS people,
+       sum(CASE WHEN seen.clear THEN 1 ELSE 0 END) AS clearly_seen
+ORDER BY people DESC, sequence, frame
+LIMIT $count;

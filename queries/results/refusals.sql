@@ -1,0 +1,6 @@
+-- Why candidates were refused, the commonest reason of each template first.
+SELECT family, template, rule, sum(candidates)::BIGINT AS candidates
+FROM rejected
+WHERE kind = 'count'
+GROUP BY family, template, rule
+ORDER BY family, template, candidates DESC, rule;

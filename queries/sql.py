@@ -1,0 +1,112 @@
+"""SQL over the store's Parquet files, by DuckDB: one view per table, reading only.
+
+Views: `annotations_<layer>`, `intervals_<kind>`, the tables of `questions/`, and `predictions`, `steps` and `scores` of
+all runs. A table that has not been written yet is an empty view. Nothing but the views' own files can be opened.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import pyarrow as pa
+
+from jrdb_avr.schema.errors import QueryError, StoreError
+from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, QUESTIONS, RUNS
+
+from .store import Store
+
+TIMEOUT_S: Final = 60.0
+
+
+def views(store: Store) -> Iterator[tuple[str, pa.Schema, list[Path]]]:
+    """Each view's name, its schema and the files behind it, sorted."""
+    for folder, tables in (("annotations", ANNOTATIONS), ("intervals", INTERVALS)):
+        for name, schema in tables.items():
+            yield f"{folder}_{name}", schema, sorted((store.path / folder / name).glob("*.parquet"))
+    for name, schema in QUESTIONS.items():
+        path = store.question_path(name)
+        yield name, schema, [path] if path.exists() else []
+    for name, schema in RUNS.items():
+        yield name, schema, sorted((store.path / "runs").glob(f"*/{name}.parquet"))
+
+
+def ask_tables(
+    store: Store, sql: str, params: Mapping[str, Any] | None = None, *, timeout_s: float = TIMEOUT_S
+) -> pa.Table:
+    """Run one SELECT over the views; `$name` in it are bound to `params`.
+
+    Raises StoreError where the folder is no store, QueryError where the statement is refused, fails or takes too long.
+    """
+    import duckdb
+
+    if not store.path.is_dir():
+        raise StoreError(f"{store.path} is no store: run 'jrdb-avr load ROOT --store {store.path}' first")
+    with duckdb.connect(":memory:") as connection:
+        broken = _make_views(connection, store)
+        _lock_down(connection)
+        stopped = threading.Event()
+
+        def stop() -> None:
+            stopped.set()
+            connection.interrupt()
+
+        timer = threading.Timer(timeout_s, stop)
+        timer.daemon = True
+        timer.start()
+        try:
+            statements = connection.extract_statements(sql)
+            if [statement.type for statement in statements] != [duckdb.StatementType.SELECT]:
+                raise QueryError("one SELECT statement is allowed, and nothing that writes, loads or attaches")
+            # As a relation, so that the rows are not copied once more on their way to Arrow.
+            return connection.sql(sql, params=dict(params) if params else None).to_arrow_table()
+        except duckdb.Error as error:
+            if stopped.is_set():
+                raise QueryError(f"stopped after {timeout_s:g} s: narrow the statement, or raise the timeout") from None
+            message = " ".join(str(error).split())
+            for name, reason in broken.items():
+                if f"Table with name {name} " in message:
+                    message = reason
+            raise QueryError(message if len(message) <= 300 else message[:297] + "...") from None
+        finally:
+            timer.cancel()
+
+
+def _make_views(connection: Any, store: Store) -> dict[str, str]:
+    """Make all views; returns the reason for each that cannot be made, so that the others stay usable."""
+    import duckdb
+
+    broken: dict[str, str] = {}
+    allowed: list[str] = []
+    for name, schema, files in views(store):
+        if not files:
+            connection.register(name, schema.empty_table())
+            continue
+        paths = [str(path.resolve()) for path in files]
+        allowed += paths
+        listed = ", ".join(_quoted(path) for path in paths)
+        try:
+            connection.execute(f"CREATE VIEW {name} AS SELECT * FROM read_parquet([{listed}])")  # noqa: S608
+        except duckdb.Error as error:
+            broken[name] = f"cannot read the files of {name}: {' '.join(str(error).split())}"
+    connection.execute(f"SET allowed_paths = [{', '.join(_quoted(path) for path in allowed)}]")
+    return broken
+
+
+def _lock_down(connection: Any) -> None:
+    """Take every way out of the connection, for good."""
+    for setting in (
+        "python_enable_replacements = false",
+        "autoinstall_known_extensions = false",
+        "autoload_known_extensions = false",
+        "temp_directory = ''",
+        "enable_external_access = false",
+        "lock_configuration = true",
+    ):
+        connection.execute(f"SET {setting}")
+
+
+def _quoted(text: str) -> str:
+    return "'" + text.replace("'", "''") + "'"
