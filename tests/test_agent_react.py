@@ -188,7 +188,7 @@ def test_requests_ask_for_the_schema(world):
 
 @pytest.mark.parametrize("mode", ["multiple_choice", "frame", "span", "frame_viewpoint", "number"])
 def test_prompts_are_as_they_were(world, mode):
-    """The texts are part of the benchmark: a change of one must be meant. Delete a snapshot, run, look at the new one."""
+    """The texts are part of the benchmark: to change one, delete its snapshot, run twice and read the new one."""
     choices = CHOICES if mode == "multiple_choice" else ()
     _, requests, _ = play(world, [look(150, 180), "x", look(150, 180.5), look(150, 90), "y"], mode, choices)
     system = requests[-1]["messages"][0]["content"]

@@ -10,7 +10,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import msgspec
 
@@ -70,7 +70,7 @@ class Task:
 
 
 class _Metadata(msgspec.Struct):
-    frame_id: str
+    frame_id: Annotated[str, msgspec.Meta(pattern="^[0-9]{6}$")]
     angle_deg: float
     left: int
 
@@ -119,9 +119,9 @@ def read_task(messages: Sequence[dict[str, Any]], reader: Reader) -> Task | None
     """
     content = messages[-1].get("content") if messages else None
     parts = [{"type": "text", "text": content}] if isinstance(content, str) else content
-    if not isinstance(parts, list):
+    if not isinstance(parts, list) or not all(isinstance(part, dict) for part in parts):
         return None
-    texts = [part["text"] for part in parts if isinstance(part, dict) and isinstance(part.get("text"), str)]
+    texts = [part["text"] for part in parts if isinstance(part.get("text"), str)]
     text = "\n".join(texts)
     question, frames = _line(text, "Question: "), _line(text, "Legal frames: ")
     left = _LOOKS_LEFT.search(text)
@@ -132,12 +132,15 @@ def read_task(messages: Sequence[dict[str, Any]], reader: Reader) -> Task | None
     except PlanError as error:
         raise DecodeError(f"the marker model does not know this question: {error}") from None
     choices = text.partition("\nChoices:\n")[2].partition("\nLegal frames: ")[0]
+    legal = tuple(read_frame_ranges(frames))
+    if not legal:
+        raise DecodeError("the prompt names no legal frame")
     return Task(
         question,
         template,
         plan,
         tuple(_CHOICE.findall(choices)),
-        tuple(read_frame_ranges(frames)),
+        legal,
         tuple(_looks(parts, reader)),
         int(left[1]),
     )
@@ -147,17 +150,19 @@ def _line(text: str, start: str) -> str | None:
     return next((line.removeprefix(start) for line in text.split("\n") if line.startswith(start)), None)
 
 
-def _looks(parts: Sequence[Any], reader: Reader) -> list[Look]:
+def _looks(parts: Sequence[dict[str, Any]], reader: Reader) -> list[Look]:
     looks = []
     place: _Metadata | None = None
     for part in parts:
-        if not isinstance(part, dict):
-            raise DecodeError("a part of the message is no object")
         named = _PICTURE.fullmatch(str(part.get("text", "")))
         if named:
-            place = msgspec.json.decode(named[1], type=_Metadata)
+            try:
+                place = msgspec.json.decode(named[1], type=_Metadata)
+            except msgspec.DecodeError as error:
+                raise DecodeError(f"a picture's line cannot be read: {error}") from None
         elif part.get("type") == "image_url" and place is not None:
-            readings = reader.readings(str(part["image_url"]["url"]))
+            image = part.get("image_url")
+            readings = reader.readings(str(image.get("url") if isinstance(image, dict) else image))
             looks.append(_look(place, readings))
             place = None
     return looks

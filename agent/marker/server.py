@@ -89,8 +89,9 @@ def _sizes(messages: list[dict[str, Any]]) -> tuple[int, int]:
     for message in messages:
         content = message.get("content")
         for part in content if isinstance(content, list) else [{"text": content}]:
-            texts += len(str(part.get("text") or ""))
-            images += part.get("type") == "image_url"
+            if isinstance(part, dict):
+                texts += len(str(part.get("text") or ""))
+                images += part.get("type") == "image_url"
     return texts, images
 
 

@@ -1,0 +1,441 @@
+"""The marker model plays painted worlds whose answers are known, through pixels and a socket."""
+
+import json
+import subprocess
+import sys
+import threading
+import urllib.error
+import urllib.request
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from painted_world import Actor, World, still
+
+from jrdb_avr.agent.client import Client
+from jrdb_avr.agent.marker.child import marker_server
+from jrdb_avr.agent.marker.eyes import Eyes, Spent, Want
+from jrdb_avr.agent.marker.finding import distance_word, holds
+from jrdb_avr.agent.marker.reading import Look, Sighting, Task
+from jrdb_avr.agent.marker.server import Server
+from jrdb_avr.agent.react import ReAct
+from jrdb_avr.schema.answers import FrameAnswer, Span, frames_iou
+from jrdb_avr.schema.marks import Mark
+from jrdb_avr.schema.panorama import WIDTH, Box, iou
+from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time
+from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, PRESENCE_ANSWERS
+from jrdb_avr.schema.wording import in_order, render
+
+FRAMES = tuple(range(0, 601))
+POSES = ("walking", "sitting", "standing", "lying")
+
+
+class Play:
+    """A server, and the games played on it."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.log = folder / "marker.jsonl"
+        self.server = Server(log=self.log)
+        threading.Thread(target=self.server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True).start()
+        self.method = ReAct(Client(self.server.url, "marker"))
+        self.worlds = 0
+
+    def world(self, actors, frames=FRAMES):
+        self.worlds += 1
+        return World(self.folder / f"world{self.worlds}", actors, frames)
+
+    def ask(self, world, template, conditions, spec, times, choices=(), key="0" * 64):
+        times = {name: Time(frame=t) if isinstance(t, int) else t for name, t in times.items()}
+        node = Node(id="a", conditions=in_order(conditions))
+        plan = Plan(root="a", target="a", times=times, nodes=(node,), edges=(), answer=spec)
+        steps = []
+        prediction = self.method.answer(world.task(render(template, plan, key), spec.mode, choices, steps))
+        return prediction
+
+    def missing(self):
+        """What the server says was missing in the last answer."""
+        return json.loads(self.log.read_text().splitlines()[-1])["missing"]
+
+    def change(self, world, conditions, t0=15, t1=150):
+        spec = AnswerSpec(mode="multiple_choice", read="action", of="a", at="t1")
+        return self.ask(world, "change", conditions, spec, {"t0": t0, "t1": t1}, POSES)
+
+    def presence(self, world, conditions, t0, t1, t2):
+        spec = AnswerSpec(mode="multiple_choice", read="presence", of="a", at=("t1", "t2"))
+        return self.ask(world, "presence", conditions, spec, {"t0": t0, "t1": t1, "t2": t2}, PRESENCE_ANSWERS)
+
+    def distance(self, world, conditions, t0=15, t1=150):
+        spec = AnswerSpec(mode="multiple_choice", read="distance_change", of="a", at=("t0", "t1"))
+        return self.ask(world, "distance", conditions, spec, {"t0": t0, "t1": t1}, DISTANCE_ANSWERS)
+
+    def start(self, world, conditions, action, t0=15):
+        spec = AnswerSpec(mode="frame", read="start", of="a", at="t1")
+        t1 = Time(event="start", of="a", action=action, after="t0")
+        return self.ask(world, "start", conditions, spec, {"t0": t0, "t1": t1})
+
+    def span(self, world, conditions, action, t0=15):
+        spec = AnswerSpec(mode="span", read="span", of="a", at=("t1", "t2"))
+        t1 = Time(event="start", of="a", action=action, after="t0")
+        t2 = Time(event="end", of="a", action=action, after="t1")
+        return self.ask(world, "span", conditions, spec, {"t0": t0, "t1": t1, "t2": t2})
+
+
+@pytest.fixture
+def play(tmp_path):
+    made = Play(tmp_path)
+    yield made
+    made.server.shutdown()
+    made.server.server_close()
+
+
+def pose(name):
+    return Condition(action=name, at="t0")
+
+
+FEMALE = Condition(attribute="gender", value="female")
+CROWD = [
+    still(300, 21, pose="walking", gender="male", group=0, distance_dm=60),
+    still(1200, 22, pose="walking", gender="male", group=0, distance_dm=60),
+    still(2100, 23, pose="sitting", gender="male", group=0, distance_dm=60, h=180),
+    still(3000, 24, pose="walking", gender="female", group=0, distance_dm=60),
+]
+
+
+def who(box, until=90, before="standing", after="sitting", **mark):
+    mark = {"gender": "female", "group": 0, "distance_dm": 50, **mark}
+    return Actor(box, lambda frame: Mark(7, pose=before if frame < until else after, **mark))
+
+
+def check_evidence(prediction, box, least=0.9):
+    assert prediction.status == "answered", prediction
+    truth = box(prediction.evidence.frame)
+    assert truth is not None
+    assert iou(Box(*prediction.evidence.box), truth) >= least
+
+
+@pytest.mark.parametrize(
+    "x", [-70, -69, -35, -1, 0, 10, 200, 1800, 2000, WIDTH - 71, WIDTH - 70, WIDTH - 35, WIDTH - 1, WIDTH, WIDTH + 40]
+)
+def test_change_wherever_the_person_stands(play, x):
+    def box(frame):
+        return Box(x, 120, 70, 220)
+
+    prediction = play.change(play.world([who(box), *CROWD[1:3]]), (pose("standing"),))
+    assert prediction.answer.choice == POSES.index("sitting") + 1
+    check_evidence(prediction, box)
+
+
+@pytest.mark.parametrize("turn", range(0, 360, 15))
+def test_change_all_round_with_people_across_the_edges_of_looks(play, turn):
+    x = WIDTH * turn / 360 + 7.3 - 35
+
+    def box(frame):
+        return Box(x + frame / 3, 150, 60, 170)
+
+    prediction = play.change(play.world([who(box)]), (pose("standing"), FEMALE))
+    assert prediction.answer.choice == 2
+    check_evidence(prediction, box)
+
+
+@pytest.mark.parametrize(("w", "h"), [(20, 60), (26, 90), (44, 130), (120, 300), (300, 420), (470, 470)])
+def test_change_of_people_small_and_large(play, w, h):
+    def box(frame):
+        return Box(3690, 470 - h, w, h)
+
+    prediction = play.change(play.world([who(box)]), (pose("standing"),))
+    assert prediction.answer.choice == 2
+    check_evidence(prediction, box, 0.8)
+
+
+def test_nobody_readable_is_no_box(play):
+    prediction = play.change(play.world([*CROWD]), (pose("standing"),))
+    assert prediction.status == "invalid"
+    assert prediction.evidence is None
+    assert prediction.answer is not None
+    assert any("mark unreadable" in reason for reason in play.missing())
+
+
+def test_the_group_is_counted_all_round(play):
+    actors = [
+        still(100 + 500 * i, 30 + i, pose="walking", group=group, gender="male", distance_dm=60)
+        for i, group in enumerate((1, 1, 2, 2, 2, 0))
+    ]
+    actors.append(still(3500, 40, pose="standing", group=1, gender="female", distance_dm=60))
+    actors[4] = Actor(
+        actors[4].box, lambda f: Mark(34, pose="walking" if f < 90 else "lying", group=2, gender="female")
+    )
+    three = Condition(attribute="group_size", value=3, at="t0")
+    prediction = play.change(play.world(actors), (pose("walking"), FEMALE, three))
+    assert prediction.answer.choice == POSES.index("lying") + 1
+    check_evidence(prediction, actors[4].box)
+
+
+def test_sector_and_distance_words(play):
+    def box(frame):
+        return Box(880, 120, 70, 220)
+
+    actors = [
+        who(box, distance_dm=70),
+        still(1000, 8, pose="standing", distance_dm=20),
+        still(1900, 9, pose="standing"),
+    ]
+    conditions = (
+        pose("standing"),
+        Condition(attribute="sector", value="left", at="t0"),
+        Condition(attribute="distance", value="far", at="t0"),
+    )
+    prediction = play.change(play.world(actors), conditions)
+    assert prediction.answer.choice == 2
+    assert prediction.n_observations <= 5
+    check_evidence(prediction, box)
+
+
+@pytest.mark.parametrize("there", [(True, True), (True, False), (False, True), (False, False)])
+def test_presence(play, there):
+    def box(frame):
+        gone = (60 < frame < 180 and not there[0]) or (frame >= 180 and not there[1])
+        return None if gone else Box(3600 + frame * 0.8, 120, 70, 220)
+
+    prediction = play.presence(play.world([who(box), *CROWD]), (pose("standing"),), 15, 120, 240)
+    expected = {(True, True): 1, (True, False): 2, (False, True): 3, (False, False): 4}[there]
+    assert prediction.answer.choice == expected
+    check_evidence(prediction, box)
+
+
+@pytest.mark.parametrize(("later", "expected"), [(30, 1), (70, 2), (53, 3), (None, 4)])
+def test_distance(play, later, expected):
+    def box(frame):
+        return Box(-20, 120, 70, 220) if frame < 60 or later is not None else None
+
+    actor = Actor(box, lambda f: Mark(7, pose="standing", distance_dm=50 if f < 60 else later))
+    prediction = play.distance(play.world([actor, *CROWD]), (pose("standing"),))
+    assert prediction.answer.choice == expected
+    check_evidence(prediction, box)
+
+
+@pytest.mark.parametrize("step", [1, 5, 15])
+@pytest.mark.parametrize(("first", "last"), [(60, 95), (75, 300), (303, 333), (480, 600)])
+def test_start(play, first, last, step):
+    frames = tuple(range(0, 601, step))
+
+    def box(frame):
+        return Box(3300 + frame, 120, 70, 220)
+
+    actor = Actor(
+        box,
+        lambda f: Mark(
+            7, pose="standing", gender="female", actions=("reading",) if first <= f <= last or f < 10 else ()
+        ),
+    )
+    prediction = play.start(play.world([actor, *CROWD[:3]], frames), (FEMALE,), "reading", 15)
+    assert isinstance(prediction.answer, FrameAnswer)
+    assert abs(prediction.answer.frame - first) <= 15, play.missing()
+    check_evidence(prediction, box)
+
+
+@pytest.mark.parametrize(("first", "last"), [(61, 95), (75, 300), (250, 420)])
+def test_span(play, first, last):
+    def box(frame):
+        return Box(1500 - frame, 120, 70, 220)
+
+    actor = who(box)
+    actor.mark = lambda f: Mark(7, pose="sitting" if first <= f <= last else "standing", gender="female")
+    prediction = play.span(play.world([actor, CROWD[0]]), (FEMALE,), "sitting", 15)
+    assert frames_iou(prediction.answer, Span(first, last)) >= 0.5
+    check_evidence(prediction, box)
+
+
+def test_a_search_without_end_spends_the_budget_and_says_so(play):
+    def box(frame):
+        return Box(3300 + frame * 0.3, 120, 70, 220)
+
+    actor = who(box, until=10_000)
+    world = play.world([actor, *CROWD[:3]], tuple(range(0, 3000)))
+    prediction = play.start(world, (pose("standing"),), "reading", 15)
+    assert prediction.n_observations <= 24
+    assert play.missing()
+    check_evidence(prediction, box)
+
+
+# -- parts ------------------------------------------------------------------------------------------------------------
+
+
+def sighting(frame=0, x=200.0, angle=180.0, identity=7, complete=True, **mark):
+    return Sighting(frame, Mark(identity, **mark), Box(x, 100, 70, 200), complete, angle)
+
+
+def task(looks=(), left=24):
+    return Task("q", "change", None, (), tuple(range(0, 100, 5)), tuple(looks), left)
+
+
+def test_eyes_replay_what_was_seen_and_want_the_next():
+    eyes = Eyes(task([Look(0, 180.0, (sighting(),)), Look(50, 90.0, ())], left=22))
+    assert eyes.spare() == 23
+    assert eyes.look(0, 180.0).of(7) is not None
+    assert eyes.sightings(7)[0].frame == 0
+    assert eyes.look(0, 180.4) is eyes.looks[0]
+    eyes.look(50, 90.0)
+    with pytest.raises(Want) as caught:
+        eyes.look(50, 135.0)
+    assert (caught.value.frame, caught.value.angle) == (50, 135.0)
+
+
+def test_eyes_keep_one_look_for_the_evidence():
+    eyes = Eyes(task([Look(0, 180.0, (sighting(),))], left=1))
+    eyes.look(0, 180.0)
+    with pytest.raises(Spent):
+        eyes.look(5, 180.0)
+    with pytest.raises(Want) as caught:
+        eyes.again(0, 180.0)
+    assert abs(caught.value.angle - 180.0) > 1.0
+
+
+def test_legal_is_the_nearest_frame():
+    eyes = Eyes(task())
+    assert [eyes.legal(f) for f in (-9, 0, 2, 3, 94, 1000)] == [0, 0, 0, 5, 95, 95]
+
+
+def test_conditions_are_three_valued():
+    person = sighting(pose="standing", actions=("reading",), gender=None, distance_dm=50, group=3, partner=9)
+    people = [person, sighting(identity=8, group=3)]
+
+    def check(**condition):
+        return holds(Condition(**condition), person, people)
+
+    assert check(action="standing", at="t0") is True
+    assert check(action="sitting", at="t0") is False
+    assert check(action="reading", at="t0") is True
+    assert check(action="typing", at="t0") is False
+    assert check(attribute="gender", value="male") is None
+    assert check(attribute="group_size", value=2, at="t0") is True
+    assert check(attribute="group_size", value=1, at="t0") is False
+    assert check(attribute="group_size", value=3, at="t0") is None
+    assert check(attribute="sector", value="ahead", at="t0") is True
+    assert check(attribute="distance", value="moderate", at="t0") is True
+    two = sighting(actions=("reading", "typing"), complete=False)
+    assert holds(Condition(action="writing", at="t0"), two, [two]) is None
+    assert holds(Condition(interaction="conversation", at="t0"), two, [two]) is None
+    assert holds(Condition(action="standing", at="t0"), two, [two]) is None
+
+
+def test_distance_words():
+    words = [distance_word(d) for d in (0.5, 0.6, 1.5, 1.6, 5.0, 10.0, 10.1)]
+    assert words == ["very close", "close", "close", "moderate", "moderate", "far", "very far"]
+
+
+# -- the server -------------------------------------------------------------------------------------------------------
+
+
+def post(url, body):
+    request = urllib.request.Request(f"{url}/chat/completions", body, {"Content-Type": "application/json"})
+    try:
+        with urllib.request.urlopen(request) as response:
+            return response.status, json.load(response)
+    except urllib.error.HTTPError as error:
+        return error.code, json.load(error)
+
+
+KNOWN = (
+    "Find the only person who is standing at 1.0 s (frame 15). "
+    "What is that person's posture or movement at 4.0 s (frame 60)?"
+)
+PLACE = '{"frame_id":"000000","angle_deg":0.0,"left":3520}'
+
+
+def prompt(question=KNOWN, image=None, place=PLACE, frames="000000"):
+    parts = [
+        {"type": "text", "text": f"Question: {question}\nMode: frame\nNo choices.\nLegal frames: {frames}"},
+        {"type": "text", "text": f"Picture 1: {place}"},
+        {"type": "text", "text": "Looks made: 1, left: 23"},
+    ]
+    if image is not None:
+        parts.insert(2, {"type": "image_url", "image_url": {"url": image}})
+    return json.dumps({"model": "marker", "messages": [{"role": "user", "content": parts}]}).encode()
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"",
+        b"{",
+        b"[]",
+        b'{"messages": 3}',
+        prompt("What is the weather?"),
+        prompt("Find the only person who is standing at 1.0 s (frame 15). What?"),
+        prompt(frames="none"),
+        prompt(place="{}"),
+        prompt(place=PLACE.replace("000000", "../../")),
+        prompt(image="file:///etc/passwd"),
+        prompt(image="data:image/jpeg;base64,////"),
+        prompt(image="data:image/jpeg;base64,!"),
+    ],
+)
+def test_requests_that_the_server_cannot_understand(play, body):
+    status, reply = post(play.server.url, body)
+    assert status == 400
+    assert "\n" not in reply["error"]["message"]
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.recursive(
+        st.none() | st.booleans() | st.integers(0, 9) | st.text(max_size=9) | st.sampled_from(["image_url", PLACE]),
+        lambda inner: (
+            st.lists(inner, max_size=4)
+            | st.dictionaries(st.sampled_from(["content", "type", "text", "image_url", "url", "role"]), inner)
+        ),
+    )
+)
+def test_any_message_is_answered(play, message):
+    parts = json.loads(prompt())["messages"][0]["content"]
+    for messages in ([message], [{"content": message}], [{"content": [*parts, message]}]):
+        status, _ = post(play.server.url, json.dumps({"messages": messages}).encode())
+        assert status in (200, 400)
+
+
+def test_other_talk_gets_a_polite_reply(play):
+    body = json.dumps({"messages": [{"role": "user", "content": "hello"}]}).encode()
+    status, reply = post(play.server.url, body)
+    assert (status, json.loads(reply["choices"][0]["message"]["content"])) == (200, {"ok": True})
+
+
+def test_the_child_process_serves_and_ends(tmp_path):
+    with marker_server(tmp_path / "log") as url:
+        assert Client(url, "marker").probe() == "marker"
+    with pytest.raises(urllib.error.URLError):
+        post(url, b"{}")
+
+
+def test_the_server_ends_with_its_parent():
+    code = (
+        "import sys, time\nfrom jrdb_avr.agent.marker.child import marker_server\n"
+        "with marker_server() as url:\n    print(url, flush=True)\n    time.sleep(60)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:
+        url = parent.stdout.readline().strip()
+        assert Client(url, "marker").probe() == "marker"
+        parent.kill()
+    for _ in range(100):
+        try:
+            post(url, b"{}")
+        except OSError:
+            return
+        threading.Event().wait(0.05)
+    pytest.fail("the server outlived its parent")
+
+
+def test_the_marker_reads_nothing_but_what_it_is_sent():
+    """The server's process opens no Parquet file, no label file and no image."""
+    code = (
+        "import sys, runpy\n"
+        "def watch(event, args):\n"
+        "    if event == 'open' and str(args[0]).endswith(('.parquet', '.jpg', '.kuzu', 'labels.json')):\n"
+        "        print('opened', args[0], flush=True)\n"
+        "sys.addaudithook(watch)\n"
+        "import jrdb_avr.agent.marker.server\n"
+        "bad = [m for m in sys.modules if m.startswith(('jrdb_avr.engine', 'jrdb_avr.loaders', 'kuzu', 'duckdb'))]\n"
+        "print('modules', bad)\n"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert out.strip() == "modules []"
