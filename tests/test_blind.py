@@ -1,0 +1,148 @@
+"""Blind guessers, recomputed by hand and by trying every constant."""
+
+import random
+
+import pyarrow as pa
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jrdb_avr.engine.blind import Posed, best_guess, blind_check, posed
+from jrdb_avr.schema.answers import Choice, FrameAnswer, Number, Span, encode_answer, same_answer
+from jrdb_avr.schema.plan import Condition
+from jrdb_avr.schema.tables import QUESTIONS
+from jrdb_avr.schema.wording import TEMPLATES, Slots, render
+
+POSES = ("walking", "standing", "sitting", "cycling")
+
+
+def choice(sequence, answer, words=("reading",), times=(0, 60), choices=POSES):
+    return Posed(
+        sequence, "change", "action", "multiple_choice", choices, words, times, Choice(choices.index(answer) + 1)
+    )
+
+
+def start(sequence, t0, frame, words=("walking",)):
+    return Posed(sequence, "start", "start", "frame", (), words, (t0,), FrameAnswer(frame))
+
+
+def test_choice_guessers_by_hand():
+    rows = [choice("a", "walking"), choice("a", "walking"), choice("b", "walking"), choice("b", "sitting")]
+    (row,) = blind_check(rows)
+    assert (row["template"], row["n"], row["aim"]) == ("change", 4, 0.35)
+    assert row["uniform"] == 0.25 and row["most_frequent"] == 0.75
+    assert row["constant"] is None and row["offset"] is None
+    # For a's questions b says sitting or walking, as often: the first by name, sitting, is wrong twice.
+    # For b's questions a says walking: right once.
+    assert row["text_only"] == 0.25
+    assert row["within_aim"] is False
+
+
+def test_the_text_only_guesser_goes_by_words_then_waits():
+    rows = [
+        choice("a", "sitting", ("typing",)),
+        choice("b", "sitting", ("typing",)),
+        choice("a", "walking", ("reading",), (0, 60)),
+        choice("b", "walking", ("reading",), (0, 60)),
+        choice("a", "standing", ("reading",), (0, 200)),
+        choice("b", "standing", ("reading",), (0, 200)),
+    ]
+    (row,) = blind_check(rows)
+    assert row["text_only"] == 1.0 and row["most_frequent"] == pytest.approx(1 / 3)
+
+
+def test_the_text_only_guesser_answers_only_what_is_offered_and_never_from_its_own_sequence():
+    other = ("running", "standing", "sitting", "cycling")
+    rows = [choice("a", "running", choices=other), choice("b", "walking"), choice("b", "walking")]
+    (row,) = blind_check(rows)
+    # a: b only ever says walking, which is not offered: a guess in four. b: a only says running: likewise.
+    assert row["text_only"] == pytest.approx(0.25)
+
+
+def test_frames_by_hand():
+    rows = [start("a", 0, 100), start("a", 300, 420), start("b", 600, 735), start("b", 900, 1200)]
+    (row,) = blind_check(rows)
+    # No two starts lie within two seconds of each other; of the offsets 100, 120, 135 and 300 two at a time do.
+    assert row["constant"] == 0.25 and row["offset"] == 0.5
+    assert row["uniform"] is None and row["most_frequent"] is None and row["aim"] == 0.25
+
+
+def test_each_stated_time_is_tried():
+    rows = [
+        Posed("a", "start", "start", "frame", (), (), (0, second), FrameAnswer(second + 50))
+        for second in (100, 500, 900)
+    ]
+    assert blind_check(rows)[0]["offset"] == 1.0
+
+
+def test_seconds_and_counts_are_judged_apart():
+    rows = [Posed("a", "gap", "seconds_between", "number", (), (), (0,), Number(v)) for v in (5.0, 20.0, 21.0, 40.0)]
+    rows += [Posed("a", "gap", "count", "number", (), (), (0, 300), Number(v)) for v in (4.0, 5.0, 6.0)]
+    seconds, counts = sorted(blind_check(rows), key=lambda row: row["template"])
+    assert (seconds["template"], seconds["n"], seconds["constant"], seconds["aim"]) == ("gap", 4, 0.75, 0.58)
+    assert (counts["template"], counts["n"], counts["constant"], counts["aim"]) == ("gap (count)", 3, 1.0, None)
+    assert counts["within_aim"] is None
+
+
+FRAMES = st.lists(st.integers(0, 300), min_size=1, max_size=12)
+
+
+@given(FRAMES)
+@settings(deadline=None)
+def test_no_constant_frame_is_better(frames):
+    rows = [start("a", 0, frame) for frame in frames]
+    best = max(sum(abs(c - frame) <= 15 for frame in frames) for c in range(-20, 330))
+    assert blind_check(rows)[0]["constant"] == pytest.approx(best / len(frames))
+
+
+@given(st.lists(st.integers(1, 400), min_size=1, max_size=12))
+@settings(deadline=None)
+def test_no_constant_number_is_better(tenths):
+    values = [tenth / 10 for tenth in tenths]
+    rows = [Posed("a", "gap", "seconds_between", "number", (), (), (0,), Number(v)) for v in values]
+    tried = [value * factor for value in values for factor in (0.5, 1, 2)]
+    best = max(sum(0.5 <= c / v <= 2.0 for v in values) for c in tried)
+    assert sum(same_answer(best_guess(rows, lambda q: 0), Number(v)) for v in values) == best
+
+
+def test_spans_try_their_own_answers():
+    rows = [
+        Posed("a", "span", "span", "span", (), (), (0,), Span(*pair))
+        for pair in ((0, 99), (10, 109), (20, 119), (500, 550))
+    ]
+    assert blind_check(rows)[0]["constant"] == 0.75
+
+
+def test_a_balanced_template_is_within_its_aim():
+    generator = random.Random(0)
+    rows = [choice(f"s{i % 20}", generator.choice(POSES)) for i in range(2000)]
+    (row,) = blind_check(rows)
+    assert row["within_aim"] and row["text_only"] < 0.3
+
+
+def test_posed_reads_the_public_text():
+    conditions = (Condition(action="reading", at="t0"),)
+    plan = TEMPLATES["change"].build(Slots(conditions, {"t0": 15, "t1": 90}))
+    questions = pa.Table.from_pylist(
+        [
+            {
+                "question_id": "0" * 16,
+                "sequence": "s",
+                "family": "unique_anchor",
+                "template": "change",
+                "question": render("change", plan, "0" * 64),
+                "choices": list(POSES),
+                "answer_mode": "multiple_choice",
+            }
+        ],
+        schema=QUESTIONS["questions"],
+    )
+    answers = pa.table({"question_id": ["0" * 16], "answer": [encode_answer(Choice(3))]})
+    (question,) = posed(questions, answers)
+    assert question == Posed("s", "change", "action", "multiple_choice", POSES, ("reading",), (15, 90), Choice(3))
+    assert question.waits == (1,)
+    assert blind_check([question])[0]["text_only"] == 0.25
+
+
+def test_nothing_to_check():
+    assert blind_check([]) == []
