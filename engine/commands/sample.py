@@ -54,7 +54,7 @@ def command(
     with progress("sequences", len(orders)) as advance:
         for written in write(orders, workers):
             done.append(written)
-            advance()
+            advance(1)
     done.sort(key=lambda written: written.name)
     table = rows(done)
     if as_json:

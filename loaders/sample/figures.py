@@ -6,6 +6,7 @@ Colours are RGB and stay below the brightness that a mark's plate alone has. Coo
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Final
@@ -86,7 +87,7 @@ def _at(figure: Figure, u: float, v: float) -> Point:
 
 def _limb(image: Image, points: list[Point], color: Color, thick: float) -> None:
     line = max(1, round(thick))
-    for a, b in zip(points, points[1:], strict=False):
+    for a, b in itertools.pairwise(points):
         cv2.line(image, a, b, color, line)
 
 

@@ -102,7 +102,7 @@ class Quirks:
         self.turns = rng.choice([-1, 0, 1], size=shape, p=[0.1, 0.8, 0.1])
         self.points_noise = rng.uniform(0.7, 1.3, shape)
         # A box cut at the image's edge, where the smaller part is a sliver; only of people who are hardly visible.
-        self.sliver = hidden & (rng.random(shape) < 0.5)
+        self.sliver: Bools = hidden & (rng.random(shape) < 0.5)
         self.old_numbering = world.name.endswith(("_0", "_1"))
         self.foreign = int(rng.integers(0, world.frames)) if world.name.endswith("_1") else -1
         self.lost_2d = (world.frames // 15 // 2) * 15 + 7 if world.name.endswith("_2") else -1

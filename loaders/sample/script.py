@@ -137,8 +137,8 @@ def _parties(rng: Rng, people: int) -> tuple[Party, ...]:
     """Parties until their people, counted with the time they are away, reach the number asked for."""
     parties: list[Party] = []
     count = 0
-    # People come and go: about six in seven of those in the script are in view at a time.
-    total = max(2, round(people / 0.86))
+    # People come and go: about three in four of those in the script are in view at a time.
+    total = max(2, round(people / 0.72))
     hidden_bearings = rng.permutation(4) * (np.pi / 2) + rng.uniform(-0.35, 0.35, 4)
     while count < total:
         hidden = bool(rng.random() < 0.25)
@@ -212,10 +212,10 @@ def _party_moves(rng: Rng, ticks: int, party: Party) -> tuple[Bools, Ints]:
 def _party_presence(rng: Rng, ticks: int, party: Party) -> Bools:
     here = np.ones(ticks, bool)
     chance = rng.random()
-    if chance < 0.22:
-        here[: int(rng.integers(2, max(3, ticks // 2)))] = False
-    elif chance < 0.44:
-        here[int(rng.integers(ticks // 2, ticks)) :] = False
+    if chance < 0.35:
+        here[: int(rng.integers(2, max(3, 2 * ticks // 3)))] = False
+    elif chance < 0.7:
+        here[int(rng.integers(ticks // 3, ticks)) :] = False
     if rng.random() < (0.2 if party.hidden else 0.36):
         # Leaves and comes back.
         for _ in range(int(rng.integers(1, 3))):
