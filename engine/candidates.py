@@ -107,9 +107,7 @@ def find_candidates(scene: Scene, graph: Graph, template: Template, rules: Rules
     for number in reversed(range(len(RULES))):
         if RULES[number] in holds:
             rule[~holds[RULES[number]]] = number
-    return Candidates(
-        template, _ints(found, "name"), segment, times, answer, rule, shifts, drop
-    )
+    return Candidates(template, _ints(found, "name"), segment, times, answer, rule, shifts, drop)
 
 
 def _ask(graph: Graph, folder: str, name: str, rules: Rules, **more: int) -> pa.Table:

@@ -1,0 +1,110 @@
+"""`jrdb-avr generate`: questions with proofs from a store."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from jrdb_avr.engine.output import (
+    clean,
+    json_option,
+    note,
+    print_json,
+    print_rows,
+    progress,
+    store_option,
+    workers_option,
+)
+
+
+@click.command(
+    short_help="Find questions, prove them and write the benchmark.",
+    epilog="Example: jrdb-avr generate --store store --profile paper --workers 2",
+)
+@store_option
+@click.option(
+    "--profile",
+    type=click.Choice(["all", "paper"]),
+    default="all",
+    show_default=True,
+    help="How many questions of each family: all that balance leaves, or the paper's numbers.",
+)
+@workers_option
+@click.option("--seed", type=int, default=0, show_default=True, help="Decides between equally good selections.")
+@click.option(
+    "--candidates",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Also write every proven candidate before selection to this Parquet file.",
+)
+@click.option("--rule", "rule_texts", multiple=True, metavar="NAME=VALUE", help="Override a rule; may be given often.")
+@json_option
+def command(
+    store: Path,
+    profile: str,
+    workers: int,
+    seed: int,
+    candidates: Path | None,
+    rule_texts: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Search every sequence of STORE for questions, keep those whose proofs hold, and write them to STORE/questions.
+
+    Prints per template the candidates, how many each rule refused, the questions, and what a blind guesser scores.
+    The result is the same for any number of workers.
+    """
+    from jrdb_avr.engine.generate import generate
+    from jrdb_avr.queries.store import Store
+    from jrdb_avr.schema.rules import Rules, override
+
+    place = Store(store)
+    rules = override(Rules(), _changes(rule_texts))
+    with progress("searching", len(place.manifest().sequences)) as advance:
+        report = generate(
+            place, rules, profile=profile, seed=seed, workers=workers, candidates=candidates, advance=advance
+        )
+    missing: dict[str, list[str]] = {}
+    for (template, layer), count in report.lacking.items():
+        where = "" if count == report.sequences else f" in {count} of {report.sequences} sequences"
+        missing.setdefault(template, []).append(f"the layer {layer} is missing{where}")
+    if as_json:
+        blind = {row["template"]: row for row in report.blind}
+        print_json(
+            [
+                row
+                | {"skipped": "; ".join(missing.get(row["template"], [])) or None, "blind": blind.get(row["template"])}
+                for row in report.templates
+            ]
+        )
+    else:
+        print_rows(_columns(report.templates), title="Candidates, refusals by rule, and questions")
+        for template, reasons in missing.items():
+            click.echo(f"{template}: skipped, {'; '.join(reasons)}")
+        print_rows(report.blind, title="Answering without looking: shares of right answers")
+        for row in report.selection:
+            if row["family_short"]:
+                wanted = f"{row['family_wanted']} were asked for, {row['family_short']} are missing"
+                click.echo(f"{row['family']} ({row['template']}): {wanted}")
+    for fault in report.faults[:10]:
+        note(f"fault: the second path disagrees: {clean(fault)}")
+    if report.faults:
+        note(f"{len(report.faults)} candidates were refused by the second path: this is a fault of the program")
+        sys.exit(1)
+
+
+def _changes(texts: tuple[str, ...]) -> dict[str, str]:
+    changes = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise click.UsageError(f"--rule {text}: write NAME=VALUE")
+        changes[name] = value
+    return changes
+
+
+def _columns(rows: tuple[dict[str, Any], ...]) -> list[dict[str, Any]]:
+    """The rows turned round, a column per template: there are more rules than fit on a line."""
+    names = [name for name in rows[0] if name != "template"]
+    return [{"": name, **{row["template"]: row[name] for row in rows}} for name in names]

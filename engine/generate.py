@@ -1,0 +1,233 @@
+"""Generation: search every sequence, select across them, publish the questions with their proofs."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from jrdb_avr.loaders.shards import map_shards
+from jrdb_avr.queries.store import Manifest, Store, write_atomic
+from jrdb_avr.schema.errors import StoreError
+from jrdb_avr.schema.rules import Rules, rules_hash
+from jrdb_avr.schema.tables import CANDIDATES, QUESTIONS
+
+from .blind import blind_check, posed
+from .candidates import RULES
+from .publish import evidence_table, publish, question_tables, read_heads
+from .selection import select
+from .shard import EXAMPLES, Found, Job, search_sequence
+from .templates import TEMPLATES
+
+Advance = Callable[[int], None]
+
+REFUSALS: Final = (*RULES, "rederive", "choices", "near_duplicate", "max_per_person", "balance")
+"""Every rule that refuses a candidate, in the order in which they are tried."""
+
+_NOT_SELECTED: Final = "balance"
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a generation did.
+
+    templates: a row per template: candidates, refusals by rule, questions. lacking: (template, layer) -> sequences
+    without it. blind: the blind check. faults: candidates on which the second path disagreed.
+    """
+
+    templates: tuple[dict[str, Any], ...]
+    lacking: Mapping[tuple[str, str], int]
+    sequences: int
+    selection: tuple[dict[str, Any], ...]
+    blind: tuple[dict[str, Any], ...]
+    faults: tuple[str, ...]
+
+
+def generate(
+    store: Store,
+    rules: Rules,
+    *,
+    profile: str = "all",
+    seed: int = 0,
+    workers: int = 2,
+    candidates: Path | None = None,
+    advance: Advance = lambda steps: None,
+) -> Report:
+    """Generate the questions of a store; the result depends on its tables, the rules, the profile and the seed alone.
+
+    `candidates`: a Parquet file for every proven candidate before near-duplicates and selection. Raises StoreError
+    where nothing is loaded, or under other load rules, and LockedError where another process writes the store.
+    """
+    manifest = checked_manifest(store, rules)
+    sequences = sorted(manifest.sequences)
+    # A first look reads the manifest only, so that a wrong store is refused before it is locked (and thereby made).
+    with store.writing("generate"), tempfile.TemporaryDirectory(prefix="jrdb-avr-") as scratch:
+        checked_manifest(store, rules)
+        found = _search(store, sequences, rules, workers, Path(scratch) if candidates else None, advance)
+        if candidates is not None:
+            _gather([Path(scratch) / f"{sequence}.parquet" for sequence in sequences], candidates)
+        return _publish(store, found, rules, profile, seed)
+
+
+def checked_manifest(store: Store, rules: Rules) -> Manifest:
+    """The store's manifest. Raises StoreError where it was loaded under other load rules."""
+    manifest = store.manifest()
+    if manifest.load_rules_hash != rules_hash(rules.load):
+        raise StoreError(
+            f"{store.path} was loaded under other load rules: run 'jrdb-avr load --rebuild --store {store.path}' with "
+            "the same --rule, or give them to generate as --rule load.NAME=VALUE"
+        )
+    return manifest
+
+
+def _search(
+    store: Store, sequences: Sequence[str], rules: Rules, workers: int, scratch: Path | None, advance: Advance
+) -> list[Found]:
+    """Every sequence's candidates, in the order of their names."""
+    jobs = [
+        Job(store.path, sequence, rules, scratch / f"{sequence}.parquet" if scratch else None) for sequence in sequences
+    ]
+    found: dict[int, Found] = {}
+    for index, result in map_shards(search_sequence, jobs, workers, lambda job: _weight(store, job.sequence)):
+        found[index] = result
+        advance(1)
+    return [found[index] for index in range(len(jobs))]
+
+
+def _weight(store: Store, sequence: str) -> float:
+    """The more boxes, the longer a sequence takes."""
+    return float(pq.read_metadata(store.interval_path("sightings", sequence)).num_rows)
+
+
+def _gather(parts: Sequence[Path], place: Path) -> None:
+    """Join the sequences' candidate files, in order, into one."""
+
+    def write(temporary: Path) -> None:
+        with pq.ParquetWriter(temporary, CANDIDATES) as writer:
+            for part in parts:
+                with pq.ParquetFile(part) as file:
+                    for batch in file.iter_batches():
+                        writer.write_batch(batch)
+
+    write_atomic(place, write)
+
+
+def _publish(store: Store, found: Sequence[Found], rules: Rules, profile: str, seed: int) -> Report:
+    heads = read_heads(store, [one.sequence for one in found])
+    kept = [one.kept for one in found if one.kept is not None]
+    counts = _counts(found)
+    selection: tuple[dict[str, Any], ...] = ()
+    if kept:
+        pool = pa.concat_tables(kept)
+        result = select(pool, rules, profile, seed)
+        selected, selection = result.table, result.report
+        questions, answers = question_tables(selected, heads, rules)
+        unselected = pool.filter(pa.array(~np.isin(pool["key"].to_pylist(), selected["key"].to_pylist())))
+    else:
+        questions, answers = QUESTIONS["questions"].empty_table(), QUESTIONS["answers"].empty_table()
+        unselected = None
+    rejected = _rejected(found, counts, unselected)
+    tables = {
+        "questions": questions,
+        "answers": answers,
+        "evidence": evidence_table(store, questions, answers),
+        "rejected": rejected,
+        "sequences": pa.Table.from_pylist(list(heads.rows), schema=QUESTIONS["sequences"]),
+    }
+    publish(store, tables)
+    accepted: dict[str, int] = {}
+    for name in questions["template"].to_pylist():
+        accepted[name] = accepted.get(name, 0) + 1
+    return Report(
+        templates=tuple(_template_rows(rejected, counts, accepted)),
+        lacking=_lacking(found),
+        sequences=len(found),
+        selection=selection,
+        blind=tuple(blind_check(posed(questions, answers))),
+        faults=tuple(fault for one in found for fault in one.faults),
+    )
+
+
+def _counts(found: Sequence[Found]) -> dict[tuple[str, str, str], int]:
+    """(sequence, template, what) -> number."""
+    return {(one.sequence, *where): count for one in found for where, count in one.counts.items()}
+
+
+def _rejected(
+    found: Sequence[Found], counts: Mapping[tuple[str, str, str], int], unselected: pa.Table | None
+) -> pa.Table:
+    """Refusals per sequence, template and rule, each with its examples."""
+    family = {template.name: template.family for template in TEMPLATES}
+    rows: list[dict[str, Any]] = [
+        _count_row(sequence, family[template], template, rule, count)
+        for (sequence, template, rule), count in counts.items()
+        if rule in REFUSALS and count
+    ]
+    if unselected is not None and len(unselected):
+        dropped: dict[tuple[str, str], int] = {}
+        for line in unselected.sort_by("key").select(["sequence", "template", "target_track", "plan"]).to_pylist():
+            where = (line["sequence"], line["template"])
+            dropped[where] = dropped.get(where, 0) + 1
+            if dropped[where] <= EXAMPLES:
+                example = _count_row(line["sequence"], family[line["template"]], line["template"], _NOT_SELECTED, 1)
+                rows.append(example | {"kind": "example", "target_track": line["target_track"], "plan": line["plan"]})
+        rows += [
+            _count_row(sequence, family[template], template, _NOT_SELECTED, count)
+            for (sequence, template), count in dropped.items()
+        ]
+    schema = QUESTIONS["rejected"]
+    table = pa.concat_tables([pa.Table.from_pylist(rows, schema=schema), *(one.rejected.cast(schema) for one in found)])
+    return table.sort_by([(name, "ascending") for name in ("kind", "sequence", "template", "rule", "plan")])
+
+
+def _count_row(sequence: str, family: str, template: str, rule: str, count: int) -> dict[str, Any]:
+    return {
+        "kind": "count",
+        "sequence": sequence,
+        "family": family,
+        "template": template,
+        "rule": rule,
+        "candidates": count,
+        "target_track": None,
+        "plan": None,
+        "detail": None,
+    }
+
+
+def _template_rows(
+    rejected: pa.Table, counts: Mapping[tuple[str, str, str], int], accepted: Mapping[str, int]
+) -> list[dict[str, Any]]:
+    """Per template: candidates, how many each rule refused, and the questions that came of them."""
+    refused: dict[tuple[str, str], int] = {}
+    for line in rejected.to_pylist():
+        if line["kind"] == "count":
+            where = (line["template"], line["rule"])
+            refused[where] = refused.get(where, 0) + line["candidates"]
+    rows = []
+    for template in TEMPLATES:
+        total = {
+            what: sum(count for (_, name, key), count in counts.items() if (name, key) == (template.name, what))
+            for what in ("candidates", "proven")
+        }
+        row: dict[str, Any] = {"family": template.family, "template": template.name, "candidates": total["candidates"]}
+        row |= {rule: refused.get((template.name, rule), 0) for rule in RULES}
+        row["proven"] = total["proven"]
+        row |= {rule: refused.get((template.name, rule), 0) for rule in REFUSALS if rule not in RULES}
+        row["questions"] = accepted.get(template.name, 0)
+        rows.append(row)
+    return rows
+
+
+def _lacking(found: Sequence[Found]) -> dict[tuple[str, str], int]:
+    missing: dict[tuple[str, str], int] = {}
+    for one in found:
+        for template, layers in one.lacking.items():
+            for layer in layers:
+                missing[template, layer] = missing.get((template, layer), 0) + 1
+    return dict(sorted(missing.items()))
