@@ -143,7 +143,7 @@ class Client:
         place = self._place({**request, "messages": fingerprint(messages)})
         if place is not None and (kept := _read(place)) is not None:
             return kept
-        reply = self._send({**request, "messages": wire(messages)})
+        reply = self._send({**request, "messages": wire(messages)}, self._retries)
         if place is not None and reply.finish_reason == "stop" and (reply.content or reply.reasoning):
             _write(place, reply)
         return reply
@@ -151,7 +151,8 @@ class Client:
     def probe(self) -> str:
         """Ask for a word once: is the server there, and does it take a JSON schema? Returns the model id it names.
 
-        A server that refuses the response format is asked without one from then on. Raises EndpointError in one line.
+        A server that refuses the response format is asked without one from then on. Raises EndpointError in one line,
+        soon: nothing has been asked yet that would be worth a long wait.
         """
         ask = [Message("user", ('Reply with the JSON object {"ok": true} and nothing else.',))]
         schema = {
@@ -161,12 +162,12 @@ class Client:
             "additionalProperties": False,
         }
         try:
-            return self._send({**self._request(schema), "messages": wire(ask)}).model
+            return self._send({**self._request(schema), "messages": wire(ask)}, retries=1).model
         except EndpointError as error:
             if not (self.structured and any(word in str(error) for word in ("response_format", "json_schema"))):
                 raise
         self.structured = False
-        return self._send({**self._request(None), "messages": wire(ask)}).model
+        return self._send({**self._request(None), "messages": wire(ask)}, retries=1).model
 
     def _request(self, schema: Mapping[str, Any] | None) -> dict[str, Any]:
         request: dict[str, Any] = {"model": self.model, "temperature": 0, "max_tokens": self._max_tokens}
@@ -183,14 +184,14 @@ class Client:
         key = hashlib.sha256(msgspec.json.encode(request, order="sorted")).hexdigest()
         return self._cache / key[:2] / f"{key}.json"
 
-    def _send(self, request: Mapping[str, Any]) -> Reply:
+    def _send(self, request: Mapping[str, Any], retries: int) -> Reply:
         # Encoded once and sent as bytes: a request may hold megabytes of pictures.
         body = msgspec.json.encode(request)
-        for attempt in range(self._retries + 1):
+        for attempt in range(retries + 1):
             try:
                 return self._try(body)
             except _BrokenError as broken:
-                if attempt == self._retries:
+                if attempt == retries:
                     raise EndpointError(
                         f"{self.base_url}: {self._redact(broken.reason)} ({attempt + 1} tries): "
                         "start the server or correct --base-url, then run again with --resume"

@@ -1,0 +1,473 @@
+"""Runs: the journal, resuming, what is opened, what is kept; over real sockets and in real processes."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import duckdb
+import msgspec
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner
+from fake_server import FakeServer, Status
+from hypothesis import given
+from hypothesis import strategies as st
+from painted_world import SEQUENCE, Actor, World, still
+
+from jrdb_avr.engine import runs
+from jrdb_avr.engine.commands.evaluate import command, default_run_id
+from jrdb_avr.queries.store import Manifest, Store
+from jrdb_avr.schema.answers import Choice, Evidence
+from jrdb_avr.schema.errors import AvrError, InputError, LockedError, StoreError
+from jrdb_avr.schema.marks import Mark
+from jrdb_avr.schema.method import Prediction, Question, SequenceInfo, Step
+from jrdb_avr.schema.panorama import Box
+from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time
+from jrdb_avr.schema.rules import LoadRules, rules_hash
+from jrdb_avr.schema.tables import PRIVATE, QUESTIONS, RUNS
+from jrdb_avr.schema.wording import question_id, render
+
+POSES = ("walking", "sitting", "standing", "lying")
+TRACK = 3141
+FRAMES = tuple(range(0, 301, 15))
+
+
+def question(t0, t1, sequence=SEQUENCE):
+    conditions = (Condition(action="standing", at="t0"),)
+    spec = AnswerSpec(mode="multiple_choice", read="action", of="a", at="t1")
+    times = {"t0": Time(frame=t0), "t1": Time(frame=t1)}
+    plan = Plan("a", "a", times, (Node("a", conditions),), (), spec)
+    text = render("change", plan, "0" * 64)
+    public = (sequence, "unique_anchor", "change", text, POSES, "multiple_choice")
+    return Question(question_id(*public), *public)
+
+
+QUESTIONS_ASKED = [question(t0, t1) for t0 in (0, 15, 30) for t1 in (90, 105, 150, 300)]
+BLIND = question(0, 90, "unseen")
+
+
+def write_store(path, image_root, questions=(*QUESTIONS_ASKED, BLIND)):
+    """A store with the public files alone."""
+    store = Store(path)
+    rules = LoadRules()
+    store.write_manifest(Manifest(str(image_root), rules, rules_hash(rules), {}, {}))
+    rows = [{name: getattr(q, name) for name in QUESTIONS["questions"].names} for q in questions]
+    rows = [{**row, "choices": list(row["choices"])} for row in rows]
+    store.write_questions("questions", pa.Table.from_pylist(rows, QUESTIONS["questions"]), {})
+    infos = [(SEQUENCE, FRAMES), ("unseen", FRAMES)]
+    rows = [{"sequence": name, "fps": 15.0, "frame_count": 301, "frames": list(f)} for name, f in infos]
+    store.write_questions("sequences", pa.Table.from_pylist(rows, QUESTIONS["sequences"]), {})
+    return store
+
+
+@pytest.fixture(scope="module")
+def template(tmp_path_factory):
+    """A store and its images, made once."""
+    root = tmp_path_factory.mktemp("template")
+
+    def box(frame):
+        return Box(3650 + frame * 0.5, 120, 70, 220)
+
+    def mark(frame):
+        return Mark(7, pose="standing" if frame < 60 else "sitting" if frame < 120 else "lying", distance_dm=40)
+
+    world = World(root / "images", [Actor(box, mark), still(900, 8, pose="walking")], FRAMES)
+    for frame in FRAMES:
+        world.paint(root / "images" / SEQUENCE / f"{frame:06d}.jpg", frame)
+    write_store(root / "store", root / "images")
+    return root
+
+
+@pytest.fixture
+def store(template, tmp_path):
+    shutil.copytree(template / "store", tmp_path / "store")
+    return Store(tmp_path / "store")
+
+
+def evaluate(store, *options, ok=True):
+    """The command in this process; `options` may replace the model."""
+    base = ["--store", str(store.path), "--method", "react"]
+    if "--model" not in options:
+        base += ["--model", "marker"]
+    result = CliRunner().invoke(command, [*base, *options])
+    if ok:
+        assert result.exception is None, result.output
+    return result
+
+
+def predictions(store, run_id="react-marker"):
+    return pq.read_table(store.run_path(run_id) / "predictions.parquet")
+
+
+def lasting(table):
+    """What must be equal between two runs of the same questions."""
+    return table.drop_columns(["run_id", "seconds"]).to_pylist()
+
+
+# -- the command ------------------------------------------------------------------------------------------------------
+
+
+def test_evaluate_with_the_marker(store):
+    result = evaluate(store, "--json")
+    (row,) = json.loads(result.stdout)
+    assert (row["run_id"], row["n"], row["answered"], row["error"]) == ("react-marker", 12, 12, 0)
+    assert "1 of 13 questions are left out: 1 sequences have no panoramas (unseen)" in result.stderr
+
+    table = predictions(store)
+    assert table.schema.equals(RUNS["predictions"])
+    ids = table["question_id"].to_pylist()
+    assert ids == sorted(q.question_id for q in QUESTIONS_ASKED)
+    asked = {q.question_id: q for q in QUESTIONS_ASKED}
+    for row in table.to_pylist():
+        t1 = int(asked[row["question_id"]].question.rpartition("(frame ")[2].partition(")")[0])
+        assert json.loads(row["answer"]) == {"choice": POSES.index("sitting" if t1 < 120 else "lying") + 1}
+        assert row["evidence_frame"] == t1
+        assert abs(row["evidence_x"] - (3650 + t1 * 0.5)) < 2
+        assert row["n_model_calls"] == row["n_observations"] + 1
+
+    steps = pq.read_table(store.run_path("react-marker") / "steps.parquet")
+    assert steps.schema.equals(RUNS["steps"])
+    order = list(zip(steps["question_id"].to_pylist(), steps["step"].to_pylist(), strict=True))
+    assert order == sorted(order)
+    assert set(steps["kind"].to_pylist()) == {"model", "observe", "solve"}
+    counted = duckdb.sql("select count(*) from steps where kind = 'model'").fetchall()[0][0]
+    assert counted == sum(table["n_model_calls"].to_pylist())
+
+    manifest = json.loads((store.run_path("react-marker") / "run.json").read_bytes())
+    assert manifest["synthetic"] is True
+    assert manifest["question_ids"] == [q.question_id for q in QUESTIONS_ASKED]
+    assert manifest["settings"]["method"]["budget"] == 24
+    assert manifest["settings"]["endpoint"]["temperature"] == 0
+    assert manifest["settings"]["served_model"] == "marker"
+
+
+def test_the_next_command_is_told(store):
+    result = evaluate(store, "--limit", "1")
+    assert "synthetic" in result.stdout
+    assert f"next: jrdb-avr score --store {store.path} react-marker" in result.stderr
+
+
+def test_predictions_do_not_depend_on_concurrency(store):
+    evaluate(store, "--run-id", "one", "--concurrency", "1")
+    evaluate(store, "--run-id", "many", "--concurrency", "64")
+    assert lasting(predictions(store, "one")) == lasting(predictions(store, "many"))
+
+
+def test_questions_by_id_by_file_and_by_number(store, tmp_path):
+    ids = [q.question_id for q in QUESTIONS_ASKED[3:6]]
+    evaluate(store, "--run-id", "a", "--questions", ",".join(ids))
+    (tmp_path / "ids.txt").write_text("\n".join(ids) + "\n")
+    evaluate(store, "--run-id", "b", "--questions", str(tmp_path / "ids.txt"), "--limit", "2")
+    assert predictions(store, "a")["question_id"].to_pylist() == sorted(ids)
+    assert predictions(store, "b")["question_id"].to_pylist() == sorted(ids[:2])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--questions", "0123456789abcdef"), "not in the store"),
+        (("--questions", ","), "names no question"),
+        (("--questions", BLIND.question_id), "no question is left"),
+        (("--run-id", "../evil"), "sequence name"),
+        (("--model", "qwen", "--base-url", "nowhere"), "no server address"),
+    ],
+)
+def test_wrong_calls_are_one_line(store, options, message):
+    result = evaluate(store, *options, ok=False)
+    assert isinstance(result.exception, AvrError)
+    assert message in str(result.exception)
+    assert "\n" not in str(result.exception)
+
+
+def test_a_model_needs_an_address(store):
+    result = evaluate(store, "--model", "qwen", ok=False)
+    assert result.exit_code == 2
+    assert "--base-url" in result.output
+
+
+def test_a_run_is_not_overwritten(store):
+    evaluate(store, "--limit", "1")
+    result = evaluate(store, "--limit", "1", ok=False)
+    assert isinstance(result.exception, StoreError)
+    assert "--resume" in str(result.exception)
+
+
+def test_default_run_ids_are_names():
+    assert default_run_id("react", "Qwen/Qwen3-VL-8B:latest") == "react-Qwen-Qwen3-VL-8B-latest"
+    assert default_run_id("react", "../..") == "react"
+
+
+# -- what is opened, what is kept -------------------------------------------------------------------------------------
+
+WATCHED = """
+import sys
+opened = set()
+def watch(event, args):
+    if event == "open" and isinstance(args[0], (str, bytes)):
+        opened.add(args[0] if isinstance(args[0], str) else args[0].decode())
+sys.addaudithook(watch)
+from jrdb_avr.engine.cli import main
+main()
+with open(OUT, "w") as file:
+    file.write("\\n".join(sorted(opened)))
+"""
+
+
+def test_the_process_opens_public_files_and_images_alone(store, tmp_path):
+    # The private files are there, as traps that cannot be read.
+    for name in PRIVATE:
+        store.question_path(name).write_bytes(b"private")
+    store.graph_path.write_bytes(b"private")
+    out = tmp_path / "opened.txt"
+    code = WATCHED.replace("OUT", repr(str(out)))
+    arguments = ["evaluate", "--store", str(store.path), "--method", "react", "--model", "marker", "--limit", "3"]
+    subprocess.run([sys.executable, "-c", code, *arguments], check=True, capture_output=True)
+    opened = [line for line in out.read_text().splitlines() if line.startswith(str(store.path))]
+    inside = {os.path.relpath(path, store.path) for path in opened}
+    kept = {path for path in inside if path.startswith("runs/")}
+    assert inside - kept <= {"store.json", "questions/questions.parquet", "questions/sequences.parquet"}
+
+
+def test_an_evaluation_needs_nothing_private(store):
+    assert sorted(path.name for path in (store.path / "questions").iterdir()) == [
+        "questions.parquet",
+        "sequences.parquet",
+    ]
+    evaluate(store, "--limit", "2")
+
+
+def test_nothing_private_leaks_into_a_run(store):
+    """Neither the key nor a track id is anywhere in what a run keeps; identities of marks are in no text either."""
+    os.environ["OPENAI_API_KEY"] = "sk-never-to-be-seen"
+    try:
+        evaluate(store)
+    finally:
+        del os.environ["OPENAI_API_KEY"]
+    texts = b"".join(path.read_bytes() for path in store.run_path("react-marker").rglob("*.json*"))
+    rows = pq.read_table(store.run_path("react-marker") / "steps.parquet").to_pylist()
+    texts += json.dumps([[row["request"], row["response"]] for row in rows]).encode()
+    for secret in (b"sk-never", b"track", b"target", b"identity", b"base64", b"distractor", b"proof"):
+        assert secret not in texts
+
+
+# -- resuming ---------------------------------------------------------------------------------------------------------
+
+
+def test_resume_after_kill_equals_an_undisturbed_run(store):
+    evaluate(store, "--run-id", "whole")
+    calls = {}
+
+    class Counting:
+        """A marker server in this process that counts how often each request is served."""
+
+        def __enter__(self):
+            from jrdb_avr.agent.marker.server import Server
+
+            self.server = Server()
+            reply = self.server.reply
+
+            def counted(body):
+                if b"Legal frames" in body:
+                    calls[body] = calls.get(body, 0) + 1
+                    time.sleep(0.02)
+                return reply(body)
+
+            self.server.reply = counted
+            threading.Thread(target=self.server.serve_forever, daemon=True).start()
+            return self.server.url
+
+        def __exit__(self, *error):
+            self.server.shutdown()
+            self.server.server_close()
+
+    with Counting() as url:
+        arguments = ["--store", str(store.path), "--method", "react", "--model", "marker", "--base-url", url]
+        arguments += ["--run-id", "killed", "--concurrency", "2"]
+        whole = [sys.executable, "-c", "from jrdb_avr.engine.cli import main; main()", "evaluate", *arguments]
+        journal = store.run_path("killed") / "journal.jsonl"
+        for _ in range(4):
+            before = journal.read_bytes().count(b"\n") if journal.exists() else 0
+            with subprocess.Popen([*whole, "--resume"], stderr=subprocess.DEVNULL) as process:
+                deadline = time.monotonic() + 30
+                while time.monotonic() < deadline and process.poll() is None:
+                    if journal.exists() and journal.read_bytes().count(b"\n") >= before + 2:
+                        break
+                    time.sleep(0.01)
+                process.send_signal(signal.SIGKILL)
+            assert not (store.run_path("killed") / "predictions.parquet").exists() or before >= 10
+        # A line that the crash cut short.
+        with journal.open("ab") as file:
+            file.write(b'{"question_id": "half')
+        subprocess.run([*whole, "--resume"], check=True, capture_output=True)
+        served = dict(calls)
+        subprocess.run([*whole, "--resume"], check=True, capture_output=True)
+        assert calls == served
+    assert lasting(predictions(store, "killed")) == lasting(predictions(store, "whole"))
+    # A call in flight when the process was killed is asked again; one that finished is not.
+    assert sum(count - 1 for count in calls.values()) <= 4 * 2
+    assert json.loads(store.run_path("killed").joinpath("journal.jsonl").read_bytes().splitlines()[-1])
+
+
+def test_errors_are_rows_and_are_asked_again(store):
+    broken = True
+
+    def script(request, n):
+        if broken and n > 4:
+            return Status(400, "context too long")
+        return json.dumps({"action": "observe", "frame_id": "000000", "angle_deg": 10 * (n % 36)})
+
+    with FakeServer(script) as server:
+        options = ("--model", "fake", "--base-url", server.url, "--limit", "3", "--concurrency", "1", "--json")
+        (row,) = json.loads(evaluate(store, *options).stdout)
+        assert row["error"] == 3
+        table = predictions(store, "react-fake").to_pylist()
+        assert all("HTTP 400" in r["reason"] and r["answer"] is None for r in table)
+        assert [r["n_model_calls"] for r in table].count(0) == 2
+        assert max(r["n_observations"] for r in table) > 0
+        broken = False
+        (row,) = json.loads(evaluate(store, *options, "--resume").stdout)
+        assert (row["error"], row["invalid"]) == (0, 3)
+
+
+def test_resume_refuses_another_run(store):
+    evaluate(store, "--limit", "2")
+    other = evaluate(store, "--resume", "--limit", "3", ok=False)
+    assert "asked other questions" in str(other.exception)
+    evaluate(store, "--resume")
+    assert len(predictions(store)) == 2
+    rows = store.questions("questions").slice(1)
+    store.write_questions("questions", rows, {})
+    other = evaluate(store, "--resume", ok=False)
+    assert "asked other questions than the store has now" in str(other.exception)
+
+
+def test_an_unreachable_server_is_one_line_and_leaves_no_run(store):
+    result = evaluate(store, "--model", "x", "--base-url", "http://127.0.0.1:9/v1", ok=False)
+    assert isinstance(result.exception, AvrError)
+    assert "cannot reach" in str(result.exception)
+    assert not (store.run_path("react-x") / "run.json").exists()
+
+
+# -- the journal ------------------------------------------------------------------------------------------------------
+
+
+def entry(name, status="answered"):
+    return runs.Finished(name, {"status": status}, [])
+
+
+def test_the_journal_keeps_what_was_appended(tmp_path):
+    path = tmp_path / "run" / "journal.jsonl"
+    with runs.Journal(path) as journal:
+        journal.append(entry("a", "error"))
+        journal.append(entry("b"))
+        journal.append(entry("a"))
+    with runs.Journal(path) as journal:
+        assert journal.finished == {"a": entry("a"), "b": entry("b")}
+
+
+@given(st.integers(0, 200))
+def test_a_journal_cut_anywhere_keeps_its_whole_lines(tmp_path_factory, cut):
+    path = tmp_path_factory.mktemp("journal") / "journal.jsonl"
+    with runs.Journal(path) as journal:
+        for name in "abc":
+            journal.append(entry(name))
+    data = path.read_bytes()[:cut]
+    path.write_bytes(data)
+    with runs.Journal(path) as journal:
+        assert len(journal.finished) == data.count(b"\n")
+        journal.append(entry("z"))
+    with runs.Journal(path) as journal:
+        assert len(journal.finished) == data.count(b"\n") + 1
+
+
+def test_a_damaged_journal_is_refused(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    path.write_bytes(b"garbage\n" + msgspec.json.encode(entry("a")) + b"\n")
+    with pytest.raises(StoreError, match="line 1, is damaged"):
+        runs.Journal(path)
+
+
+def test_one_process_runs_a_run(tmp_path):
+    with runs.Journal(tmp_path / "journal.jsonl"), pytest.raises(LockedError):
+        runs.Journal(tmp_path / "journal.jsonl")
+
+
+# -- asking -----------------------------------------------------------------------------------------------------------
+
+INFO = SequenceInfo(SEQUENCE, 15.0, 301, FRAMES)
+
+
+class Scripted:
+    """A method that does what it is told with the question's number."""
+
+    name = "scripted"
+
+    def __init__(self, behave):
+        self.behave = behave
+
+    def answer(self, task):
+        return self.behave(task)
+
+
+def no_look(sequence, frame_index, angle_deg):
+    raise AssertionError("not asked for")
+
+
+@pytest.mark.parametrize("error", [ValueError("bad\nthing"), AvrError("no way"), RecursionError(), MemoryError()])
+def test_whatever_a_method_raises_is_an_error_row(error):
+    def behave(task):
+        task.record(Step("model", "{}", "{}", 0.1))
+        raise error
+
+    finished = runs.ask(Scripted(behave), QUESTIONS_ASKED[0], INFO, no_look)
+    assert finished.failed
+    assert "\n" not in finished.prediction["reason"]
+    assert finished.prediction["n_model_calls"] == 1
+    assert len(finished.steps) == 1
+
+
+def test_what_utf8_cannot_hold_is_written_out(tmp_path):
+    def behave(task):
+        task.record(Step("model", "\ud800", "\udfff", 0.0))
+        return Prediction("invalid", raw="\ud800", reason="\ud800")
+
+    finished = runs.ask(Scripted(behave), QUESTIONS_ASKED[0], INFO, no_look)
+    store = Store(tmp_path)
+    runs.write_tables(store, "r", [finished])
+    assert predictions(store, "r")["raw"].to_pylist() == ["\\ud800"]
+
+
+def test_many_questions_in_flight(tmp_path):
+    flying, most, lock = 0, 0, threading.Lock()
+
+    def behave(task):
+        nonlocal flying, most
+        with lock:
+            flying += 1
+            most = max(most, flying)
+        time.sleep(0.05)
+        with lock:
+            flying -= 1
+        return Prediction("answered", Choice(1), Evidence(0, (0.0, 0.0, 1.0, 1.0)))
+
+    asked = [question(0, 15 * i) for i in range(3, 67)]
+    with runs.Journal(tmp_path / "journal.jsonl") as journal:
+        started = time.monotonic()
+        runs.ask_all(Scripted(behave), asked, {SEQUENCE: INFO}, no_look, journal, 64)
+        assert time.monotonic() - started < 3
+    assert len(journal.finished) == 64
+    assert most > 32
+
+
+def test_unknown_ids_are_refused():
+    with pytest.raises(InputError):
+        runs.choose(QUESTIONS_ASKED, ["nope"], None)
+    assert runs.choose(QUESTIONS_ASKED, None, 3) == QUESTIONS_ASKED[:3]
+    twice = [QUESTIONS_ASKED[1].question_id] * 2
+    assert runs.choose(QUESTIONS_ASKED, twice, None) == [QUESTIONS_ASKED[1]]
