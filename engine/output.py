@@ -45,6 +45,17 @@ def json_option(function: C) -> C:
     return click.option("--json", "as_json", is_flag=True, help="Print one JSON array of objects.")(function)
 
 
+def pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
+    """Values of a repeated option NAME=VALUE by name. Raises UsageError where there is no "="."""
+    found = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise click.UsageError(f"{option} {text}: write NAME=VALUE")
+        found[name] = value
+    return found
+
+
 def print_json(rows: Sequence[Any]) -> None:
     """Print one JSON array."""
     # NaN and infinity are not JSON: msgspec writes null for them.
