@@ -42,7 +42,7 @@ class Descriptions:
 
     def anchor(self) -> Bools:
         """Whether every condition is needed: two or more people could match without it."""
-        return np.all((self.left >= 2) | (self.uses == NOBODY), axis=1)
+        return np.asarray(np.all((self.left >= 2) | (self.uses == NOBODY), axis=1))
 
     def of(self, name: int) -> tuple[Condition, ...]:
         """The conditions of a name, in the order in which they were chosen."""
@@ -166,7 +166,7 @@ def _tie_text(scene: Scene, conditions: Conditions, sighting: int, uses: Ints) -
 def _could_match(conditions: Conditions, keyframe: int, uses: list[int]) -> Words:
     """Mask of the people at a keyframe whom none of these uses excludes."""
     excluded = np.bitwise_or.reduce(conditions.masks[uses], axis=0) if uses else np.uint64(0)
-    return conditions.everybody[keyframe] & ~excluded
+    return np.asarray(conditions.everybody[keyframe] & ~excluded)
 
 
 def _left(conditions: Conditions, sighting: Ints, uses: Ints) -> Ints:

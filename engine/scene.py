@@ -57,17 +57,16 @@ class Scene:
 
     def column(self, name: str) -> npt.NDArray[np.float64]:
         """A numeric or boolean column of `boxes` as floats, null as NaN."""
-        values = pc.cast(self.boxes[name], pa.float64())
-        return values.to_numpy(zero_copy_only=False)
+        return np.asarray(pc.cast(self.boxes[name], pa.float64()).to_numpy(), dtype=np.float64)
 
     def flag(self, name: str) -> Bools:
         """A boolean column of `boxes`, null as false."""
-        return pc.fill_null(self.boxes[name], False).to_numpy(zero_copy_only=False)
+        return np.asarray(pc.fill_null(self.boxes[name], False).to_numpy(), dtype=bool)
 
     def codes(self, name: str, words: tuple[str, ...]) -> Ints:
         """A text column of `boxes` as indices into `words`; null and other words are NOBODY."""
         found = pc.index_in(self.boxes[name], value_set=pa.array(words))
-        return pc.fill_null(found, NOBODY).to_numpy(zero_copy_only=False).astype(np.int64)
+        return np.asarray(pc.fill_null(found, NOBODY).to_numpy(), dtype=np.int64)
 
     @cached_property
     def geometry(self) -> dict[str, Floats]:
@@ -83,7 +82,7 @@ class Scene:
     def box_keys(self) -> Ints:
         """Sorted (person, frame) keys of the boxes."""
         person = np.searchsorted(self.tracks, self.boxes["track"].to_numpy())
-        return person * _SPREAD + self.boxes["frame"].to_numpy()
+        return np.asarray(person * _SPREAD + self.boxes["frame"].to_numpy(), dtype=np.int64)
 
     def box_rows(self, persons: Ints, frames: Ints) -> Ints:
         """Row in `boxes` of each (person, frame), NOBODY where there is no box."""
