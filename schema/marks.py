@@ -40,6 +40,8 @@ MAX_CELL: Final = 4
 """Pixels: cells of near people grow no further, so that the person stays visible behind the plate."""
 MIN_CELL: Final = 2
 SECOND_CELL: Final = 2
+MAX_CELLS: Final = 127
+"""A box is at most so many cells wide and high: its size in half cells has eight bits."""
 MIN_WIDTH: Final = (COLUMNS + 2) * MIN_CELL + 4
 MIN_HEIGHT: Final = (FIRST_ROWS + 2) * MIN_CELL + 4
 BRIGHT: Final = 205
@@ -161,8 +163,8 @@ def _first_data(mark: Mark, wide: int, high: int) -> int:
             (second, 5),
             (_number("group", mark.group, MAX_GROUP, 255), 8),
             (_number("distance_dm", mark.distance_dm, MAX_DISTANCE_DM, 255), 8),
-            (wide, 8),
-            (high, 8),
+            (_number("wide", wide, 255, 0), 8),
+            (_number("high", high, 255, 0), 8),
         ]
     )
 
@@ -299,15 +301,17 @@ def _name(code: int, table: tuple[str, ...]) -> str | None:
 
 
 def plate_of(w: int, h: int) -> tuple[str, int] | None:
-    """Layout and cell size in pixels of the plate on a box of w x h pixels; None where none fits."""
+    """Layout and cell size in pixels of the plate on a box of w x h pixels; None where none fits.
+
+    That is so for boxes that are too small, or far longer one way than the other.
+    """
     best: tuple[str, int] | None = None
-    # The size of the box, in half cells, has eight bits.
-    most = max(MAX_CELL, -(-max(w, h) // 127))
+    most = max(MAX_CELL, -(-max(w, h) // MAX_CELLS))
     for layout in (_TALL, _WIDE, _FIRST):
         cell = min((w - 4) // (layout.columns + 2), (h - 4) // (layout.rows + 2), most)
         if layout is _FIRST and best is not None:
             break
-        least = MIN_CELL if layout is _FIRST else SECOND_CELL
+        least = max(MIN_CELL if layout is _FIRST else SECOND_CELL, -(-max(w, h) // MAX_CELLS))
         if cell >= least and (best is None or cell > best[1]):
             best = (layout.name, cell)
     return best

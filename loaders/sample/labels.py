@@ -83,7 +83,7 @@ class Quirks:
         self.number_form = rng.choice(3, size=shape, p=[0.90, 0.08, 0.02])
         self.truncated_form = rng.choice(4, size=shape, p=[0.70, 0.20, 0.05, 0.05])
         self.float_box = rng.random(shape) < 0.05
-        self.past_seam = rng.random(shape[1]) < 0.5
+        self.past_seam: Bools = rng.random((shape[1],)) < 0.5
         self.no_occlusion = spans(rng, hidden, 0.0002, 1, 3)
         self.no_eval = spans(rng, hidden, 0.0004, 10, 40)
         self.no_eval_3d = spans(rng, hidden, 0.0015, 10, 40)
@@ -93,7 +93,7 @@ class Quirks:
         self.empty_actions = spans(rng, hidden, 0.0004, 5, 20) & bare
         self.impossible = spans(rng, hidden, 0.0004, 5, 20) & bare
         self.no_pose = spans(rng, hidden, 0.0002, 5, 20)
-        self.two_poses = (world.pose == POSE["bending"]) & (rng.random(shape[1]) < 0.06)
+        self.two_poses = (world.pose == POSE["bending"]) & (rng.random((shape[1],)) < 0.06)
         self.spelling = spans(rng, everywhere, 0.0005, 5, 60)
         self.unknown_word = spans(rng, hidden, 0.0001, 5, 30)
         self.no_points = spans(rng, hidden, 0.0016, 5, 30)

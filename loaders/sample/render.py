@@ -17,10 +17,12 @@ from jrdb_avr.schema.rules import KEYFRAME_STEP
 from jrdb_avr.schema.vocabulary import OTHER_ACTIONS, POSES
 
 from .figures import Color, Figure, draw_figure, look_of
+from .labels import annotated
 from .script import NONE
 from .world import FLOOR, World, rng_of
 
 Image = npt.NDArray[np.uint8]
+Bools = npt.NDArray[np.bool_]
 
 QUALITY: Final = 92
 """JPEG quality of the panoramas."""
@@ -45,11 +47,15 @@ def image_frames(world: World, which: str) -> list[int]:
     return [frame for frame in range(world.frames) if frame % KEYFRAME_STEP in steps]
 
 
-def marks_of(world: World, frame: int) -> dict[int, Mark]:
-    """What the marks of the people present say at a frame: the truth of the world, by place in `world.people`."""
+def marks_of(world: World, labelled: Bools, frame: int) -> dict[int, Mark]:
+    """What the marks of the people present say at a frame: the truth of the world, by place in `world.people`.
+
+    A group counts the people `labelled` (frames, people): one left alone by the annotators' dropouts is alone.
+    """
     out = {}
     here = np.flatnonzero(world.present[frame])
     clusters = world.cluster[frame, here].tolist()
+    counted = world.cluster[frame, labelled[frame]].tolist()
     for i, cluster in zip(here.tolist(), clusters, strict=True):
         person = world.people[i]
         heading = np.degrees(world.motion.heading[frame, i])
@@ -62,7 +68,7 @@ def marks_of(world: World, frame: int) -> dict[int, Mark]:
             actions=tuple(
                 sorted((OTHER_ACTIONS[a] for a in world.actions[frame, i].tolist() if a != NONE), key=_place)
             ),
-            group=cluster % MAX_GROUP + 1 if clusters.count(cluster) > 1 else ALONE,
+            group=cluster % MAX_GROUP + 1 if counted.count(cluster) > 1 else ALONE,
             distance_dm=distance if distance <= MAX_DISTANCE_DM else None,
             heading_deg=round(heading / HEADING_STEP) * HEADING_STEP % 360,
         )
@@ -78,6 +84,7 @@ class Painter:
     """Paints the frames of one world; the background is made once and turned with the robot."""
 
     world: World
+    labelled: Bools
     background: Image
     panel_colors: tuple[Color, ...]
 
@@ -85,7 +92,7 @@ class Painter:
     def of(cls, world: World) -> Painter:
         rng = rng_of(world.seed, world.name, "colors")
         colors = tuple(_PANELS[int(rng.integers(len(_PANELS)))] for _ in world.panels)
-        return cls(world, _background(rng), colors)
+        return cls(world, annotated(world), _background(rng), colors)
 
     def paint(self, frame: int) -> Image:
         """The panorama (480, 3760, 3), RGB."""
@@ -93,7 +100,7 @@ class Painter:
         yaw = float(world.motion.robot[frame, 2])
         # Turning left by yaw moves what is far to the right by as much.
         image: Image = np.roll(self.background, round(yaw / (2 * np.pi) * WIDTH), axis=1)
-        marks = marks_of(world, frame)
+        marks = marks_of(world, self.labelled, frame)
         things = [(float(world.distance[frame, i]), 1, i) for i in marks]
         things += [(float(d), 0, k) for k, d in enumerate(world.panel_distance[frame].tolist())]
         for _, person, index in sorted(things, reverse=True):
