@@ -1,0 +1,289 @@
+"""Scores of predictions, set-wise.
+
+Every question that a run asked gets one row: its answer judged under its answer mode, its evidence box judged against
+the target's boxes, and their product. What is missing, unreadable or ended in an error scores 0, and N stays the number
+of questions asked. The rules of the comparison are those of `schema/answers.py` and `schema/panorama.py`, here over
+arrays: 25 runs of 2,098 questions take well under two seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest
+from jrdb_avr.queries.store import Store, read_table, write_table
+from jrdb_avr.schema.answers import ANSWER_TYPES, Answer, Choice, FrameAnswer, FrameViewpoint, Number, Span
+from jrdb_avr.schema.answers import decode_answer as decode
+from jrdb_avr.schema.errors import DecodeError, InputError, StoreError
+from jrdb_avr.schema.panorama import WIDTH, angle_error
+from jrdb_avr.schema.tables import RUNS
+
+Ints = npt.NDArray[np.int64]
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+DEFAULT_IOU: Final = 0.5
+SPAN_IOU: Final = 0.5
+ANGLE_DEG: Final = 20.0
+NUMBER_RATIO: Final = 2.0
+
+_MODES: Final = tuple(ANSWER_TYPES)
+_FRAME_SPAN: Final = 1 << 24
+"""Above every frame number: row * _FRAME_SPAN + frame is one key for a question and a frame."""
+
+
+@dataclass(frozen=True)
+class Payloads:
+    """Answers as columns, one row each; `readable` is false where there is none, and the rest of the row means nothing.
+
+    `first` holds a choice, a frame or a span's start, `last` a span's end, `number` an angle in degrees or a value.
+    """
+
+    readable: Bools
+    first: Ints
+    last: Ints
+    number: Floats
+
+    def take(self, rows: Ints) -> Payloads:
+        """The rows with these numbers."""
+        return Payloads(self.readable[rows], self.first[rows], self.last[rows], self.number[rows])
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is right: one row per question; the target's boxes sorted by key (row, frame)."""
+
+    ids: pa.Array
+    mode: Ints
+    second: Ints
+    answers: Payloads
+    keys: Ints
+    boxes: Floats
+
+
+def read_truth(store: Store) -> Truth:
+    """The store's questions with their answers and evidence. Raises StoreError where a table is missing or unfit."""
+    questions, sequences = store.questions("questions"), store.questions("sequences")
+    return make_truth(questions, sequences, store.questions("answers"), store.questions("evidence"))
+
+
+def make_truth(questions: pa.Table, sequences: pa.Table, answers: pa.Table, evidence: pa.Table) -> Truth:
+    """Truth from the four tables of `questions/`. Raises StoreError where they do not fit together."""
+    ids = questions["question_id"].combine_chunks()
+    answer_row = _find(answers["question_id"], ids, "answers")
+    sequence_row = _find(sequences["sequence"], questions["sequence"], "sequences")
+    mode = _rows_of(questions["answer_mode"], pa.array(_MODES))
+    if (mode < 0).any():
+        raise StoreError("the questions name an unknown answer mode: generate again")
+    payloads = _payloads(answers["answer"].take(pa.array(answer_row)), mode)
+    if not payloads.readable.all():
+        raise StoreError("an answer of the store cannot be read under its mode: generate again")
+    row = _find(ids, evidence["question_id"], "questions")
+    keys = row * _FRAME_SPAN + evidence["frame"].to_numpy().astype(np.int64)
+    order = np.argsort(keys, kind="stable")
+    boxes = np.stack([evidence[name].to_numpy() for name in "xywh"], axis=1).astype(np.float64)
+    fps = sequences["fps"].to_numpy()[sequence_row]
+    return Truth(ids, mode, np.round(fps).astype(np.int64), payloads, keys[order], boxes[order])
+
+
+def score_predictions(
+    truth: Truth, run_id: str, asked: Sequence[str], predictions: pa.Table, iou: float = DEFAULT_IOU
+) -> pa.Table:
+    """The `scores` table of one run: a row for each question asked, in the order asked.
+
+    `predictions` has the columns of that table. Raises StoreError for a prediction of a question that was not asked,
+    two predictions of one, or a question that the store does not hold; InputError for a threshold outside (0, 1].
+    """
+    if not 0.0 < iou <= 1.0:
+        raise InputError(f"an IoU threshold lies in (0, 1], not at {iou:g}", field="iou")
+    questions = pa.array(asked, pa.string())
+    row = _rows_of(questions, truth.ids)
+    if (row < 0).any():
+        raise StoreError(f"run {run_id} asked {asked[int(np.argmin(row))]!r}, which the store does not hold")
+    if len(np.unique(row)) < len(row):
+        raise StoreError(f"run {run_id} asked a question twice: its run.json is broken")
+    answered_by = _rows_of(predictions["question_id"], questions)
+    if (answered_by < 0).any():
+        stray = predictions["question_id"][int(np.argmin(answered_by))].as_py()
+        raise StoreError(f"run {run_id} predicts {stray!r}, which it did not ask: evaluate under a new run id")
+    if len(np.unique(answered_by)) < len(answered_by):
+        raise StoreError(f"run {run_id} has two predictions of one question: evaluate under a new run id")
+
+    given = np.full(len(row), -1, np.int64)
+    given[answered_by] = np.arange(len(answered_by))
+    # A question without a prediction is scored like one that ended in an error: by a row of nulls.
+    table = predictions.select([name for name in predictions.column_names if name != "run_id"])
+    table = table.take(pa.array(given, mask=given < 0))
+    status = table["status"]
+    judged = _flags(pc.is_in(status, value_set=pa.array(["answered", "invalid"])))
+
+    answers = _payloads(table["answer"], truth.mode[row])
+    answer_score = judged & answers_match(truth.mode[row], truth.second[row], answers, truth.answers.take(row))
+    frame, box, boxed = _evidence(table)
+    evidence_score = judged & boxed & _boxes_match(truth, row, frame, box, iou)
+    invalid = judged & (_flags(pc.equal(status, "invalid")) | ~answers.readable | ~boxed)
+    return pa.table(
+        {
+            "run_id": pa.array([run_id] * len(row), pa.string()),
+            "question_id": questions,
+            "answer_score": answer_score.astype(np.int8),
+            "evidence_score": evidence_score.astype(np.int8),
+            "combined_score": (answer_score & evidence_score).astype(np.int8),
+            "invalid": invalid,
+        },
+        schema=RUNS["scores"],
+    )
+
+
+def answers_match(mode: Ints, second: Ints, given: Payloads, truth: Payloads) -> Bools:
+    """Row by row, whether an answer scores: `same_answer` over arrays. `second` is a second in frames."""
+    score = np.zeros(len(mode), dtype=bool)
+    near = np.abs(given.first - truth.first) <= second
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        ratio = given.number / truth.number
+    by_type: dict[type[Answer], Bools] = {
+        Choice: given.first == truth.first,
+        FrameAnswer: near,
+        Span: _span_iou(given, truth) >= SPAN_IOU,
+        FrameViewpoint: near & (angle_error(given.number, truth.number) <= ANGLE_DEG),
+        Number: (given.number > 0) & (truth.number > 0) & (ratio >= 1 / NUMBER_RATIO) & (ratio <= NUMBER_RATIO),
+    }
+    for number, name in enumerate(_MODES):
+        score |= (mode == number) & by_type[ANSWER_TYPES[name]]
+    return score & given.readable & truth.readable
+
+
+def box_ious(a: Floats, b: Floats) -> Floats:
+    """Seam-aware IoU of boxes (n, 4) as x, y, w, h in stitched pixels, row by row: `iou` over arrays."""
+    ax, ay, aw, ah = a.T
+    bx, by, bw, bh = b.T
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        rows = np.minimum(ay + ah, by + bh) - np.maximum(ay, by)
+        turn = np.round((ax + aw / 2 - bx - bw / 2) / WIDTH) * WIDTH
+        columns = np.full(len(a), -np.inf)
+        for shift in (turn - WIDTH, turn, turn + WIDTH):
+            columns = np.maximum(columns, np.minimum(ax + aw, bx + shift + bw) - np.maximum(ax, bx + shift))
+        overlap = columns * rows
+        share = np.minimum(1.0, overlap / (aw * ah + bw * bh - overlap))
+    meets = (aw > 0) & (ah > 0) & (bw > 0) & (bh > 0) & (rows > 0) & (columns > 0)
+    return np.where(meets & np.isfinite(share), share, 0.0)
+
+
+# -- the store ----------------------------------------------------------------------------------------------------
+
+
+def score_run(
+    store: Store, truth: Truth, run_id: str, iou: float = DEFAULT_IOU
+) -> tuple[RunManifest, pa.Table, pa.Table]:
+    """A run's manifest, predictions and scores; nothing is written.
+
+    Raises StoreError where the run is missing, unfinished, or of another questions file than the store's.
+    """
+    manifest = read_run_manifest(store, run_id)
+    if manifest.questions_sha256 != questions_hash(store):
+        raise StoreError(f"run {run_id} was asked another questions file than this store's: score it in its own store")
+    path = store.run_path(run_id) / "predictions.parquet"
+    if not path.exists():
+        raise StoreError(f"run {run_id} has no predictions yet: evaluate it to the end (the same call resumes it)")
+    predictions = read_table(path)
+    missing = set(RUNS["predictions"].names) - set(predictions.column_names)
+    if missing:
+        raise StoreError(f"{path} lacks the columns {', '.join(sorted(missing))}: evaluate again")
+    return manifest, predictions, score_predictions(truth, run_id, manifest.question_ids, predictions, iou)
+
+
+def write_scores(store: Store, run_id: str, scores: pa.Table, iou: float) -> None:
+    """Write `scores.parquet`; the threshold stands in its metadata."""
+    write_table(store.run_path(run_id) / "scores.parquet", scores, RUNS["scores"], {"evidence_iou": f"{iou:g}"})
+
+
+# -- columns ------------------------------------------------------------------------------------------------------
+
+
+def _payloads(texts: pa.ChunkedArray, mode: Ints) -> Payloads:
+    """Stored answers as columns; each distinct (mode, text) is decoded once."""
+    encoded = pa.chunked_array([texts.combine_chunks()]).combine_chunks().dictionary_encode()
+    values = [None, *encoded.dictionary.to_pylist()]
+    index = encoded.indices.fill_null(-1).to_numpy(zero_copy_only=False).astype(np.int64) + 1
+    pairs, where = np.unique(index * len(_MODES) + mode, return_inverse=True)
+    distinct = [_payload(values[pair // len(_MODES)], _MODES[pair % len(_MODES)]) for pair in pairs.tolist()]
+    readable, first, last, number = zip(*distinct, strict=True) if distinct else ((), (), (), ())
+    return Payloads(
+        np.array(readable, dtype=bool),
+        np.array(first, dtype=np.int64),
+        np.array(last, dtype=np.int64),
+        np.array(number, dtype=np.float64),
+    ).take(where.reshape(-1))
+
+
+def _payload(text: str | None, mode: str) -> tuple[bool, int, int, float]:
+    if text is None:
+        return False, 0, 0, 0.0
+    try:
+        answer = decode(mode, text)
+    except DecodeError:
+        return False, 0, 0, 0.0
+    match answer:
+        case Choice():
+            return True, answer.choice, 0, 0.0
+        case FrameAnswer():
+            return True, answer.frame, 0, 0.0
+        case Span():
+            return True, answer.start_frame, answer.end_frame, 0.0
+        case FrameViewpoint():
+            return True, answer.frame, 0, answer.angle_deg
+        case Number():
+            return True, 0, 0, answer.value
+
+
+def _span_iou(a: Payloads, b: Payloads) -> Floats:
+    """IoU of spans as sets of inclusive frames; a reversed span is empty."""
+    sizes = np.maximum(a.last - a.first + 1, 0) + np.maximum(b.last - b.first + 1, 0)
+    both = np.minimum(a.last, b.last) - np.maximum(a.first, b.first) + 1
+    both = np.where((a.last >= a.first) & (b.last >= b.first), np.maximum(both, 0), 0)
+    share: Floats = both / np.maximum(sizes - both, 1)
+    return share
+
+
+def _evidence(table: pa.Table) -> tuple[Ints, Floats, Bools]:
+    """Frames (n), boxes (n, 4) and which of them are there and finite."""
+    frames = table["evidence_frame"]
+    box = np.stack([table[f"evidence_{key}"].to_numpy().astype(np.float64) for key in "xywh"], axis=1)
+    frame = pc.fill_null(frames, -1).to_numpy().astype(np.int64)
+    boxed = np.isfinite(box).all(axis=1) & (frame >= 0) & (frame < _FRAME_SPAN)
+    return frame, box, boxed
+
+
+def _boxes_match(truth: Truth, row: Ints, frame: Ints, box: Floats, threshold: float) -> Bools:
+    """Whether each box lies on its question's target in its frame."""
+    if not len(truth.keys):
+        return np.zeros(len(row), dtype=bool)
+    key = row * _FRAME_SPAN + np.clip(frame, 0, _FRAME_SPAN - 1)
+    at = np.minimum(np.searchsorted(truth.keys, key), len(truth.keys) - 1)
+    hits: Bools = (truth.keys[at] == key) & (box_ious(box, truth.boxes[at]) >= threshold)
+    return hits
+
+
+def _rows_of(values: Any, among: Any) -> Ints:
+    """For each value its row in `among`, or -1."""
+    rows: Ints = pc.fill_null(pc.index_in(values, value_set=among), -1).to_numpy(zero_copy_only=False).astype(np.int64)
+    return rows
+
+
+def _find(among: Any, values: Any, table: str) -> Ints:
+    rows = _rows_of(values, among.combine_chunks() if isinstance(among, pa.ChunkedArray) else among)
+    if (rows < 0).any():
+        raise StoreError(f"the tables of questions/ do not fit together ({table} lacks a row): generate again")
+    return rows
+
+
+def _flags(values: Any) -> Bools:
+    flags: Bools = pc.fill_null(values, False).to_numpy(zero_copy_only=False).astype(bool)
+    return flags
