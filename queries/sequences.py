@@ -1,4 +1,4 @@
-"""The sequences of a store and their frames, as a method may know them."""
+"""A loaded sequence and the frames that can be looked at."""
 
 from __future__ import annotations
 
@@ -6,14 +6,6 @@ from jrdb_avr.schema.errors import ObserveError
 from jrdb_avr.schema.method import SequenceInfo
 
 from .store import Store
-
-
-def public_sequences(store: Store) -> list[SequenceInfo]:
-    """The sequences of the published questions. Raises StoreError before `generate`."""
-    return [
-        SequenceInfo(row["sequence"], row["fps"], row["frame_count"], tuple(row["frames"]))
-        for row in store.questions("sequences").to_pylist()
-    ]
 
 
 def loaded_sequence(store: Store, name: str) -> SequenceInfo:
