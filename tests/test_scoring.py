@@ -1,0 +1,506 @@
+"""Scores against oracles that share no code with the scorer: Python sets, pycocotools, integer grid cells."""
+
+import json
+import math
+import sys
+import types
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pycocotools import mask as coco
+
+from jrdb_avr.engine import scoring
+from jrdb_avr.engine.report import report_row
+from jrdb_avr.engine.scoring import box_ious, make_truth, score_predictions
+from jrdb_avr.queries.runs import RunManifest
+from jrdb_avr.schema.answers import Evidence as EvidenceAnswer
+from jrdb_avr.schema.answers import decode_answer, evidence_hits, same_answer
+from jrdb_avr.schema.errors import DecodeError, InputError, StoreError
+from jrdb_avr.schema.panorama import Box, iou
+from jrdb_avr.schema.tables import QUESTIONS, RUNS
+
+WIDTH = 3760
+MODES = ("multiple_choice", "frame", "span", "frame_viewpoint", "number")
+
+
+def truth_of(rows, fps=15.0, make=make_truth):
+    """rows: (question_id, mode, answer as a dict, {frame: box})."""
+    questions = [
+        {
+            "question_id": name,
+            "sequence": "s",
+            "family": "f",
+            "template": "t",
+            "question": "?",
+            "choices": ["a", "b"] if mode == "multiple_choice" else [],
+            "answer_mode": mode,
+        }
+        for name, mode, _, _ in rows
+    ]
+    answers = [{"question_id": name, "answer": json.dumps(answer)} for name, _, answer, _ in rows]
+    evidence = [
+        {"question_id": name, "frame": frame, "x": box[0], "y": box[1], "w": box[2], "h": box[3]}
+        for name, _, _, boxes in rows
+        for frame, box in boxes.items()
+    ]
+    sequences = [{"sequence": "s", "fps": fps, "frame_count": 1000, "frames": [0]}]
+    return make(
+        pa.Table.from_pylist(questions, schema=QUESTIONS["questions"]),
+        pa.Table.from_pylist(sequences, schema=QUESTIONS["sequences"]),
+        pa.Table.from_pylist(answers, schema=pa.schema([("question_id", pa.string()), ("answer", pa.string())])),
+        pa.Table.from_pylist(evidence, schema=QUESTIONS["evidence"]),
+    )
+
+
+def prediction(name, answer=None, evidence=None, status="answered"):
+    """answer: a dict, or a text as it stands; evidence: (frame, box)."""
+    frame, box = evidence if evidence else (None, (None,) * 4)
+    return {
+        "run_id": "r",
+        "question_id": name,
+        "status": status,
+        "answer": json.dumps(answer) if isinstance(answer, dict) else answer,
+        "evidence_frame": frame,
+        **dict(zip(("evidence_x", "evidence_y", "evidence_w", "evidence_h"), box, strict=True)),
+        "raw": "",
+        "reason": "",
+        "n_observations": 0,
+        "n_model_calls": 0,
+        "prompt_tokens": 0,
+        "completion_tokens": 0,
+        "seconds": 0.0,
+    }
+
+
+def predictions_of(rows):
+    return pa.Table.from_pylist(rows, schema=RUNS["predictions"])
+
+
+def score(rows, predicted, iou_threshold=0.5, asked=None, fps=15.0):
+    asked = [row[0] for row in rows] if asked is None else asked
+    table = score_predictions(truth_of(rows, fps), "r", asked, predictions_of(predicted), iou_threshold)
+    assert table.schema == RUNS["scores"]
+    assert table["question_id"].to_pylist() == list(asked)
+    return [
+        (row["answer_score"], row["evidence_score"], row["combined_score"], row["invalid"]) for row in table.to_pylist()
+    ]
+
+
+BOX = (100.0, 50.0, 40.0, 80.0)
+
+
+def answer_score(mode, truth, given, fps=15.0):
+    rows = [("q", mode, truth, {7: BOX})]
+    return score(rows, [prediction("q", given, (7, BOX))], fps=fps)[0][0]
+
+
+# -- the bounds, each on both sides: a mutant of the scorer fails here ----------------------------------------------
+
+
+BOUNDS = [
+    ("multiple_choice", {"choice": 2}, {"choice": 2}, 1),
+    ("multiple_choice", {"choice": 2}, {"choice": 1}, 0),
+    ("multiple_choice", {"choice": 1}, {"choice": 2}, 0),
+    ("frame", {"frame": 100}, {"frame": 100}, 1),
+    ("frame", {"frame": 100}, {"frame": 115}, 1),
+    ("frame", {"frame": 100}, {"frame": 116}, 0),
+    ("frame", {"frame": 100}, {"frame": 85}, 1),
+    ("frame", {"frame": 100}, {"frame": 84}, 0),
+    ("span", {"start_frame": 10, "end_frame": 19}, {"start_frame": 10, "end_frame": 19}, 1),
+    ("span", {"start_frame": 10, "end_frame": 19}, {"start_frame": 10, "end_frame": 14}, 1),  # 5 of 10
+    ("span", {"start_frame": 10, "end_frame": 19}, {"start_frame": 10, "end_frame": 13}, 0),  # 4 of 10
+    ("span", {"start_frame": 10, "end_frame": 19}, {"start_frame": 10, "end_frame": 29}, 1),  # 10 of 20
+    ("span", {"start_frame": 10, "end_frame": 19}, {"start_frame": 10, "end_frame": 30}, 0),
+    ("span", {"start_frame": 10, "end_frame": 19}, {"start_frame": 19, "end_frame": 10}, 0),  # reversed
+    ("span", {"start_frame": 10, "end_frame": 10}, {"start_frame": 10, "end_frame": 10}, 1),  # one frame
+    ("span", {"start_frame": 10, "end_frame": 10}, {"start_frame": 10, "end_frame": 11}, 1),
+    ("frame_viewpoint", {"frame": 9, "angle_deg": 350.0}, {"frame": 24, "angle_deg": 10.0}, 1),
+    ("frame_viewpoint", {"frame": 9, "angle_deg": 350.0}, {"frame": 24, "angle_deg": 10.5}, 0),
+    ("frame_viewpoint", {"frame": 9, "angle_deg": 350.0}, {"frame": 24, "angle_deg": -30.0}, 1),
+    ("frame_viewpoint", {"frame": 9, "angle_deg": 350.0}, {"frame": 24, "angle_deg": -31.0}, 0),
+    ("frame_viewpoint", {"frame": 9, "angle_deg": 350.0}, {"frame": 25, "angle_deg": 350.0}, 0),
+    ("frame_viewpoint", {"frame": 9, "angle_deg": 10.0}, {"frame": 9, "angle_deg": 730.0}, 1),
+    ("number", {"value": 8.0}, {"value": 8.0}, 1),
+    ("number", {"value": 8.0}, {"value": 16.0}, 1),
+    ("number", {"value": 8.0}, {"value": 16.1}, 0),
+    ("number", {"value": 8.0}, {"value": 4.0}, 1),
+    ("number", {"value": 8.0}, {"value": 3.9}, 0),
+    ("number", {"value": 8.0}, {"value": 0.0}, 0),
+    ("number", {"value": 8.0}, {"value": -8.0}, 0),
+]
+
+
+@pytest.mark.parametrize(("mode", "truth", "given", "expected"), BOUNDS)
+def test_answer_bounds_are_inclusive(mode, truth, given, expected):
+    assert answer_score(mode, truth, given) == expected
+
+
+def test_a_second_follows_the_frame_rate():
+    assert answer_score("frame", {"frame": 100}, {"frame": 110}, fps=10.0) == 1
+    assert answer_score("frame", {"frame": 100}, {"frame": 111}, fps=10.0) == 0
+    assert answer_score("frame", {"frame": 100}, {"frame": 107}, fps=7.4) == 1
+    assert answer_score("frame", {"frame": 100}, {"frame": 108}, fps=7.4) == 0
+
+
+@pytest.mark.parametrize(
+    "unreadable",
+    [
+        None,
+        "",
+        "not json",
+        '{"choice": 0}',
+        '{"choice": "1"}',
+        '{"choice": 1, "more": 2}',
+        '{"frame": 1}',
+        '{"choice": 1.5}',
+        "[1]",
+        "1",
+        '{"choice": true}',
+    ],
+)
+def test_unreadable_answer_scores_nothing_and_leaves_the_box(unreadable):
+    rows = [("q", "multiple_choice", {"choice": 1}, {7: BOX})]
+    assert score(rows, [prediction("q", unreadable, (7, BOX))]) == [(0, 1, 0, True)]
+
+
+@pytest.mark.parametrize(
+    "box",
+    [
+        (math.nan, 50.0, 40.0, 80.0),
+        (100.0, math.inf, 40.0, 80.0),
+        (100.0, 50.0, None, 80.0),
+        (100.0, 50.0, 0.0, 80.0),
+        (100.0, 50.0, 40.0, 0.0),
+        (140.0, 130.0, -40.0, -80.0),
+        (100.0, 50.0, 1e308, 1e308),
+        (-1e308, -1e308, 1e308, 1e308),
+    ],
+)
+def test_degenerate_boxes_never_score(box):
+    rows = [("q", "multiple_choice", {"choice": 1}, {7: BOX})]
+    assert score(rows, [prediction("q", {"choice": 1}, (7, box))], 1e-6)[0][:3] == (1, 0, 0)
+
+
+def test_box_counts_only_in_a_frame_where_the_target_has_one():
+    rows = [
+        ("p", "multiple_choice", {"choice": 1}, {7: BOX, 9: (500.0, 50.0, 40.0, 80.0)}),
+        ("q", "multiple_choice", {"choice": 1}, {8: BOX}),
+    ]
+    for frame, expected in ((6, 0), (7, 1), (8, 0), (9, 0), (10, 0), (None, 0)):
+        assert score(rows, [prediction("p", {"choice": 1}, (frame, BOX))])[0][1] == expected
+    assert score(rows, [prediction("p", {"choice": 1}, (9, (500.0, 50.0, 40.0, 80.0)))])[0][1] == 1
+
+
+def test_threshold_is_inclusive_and_a_setting():
+    rows = [("q", "multiple_choice", {"choice": 1}, {7: (0.0, 0.0, 40.0, 80.0)})]
+    half = (7, (0.0, 0.0, 40.0, 40.0))  # exactly half
+    less = (7, (0.0, 0.0, 40.0, 39.0))
+    assert score(rows, [prediction("q", {"choice": 1}, half)], 0.5)[0][1] == 1
+    assert score(rows, [prediction("q", {"choice": 1}, less)], 0.5)[0][1] == 0
+    assert score(rows, [prediction("q", {"choice": 1}, less)], 0.25)[0][1] == 1
+    assert score(rows, [prediction("q", {"choice": 1}, half)], 0.75)[0][1] == 0
+    for wrong in (0.0, -0.5, 1.5, math.nan):
+        with pytest.raises(InputError, match="threshold"):
+            score(rows, [], wrong)
+
+
+def test_boxes_are_x_y_width_height():
+    # The same four numbers read as two corners would be the truth exactly.
+    rows = [("q", "multiple_choice", {"choice": 1}, {7: (100.0, 50.0, 40.0, 80.0)})]
+    assert score(rows, [prediction("q", {"choice": 1}, (7, (100.0, 50.0, 140.0, 130.0)))])[0][1] == 0
+
+
+def test_errors_and_silence_score_nothing_and_stay_in_n():
+    rows = [(name, "multiple_choice", {"choice": 1}, {7: BOX}) for name in "abcd"]
+    predicted = [
+        prediction("b", {"choice": 1}, (7, BOX), status="error"),
+        prediction("a", {"choice": 1}, (7, BOX), status="invalid"),
+        prediction("d", {"choice": 1}, (7, BOX)),
+    ]
+    assert score(rows, predicted) == [(1, 1, 1, True), (0, 0, 0, False), (0, 0, 0, False), (1, 1, 1, False)]
+
+
+def test_only_asked_questions_count():
+    rows = [(name, "multiple_choice", {"choice": 1}, {7: BOX}) for name in "abc"]
+    assert len(score(rows, [], asked=["c", "a"])) == 2
+    assert score(rows, [], asked=[]) == []
+    good = prediction("a", {"choice": 1}, (7, BOX))
+    with pytest.raises(StoreError, match="did not ask"):
+        score(rows, [good], asked=["b"])
+    with pytest.raises(StoreError, match="two predictions"):
+        score(rows, [good, good])
+    with pytest.raises(StoreError, match="does not hold"):
+        score(rows, [], asked=["z"])
+    with pytest.raises(StoreError, match="twice"):
+        score(rows, [], asked=["a", "a"])
+
+
+# -- oracles --------------------------------------------------------------------------------------------------------
+
+
+def unrolled_iou(a, b):
+    """pycocotools on boxes unrolled over the seam: b is laid at every turn, the best meeting counts."""
+    both = [[b[0] + turn * WIDTH, *b[1:]] for turn in range(-4, 5)]
+    return float(coco.iou(np.array([a], float), np.array(both, float), [0] * len(both)).max())
+
+
+sides = st.floats(1, 400, allow_nan=False)
+boxes = st.tuples(st.floats(-WIDTH, 2 * WIDTH), st.floats(-50, 480), sides, sides)
+near = st.tuples(st.floats(-60, 60), st.floats(-60, 60), st.floats(0.5, 2), st.floats(0.5, 2), st.integers(-2, 2))
+
+
+@given(boxes, near)
+@settings(max_examples=200)
+def test_box_iou_equals_pycocotools(a, change):
+    dx, dy, fw, fh, turn = change
+    b = (a[0] + dx + turn * WIDTH, a[1] + dy, a[2] * fw, a[3] * fh)
+    ours = float(box_ious(np.array([a]), np.array([b]))[0])
+    assert ours == pytest.approx(unrolled_iou(a, b), abs=1e-9)
+    assert ours == iou(Box(*a), Box(*b))
+
+
+cells = st.tuples(st.integers(-40, WIDTH), st.integers(0, 60), st.integers(1, 50), st.integers(1, 50))
+
+
+def grid(box):
+    x, y, w, h = box
+    return {((x + i) % WIDTH, y + j) for i in range(w) for j in range(h)}
+
+
+@given(cells, st.integers(-30, 30), st.integers(-30, 30), st.integers(1, 50), st.integers(1, 50), st.integers(-2, 2))
+@settings(max_examples=100)
+def test_box_iou_equals_counted_cells(a, dx, dy, w, h, turn):
+    b = (a[0] + dx + turn * WIDTH, a[1] + dy, w, h)
+    ours = float(box_ious(np.array([a], float), np.array([b], float))[0])
+    assert ours == pytest.approx(len(grid(a) & grid(b)) / len(grid(a) | grid(b)), abs=1e-12)
+
+
+frames = st.integers(0, 60)
+
+
+@given(frames, frames, frames, frames)
+@settings(max_examples=200)
+def test_span_equals_jaccard_of_sets(a, b, c, d):
+    truth, said = set(range(min(a, b), max(a, b) + 1)), set(range(c, d + 1))
+    expected = int(2 * len(truth & said) >= len(truth | said))
+    spans = [{"start_frame": min(a, b), "end_frame": max(a, b)}, {"start_frame": c, "end_frame": d}]
+    assert answer_score("span", *spans) == expected
+
+
+# -- against a scorer that goes row by row --------------------------------------------------------------------------
+
+
+def plain_answer(mode, truth, given, fps):
+    """Section 6 of the protocol, straight down, on dicts."""
+    if mode == "multiple_choice":
+        return given["choice"] == truth["choice"]
+    if mode == "frame":
+        return abs(given["frame"] - truth["frame"]) <= fps
+    if mode == "span":
+        a = set(range(truth["start_frame"], truth["end_frame"] + 1))
+        b = set(range(given["start_frame"], given["end_frame"] + 1))
+        return 2 * len(a & b) >= len(a | b)
+    if mode == "number":
+        low, high = sorted((given["value"], truth["value"]))
+        return low > 0 and high / low <= 2
+    turn = abs(given["angle_deg"] - truth["angle_deg"]) % 360
+    return abs(given["frame"] - truth["frame"]) <= fps and min(turn, 360 - turn) <= 20
+
+
+small = st.integers(0, 40)
+payloads = {
+    "multiple_choice": st.fixed_dictionaries({"choice": st.integers(1, 4)}),
+    "frame": st.fixed_dictionaries({"frame": small}),
+    "span": st.fixed_dictionaries({"start_frame": small, "end_frame": small}),
+    "frame_viewpoint": st.fixed_dictionaries({"frame": small, "angle_deg": st.integers(0, 72).map(lambda n: n * 5.0)}),
+    "number": st.fixed_dictionaries({"value": st.integers(-4, 40).map(lambda n: n / 2)}),
+}
+
+
+@st.composite
+def worlds(draw):
+    rows, predicted = [], []
+    for n in range(draw(st.integers(1, 8))):
+        mode = draw(st.sampled_from(MODES))
+        truth = draw(payloads[mode])
+        if mode == "span":
+            truth = {"start_frame": min(truth.values()), "end_frame": max(truth.values())}
+        places = draw(st.dictionaries(st.integers(0, 3), cells, min_size=0, max_size=3))
+        rows.append((f"q{n}", mode, truth, {f: tuple(map(float, box)) for f, box in places.items()}))
+        if draw(st.integers(0, 5)):
+            answer = draw(st.one_of(payloads[mode], payloads[draw(st.sampled_from(MODES))], st.none()))
+            box = None
+            if draw(st.integers(0, 4)):
+                frame = draw(st.integers(0, 3))
+                base = places.get(frame) or draw(cells)
+                box = (frame, (float(base[0] + draw(st.sampled_from([0, 0, 5, WIDTH]))), *map(float, base[1:])))
+            status = draw(st.sampled_from(["answered", "answered", "invalid", "error"]))
+            predicted.append(prediction(f"q{n}", answer, box, status))
+    return rows, draw(st.permutations(predicted))
+
+
+@given(worlds(), st.sampled_from([0.25, 0.5, 1.0]))
+@settings(max_examples=100, deadline=None)
+def test_set_wise_equals_row_by_row(world, threshold):
+    rows, predicted = world
+    by_name = {p["question_id"]: p for p in predicted}
+    expected = []
+    for name, mode, truth, places in rows:
+        said = by_name.get(name)
+        if said is None or said["status"] == "error":
+            expected.append((0, 0, 0, False))
+            continue
+        given = None if said["answer"] is None else json.loads(said["answer"])
+        readable = given is not None and given.keys() == truth.keys()
+        right = readable and plain_answer(mode, truth, given, 15)
+        frame = said["evidence_frame"]
+        hit = False
+        if frame in places:
+            box = tuple(int(said[f"evidence_{key}"]) for key in "xywh")
+            mine, theirs = grid(box), grid(tuple(map(int, places[frame])))
+            hit = len(mine & theirs) >= threshold * len(mine | theirs)
+        invalid = said["status"] == "invalid" or not readable or frame is None
+        expected.append((int(right), int(hit), int(right and hit), invalid))
+    assert score(rows, predicted, threshold) == expected
+
+
+@given(worlds())
+@settings(max_examples=100, deadline=None)
+def test_set_wise_equals_the_comparison_of_the_proofs(world):
+    rows, predicted = world
+    scores = dict(zip([row[0] for row in rows], score(rows, predicted), strict=True))
+    truths = {row[0]: row for row in rows}
+    for said in predicted:
+        if said["status"] == "error":
+            continue
+        _, mode, truth, places = truths[said["question_id"]]
+        try:
+            given = None if said["answer"] is None else decode_answer(mode, said["answer"])
+        except DecodeError:
+            given = None
+        evidence = None
+        if said["evidence_frame"] is not None:
+            evidence = EvidenceAnswer(said["evidence_frame"], tuple(said[f"evidence_{key}"] for key in "xywh"))
+        stored = decode_answer(mode, json.dumps(truth))
+        assert scores[said["question_id"]][0] == same_answer(given, stored)
+        known = {frame: Box(*box) for frame, box in places.items()}
+        assert scores[said["question_id"]][1] == evidence_hits(evidence, known)
+
+
+def test_shuffled_predictions_score_the_same():
+    rows = [(f"q{n}", "frame", {"frame": n}, {7: BOX}) for n in range(50)]
+    predicted = [prediction(f"q{n}", {"frame": 2 * n}, (7, BOX)) for n in range(50)]
+    assert score(rows, predicted) == score(rows, predicted[::-1])
+
+
+# -- the report -----------------------------------------------------------------------------------------------------
+
+
+def row_of(rows, predicted, synthetic=False):
+    truth, names = truth_of(rows), [row[0] for row in rows]
+    manifest = RunManifest("r", "react", "marker", "0", tuple(names), synthetic, {}, "2020-01-01T00:00:00Z")
+    table = predictions_of(predicted)
+    return report_row(manifest, table, score_predictions(truth, "r", names, table), 0.5)
+
+
+def test_report_row():
+    rows = [(name, "multiple_choice", {"choice": 1}, {7: BOX}) for name in "abcdefgh"]
+    predicted = [
+        prediction("a", {"choice": 1}, (7, BOX)),
+        prediction("b", {"choice": 1}, (8, BOX)),
+        prediction("c", {"choice": 1}),
+        prediction("d", {"choice": 2}, (7, BOX)),
+        prediction("e", status="error"),
+    ]
+    row = row_of(rows, predicted, synthetic=True)
+    assert (row.n, row.answer, row.evidence, row.combined) == (8, 37.5, 25.0, 12.5)
+    assert row.hallucination == 66.67
+    assert (row.invalid, row.errors, row.label) == (12.5, 50.0, "synthetic")
+
+
+def test_report_of_nothing():
+    row = row_of([("a", "frame", {"frame": 900}, {})], [prediction("a", {"frame": 1})])
+    assert (row.answer, row.hallucination) == (0.0, None)
+    assert row_of([], []).answer is None
+
+
+# -- mutants --------------------------------------------------------------------------------------------------------
+
+MUTANTS = [
+    ("near = np.abs(given.first - truth.first) <= second", "near = np.abs(given.first - truth.first) < second"),
+    ("near = np.abs(given.first - truth.first) <= second", "near = np.abs(given.first - truth.first) <= second + 1"),
+    ("Choice: given.first == truth.first", "Choice: given.first + 1 == truth.first"),
+    ("_span_iou(given, truth) >= SPAN_IOU", "_span_iou(given, truth) > SPAN_IOU"),
+    (
+        "np.minimum(a.last, b.last) - np.maximum(a.first, b.first) + 1",
+        "np.minimum(a.last, b.last) - np.maximum(a.first, b.first)",
+    ),
+    ("a.last - a.first + 1, 0", "a.last - a.first, 0"),
+    ("truth.number) <= ANGLE_DEG", "truth.number) < ANGLE_DEG"),
+    ("angle_error(given.number, truth.number)", "np.abs(given.number - truth.number)"),
+    ("ratio >= 1 / NUMBER_RATIO", "ratio > 1 / NUMBER_RATIO"),
+    ("ratio <= NUMBER_RATIO", "ratio < NUMBER_RATIO"),
+    ("box_ious(box, truth.boxes[at]) >= threshold", "box_ious(box, truth.boxes[at]) > threshold"),
+    ("for shift in (turn - WIDTH, turn, turn + WIDTH)", "for shift in (0.0 * turn,)"),
+    ("np.minimum(ax + aw, bx + shift + bw)", "np.minimum(aw, bx + shift + bw)"),
+    ("aw * ah + bw * bh - overlap", "aw * ah + bw * bh"),
+    ("truth.keys[at] == key", "truth.keys[at] >= key"),
+    ("(answer_score & evidence_score)", "(answer_score | evidence_score)"),
+    ("(answer_score & evidence_score)", "answer_score"),
+    ('["answered", "invalid"]', '["answered"]'),
+    ('["answered", "invalid"]', '["answered", "invalid", "error"]'),
+    ("given[answered_by] = np.arange(len(answered_by))", "given[: len(answered_by)] = np.arange(len(answered_by))"),
+    ("| ~answers.readable | ~boxed", ""),
+    ("np.round(fps)", "np.full(len(fps), 15.0)"),
+]
+
+
+def scores_as_specified(module):
+    """Whether a scorer passes a fixed battery on the bounds; the real one does, every mutant must not."""
+
+    def run(rows, predicted, threshold=0.5, fps=15.0):
+        truth = truth_of(rows, fps, module.make_truth)
+        table = module.score_predictions(truth, "r", [row[0] for row in rows], predictions_of(predicted), threshold)
+        return [tuple(row.values())[2:] for row in table.to_pylist()]
+
+    wrong = []
+    for mode, truth, given_answer, expected in BOUNDS:
+        got = run([("q", mode, truth, {7: BOX})], [prediction("q", given_answer, (7, BOX))])
+        wrong.append(got != [(expected, 1, expected, False)])
+    wrong.append(run([("q", "frame", {"frame": 9}, {})], [prediction("q", {"frame": 20})], fps=10.0)[0][0] != 0)
+    rows = [("q", "frame", {"frame": 9}, {3: (3750.0, 0.0, 40.0, 80.0)})]
+    for frame, box, hit in (
+        (3, (-10.0, 0.0, 40.0, 80.0), 1),
+        (3, (3750.0, 0.0, 40.0, 40.0), 1),
+        (3, (3750.0, 0.0, 40.0, 39.0), 0),
+        (3, (3765.0, 0.0, 40.0, 80.0), 0),
+        (2, (3750.0, 0.0, 40.0, 80.0), 0),
+    ):
+        wrong.append(run(rows, [prediction("q", {"frame": 900}, (frame, box))]) != [(0, hit, 0, False)])
+    rows = [(name, "frame", {"frame": 9}, {3: BOX}) for name in "ab"]
+    b = prediction("b", {"frame": 9}, (3, BOX))
+    wrong.append(run(rows, [b]) != [(0, 0, 0, False), (1, 1, 1, False)])
+    wrong.append(run(rows, [b | {"evidence_frame": 4}])[1] != (1, 0, 0, False))
+    wrong.append(run(rows, [b | {"status": "error"}])[1] != (0, 0, 0, False))
+    wrong.append(run(rows, [b | {"status": "invalid", "answer": None}])[1] != (0, 1, 0, True))
+    wrong.append(run(rows, [b | {"answer": None}])[1] != (0, 1, 0, True))
+    return not any(wrong)
+
+
+def test_battery_passes_the_scorer():
+    assert scores_as_specified(scoring)
+
+
+@pytest.mark.parametrize(("old", "new"), MUTANTS)
+def test_mutants_of_the_scorer_are_caught(old, new, monkeypatch):
+    source = Path(scoring.__file__).read_text()
+    assert old in source, "the mutant's place has moved: adapt this list"
+    mutant = types.ModuleType("mutant")
+    # dataclasses look their module up by name.
+    monkeypatch.setitem(sys.modules, "mutant", mutant)
+    exec(compile(source.replace(old, new), "mutant", "exec"), mutant.__dict__)
+    assert not scores_as_specified(mutant)
