@@ -54,6 +54,10 @@ PROFILES: Final[dict[str, dict[str, int]]] = {
 OFFSET_EDGES_S: Final = (3.0, 6.0, 10.0, 15.0, 21.0)
 GAP_EDGES_S: Final = (5.0, 10.0, 20.0, 40.0)
 
+_TIME_SHARES: Final = {"frame": 0.25, "span": 0.25, "frame_viewpoint": 0.25, "number": 0.29}
+"""The most that one bin of offsets or gaps should take: a guess of one offset can win a bin of the near ones whole, and
+a guess of one length, right within a factor of two, wins two bins."""
+
 _LEVELS: Final = (("stated", "waits"), ("stated",), ("waits",), ())
 """What a reader of the text alone could go by, finest first: a cell with too few different answers to be balanced by
 itself is joined with others that look alike in less."""
@@ -149,7 +153,7 @@ def select(table: pa.Table, rules: Rules, profile: str, seed: int) -> Selection:
         of_family = table.filter(pc.equal(table["family"], family))
         names = sorted(set(of_family["template"].to_pylist()))
         templates = {name: of_family.filter(pc.equal(of_family["template"], name)) for name in names}
-        balanced = {name: _balance(rows, rules.max_answer_share, seed) for name, rows in templates.items()}
+        balanced = {name: _balance(rows, rules, seed) for name, rows in templates.items()}
         quotas = _share_out({name: len(order) for name, order in balanced.items()}, wanted.get(family))
         for name, rows in templates.items():
             keep = balanced[name][: quotas[name]]
@@ -194,9 +198,10 @@ def _share_out(available: Mapping[str, int], wanted: int | None) -> dict[str, in
     return quotas
 
 
-def _balance(rows: pa.Table, share: float, seed: int) -> Ints:
+def _balance(rows: pa.Table, rules: Rules, seed: int) -> Ints:
     """Row numbers that can stay, in an order of which every beginning is balanced nearly as well as the whole."""
-    answers, choice = _answer_codes(rows), _mode(rows) == "multiple_choice"
+    answers, mode = _answer_codes(rows), _mode(rows)
+    share = _TIME_SHARES.get(mode, rules.max_answer_share)
     features = {
         "stated": _joined(_text_codes([" | ".join(words) for words in rows["stated"].to_pylist()])),
         "waits": _joined(_text_codes([_waits(times) for times in rows["times"].to_pylist()])),
@@ -211,8 +216,8 @@ def _balance(rows: pa.Table, share: float, seed: int) -> Ints:
         for cell in np.unique(cells[left]):
             members = np.flatnonzero(left & (cells == cell))
             height = _level(np.bincount(answers[members]), share)
-            if not height and not level and not choice:
-                # Times have no share to keep to: with too few bins to level, all stay.
+            if not height and not level and mode in _TIME_SHARES:
+                # For times the share is an aim, not a rule: with too few bins to level, all stay.
                 height = len(members)
             if not height:
                 continue
