@@ -17,7 +17,7 @@ Ints = npt.NDArray[np.int64]
 
 LEAST_DISTANCE = 1.7
 """Metres: nobody comes nearer to the robot."""
-STEP_RISE = 0.3
+STEP_RISE = 0.2
 """Metres per second that stairs lead up."""
 
 

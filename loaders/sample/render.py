@@ -156,9 +156,9 @@ def _shadow(image: Image, x: int, ground: int, w: int) -> None:
 
 
 def _steps(image: Image, x: int, y: int, w: int, h: int) -> None:
-    cv2.rectangle(image, (x, y), (x + w, y + h), (104, 100, 96), -1)
+    cv2.rectangle(image, (x, y), (x + w - 1, y + h), (104, 100, 96), -1)
     for row in range(y, y + h, max(3, h // 5)):
-        cv2.line(image, (x, row), (x + w, row), (74, 70, 68), 1)
+        cv2.line(image, (x, row), (x + w - 1, row), (74, 70, 68), 1)
 
 
 def _background(rng: np.random.Generator) -> Image:

@@ -194,7 +194,9 @@ def _party_moves(rng: Rng, ticks: int, party: Party) -> tuple[Bools, Ints]:
     upstairs = False
     while tick < ticks:
         if moves:
-            name = "going downstairs" if upstairs else _pick(rng, MOVING)
+            # Stairs stand a little away from the robot.
+            ways = MOVING if party.near > 3 else {key: MOVING[key] for key in MOVING if key != "going upstairs"}
+            name = "going downstairs" if upstairs else _pick(rng, ways)
             # What went up for so many seconds comes down for as many.
             length = 4 if "stairs" in name else int(rng.integers(3, 8))
             upstairs = name == "going upstairs"

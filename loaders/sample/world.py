@@ -127,7 +127,7 @@ def build(name: str, seed: int, frames: int, people: int) -> World:
         height=height,
         width=width,
         boxes=boxes,
-        covered=_covered(boxes, present, distance, order, panel_boxes, panel_distance),
+        covered=_covered(boxes, _ground_rows(distance), present, distance, order, panel_boxes, panel_distance),
         panel_boxes=panel_boxes,
         panel_distance=panel_distance,
         order=order,
@@ -188,10 +188,24 @@ def _clusters(people: tuple[Person, ...], apart: Bools) -> Ints:
     return np.where(apart, own, party)
 
 
+def _ground_rows(distance: Floats) -> Ints:
+    """Rows of the floor at these distances, inside the image."""
+    return np.clip(np.round(HORIZON_ROW - FOCAL_ROWS * FLOOR / distance), 0, HEIGHT).astype(np.int64)
+
+
 def _covered(
-    boxes: Ints, present: Bools, distance: Floats, order: Ints, panel_boxes: Ints, panel_distance: Floats
+    boxes: Ints,
+    ground: Ints,
+    present: Bools,
+    distance: Floats,
+    order: Ints,
+    panel_boxes: Ints,
+    panel_distance: Floats,
 ) -> Floats:
-    """Share of each box that lies behind nearer boxes, counted on a raster of `GRID` pixels; 0 for the absent."""
+    """Share of each box that lies behind nearer ones, counted on a raster of `GRID` pixels; 0 for the absent.
+
+    A person's box covers with the steps below it, down to the row `ground`.
+    """
     frames, count = distance.shape
     covered = np.zeros((frames, count))
     across, down = WIDTH // GRID, HEIGHT // GRID
@@ -204,23 +218,20 @@ def _covered(
             if not present[frame, i]:
                 continue
             while panels and panel_distance[frame, panels[-1]] < distance[frame, i]:
-                _take(taken, panel_boxes[frame, panels.pop()].tolist(), across)
-            part = _take(taken, boxes[frame, i].tolist(), across)
-            covered[frame, i] = part
+                x, y, w, h = panel_boxes[frame, panels.pop()].tolist()
+                _take(taken, x, y, w, h, y + h, across)
+            x, y, w, h = boxes[frame, i].tolist()
+            covered[frame, i] = _take(taken, x, y, w, h, max(y + h, int(ground[frame, i])), across)
     return covered
 
 
-def _take(taken: npt.NDArray[np.uint8], box: list[int], across: int) -> float:
-    """The share of the box already taken; then takes it all."""
-    x, y, w, h = box
+def _take(taken: npt.NDArray[np.uint8], x: int, y: int, w: int, h: int, foot: int, across: int) -> float:
+    """The share of the box already taken; then takes all of it, and what is below it down to the row `foot`."""
     left = round(x / GRID) % across + across
     right = left + max(1, round(w / GRID))
     top, bottom = y // GRID, max(y // GRID + 1, (y + h) // GRID)
     share = float(taken[top:bottom, left:right].mean())
-    taken[top:bottom, left:right] = 1
-    taken[top:bottom, left - across : right - across] = 1
-    if right + across <= taken.shape[1]:
-        taken[top:bottom, left + across : right + across] = 1
-    else:
-        taken[top:bottom, left + across :] = 1
+    bottom = max(bottom, foot // GRID)
+    for turn in (-across, 0, across):
+        taken[top:bottom, left + turn : right + turn] = 1
     return share
