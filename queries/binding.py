@@ -93,13 +93,13 @@ def _type(name: str, value: Any) -> str | None:
         case str():
             return "STRING"
         case dict():
-            parts = [f"`{key}` {_type(name, item) or 'STRING'}" for key, item in value.items()]
+            parts = [f"{_field(name, key)} {_type(name, item) or 'STRING'}" for key, item in value.items()]
             return f"STRUCT({', '.join(parts)})" if parts else None
         case list() if value and all(isinstance(item, dict) for item in value):
             if any(item.keys() != value[0].keys() for item in value):
                 raise QueryError(f"${name}: all rows need the same keys")
-            columns = {key: _common(name, [item[key] for item in value]) for key in value[0]}
-            return f"STRUCT({', '.join(f'`{key}` {kind}' for key, kind in columns.items())})[]"
+            columns = [f"{_field(name, key)} {_common(name, [item[key] for item in value])}" for key in value[0]]
+            return f"STRUCT({', '.join(columns)})[]"
         case list():
             return f"{_common(name, value)}[]"
         case _:
@@ -113,3 +113,9 @@ def _common(name: str, items: list[Any]) -> str:
     if len(kinds) > 1:
         raise QueryError(f"${name}: values of one list need one type, not {', '.join(sorted(kinds))}")
     return kinds.pop() if kinds else "STRING"
+
+
+def _field(name: str, key: Any) -> str:
+    if not isinstance(key, str) or not re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", key):
+        raise QueryError(f"${name}: {key!r} cannot be a field's name: use letters, digits and '_'")
+    return key

@@ -1,0 +1,429 @@
+"""The graph handle: what the engine gets wrong is refused, locks hold, a build is all or nothing."""
+
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jrdb_avr.queries import handle
+from jrdb_avr.queries.binding import bind, parameters, strip_literals
+from jrdb_avr.queries.handle import Graph, build_graph
+from jrdb_avr.schema.errors import LockedError, QueryError, StoreError
+from jrdb_avr.schema.graph import scene_ddl
+
+NODES = "CREATE NODE TABLE N(id INT64 PRIMARY KEY, s STRING)"
+EDGES = "CREATE REL TABLE R(FROM N TO N, k INT64)"
+
+
+def fill(graph, edges, nodes=range(1, 5)):
+    graph.execute(NODES)
+    graph.execute(EDGES)
+    graph.copy("N", pa.table({"id": pa.array(list(nodes), pa.int64()), "s": ["x"] * len(list(nodes))}))
+    columns = [pa.array([edge[i] for edge in edges], pa.int64()) for i in range(3)]
+    graph.copy("R", pa.table(columns, names=["from", "to", "k"]))
+
+
+@pytest.fixture
+def memory():
+    with Graph.memory() as graph:
+        yield graph
+
+
+@pytest.fixture
+def path(tmp_path):
+    place = tmp_path / "graph.kuzu"
+    with build_graph(place) as graph:
+        fill(graph, [(1, 2, 0), (1, 2, 1)])
+    return place
+
+
+# -- parallel edges -------------------------------------------------------------------------------------------------
+
+PARALLEL = [(a, b, k) for a, b in ((1, 2), (2, 4), (1, 3), (3, 4)) for k in (0, 1)]
+DIAMOND = (
+    "MATCH (a:N)-[r1:R]->(b:N)-[r2:R]->(d:N), (a)-[r3:R]->(c:N)-[r4:R]->(d) WHERE b.id < c.id RETURN count(*) AS n"
+)
+TRIANGLE = "MATCH (a:N)-[r1:R]->(b:N)-[r2:R]->(c:N), (a)-[r3:R]->(c) RETURN count(*) AS n"
+
+
+def raw_count(graph, cypher):
+    return graph._connection.execute(cypher).get_all()[0][0]
+
+
+def brute_diamonds(edges):
+    return sum(
+        e1[1] == e2[0] and e3[1] == e4[0] and e1[0] == e3[0] and e2[1] == e4[1] and e1[1] < e3[1]
+        for e1 in edges
+        for e2 in edges
+        for e3 in edges
+        for e4 in edges
+    )
+
+
+def brute_triangles(edges):
+    return sum(e1[1] == e2[0] and e3[0] == e1[0] and e3[1] == e2[1] for e1 in edges for e2 in edges for e3 in edges)
+
+
+def test_diamond_loses_rows_in_the_engine_and_is_refused(memory):
+    fill(memory, PARALLEL)
+    truth = brute_diamonds(PARALLEL)
+    assert truth == 16
+    assert "INTERSECT" in memory.explain(DIAMOND).operators
+    assert raw_count(memory, DIAMOND) < truth, "the engine has learnt it: the guard may go"
+    with pytest.raises(QueryError, match="lose rows"):
+        memory.query(DIAMOND)
+    split = (
+        "MATCH (a:N)-[:R]->(b:N)-[:R]->(d:N) WITH a, b, d MATCH (a)-[:R]->(c:N) WHERE b.id < c.id "
+        "WITH c, d MATCH (c)-[:R]->(e:N) WHERE e.id = d.id RETURN count(*) AS n"
+    )
+    assert memory.query(split)["n"].to_pylist() == [truth]
+
+
+def test_triangle_loses_rows_in_the_engine_and_is_refused(memory):
+    edges = [(a, b, k) for a, b in ((1, 2), (2, 3), (1, 3)) for k in (0, 1)]
+    fill(memory, edges)
+    truth = brute_triangles(edges)
+    assert truth == 8
+    assert "INTERSECT" in memory.explain(TRIANGLE).operators
+    assert raw_count(memory, TRIANGLE) < truth, "the engine has learnt it: the guard may go"
+    with pytest.raises(QueryError, match="lose rows"):
+        memory.query(TRIANGLE)
+    with pytest.raises(QueryError, match="lose rows"):
+        memory.execute("MATCH (a:N)-[:R]->(b:N)-[:R]->(c:N), (a)-[:R]->(c) CREATE (a)-[:R {k: 9}]->(c)")
+    split = "MATCH (a:N)-[:R]->(b:N)-[:R]->(c:N) WITH a, c MATCH (a)-[:R]->(d:N) WHERE d.id = c.id RETURN count(*) AS n"
+    assert memory.query(split)["n"].to_pylist() == [truth]
+
+
+@given(st.lists(st.tuples(st.integers(1, 4), st.integers(1, 4), st.just(0)), max_size=12))
+@settings(max_examples=15, deadline=None)
+def test_what_passes_the_guard_counts_right(edges):
+    with Graph.memory(buffer_bytes=64 << 20) as graph:
+        fill(graph, edges)
+        try:
+            assert graph.query(TRIANGLE)["n"].to_pylist() == [brute_triangles(edges)]
+        except QueryError as error:
+            assert "INTERSECT" in str(error)
+        two = graph.query("MATCH (a:N)-[:R]->(b:N)-[:R]->(c:N) RETURN count(*) AS n")
+        assert two["n"].to_pylist() == [sum(e1[1] == e2[0] for e1 in edges for e2 in edges)]
+
+
+def test_plans_are_made_anew_when_the_data_changes(memory):
+    memory.execute(NODES)
+    memory.execute(EDGES)
+    memory.query("MATCH (n:N) RETURN count(*) AS n")
+    assert memory._plans
+    memory.copy("N", pa.table({"id": [1], "s": ["x"]}))
+    assert not memory._plans
+
+
+# -- results --------------------------------------------------------------------------------------------------------
+
+
+def test_results_are_ordered_or_one_row(memory):
+    fill(memory, [(1, 2, 0)])
+    for fine in (
+        "MATCH (n:N) RETURN n.id AS i ORDER BY i",
+        "MATCH (n:N) RETURN n.id AS i ORDER BY i DESC LIMIT 2",
+        "MATCH (n:N) RETURN n.id AS i ORDER BY i SKIP 1",
+        "MATCH (n:N) RETURN count(*) AS c, max(n.id) AS m",
+        "MATCH (n:N) RETURN n.s AS s, count(*) AS c ORDER BY s;",
+    ):
+        assert isinstance(memory.query(fine), pa.Table)
+    for open_order in (
+        "MATCH (n:N) RETURN n.id",
+        "MATCH (n:N) RETURN n.s, count(*)",
+        "MATCH (n:N) RETURN n.id LIMIT 2",
+        "UNWIND [1, 2] AS x RETURN x",
+        "MATCH (n:N) WITH n ORDER BY n.id LIMIT 3 MATCH (n)-[:R]->(m:N) RETURN n.id, m.id",
+    ):
+        with pytest.raises(QueryError, match="ORDER BY"):
+            memory.query(open_order)
+        memory.query(open_order, ordered=False)
+    assert memory.query("MATCH (n:N) RETURN n.id AS i ORDER BY i DESC")["i"].to_pylist() == [4, 3, 2, 1]
+
+
+def test_reading_refuses_writes_and_second_statements(memory):
+    fill(memory, [])
+    for writes in ("CREATE (n:N {id: 9})", "MATCH (n:N) SET n.s = 'y'", "MATCH (n:N) DELETE n", "MERGE (n:N {id: 9})"):
+        with pytest.raises(QueryError, match="writes"):
+            memory.query(writes)
+    with pytest.raises(QueryError, match="one statement"):
+        memory.query("MATCH (n:N) RETURN count(*); MATCH (n:N) DELETE n")
+    assert memory.query("MATCH (n:N) WHERE n.s = 'x' RETURN count(*) AS n")["n"].to_pylist() == [4]
+    with pytest.raises(QueryError) as error:
+        memory.query("MATCH bogus")
+    assert "\n" not in str(error.value)
+
+
+def test_timeout(memory):
+    memory.execute(NODES)
+    memory.copy("N", pa.table({"id": range(3000), "s": ["x"] * 3000}))
+    with pytest.raises(QueryError, match=r"stopped after 0\.2 s"):
+        memory.query("MATCH (a:N), (b:N), (c:N) WHERE a.id + b.id > c.id RETURN count(*) AS n", timeout_s=0.2)
+    assert memory.query("MATCH (a:N) RETURN count(*) AS n")["n"].to_pylist() == [3000]
+
+
+# -- parameters -----------------------------------------------------------------------------------------------------
+
+
+def test_small_integers_are_bound_wide(memory):
+    fill(memory, [])
+    assert memory.query("RETURN $n + 1000 AS x ORDER BY x", {"n": 5})["x"].type == pa.int64()
+    rows = [{"order": 1, "s": "a"}, {"order": 2000, "s": None}]
+    found = memory.query("UNWIND $rows AS r RETURN r.`order` AS `order`, r.s AS s ORDER BY s", {"rows": rows})
+    assert found.to_pylist() == rows
+    assert memory.query("UNWIND $rows AS r RETURN r AS r", {"rows": []}, ordered=False).num_rows == 0
+    wide = memory.query(
+        "MATCH (n:N) WHERE n.id IN $ids RETURN n.id AS i ORDER BY i LIMIT $k", {"ids": [3, 2**40], "k": 2}
+    )
+    assert wide["i"].to_pylist() == [3]
+    numpy_given = memory.query("MATCH (n:N) WHERE n.id = $i RETURN count(*) AS c", {"i": np.int64(3)})
+    assert numpy_given["c"].to_pylist() == [1]
+
+
+def test_rows_come_in_as_arrow(memory):
+    fill(memory, [])
+    rows = pa.table({"k": pa.array([2, 3, 9], pa.int32())})
+    found = memory.query(
+        "LOAD FROM $rows WITH k MATCH (n:N) WHERE n.id = k RETURN n.id AS i ORDER BY i", {"rows": rows}
+    )
+    assert found["i"].to_pylist() == [2, 3]
+
+
+@pytest.mark.parametrize(
+    ("cypher", "params"),
+    [
+        ("RETURN $a AS x", {}),
+        ("RETURN 1 AS x", {"a": 1}),
+        ("RETURN '$a' AS x", {"a": 1}),
+        ("RETURN $A AS x", {"a": 1}),
+        ("RETURN $a AS x", {"a": 2**63}),
+        ("RETURN $a AS x", {"a": object()}),
+        ("RETURN $a AS x", {"a": [1, "x"]}),
+        ("RETURN $a AS x", {"a": [{"k": 1}, {"j": 1}]}),
+    ],
+)
+def test_wrong_parameters_are_refused(cypher, params):
+    with pytest.raises(QueryError):
+        bind(cypher, params)
+
+
+@given(st.one_of(st.booleans(), st.integers(-(2**63), 2**63 - 1), st.floats(allow_nan=False), st.text(max_size=8)))
+@settings(max_examples=60, deadline=None)
+def test_scalars_come_back_as_they_went(value):
+    if isinstance(value, str):
+        value = value.replace("\0", "")
+    assert _shared_memory().query("RETURN $v AS v ORDER BY v", {"v": value})["v"].to_pylist() == [value]
+
+
+@given(st.lists(st.integers(-(2**63), 2**63 - 1), max_size=4))
+@settings(max_examples=30, deadline=None)
+def test_lists_come_back_as_they_went(values):
+    assert _shared_memory().query("RETURN $v AS v", {"v": values}, ordered=False)["v"].to_pylist() == [values]
+
+
+_kept = []
+
+
+def _shared_memory():
+    if not _kept:
+        _kept.append(Graph.memory(buffer_bytes=64 << 20))
+    return _kept[0]
+
+
+def test_quotes_and_comments_hold_no_parameters():
+    text = "RETURN '$a', \"$b\", `$c`, $d // $e\n/* $f */ + $g"
+    assert parameters(text) == ["d", "g"]
+    assert "$" not in strip_literals(text).replace("$d", "").replace("$g", "")
+
+
+# -- processes ------------------------------------------------------------------------------------------------------
+
+CHILD = """
+import sys
+from jrdb_avr.queries.handle import Graph, build_graph
+from jrdb_avr.schema.errors import LockedError
+try:
+    if sys.argv[2] == "build":
+        with build_graph(sys.argv[1]):
+            pass
+    with Graph.open(sys.argv[1], read_only=sys.argv[2] == "read") as graph:
+        print(graph.query("MATCH (n:N) RETURN count(*) AS n")["n"].to_pylist()[0], flush=True)
+        if len(sys.argv) > 3:
+            sys.stdin.read()
+except LockedError as error:
+    print("LOCKED", error)
+"""
+
+
+def child(path, mode, *more, **options):
+    return [sys.executable, "-c", CHILD, str(path), mode, *more]
+
+
+def ask_child(path, mode):
+    return subprocess.run(child(path, mode), capture_output=True, text=True, check=True).stdout.strip()
+
+
+def test_a_writer_keeps_other_processes_out(path):
+    with Graph.open(path):
+        for mode in ("read", "write", "build"):
+            assert ask_child(path, mode).startswith("LOCKED")
+            assert "process" in ask_child(path, mode)
+    assert ask_child(path, "read") == "4"
+    assert ask_child(path, "write") == "4"
+
+
+def test_readers_share_and_keep_writers_out(path):
+    with Graph.open(path, read_only=True):
+        assert ask_child(path, "read") == "4"
+        assert ask_child(path, "write").startswith("LOCKED")
+        assert ask_child(path, "build").startswith("LOCKED")
+
+
+def test_the_holder_is_named(path):
+    with subprocess.Popen(child(path, "write", "wait"), stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout.readline().strip() == b"4"
+        with pytest.raises(LockedError, match=f"process {other.pid}") as error:
+            Graph.open(path)
+        assert str(other.pid) in error.value.holder
+        other.stdin.close()
+    Graph.open(path).close()
+
+
+def test_a_killed_holder_lets_go(path):
+    with subprocess.Popen(child(path, "write", "wait"), stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        other.stdout.readline()
+        other.kill()
+    with Graph.open(path) as graph:
+        assert graph.query("MATCH (n:N) RETURN count(*) AS n")["n"].to_pylist() == [4]
+
+
+# -- one process ----------------------------------------------------------------------------------------------------
+
+
+def test_two_openings_share_one_database(path):
+    with Graph.open(path) as one, Graph.open(path.parent / "." / path.name) as two:
+        assert one._database is two._database
+        one.execute("CREATE (n:N {id: $i, s: 'new'})", {"i": 77})
+        assert two.query("MATCH (n:N {id: 77}) RETURN n.s AS s ORDER BY s")["s"].to_pylist() == ["new"]
+        one.close()
+        one.close()
+        assert two.query("MATCH (n:N) RETURN count(*) AS n")["n"].to_pylist() == [5]
+        with pytest.raises(QueryError, match="closed"):
+            one.query("MATCH (n:N) RETURN count(*) AS n")
+    assert not handle._registry
+
+
+def test_a_reader_here_keeps_a_writer_here_out(path):
+    with Graph.open(path, read_only=True) as graph:
+        with pytest.raises(LockedError, match="this process"):
+            Graph.open(path)
+        with pytest.raises(LockedError, match="this process"), build_graph(path):
+            pass
+        with pytest.raises(QueryError, match="reading only"):
+            graph.execute("CREATE (n:N {id: 9})")
+    with Graph.open(path), Graph.open(path, read_only=True) as graph, pytest.raises(QueryError, match="reading only"):
+        graph.copy("N", pa.table({"id": [9], "s": ["x"]}))
+
+
+def test_writers_of_several_threads_wait_for_each_other(path):
+    def write(start):
+        with Graph.open(path) as graph:
+            for i in range(start, start + 20):
+                with graph.transaction():
+                    graph.execute("CREATE (n:N {id: $i, s: 'a'})", {"i": i})
+                    graph.execute("MATCH (n:N {id: $i}) SET n.s = 'b'", {"i": i})
+
+    with Graph.open(path) as keep:
+        threads = [threading.Thread(target=write, args=(start,)) for start in (100, 200, 300, 400)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert keep.query("MATCH (n:N) WHERE n.s = 'b' RETURN count(*) AS n")["n"].to_pylist() == [80]
+
+
+def test_a_transaction_is_all_or_nothing(path):
+    with Graph.open(path) as graph:
+        for fault in ("CREATE (n:N {id: 1})", "BOGUS"):
+            with pytest.raises(QueryError), graph.transaction():
+                graph.execute("CREATE (n:N {id: 500})")
+                graph.execute(fault)
+        with pytest.raises(ZeroDivisionError), graph.transaction():
+            graph.execute("CREATE (n:N {id: 500})")
+            raise ZeroDivisionError
+        assert graph.query("MATCH (n:N {id: 500}) RETURN count(*) AS n")["n"].to_pylist() == [0]
+        with graph.transaction():
+            graph.execute("CREATE (n:N {id: 500})")
+        assert graph.query("MATCH (n:N {id: 500}) RETURN count(*) AS n")["n"].to_pylist() == [1]
+
+
+# -- building -------------------------------------------------------------------------------------------------------
+
+
+def names(folder):
+    return sorted(place.name for place in folder.iterdir())
+
+
+def test_a_failed_build_leaves_the_old_graph(path):
+    with pytest.raises(ZeroDivisionError), build_graph(path) as graph:
+        graph.execute(NODES)
+        raise ZeroDivisionError
+    assert names(path.parent) == ["graph.kuzu", "graph.kuzu.lock"]
+    assert ask_child(path, "read") == "4"
+
+
+def test_a_build_replaces_the_graph_and_sweeps_up(path):
+    stale = path.with_name(".graph.kuzu.building")
+    stale.write_bytes(b"left by a killed builder")
+    stale.with_name(stale.name + ".wal").write_bytes(b"its log")
+    path.with_name("graph.kuzu.wal").write_bytes(b"the old graph's log")
+    with build_graph(path) as graph:
+        fill(graph, [], range(10))
+    assert names(path.parent) == ["graph.kuzu", "graph.kuzu.lock"]
+    assert ask_child(path, "read") == "10"
+
+
+def test_the_scene_is_made_by_its_ddl(tmp_path):
+    with build_graph(tmp_path / "g.kuzu") as graph:
+        for statement in scene_ddl():
+            graph.execute(statement)
+        graph.copy(
+            "Sequence",
+            pa.table({"sequence": ["s"], "fps": [15.0], "frame_count": [3], "layers": [["2d"]], "action_step": [1]}),
+        )
+    with Graph.open(tmp_path / "g.kuzu", read_only=True) as graph:
+        assert graph.query("MATCH (s:Sequence) RETURN s.layers AS l ORDER BY s.sequence")["l"].to_pylist() == [["2d"]]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda data: b"",
+        lambda data: b"x" * len(data),
+        lambda data: data[:-1],
+        lambda data: data[: len(data) // 8192 * 4096],
+        lambda data: data[:4] + bytes([40]) + data[5:],
+    ],
+)
+def test_a_damaged_graph_says_how_to_rebuild(path, damage):
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(StoreError, match="load --rebuild --store") as error, Graph.open(path) as graph:
+        graph.query("MATCH (n:N)-[r:R]->(m:N) RETURN count(*) AS n, min(n.s) AS s, max(r.k) AS k")
+    assert "\n" not in str(error.value)
+    assert not handle._registry
+
+
+def test_no_graph(tmp_path):
+    with pytest.raises(StoreError, match="does not exist"):
+        Graph.open(tmp_path / "graph.kuzu")
+    with pytest.raises(StoreError):
+        Graph.open(tmp_path / "nowhere" / "graph.kuzu", read_only=True)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError), build_graph(tmp_path / "file" / "graph.kuzu"):
+        pass
