@@ -192,6 +192,8 @@ class Graph:
         # The engine looks for pandas by importlib.util, and fails where nobody has imported it yet.
         import importlib.util  # noqa: F401
 
+        # Of a column in chunks the engine reads the rows of small ones only in part, silently.
+        rows = rows.combine_chunks()
         with self._writing(), self._lock:
             self._plans.clear()
             self._run(f"COPY `{_identifier(table)}` FROM $rows", {"rows": rows}, None)
