@@ -174,8 +174,8 @@ def test_timeout(memory):
 def test_small_integers_are_bound_wide(memory):
     fill(memory, [])
     assert memory.query("RETURN $n + 1000 AS x ORDER BY x", {"n": 5})["x"].type == pa.int64()
-    rows = [{"order": 1, "s": "a"}, {"order": 2000, "s": None}]
-    found = memory.query("UNWIND $rows AS r RETURN r.`order` AS `order`, r.s AS s ORDER BY s", {"rows": rows})
+    rows = [{"k": 1, "s": "a"}, {"k": 2000, "s": None}]
+    found = memory.query("UNWIND $rows AS r RETURN r.k AS k, r.s AS s ORDER BY k", {"rows": rows})
     assert found.to_pylist() == rows
     assert memory.query("UNWIND $rows AS r RETURN r AS r", {"rows": []}, ordered=False).num_rows == 0
     wide = memory.query(
