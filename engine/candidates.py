@@ -96,7 +96,7 @@ def find_candidates(scene: Scene, graph: Graph, template: Template, rules: Rules
     }
     shifts: tuple[Shift, ...] = ()
     drop = np.full(count, _DIFFERENT, dtype=np.int8)
-    if template.time_proof == "moved":
+    if template.time_proof == "moved" and count:
         step = frames(rules.shift_s)
         shifts = tuple(_shift(scene, graph, template, rules, moments, times, answer, by) for by in (-step, step))
         drop = _drop(scene, graph, template, rules, moments, times)

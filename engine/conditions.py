@@ -7,15 +7,18 @@ they could match. Per use, the excluded people are a bit mask over the keyframe'
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.rules import Rules
-from jrdb_avr.schema.vocabulary import DISTANCE_WORDS, OTHER_ACTIONS, POSES, ROBOT_SECTORS
+from jrdb_avr.schema.vocabulary import ACTIONS, DISTANCE_WORDS, OTHER_ACTIONS, POSES, ROBOT_SECTORS
 
 from .scene import NOBODY, Bools, Ints, Scene
 
@@ -91,7 +94,7 @@ def condition_of(code: int) -> Condition:
 
 @dataclass(frozen=True)
 class _Facts:
-    """Per sighting: codes of its attributes, NOBODY where unknown, and its actions as matrices of truth."""
+    """Per sighting: codes of its attributes, NOBODY where unknown; sure and maybe: a column per word of ACTIONS."""
 
     pose: Ints
     group_size: Ints
@@ -147,7 +150,7 @@ _CODES: Final = 1 << 20
 
 def _facts(scene: Scene, moments: Ints, rows: Ints) -> _Facts:
     group_size = scene.column("group_size")[rows]
-    sure = np.zeros((len(rows), len(OTHER_ACTIONS)), dtype=bool)
+    sure = np.zeros((len(rows), len(ACTIONS)), dtype=bool)
     maybe = np.zeros_like(sure)
     # Every action interval is spread over the keyframes it covers.
     table = scene.actions
@@ -160,10 +163,9 @@ def _facts(scene: Scene, moments: Ints, rows: Ints) -> _Facts:
     sighting_of[moments] = np.arange(len(moments))
     person = scene.person_of(table["track"].to_numpy())
     sighting = sighting_of[person[row] * len(scene.keyframes) + at]
-    action = np.array([OTHER_ACTIONS.index(a) if a in OTHER_ACTIONS else NOBODY for a in table["action"].to_pylist()])
-    action = action.astype(np.int64)[row]
-    certain = table["certain"].to_numpy(zero_copy_only=False)[row]
-    kept = (sighting != NOBODY) & (action != NOBODY)
+    action = np.asarray(pc.index_in(table["action"], value_set=pa.array(ACTIONS)).to_numpy(), dtype=np.int64)[row]
+    certain = np.asarray(table["certain"].to_numpy(), dtype=bool)[row]
+    kept = sighting != NOBODY
     maybe[sighting[kept], action[kept]] = True
     kept &= certain
     sure[sighting[kept], action[kept]] = True
@@ -192,7 +194,7 @@ def _true_facts(facts: _Facts) -> tuple[Ints, Ints]:
     for kind, value, known in certain:
         sighting = np.flatnonzero(known)
         found.append((sighting, value[sighting] + _FIRST_CODE[kind]))
-    sighting, action = np.nonzero(facts.sure)
+    sighting, action = np.nonzero(facts.sure[:, len(POSES) :])
     found.append((sighting, action + _FIRST_CODE[ACTION]))
     return np.concatenate([s for s, _ in found]), np.concatenate([c for _, c in found])
 
@@ -215,16 +217,18 @@ def _exclusions(facts: _Facts, keyframe: Ints, code: Ints, start: Ints, people: 
     who = start[keyframe[use]] + slot
     kind, value = kind_of(code)[use], (code - _FIRST_CODE[kind_of(code)])[use]
     false = np.zeros(len(use), dtype=bool)
-    for number, test in (
-        (POSE, lambda w, v: (facts.pose[w] != NOBODY) & (facts.pose[w] != v)),
-        (ACTION, lambda w, v: facts.listed[w] & ~facts.maybe[w, v]),
+    tests: tuple[tuple[int, Callable[[Ints, Ints], Bools]], ...] = (
+        # A closed gap of a pose leaves it possible beside the pose that is listed.
+        (POSE, lambda w, v: (facts.pose[w] != NOBODY) & (facts.pose[w] != v) & ~facts.maybe[w, v]),
+        (ACTION, lambda w, v: facts.listed[w] & ~facts.maybe[w, v + len(POSES)]),
         (SECTOR, lambda w, v: (facts.sector[w] != v) & (facts.sector_other[w] != v)),
         (
             DISTANCE,
             lambda w, v: (facts.distance[w] != NOBODY) & (facts.distance[w] != v) & (facts.distance_other[w] != v),
         ),
         (GROUP_SIZE, lambda w, v: (facts.group_size[w] != NOBODY) & (facts.group_size[w] != v)),
-    ):
+    )
+    for number, test in tests:
         chosen = np.flatnonzero(kind == number)
         false[chosen] = test(who[chosen], value[chosen])
     excluded = np.zeros((len(code), width * 64), dtype=bool)

@@ -1,0 +1,88 @@
+"""All proven candidates of random small worlds against the brute-force oracle: exactly the same ones."""
+
+import random
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from oracle_questions import proven
+from random_worlds import random_world
+from worlds import load_reported, person, person_3d
+
+from jrdb_avr.engine.shard import Job, search_sequence
+from jrdb_avr.schema.errors import InputError
+from jrdb_avr.schema.rules import Rules
+
+
+def candidates(store, sequence, folder):
+    """What the engine finds, and that the second path confirms what it keeps."""
+    file = Path(folder) / "candidates.parquet"
+    found = search_sequence(Job(store.path, sequence, Rules(), file))
+    assert found.faults == ()
+    rows = pq.read_table(file).to_pylist()
+    assert len({row["plan"] for row in rows}) == len(rows)
+    return {(row["template"], row["target_track"], row["plan"], row["answer"]) for row in rows}
+
+
+def lively_world(rng, name):
+    """A world annotated once a second in which much can be asked: few words, many changes, people who come and go."""
+    frames = [15 * i for i in range(rng.randrange(12, 30)) if rng.random() < 0.99]
+    layers = {"2d": {frame: [] for frame in frames}, "3d": {frame: [] for frame in frames}}
+    for track in range(1, rng.randrange(3, 7)):
+        x, radius = rng.uniform(0, 3760), rng.uniform(2, 9)
+        pose, extra, code, here, group = "standing", None, 1, rng.random() < 0.7, 1
+        for frame in frames:
+            here = here if rng.random() < 0.93 else not here
+            pose = rng.choice(("walking", "standing", "sitting")) if rng.random() < 0.15 else pose
+            extra = rng.choice((None, "reading", "eating sth")) if rng.random() < 0.12 else extra
+            code = 3 if rng.random() < 0.02 else 1
+            group = rng.choice((1, 1, 2)) if rng.random() < 0.1 else group
+            x, radius = x + rng.uniform(-30, 30), max(0.6, radius + rng.choice((0, 0, 0.1, 0.7, -0.7)))
+            if not here:
+                continue
+            actions = {pose: code} | ({extra: 1} if extra else {})
+            box = (round(x % 3760, 1), 100, 50, 37 if rng.random() < 0.02 else 150)
+            layers["2d"][frame].append(person(track, box, actions, (group, 1)))
+            if rng.random() < 0.95:
+                layers["3d"][frame].append(person_3d(track, round(radius, 2), 0.0, distance=round(radius, 2)))
+    if rng.random() < 0.2:
+        layers["images"] = sorted(rng.sample(frames, len(frames) - 2))
+    return {name: layers}
+
+
+def compare(seed, make=random_world):
+    """Check one world; returns how many candidates of each template it has."""
+    name = "yard-2020-01-01_0"
+    with tempfile.TemporaryDirectory() as folder:
+        world = make(random.Random(seed), name)
+        try:
+            store, _ = load_reported(folder, world)
+        except InputError:
+            return Counter()
+        expected = proven(Path(folder) / "root", name)
+        found = candidates(store, name, folder)
+        assert sorted(found - expected)[:3] == []
+        assert sorted(expected - found)[:3] == []
+        return Counter(template for template, *_ in found)
+
+
+@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.integers(0, 10**9))
+def test_awkward_worlds_give_exactly_the_proven_candidates(seed):
+    compare(seed)
+
+
+def test_lively_worlds_give_exactly_the_proven_candidates_of_every_template():
+    counts = sum((compare(seed, lively_world) for seed in range(12)), Counter())
+    assert set(counts) == {"start", "span", "change", "presence", "distance"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [random_world, lively_world])
+@pytest.mark.parametrize("start", range(1000, 1400, 50))
+def test_many_worlds(start, make):
+    assert sum((compare(seed, make) for seed in range(start, start + 50)), Counter()).total() > 0
