@@ -311,6 +311,7 @@ def test_conditions_are_three_valued():
     assert check(attribute="group_size", value=2, at="t0") is True
     assert check(attribute="group_size", value=1, at="t0") is False
     assert check(attribute="group_size", value=3, at="t0") is None
+    assert holds(Condition(attribute="group_size", value=1, at="t0"), person, [person]) is False
     assert check(attribute="sector", value="ahead", at="t0") is True
     assert check(attribute="distance", value="moderate", at="t0") is True
     two = sighting(actions=("reading", "typing"), complete=False)

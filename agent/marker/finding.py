@@ -9,6 +9,7 @@ from typing import Final
 from jrdb_avr.schema.marks import ALONE
 from jrdb_avr.schema.panorama import angle_error
 from jrdb_avr.schema.plan import Condition
+from jrdb_avr.schema.rules import KEYFRAME_STEP
 from jrdb_avr.schema.vocabulary import DISTANCE_BOUNDS_M, DISTANCE_WORDS, POSES
 
 from .eyes import Eyes
@@ -18,6 +19,8 @@ _SECTOR_ANGLES: Final = {"ahead": 180.0, "right": 270.0, "behind": 0.0, "left": 
 _SWEEP: Final = (180.0, 135.0, 225.0, 90.0, 270.0, 45.0, 315.0, 0.0)
 _BETWEEN: Final = (157.5, 202.5, 112.5, 247.5, 67.5, 292.5, 22.5, 337.5)
 """Looks that show whole whoever stands across the edges of the first eight."""
+
+ALONE_SIZE: Final = 1
 
 _SHOWN_ACTIONS: Final = 2
 """A mark has room for this many actions beside the pose."""
@@ -37,7 +40,7 @@ def find(conditions: Sequence[Condition], frame: int, eyes: Eyes) -> Found:
     The description fits one person alone, so looking ends at the first certain match; a group must first be counted
     all round. Raises Spent when looks run out.
     """
-    sized = any(c.attribute == "group_size" and c.value != 1 for c in conditions)
+    sized = any(c.attribute == "group_size" and c.value != ALONE_SIZE for c in conditions)
     sectors = [str(c.value) for c in conditions if c.attribute == "sector"]
     if sectors and not sized:
         middle = _SECTOR_ANGLES[sectors[0]]
@@ -47,29 +50,51 @@ def find(conditions: Sequence[Condition], frame: int, eyes: Eyes) -> Found:
     for angles in rounds:
         for angle in angles:
             eyes.look(frame, angle % 360.0)
-            matches = [] if sized else _certain(conditions, eyes.at(frame))
-            if len(matches) == 1:
-                return Found(matches[0])
-        matches = _certain(conditions, eyes.at(frame))
-        if len(matches) == 1:
-            return Found(matches[0])
-    return _best(conditions, eyes.at(frame))
-
-
-def _certain(conditions: Sequence[Condition], people: Sequence[Sighting]) -> list[Sighting]:
-    return [person for person in people if all(holds(c, person, people) for c in conditions)]
-
-
-def _best(conditions: Sequence[Condition], people: Sequence[Sighting]) -> Found:
-    """Nobody, or several, fit for certain: the only one who could fit."""
-    possible = [p for p in people if all(holds(c, p, people) is not False for c in conditions)]
+            if not sized and (match := _only(conditions, eyes.at(frame), ())):
+                return Found(match)
+        if sized and (found := _count(conditions, frame, eyes)):
+            return found
+    possible = _possible(conditions, eyes.at(frame))
     if len(possible) == 1:
         return Found(possible[0], "mark unreadable: not every condition could be read")
-    return Found(None, "mark unreadable: nobody who was read fits" if not possible else "several people could fit")
+    what = "several could fit, as not every condition could be read" if possible else "nobody who was read fits"
+    return Found(None, f"mark unreadable: {what}")
+
+
+def _count(conditions: Sequence[Condition], frame: int, eyes: Eyes) -> Found | None:
+    """The person in a group of the right size; where several could be, those hidden are sought a second away.
+
+    Somebody who was read and is in the group asked for is always among those who could be: hidden people make a group
+    look smaller, never larger.
+    """
+    people = eyes.at(frame)
+    possible = _possible(conditions, people)
+    match = _only(conditions, people, ())
+    if len(possible) == 1:
+        return Found(possible[0], "" if match else "mark unreadable: not all of the group was read")
+    others: list[Sighting] = []
+    for offset in (KEYFRAME_STEP, -KEYFRAME_STEP):
+        then = eyes.legal(frame + offset)
+        for person in possible:
+            eyes.look(then, person.angle)
+        others += eyes.at(then)
+    match = _only(conditions, people, others)
+    return Found(match, "mark unreadable: a group may be larger than what was read") if match else None
+
+
+def _only(conditions: Sequence[Condition], people: Sequence[Sighting], others: Sequence[Sighting]) -> Sighting | None:
+    """The only one of the people of whom every condition is true, if there is one."""
+    certain = [p for p in people if all(holds(c, p, [*people, *others]) for c in conditions)]
+    return certain[0] if len(certain) == 1 else None
+
+
+def _possible(conditions: Sequence[Condition], people: Sequence[Sighting]) -> list[Sighting]:
+    """Those of whom no condition is false."""
+    return [p for p in people if all(holds(c, p, people) is not False for c in conditions)]
 
 
 def holds(condition: Condition, person: Sighting, people: Sequence[Sighting]) -> bool | None:
-    """Whether a condition is true of a person among the people read at the same frame; None where unknown."""
+    """Whether a condition is true of a person; None where unknown. Groups are counted among `people`."""
     mark = person.mark
     if condition.action is not None:
         if condition.action in POSES:
@@ -102,9 +127,9 @@ def holds(condition: Condition, person: Sighting, people: Sequence[Sighting]) ->
 def _group_holds(condition: Condition, person: Sighting, people: Sequence[Sighting]) -> bool | None:
     if person.mark.group is None:
         return None
-    if person.mark.group == ALONE:
-        return condition.value == 1
-    size = sum(other.mark.group == person.mark.group for other in people)
+    if person.mark.group == ALONE or condition.value == ALONE_SIZE:
+        return person.mark.group == ALONE and condition.value == ALONE_SIZE
+    size = len({other.mark.identity for other in people if other.mark.group == person.mark.group})
     if size == condition.value:
         return True
     # Somebody of the group may be hidden.
