@@ -1,0 +1,123 @@
+"""Random small worlds with the awkward cases of real labels, for comparison with the oracle.
+
+Everything comes from one `random.Random`, so a seed names a world. People enter, leave and drop out for a few frames,
+change pose, get hard labels and two poses, change groups, cross the seam, hide, and stand at odd distances; frames are
+missing or empty, and some records are unusable.
+"""
+
+from __future__ import annotations
+
+import math
+
+from worlds import person, person_3d
+
+POSES = ("walking", "standing", "sitting")
+EXTRA = ("talking to someone", "Opening_the_door", "pushing the door", "impossible", "waving")
+OCCLUSION = ("Fully_visible", "Mostly_visible", "Severely_occluded", "Fully_occluded")
+
+
+def random_world(rng, name="yard-2020-01-01_0"):
+    """A world of one sequence; at 15 frames per second, or at one."""
+    slow = rng.random() < 0.4
+    step = 15 if slow else 1
+    first = rng.choice((0, 15, 13)) if slow else rng.randrange(0, 20)
+    length = rng.randrange(1, 26) if slow else rng.randrange(1, 300)
+    frames = [first + i * step for i in range(length)]
+    lost = {f for f in frames if rng.random() < rng.choice((0.0, 0.0, 0.0, 0.03))}
+    bare = rng.random() < 0.15
+    people = [_life(rng, track, frames) for track in rng.sample((0, 1, 2, 3, 7, 19, 40), rng.randrange(1, 6))]
+    layers = {}
+    if rng.random() < 0.93:
+        layers["2d"] = {f: _frame_2d(rng, f, people, bare) for f in frames if f not in lost}
+    if rng.random() < 0.8 or not layers:
+        every = 15 if rng.random() < 0.2 else 1
+        layers["3d"] = {f: _frame_3d(rng, f, people) for f in frames if f not in lost and f % every == first % every}
+        if not layers["3d"]:
+            layers["3d"] = {frames[0]: []}
+    if rng.random() < 0.2:
+        layers["images"] = sorted(rng.sample(range(first + length * step), min(2, length)))
+    if not any(layers.get(layer) for layer in ("2d", "3d")):
+        layers["2d"] = {frames[0]: []}
+    return {name: layers}
+
+
+def _life(rng, track, frames):
+    """Per frame of a person: None, or a dict of what holds there. Things change by pieces, as in life."""
+    calm = rng.random() < 0.6
+    step = frames[1] - frames[0] if len(frames) > 1 else 1
+    scale = 1 if step == 1 else 0.15
+    x, spot = rng.uniform(-100, 3800), [rng.uniform(-4, 4), rng.uniform(-4, 4), rng.choice((0.0, 0.0, 0.1, 2.0))]
+    heading, drift = rng.uniform(-4, 4), rng.choice((0.0, 0.5, 3.0, -3.0))
+    pieces = {
+        "present": _pieces(rng, frames, (True,) * (12 if calm else 3) + (False,), (6, 120), scale),
+        "blink": _pieces(rng, frames, (True,) * (200 if calm else 20) + (False,), (1, 9), scale),
+        "pose": _pieces(rng, frames, POSES[: rng.randrange(2, 4)], (25, 80), scale),
+        "code": _pieces(rng, frames, (1, 1, 2, "1", 2.0) + (() if calm else (3, "x")), (4, 60), scale),
+        "extra": _pieces(rng, frames, (None, *rng.sample(EXTRA, 2)), (5, 60), scale),
+        "slip": _pieces(rng, frames, (None,) * (200 if calm else 12) + ("no pose", "two", "none"), (1, 10), scale),
+        "cluster": _pieces(rng, frames, (5, 6, rng.randrange(7, 9), None) if not calm else (5,), (10, 80), scale),
+        "stat": _pieces(rng, frames, (1, 1, 2, 3), (10, 80), scale),
+        "hidden": _pieces(rng, frames, (*OCCLUSION[:2] * (30 if calm else 2), *OCCLUSION[2:], None), (5, 60), scale),
+        "points": _pieces(rng, frames, (120, 40, 1, 0, None), (5, 40), scale),
+    }
+    size = (60, 200) if calm else rng.choice(((60, 200), (12, 40), (480, 480), (481, 200), (30, 39), (50, 120)))
+    life = {}
+    for i, frame in enumerate(frames):
+        x += drift * step + rng.choice((0, 0.5, -0.5))
+        spot[0] += rng.choice((0.0, 0.01, -0.01)) * step
+        heading += rng.choice((0.0, 0.02, -0.02)) * step
+        if not pieces["present"][i] or not pieces["blink"][i]:
+            continue
+        here = {key: values[i] for key, values in pieces.items()}
+        column = round((x + 200) % 4000 - 200, 1)
+        life[frame] = here | {"box": (column, 90 if calm or rng.random() < 0.99 else -1, *size)}
+        life[frame] |= {"spot": tuple(spot), "heading": heading, "track": track}
+    return life
+
+
+def _pieces(rng, frames, values, lengths, scale):
+    out = []
+    while len(out) < len(frames):
+        count = max(1, round(rng.randrange(*lengths) * scale))
+        out += [rng.choice(values)] * count
+    return out
+
+
+def _frame_2d(rng, frame, people, bare):
+    rows = [_record_2d(rng, life[frame], bare) for life in people if frame in life]
+    rng.shuffle(rows)
+    if rng.random() < 0.01:
+        rows.append({"label_id": "person:-1", "box": [1, 1, 50, 50]})
+    if rows and rng.random() < 0.01:
+        rows.append(rows[0] | {"box": [9, 9, 99, 99]})
+    if rng.random() < 0.003:
+        rows.append({"label_id": "pedestrian:77", "box": [1, 1, rng.choice((0, -5)), 50]})
+    return rows
+
+
+def _record_2d(rng, here, bare):
+    actions = {here["pose"]: here["code"]}
+    if here["slip"] == "no pose":
+        actions = {"talking to someone": 1}
+    if here["slip"] == "two":
+        actions = {"bending": 1, "sitting": here["code"]}
+    if here["extra"]:
+        actions[here["extra"]] = rng.choice((1, 2, 3)) if rng.random() < 0.05 else 1
+    if here["slip"] == "none":
+        actions = rng.choice(({}, None))
+    attributes = {"interpolated": False, "no_eval": rng.random() < 0.01, "occlusion": here["hidden"]}
+    if here["hidden"] is None:
+        del attributes["occlusion"]
+    group = None if here["cluster"] is None else (here["cluster"], here["stat"])
+    return person(here["track"], here["box"], actions, group, None if bare else attributes)
+
+
+def _frame_3d(rng, frame, people):
+    rows = []
+    for life in people:
+        if frame in life and rng.random() < 0.98:
+            here = life[frame]
+            distance = None if rng.random() < 0.3 else round(math.hypot(*here["spot"][:2]), 2)
+            x, y, z = here["spot"]
+            rows.append(person_3d(here["track"], x, y, z, here["heading"], here["points"], distance))
+    return rows
