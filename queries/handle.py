@@ -7,6 +7,8 @@ Kùzu needs care that every caller would otherwise have to remember:
   `flock` on `<path>.lock` keeps processes apart, and nothing else opens the database file while it is in use.
 - *Plans with INTERSECT lose parallel edges* (cyclic patterns: 2 rows for a true 4). Every distinct statement that
   matches a pattern is explained once and refused if its plan holds the operator.
+- *`CASE WHEN x.flag THEN` takes the wrong branch* where the condition is a bare boolean (46,611 true rows counted as
+  25); `x.flag = true` is right. The bare form is refused.
 - *Row order differs between runs*: a read must be ordered, or return a single row, or say `ordered=False`.
 - *Small integers are bound as INT8*, a list by its first rows, an empty list not at all, and a forgotten parameter is
   NULL: parameters are bound here under 64-bit types, and their names must be the statement's.
@@ -45,6 +47,10 @@ _SIDE_FILES: Final = (".wal", ".shadow", ".tmp")
 
 _OPERATOR = re.compile(r"\b([A-Z][A-Z_]*)\[\d+\]")
 _KEEP_ORDER: Final = frozenset({"RESULT_COLLECTOR", "PROJECTION", "SKIP", "LIMIT", "MULTIPLICITY_REDUCER"})
+_BARE_CASE = re.compile(
+    r"\bWHEN[\s(]*(?!(?:true|false|null)\b)(?:[A-Za-z_]\w*\s*(?:\.\s*(?:[A-Za-z_]\w*)?\s*)?)?[\s)]*\bTHEN\b",
+    re.IGNORECASE,
+)
 _MATCH = re.compile(r"\bMATCH\b", re.IGNORECASE)
 
 
@@ -161,7 +167,7 @@ class Graph:
         text, values = bind(cypher, params or {})
         with self._lock:
             plan = self._plan(text, values)
-            plan.refuse_intersect(cypher)
+            _refuse_wrong_answers(plan, text)
             if plan.writes:
                 raise QueryError(f"this statement writes, use execute(): {_short(cypher)}")
             if ordered and not plan.ordered:
@@ -181,7 +187,7 @@ class Graph:
         text, values = bind(cypher, params or {})
         with self._writing(), self._lock:
             if _MATCH.search(strip_literals(text)):
-                self._plan(text, values).refuse_intersect(cypher)
+                _refuse_wrong_answers(self._plan(text, values), text)
             else:
                 # A change of tables may change every plan.
                 self._plans.clear()
@@ -277,13 +283,18 @@ class Plan:
             return name in ("ORDER_BY_SCAN", "TOP_K_SCAN")
         return False
 
-    def refuse_intersect(self, cypher: str) -> None:
-        """Raise QueryError if the plan would lose parallel edges."""
-        if "INTERSECT" in self.operators:
-            raise QueryError(
-                "the engine would lose rows on this cyclic pattern (its plan holds INTERSECT): split it by WITH, or "
-                f"test one side by EXISTS {{ MATCH ... }}: {_short(cypher)}"
-            )
+
+def _refuse_wrong_answers(plan: Plan, text: str) -> None:
+    """Raise QueryError for the two forms to which the engine is known to answer wrongly."""
+    if "INTERSECT" in plan.operators:
+        raise QueryError(
+            "the engine would lose rows on this cyclic pattern (its plan holds INTERSECT): split it by WITH, or "
+            f"test one side by EXISTS {{ MATCH ... }}: {_short(text)}"
+        )
+    if found := _BARE_CASE.search(strip_literals(text)):
+        raise QueryError(
+            f"the engine answers {_short(found[0], 60)!r} wrongly on a bare boolean: write WHEN ... = true"
+        )
 
 
 @contextlib.contextmanager

@@ -112,6 +112,24 @@ def test_what_passes_the_guard_counts_right(edges):
         assert two["n"].to_pylist() == [sum(e1[1] == e2[0] for e1 in edges for e2 in edges)]
 
 
+def test_case_on_a_bare_boolean_is_wrong_in_the_engine_and_is_refused(memory):
+    memory.execute("CREATE NODE TABLE F(id INT64 PRIMARY KEY, flag BOOLEAN)")
+    memory.copy("F", pa.table({"id": range(1000), "flag": [i % 10 != 0 for i in range(1000)]}))
+    bare = "MATCH (f:F) RETURN sum(CASE WHEN {} THEN 1 ELSE 0 END) AS n"
+    assert raw_count(memory, bare.format("f.flag")) != 900, "the engine has learnt it: the guard may go"
+    for form in ("f.flag", "(f.flag)", "f . `flag`", "( ( f.flag ) )"):
+        with pytest.raises(QueryError, match="bare boolean"):
+            memory.query(bare.format(form))
+    with pytest.raises(QueryError, match="bare boolean"):
+        memory.query("MATCH (f:F) WITH f.flag AS g RETURN sum(CASE WHEN g THEN 1 ELSE 0 END) AS n")
+    with pytest.raises(QueryError, match="bare boolean"):
+        memory.execute("MATCH (f:F) SET f.flag = CASE WHEN f.flag THEN false ELSE true END")
+    for form in ("f.flag = true", "NOT f.flag = false", "f.flag AND f.id >= 0", "f.flag IS NOT NULL AND f.flag"):
+        assert memory.query(bare.format(form))["n"].to_pylist() == [900]
+    simple = "MATCH (f:F) RETURN sum(CASE f.flag WHEN true THEN 1 WHEN false THEN 0 END) AS n"
+    assert memory.query(simple)["n"].to_pylist() == [900]
+
+
 def test_plans_are_made_anew_when_the_data_changes(memory):
     memory.execute(NODES)
     memory.execute(EDGES)

@@ -3,6 +3,6 @@
 MATCH (:Person)-[seen:SeenIn]->(f:Frame)
 WHERE f.keyframe
 RETURN f.sequence AS sequence, f.frame AS frame, f.seconds AS seconds, count(*) AS people,
-       sum(CASE WHEN seen.clear THEN 1 ELSE 0 END) AS clearly_seen
+       CAST(sum(CASE WHEN seen.clear = true THEN 1 ELSE 0 END) AS INT64) AS clearly_seen
 ORDER BY people DESC, sequence, frame
 LIMIT $count;
