@@ -2,7 +2,7 @@
 
 A server in another process answers at once; 64 questions are in flight, each makes a number of looks and answers.
 Printed: wall time per call against the bar of 8 ms + 8 ms per megabyte of request. Crops come from one array in memory,
-so no panorama is decoded; encoding each crop as JPEG, writing requests, reading replies, the cache and the journal count.
+so no panorama is decoded; making each crop a JPEG, writing requests, reading replies, the cache and the journal count.
 """
 
 import asyncio
@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+
 from jrdb_avr.agent.client import Client
 from jrdb_avr.agent.react import ReAct
 from jrdb_avr.engine.runs import Journal, ask_all
