@@ -1,0 +1,132 @@
+"""Small worlds written as text: what generation must give, refuse (and by which rule), and never consider."""
+
+import re
+from pathlib import Path
+
+import pytest
+from worlds import load_world, person, person_3d
+
+from jrdb_avr.engine.candidates import PASSED, RULES, VALUES, find_candidates
+from jrdb_avr.engine.descriptions import describe_people
+from jrdb_avr.engine.scene import load_scene, scene_graph
+from jrdb_avr.engine.templates import TEMPLATES
+from jrdb_avr.schema.rules import Rules
+
+SEQUENCE = "yard-2020-01-01_0"
+POSES = {"w": {"walking": 1}, "t": {"standing": 1}, "s": {"sitting": 1}, "?": {"standing": 3}}
+
+
+def read_worlds():
+    """{title: lines} of the fixture file."""
+    worlds, title = {}, None
+    for line in (Path(__file__).parent / "fixtures" / "questions.txt").read_text().splitlines():
+        if line.startswith("== "):
+            title = line[3:]
+            assert title not in worlds
+            worlds[title] = []
+        elif line.strip() and not line.startswith("#"):
+            worlds[title].append(line)
+    return worlds
+
+
+def seconds(text):
+    first, _, last = text.partition("-")
+    return range(int(first), int(last or first) + 1)
+
+
+def build(lines):
+    """The JRDB world of a fixture's lines about people and images."""
+    layers = {"2d": {}}
+    for line in lines:
+        if line.startswith("images "):
+            layers["images"] = [15 * second for second in seconds(line.split()[1])]
+        if not re.match(r"\d+ \|", line):
+            continue
+        track, letters, *facts = (part.strip() for part in line.split("|"))
+        column, group, metres, tiny, more = 400.0, None, None, (), {}
+        for fact in facts:
+            word, _, rest = fact.partition(" ")
+            if word == "column":
+                column = float(rest)
+            elif word == "group":
+                group = (int(rest), 1)
+            elif word == "metres":
+                metres = rest.split()
+            elif word == "tiny":
+                tiny = seconds(rest)
+            else:
+                action, when = fact.rsplit(" ", 1)
+                more |= {(action, second): 1 for second in seconds(when)}
+        for second, letter in enumerate(letters):
+            rows = layers["2d"].setdefault(15 * second, [])
+            if letter == "-":
+                continue
+            actions = POSES[letter] | {action: 1 for action, when in more if when == second}
+            box = (column - 25, 100, 50, 20 if second in tiny else 150)
+            rows.append(person(int(track), box, actions, group))
+            if metres is not None and metres[second] != "x":
+                away = float(metres[second])
+                solid = layers.setdefault("3d", {}).setdefault(15 * second, [])
+                solid.append(person_3d(int(track), away, 0.0, distance=away))
+    return {SEQUENCE: layers}
+
+
+def judge(store):
+    """({(template, track, seconds, action): (rule or None, answer)}, {(track, second): description})."""
+    rules = Rules()
+    scene = load_scene(store, SEQUENCE)
+    names = describe_people(scene, rules)
+    people = len(scene.keyframes)
+    found = {}
+    with scene_graph(scene, *names.tables, rules) as graph:
+        for template in TEMPLATES:
+            if not set(template.layers) <= scene.layers:
+                continue
+            rows = find_candidates(scene, graph, template, rules)
+            for i in range(len(rows)):
+                track = int(scene.tracks[names.moment[rows.name[i]] // people])
+                when = tuple(int(rows.frames[name][i]) // 15 for name in template.times)
+                action, answer = None, VALUES[rows.answer[i]]
+                if template.answer is not None:
+                    action = scene.segments["action"][int(rows.segment[i])].as_py()
+                    answer = " ".join(str(int(rows.frames[name][i])) for name in template.read)
+                rule = None if rows.rule[i] == PASSED else RULES[rows.rule[i]]
+                found[template.name, track, when, action] = (rule, answer)
+    described = {}
+    for name in range(len(names.moment)):
+        if names.general[name]:
+            track = int(scene.tracks[names.moment[name] // people])
+            second = int(scene.frames(names.moment[[name]])[0]) // 15
+            described[track, second] = ", ".join(str(c.action or c.value) for c in names.of(name))
+    return found, described
+
+
+CLAIM = re.compile(r"(gives|refuses|lacks) (\w+) (\d+) at ([\d ]+?)(?: ([a-z][a-z ]*))?(?:: (.+))?")
+
+
+@pytest.mark.parametrize("title", read_worlds())
+def test_world(title, tmp_path):
+    lines = read_worlds()[title]
+    found, described = judge(load_world(tmp_path, build(lines)))
+    claims = 0
+    for line in lines:
+        if re.match(r"\d+ \||images ", line):
+            continue
+        claims += 1
+        if match := re.fullmatch(r"describes (\d+) at (\d+): (.+)", line):
+            assert described.get((int(match[1]), int(match[2])), "nothing") == match[3], line
+            continue
+        match = CLAIM.fullmatch(line)
+        assert match, f"cannot read: {line}"
+        verb, template, track, when, action, value = match.groups()
+        place = (template, int(track), tuple(map(int, when.split())), action)
+        verdict = found.get(place)
+        expected = {"gives": (None, value), "lacks": None, "refuses": (value, verdict[1] if verdict else "")}[verb]
+        assert verdict == expected, line
+    assert claims
+
+
+def test_every_set_wise_rule_refuses_something():
+    claims = [line for lines in read_worlds().values() for line in lines]
+    for rule in RULES:
+        assert any(line.startswith("refuses") and line.endswith(f": {rule}") for line in claims), rule
