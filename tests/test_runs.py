@@ -165,6 +165,8 @@ def test_questions_by_id_by_file_and_by_number(store, tmp_path):
     (tmp_path / "ids.txt").write_text("\n".join(ids) + "\n")
     evaluate(store, "--run-id", "b", "--questions", str(tmp_path / "ids.txt"), "--limit", "2")
     assert predictions(store, "a")["question_id"].to_pylist() == sorted(ids)
+    evaluate(store, "--run-id", "c", "--questions", ",".join(q.question_id for q in QUESTIONS_ASKED * 20))
+    assert len(predictions(store, "c")) == len(QUESTIONS_ASKED)
     assert predictions(store, "b")["question_id"].to_pylist() == sorted(ids[:2])
 
 
@@ -173,6 +175,7 @@ def test_questions_by_id_by_file_and_by_number(store, tmp_path):
     [
         (("--questions", "0123456789abcdef"), "not in the store"),
         (("--questions", ","), "names no question"),
+        (("--questions", "x" * 5000), "cannot read"),
         (("--questions", BLIND.question_id), "no question is left"),
         (("--run-id", "../evil"), "sequence name"),
         (("--model", "qwen", "--base-url", "nowhere"), "no server address"),

@@ -127,11 +127,13 @@ def _ids(picked: str) -> list[str]:
     """Ids of the option `--questions`: a file's lines, or the text's parts."""
     from jrdb_avr.schema.errors import InputError
 
-    path = Path(picked)
-    try:
-        text = path.read_text(encoding="utf-8") if len(picked) < 1024 and path.is_file() else picked
-    except (OSError, ValueError) as error:
-        raise InputError(f"cannot read {picked}: {error}", file=picked) from None
+    text = picked
+    if not re.fullmatch(r"[0-9a-f]{16}(,[0-9a-f]{16})*,?", picked):
+        try:
+            path = Path(picked)
+            text = path.read_text(encoding="utf-8") if path.is_file() else picked
+        except (OSError, ValueError) as error:
+            raise InputError(f"--questions: cannot read {picked[:80]}: {error}", file=picked) from None
     ids = [part.strip() for part in re.split(r"[,\n]", text) if part.strip()]
     if not ids:
         raise InputError("--questions names no question", field="questions")

@@ -1,0 +1,80 @@
+"""The marker model on a small sample world, from files to scores: evidence is lost to marks and budget alone."""
+
+import json
+
+import cv2
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner
+
+from jrdb_avr.engine.cli import group
+from jrdb_avr.schema.marks import read
+from jrdb_avr.schema.panorama import Box, iou
+
+N = 60
+
+
+def run(*arguments):
+    result = CliRunner().invoke(group, [str(argument) for argument in arguments])
+    assert result.exception is None, (result.output, result.exception)
+    return result.stdout
+
+
+def rows(store, *path):
+    return pq.read_table(store.joinpath(*path)).to_pylist()
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    root = tmp_path_factory.mktemp("sample")
+    run("sample", root / "root", "--sequences", 1, "--frames", 360, "--people", 16, "--workers", 1)
+    run("load", root / "root", "--store", root / "store", "--workers", 1)
+    run("generate", "--store", root / "store", "--workers", 1)
+    questions = rows(root / "store", "questions", "questions.parquet")
+    # Some of every template, in the ids' order, which is as good as random.
+    by_template = {}
+    for row in sorted(questions, key=lambda row: row["question_id"]):
+        by_template.setdefault(row["template"], []).append(row["question_id"])
+    picked = [name for names in by_template.values() for name in names[: N // len(by_template)]]
+    run(
+        "evaluate", "--store", root / "store", "--method", "react", "--model", "marker", "--questions", ",".join(picked)
+    )
+    run("score", "--store", root / "store", "react-marker")
+    return root / "store"
+
+
+def test_every_loss_is_explained(store):
+    """What the server's log says was missing, and what is in the pixels, agree with each lost box."""
+    questions = {row["question_id"]: row for row in rows(store, "questions", "questions.parquet")}
+    answers = {row["question_id"]: row for row in rows(store, "questions", "answers.parquet")}
+    truth = {}
+    for row in rows(store, "questions", "evidence.parquet"):
+        truth.setdefault(row["question_id"], {})[row["frame"]] = Box(row["x"], row["y"], row["w"], row["h"])
+    missing = {}
+    for line in (store / "runs" / "react-marker" / "marker.jsonl").read_text().splitlines():
+        entry = json.loads(line)
+        missing[entry["question"], tuple(entry["choices"])] = entry["missing"]
+    root = json.loads((store / "store.json").read_text())["image_root"]
+    scores = rows(store, "runs", "react-marker", "scores.parquet")
+    predictions = {row["question_id"]: row for row in rows(store, "runs", "react-marker", "predictions.parquet")}
+    assert len(scores) >= 20
+    found = 0
+    for score in scores:
+        name = score["question_id"]
+        question, prediction = questions[name], predictions[name]
+        if score["evidence_score"]:
+            # A box that is given is right to the pixel or two, wherever it lies.
+            box = Box(*(prediction[f"evidence_{key}"] for key in "xywh"))
+            assert iou(box, truth[name][prediction["evidence_frame"]]) > 0.85
+            found += 1
+            continue
+        reasons = missing[question["question"], tuple(question["choices"])]
+        assert any(reason.startswith(("mark unreadable", "budget")) for reason in reasons), (question, reasons)
+        if "group of" in question["question"] or any(reason.startswith("budget") for reason in reasons):
+            continue
+        # The person's mark cannot be read in the whole panorama either, at the time of the description.
+        frame = min(t["frame"] for t in json.loads(answers[name]["plan"])["times"].values() if "frame" in t)
+        picture = cv2.imread(f"{root}/{question['sequence']}/{frame:06d}.jpg", cv2.IMREAD_COLOR_RGB)
+        marks = [reading for reading in read(picture, wrap=True) if iou(reading.box, truth[name][frame]) > 0.7]
+        assert not marks, (question, reasons, marks)
+    assert found > len(scores) / 2
