@@ -1,0 +1,393 @@
+"""Generation as a whole: what is published, that it is reproducible, and what it refuses to start on."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+from test_generate_oracle import lively_world
+from worlds import load_world, write_root
+
+from jrdb_avr.engine import views
+from jrdb_avr.engine.commands.generate import command
+from jrdb_avr.engine.generate import REFUSALS, generate
+from jrdb_avr.engine.publish import GENERATION_KEY, TABLES
+from jrdb_avr.engine.templates import TEMPLATES, plan_texts
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.answers import Span, decode_answer
+from jrdb_avr.schema.errors import LockedError, StoreError
+from jrdb_avr.schema.panorama import Box, visible_share
+from jrdb_avr.schema.plan import Condition, canonical, parse_plan
+from jrdb_avr.schema.rules import Rules, override, rules_hash
+from jrdb_avr.schema.tables import CANARY, CANDIDATES, QUESTIONS
+from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
+from jrdb_avr.schema.wording import TEMPLATES as WORDS
+from jrdb_avr.schema.wording import Slots, in_order, question_id, question_key
+
+NAMES = ("court-2020-01-01_0", "hall-2020-01-01_0", "yard-2020-01-01_0")
+SEEDS = (3, 5, 8)
+HOW = {"profile": "all", "seed": 0, "workers": 1}
+
+
+def three_worlds():
+    world = {}
+    for name, seed in zip(NAMES, SEEDS, strict=True):
+        world |= lively_world(random.Random(seed), name)
+    return world
+
+
+def files(store):
+    return {name: store.question_path(name).read_bytes() for name in TABLES}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """(store, report, path of the candidates file) of a generation over three worlds."""
+    folder = tmp_path_factory.mktemp("made")
+    store = load_world(folder, three_worlds())
+    report = generate(store, Rules(), candidates=folder / "candidates.parquet", **HOW)
+    return store, report, folder / "candidates.parquet"
+
+
+@pytest.fixture(scope="module")
+def rows(made):
+    """Questions joined with their answers."""
+    store = made[0]
+    answers = {row["question_id"]: row for row in store.questions("answers").to_pylist()}
+    return [answers[row["question_id"]] | row | {"stored": answers[row["question_id"]]["answer"]}
+            for row in store.questions("questions").to_pylist()]  # fmt: skip
+
+
+# -- what is published ----------------------------------------------------------------------------------------
+
+
+def test_every_template_has_questions(rows):
+    assert {row["template"] for row in rows} == {template.name for template in TEMPLATES}
+
+
+def test_tables_keep_their_contracts(made):
+    store = made[0]
+    marks = set()
+    for name in TABLES:
+        schema = pq.read_schema(store.question_path(name))
+        assert schema.remove_metadata() == QUESTIONS[name]
+        assert schema.metadata[b"canary"].decode() == CANARY
+        marks.add(schema.metadata[GENERATION_KEY.encode()])
+    assert len(marks) == 1
+
+
+def test_ids_are_hashes_of_the_public_columns(rows):
+    public = ("sequence", "family", "template", "question", "choices", "answer_mode")
+    assert [row["question_id"] for row in rows] == [question_id(*(row[name] for name in public)) for row in rows]
+    assert len({row["question_id"] for row in rows}) == len(rows)
+
+
+def test_sequences_lists_all_loaded_ones(made):
+    assert made[0].questions("sequences")["sequence"].to_pylist() == sorted(NAMES)
+
+
+def test_choices_are_distinct_and_one_is_true(made, rows):
+    candidates = {(row["template"], row["plan"]): row["answer"] for row in pq.read_table(made[2]).to_pylist()}
+    places = []
+    for row in rows:
+        if row["answer_mode"] != "multiple_choice":
+            assert row["choices"] == []
+            assert row["stored"] == candidates[row["template"], row["plan"]]
+            continue
+        assert len(set(row["choices"])) == 4
+        choice = json.loads(row["stored"])["choice"]
+        assert row["choices"][choice - 1] == candidates[row["template"], row["plan"]]
+        words = {"presence": PRESENCE_ANSWERS, "distance": DISTANCE_ANSWERS}.get(row["template"], POSES)
+        assert set(row["choices"]) <= set(words)
+        perturbations = json.loads(row["distractors"])
+        assert len(perturbations) == 4
+        assert perturbations[choice - 1] is None
+        places.append(choice)
+    assert set(places) == {1, 2, 3, 4}
+
+
+def test_no_question_for_a_pose_states_one(rows):
+    for row in rows:
+        if row["template"] == "change":
+            conditions = parse_plan(row["plan"]).nodes[0].conditions
+            assert not {c.action for c in conditions} & set(POSES)
+
+
+def test_the_pose_at_t0_is_a_choice_of_change(made, rows):
+    # The distractor that a method takes which answers at the wrong time.
+    told = [row for row in rows if row["template"] == "change"]
+    assert all("pose at t0" in json.loads(row["distractors"]) for row in told)
+
+
+def test_evidence_is_every_box_of_the_target(made, rows):
+    store = made[0]
+    boxes = {
+        (name, row["track"], row["frame"]): tuple(row[side] for side in "xywh")
+        for name in NAMES
+        for row in store.annotation("boxes_2d", name).to_pylist()
+    }
+    expected = sorted(
+        (row["question_id"], frame, *box)
+        for row in rows
+        for (sequence, track, frame), box in boxes.items()
+        if (sequence, track) == (row["sequence"], row["target_track"])
+    )
+    assert [tuple(row.values()) for row in store.questions("evidence").to_pylist()] == expected
+
+
+def test_proofs_are_complete_and_hold(rows):
+    for row in rows:
+        proofs = json.loads(row["proofs"])
+        assert all(set(proof) == {"kind", "variant", "holds", "outcome", "answer"} for proof in proofs)
+        kinds = {proof["kind"] for proof in proofs}
+        moved = {"time.shift"} if row["template"] in ("change", "presence", "distance") else set()
+        assert kinds == {"anchor", "evidence", "time.drop", "view.ahead", "view.single", "rederive"} | moved
+        for proof in proofs:
+            assert proof["holds"] or proof["kind"] in ("time.shift", "view.single")
+        if moved:
+            assert any(proof["holds"] for proof in proofs if proof["kind"] == "time.shift")
+        drops = [p for p in proofs if p["variant"].startswith("without")]
+        assert len(drops) == len(parse_plan(row["plan"]).nodes[0].conditions)
+        assert row["rules"] == rules_hash(Rules())
+
+
+def test_needed_boxes_are_the_targets(made, rows):
+    for row in rows:
+        needed, bindings = json.loads(row["needed"]), json.loads(row["bindings"])
+        assert bindings["a"] == row["target_track"]
+        assert {box["track"] for box in needed} == {row["target_track"]}
+        assert bindings["t0"] in {box["frame"] for box in needed}
+        assert any(box["decisive"] for box in needed)
+        decisive = [Box(*(box[side] for side in "xywh")) for box in needed if box["decisive"]]
+        assert not all(visible_share(box, 180.0) >= 0.5 for box in decisive)
+
+
+def test_candidates_are_canonical_and_keyed(made):
+    table = pq.read_table(made[2])
+    assert table.schema.remove_metadata() == CANDIDATES
+    for row in table.to_pylist():
+        assert canonical(parse_plan(row["plan"])) == row["plan"]
+
+
+def test_refusals_add_up(made):
+    store, report, _ = made
+    for row in report.templates:
+        assert row["candidates"] == sum(row[rule] for rule in REFUSALS) + row["questions"]
+    rejected = store.questions("rejected").to_pylist()
+    counts = {}
+    for row in rejected:
+        if row["kind"] == "count":
+            counts[row["sequence"], row["template"], row["rule"]] = row["candidates"]
+    shown = {}
+    for row in rejected:
+        if row["kind"] == "example":
+            place = (row["sequence"], row["template"], row["rule"])
+            shown[place] = shown.get(place, 0) + 1
+            parse_plan(row["plan"])
+    assert shown == {place: min(count, 100) for place, count in counts.items()}
+
+
+def test_spans_are_stored_as_answers(rows):
+    for row in rows:
+        answer = decode_answer(row["answer_mode"], row["stored"])
+        if isinstance(answer, Span):
+            assert 0 <= answer.start_frame <= answer.end_frame
+
+
+# -- reproducible ---------------------------------------------------------------------------------------------
+
+
+def shuffled(world, seed):
+    """The same labels with frames and records in another order."""
+    rng = random.Random(seed)
+    result = {}
+    for name in rng.sample(sorted(world), len(world)):
+        result[name] = {}
+        for layer, content in world[name].items():
+            if layer == "images":
+                result[name][layer] = content
+                continue
+            frames = rng.sample(sorted(content), len(content))
+            result[name][layer] = {frame: rng.sample(content[frame], len(content[frame])) for frame in frames}
+    return result
+
+
+def test_files_do_not_depend_on_workers_input_order_or_hash_seed(made, tmp_path):
+    load_world(tmp_path, shuffled(three_worlds(), 1))
+    environment = os.environ | {"PYTHONHASHSEED": "77"}
+    line = [sys.executable, "-m", "jrdb_avr.engine.cli"]
+    code = f"from jrdb_avr.engine.cli import main; import sys; sys.argv = {['jrdb-avr', 'generate', '--store', str(tmp_path / 'store'), '--workers', '3']!r}; main()"  # noqa: E501
+    script = tmp_path / "run.py"
+    script.write_text(f"if __name__ == '__main__':\n    {code}\n")
+    subprocess.run([line[0], str(script)], check=True, env=environment, capture_output=True, timeout=300)
+    assert files(Store(tmp_path / "store")) == files(made[0])
+
+
+def test_candidates_leave_the_questions_as_they_are(made, tmp_path):
+    store = load_world(tmp_path, three_worlds())
+    generate(store, Rules(), **HOW)
+    assert files(store) == files(made[0])
+
+
+def test_a_kill_between_the_files_is_repaired_by_another_run(made, tmp_path):
+    store = load_world(tmp_path, three_worlds())
+    script = tmp_path / "kill.py"
+    script.write_text(
+        "import os, signal, sys\n"
+        "from pathlib import Path\n"
+        "from jrdb_avr.engine.generate import generate\n"
+        "from jrdb_avr.queries.store import Store\n"
+        "from jrdb_avr.schema.rules import Rules\n"
+        "moves, move = [], Path.replace\n"
+        "def replace(self, target):\n"
+        "    if Path(target).parent.name == 'questions':\n"
+        "        moves.append(target)\n"
+        "        if len(moves) == int(sys.argv[2]):\n"
+        "            os.kill(os.getpid(), signal.SIGKILL)\n"
+        "    return move(self, target)\n"
+        "Path.replace = replace\n"
+        "generate(Store(sys.argv[1]), Rules(), workers=1, seed=9)\n"
+    )
+    generate(store, Rules(), **HOW)
+    killed = subprocess.run([sys.executable, str(script), str(store.path), "3"], timeout=300)
+    assert killed.returncode == -signal.SIGKILL
+    generate(store, Rules(), **HOW)
+    assert files(store) == files(made[0])
+    assert sorted(path.name for path in store.question_path("questions").parent.iterdir()) == sorted(
+        f"{name}.parquet" for name in TABLES
+    )
+
+
+# -- refusals -------------------------------------------------------------------------------------------------
+
+
+def test_a_store_of_other_load_rules_is_refused(made):
+    with pytest.raises(StoreError, match="other load rules"):
+        generate(made[0], override(Rules(), {"load.gap_frames": "3"}), **HOW)
+
+
+def test_nothing_loaded_is_refused_and_leaves_nothing(tmp_path):
+    with pytest.raises(StoreError, match="run 'jrdb-avr load"):
+        generate(Store(tmp_path / "none"), Rules(), **HOW)
+    assert not (tmp_path / "none").exists()
+
+
+def test_a_second_writer_is_refused(made):
+    with made[0].writing("load"), pytest.raises(LockedError, match="load"):
+        generate(made[0], Rules(), **HOW)
+
+
+def test_missing_layers_are_named(tmp_path):
+    world = {NAMES[0]: {"2d": lively_world(random.Random(3), NAMES[0])[NAMES[0]]["2d"]}}
+    store = load_world(tmp_path, world)
+    result = CliRunner().invoke(command, ["--store", str(store.path), "--workers", "1"])
+    assert result.exit_code == 0, result.output
+    assert "distance: skipped, the layer 3d is missing" in result.output
+    found = CliRunner().invoke(command, ["--store", str(store.path), "--workers", "1", "--json"])
+    told = {row["template"]: row for row in json.loads(found.stdout)}
+    assert told["distance"]["skipped"] == "the layer 3d is missing"
+    assert told["start"]["skipped"] is None
+
+
+def test_a_world_without_anything_gives_empty_tables(tmp_path):
+    store = load_world(tmp_path, {NAMES[0]: {"2d": {0: [], 15: []}}})
+    report = generate(store, Rules(), **HOW)
+    assert all(row["questions"] == 0 for row in report.templates)
+    assert store.questions("questions").num_rows == 0
+
+
+def test_rules_reach_the_search(made, tmp_path):
+    store = load_world(tmp_path, three_worlds())
+    report = generate(store, override(Rules(), {"max_conditions": "1", "max_per_person": "1"}), **HOW)
+    answers = store.questions("answers").to_pylist()
+    assert answers
+    assert all(len(parse_plan(row["plan"]).nodes[0].conditions) == 1 for row in answers)
+    assert sum(row["questions"] for row in report.templates) < sum(row["questions"] for row in made[1].templates)
+
+
+def test_unwritable_candidates_are_one_error(made, tmp_path):
+    place = tmp_path / "file"
+    place.write_text("")
+    with pytest.raises(StoreError, match="cannot write"):
+        generate(made[0], Rules(), candidates=place / "candidates.parquet", **HOW)
+    assert files(made[0])
+
+
+# -- set-wise parts against their one-by-one forms ------------------------------------------------------------
+
+CONDITIONS = st.lists(
+    st.one_of(
+        st.sampled_from(POSES).map(lambda pose: Condition(action=pose, at="t0")),
+        st.integers(1, 9).map(lambda size: Condition(attribute="group_size", value=size, at="t0")),
+        st.sampled_from(["left", "ahead"]).map(lambda word: Condition(attribute="sector", value=word, at="t0")),
+    ),
+    min_size=1,
+    max_size=3,
+    unique=True,
+)
+
+
+@given(st.sampled_from(TEMPLATES), CONDITIONS, st.lists(st.integers(0, 10**6), min_size=3, max_size=3))
+def test_plans_made_from_columns_are_canonical(template, conditions, frames):
+    import pyarrow as pa
+
+    from jrdb_avr.engine.descriptions import conditions_json
+    from jrdb_avr.engine.proven import hashed, joined
+
+    words = WORDS[template.name]
+    times = dict(zip(words.times, frames, strict=False))
+    action = "looking at sth" if words.asks_action else None
+    plan = words.build(Slots(in_order(conditions), times, action))
+    columns = {name: pa.array([frame]) for name, frame in times.items()}
+    columns["conditions"] = pa.array([conditions_json(tuple(conditions))])
+    if action:
+        columns["action"] = pa.array([action])
+    made = plan_texts(template, columns)
+    assert made.to_pylist() == [canonical(plan)]
+    key = hashed(joined([pa.array(["hall"]), "\n", pa.array([7], pa.int32()), "\n", made]))
+    assert key.to_pylist() == [question_key("hall", 7, plan)]
+
+
+BOXES = st.lists(
+    st.tuples(st.integers(-400, 4100), st.integers(1, 960)).map(lambda b: (b[0] / 1.0, b[1] / 2)), min_size=1, max_size=4
+)
+
+
+@given(BOXES, st.integers(0, 3759))
+def test_shares_agree_with_the_panorama(boxes, left):
+    x, w = np.array(boxes).T
+    angle = (left + 240) % 3760 * 360 / 3760
+    one_by_one = [visible_share(Box(a, 0.0, b, 10.0), angle) for a, b in boxes]
+    assert np.allclose(views.shares(x, w, float(left)), one_by_one)
+
+
+@given(BOXES)
+def test_single_view_tries_every_angle_that_matters(boxes):
+    x, w = np.array(boxes).T
+    best = any(np.all(views.shares(x, w, float(left)) >= 0.5) for left in range(3760))
+    assert views.single_view(x, w, 0.5) == best
+
+
+REAL = Path(__file__).resolve().parents[2] / "shared" / "jrdb-real"
+
+
+@pytest.mark.skipif(not REAL.exists(), reason="the real annotations are not here")
+def test_real_sequences(tmp_path):
+    labels = REAL / "labels" / "labels_2d_stitched"
+    chosen = sorted(labels.glob("*.json"), key=lambda path: path.stat().st_size)[:4]
+    world = {path.stem: {"2d": path.read_bytes()} for path in chosen}
+    write_root(tmp_path / "root", world)
+    store = load_world(tmp_path, world)
+    report = generate(store, Rules(), **HOW)
+    assert report.faults == ()
+    assert report.lacking == {("distance", "3d"): 4}
+    assert store.questions("questions").num_rows > 0
