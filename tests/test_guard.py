@@ -1,0 +1,372 @@
+"""Ad-hoc Cypher and SQL read the store and nothing else, whatever is asked."""
+
+import json
+import re
+from pathlib import Path
+
+import pyarrow as pa
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from jrdb_avr.queries import guard
+from jrdb_avr.queries.guard import ask_graph, check_cypher
+from jrdb_avr.queries.handle import Graph, build_graph
+from jrdb_avr.queries.named import find_query, named_queries, parse_value
+from jrdb_avr.queries.sql import ask_tables, views
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import AvrError, LockedError, QueryError, StoreError
+from jrdb_avr.schema.graph import scene_ddl
+from jrdb_avr.schema.tables import QUESTIONS, RUNS
+
+SECRET = "a line that must not be read"
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("store") / "S"
+    with build_graph(folder / "graph.kuzu") as graph:
+        for statement in scene_ddl():
+            graph.execute(statement)
+        people = range(1, 6)
+        graph.copy(
+            "Person",
+            pa.table(
+                {
+                    "id": [f"s/{n}" for n in people],
+                    "sequence": ["s"] * 5,
+                    "track": people,
+                    "gender": ["Female", "Male", None, "Female", None],
+                    "age": ["Adult"] * 5,
+                    "first_frame": [0] * 5,
+                    "last_frame": [30] * 5,
+                }
+            ),
+        )
+    place = Store(folder)
+    rows = [
+        {"question_id": f"{n:016x}", "sequence": "s", "family": "f", "template": "t", "question": f"Which {n}?"}
+        | {"choices": [], "answer_mode": "frame"}
+        for n in range(3)
+    ]
+    place.write_questions("questions", pa.Table.from_pylist(rows, schema=QUESTIONS["questions"]), {})
+    return place
+
+
+# -- Cypher ---------------------------------------------------------------------------------------------------------
+
+
+def test_reading_works(store):
+    found = store.cypher("MATCH (p:Person) WHERE p.track >= $least RETURN p.track AS t ORDER BY t DESC", least=4)
+    assert found["t"].to_pylist() == [5, 4]
+    assert store.cypher("RETURN 1 + 1 AS two")["two"].to_pylist() == [2]
+    assert store.cypher("UNWIND [3, 1, 2] AS x RETURN x;")["x"].to_pylist() == [1, 2, 3]
+    # Without ORDER BY the rows are sorted, nulls last.
+    found = store.cypher("MATCH (p:Person) RETURN p.gender AS g, p.track AS t")
+    assert found.to_pylist()[0] == {"g": "Female", "t": 1}
+    assert found["t"].to_pylist() == [1, 4, 2, 3, 5]
+
+
+HOSTILE = [
+    "CREATE (p:Person {id: 'x'})",
+    "MATCH (p:Person) SET p.age = 'x'",
+    "MATCH (p:Person) WHERE p.track = 1SET p.age = 'x'",
+    "MATCH (p:Person) DETACH DELETE p",
+    "MATCH (p:Person) REMOVE p.age",
+    "MERGE (p:Person {id: 'x'})",
+    "create node table X(id INT64 PRIMARY KEY)",
+    "DROP TABLE Person",
+    "ALTER TABLE Person ADD x INT64",
+    "COPY Person FROM '{secret}'",
+    "COPY (MATCH (p:Person) RETURN p.id) TO '{target}'",
+    "LOAD FROM '{secret}' RETURN *",
+    "LOAD FROM '{secret}' (header=false, file_format='csv') RETURN *",
+    "load/**/from '{secret}' return *",
+    "Lo\u0410D FROM '{secret}' RETURN *",
+    "MATCH (p:Person) LOAD FROM '{secret}' RETURN *",
+    "EXPORT DATABASE '{target}'",
+    "IMPORT DATABASE '{target}'",
+    "ATTACH '{target}' AS x (dbtype kuzu)",
+    "USE x",
+    "INSTALL httpfs",
+    "LOAD EXTENSION '{target}'",
+    "CALL show_tables() RETURN *",
+    "CALL timeout=0",
+    "CALL show_functions() RETURN *",
+    "CHECKPOINT",
+    "BEGIN TRANSACTION",
+    "COMMIT",
+    "EXPLAIN MATCH (p:Person) RETURN p",
+    "PROFILE MATCH (p:Person) RETURN p",
+    "CREATE MACRO f(x) AS x",
+    "COMMENT ON TABLE Person IS 'x'",
+    "RETURN 1; COPY (RETURN 1) TO '{target}'",
+    "RETURN '\\'; COPY (RETURN 1) TO \\'{target}\\'//'",
+    "RETURN 'a' //\rCOPY (RETURN 1) TO '{target}'",
+    "RETURN 'a",
+    "RETURN /* a",
+    "MATCH (p:Person) WHERE all(x IN [1] WHERE x > 0) RETURN p",
+    "MATCH (p:Person) WHERE any(x IN [1] WHERE x > 0) RETURN p",
+    "",
+    ";",
+    "   ",
+    "nonsense",
+    "MATCH (p:Nobody) RETURN p",
+    "RETURN $missing",
+]
+
+
+@pytest.fixture
+def surroundings(store, tmp_path):
+    """A secret beside, a place to write to, and a check afterwards that nothing has changed."""
+    secret, target = tmp_path / "secret.csv", tmp_path / "target.csv"
+    secret.write_text(f"id\n{SECRET}\n")
+    before = {place: place.read_bytes() for place in store.path.rglob("*") if place.is_file()}
+    yield {"secret": str(secret), "target": str(target)}
+    assert sorted(tmp_path.iterdir()) == [secret]
+    assert {place: place.read_bytes() for place in store.path.rglob("*") if place.is_file()} == before
+
+
+def test_hostile_cypher_is_refused_in_one_line(store, surroundings):
+    for text in HOSTILE:
+        cypher = text.replace("{secret}", surroundings["secret"]).replace("{target}", surroundings["target"])
+        with pytest.raises(QueryError) as error:
+            store.cypher(cypher)
+        assert "\n" not in str(error.value)
+        assert SECRET not in str(error.value)
+
+
+def test_the_plan_is_the_second_door(store, surroundings):
+    # Past the words: what reads or writes files still stops at the plan, what writes at the read-only database.
+    for text in HOSTILE:
+        if re.match(r"(?i)(.*LOAD.*FROM|COPY|CALL|CREATE|MERGE|DROP|ALTER|MATCH.*(SET|DELETE))", text):
+            cypher = text.replace("{secret}", surroundings["secret"]).replace("{target}", surroundings["target"])
+            with pytest.raises((QueryError, StoreError)):
+                guard._ask(guard._Request(str(store.graph_path), cypher, {}, 5.0))
+
+
+WORDS = st.sampled_from(
+    [
+        *("MATCH", "(p:Person)", "RETURN", "p.id", "WHERE", "LOAD", "FROM", "'secret'", "COPY", "TO", "CREATE", "SET"),
+        *(
+            "DELETE",
+            "UNION",
+            "WITH",
+            "AS",
+            "x",
+            ",",
+            "(",
+            ")",
+            "{",
+            "}",
+            "[",
+            "]",
+            "*",
+            "/*",
+            "*/",
+            "//",
+            "'",
+            '"',
+            "`",
+        ),
+        *("\\", ";", "\n", "1", "$x", "CALL", "EXISTS", "COUNT", "ORDER", "BY", "LIMIT", "ATTACH", ".", "=", ":"),
+    ]
+)
+
+
+@given(st.lists(st.one_of(WORDS, st.text(max_size=3)), max_size=14).map(" ".join))
+@example("MATCH (p:Person) RETURN `LOAD FROM` ")
+@settings(max_examples=400, deadline=None)
+def test_what_passes_the_words_has_no_writing_clause(text):
+    try:
+        check_cypher(text)
+    except QueryError as error:
+        assert "\n" not in str(error)
+        return
+    # An independent reading: take the quoted parts out character by character and look at the bare words.
+    bare, at = [], 0
+    while at < len(text):
+        for opening, closing in (("'", "'"), ('"', '"'), ("`", "`"), ("//", "\n"), ("/*", "*/")):
+            if text.startswith(opening, at):
+                end = text.find(closing, at + len(opening))
+                at = len(text) if end < 0 else end + len(closing)
+                bare.append(" ")
+                break
+        else:
+            bare.append(text[at])
+            at += 1
+    words = re.findall(r"[A-Z_]+", "".join(bare).upper())
+    assert not {"LOAD", "COPY", "CREATE", "SET", "DELETE", "CALL", "ATTACH"} & set(words)
+
+
+@given(st.lists(WORDS, max_size=12).map(" ".join))
+@settings(max_examples=40, deadline=None)
+def test_fuzzed_statements_change_nothing(text):
+    graph_file = _fuzz_graph()
+    before = graph_file.read_bytes()
+    try:
+        check_cypher(text)
+        guard._ask(guard._Request(str(graph_file), text, {}, 2.0))
+    except AvrError as error:
+        assert SECRET not in str(error)
+    assert graph_file.read_bytes() == before
+    assert sorted(place.name for place in graph_file.parent.iterdir()) == ["graph.kuzu", "graph.kuzu.lock"]
+
+
+_fuzz = []
+
+
+def _fuzz_graph():
+    if not _fuzz:
+        import tempfile
+
+        _fuzz.append(tempfile.TemporaryDirectory())
+        with build_graph(Path(_fuzz[0].name) / "graph.kuzu") as graph:
+            graph.execute("CREATE NODE TABLE Person(id STRING PRIMARY KEY)")
+    return Path(_fuzz[0].name) / "graph.kuzu"
+
+
+def test_a_statement_that_runs_on_is_stopped(store):
+    # The engine does not look at its clock inside range(); the process is ended.
+    with pytest.raises(QueryError, match="stopped after"):
+        ask_graph(store.graph_path, "UNWIND range(1, 1000000000) AS i RETURN count(*) AS n", timeout_s=-9.0)
+
+
+def test_too_much_memory_is_an_error(store):
+    with pytest.raises(QueryError, match="memory"):
+        store.cypher("RETURN size(repeat('a', 1000000000)) AS n")
+
+
+def test_no_graph_and_a_busy_graph(store, tmp_path):
+    with pytest.raises(StoreError, match="does not exist"):
+        ask_graph(tmp_path / "graph.kuzu", "RETURN 1 AS x")
+    with Graph.open(store.graph_path), pytest.raises(LockedError, match="in use by process"):
+        store.cypher("RETURN 1 AS x")
+
+
+# -- SQL ------------------------------------------------------------------------------------------------------------
+
+
+def test_every_table_is_a_view_even_before_it_is_written(store):
+    shown = ask_tables(store, "SHOW TABLES")["name"].to_pylist()
+    assert shown == sorted(name for name, _, _ in views(store))
+    assert {"annotations_boxes_2d", "intervals_actions", "questions", "scores", "predictions", "steps"} <= set(shown)
+    for name, schema, files in views(store):
+        table = store.sql(f"SELECT * FROM {name}")
+        assert table.column_names == schema.names
+        assert table.num_rows == (3 if files else 0)
+
+
+def test_views_hold_the_files(store):
+    assert store.sql("SELECT count(*) AS n FROM questions WHERE answer_mode = $mode", mode="frame").to_pylist() == [
+        {"n": 3}
+    ]
+    for name in ("one", "two"):
+        rows = [{"run_id": name, "question_id": "q", "answer_score": 1, "evidence_score": 0, "combined_score": 0}]
+        rows[0]["invalid"] = False
+        store.write_run(name, "scores", pa.Table.from_pylist(rows, schema=RUNS["scores"]))
+    assert store.sql("SELECT run_id FROM scores ORDER BY ALL")["run_id"].to_pylist() == ["one", "two"]
+
+
+def test_hostile_sql_is_refused_in_one_line(store, surroundings):
+    secret, target = surroundings["secret"], surroundings["target"]
+    inside = str(store.question_path("questions"))
+    for sql in (
+        f"SELECT * FROM read_csv('{secret}')",
+        f"SELECT * FROM '{secret}'",
+        f"SELECT * FROM read_text('{secret}')",
+        f"SELECT * FROM read_blob('{secret}')",
+        f"SELECT * FROM sniff_csv('{secret}')",
+        "SELECT * FROM read_csv('/etc/passwd')",
+        "SELECT * FROM glob('/etc/*')",
+        "SELECT * FROM surroundings",
+        f"COPY questions TO '{target}'",
+        f"COPY questions TO '{inside}' (FORMAT parquet)",
+        f"COPY (SELECT 1) TO '{target}'",
+        f"EXPORT DATABASE '{target}'",
+        f"ATTACH '{target}' AS x",
+        "INSTALL httpfs",
+        "LOAD httpfs",
+        "SET enable_external_access = true",
+        "RESET lock_configuration",
+        "PRAGMA enable_profiling",
+        "CREATE TABLE x AS SELECT 1",
+        "DROP VIEW questions",
+        "DELETE FROM questions",
+        "INSERT INTO questions SELECT * FROM questions",
+        "WITH x AS (DELETE FROM questions RETURNING *) SELECT * FROM x",
+        "SELECT 1; SELECT 2",
+        f"SELECT 1; COPY questions TO '{target}'",
+        f"EXPLAIN ANALYZE COPY questions TO '{target}'",
+        f"SELECT * FROM query('COPY questions TO ''{target}''')",
+        f"SELECT * FROM read_csv('{target}/../secret.csv')",
+        "SELECT * FROM read_parquet('http://127.0.0.1:9/x.parquet')",
+        "CALL pragma_version()",
+        "VACUUM",
+        "",
+        "nonsense",
+        "SELECT * FROM nowhere",
+        "SELECT nothing FROM questions",
+        "SELECT $missing",
+    ):
+        with pytest.raises(QueryError) as error:
+            store.sql(sql)
+        assert "\n" not in str(error.value)
+        assert SECRET not in str(error.value)
+
+
+def test_sql_is_stopped_in_time(store):
+    endless = "SELECT count(*) FROM range(10000000) a, range(10000000) b WHERE a.range % 7 = b.range % 5"
+    with pytest.raises(QueryError, match="stopped after"):
+        ask_tables(store, endless, timeout_s=0.3)
+
+
+def test_a_broken_file_spoils_its_own_view_only(store, tmp_path):
+    place = Store(tmp_path / "S")
+    place.write_questions("questions", pa.table({n: [] for n in QUESTIONS["questions"].names}), {})
+    path = place.run_path("r") / "predictions.parquet"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"no parquet")
+    assert place.sql("SELECT count(*) AS n FROM questions").to_pylist() == [{"n": 0}]
+    with pytest.raises(QueryError, match="cannot read the files of predictions"):
+        place.sql("SELECT * FROM predictions")
+
+
+def test_sql_needs_a_store(tmp_path):
+    with pytest.raises(StoreError, match="jrdb-avr load"):
+        Store(tmp_path / "none").sql("SELECT 1")
+
+
+# -- named queries --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("language", ["cypher", "sql"])
+def test_every_named_query_runs_on_its_defaults(store, language):
+    known = named_queries(language)
+    assert known
+    for name, query in known.items():
+        assert query.answers.endswith("."), f"{name}: the first comment line says what it answers"
+        table = getattr(store, language)(name)
+        assert isinstance(table, pa.Table)
+        assert len(set(table.column_names)) == table.num_columns
+
+
+def test_named_queries_are_found_by_name():
+    text, params = find_query("cypher", "who_is_where", {"frame": 30})
+    assert "SeenIn" in text
+    assert params["frame"] == 30
+    assert params["sequence"]
+    assert find_query("sql", "SELECT 1", {}) == ("SELECT 1", {})
+    with pytest.raises(QueryError, match="who_is_where"):
+        find_query("cypher", "who_is_when", {})
+
+
+@given(st.one_of(st.integers(), st.booleans(), st.lists(st.integers(), max_size=3), st.none()))
+def test_values_are_json(value):
+    assert parse_value(json.dumps(value)) == value
+
+
+def test_values_that_are_no_json_are_text():
+    assert parse_value("gates-ai-lab-2019-02-08_0") == "gates-ai-lab-2019-02-08_0"
+    assert parse_value("") == ""
+    assert parse_value('"15"') == "15"
