@@ -90,8 +90,8 @@ def validate(store: Store, rules: Rules, advance: Callable[[int], None] = lambda
     tables = {name: _read(store, name, report) for name in FILES}
     if any(table is None for table in tables.values()):
         return report
-    marks = {name: table.schema.metadata.get(GENERATION_KEY.encode()) for name, table in tables.items() if table}
-    report.check("files", len(set(marks.values())) == 1, "the files are of different generations: generate again")
+    marks = {(table.schema.metadata or {}).get(GENERATION_KEY.encode()) for table in tables.values() if table}
+    report.check("files", len(marks) == 1, "the files are of different generations: generate again")
     questions, sequences, answers, evidence, _ = (table.to_pylist() for table in tables.values() if table is not None)
     hashes = {row["rules"] for row in answers}
     if hashes and rules_hash(rules) not in hashes:

@@ -1,0 +1,227 @@
+"""`validate` finds every way of spoiling a benchmark that the tests could think of, and nothing in a sound one."""
+
+import json
+import subprocess
+import sys
+
+import msgspec
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from jrdb_avr.engine.validate import CHECKS, validate
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import StoreError
+from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.wording import TEMPLATES, question_id
+
+RULES = Rules()
+
+
+def rewrite(store, name, change, schema=None):
+    """Apply `change` to the rows of a table, keeping its metadata."""
+    path = store.question_path(name)
+    table = pq.read_table(path)
+    rows = table.to_pylist()
+    change(rows)
+    pq.write_table(pa.Table.from_pylist(rows, schema=schema or table.schema), path)
+
+
+@pytest.fixture
+def few(benchmark_copy):
+    """A question of each template, to be spoiled. Shares of answers no longer mean anything."""
+    rows = benchmark_copy.questions("questions").sort_by([("sequence", "descending")]).to_pylist()
+    chosen = {row["template"]: row["question_id"] for row in rows}
+    kept = set(chosen.values())
+    for name in ("questions", "answers", "evidence"):
+        keep_only(benchmark_copy, name, kept)
+    assert set(chosen) == set(TEMPLATES) and faulty(benchmark_copy) <= {"selection"}
+    return benchmark_copy
+
+
+def keep_only(store, name, ids):
+    def change(rows):
+        rows[:] = [row for row in rows if row["question_id"] in ids]
+
+    rewrite(store, name, change)
+
+
+def faulty(store):
+    return set(validate(store, RULES).faults)
+
+
+def test_a_fresh_benchmark_is_sound(sample_benchmark):
+    report = validate(sample_benchmark, RULES)
+    assert report.sound, report.faults
+    questions = sample_benchmark.questions("questions").num_rows
+    assert report.checked["rederive"] == 3 * questions > 300
+    assert [row["check"] for row in report.rows()] == list(CHECKS)
+    assert set(report.checked) == set(CHECKS)
+    assert all(row["faults"] == 0 for row in report.rows())
+
+
+def with_id(row):
+    row["question_id"] = question_id(
+        *(row[name] for name in ("sequence", "family", "template", "question", "choices", "answer_mode"))
+    )
+
+
+def first(rows, template):
+    return next(row for row in rows if row["template"] == template)
+
+
+PUBLIC = {
+    "another id": (lambda row: row.update(question_id="0" * 16), "ids"),
+    "a word more": (lambda row: row.update(question=row["question"] + " Please."), "text"),
+    "another second": (lambda row: row.update(question=row["question"].replace(".0 s", ".5 s")), "text"),
+    "another frame": (lambda row: row.update(question=row["question"].replace("(frame ", "(frame 1")), "text"),
+    "a choice twice": (lambda row: row["choices"].__setitem__(0, row["choices"][1]), "choices"),
+    "three choices": (lambda row: row["choices"].pop(), "choices"),
+    "another family": (lambda row: row.update(family="long_range"), "plans"),
+    "an unknown template": (lambda row: row.update(template="riddle"), "plans"),
+    "another mode": (lambda row: row.update(answer_mode="frame"), "answers"),
+}
+
+
+@pytest.mark.parametrize(("change", "check"), PUBLIC.values(), ids=PUBLIC)
+def test_a_spoiled_question_is_found(few, change, check):
+    rewrite(few, "questions", lambda rows: change(first(rows, "change")))
+    assert check in faulty(few)
+
+
+def spoiled_plan(row, **changes):
+    plan = json.loads(row["plan"])
+    plan.update(changes)
+    row["plan"] = msgspec.json.encode(plan, order="sorted").decode()
+
+
+def needed(row, **changes):
+    boxes = json.loads(row["needed"])
+    boxes[0].update(changes)
+    row["needed"] = json.dumps(boxes)
+
+
+PRIVATE = {
+    "another choice": (
+        lambda row: row.update(answer=json.dumps({"choice": json.loads(row["answer"])["choice"] % 4 + 1})),
+        "rederive",
+    ),
+    "a choice that is not there": (lambda row: row.update(answer='{"choice":5}'), "answers"),
+    "no JSON": (lambda row: row.update(answer="{"), "answers"),
+    "an answer of another kind": (lambda row: row.update(answer='{"frame":3}'), "answers"),
+    "another person": (lambda row: row.update(target_track=row["target_track"] + 1), "rederive"),
+    "no plan": (lambda row: row.update(plan="[]"), "plans"),
+    "a plan with spaces": (lambda row: row.update(plan=json.dumps(json.loads(row["plan"]))), "plans"),
+    "a plan of other nodes": (lambda row: spoiled_plan(row, root="b"), "plans"),
+    "other proofs": (lambda row: row.update(proofs="[]"), "proofs"),
+    "proofs that are no list": (lambda row: row.update(proofs="3"), "proofs"),
+    "a proof that fails": (
+        lambda row: row.update(proofs=row["proofs"].replace('"holds":true', '"holds":false')),
+        "proofs",
+    ),
+    "distractors missing": (lambda row: row.update(distractors="[]"), "proofs"),
+    "other bindings": (lambda row: row.update(bindings='{"a":1}'), "proofs"),
+    "a needed box elsewhere": (lambda row: needed(row, x=1.25), "rederive"),
+    "a needed box no longer decisive": (
+        lambda row: needed(row, decisive=not json.loads(row["needed"])[0]["decisive"]),
+        "rederive",
+    ),
+    "needed that is no JSON": (lambda row: row.update(needed="x"), "rederive"),
+    "other rules": (lambda row: row.update(rules="0" * 16), "rules"),
+}
+
+
+@pytest.mark.parametrize(("change", "check"), PRIVATE.values(), ids=PRIVATE)
+def test_a_spoiled_answer_is_found(few, change, check):
+    asked = few.questions("questions").to_pylist()
+    of_change = {row["question_id"] for row in asked if row["template"] == "change"}
+    rewrite(
+        few,
+        "answers",
+        lambda rows: change(next(row for row in rows if row["question_id"] in of_change)),
+    )
+    assert check in faulty(few)
+
+
+def test_a_spoiled_time_is_found(few):
+    def change(rows):
+        row = next(row for row in rows if row["answer"].startswith('{"frame"'))
+        row["answer"] = json.dumps({"frame": json.loads(row["answer"])["frame"] + 1})
+
+    rewrite(few, "answers", change)
+    assert "rederive" in faulty(few)
+
+
+def test_spoiled_evidence_is_found(few):
+    def moved(rows):
+        rows[0]["x"] += 1
+
+    for change in (moved, lambda rows: rows.pop(), lambda rows: rows.append(dict(rows[0]))):
+        rewrite(few, "evidence", change)
+        assert "evidence" in faulty(few)
+
+
+def test_missing_rows_are_found(few):
+    rewrite(few, "answers", lambda rows: rows.pop())
+    assert "ids" in faulty(few)
+
+
+def test_a_missing_sequence_is_found(few):
+    rewrite(few, "sequences", lambda rows: rows.clear())
+    assert "files" in faulty(few)
+
+
+def test_too_many_of_one_answer_are_found(benchmark_copy):
+    asked = {row["question_id"]: row for row in benchmark_copy.questions("questions").to_pylist()}
+    kept = set()
+    for row in benchmark_copy.questions("answers").to_pylist():
+        question = asked[row["question_id"]]
+        if question["template"] == "presence":
+            answer = question["choices"][json.loads(row["answer"])["choice"] - 1]
+            if answer == "both times":
+                kept.add(row["question_id"])
+    for name in ("questions", "answers", "evidence"):
+        keep_only(benchmark_copy, name, kept)
+    assert faulty(benchmark_copy) == {"selection"}
+
+
+def test_a_private_column_in_a_public_file_is_found(few):
+    path = few.question_path("questions")
+    table = pq.read_table(path)
+    pq.write_table(table.append_column("target_track", pa.array([1] * table.num_rows, pa.int32())), path)
+    assert "files" in faulty(few)
+
+
+def test_metadata_is_looked_at(few):
+    path = few.question_path("questions")
+    table = pq.read_table(path)
+    for metadata in (
+        {},
+        {**table.schema.metadata, b"target": b"7"},
+        {**table.schema.metadata, b"generation": b"other"},
+    ):
+        pq.write_table(table.replace_schema_metadata(metadata), path)
+        assert "files" in faulty(few)
+
+
+def test_missing_and_broken_files_are_one_line(few, tmp_path):
+    def run(store):
+        program = "from jrdb_avr.engine.cli import main; main()"
+        command = [sys.executable, "-c", program, "validate", "--store", str(store)]
+        return subprocess.run(command, capture_output=True, text=True, timeout=120)
+
+    with pytest.raises(StoreError, match="no questions yet"):
+        Store(tmp_path / "nothing").questions("questions")
+    few.question_path("evidence").write_bytes(b"PAR1 nothing")
+    missing = run(tmp_path / "nothing")
+    broken = run(few.path)
+    few.question_path("evidence").unlink()
+    gone = run(few.path)
+    for result in (missing, broken, gone):
+        assert result.returncode == 1 and len(result.stderr.splitlines()) == 1, result.stderr
+        assert result.stderr.startswith("jrdb-avr: ") and not result.stdout
+
+
+def test_questions_of_other_rules_are_refused(sample_benchmark):
+    with pytest.raises(StoreError, match="--rule"):
+        validate(sample_benchmark, Rules(max_conditions=2))
