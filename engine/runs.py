@@ -83,6 +83,11 @@ def with_images(questions: Sequence[Question], image_root: str | None) -> tuple[
     return kept, out
 
 
+def is_of_sample(question: Question) -> bool:
+    """Whether a question is about the synthetic world: the sample's writer begins every sequence's name so."""
+    return question.sequence.startswith("sample-")
+
+
 def _has_images(image_root: str | None, sequence: str) -> bool:
     if image_root is None:
         return False

@@ -159,6 +159,13 @@ def test_predictions_do_not_depend_on_concurrency(store):
     assert lasting(predictions(store, "one")) == lasting(predictions(store, "many"))
 
 
+def test_the_sample_is_known_by_its_sequences():
+    from jrdb_avr.loaders.sample.writer import sequence_name
+
+    assert all(runs.is_of_sample(question(0, 90, sequence_name(index))) for index in range(30))
+    assert not runs.is_of_sample(question(0, 90, "gates-ai-lab-2019-02-08_0"))
+
+
 def test_questions_by_id_by_file_and_by_number(store, tmp_path):
     ids = [q.question_id for q in QUESTIONS_ASKED[3:6]]
     evaluate(store, "--run-id", "a", "--questions", ",".join(ids))

@@ -7,11 +7,17 @@ import datetime
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from jrdb_avr.engine.output import json_option, note, print_json, print_rows, progress, store_option
+
+if TYPE_CHECKING:
+    from jrdb_avr.agent.react import ReAct
+    from jrdb_avr.engine.runs import Finished
+    from jrdb_avr.queries.store import Store
+    from jrdb_avr.schema.method import Question
 
 MARKER: Final = "marker"
 METHODS: Final = ("react",)
@@ -70,7 +76,7 @@ def command(
     with contextlib.ExitStack() as stack:
         journal = stack.enter_context(runs.Journal(folder / "journal.jsonl"))
         url = base_url or stack.enter_context(_marker(folder))
-        method = _method(method_name, url, model, folder, place, run_id, questions, resume)
+        method = _method(method_name, url, model, place, run_id, questions)
         advance = stack.enter_context(progress(f"{method_name}, {model}", len(questions)))
         runs.ask_all(method, questions, sequences, observe, journal, concurrency, advance)
         entries = [journal.finished[question.question_id] for question in questions]
@@ -91,8 +97,8 @@ def default_run_id(method: str, model: str) -> str:
 
 
 def _questions(
-    place: Any, run_id: str, picked: str | None, limit: int | None, resume: bool, image_root: str | None
-) -> list[Any]:
+    place: Store, run_id: str, picked: str | None, limit: int | None, resume: bool, image_root: str | None
+) -> list[Question]:
     """What is asked: the options' choice, or what the run that is resumed asked."""
     from jrdb_avr.engine import runs
     from jrdb_avr.queries.runs import questions_hash, read_run_manifest
@@ -148,22 +154,22 @@ def _marker(folder: Path) -> Iterator[str]:
         yield url
 
 
-def _method(
-    name: str, url: str, model: str, folder: Path, place: Any, run_id: str, questions: list[Any], resume: bool
-) -> Any:
-    """The method, its server found to be there, and its settings in the run's manifest."""
+def _method(name: str, url: str, model: str, place: Store, run_id: str, questions: list[Question]) -> ReAct:
+    """The method, its server found to be there, and its settings in the run's manifest (or found equal to them)."""
     from jrdb_avr.agent.client import Client
     from jrdb_avr.agent.decode import convention_of
     from jrdb_avr.agent.react import ReAct
+    from jrdb_avr.engine.runs import is_of_sample
     from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, write_run_manifest
     from jrdb_avr.schema.errors import StoreError
 
     assert name in METHODS, "the option allows no other"
+    folder = place.run_path(run_id)
     client = Client(url, model, cache=folder / "calls")
     served = client.probe()
     method = ReAct(client, convention_of(model))
     settings = {"method": method.settings(), "endpoint": client.settings(), "served_model": served}
-    if resume and (folder / "run.json").exists():
+    if (folder / "run.json").exists():
         before = read_run_manifest(place, run_id)
         now = (name, model, method.settings(), served)
         then = (before.method, before.model, before.settings.get("method"), before.settings.get("served_model"))
@@ -179,7 +185,7 @@ def _method(
             model=model,
             questions_sha256=questions_hash(place),
             question_ids=tuple(question.question_id for question in questions),
-            synthetic=model == MARKER,
+            synthetic=model == MARKER or any(map(is_of_sample, questions)),
             settings=settings,
             created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         ),
@@ -187,7 +193,7 @@ def _method(
     return method
 
 
-def _summary(run_id: str, entries: list[Any]) -> dict[str, Any]:
+def _summary(run_id: str, entries: list[Finished]) -> dict[str, Any]:
     rows = [entry.prediction for entry in entries]
     count = {status: sum(row["status"] == status for row in rows) for status in ("answered", "invalid", "error")}
     return {
