@@ -61,6 +61,8 @@ class _Shared:
         self.read_only = read_only
         self.users = 0
         self.writer = threading.RLock()
+        if read_only and path.with_name(path.name + ".shadow").exists():
+            _recover(path, buffer_bytes)
         self.lock = lock_graph(path, shared=read_only)
         try:
             self.database = _open_database(path, read_only, buffer_bytes)
@@ -404,6 +406,15 @@ def _open_database(path: Path, read_only: bool, buffer_bytes: int) -> Any:
         if "lock" in str(error):
             raise LockedError(f"{path} is in use by another process: wait for it", holder="another process") from None
         raise StoreError(f"cannot open {path} ({_short(str(error))}): {rebuild}") from None
+
+
+def _recover(path: Path, buffer_bytes: int) -> None:
+    """Finish the checkpoint that a killed writer left half done; only an opening for writing can."""
+    with contextlib.suppress(StoreError), contextlib.ExitStack() as stack:
+        lock = lock_graph(path, shared=False)
+        if lock is not None:
+            stack.enter_context(lock)
+        _open_database(path, False, buffer_bytes).close()
 
 
 def _translated(error: RuntimeError, text: str, timeout_s: float | None, path: Path | None) -> QueryError | StoreError:

@@ -321,6 +321,15 @@ def test_a_killed_holder_lets_go(path):
         assert graph.query("MATCH (n:N) RETURN count(*) AS n")["n"].to_pylist() == [4]
 
 
+def test_a_reader_finishes_a_checkpoint_left_half_done(path):
+    # What a checkpoint through a read-only handle leaves behind is what a kill in the midst of one leaves.
+    damage = "import kuzu, sys; kuzu.Connection(kuzu.Database(sys.argv[1], read_only=True)).execute('CHECKPOINT')"
+    subprocess.run([sys.executable, "-c", damage, str(path)], capture_output=True, check=False)
+    assert path.with_name("graph.kuzu.shadow").exists()
+    with Graph.open(path, read_only=True) as graph:
+        assert graph.query("MATCH (n:N) RETURN count(*) AS n")["n"].to_pylist() == [4]
+
+
 # -- one process ----------------------------------------------------------------------------------------------------
 
 
