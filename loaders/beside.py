@@ -92,7 +92,7 @@ def robot_view(line: Timeline, boxes: Boxes, rules: LoadRules) -> Iterator[_Fact
     those met less than a degree later, could be it as well; the fact is certain where there is no such other. Where
     nobody settles it within reach, everybody within reach could be it.
     """
-    clear, angle = boxes.clear(rules), boxes.angle
+    clear, angle = boxes.clear, boxes.angle
     yield _no_facts()
     rows = np.flatnonzero(np.isin(boxes.frame, line.keyframes))
     for a, b in _pairs(boxes.frame, rows):

@@ -23,7 +23,7 @@ from jrdb_avr.schema.tables import ANNOTATIONS
 from jrdb_avr.schema.vocabulary import ACTIONS, IMPOSSIBLE, OCCLUSIONS, normal_action
 
 from . import fields
-from .columns import Distinct, Ints, Refusals, constant, first_of_equal, known_frames, person_keys, ragged, texts
+from .columns import Distinct, Ints, Refusals, constant, distinct_of, first_of_equal, known_frames, person_keys, ragged
 from .labelfile import RecordReader, read_frames
 from .problems import Problems, shorten
 from .records import BAD, OTHER, record_parts, repaired_label, track_codes, unpacked
@@ -59,7 +59,8 @@ class Record(msgspec.Struct, gc=False):
 
 
 _RAW_FIELDS: Final = ("action_label", "social_group", "social_activity")
-_READ_ONCE: Final = ("label_id", "box", "attributes", *_RAW_FIELDS)
+_READ_ONCE: Final = ("label_id", "box")
+"""Keys whose repetition in a record is looked for; of other repeated keys JSON's usual reading, the last, holds."""
 
 
 class Labels2D:
@@ -152,10 +153,8 @@ class _Columns:
     """Records turned into numbers, chunk by chunk."""
 
     def __init__(self) -> None:
-        self.codes = {
-            name: Distinct() for name in ("label_id", "occlusion", "truncated", "flags", "file_id", *_RAW_FIELDS)
-        }
-        self.parts: dict[str, list[npt.NDArray[Any]]] = {name: [] for name in ("frame", "box", "bare", *self.codes)}
+        self.codes = {name: Distinct() for name in ("label_id", "attributes", "file_id", *_RAW_FIELDS)}
+        self.parts: dict[str, list[npt.NDArray[Any]]] = {name: [] for name in ("frame", "box", *self.codes)}
         self._records: list[Record] = []
         self._frames: list[int] = []
         self._counts: list[int] = []
@@ -172,15 +171,8 @@ class _Columns:
         self.parts["frame"].append(np.repeat(np.array(self._frames, np.int64), self._counts))
         boxes = np.fromiter(chain.from_iterable(map(attrgetter("box"), records)), np.float64, 4 * n)
         self.parts["box"].append(boxes.reshape(n, 4))
-        own = list(map(attrgetter("attributes"), records))
-        self.parts["bare"].append(np.fromiter((item is None for item in own), np.bool_, n))
-        attributes = [item or NO_ATTRIBUTES for item in own]
         values: dict[str, Any] = {
-            "label_id": map(attrgetter("label_id"), records),
-            "file_id": map(attrgetter("file_id"), records),
-            "occlusion": map(attrgetter("occlusion"), attributes),
-            "truncated": map(attrgetter("truncated"), attributes),
-            "flags": map(attrgetter("interpolated", "no_eval"), attributes),
+            name: map(attrgetter(name), records) for name in ("label_id", "attributes", "file_id")
         }
         for name in _RAW_FIELDS:
             values[name] = map(bytes, map(attrgetter(name), records))
@@ -220,8 +212,8 @@ def _tables(columns: _Columns, sequence: str, complete: list[int], problems: Pro
     known = np.array(sorted(set(complete) - partial), np.int64)
     layers = {
         "2d": known_frames(known, kept.frame),
-        "actions": known_frames(np.unique(kept.frame[listed]), kept.frame[listed]),
-        "groups": known_frames(np.unique(kept.frame[groups.row]), kept.frame[groups.row]),
+        "actions": known_frames(distinct_of(kept.frame[listed]), kept.frame[listed]),
+        "groups": known_frames(distinct_of(kept.frame[groups.row]), kept.frame[groups.row]),
     }
     return Labels2D(tables, layers, unknown)
 
@@ -268,34 +260,35 @@ def _box_table(
     columns: _Columns, rows: Ints, kept: _Kept, listed: npt.NDArray[np.bool_], refusals: Refusals
 ) -> pa.Table:
     box = columns.column("box")[rows]
-    flags = list(columns.codes["flags"])
-    flag_code = columns.column("flags")[rows]
-    words = list(columns.codes["occlusion"])
-    code = columns.column("occlusion")[rows]
-    refused = np.array([word is not None and word not in OCCLUSIONS for word in words], np.bool_)
+    code = columns.column("attributes")[rows]
+    distinct: list[Attributes | None] = list(columns.codes["attributes"])
+    known = [item or NO_ATTRIBUTES for item in distinct]
+    refused = np.array([item.occlusion is not None and item.occlusion not in OCCLUSIONS for item in known], np.bool_)
     if refused.any():
-        refusals.count(refused[code], "field", "unknown word", "attributes.occlusion", lambda row: words[code[row]])
-    occlusion = np.array([OCCLUSIONS.index(word) if word in OCCLUSIONS else -1 for word in words], np.int64)
+        refusals.count(
+            refused[code], "field", "unknown word", "attributes.occlusion", lambda row: known[code[row]].occlusion
+        )
+    occlusion = [None if bad else item.occlusion for item, bad in zip(known, refused, strict=True)]
+    by_code = pa.array(code)
     n = len(rows)
     values = {
         "sequence": constant(kept.sequence, n),
         "frame": kept.frame,
         "track": kept.track,
         **{name: box[:, i] for i, name in enumerate("xywh")},
-        "has_attributes": ~columns.column("bare")[rows],
-        "occlusion": texts(OCCLUSIONS, occlusion[code] if n else code),
-        "truncated": _truncated(columns, rows, refusals),
-        "interpolated": pa.array([flag[0] for flag in flags], pa.bool_()).take(pa.array(flag_code)),
-        "no_eval": pa.array([flag[1] for flag in flags], pa.bool_()).take(pa.array(flag_code)),
+        "has_attributes": pa.array([item is not None for item in distinct], pa.bool_()).take(by_code),
+        "occlusion": pa.array(occlusion, pa.string()).take(by_code),
+        "truncated": _truncated(known, code, refusals),
+        "interpolated": pa.array([item.interpolated for item in known], pa.bool_()).take(by_code),
+        "no_eval": pa.array([item.no_eval for item in known], pa.bool_()).take(by_code),
         "has_actions": listed,
         "file_id": _file_ids(columns, rows),
     }
     return pa.table(values).cast(ANNOTATIONS["boxes_2d"])
 
 
-def _truncated(columns: _Columns, rows: Ints, refusals: Refusals) -> pa.Array:
-    words = list(columns.codes["truncated"])
-    code = columns.column("truncated")[rows]
+def _truncated(known: list[Attributes], code: Ints, refusals: Refusals) -> pa.Array:
+    words = [item.truncated for item in known]
     values: list[bool | None] = []
     refused = np.zeros(len(words), np.bool_)
     for i, word in enumerate(words):

@@ -64,7 +64,7 @@ class Record(msgspec.Struct, gc=False):
     attributes: Attributes | None = None
 
 
-_READ_ONCE: Final = ("label_id", "box", "attributes")
+_READ_ONCE: Final = ("label_id", "box")
 
 
 def load_3d(path: Path, sequence: str, problems: Problems) -> tuple[pa.Table, tuple[Ints, Ints]]:

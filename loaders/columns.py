@@ -74,6 +74,13 @@ def first_of_equal(keys: Ints) -> tuple[Ints, Bools]:
     return order, first
 
 
+def distinct_of(ascending: Ints) -> Ints:
+    """The distinct values of an ascending array; much faster than sorting or hashing them again."""
+    new = np.ones(len(ascending), np.bool_)
+    new[1:] = ascending[1:] != ascending[:-1]
+    return ascending[new]
+
+
 def ragged(counts: Ints) -> tuple[Ints, Ints]:
     """For groups of `counts` members: the group of each member, and its place in the group."""
     group = np.repeat(np.arange(len(counts)), counts)

@@ -5,10 +5,13 @@ Every function takes a decoded JSON value of any type and raises ValueError, wit
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import re
 from typing import Any, Final
+
+import msgspec
 
 from jrdb_avr.schema.vocabulary import OCCLUSIONS
 
@@ -86,11 +89,16 @@ def occlusion(value: object) -> str:
     return str(value)
 
 
+@functools.lru_cache(maxsize=10_000)
+def _clean(value: str) -> str:
+    return "".join(c if c.isprintable() else " " for c in value).strip()
+
+
 def text(value: object) -> str:
     """Text that can be stored and printed: no lone surrogates, no control characters, not empty, not endless."""
     if not isinstance(value, str):
         raise ValueError("not a text")
-    clean = "".join(c if c.isprintable() else " " for c in value).strip()
+    clean = _clean(value)
     if not clean:
         raise ValueError("empty text")
     if len(clean) > MAX_TEXT:
@@ -103,6 +111,13 @@ def pairs(raw: bytes) -> tuple[list[tuple[str, Any]], list[str]]:
 
     NaN and Infinity are let through, for the field's own check. Raises ValueError for anything but an object.
     """
+    try:
+        quick = msgspec.json.decode(raw)
+    except (msgspec.DecodeError, RecursionError, UnicodeError):
+        quick = None
+    # As many keys as the text seems to hold: none is repeated.
+    if isinstance(quick, dict) and len(quick) == raw.count(b'":'):
+        return list(quick.items()), []
     value = loose(raw)
     if not isinstance(value, _Members):
         raise ValueError("not an object")

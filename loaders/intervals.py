@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS
 
 from .beside import beside_table
-from .columns import constant
+from .columns import constant, distinct_of
 from .runs import action_runs, actions_table, memberships_table
 from .scene_people import read_boxes, read_groups, read_labels, read_located, track_spans
 from .segments import segments_table
@@ -22,11 +21,11 @@ from .timeline import frames_table, sequence_table, timeline
 def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules) -> dict[str, pa.Table]:
     """Interval tables by kind. Layers that `annotations` lacks count as empty."""
     tables = {layer: annotations.get(layer, schema.empty_table()) for layer, schema in ANNOTATIONS.items()}
-    boxes = read_boxes(tables["boxes_2d"])
+    boxes = read_boxes(tables["boxes_2d"], rules)
     labels = read_labels(tables["actions"])
     groups = read_groups(tables["groups"])
     located = read_located(tables["boxes_3d"])
-    line = timeline(sequence, tables["frames"], np.unique(boxes.frame))
+    line = timeline(sequence, tables["frames"], distinct_of(boxes.frame))
     runs = action_runs(line, labels, rules)
     tracks, first, last = track_spans(tables)
     persons = {

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from jrdb_avr.schema.panorama import HEIGHT, center_angle
 from jrdb_avr.schema.rules import LoadRules
@@ -43,6 +44,7 @@ class Boxes:
     listed: Bools
     has_attributes: bool
     """Whether any record of the sequence carries attributes."""
+    rules: LoadRules
 
     @cached_property
     def keys(self) -> Ints:
@@ -54,14 +56,15 @@ class Boxes:
         """Panorama angle of the box centres, degrees."""
         return center_angle(self.box[:, 0], self.box[:, 2])
 
-    def clear(self, rules: LoadRules) -> Bools:
+    @cached_property
+    def clear(self) -> Bools:
         """The clear view of the rules, per box."""
+        rules = self.rules
         _, y, w, h = self.box.T
         sized = (w >= rules.clear_min_width) & (w <= rules.clear_max_width) & (h >= rules.clear_min_height)
         result = sized & (y >= 0) & (y + h <= HEIGHT) & ~self.no_eval
         if self.has_attributes:
-            visible = np.isin(np.array(self.occlusion.to_pylist(), dtype=object), list(CLEAR_OCCLUSIONS))
-            result &= visible
+            result &= pc.is_in(self.occlusion, pa.array(sorted(CLEAR_OCCLUSIONS))).to_numpy(zero_copy_only=False)
         return np.asarray(result)
 
     def rows(self, frame: Ints, track: Ints) -> Ints:
@@ -124,7 +127,7 @@ def rows_of(keys: Ints, wanted: Ints) -> Ints:
     return np.where(keys[place] == wanted, place, -1)
 
 
-def read_boxes(table: pa.Table) -> Boxes:
+def read_boxes(table: pa.Table, rules: LoadRules) -> Boxes:
     """From the annotation table `boxes_2d`, whose rows are sorted by (frame, track)."""
     box = np.stack([table[name].to_numpy() for name in "xywh"], axis=1)
     attributed = table["has_attributes"].to_numpy()
@@ -135,6 +138,7 @@ def read_boxes(table: pa.Table) -> Boxes:
         table["no_eval"].fill_null(False).to_numpy(),
         table["has_actions"].to_numpy(),
         bool(attributed.any()),
+        rules,
     )
 
 

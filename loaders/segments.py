@@ -15,7 +15,7 @@ import pyarrow as pa
 from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules, frames
 from jrdb_avr.schema.tables import INTERVALS
 
-from .columns import constant, ragged, texts
+from .columns import constant, distinct_of, ragged, texts
 from .runs import Runs
 from .scene_people import Boxes, Labels
 from .sightings import certain_pose
@@ -72,7 +72,8 @@ class _Cells:
         row = by_track[low[fact] + place]
         box_keys = fact * self.span + grid.index(boxes.frame[row])
 
-        self.key = np.union1d(gap_keys, box_keys)
+        # Both are ascending; a stable sort merges two runs in linear time.
+        self.key = distinct_of(np.sort(np.concatenate([box_keys, gap_keys]), kind="stable"))
         action = self.facts & (2**31 - 1)
         pose = labels.is_pose[action]
         label_row = boxes.rows(labels.frame, labels.track)
@@ -80,12 +81,13 @@ class _Cells:
         label_fact = np.searchsorted(self.facts, _fact(labels.track, labels.action))
         label_keys = label_fact * self.span + grid.index(labels.frame)
 
+        pose_code = certain_pose(boxes, labels)
         listed = np.zeros(len(self.key), np.bool_)
         clear, known = listed.copy(), listed.copy()
         at = np.searchsorted(self.key, box_keys)
         listed[at] = boxes.listed[row]
-        clear[at] = boxes.clear(rules)[row]
-        known[at] = ~pose[fact] | (certain_pose(boxes, labels)[row] >= 0)
+        clear[at] = boxes.clear[row]
+        known[at] = ~pose[fact] | (pose_code[row] >= 0)
         named, true, gap = np.zeros((3, len(self.key)), np.bool_)
         # Labels without a box would be of refused boxes; there are none in the tables.
         at = np.searchsorted(self.key, label_keys[has_box])

@@ -41,7 +41,7 @@ def sightings_table(
             "angle": boxes.angle,
             "occlusion": boxes.occlusion,
             "no_eval": boxes.no_eval,
-            "clear": boxes.clear(rules),
+            "clear": boxes.clear,
             "face_visible": pa.nulls(n, pa.bool_()),
             "listed": boxes.listed,
             "pose": texts(labels.names, certain_pose(boxes, labels)),

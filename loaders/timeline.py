@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP
 from jrdb_avr.schema.tables import INTERVALS, LAYERS
@@ -74,9 +75,12 @@ def timeline(sequence: str, frames: pa.Table, box_frames: Ints) -> Timeline:
     A keyframe with boxes that the 2D layer does not list holds people who could not be read: nothing unique or absent
     can be told of it, so it is left out of the keyframes.
     """
-    names = np.array(frames["layer"].to_pylist(), dtype=object)
     numbers = frames["frame"].to_numpy().astype(np.int64)
-    layers = {layer: np.unique(numbers[names == layer]) for layer in LAYERS if (names == layer).any()}
+    layers = {}
+    for layer in LAYERS:
+        here = pc.equal(frames["layer"], layer).to_numpy()
+        if here.any():
+            layers[layer] = np.sort(numbers[here])
     leading = layers.get(_leading(layers), np.empty(0, np.int64))
     if not len(leading) or step_of(leading) == KEYFRAME_STEP:
         keyframes = leading
