@@ -4,6 +4,7 @@ The files are read as plain JSON; geometry and shares are computed here again.
 """
 
 import hashlib
+import itertools
 import json
 import math
 from collections import Counter, defaultdict
@@ -231,7 +232,7 @@ def test_shares_lie_near_those_of_jrdb(tmp_path):
                         labels += 1
                         hard += code(difficulty) == 3
         tracks += len(times)
-        with_gap += sum(any(b - a > 15 for a, b in zip(t, t[1:], strict=False)) for t in times.values())
+        with_gap += sum(any(b - a > 15 for a, b in itertools.pairwise(t)) for t in times.values())
     shares = [100 * occluded / boxes, 100 * hard / labels, 100 * with_gap / tracks, boxes / frames]
     for share, low, high in zip(shares, (56, 26, 30, 34), (56, 42, 30, 34), strict=True):
         assert low / 1.5 < share < high * 1.5

@@ -43,6 +43,11 @@ SPEED: Final = {
 }
 """Metres per second; all other poses stand still."""
 
+HIDDEN: Final = 0.29
+"""Share of the parties that stay behind the partitions."""
+SPREAD: Final = 0.4
+"""Radians to either side of its bearing that a party in the open moves."""
+
 _ON_THE_MOVE: Final = (
     "holding sth",
     "looking at robot",
@@ -138,10 +143,11 @@ def _parties(rng: Rng, people: int) -> tuple[Party, ...]:
     parties: list[Party] = []
     count = 0
     # People come and go: about three in four of those in the script are in view at a time.
-    total = max(2, round(people / 0.72))
+    total = max(2, round(people / 0.70))
+    first_bearing = float(rng.uniform(-np.pi, np.pi))
     hidden_bearings = rng.permutation(4) * (np.pi / 2) + rng.uniform(-0.35, 0.35, 4)
     while count < total:
-        hidden = bool(rng.random() < 0.25)
+        hidden = bool(rng.random() < HIDDEN)
         size = int(rng.choice([1, 2, 3, 4, 5, 6], p=[0.46, 0.24, 0.13, 0.09, 0.05, 0.03]))
         size = min(size, total - count)
         members = tuple(range(count, count + size))
@@ -151,7 +157,9 @@ def _parties(rng: Rng, people: int) -> tuple[Party, ...]:
             parties.append(Party(members, True, 8.5, 12.5, bearing, 0.33))
         else:
             near, far = [(2.6, 6.0), (3.5, 9.0), (6.0, 14.0)][int(rng.choice(3, p=[0.4, 0.4, 0.2]))]
-            parties.append(Party(members, False, near, far, float(rng.uniform(-np.pi, np.pi)), 1.1))
+            # Spread round the robot by the golden angle: neighbours in time are far apart, and all are covered evenly.
+            bearing = (first_bearing + 2.39996 * sum(not one.hidden for one in parties) + np.pi) % (2 * np.pi) - np.pi
+            parties.append(Party(members, False, near, far, float(bearing), SPREAD))
     return tuple(parties)
 
 
@@ -251,12 +259,12 @@ def _member_poses(rng: Rng, move: Bools, shared: Ints) -> Ints:
 
 
 def _member_actions(rng: Rng, move: Bools) -> Ints:
-    """One action at a time for some seconds, then a pause of four or more."""
+    """One action at a time for three seconds or more, then a pause."""
     ticks = len(move)
     out = np.full(ticks, NONE, np.int64)
     tick = int(rng.integers(0, 5))
     while tick < ticks:
-        length = int(rng.integers(3, 10))
+        length = int(rng.integers(3, 8))
         names = _ON_THE_MOVE if move[tick] else _AT_REST
         name = names[int(rng.integers(len(names)))]
         stop = min(tick + length, ticks)
@@ -266,7 +274,7 @@ def _member_actions(rng: Rng, move: Bools) -> Ints:
                 stop = k
                 break
         out[tick:stop] = ACTION[name]
-        tick = stop + int(rng.integers(2, 8))
+        tick = stop + int(rng.integers(1, 5))
     return out
 
 
