@@ -1,0 +1,145 @@
+"""The sample's panoramas, read back from the JPEG files and compared with the label files, by code of its own."""
+
+import json
+import math
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from jrdb_avr.engine.cli import group
+from jrdb_avr.schema.marks import read
+from jrdb_avr.schema.vocabulary import POSES, normal_action
+
+SIZES = ("--sequences", "2", "--frames", "240", "--people", "26")
+
+
+def sample(folder, *options):
+    result = CliRunner().invoke(group, ["sample", str(folder), *SIZES, *options])
+    assert result.exit_code == 0, result.output
+    return folder
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    return sample(tmp_path_factory.mktemp("sample") / "root", "--workers", "1")
+
+
+def load(path):
+    return cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
+
+
+def same_place(box, other):
+    """Intersection over union on the cylinder, by counting columns modulo 3760."""
+    columns = [{(round(b[0]) + i) % 3760 for i in range(round(b[2]))} for b in (box, other)]
+    rows = min(box[1] + box[3], other[1] + other[3]) - max(box[1], other[1])
+    shared = len(columns[0] & columns[1]) * max(rows, 0)
+    return shared / (len(columns[0]) * box[3] + len(columns[1]) * other[3] - shared)
+
+
+@pytest.fixture(scope="module")
+def readings(root):
+    """(label record, 3D box or None, reading, overlap, sequence) of every mark read in crops of every fourth panorama."""
+    found, missed, boxes_at_seam = [], [], 0
+    for folder in sorted((root / "images" / "image_stitched").iterdir()):
+        name = folder.name
+        flat = json.loads((root / "labels" / "labels_2d_stitched" / f"{name}.json").read_text())["labels"]
+        solid = json.loads((root / "labels" / "labels_3d" / f"{name}.json").read_text())["labels"]
+        for number, path in enumerate(sorted(folder.glob("*.jpg"))[::4]):
+            image = load(path)
+            objects = [one for one in flat[path.name] if one["label_id"].startswith("pedestrian:")]
+            places = {one["label_id"]: one["box"] for one in solid.get(path.stem + ".pcd", [])}
+            seen = set()
+            for left in range(137 * number % 300, 3760 + 137 * number % 300, 300):
+                columns = (np.arange(480) + left) % 3760
+                for reading in read(image[:, columns]):
+                    box = (reading.box.x + left, *reading.box[1:])
+                    one = max(objects, key=lambda one, box=box: same_place(box, one["box"]))
+                    found.append((one, places.get(one["label_id"]), reading, same_place(box, one["box"]), name))
+                    seen.add(one["label_id"])
+            for one in objects:
+                x, _, w, _ = one["box"]
+                boxes_at_seam += x < 0 or x + w > 3760
+                if one["label_id"] not in seen:
+                    missed.append(one)
+    return found, missed, boxes_at_seam
+
+
+def test_every_reading_lies_on_its_label(readings):
+    found, _, boxes_at_seam = readings
+    assert len(found) > 300
+    assert boxes_at_seam > 0
+    assert min(overlap for *_, overlap, _ in found) >= 0.85
+    at_seam = [one for one, *_ in found if one["box"][0] < 0 or one["box"][0] + one["box"][2] > 3760]
+    assert at_seam
+
+
+def test_identity_and_track_go_together(readings):
+    found, _, _ = readings
+    pairs = {(name, one["label_id"], reading.mark.identity) for one, _, reading, _, name in found}
+    assert len(pairs) == len({(name, track) for name, track, _ in pairs})
+    assert len(pairs) == len({(name, identity) for name, _, identity in pairs})
+    # The mark does not repeat the label's number.
+    assert sum(track == f"pedestrian:{identity}" for _, track, identity in pairs) <= 1
+
+
+def test_marks_say_what_certain_labels_say(readings):
+    found, _, _ = readings
+    poses = others = 0
+    for one, place, reading, _, _ in found:
+        listed = {normal_action(a): int(float(d)) for a, d in one.get("action_label", {}).items()}
+        certain = {a for a, d in listed.items() if d < 3}
+        pose = certain & set(POSES)
+        if len(pose) == 1 and len(set(listed) & set(POSES)) == 1:
+            assert {reading.mark.pose} == pose
+            poses += 1
+            # All that is shown is listed, and all that is listed is shown.
+            assert set(reading.mark.actions) == set(listed) - set(POSES) - {"waiting for sth"}
+            others += len(reading.mark.actions)
+        if place is not None:
+            distance = math.hypot(place["cx"], place["cy"])
+            assert reading.mark.distance_dm == pytest.approx(10 * distance, abs=0.51)
+            if reading.complete:
+                heading = math.degrees(math.pi - place["rot_z"])
+                assert abs((reading.mark.heading_deg - heading + 180) % 360 - 180) <= 2.6
+    assert poses > 200
+    assert others > 100
+
+
+def test_clear_people_are_read_and_covered_ones_are_not(readings):
+    found, missed, _ = readings
+
+    def rate(word):
+        read_ = len({id(one) for one, *_ in found if one["attributes"].get("occlusion") == word})
+        lost = sum(
+            one["attributes"].get("occlusion") == word and one["box"][2] >= 18 and one["box"][3] >= 60 for one in missed
+        )
+        return read_ / (read_ + lost)
+
+    assert rate("Fully_visible") > 0.93
+    assert rate("Fully_occluded") < 0.03
+
+
+def test_images_stand_at_keyframes_and_round_changes(root):
+    for folder in (root / "images" / "image_stitched").iterdir():
+        frames = sorted(int(path.stem) for path in folder.glob("*.jpg"))
+        places = {frame % 15 for frame in frames}
+        assert len(places) == 3
+        assert 0 in places
+        first, last = sorted(places - {0})
+        assert last == first + 1
+        assert set(range(0, 240, 15)) <= set(frames)
+
+
+@pytest.mark.parametrize(("option", "count"), [(("--images", "keyframes"), 16), (("--no-images",), 0)])
+def test_fewer_images(tmp_path, option, count):
+    folder = sample(tmp_path / "root", "--sequences", "1", *option)
+    assert len(list(folder.rglob("*.jpg"))) == count
+
+
+def test_images_do_not_depend_on_the_workers(root, tmp_path):
+    other = sample(tmp_path / "root", "--workers", "2")
+    mine = sorted(path.relative_to(root) for path in root.rglob("*.jpg"))
+    assert mine == sorted(path.relative_to(other) for path in other.rglob("*.jpg"))
+    assert all((root / path).read_bytes() == (other / path).read_bytes() for path in mine)
