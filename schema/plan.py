@@ -140,12 +140,26 @@ def parse_plan(text: str | bytes) -> Plan:
     try:
         plan = msgspec.json.decode(text, type=Plan)
     except msgspec.ValidationError as error:
-        message, _, where = str(error).partition(" - at `$")
-        raise PlanError(where.strip("`.") or "plan", message) from None
+        message, _, where = str(error).partition(" - at `")
+        where = where.replace("key` in `$.times", "$.times[...]").strip("`$.")
+        if "[...]" in where:
+            where = where.replace("times[...]", f"times.{_bad_time(text)}")
+        raise PlanError(where or "plan", message) from None
     except (msgspec.DecodeError, UnicodeEncodeError, RecursionError) as error:
         raise PlanError("plan", f"not JSON: {error}") from None
     validate(plan)
     return plan
+
+
+def _bad_time(text: str | bytes) -> str:
+    """The name of the first time that cannot be read: the decoder says only that it is one of them."""
+    times: dict[str, Any] = msgspec.json.decode(text, type=dict[str, Any])["times"]
+    for name, time in times.items():
+        try:
+            msgspec.convert({name: time}, dict[Name, Time])
+        except msgspec.ValidationError:
+            return name
+    return "..."
 
 
 def canonical(plan: Plan) -> str:

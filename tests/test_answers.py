@@ -1,0 +1,159 @@
+"""Answers: the stored payloads, and when two are the same."""
+
+import contextlib
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jrdb_avr.schema.answers import (
+    ANSWER_TYPES,
+    Choice,
+    Evidence,
+    FrameAnswer,
+    FrameViewpoint,
+    Number,
+    Span,
+    decode_answer,
+    encode_answer,
+    evidence_hits,
+    frames_iou,
+    same_answer,
+)
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.panorama import Box
+
+frames = st.integers(0, 10_000_000)
+finite = st.floats(allow_nan=False, allow_infinity=False)
+answers = st.one_of(
+    st.builds(Choice, st.integers(1, 1000)),
+    st.builds(FrameAnswer, frames),
+    st.builds(Span, frames, frames),
+    st.builds(FrameViewpoint, frames, finite),
+    st.builds(Number, finite),
+)
+
+
+@given(answers)
+def test_stored_answers_come_back(answer):
+    mode = next(mode for mode, kind in ANSWER_TYPES.items() if kind is type(answer))
+    assert decode_answer(mode, encode_answer(answer)) == answer
+
+
+def test_stored_json_is_the_public_payload():
+    assert encode_answer(Choice(2)) == '{"choice":2}'
+    assert encode_answer(FrameAnswer(150)) == '{"frame":150}'
+    assert encode_answer(Span(10, 95)) == '{"start_frame":10,"end_frame":95}'
+    assert encode_answer(FrameViewpoint(150, 210.0)) == '{"frame":150,"angle_deg":210.0}'
+    assert encode_answer(Number(12.5)) == '{"value":12.5}'
+
+
+@pytest.mark.parametrize(
+    ("mode", "text"),
+    [
+        ("multiple_choice", '{"choice": 0}'),
+        ("multiple_choice", '{"choice": "2"}'),
+        ("multiple_choice", '{"choice": 2.5}'),
+        ("multiple_choice", '{"choice": true}'),
+        ("multiple_choice", '{"choice": 2, "why": ""}'),
+        ("multiple_choice", "2"),
+        ("frame", '{"frame": -1}'),
+        ("frame", '{"frame": 1e9}'),
+        ("span", '{"start_frame": 1}'),
+        ("frame_viewpoint", '{"frame": 1, "angle_deg": NaN}'),
+        ("frame_viewpoint", '{"frame": 1, "angle_deg": 1e999}'),
+        ("number", '{"value": null}'),
+        ("number", '{"value": "1"}'),
+        ("number", ""),
+        ("number", "\ud800"),
+        ("number", "[" * 100_000),
+        ("nonsense", '{"value": 1}'),
+    ],
+)
+def test_what_does_not_fit_is_refused(mode, text):
+    with pytest.raises(DecodeError):
+        decode_answer(mode, text)
+
+
+@given(st.text(), st.sampled_from(sorted(ANSWER_TYPES)))
+def test_any_text_decodes_or_is_refused(text, mode):
+    with contextlib.suppress(DecodeError):
+        assert isinstance(decode_answer(mode, text), ANSWER_TYPES[mode])
+
+
+small = st.integers(0, 40)
+
+
+@given(small, small, small, small)
+def test_span_overlap_is_the_jaccard_of_frames(a, b, c, d):
+    one, two = set(range(a, b + 1)), set(range(c, d + 1))
+    expected = len(one & two) / len(one | two) if one and two else 0.0
+    assert frames_iou(Span(a, b), Span(c, d)) == pytest.approx(expected)
+    assert frames_iou(Span(a, b), Span(c, d)) == frames_iou(Span(c, d), Span(a, b))
+
+
+@given(answers)
+def test_an_answer_equals_itself_where_it_means_something(answer):
+    meaningless = (isinstance(answer, Number) and answer.value <= 0) or (
+        isinstance(answer, Span) and answer.end_frame < answer.start_frame
+    )
+    assert same_answer(answer, answer) is not meaningless
+
+
+@given(answers, answers)
+def test_answers_of_different_kinds_are_never_the_same(a, b):
+    if type(a) is not type(b):
+        assert not same_answer(a, b)
+    assert same_answer(a, b) == same_answer(b, a)
+
+
+@given(answers)
+def test_no_answer_never_scores(answer):
+    assert not same_answer(None, answer)
+
+
+@pytest.mark.parametrize(
+    ("given_answer", "truth", "expected"),
+    [
+        (FrameAnswer(115), FrameAnswer(100), True),
+        (FrameAnswer(116), FrameAnswer(100), False),
+        (Span(0, 9), Span(0, 19), True),
+        (Span(0, 8), Span(0, 19), False),
+        (Span(9, 0), Span(0, 9), False),
+        (FrameViewpoint(10, 20.0), FrameViewpoint(10, 0.0), True),
+        (FrameViewpoint(10, 340.0), FrameViewpoint(25, 0.0), True),
+        (FrameViewpoint(10, 20.001), FrameViewpoint(10, 0.0), False),
+        (FrameViewpoint(10, math.inf), FrameViewpoint(10, 0.0), False),
+        (FrameViewpoint(10, math.nan), FrameViewpoint(10, 0.0), False),
+        (Number(2.0), Number(1.0), True),
+        (Number(0.5), Number(1.0), True),
+        (Number(2.001), Number(1.0), False),
+        (Number(math.nan), Number(1.0), False),
+        (Number(math.inf), Number(1.0), False),
+        (Number(0.0), Number(0.0), False),
+        (Number(-1.0), Number(-1.0), False),
+        (Choice(1), Choice(1), True),
+        (Choice(1), Choice(2), False),
+    ],
+)
+def test_bounds_are_inclusive(given_answer, truth, expected):
+    assert same_answer(given_answer, truth) is expected
+
+
+def test_a_second_follows_the_frame_rate():
+    assert same_answer(FrameAnswer(10), FrameAnswer(0), fps=10.0)
+    assert not same_answer(FrameAnswer(11), FrameAnswer(0), fps=10.0)
+
+
+def test_evidence_needs_the_frame_and_the_place():
+    truth = {7: Box(3750.0, 10.0, 40.0, 100.0)}
+    assert evidence_hits(Evidence(7, (-10.0, 10.0, 40.0, 100.0)), truth)
+    assert evidence_hits(Evidence(7, (3750.0, 10.0, 40.0, 50.0)), truth)
+    assert not evidence_hits(Evidence(7, (3750.0, 10.0, 40.0, 49.0)), truth)
+    assert evidence_hits(Evidence(7, (3750.0, 10.0, 40.0, 49.0)), truth, threshold=0.4)
+    assert not evidence_hits(Evidence(8, (3750.0, 10.0, 40.0, 100.0)), truth)
+    assert not evidence_hits(None, truth)
+    for hole in (math.nan, math.inf, -math.inf):
+        assert not evidence_hits(Evidence(7, (hole, 10.0, 40.0, 100.0)), truth)
+        assert not evidence_hits(Evidence(7, (3750.0, 10.0, hole, 100.0)), truth)

@@ -1,0 +1,172 @@
+"""The graph plan: what is refused, and by which field's name."""
+
+import json
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jrdb_avr.schema.errors import PlanError
+from jrdb_avr.schema.plan import Plan, canonical, parse_plan, plan_json_schema, validate
+
+# The example of the design, word for word.
+EXAMPLE = {
+    "root": "a",
+    "target": "c",
+    "times": {"t0": {"frame": 150}, "t1": {"event": "start", "of": "c", "action": "walking", "after": "t0"}},
+    "nodes": [
+        {"id": "a", "conditions": [{"attribute": "gender", "value": "female"}, {"action": "sitting", "at": "t0"}]},
+        {"id": "b", "conditions": []},
+        {"id": "c", "conditions": []},
+    ],
+    "edges": [
+        {"source": "a", "relation": "conversation", "target": "b", "at": "t0"},
+        {"source": "b", "relation": "first to the left of (robot view)", "target": "c", "at": "t0"},
+    ],
+    "answer": {"mode": "frame_viewpoint", "read": "start_view", "of": "c", "at": "t1"},
+}
+
+
+def changed(**changes):
+    """The example with parts replaced: `edges__0__source="x"` sets edges[0].source; DROP removes it."""
+    plan = json.loads(json.dumps(EXAMPLE))
+    for path, value in changes.items():
+        *way, last = (int(part) if part.isdigit() else part for part in path.split("__"))
+        place = plan
+        for part in way:
+            place = place[part]
+        if value is DROP:
+            del place[last]
+        elif isinstance(place, list) and last == len(place):
+            place.append(value)
+        else:
+            place[last] = value
+    return json.dumps(plan)
+
+
+DROP = object()
+
+
+def test_the_example_is_valid_and_comes_back():
+    plan = parse_plan(json.dumps(EXAMPLE))
+    assert parse_plan(canonical(plan)) == plan
+    assert canonical(parse_plan(canonical(plan))) == canonical(plan)
+    assert plan.asked() == ("t1",)
+    # Defaults and the order of keys do not change the text that is hashed.
+    assert canonical(parse_plan(changed(nodes__1__conditions=DROP))) == canonical(plan)
+    assert canonical(parse_plan(json.dumps(EXAMPLE, sort_keys=True, indent=3))) == canonical(plan)
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"root": "z"}, "root"),
+        ({"target": "z"}, "target"),
+        ({"target": "A"}, "target"),
+        ({"root": DROP}, "plan"),
+        ({"more": 1}, "plan"),
+        ({"nodes": []}, "nodes"),
+        ({"times": {}}, "times"),
+        ({"nodes__1__id": "a"}, "nodes[1].id"),
+        ({"nodes__3": {"id": "d"}}, "nodes[3].id"),
+        ({"edges__1": {"source": "c", "relation": "r", "target": "b", "at": "t0"}}, "target"),
+        ({"edges__0__source": "z"}, "edges[0].source"),
+        ({"edges__0__target": "z"}, "edges[0].target"),
+        ({"edges__0__target": "a"}, "edges[0].target"),
+        ({"edges__1__at": "t9"}, "edges[1].at"),
+        ({"edges__0__relation": ""}, "edges[0].relation"),
+        ({"edges__0__more": 1}, "edges[0]"),
+        ({"nodes__0__conditions__0__value": DROP}, "nodes[0].conditions[0].value"),
+        ({"nodes__0__conditions__0__value": 3}, "nodes[0].conditions[0].value"),
+        ({"nodes__0__conditions__0__at": "t0"}, "nodes[0].conditions[0].at"),
+        ({"nodes__0__conditions__1__at": DROP}, "nodes[0].conditions[1].at"),
+        ({"nodes__0__conditions__1__at": "t9"}, "nodes[0].conditions[1].at"),
+        ({"nodes__0__conditions__1__attribute": "age"}, "nodes[0].conditions[1]"),
+        ({"nodes__0__conditions__1": {"at": "t0"}}, "nodes[0].conditions[1]"),
+        ({"nodes__0__conditions__1": {"object": "bag", "at": "t0"}}, "nodes[0].conditions[1].verb"),
+        ({"nodes__0__conditions__1": {"attribute": "hair", "value": "x"}}, "nodes[0].conditions[1].attribute"),
+        (
+            {"nodes__0__conditions__1": {"attribute": "group_size", "value": "3", "at": "t0"}},
+            "nodes[0].conditions[1].value",
+        ),
+        ({"times__t0": {}}, "times.t0"),
+        ({"times__t0__event": "start"}, "times.t0"),
+        ({"times__t0__of": "a"}, "times.t0.of"),
+        ({"times__t0__frame": -1}, "times.t0.frame"),
+        ({"times__t0__frame": 1.5}, "times.t0.frame"),
+        ({"times": {"t0": {"frame": 1}, "T1": {"frame": 2}}}, "times.T1"),
+        ({"times": {"t0": 3}}, "times.t0"),
+        ({"times__t1__of": "z"}, "times.t1.of"),
+        ({"times__t1__of": DROP}, "times.t1"),
+        ({"times__t1__after": "t9"}, "times.t1.after"),
+        ({"times__t1__after": "t1"}, "times.t1.after"),
+        ({"times__t1__action": DROP}, "times.t1.action"),
+        ({"times__t1__event": "leaves"}, "times.t1.action"),
+        ({"times__t1__event": "begins"}, "times.t1.event"),
+        ({"answer__of": "z"}, "answer.of"),
+        ({"answer__at": "t9"}, "answer.at"),
+        ({"answer__at": ["t0", "t1"]}, "answer.at"),
+        ({"answer__at": "t0"}, "answer.at"),
+        ({"answer__mode": "number"}, "answer.mode"),
+        ({"answer__mode": "guess"}, "answer.mode"),
+        ({"answer__read": "span"}, "answer.mode"),
+        ({"answer__relation": "conversation"}, "answer.relation"),
+        ({"answer": {"mode": "number", "read": "count", "of": "c", "at": ["t0", "t1"]}}, "answer.relation"),
+    ],
+)
+def test_a_fault_is_refused_by_its_field(changes, field):
+    with pytest.raises(PlanError) as error:
+        parse_plan(changed(**changes))
+    assert error.value.field == field
+    assert str(error.value).startswith(f"{field}: ")
+    assert "\n" not in str(error.value)
+
+
+def test_events_that_wait_for_each_other_are_refused():
+    times = {
+        "t0": {"frame": 0},
+        "t1": {"event": "leaves", "of": "c", "after": "t2"},
+        "t2": {"event": "returns", "of": "c", "after": "t1"},
+    }
+    answer = {"mode": "number", "read": "seconds_between", "of": "c", "at": ["t1", "t2"]}
+    with pytest.raises(PlanError, match="circle"):
+        parse_plan(changed(times=times, answer=answer))
+    times["t1"]["after"] = "t0"
+    assert parse_plan(changed(times=times, answer=answer)).asked() == ("t1", "t2")
+
+
+@pytest.mark.parametrize(
+    "text", ["", "nonsense", "[]", "null", "{}", "1", "\ud800", "[" * 100_000, b"\xff", '{"root": 1}']
+)
+def test_what_is_no_plan_is_refused(text):
+    with pytest.raises(PlanError):
+        parse_plan(text)
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.text(max_size=4) | st.sampled_from(["a", "t0", "start", "frame"]),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(st.sampled_from(["id", "at", "frame", "t0", "read", "x"]), inner, max_size=3)
+    ),
+    max_leaves=6,
+)
+
+
+@given(st.sampled_from(sorted(EXAMPLE)), json_values)
+def test_any_part_replaced_is_valid_or_refused(part, value):
+    try:
+        plan = parse_plan(changed(**{part: value}))
+    except PlanError as error:
+        assert error.field
+        assert "\n" not in str(error)
+    else:
+        validate(plan)
+        assert msgspec.json.decode(canonical(plan), type=Plan) == plan
+
+
+def test_the_json_schema_names_every_part():
+    text = json.dumps(plan_json_schema())
+    for word in (*EXAMPLE, "conditions", "relation", "start_view", "leaves", "group_size"):
+        assert f'"{word}"' in text

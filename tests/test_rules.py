@@ -1,0 +1,77 @@
+"""Rules: frozen, hashed, overridden by name."""
+
+import contextlib
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jrdb_avr.schema.errors import InputError
+from jrdb_avr.schema.rules import LoadRules, Rules, frames, override, rules_hash
+
+
+def test_hashes_are_stable():
+    assert rules_hash(Rules()) == rules_hash(Rules())
+    assert rules_hash(Rules()) != rules_hash(LoadRules())
+    assert len(rules_hash(Rules())) == 16
+
+
+@pytest.mark.parametrize("name", LoadRules.__struct_fields__)
+def test_every_load_rule_changes_both_hashes(name):
+    value = getattr(LoadRules(), name)
+    changed = msgspec.structs.replace(LoadRules(), **{name: value + 1})
+    assert rules_hash(changed) != rules_hash(LoadRules())
+    assert rules_hash(Rules(load=changed)) != rules_hash(Rules())
+
+
+@pytest.mark.parametrize("name", [name for name in Rules.__struct_fields__ if name not in ("load", "condition_order")])
+def test_every_rule_can_be_overridden(name):
+    value = getattr(Rules(), name) + 1
+    changed = override(Rules(), {name: str(value)})
+    assert getattr(changed, name) == value
+    assert rules_hash(changed) != rules_hash(Rules())
+    assert changed.load == Rules().load
+
+
+def test_load_rules_are_overridden_by_their_path():
+    changed = override(Rules(), {"load.gap_frames": "3", "max_per_person": "2"})
+    assert (changed.load.gap_frames, changed.max_per_person) == (3, 2)
+    assert override(Rules(), {}) == Rules()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("nothing", "1"),
+        ("load.nothing", "1"),
+        ("gap_frames", "3"),
+        ("load", "{}"),
+        ("load.load.gap_frames", "3"),
+        ("max_per_person", "many"),
+        ("max_per_person", '"3"'),
+        ("max_per_person", "2.5"),
+        ("load.gap_frames", "null"),
+        ("", "1"),
+        (".", "1"),
+    ],
+)
+def test_wrong_overrides_are_refused(name, value):
+    with pytest.raises(InputError) as error:
+        override(Rules(), {name: value})
+    assert "\n" not in str(error.value)
+
+
+@given(st.text(max_size=12), st.text(max_size=6))
+def test_any_override_is_applied_or_refused(name, value):
+    with contextlib.suppress(InputError):
+        assert isinstance(override(Rules(), {name: value}), Rules)
+
+
+def test_seconds_are_frames():
+    assert [frames(s) for s in (0, 1, 2, 3, 0.5)] == [0, 15, 30, 45, 8]
+
+
+def test_rules_are_frozen():
+    with pytest.raises(AttributeError):
+        Rules().shift_s = 1.0
