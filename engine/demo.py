@@ -57,7 +57,6 @@ def run_demo(folder: Path, size: Size, say: Callable[[str], None]) -> None:
         done = subprocess.run([sys.executable, "-c", _PROGRAM, *arguments], check=False)
         if done.returncode:
             raise InputError(f"the step 'jrdb-avr {arguments[0]}' failed (exit code {done.returncode})")
-    say(
-        f"\nDone in {time.monotonic() - begin:.0f} s. Scores of the sample world are synthetic: they say nothing of JRDB."
-    )
+    seconds = time.monotonic() - begin
+    say(f"\nDone in {seconds:.0f} s. Scores on the sample world are synthetic: no result about JRDB.")
     say(f"Look at {folder / 'look.png'}, and ask: jrdb-avr stats --store {folder / 'store'}")
