@@ -1,0 +1,456 @@
+"""Broken input: every kind is refused or skipped alone, counted with file, frame and field; the rest loads.
+
+Each case is one record or file put beside good ones. Nothing gives a traceback, nothing becomes a wrong fact.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+
+import pytest
+from worlds import load_reported, person, person_3d, write_root
+
+from jrdb_avr.loaders import labelfile
+from jrdb_avr.loaders.layers import find_root
+from jrdb_avr.loaders.load import Shard, load_shard
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import AvrError, InputError
+from jrdb_avr.schema.rules import LoadRules
+from jrdb_avr.schema.tables import ANNOTATIONS
+
+NAME = "yard-2020-01-01_0"
+GOOD = person(1, (100, 60, 50, 200), {"walking": 1}, (5, 1))
+
+
+def raw_2d(*records, frame="000015.jpg"):
+    """A 2D file with a good frame 0 and the given raw records in another frame."""
+    return f'{{"labels": {{"000000.jpg": [{json.dumps(GOOD)}], "{frame}": [{", ".join(records)}]}}}}'
+
+
+def loaded(tmp_path, content, layer="2d"):
+    """Tables and report of a world of one file (beside good 2D labels, where the file is 3D); no graph is built."""
+    layers = {layer: content} if layer == "2d" else {"2d": {0: [GOOD], 15: [GOOD]}, layer: content}
+    (files,) = find_root(write_root(tmp_path / "root", {NAME: layers})).sequences
+    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules())).report
+    return Store(tmp_path / "store"), report
+
+
+def boxes(store, layer="boxes_2d"):
+    return [(row["frame"], row["track"]) for row in store.annotation(layer, NAME).to_pylist()]
+
+
+def found(report):
+    return [(p.kind, p.reason, p.count, p.file, p.frame, p.field) for p in report.problems]
+
+
+def variant(**changes):
+    record = GOOD | {"label_id": "pedestrian:2"} | changes
+    return json.dumps({key: value for key, value in record.items() if value is not ...})
+
+
+BAD_BOXES = {
+    "NaN": [float("nan"), 1, 5, 5],
+    "infinite": [1, 1, float("inf"), 5],
+    "minus infinite": [float("-inf"), 1, 5, 5],
+    "too large": [1, 1, 10**400, 5],
+    "far outside": [1e9, 1, 5, 5],
+    "zero width": [1, 1, 0, 5],
+    "negative height": [1, 1, 5, -5],
+    "three numbers": [1, 1, 5],
+    "five numbers": [1, 1, 5, 5, 5],
+    "texts": ["1", "1", "5", "5"],
+    "bools": [True, 1, 5, 5],
+    "an object": {"x": 1},
+    "null": None,
+    "missing": ...,
+    "nested": [[[]], 1, 5, 5],
+}
+
+
+@pytest.mark.parametrize("box", BAD_BOXES.values(), ids=BAD_BOXES)
+def test_a_bad_box_costs_its_own_record(tmp_path, box):
+    store, report = loaded(tmp_path, raw_2d(variant(box=box), json.dumps(GOOD)))
+    assert boxes(store) == [(0, 1), (15, 1)]
+    ((kind, reason, count, file, frame, field),) = found(report)
+    assert (kind, count, file, frame, field) == ("record", 1, f"{NAME}.json", "000015.jpg", "box")
+    assert reason.startswith("box")
+    # Somebody was there whom we could not place: the frame proves nobody's absence and nothing unique.
+    frames = {row["frame"]: row["annotated"] for row in store.interval("frames", NAME).to_pylist()}
+    assert frames == {0: True, 15: False}
+    assert store.interval("sequence", NAME)["keyframes"].to_pylist() == [[0]]
+
+
+BAD_IDS = {
+    "missing": ...,
+    "null": None,
+    "a number": 7,
+    "no number": "pedestrian:",
+    "negative": "pedestrian:-1",
+    "huge": "pedestrian:99999999999999999999",
+    "beyond 32 bits": "pedestrian:2147483648",
+    "a fraction": "pedestrian:1.5",
+    "other digits": "pedestrian:٣",
+    "a list": ["pedestrian:1"],
+    "lone surrogate": "pedestrian:\ud800",
+}
+
+
+@pytest.mark.parametrize("label", BAD_IDS.values(), ids=BAD_IDS)
+def test_a_bad_label_id_costs_its_own_record(tmp_path, label):
+    store, report = loaded(tmp_path, raw_2d(variant(label_id=label), json.dumps(GOOD)))
+    assert boxes(store) == [(0, 1), (15, 1)]
+    ((kind, _, count, _, frame, field),) = found(report)
+    assert (kind, count, frame, field) == ("record", 1, "000015.jpg", "label_id")
+
+
+def test_ids_of_others_than_people_are_skipped_and_the_frame_stays_whole(tmp_path):
+    others = [variant(label_id=label) for label in ("person:-1", "robot:3", "person:7", "car:2")]
+    store, report = loaded(tmp_path, raw_2d(*others, json.dumps(GOOD)))
+    assert boxes(store) == [(0, 1), (15, 1)]
+    assert [(p.reason, p.count, p.detail) for p in report.problems] == [
+        ("label_id is not of a tracked person", 4, "person:-1")
+    ]
+    assert store.interval("frames", NAME)["annotated"].to_pylist() == [True, True]
+
+
+def test_id_zero_is_a_person(tmp_path):
+    store, report = loaded(tmp_path, {0: [person(0, (1, 60, 50, 200), {"sitting": 1}, (0, 1))]})
+    assert boxes(store) == [(0, 0)]
+    assert report.problems == []
+    assert store.interval("actions", NAME)["track"].to_pylist() == [0]
+
+
+def test_the_first_of_a_repeated_person_is_kept(tmp_path):
+    store, report = loaded(tmp_path, raw_2d(variant(box=[1, 2, 3, 4]), variant(box=[5, 6, 7, 8])))
+    assert [tuple(row[k] for k in "xywh") for row in store.annotation("boxes_2d", NAME).to_pylist()][1] == (1, 2, 3, 4)
+    assert found(report) == [
+        ("record", "same person twice in a frame, the first is kept", 1, f"{NAME}.json", "000015.jpg", "label_id")
+    ]
+
+
+@pytest.mark.parametrize("record", ["3", "null", '"pedestrian:1"', "[]", "[[1]]", "true", "NaN"])
+def test_a_record_that_is_no_object_is_refused(tmp_path, record):
+    store, report = loaded(tmp_path, raw_2d(record, json.dumps(GOOD)))
+    assert boxes(store) == [(0, 1), (15, 1)]
+    assert [(p.kind, p.reason, p.frame) for p in report.problems] == [("record", "record is no object", "000015.jpg")]
+
+
+@pytest.mark.parametrize("value", ["3", "null", '"x"', "{}", "NaN", "true"])
+def test_a_frame_that_is_no_list_is_refused_and_not_known(tmp_path, value):
+    text = f'{{"labels": {{"000000.jpg": [{json.dumps(GOOD)}], "000015.jpg": {value}}}}}'
+    store, report = loaded(tmp_path, text)
+    assert store.interval("frames", NAME)["frame"].to_pylist() == [0]
+    assert [(p.kind, p.frame) for p in report.problems] == [("frame", "000015.jpg")]
+
+
+@pytest.mark.parametrize(
+    "key", ["15.jpg", "000015", "000015.pcd", "-00015.jpg", "0000015.jpg", "x.jpg", "", "٠٠٠٠١٥.jpg"]
+)
+def test_a_bad_frame_key_is_refused(tmp_path, key):
+    store, report = loaded(tmp_path, {0: [GOOD], key: [GOOD]})
+    assert boxes(store) == [(0, 1)]
+    assert [(p.kind, p.frame) for p in report.problems] == [("frame", key)]
+
+
+def test_the_first_of_a_repeated_frame_key_is_kept(tmp_path):
+    again = f'{{"labels": {{"000000.jpg": [{json.dumps(GOOD)}], "000000.jpg": [{variant()}]}}}}'
+    store, report = loaded(tmp_path, again)
+    assert boxes(store) == [(0, 1)]
+    assert [(p.kind, p.reason) for p in report.problems] == [("frame", "frame key twice, the first is kept")]
+
+
+def test_an_empty_list_means_nobody_is_here(tmp_path):
+    store, report = loaded(tmp_path, {0: [GOOD], 15: []})
+    assert report.problems == []
+    assert store.interval("frames", NAME)["annotated"].to_pylist() == [True, True]
+
+
+def test_a_repeated_key_in_a_record_is_counted_and_the_first_holds(tmp_path):
+    actions = '"action_label": {"sitting": 1, "sitting": 3}'
+    record = f'{{"label_id": "pedestrian:2", "box": [1, 2, 3, 4], "box": [5, 6, 7, 8], {actions}}}'
+    store, report = loaded(tmp_path, raw_2d(record))
+    assert store.annotation("boxes_2d", NAME)["x"].to_pylist() == [100, 1]
+    assert store.annotation("actions", NAME)["difficulty"].to_pylist() == [1, 1]
+    assert [(p.reason, p.field) for p in report.problems] == [
+        ("key twice, the first is kept", "action_label.sitting"),
+        ("key twice, the first is kept", "box"),
+    ]
+
+
+# -- fields: the record stays, the field is lost ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("code", "stored"), [(1, 1), (1.0, 1), ("1", 1), (2, 2), ("3", 3), (3.0, 3)])
+def test_difficulty_may_be_a_number_or_text(tmp_path, code, stored):
+    store, report = loaded(tmp_path, raw_2d(variant(action_label={"sitting": code})))
+    assert store.annotation("actions", NAME)["difficulty"].to_pylist()[1] == stored
+    assert report.problems == []
+
+
+@pytest.mark.parametrize("code", [0, 4, -1, 1.5, "x", "", None, [1], {}, True, float("nan"), 10**30, "1.0.0"])
+def test_an_unreadable_difficulty_makes_the_action_unknown(tmp_path, code):
+    store, report = loaded(tmp_path, raw_2d(variant(action_label={"sitting": code})))
+    actions = store.annotation("actions", NAME).to_pylist()
+    assert [(row["action"], row["difficulty"]) for row in actions] == [("walking", 1), ("sitting", None)]
+    (problem,) = report.problems
+    assert (problem.kind, problem.field, problem.frame) == ("field", "action_label", "000015.jpg")
+    sitting = [row for row in store.interval("actions", NAME).to_pylist() if row["action"] == "sitting"]
+    assert [row["certain"] for row in sitting] == [False]
+    assert store.interval("sightings", NAME)["pose"].to_pylist() == ["walking", None]
+
+
+@pytest.mark.parametrize("value", [[], "walking", 3, ["walking"], True])
+def test_an_action_label_of_another_type_is_refused(tmp_path, value):
+    store, report = loaded(tmp_path, raw_2d(variant(action_label=value)))
+    assert store.annotation("boxes_2d", NAME)["has_actions"].to_pylist() == [True, False]
+    assert [(p.kind, p.field) for p in report.problems] == [("field", "action_label")]
+
+
+@pytest.mark.parametrize("value", [{}, None, ..., {"impossible": 1}])
+def test_no_usable_actions_is_no_list_and_no_problem(tmp_path, value):
+    store, report = loaded(tmp_path, raw_2d(variant(action_label=value)))
+    assert store.annotation("boxes_2d", NAME)["has_actions"].to_pylist() == [True, False]
+    assert report.problems == []
+
+
+def test_labels_outside_the_vocabulary_are_kept_and_reported(tmp_path):
+    store, report = loaded(tmp_path, raw_2d(variant(action_label={"Juggling_Balls": 1, "Opening-the-door": 2})))
+    names = store.annotation("actions", NAME).to_pylist()[1:]
+    assert [(row["action"], row["raw"]) for row in names] == [
+        ("interaction with door", "Opening-the-door"),
+        ("juggling balls", "Juggling_Balls"),
+    ]
+    assert [(u.field, u.label, u.count) for u in report.unknown_labels] == [("action_label", "juggling balls", 1)]
+
+
+@pytest.mark.parametrize("name", ["", " ", "\u0000", "\ud800", "x" * 101, "\x1b"])
+def test_a_label_that_is_no_text_is_refused(tmp_path, name):
+    store, report = loaded(tmp_path, raw_2d(variant(action_label={name: 1, "sitting": 1})))
+    assert store.annotation("actions", NAME)["action"].to_pylist() == ["walking", "sitting"]
+    assert [(p.kind, p.field) for p in report.problems] == [("field", "action_label")]
+
+
+@pytest.mark.parametrize(
+    ("value", "stored"), [("true", True), ("False", False), (True, True), (None, None), (..., None)]
+)
+def test_truncated_in_its_spellings(tmp_path, value, stored):
+    attributes = {k: v for k, v in {"occlusion": "Fully_visible", "truncated": value}.items() if v is not ...}
+    store, report = loaded(tmp_path, raw_2d(variant(attributes=attributes)))
+    assert store.annotation("boxes_2d", NAME)["truncated"].to_pylist()[1] is stored
+    assert report.problems == []
+
+
+BAD_ATTRIBUTES = [
+    ("occlusion", "Nearly_visible"),
+    ("occlusion", 3),
+    ("truncated", "yes"),
+    ("truncated", 7),
+    ("no_eval", 2),
+    ("no_eval", "maybe"),
+    ("interpolated", [True]),
+]
+
+
+@pytest.mark.parametrize(("name", "value"), BAD_ATTRIBUTES)
+def test_a_bad_attribute_is_unknown(tmp_path, name, value):
+    store, report = loaded(tmp_path, raw_2d(variant(attributes={"occlusion": "Fully_visible"} | {name: value})))
+    assert store.annotation("boxes_2d", NAME)[name].to_pylist()[1] is None
+    (problem,) = report.problems
+    assert (problem.kind, problem.field, problem.frame) == ("field", f"attributes.{name}", "000015.jpg")
+
+
+def test_missing_occlusion_is_not_visible(tmp_path):
+    store, report = loaded(tmp_path, raw_2d(variant(attributes={"no_eval": False})))
+    assert store.interval("sightings", NAME)["clear"].to_pylist() == [True, False]
+    assert report.problems == []
+
+
+def test_a_world_without_attributes_is_clear(tmp_path):
+    store, _ = loaded(tmp_path, {0: [person(1, (1, 60, 50, 200), attributes=None)]})
+    assert store.interval("sightings", NAME)["clear"].to_pylist() == [True]
+    assert store.interval("sequence", NAME)["has_attributes"].to_pylist() == [False]
+
+
+@pytest.mark.parametrize("value", [[], 5, {"cluster_ID": "x"}, {"cluster_ID": 1.5}, {}, {"cluster_ID": 10**30}, "a"])
+def test_a_bad_group_is_no_group(tmp_path, value):
+    store, report = loaded(tmp_path, raw_2d(variant(social_group=value)))
+    assert store.annotation("groups", NAME)["track"].to_pylist() == [1]
+    ((kind, field),) = [(p.kind, p.field.partition(".")[0]) for p in report.problems]
+    assert (kind, field) == ("field", "social_group")
+
+
+# -- 3D --------------------------------------------------------------------------------------------------------
+
+
+def with_3d(**changes):
+    record = person_3d(2, 1.0, 2.0)
+    box = {key: value for key, value in (record["box"] | changes).items() if value is not ...}
+    return {0: [person_3d(1, 3.0, 0.0), record | {"box": box}]}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"cx": float("nan")},
+        {"cy": float("inf")},
+        {"rot_z": None},
+        {"h": 0},
+        {"l": -1},
+        {"cz": "1"},
+        {"w": ...},
+        {"cx": 1e9},
+    ],
+)
+def test_a_bad_3d_box_costs_its_own_record(tmp_path, changes):
+    store, report = loaded(tmp_path, with_3d(**changes), "3d")
+    assert boxes(store, "boxes_3d") == [(0, 1)]
+    ((kind, _, count, _, frame, field),) = found(report)
+    assert (kind, count, frame, field) == ("record", 1, "000000.pcd", "box")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("distance", "x"),
+        ("distance", -1),
+        ("distance", float("nan")),
+        ("num_points", -1),
+        ("num_points", 1.5),
+        ("no_eval", 3),
+    ],
+)
+def test_a_bad_3d_attribute_is_unknown(tmp_path, name, value):
+    record = person_3d(1, 3.0, 4.0)
+    record["attributes"][name] = value
+    store, report = loaded(tmp_path, {0: [record]}, "3d")
+    assert store.annotation("boxes_3d", NAME)[name].to_pylist() == [None]
+    assert [(p.kind, p.field) for p in report.problems] == [("field", f"attributes.{name}")]
+    assert store.interval("sightings", NAME)["distance"].to_pylist()[0] == (None if name == "num_points" else 5.0)
+
+
+def test_missing_distance_is_computed(tmp_path):
+    store, report = loaded(tmp_path, {0: [person_3d(1, 3.0, 4.0, distance=None)]}, "3d")
+    assert store.interval("sightings", NAME)["distance"].to_pylist() == [5.0, None]
+    assert report.problems == []
+
+
+def test_the_heading_check_sees_a_reversed_convention(tmp_path):
+    walks = {f: [person_3d(1, 3.0 + f * 0.1, 0.0, heading=0.0)] for f in range(0, 60)}
+    _, report = loaded(tmp_path / "right", walks, "3d")
+    assert (report.heading.moves, round(report.heading.median_deg)) == (45, 0)
+    backwards = {f: [person_3d(1, 3.0 + f * 0.1, 0.0, heading=3.14159265)] for f in range(0, 60)}
+    _, report = loaded(tmp_path / "wrong", backwards, "3d")
+    assert round(report.heading.median_deg) == 180
+
+
+# -- files -----------------------------------------------------------------------------------------------------
+
+WHOLE = json.dumps({"labels": {"000000.jpg": [GOOD], "000015.jpg": [GOOD]}})
+BAD_FILES = {
+    "empty": b"",
+    "blank": b" \n\t ",
+    "truncated": WHOLE[: len(WHOLE) // 2].encode(),
+    "truncated in a text": WHOLE[: WHOLE.index("walk") + 2].encode(),
+    "last bracket missing": WHOLE[:-1].encode(),
+    "not UTF-8": WHOLE.encode().replace(b"walking", b"walk\xff\xfeg"),
+    "UTF-16": WHOLE.encode("utf-16"),
+    "a list": b"[1, 2]",
+    "a number": b"7",
+    "a text": b'"labels"',
+    "no labels": b'{"detections": {}}',
+    "labels are a list": b'{"labels": []}',
+    "labels are null": b'{"labels": null}',
+    "no frames": b'{"labels": {}}',
+    "not JSON": b"label_id,box\n1,2\n",
+    "a picture": b"\xff\xd8\xff\xe0" + bytes(range(256)),
+    "zeros": bytes(1000),
+    "nested deeply": b"[" * 200_000,
+    "labels nested deeply": b'{"labels": ' + b'{"a":' * 100_000,
+    "only bad frames": b'{"labels": {"x": [], "y": []}}',
+}
+
+
+@pytest.mark.parametrize("content", BAD_FILES.values(), ids=BAD_FILES)
+def test_a_bad_file_is_refused_as_a_whole(tmp_path, content):
+    store, report = loaded(tmp_path, content)
+    assert (report.layers, report.boxes) == ([], 0)
+    assert not store.path.exists()
+    if content not in (BAD_FILES["no frames"], BAD_FILES["only bad frames"]):
+        (problem,) = report.problems
+        assert (problem.kind, problem.file, problem.count) == ("file", f"{NAME}.json", 1)
+        assert problem.reason.startswith(NAME) and "\n" not in problem.reason
+
+
+def test_the_good_files_beside_bad_ones_load(tmp_path):
+    world = {f"bad-{i}": {"2d": content} for i, content in enumerate(BAD_FILES.values())}
+    store, reports = load_reported(tmp_path, world | {"good-1": {"2d": {0: [GOOD]}}})
+    assert list(store.manifest().sequences) == ["good-1"]
+    assert [report.sequence for report in reports] == sorted([*world, "good-1"])
+    assert [path.stem for path in (store.path / "intervals" / "sightings").iterdir()] == ["good-1"]
+
+
+def test_a_deeply_nested_record_costs_itself(tmp_path):
+    deep = '{"label_id": "pedestrian:2", "box": [1, 2, 3, 4], "action_label": ' + "[" * 5000 + "]" * 5000 + "}"
+    store, report = loaded(tmp_path, raw_2d(deep, json.dumps(GOOD)))
+    assert (15, 1) in boxes(store)
+    assert report.problems
+
+
+def test_what_is_no_file_is_refused(tmp_path):
+    world = {"good-1": {"2d": {0: [GOOD]}}}
+    folder = write_root(tmp_path / "root", world) / "labels" / "labels_2d_stitched"
+    (folder / "folder-1.json").mkdir()
+    (folder / "loop-1.json").symlink_to(folder / "loop-1.json")
+    (folder / "gone-1.json").symlink_to(folder / "nothing")
+    os.mkfifo(folder / "pipe-1.json")
+    (folder / "bad name!.json").write_text("{}")
+    (folder / "notes.txt").write_text("x")
+    store, reports = load_reported(tmp_path, world)
+    assert list(store.manifest().sequences) == ["good-1"]
+    refused = {report.problems[0].file: report.problems[0].reason for report in reports if report.problems}
+    assert set(refused) == {"folder-1.json", "loop-1.json", "gone-1.json", "pipe-1.json", "bad name!.json"}
+
+
+def test_a_file_over_the_limit_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(labelfile, "MAX_FILE", 1000)
+    world = {NAME: {"2d": WHOLE + " " * 1000}, "good-1": {"2d": {0: [GOOD]}}}
+    _, reports = load_reported(tmp_path, world)
+    assert "larger than the limit" in reports[1].problems[0].reason
+
+
+def test_large_files_are_cut_by_the_scanner_to_the_same_tables(tmp_path, monkeypatch):
+    plain, _ = loaded(tmp_path / "plain", WHOLE)
+    monkeypatch.setattr(labelfile, "SCAN_FROM", 10)
+    scanned, _ = loaded(tmp_path / "scanned", WHOLE)
+    for layer in ANNOTATIONS:
+        assert plain.annotation(layer, NAME).equals(scanned.annotation(layer, NAME))
+
+
+def test_frames_too_full_to_be_real_are_refused(tmp_path):
+    crowd = [person(i, (1, 2, 30, 40)) for i in range(labelfile.MAX_RECORDS + 1)]
+    store, report = loaded(tmp_path, {0: [GOOD], 15: crowd})
+    assert boxes(store) == [(0, 1)]
+    assert [(p.kind, p.frame) for p in report.problems] == [("frame", "000015.jpg")]
+
+
+# -- roots -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("content", [None, "empty", "file"])
+def test_nothing_to_load_is_one_line(tmp_path, content):
+    root = tmp_path / "root"
+    if content == "empty":
+        root.mkdir()
+    elif content == "file":
+        root.write_text("x")
+    with pytest.raises(InputError) as error:
+        find_root(root)
+    assert "\n" not in str(error.value)
+
+
+def test_only_bad_files_is_an_error_and_leaves_no_store(tmp_path):
+    with pytest.raises(AvrError, match="no sequence could be loaded"):
+        load_reported(tmp_path, {NAME: {"2d": b"x"}})
+    with pytest.raises(AvrError):
+        Store(tmp_path / "store").manifest()
