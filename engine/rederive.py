@@ -115,10 +115,12 @@ class Annotations:
         for frame, track, x, y, w, h, occlusion, no_eval, listed in _rows(tables["boxes_2d"], *columns):
             self._people[frame][track] = _Person2D(Box(x, y, w, h), occlusion, bool(no_eval), listed)
         self._actions: dict[tuple[int, int], dict[str, int]] = defaultdict(dict)
+        self._performed: set[tuple[int, str]] = set()
         for frame, track, action, difficulty in _rows(tables["actions"], "frame", "track", "action", "difficulty"):
             # An action written twice, as under two spellings, counts by its easier code; an unreadable code is hard.
             code, listed_actions = 3 if difficulty is None else difficulty, self._actions[frame, track]
             listed_actions[action] = min(code, listed_actions.get(action, code))
+            self._performed.add((track, action))
         self._groups: dict[tuple[int, int], tuple[int, bool]] = {}
         for frame, track, cluster, difficulty in _rows(tables["groups"], "frame", "track", "cluster", "difficulty"):
             self._groups[frame, track] = (cluster, difficulty in (1, 2))
@@ -236,7 +238,27 @@ class Annotations:
 
     def state(self, track: int, action: str, frame: int) -> int:
         """The fact at a frame; unknown off the action layer's grid."""
-        return int(self.states(track, action)[0][self.grid.index(frame)]) if frame in self.grid else UNKNOWN
+        if frame not in self.grid:
+            return UNKNOWN
+        if (track, action) in self._states:
+            return int(self._states[track, action][0][self.grid.index(frame)])
+        # Most facts are asked for at one frame only: working out all of the person's frames would take far longer.
+        return UNKNOWN if self._in_gap(track, action, frame) else self._raw(track, frame, action)
+
+    def _in_gap(self, track: int, action: str, frame: int) -> bool:
+        """Whether a frame that does not name the action lies in a closed gap of it."""
+        longest = self.rules.load.gap_frames
+        if self.step != 1 or (track, action) not in self._performed or self._names(track, action, frame):
+            return False
+        before = next((d for d in range(1, longest + 1) if self._names(track, action, frame - d)), None)
+        if before is None:
+            return False
+        return any(self._names(track, action, frame + d) for d in range(1, longest + 2 - before))
+
+    def _names(self, track: int, action: str, frame: int) -> bool:
+        """Whether the person has a box at the frame, one of the grid, whose list holds the action."""
+        listed = action in self._actions.get((frame, track), {})
+        return listed and frame in self.grid and self.box(track, frame) is not None
 
     def segments(self, track: int, action: str) -> tuple[Segment, ...]:
         """The stable segments of an action, in time."""
