@@ -1,0 +1,304 @@
+"""The command line: help with an example everywhere, one-line errors, exit codes, and machine-readable output."""
+
+import csv
+import io
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner
+
+from jrdb_avr.engine.cli import COMMANDS, group, main
+from jrdb_avr.queries.handle import build_graph
+from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
+from jrdb_avr.queries.store import Manifest, SequenceEntry, Store
+from jrdb_avr.schema.graph import scene_ddl
+from jrdb_avr.schema.rules import LoadRules, rules_hash
+from jrdb_avr.schema.tables import INTERVALS, QUESTIONS, RUNS
+
+COMMAND = Path(sys.executable).with_name("jrdb-avr")
+
+
+def run(*arguments):
+    """The command's entry point in this process: exit code, stdout, stderr."""
+    out, err = (io.TextIOWrapper(io.BytesIO(), "utf-8", write_through=True) for _ in range(2))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["jrdb-avr", *map(str, arguments)])
+        patch.setattr(sys, "stdout", out)
+        patch.setattr(sys, "stderr", err)
+        try:
+            main()
+            code = 0
+        except SystemExit as exit_:
+            code = exit_.code
+    return code, *(stream.buffer.getvalue().decode() for stream in (out, err))
+
+
+def invoke(*arguments):
+    """A command without the entry point round it."""
+    return CliRunner().invoke(group, list(map(str, arguments)))
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help_and_an_example(name):
+    result = invoke(name, "--help")
+    assert result.exit_code == 0
+    text = " ".join(result.output.split())
+    assert "Usage:" in text
+    assert f"jrdb-avr {name}" in text, "an example"
+    assert "Example" in text
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_parameter_has_help(name):
+    command = group.get_command(click.Context(group), name)
+    assert command.help
+    for parameter in command.params:
+        if isinstance(parameter, click.Option):
+            assert parameter.help, f"{name} {parameter.name}"
+
+
+def test_the_group_lists_every_command():
+    result = invoke("--help")
+    assert result.exit_code == 0
+    for name, words in COMMANDS.items():
+        assert f"  {name} " in result.output
+        assert words.split(";")[0] in " ".join(result.output.split())
+
+
+def test_the_version_is_told():
+    done = subprocess.run([COMMAND, "--version"], capture_output=True, text=True, check=True)
+    assert "jrdb-avr" in done.stdout
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("nonsense",),
+        ("observe",),
+        ("cypher", "--store", "S"),
+        ("sql", "SELECT 1"),
+        ("report",),
+        ("score", "--iou", "2"),
+    ],
+)
+def test_wrong_calls_are_exit_code_2(arguments):
+    code, out, err = run(*arguments)
+    assert (code, out) == (2, "")
+    assert "Error:" in err
+    assert "Traceback" not in err
+
+
+# -- a small store ----------------------------------------------------------------------------------------------------
+
+BOX = {"x": 10.0, "y": 20.0, "w": 30.0, "h": 90.0}
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    place = Store(tmp_path_factory.mktemp("store") / "S")
+    rules = LoadRules()
+    entry = SequenceEntry(("2d",), {})
+    place.write_manifest(Manifest(None, rules, rules_hash(rules), {"s": entry}, {}))
+    with build_graph(place.graph_path) as graph:
+        for statement in scene_ddl():
+            graph.execute(statement)
+        graph.copy("Action", pa.table({"name": ["sitting", "\x1b[31mred"], "pose": [True, False]}))
+    sequence = {"sequence": "s", "fps": 15.0, "frame_count": 31, "layers": ["2d"], "action_step": 15}
+    sequence |= {"keyframes": [0, 15, 30], "has_attributes": False}
+    place.write_interval("sequence", "s", pa.Table.from_pylist([sequence], schema=INTERVALS["sequence"]))
+    frames = [
+        {"sequence": "s", "frame": f, "seconds": f / 15, "keyframe": True, "annotated": True, "image": f == 15}
+        for f in (0, 15, 30)
+    ]
+    place.write_interval("frames", "s", pa.Table.from_pylist(frames, schema=INTERVALS["frames"]))
+    write_questions(place)
+    write_run(place, "react-a", {"choice": 1}, synthetic=True)
+    write_run(place, "react-b", {"choice": 2}, synthetic=False)
+    return place
+
+
+def write_questions(place):
+    ids = [f"{n:016x}" for n in range(4)]
+    common = {"sequence": "s", "family": "unique_anchor", "template": "change", "question": "Which pose?"}
+    rows = [{"question_id": q, **common, "choices": ["a", "b"], "answer_mode": "multiple_choice"} for q in ids]
+    place.write_questions("questions", pa.Table.from_pylist(rows, schema=QUESTIONS["questions"]), {})
+    sequences = [{"sequence": "s", "fps": 15.0, "frame_count": 31, "frames": [15]}]
+    place.write_questions("sequences", pa.Table.from_pylist(sequences, schema=QUESTIONS["sequences"]), {})
+    schema = QUESTIONS["answers"]
+    blank = {field.name: "" if field.type == pa.string() else 0 for field in schema}
+    answers = [blank | {"question_id": q, "answer": '{"choice":1}'} for q in ids]
+    place.write_questions("answers", pa.Table.from_pylist(answers, schema=schema), {})
+    evidence = [{"question_id": q, "frame": 15, **BOX} for q in ids]
+    place.write_questions("evidence", pa.Table.from_pylist(evidence, schema=QUESTIONS["evidence"]), {})
+
+
+def write_run(place, name, answer, synthetic, questions=None):
+    """A run of four questions: two answered with evidence, one without, one left out."""
+    ids = [f"{n:016x}" for n in range(4)]
+    schema = RUNS["predictions"]
+    blank = {field.name: "" if field.type == pa.string() else 0 for field in schema}
+    rows = []
+    for n, question in enumerate(ids[:3]):
+        box = {f"evidence_{key}": BOX[key] if n < 2 else None for key in "xywh"}
+        row = {"run_id": name, "question_id": question, "status": "answered", "answer": json.dumps(answer)}
+        rows.append(blank | row | box | {"evidence_frame": 15 if n < 2 else None})
+    place.write_run(name, "predictions", pa.Table.from_pylist(rows, schema=schema))
+    digest = questions or questions_hash(place)
+    manifest = RunManifest(name, "react", name[-1], digest, tuple(ids), synthetic, {"budget": 24}, "2020-01-01")
+    write_run_manifest(place, manifest)
+
+
+# -- asking -----------------------------------------------------------------------------------------------------------
+
+
+def test_json_is_one_array_and_nothing_else(store):
+    for arguments in (
+        ("cypher", "MATCH (a:Action) RETURN a.name AS name, a.pose AS pose ORDER BY name"),
+        ("cypher", "MATCH (a:Action) WHERE a.name = 'none' RETURN a.name AS name ORDER BY name"),
+        ("cypher", "MATCH (a:Action) RETURN a"),
+        ("sql", "SELECT question_id, choices FROM questions ORDER BY 1"),
+        ("sql", "SELECT * FROM reviews"),
+        ("sql", "SELECT 'nan'::DOUBLE AS x, 'inf'::DOUBLE AS y, DATE '2020-01-01' AS d, 1.50::DECIMAL(9, 2) AS m"),
+        ("sql", "SELECT 1 AS a, 2 AS a"),
+        ("sql", "question_counts"),
+        ("cypher", "sequences"),
+    ):
+        code, out, err = run(*arguments, "--store", store.path, "--json")
+        assert (code, err) == (0, "")
+        rows = json.loads(out)
+        assert isinstance(rows, list)
+        assert all(isinstance(row, dict) for row in rows)
+
+
+def test_rows_are_the_same_in_every_form(store, tmp_path):
+    ask = ("sql", "SELECT question_id, family FROM questions ORDER BY 1", "--store", store.path)
+    rows = json.loads(run(*ask, "--json")[1])
+    assert len(rows) == 4
+    assert list(csv.DictReader(io.StringIO(run(*ask, "--csv")[1]))) == rows
+    code, out, _ = run(*ask, "--parquet", tmp_path / "rows.parquet")
+    assert (code, out) == (0, "")
+    assert pq.read_table(tmp_path / "rows.parquet").to_pylist() == rows
+    table = run(*ask)[1]
+    assert all(row["question_id"] in table for row in rows)
+    assert run(*ask, "--json", "--csv")[0] == 2
+
+
+def test_parameters_and_names(store):
+    ask = ("sql", "SELECT $a + 1 AS x, $b AS y", "--store", store.path, "--json")
+    assert json.loads(run(*ask, "--param", "a=5", "--param", "b=some=text")[1]) == [{"x": 6, "y": "some=text"}]
+    assert run(*ask, "--param", "a")[0] == 2
+    found = run("cypher", "who_is_where", "--store", store.path, "--param", "frame=3", "--json")
+    assert (found[0], json.loads(found[1])) == (0, [])
+    code, out, _ = run("cypher", "--list", "--json")
+    assert code == 0
+    assert {"who_is_where", "timeline", "busiest_frames", "groups"} <= {row["name"] for row in json.loads(out)}
+
+
+def test_terminal_escapes_are_stripped_from_tables(store):
+    code, out, _ = run("cypher", "MATCH (a:Action) RETURN a.name AS name", "--store", store.path)
+    assert code == 0
+    assert "\x1b" not in out
+    assert "[31mred" in out
+
+
+# -- errors -----------------------------------------------------------------------------------------------------------
+
+
+def test_errors_are_one_line(store, tmp_path):
+    (tmp_path / "empty").mkdir()
+    for arguments in (
+        ("cypher", "LOAD FROM '/etc/passwd' RETURN *", "--store", store.path),
+        ("cypher", "MATCH (n RETURN n", "--store", store.path),
+        ("cypher", "no_such_query", "--store", store.path),
+        ("cypher", "sequences", "--store", tmp_path / "none"),
+        ("cypher", "sequences", "--store", tmp_path / "empty"),
+        ("sql", "SELECT * FROM read_csv('/etc/passwd')", "--store", store.path),
+        ("sql", "SELEC", "--store", store.path),
+        ("sql", "question_counts", "--store", tmp_path / "none"),
+        ("observe", "nowhere", "0", "180", "--store", store.path, "--out", tmp_path / "x.png"),
+        ("observe", "s", "0", "180", "--store", store.path, "--out", tmp_path / "x.png"),
+        ("observe", "s", "15", "nan", "--store", store.path, "--out", tmp_path / "x.png"),
+        ("observe", "s", "15", "-90", "--store", store.path, "--out", tmp_path / "x.png"),
+        ("observe", "s", "15", "180", "--store", tmp_path / "none", "--out", tmp_path / "x.png"),
+        ("score", "nobody", "--store", store.path),
+        ("score", "../S", "--store", store.path),
+        ("report", "nobody", "--store", store.path),
+        ("report", "--store", tmp_path / "none"),
+        ("score", "--store", tmp_path / "empty"),
+    ):
+        code, out, err = run(*arguments)
+        assert (code, out) == (1, ""), arguments
+        assert err.count("\n") == 1, (arguments, err)
+        assert err.startswith("jrdb-avr: ")
+    assert not (tmp_path / "x.png").exists()
+
+
+def test_a_closed_pipe_is_no_traceback(store):
+    ask = f"'{COMMAND}' sql 'SELECT range FROM range(200000)' --csv --store '{store.path}' | head -1"
+    done = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, check=True)
+    assert done.stdout == "range\n"
+    assert done.stderr == ""
+
+
+# -- scores -----------------------------------------------------------------------------------------------------------
+
+
+def test_score_and_report(store):
+    code, out, err = run("score", "--store", store.path, "--json")
+    assert (code, err) == (0, "")
+    scored = {row["run"]: row for row in json.loads(out)}
+    expected = {"n": 4, "answer": 75.0, "evidence": 50.0, "combined": 50.0, "invalid": 25.0, "errors": 25.0, "iou": 0.5}
+    assert expected.items() <= scored["react-a"].items()
+    assert scored["react-b"]["answer"] == 0.0
+    kept = pq.read_table(store.run_path("react-a") / "scores.parquet")
+    assert kept.schema.names == RUNS["scores"].names
+    assert kept.num_rows == 4
+    assert kept.schema.metadata[b"evidence_iou"] == b"0.5"
+
+    rows = json.loads(run("report", "--store", store.path, "--json")[1])
+    assert [(row["run"], row["label"], row["hallucination"]) for row in rows] == [
+        ("react-a", "synthetic", 33.33),
+        ("react-b", "", None),
+    ]
+    assert rows[0]["settings"] == {"budget": 24}
+    code, out, err = run("report", "react-b", "--store", store.path)
+    assert code == 0
+    assert "n/a" in out
+    assert "synthetic" not in out + err
+    code, out, err = run("report", "--store", store.path, "--markdown")
+    assert out.splitlines()[1].startswith("| ---")
+    assert len(out.splitlines()) == 4
+    assert "IoU 0.5" in err
+    assert "synthetic" in err
+    rows = list(csv.DictReader(io.StringIO(run("report", "--store", store.path, "--csv")[1])))
+    assert rows[0]["answer"] == "75.0"
+
+
+def test_the_threshold_is_a_setting(store):
+    rows = json.loads(run("report", "react-a", "--store", store.path, "--json", "--iou", "0.9")[1])
+    assert (rows[0]["iou"], rows[0]["evidence"]) == (0.9, 50.0)
+
+
+def test_a_run_of_other_questions_is_refused(store):
+    write_run(store, "other", {"choice": 1}, False, questions="0" * 64)
+    try:
+        for command in ("score", "report"):
+            code, out, err = run(command, "other", "--store", store.path)
+            assert (code, out) == (1, "")
+            assert "another questions file" in err
+            # Of all runs, it is left out and named.
+            code, out, err = run(command, "--store", store.path, "--json")
+            assert code == 0
+            assert [row["run"] for row in json.loads(out)] == ["react-a", "react-b"]
+            assert "other" in err
+        assert not (store.run_path("other") / "scores.parquet").exists()
+    finally:
+        for path in store.run_path("other").iterdir():
+            path.unlink()
+        store.run_path("other").rmdir()
