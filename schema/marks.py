@@ -356,7 +356,8 @@ def draw(image: Image, box: Box, mark: Mark) -> None:
 
 def _fill(image: Image, strip: tuple[int, int, int, int], color: tuple[int, int, int]) -> None:
     x, y, w, h = strip
-    image[max(y, 0) : max(y + h, 0), max(x, 0) : max(x + w, 0)] = color
+    if w > 0 and h > 0:
+        cv2.rectangle(image, (x, y), (x + w - 1, y + h - 1), color, -1)
 
 
 def _paste(image: Image, plate: Image, x: int, y: int) -> None:

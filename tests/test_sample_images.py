@@ -40,7 +40,7 @@ def same_place(box, other):
 
 @pytest.fixture(scope="module")
 def readings(root):
-    """(label record, 3D box or None, reading, overlap, sequence) of every mark read in crops of every fourth panorama."""
+    """(label record, 3D box or None, reading, overlap, sequence) of each mark in crops of every fourth panorama."""
     found, missed, boxes_at_seam = [], [], 0
     for folder in sorted((root / "images" / "image_stitched").iterdir()):
         name = folder.name

@@ -180,8 +180,9 @@ def _background(rng: np.random.Generator) -> Image:
     _furnish(canvas, rng, foot, wall)
     noise = rng.normal(0, 1, (HEIGHT // 8, WIDTH // 8)).astype(np.float32)
     # Joined at the seam before it is blown up, so that no edge shows there.
-    grain = cv2.resize(np.hstack([noise, noise, noise]), (3 * WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)
-    grained = canvas + grain[:, WIDTH : 2 * WIDTH, None] * 1.5
+    joined = np.hstack([noise[:, -1:], noise, noise[:, :1]])
+    grain = cv2.resize(joined, (WIDTH + 16, HEIGHT), interpolation=cv2.INTER_LINEAR)
+    grained = canvas + grain[:, 8:-8, None] * 1.5
     return np.asarray(np.clip(grained, 0, 180), np.uint8)
 
 

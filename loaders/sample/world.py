@@ -230,7 +230,7 @@ def _take(taken: npt.NDArray[np.uint8], x: int, y: int, w: int, h: int, foot: in
     left = round(x / GRID) % across + across
     right = left + max(1, round(w / GRID))
     top, bottom = y // GRID, max(y // GRID + 1, (y + h) // GRID)
-    share = float(taken[top:bottom, left:right].mean())
+    share = np.count_nonzero(taken[top:bottom, left:right]) / ((bottom - top) * (right - left))
     bottom = max(bottom, foot // GRID)
     for turn in (-across, 0, across):
         taken[top:bottom, left + turn : right + turn] = 1
