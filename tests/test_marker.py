@@ -220,7 +220,7 @@ def test_start(play, first, last, step):
     frames = tuple(range(0, 601, step))
 
     def box(frame):
-        return Box(3300 + frame, 120, 70, 220)
+        return Box(1700 + frame, 120, 70, 220)
 
     actor = Actor(
         box,

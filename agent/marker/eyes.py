@@ -16,8 +16,11 @@ from jrdb_avr.schema.panorama import angle_error
 
 from .reading import Look, Sighting, Task
 
-AROUND: Final = (0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0)
-"""Turns from a first direction that go once round, the nearest first."""
+AROUND: Final = (0.0, 40.0, -40.0, 80.0, -80.0, 120.0, -120.0, 160.0, -160.0)
+"""Turns from a first direction that go once round, the nearest first.
+
+One more than eight looks: neighbours share 62 columns, more than any plate is wide, so each is whole in one of them.
+"""
 
 NEARBY: Final = AROUND[:3]
 

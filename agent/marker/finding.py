@@ -12,13 +12,11 @@ from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 from jrdb_avr.schema.vocabulary import DISTANCE_BOUNDS_M, DISTANCE_WORDS, POSES
 
-from .eyes import Eyes
+from .eyes import AROUND, Eyes
 from .reading import Sighting
 
 _SECTOR_ANGLES: Final = {"ahead": 180.0, "right": 270.0, "behind": 0.0, "left": 90.0}
-_SWEEP: Final = (180.0, 135.0, 225.0, 90.0, 270.0, 45.0, 315.0, 0.0)
-_BETWEEN: Final = (157.5, 202.5, 112.5, 247.5, 67.5, 292.5, 22.5, 337.5)
-"""Looks that show whole whoever stands across the edges of the first eight."""
+_SWEEP: Final = tuple(180.0 + turn for turn in AROUND)
 
 ALONE_SIZE: Final = 1
 
@@ -41,19 +39,19 @@ def find(conditions: Sequence[Condition], frame: int, eyes: Eyes) -> Found:
     all round. Raises Spent when looks run out.
     """
     sized = any(c.attribute == "group_size" and c.value != ALONE_SIZE for c in conditions)
+    angles: tuple[float, ...]
     sectors = [str(c.value) for c in conditions if c.attribute == "sector"]
     if sectors and not sized:
         middle = _SECTOR_ANGLES[sectors[0]]
-        rounds = [(middle - 22.0, middle + 22.0), (middle,)]
+        angles = (middle - 22.0, middle + 22.0, middle)
     else:
-        rounds = [_SWEEP, _BETWEEN]
-    for angles in rounds:
-        for angle in angles:
-            eyes.look(frame, angle % 360.0)
-            if not sized and (match := _only(conditions, eyes.at(frame), ())):
-                return Found(match)
-        if sized and (found := _count(conditions, frame, eyes)):
-            return found
+        angles = _SWEEP
+    for angle in angles:
+        eyes.look(frame, angle % 360.0)
+        if not sized and (match := _only(conditions, eyes.at(frame), ())):
+            return Found(match)
+    if sized and (found := _count(conditions, frame, eyes)):
+        return found
     possible = _possible(conditions, eyes.at(frame))
     if len(possible) == 1:
         return Found(possible[0], "mark unreadable: not every condition could be read")
