@@ -53,8 +53,10 @@ class Record:
 _ROOT: Final = "a"
 
 
-def make_record(scene: Scene, descriptions: Descriptions, candidates: Candidates, row: int, rules: Rules) -> Record:
-    """The record of one candidate that all set-wise rules passed."""
+def make_record(
+    scene: Scene, descriptions: Descriptions, candidates: Candidates, row: int, answer: str, rules: Rules
+) -> Record:
+    """The record of one candidate that all set-wise rules passed; `answer` as its proofs tell it."""
     name = int(candidates.name[row])
     track = target_track(scene, descriptions, name)
     needed = needed_boxes(scene, track, candidates, row)
@@ -69,7 +71,7 @@ def make_record(scene: Scene, descriptions: Descriptions, candidates: Candidates
             times["t2"] = int(candidates.frames["end"][row])
     keyframe = descriptions.conditions.keyframe[descriptions.sighting[name]]
     return Record(
-        proofs=tuple(_proofs(descriptions, candidates, row, needed, rules)),
+        proofs=tuple(_proofs(descriptions, candidates, row, answer, needed, rules)),
         needed=needed,
         bindings={_ROOT: track, **dict(sorted(times.items()))},
         hops=0,
@@ -105,10 +107,14 @@ def proof(kind: str, variant: str, holds: bool, outcome: str, answer: str | None
 
 
 def _proofs(
-    descriptions: Descriptions, candidates: Candidates, row: int, needed: tuple[NeededBox, ...], rules: Rules
+    descriptions: Descriptions,
+    candidates: Candidates,
+    row: int,
+    own: str,
+    needed: tuple[NeededBox, ...],
+    rules: Rules,
 ) -> list[dict[str, Any]]:
     name = int(candidates.name[row])
-    own = VALUES[candidates.answer[row]] if candidates.answer[row] != NOBODY else None
     found = [proof("anchor", "match", True, "same", own)]
     for condition, left in zip(descriptions.of(name), descriptions.left[name], strict=False):
         found.append(proof("anchor", f"without {condition_text(condition)}", int(left) >= 2, "ambiguous"))

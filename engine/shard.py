@@ -160,7 +160,7 @@ class _Search:
         return None
 
     def _private(self, candidates: Candidates, line: dict[str, Any], choices: Choices | None) -> dict[str, Any]:
-        record = make_record(self.scene, self.descriptions, candidates, line["row"], self.job.rules)
+        record = make_record(self.scene, self.descriptions, candidates, line["row"], line["answer"], self.job.rules)
         proofs = [*record.proofs, proof("rederive", "annotations", True, "same", line["answer"])]
         return {
             "proofs": _json(proofs),
