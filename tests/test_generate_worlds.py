@@ -4,7 +4,8 @@ import re
 from pathlib import Path
 
 import pytest
-from worlds import load_world, person, person_3d
+from quick_store import quick_store
+from worlds import person, person_3d
 
 from jrdb_avr.engine.candidates import PASSED, RULES, VALUES, find_candidates
 from jrdb_avr.engine.descriptions import describe_people
@@ -107,7 +108,7 @@ CLAIM = re.compile(r"(gives|refuses|lacks) (\w+) (\d+) at ([\d ]+?)(?: ([a-z][a-
 @pytest.mark.parametrize("title", read_worlds())
 def test_world(title, tmp_path):
     lines = read_worlds()[title]
-    found, described = judge(load_world(tmp_path, build(lines)))
+    found, described = judge(quick_store(tmp_path, build(lines)))
     claims = 0
     for line in lines:
         if re.match(r"\d+ \||images ", line):
