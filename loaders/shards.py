@@ -7,9 +7,12 @@ distributed engine can map the same function; this is the local way.
 from __future__ import annotations
 
 import multiprocessing
+import os
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.connection import wait
 from typing import TypeVar
 
 from jrdb_avr.schema.errors import StoreError
@@ -33,7 +36,7 @@ def map_shards(
         return
     # Spawned, not forked: the engine's threads do not survive a fork.
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(items)), mp_context=context) as pool:
+    with ProcessPoolExecutor(min(workers, len(items)), mp_context=context, initializer=end_with_parent) as pool:
         futures = {pool.submit(function, items[i]): i for i in order}
         try:
             for future in as_completed(futures):
@@ -42,3 +45,16 @@ def map_shards(
             raise StoreError("a worker process died (killed, or out of memory): try fewer --workers") from None
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+def end_with_parent() -> None:
+    """End this worker when its parent process is gone, even killed: an orphan would go on writing behind its back."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, name="end-with-parent", daemon=True).start()
