@@ -9,12 +9,18 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import hashlib
+import multiprocessing
+import os
 import shutil
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 
@@ -32,7 +38,7 @@ from .layers import Root, SequenceFiles, image_frames
 from .problems import Problems
 from .report import SequenceReport, UnknownLabel, empty_report
 from .scene import build_scene
-from .shards import map_shards
+from .shards import end_with_parent, map_shards
 from .timeline import step_of
 
 STAGING: Final = ".loading"
@@ -175,11 +181,22 @@ class RebuildShard:
 def rebuild_shard(shard: RebuildShard) -> SequenceEntry:
     """Derive one sequence's intervals from its annotation tables, into the staging folder."""
     store = Store(shard.store)
-    tables = {layer: store.annotation(layer, shard.sequence) for layer in ANNOTATIONS}
+    tables = {layer: _loaded_table(store, layer, shard) for layer in ANNOTATIONS}
     intervals = derive(shard.sequence, tables, shard.rules)
     kept = {path: digest for path, digest in shard.entry.tables.items() if path.startswith(PARTS[0])}
     entry = _write(Store(shard.staging), shard.sequence, {}, intervals)
     return SequenceEntry(entry.layers, {**kept, **entry.tables})
+
+
+def _loaded_table(store: Store, layer: str, shard: RebuildShard) -> pa.Table:
+    """An annotation table, if its file is the one that was loaded. Raises StoreError naming the file otherwise."""
+    path = store.annotation_path(layer, shard.sequence)
+    table = store.annotation(layer, shard.sequence)
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    if digest != shard.entry.tables.get(path.relative_to(store.path).as_posix()):
+        raise StoreError(f"{path} is not the file that was loaded: load the annotations again")
+    return table
 
 
 def _write(
@@ -250,15 +267,48 @@ def _finish(
     entries: dict[str, SequenceEntry],
     parts: Sequence[str],
 ) -> None:
-    """Move what is staged in, and write the manifest last."""
-    with build_graph(store.graph_path) as graph:
-        rows = build_scene(graph, staging, list(entries))
-        staging.write_manifest(Manifest(image_root, rules, rules_hash(rules), entries, rows))
-        # From here to the end there is no manifest, so nobody takes a half-moved store for a whole one.
-        (store.path / "store.json").unlink(missing_ok=True)
+    """Build the graph, move what is staged in, and put the manifest back last."""
+    manifest = Manifest(image_root, rules, rules_hash(rules), entries, {})
+    _in_child(_build, Index(str(store.path), str(staging.path), manifest))
     for part in parts:
         _swap(store.path / part, staging.path / part, staging.path / f"old_{part}")
     (staging.path / "store.json").replace(store.path / "store.json")
+
+
+@dataclass(frozen=True)
+class Index:
+    """What the process that builds the graph needs to know."""
+
+    store: str
+    staging: str
+    manifest: Manifest
+
+
+def _build(index: Index) -> None:
+    """Build and verify the graph and rename it in; just before, stage the manifest and take the old one away."""
+    # The engine writes to stderr when it gives up; what is to be said of that is said in one line by the parent.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    store, staging = Store(index.store), Store(index.staging)
+    with build_graph(store.graph_path) as graph:
+        rows = build_scene(graph, staging, list(index.manifest.sequences))
+        staging.write_manifest(msgspec.structs.replace(index.manifest, graph=rows))
+        # From here to the end there is no manifest, so nobody takes a half-moved store for a whole one.
+        (store.path / "store.json").unlink(missing_ok=True)
+
+
+def _in_child(function: Callable[[Index], None], index: Index) -> None:
+    """Run in a process of its own: the engine ends its process when the disk is full while it rolls back."""
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as pool:
+        try:
+            pool.submit(function, index).result()
+        except BrokenProcessPool:
+            for left in Path(index.store).glob(".graph.kuzu.building*"):
+                left.unlink(missing_ok=True)
+            raise StoreError(
+                f"the graph could not be written into {index.store}: is the disk full, or the memory? "
+                "Free some space and load again"
+            ) from None
 
 
 def _swap(place: Path, new: Path, old: Path) -> None:

@@ -1,0 +1,350 @@
+"""Loading as a whole: the same store whatever happens on the way, and the old one where it fails."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from random_worlds import random_world
+from worlds import load_reported, load_world, person, person_3d, write_root
+
+from jrdb_avr.loaders import load as loading
+from jrdb_avr.loaders.layers import find_root
+from jrdb_avr.queries.handle import Graph
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import AvrError, LockedError, StoreError
+from jrdb_avr.schema.rules import LoadRules
+
+GOOD = {"2d": {f: [person(1, (100 + f, 60, 50, 200), {"walking": 1}, (5, 1))] for f in range(40)}}
+RUN = "import sys; from jrdb_avr.engine.cli import main; sys.argv[0] = 'jrdb-avr'; main()"
+
+
+@pytest.fixture(scope="module")
+def world():
+    """Four sequences of different lengths and layers."""
+    worlds = [random_world(random.Random(seed), f"yard-2020-01-0{seed}_0") for seed in (1, 2, 3, 4)]
+    return {name: layers for one in worlds for name, layers in one.items()}
+
+
+def command(*arguments, **more):
+    """Run the command line in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-c", RUN, *map(str, arguments)], capture_output=True, text=True, timeout=300, **more
+    )
+
+
+def files(store):
+    """Content of every file of a store that is a record: path -> hash; the graph counts by its answers."""
+    found = {}
+    for path in sorted(store.path.rglob("*")):
+        name = path.relative_to(store.path).as_posix()
+        if path.is_file() and not name.startswith(("graph.kuzu", ".writing")):
+            found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+    return found
+
+
+def answers(store):
+    """Everything in the graph, as sorted rows."""
+    result = {}
+    with Graph.open(store.graph_path, read_only=True) as graph:
+        for table in ("Sequence", "Frame", "Person", "SocialGroup", "Action"):
+            rows = graph.query(f"MATCH (n:{table}) RETURN n", ordered=False)["n"].to_pylist()
+            result[table] = sorted(repr({k: v for k, v in row.items() if k != "_id"}) for row in rows)
+        for table in ("SeenIn", "Performs", "MemberOf", "Beside"):
+            query = f"MATCH (a)-[r:{table}]->(b) RETURN a, r, b"
+            rows = graph.query(query, ordered=False).to_pylist()
+            result[table] = sorted(
+                repr([{k: v for k, v in part.items() if k not in ("_id", "_src", "_dst")} for part in row.values()])
+                for row in rows
+            )
+    return result
+
+
+def same(a, b):
+    assert files(a) == files(b)
+    assert answers(a) == answers(b)
+
+
+def test_the_number_of_workers_does_not_show(tmp_path, world):
+    root = find_root(write_root(tmp_path / "root", world))
+    stores = [Store(tmp_path / f"store{workers}") for workers in (1, 2)]
+    for store, workers in zip(stores, (1, 2), strict=True):
+        loading.load(root, store, LoadRules(), workers)
+    same(*stores)
+
+
+def test_rebuild_gives_the_same_tables_and_graph_without_the_root(tmp_path, world):
+    store = load_world(tmp_path, world)
+    before = files(store), answers(store)
+    (tmp_path / "root").rename(tmp_path / "gone")
+    store.graph_path.unlink()
+    for path in (store.path / "intervals").rglob("*.parquet"):
+        path.unlink()
+    loading.rebuild(store, LoadRules())
+    assert (files(store), answers(store)) == before
+
+
+def test_rebuild_under_other_rules_and_back(tmp_path, world):
+    store = load_world(tmp_path, world)
+    before = files(store)
+    loading.rebuild(store, LoadRules(gap_frames=0))
+    assert store.manifest().load_rules == LoadRules(gap_frames=0)
+    assert not any(any(store.interval("actions", name)["gap"].to_pylist()) for name in world)
+    loading.rebuild(store, LoadRules())
+    assert files(store) == before
+
+
+def test_rebuild_names_a_broken_annotation_file(tmp_path):
+    store = load_world(tmp_path, {"yard-1": GOOD})
+    store.annotation_path("boxes_2d", "yard-1").write_bytes(b"PAR1 no more")
+    before = files(store)
+    with pytest.raises(StoreError, match="boxes_2d/yard-1"):
+        loading.rebuild(store, LoadRules())
+    assert files(store) == before
+
+
+def test_rebuild_refuses_an_annotation_file_that_is_not_the_one_loaded(tmp_path):
+    store = load_world(tmp_path, {"yard-1": GOOD, "yard-2": GOOD})
+    other = store.annotation_path("boxes_2d", "yard-2")
+    store.annotation_path("boxes_2d", "yard-1").write_bytes(other.read_bytes())
+    with pytest.raises(StoreError, match="boxes_2d/yard-1"):
+        loading.rebuild(store, LoadRules())
+
+
+def test_sequences_and_layers_that_are_gone_do_not_linger(tmp_path):
+    first = {"yard-1": GOOD | {"3d": {0: [person_3d(1, 3, 0)]}}, "yard-2": GOOD}
+    load_world(tmp_path / "a", first)
+    store = Store(tmp_path / "a" / "store")
+    second = write_root(tmp_path / "b" / "root", {"yard-1": GOOD})
+    loading.load(find_root(second), store, LoadRules(), 1)
+    fresh = Store(tmp_path / "b" / "store")
+    loading.load(find_root(second), fresh, LoadRules(), 1)
+    same(store, fresh)
+    assert list(store.manifest().sequences) == ["yard-1"]
+    assert "3d" not in store.manifest().sequences["yard-1"].layers
+
+
+@pytest.mark.parametrize("layers", [("2d",), ("3d",), ("2d", "3d"), ("2d", "images"), ("2d", "3d", "images")])
+@pytest.mark.parametrize("labels_level", [True, False])
+def test_any_subset_of_layers_loads(tmp_path, layers, labels_level):
+    whole = GOOD | {"3d": {f: [person_3d(1, 3, 0), person_3d(2, 4, 0)] for f in range(40)}, "images": [0, 15]}
+    world = {"yard-1": {layer: whole[layer] for layer in layers}}
+    root = find_root(write_root(tmp_path / "root", world, labels_level))
+    store = Store(tmp_path / "store")
+    (report,) = loading.load(root, store, LoadRules(), 1)
+    expected = {"2d": ["2d", "actions", "groups"], "3d": ["3d"], "images": ["images"]}
+    assert report.layers == [name for layer in layers for name in expected[layer]]
+    assert (store.manifest().image_root is not None) == ("images" in layers)
+    assert report.people == (2 if "3d" in layers else 1)
+    assert store.interval("sequence", "yard-1")["keyframes"].to_pylist() == [[0, 15, 30]]
+
+
+def test_the_stitched_boxes_are_found_in_richer_label_files(tmp_path):
+    root = write_root(tmp_path / "root", {"yard-1": GOOD})
+    (root / "labels" / "labels_2d_stitched").rename(root / "labels" / "labels_2d_activity_social_stitched")
+    assert find_root(root).sequences[0].labels["2d"].endswith("labels_2d_activity_social_stitched/yard-1.json")
+
+
+# -- what goes wrong on the way ------------------------------------------------------------------------------------
+
+
+def test_a_killed_load_is_repaired_by_running_it_again(tmp_path, world):
+    root = write_root(tmp_path / "root", world)
+    whole = Store(tmp_path / "whole")
+    started = time.monotonic()
+    assert command("load", root, "--store", whole.path).returncode == 0
+    duration = time.monotonic() - started
+    store = Store(tmp_path / "store")
+    rng = random.Random(5)
+    for share in (0.3, 0.6, 0.8, 0.95, rng.random()):
+        process = subprocess.Popen(
+            [sys.executable, "-c", RUN, "load", str(root), "--store", str(store.path)],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        time.sleep(duration * share)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    assert command("load", root, "--store", store.path).returncode == 0
+    assert store.manifest() == whole.manifest()
+    same(store, whole)
+    assert not [path for path in store.path.rglob("*") if ".tmp" in path.name or "building" in path.name]
+
+
+class Killed(BaseException):
+    """Stands for the end of the process."""
+
+
+@pytest.mark.parametrize("call", range(3))
+def test_killed_between_any_two_moves_a_rerun_repairs(tmp_path, monkeypatch, call):
+    """The moment when the new parts are moved in is too short to hit by chance."""
+    old = load_world(tmp_path / "old", {"yard-1": GOOD, "yard-2": GOOD})
+    root = find_root(write_root(tmp_path / "new", {"yard-1": GOOD}))
+    fresh = Store(tmp_path / "fresh")
+    loading.load(root, fresh, LoadRules(), 1)
+    swap, calls = loading._swap, []
+
+    def dying(place, new, gone):
+        if len(calls) == call:
+            raise Killed
+        calls.append(place)
+        swap(place, new, gone)
+        if call == 2 and len(calls) == 2:
+            raise Killed
+
+    monkeypatch.setattr(loading, "_swap", dying)
+    # Nothing is tidied up by a process that is killed.
+    monkeypatch.setattr(loading.shutil, "rmtree", lambda *a, **k: None)
+    with pytest.raises(Killed):
+        loading.load(root, old, LoadRules(), 1)
+    monkeypatch.undo()
+    with pytest.raises(StoreError, match="load"):
+        old.manifest()
+    loading.load(root, old, LoadRules(), 1)
+    same(old, fresh)
+
+
+@pytest.mark.parametrize("limit_kb", [1, 20, 300])
+def test_a_full_disk_is_one_line_and_leaves_the_old_store(tmp_path, limit_kb):
+    small = write_root(tmp_path / "small", {"yard-1": GOOD})
+    store = Store(tmp_path / "store")
+    assert command("load", small, "--store", store.path).returncode == 0
+    before = files(store), answers(store)
+    large = {f"yard-{i}": {"2d": {f: crowd(f) for f in range(120)}} for i in range(2)}
+    root = write_root(tmp_path / "large", large)
+    result = command(
+        "load",
+        root,
+        "--store",
+        store.path,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit_kb << 10, limit_kb << 10)),
+    )
+    assert result.returncode == 1, result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1 and result.stderr.startswith("jrdb-avr: ")
+    assert "Traceback" not in result.stderr
+    assert (files(store), answers(store)) == before
+    assert command("load", root, "--store", store.path).returncode == 0
+    assert list(store.manifest().sequences) == ["yard-0", "yard-1"]
+
+
+def crowd(frame):
+    rng = random.Random(frame)
+    return [person(i, (rng.uniform(0, 3700), 60, 50, 200), {"walking": 1}, (i, 1)) for i in range(60)]
+
+
+def test_a_second_writer_is_refused_and_told_who_writes(tmp_path):
+    root = write_root(tmp_path / "root", {"yard-1": GOOD})
+    store = Store(tmp_path / "store")
+    with store.writing("load"):
+        result = command("load", root, "--store", store.path)
+    assert result.returncode == 1
+    assert f"process {os.getpid()}" in result.stderr and len(result.stderr.strip().splitlines()) == 1
+
+
+def test_an_open_graph_is_not_replaced_under_its_reader(tmp_path):
+    store = load_world(tmp_path, {"yard-1": GOOD})
+    before = files(store)
+    with Graph.open(store.graph_path, read_only=True), pytest.raises(LockedError):
+        loading.load(find_root(tmp_path / "root"), store, LoadRules(), 1)
+    assert files(store) == before
+
+
+@pytest.mark.parametrize("place", ["a file", "under a file", "no permission"])
+def test_a_store_that_cannot_be_written_is_one_line(tmp_path, place):
+    root = write_root(tmp_path / "root", {"yard-1": GOOD})
+    (tmp_path / "file").write_text("x")
+    store = {"a file": tmp_path / "file", "under a file": tmp_path / "file" / "store"}.get(place, tmp_path / "locked")
+    if place == "no permission":
+        if os.geteuid() == 0:
+            pytest.skip("the superuser may write everywhere")
+        store.mkdir(mode=0o500)
+    result = command("load", root, "--store", store)
+    assert result.returncode in (1, 2)
+    assert "Traceback" not in result.stderr and result.stderr.strip()
+    assert (tmp_path / "file").read_text() == "x"
+
+
+# -- the command ---------------------------------------------------------------------------------------------------
+
+
+def test_json_is_one_array_of_rows_and_strict_fails_on_a_bad_record(tmp_path):
+    bad = {"2d": {0: [person(1, (1, 1, 0, 0))], 15: [person(1, (1, 1, 20, 50))]}}
+    root = write_root(tmp_path / "root", {"yard-1": GOOD, "yard-2": bad})
+    result = command("load", root, "--store", tmp_path / "store", "--json")
+    assert result.returncode == 0, result.stderr
+    rows = json.loads(result.stdout)
+    assert [row["sequence"] for row in rows] == ["yard-1", "yard-2"]
+    assert rows[0] | {"problems": [], "heading": None} == {
+        "sequence": "yard-1",
+        "layers": ["2d", "actions", "groups"],
+        "steps": {"2d": 1, "actions": 1, "groups": 1},
+        "frames": 40,
+        "people": 1,
+        "boxes": 40,
+        "boxes_3d": 0,
+        "unknown_labels": [],
+        "problems": [],
+        "heading": None,
+    }
+    (problem,) = rows[1]["problems"]
+    assert (problem["kind"], problem["count"], problem["file"]) == ("record", 1, "yard-2.json")
+    assert (problem["frame"], problem["field"], problem["detail"]) == ("000000.jpg", "box", "[1.0, 1.0, 0.0, 0.0]")
+    strict = command("load", root, "--store", tmp_path / "store", "--strict")
+    assert strict.returncode == 1
+    assert "yard-2" in strict.stdout and "2 sequences" in strict.stdout
+    # The good part is loaded all the same.
+    assert len(Store(tmp_path / "store").manifest().sequences) == 2
+
+
+def test_rules_are_overridden_by_name(tmp_path):
+    root = write_root(tmp_path / "root", {"yard-1": GOOD})
+    store = Store(tmp_path / "store")
+    assert command("load", root, "--store", store.path, "--rule", "gap_frames=3").returncode == 0
+    assert store.manifest().load_rules == LoadRules(gap_frames=3)
+    rebuilt = command("load", "--rebuild", "--store", store.path, "--json")
+    assert json.loads(rebuilt.stdout)[0]["sequence"] == "yard-1"
+    assert store.manifest().load_rules == LoadRules(gap_frames=3)
+    wrong = command("load", root, "--store", store.path, "--rule", "no_such_rule=3")
+    assert wrong.returncode == 1 and "no_such_rule" in wrong.stderr
+
+
+@pytest.mark.parametrize("arguments", [(), ("root", "--rebuild"), ("root", "--rule", "x")])
+def test_wrong_calls_are_usage_errors(tmp_path, arguments):
+    write_root(tmp_path / "root", {"yard-1": GOOD})
+    result = command("load", *arguments, "--store", "store", cwd=tmp_path)
+    assert result.returncode == 2
+
+
+def test_missing_and_empty_roots_are_one_line(tmp_path):
+    (tmp_path / "empty").mkdir()
+    for root in (tmp_path / "empty", tmp_path / "missing"):
+        result = command("load", root, "--store", tmp_path / "store")
+        assert result.returncode == 1
+        assert len(result.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "store").exists()
+
+
+def test_rebuild_of_nothing_is_an_error(tmp_path):
+    with pytest.raises(AvrError, match="no store"):
+        loading.rebuild(Store(tmp_path / "store"), LoadRules())
+
+
+def test_terminal_escapes_of_a_file_are_not_printed(tmp_path):
+    odd = {"2d": {0: [person(1, (1, 1, 20, 50), {"\x1b[31mred": 1})], "\x1b[2J.jpg": []}}
+    root = write_root(tmp_path / "root", {"yard-1": odd})
+    result = command("load", root, "--store", tmp_path / "store")
+    assert result.returncode == 0 and "\x1b" not in result.stdout
+
+
+def test_reports_of_nothing_loadable_name_the_reason(tmp_path):
+    with pytest.raises(AvrError, match="not UTF-8"):
+        load_reported(tmp_path, {"yard-1": {"2d": b"\xff\xfe"}})
