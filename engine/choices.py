@@ -44,11 +44,14 @@ def make_choices(
         if text != truth:
             wrong.setdefault(text, perturbation)
     if candidates.template.pose_answer:
-        stated = {condition.action for condition in descriptions.of(int(candidates.name[row]))}
-        wrong = {text: perturbation for text, perturbation in wrong.items() if text not in stated}
+        name = int(candidates.name[row])
+        barred = {condition.action for condition in descriptions.of(name)}
+        track = target_track(scene, descriptions, name)
+        barred |= scene.possible_actions(track, int(candidates.frames["t1"][row]))
         for text in _common_poses(scene, key):
-            if text != truth and text not in stated:
+            if text != truth:
                 wrong.setdefault(text, None)
+        wrong = {text: perturbation for text, perturbation in wrong.items() if text not in barred}
     else:
         for text in PRESENCE_ANSWERS if truth in PRESENCE_ANSWERS else DISTANCE_ANSWERS:
             if text != truth:

@@ -106,6 +106,18 @@ class Scene:
         person, keyframe = np.searchsorted(self.tracks, track), np.searchsorted(self.keyframes, frame)
         return int(person) * len(self.keyframes) + int(keyframe)
 
+    def possible_actions(self, track: int, frame: int) -> frozenset[str]:
+        """Actions that a person may or may not perform at a frame: hard labels, and closed gaps."""
+        actions, spans = self._open_spans
+        inside = (spans[0] == track) & (spans[1] <= frame) & (frame <= spans[2])
+        return frozenset(actions[i] for i in np.flatnonzero(inside).tolist())
+
+    @cached_property
+    def _open_spans(self) -> tuple[list[str], Ints]:
+        rows = self.actions.filter(pc.invert(self.actions["certain"]))
+        spans = [rows[name].to_numpy() for name in ("track", "first", "last")]
+        return rows["action"].to_pylist(), np.stack(spans).astype(np.int64)
+
     # -- moments ----------------------------------------------------------------------------------------------
 
     @property

@@ -1,0 +1,77 @@
+"""The choices of a question: each wrong one is known to be wrong, and says which mistake leads to it."""
+
+import json
+
+from quick_store import quick_store
+from test_generate_worlds import SEQUENCE, build
+from worlds import person
+
+from jrdb_avr.engine.shard import Job, search_sequence
+from jrdb_avr.schema.rules import Rules
+
+
+def kept(tmp_path, world, template):
+    """The kept candidates of a template, by stated seconds."""
+    store = quick_store(tmp_path, world)
+    found = search_sequence(Job(store.path, SEQUENCE, Rules(max_per_person=1000, near_duplicate_s=0.0)))
+    rows = [] if found.kept is None else found.kept.to_pylist()
+    return {tuple(t // 15 for t in row["times"]): row for row in rows if row["template"] == template}
+
+
+def told(row):
+    """{choice: perturbation} of the wrong choices."""
+    pairs = zip(row["choices"], json.loads(row["distractors"]), strict=True)
+    return {text: why for text, why in pairs if text != row["answer"]}
+
+
+def test_wrong_poses_come_from_mistakes_first(tmp_path):
+    world = build(
+        [
+            "1 | sssssssswwwwtttttttt | column 400 | reading 0-0",
+            "2 | tttttttttttttttttttt | column 900 | group 1",
+        ]
+    )
+    row = kept(tmp_path, world, "change")[0, 10]
+    assert row["answer"] == "walking"
+    assert row["choices"][row["true_choice"] - 1] == "walking"
+    found = told(row)
+    assert found["sitting"] == "pose at t0"
+    assert found["standing"] == "time.shift +3 s"
+    assert None in found.values()
+
+
+def test_the_look_alike_is_a_mistake_too(tmp_path):
+    world = build(
+        [
+            "1 | sssssssswwwwssssssss | column 400 | reading 0-0 | talking to someone 0-0",
+            "2 | tttttttttttttttttttt | column 410 | reading 0-0",
+            "3 | tttttttttttttttttttt | column 420 | talking to someone 0-0",
+        ]
+    )
+    # Dropping one of the two actions lets somebody else in, who stands at the asked time.
+    row = kept(tmp_path, world, "change")[0, 9]
+    assert told(row)["standing"].startswith("look-alike without action ")
+
+
+def test_presence_offers_all_four_answers(tmp_path):
+    world = build(["1 | sssssssss--------- | column 400", "2 | tttttttttttttttttt | column 900"])
+    # Of the same two times after different descriptions only one question is kept.
+    row = next(row for when, row in kept(tmp_path, world, "presence").items() if when[1:] == (7, 12))
+    assert row["answer"] == "only at the first time"
+    assert len(set(row["choices"])) == 4
+    assert told(row)["neither time"] == "time.shift +3 s"
+
+
+def test_a_pose_in_a_closed_gap_is_no_choice(tmp_path):
+    # 15 labels a second. At frame 150 the list lacks walking for three frames only: walking is unknown there.
+    labels = {}
+    for frame in range(0, 241):
+        mine = {"sitting": 1} if frame < 120 else {"standing": 1} if 149 <= frame <= 151 else {"walking": 1}
+        if frame < 10:
+            mine |= {"reading": 1}
+        here = [person(1, (400, 100, 50, 150), mine), person(2, (900, 100, 50, 150), {"bending": 1})]
+        labels[frame] = here
+    rows = kept(tmp_path, {SEQUENCE: {"2d": labels}}, "change")
+    assert rows[0, 10]["answer"] == "standing"
+    assert "walking" not in rows[0, 10]["choices"]
+    assert "walking" in rows[0, 9]["choices"]
