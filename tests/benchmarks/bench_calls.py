@@ -84,8 +84,9 @@ def measure(looks):
     def observe(sequence, frame, angle):
         return Observation(sequence, frame, f"{frame:06d}", frame / 15, angle, FOV_DEG, int(crop_left(angle)), image)
 
-    public = ("s", "f", "t", "Which?", ("a", "b"), "multiple_choice")
-    asked = [Question(f"{i:016x}", *public) for i in range(QUESTIONS)]
+    # Different texts: equal requests would be answered from the cache.
+    shape = ("a", "b"), "multiple_choice"
+    asked = [Question(f"{i:016x}", "s", "f", "t", f"Question {i}?", *shape) for i in range(QUESTIONS)]
     with tempfile.TemporaryDirectory() as folder:
         client = Client(f"http://127.0.0.1:{port.value}/v1", "x", cache=Path(folder) / "calls")
         client.probe()
