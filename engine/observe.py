@@ -25,8 +25,11 @@ from jrdb_avr.schema.errors import ObserveError
 from jrdb_avr.schema.method import Image, Observation, SequenceInfo
 from jrdb_avr.schema.panorama import CROP, FOV_DEG, HEIGHT, WIDTH, crop_left
 
-CACHED_PANORAMAS: Final = 32
+CACHED_PANORAMAS: Final = 16
 """Decoded panoramas kept by default, 5.4 MB each."""
+
+_TILE: Final = 235
+"""Columns of a tile; sixteen of them are the panorama."""
 
 _START = b"\xff\xd8"
 _END = b"\xff\xd9"
@@ -47,7 +50,7 @@ class Observer:
         self._sequences = {safe_sequence(info.sequence): info for info in sequences}
         self._frames = {name: frozenset(info.frames) for name, info in self._sequences.items()}
         self._cached = max(1, cached)
-        self._panoramas: OrderedDict[tuple[str, int], Future[Image]] = OrderedDict()
+        self._panoramas: OrderedDict[tuple[str, int], Future[_Strip]] = OrderedDict()
         self._lock = threading.Lock()
 
     def __call__(self, sequence: str, frame_index: int, angle_deg: float) -> Observation:
@@ -67,12 +70,12 @@ class Observer:
             angle_deg=angle,
             fov_deg=round(FOV_DEG, 2),
             left=left,
-            image=_crop(self._panorama(sequence, frame), left),
+            image=self._strip(sequence, frame).crop(left),
         )
 
     def panorama(self, sequence: str, frame_index: int) -> Image:
         """The whole panorama, 480 x 3760 x 3 RGB, read-only. Raises ObserveError as a call does."""
-        return self._panorama(sequence, self._check(sequence, frame_index))
+        return self._strip(sequence, self._check(sequence, frame_index)).whole()
 
     def _check(self, sequence: str, frame_index: int) -> int:
         if not isinstance(sequence, str) or sequence not in self._sequences:
@@ -89,7 +92,7 @@ class Observer:
             )
         return frame
 
-    def _panorama(self, sequence: str, frame: int) -> Image:
+    def _strip(self, sequence: str, frame: int) -> _Strip:
         key = (sequence, frame)
         with self._lock:
             future = self._panoramas.get(key)
@@ -97,14 +100,14 @@ class Observer:
                 self._panoramas.move_to_end(key)
         if future is not None:
             return future.result()
-        mine: Future[Image] = Future()
+        mine: Future[_Strip] = Future()
         with self._lock:
             future = self._panoramas.setdefault(key, mine)
             if len(self._panoramas) > self._cached:
                 self._panoramas.popitem(last=False)
         if future is mine:
             try:
-                mine.set_result(self._decode(sequence, frame))
+                mine.set_result(_Strip(self._decode(sequence, frame)))
             except BaseException as error:
                 # A failure is not remembered: the file may be there on the next call.
                 with self._lock:
@@ -122,6 +125,64 @@ class Observer:
         except OSError as error:
             raise ObserveError(f"cannot read {path}: {os.strerror(error.errno or 0)}") from None
         return decode_panorama(data, str(path))
+
+
+class _Strip:
+    """A decoded panorama that hands out crops, as copies: no crop keeps a panorama alive.
+
+    The first crop is cut from the rows as decoded. A panorama looked at again is laid out in tiles, each contiguous: a
+    crop of rows jumps 11 KB for every row of 1.4 KB, which the processor cannot fetch ahead (6,000 crops/s over many
+    panoramas, against 10,000 from tiles).
+    """
+
+    def __init__(self, image: Image) -> None:
+        self._image: Image | None = image
+        self._tiles: Image | None = None
+        self._looked_at = False
+
+    def crop(self, left: int) -> Image:
+        """Columns [left, left + 480), over the seam where need be; read-only."""
+        tiles, image = self._tiles, self._image
+        if tiles is None and image is not None:
+            if not self._looked_at:
+                self._looked_at = True
+                return _join(image[None], WIDTH, left)
+            # Two threads may both do this once; the tiles are set before the rows go.
+            self._tiles = _to_tiles(image)
+            self._image = None
+        tiles = self._tiles
+        assert tiles is not None
+        return _join(tiles, _TILE, left)
+
+    def whole(self) -> Image:
+        """The panorama, read-only."""
+        image = self._image
+        if image is None:
+            assert self._tiles is not None
+            image = np.ascontiguousarray(self._tiles.transpose(1, 0, 2, 3)).reshape(HEIGHT, WIDTH, 3)
+            image.flags.writeable = False
+        return image
+
+
+def _to_tiles(image: Image) -> Image:
+    """16 x 480 x 235 x 3."""
+    return np.ascontiguousarray(image.reshape(HEIGHT, WIDTH // _TILE, _TILE, 3).transpose(1, 0, 2, 3))
+
+
+def _join(tiles: Image, width: int, left: int) -> Image:
+    """480 columns from `left` on, out of tiles `width` columns wide that go round in a circle."""
+    crop = np.empty((HEIGHT, CROP, 3), np.uint8)
+    # Rows of bytes copy faster than rows of pixels.
+    rows = crop.reshape(HEIGHT, CROP * 3)
+    number, first = divmod(left, width)
+    done = 0
+    while done < CROP:
+        columns = min(width - first, CROP - done)
+        tile = tiles[number % len(tiles)].reshape(HEIGHT, width * 3)
+        rows[:, done * 3 : (done + columns) * 3] = tile[:, first * 3 : (first + columns) * 3]
+        done, number, first = done + columns, number + 1, 0
+    crop.flags.writeable = False
+    return crop
 
 
 def decode_panorama(data: bytes, name: str) -> Image:
@@ -163,17 +224,6 @@ def _jpeg_size(data: bytes) -> tuple[int, int] | None:
         else:
             at += 2 + int.from_bytes(data[at + 2 : at + 4])
     return None
-
-
-def _crop(panorama: Image, left: int) -> Image:
-    """Columns [left, left + 480), over the seam where need be: a copy, so that no crop keeps a panorama alive."""
-    crop = np.empty((HEIGHT, CROP, 3), np.uint8)
-    first = min(CROP, WIDTH - left)
-    crop[:, :first] = panorama[:, left : left + first]
-    if first < CROP:
-        crop[:, first:] = panorama[:, : CROP - first]
-    crop.flags.writeable = False
-    return crop
 
 
 def _angle(angle_deg: float) -> float:

@@ -57,10 +57,10 @@ def stored(root, frame):
     return cv2.imread(str(root / NAME / f"{frame:06d}.jpg"))[..., ::-1]
 
 
-@given(st.floats(-1e6, 1e6), st.sampled_from(FRAMES))
+@given(st.floats(-1e6, 1e6), st.sampled_from(FRAMES), st.booleans())
 @settings(max_examples=60, deadline=None)
-def test_the_crop_is_the_columns_round_the_angle(root, observe, angle, frame):
-    seen = observe(NAME, frame, angle)
+def test_the_crop_is_the_columns_round_the_angle(root, observe, angle, frame, first_look):
+    seen = (Observer(root, [info()]) if first_look else observe)(NAME, frame, angle)
     centre = angle / 360 * 3760
     columns = [(round(centre % 3760) - 240 + i) % 3760 for i in range(480)]
     assert seen.image.shape == (480, 480, 3)
@@ -88,7 +88,10 @@ def test_what_is_said_of_a_crop(observe):
 def test_180_is_ahead_and_the_strip_is_whole(root, observe):
     ahead = observe(NAME, 0, 180).image
     assert np.array_equal(ahead, stored(root, 0)[:, 1640:2120])
-    assert np.array_equal(observe.panorama(NAME, 0), stored(root, 0))
+    fresh = Observer(root, [info()])
+    for _ in range(4):
+        assert np.array_equal(fresh.panorama(NAME, 0), stored(root, 0))
+        fresh(NAME, 0, 10.0)
 
 
 @pytest.mark.parametrize(
