@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from itertools import chain
 from operator import attrgetter
 from pathlib import Path
@@ -358,13 +359,17 @@ def _expand(
         values, issues = ([], []) if raw in (b"", b"null") else decode(raw)
         members_of.append([numbers[value] for value in values])
         for reason, name, value in issues:
-            refusals.count(codes == i, "field", reason, name, lambda row, value=value: value)
+            refusals.count(codes == i, "field", reason, name, partial(_given, value))
     flat = np.array(list(chain.from_iterable(members_of)), np.int64)
     lengths = np.array([len(numbered) for numbered in members_of], np.int64)
     starts = np.cumsum(lengths) - lengths
     row, place = ragged(lengths[codes] if len(codes) else codes)
     taken = flat[starts[codes[row]] + place] if len(row) else row
     return _Rows(row, taken, list(numbers))
+
+
+def _given(value: object, row: int) -> object:
+    return value
 
 
 def _named(raw: bytes, field: str) -> tuple[list[tuple[str, str, Any]], list[_Issue]]:

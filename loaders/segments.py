@@ -8,6 +8,8 @@ seconds before and after. A grid frame that is not annotated is unknown; frames 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
@@ -31,23 +33,33 @@ HALF_STEP = KEYFRAME_STEP // 2
 def segments_table(line: Timeline, boxes: Boxes, labels: Labels, runs: Runs, rules: LoadRules) -> pa.Table:
     """The interval table `segments`, by track, action and first frame."""
     grid = line.grid("actions")
-    found = _find(grid, boxes, labels, runs, rules) if grid and len(runs.track) else {}
-    none = np.empty(0, np.int64)
-    half = 0 if grid is None or grid.step == 1 else HALF_STEP
-    first, last = found.get("first", none), found.get("last", none)
+    found = _find(grid, boxes, labels, runs, rules) if grid and len(runs.track) else None
+    if grid is None or found is None:
+        return INTERVALS["segments"].empty_table()
+    half = 0 if grid.step == 1 else HALF_STEP
     return pa.table(
         {
-            "sequence": constant(line.sequence, len(first)),
-            "track": found.get("track", none),
-            "action": texts(labels.names, found.get("action", none)),
-            "first": first,
-            "last": last,
-            "start": first - half,
-            "end": last + half,
-            "quiet_from": found.get("quiet_from", none),
-            "closed": found.get("closed", none).astype(np.bool_),
+            "sequence": constant(line.sequence, len(found.first)),
+            "track": found.track,
+            "action": texts(labels.names, found.action),
+            "first": found.first,
+            "last": found.last,
+            "start": found.first - half,
+            "end": found.last + half,
+            "quiet_from": found.quiet_from,
+            "closed": found.closed,
         }
     ).cast(INTERVALS["segments"])
+
+
+@dataclass(frozen=True)
+class _Segments:
+    track: Ints
+    action: Ints
+    first: Ints
+    last: Ints
+    quiet_from: Ints
+    closed: Bools
 
 
 class _Cells:
@@ -103,7 +115,7 @@ def _fact(track: Ints, action: Ints) -> Ints:
     return (track << 31) | action
 
 
-def _find(grid: Grid, boxes: Boxes, labels: Labels, runs: Runs, rules: LoadRules) -> dict[str, npt.NDArray[np.generic]]:
+def _find(grid: Grid, boxes: Boxes, labels: Labels, runs: Runs, rules: LoadRules) -> _Segments:
     cells = _Cells(grid, boxes, labels, runs, rules)
     key, step = cells.key, grid.step
     next_to = np.append(False, key[1:] == key[:-1] + 1)
@@ -138,11 +150,11 @@ def _find(grid: Grid, boxes: Boxes, labels: Labels, runs: Runs, rules: LoadRules
     before = np.maximum(begins - 1, 0)
     quiet_from = key[chain[before]] % cells.span
     pair = cells.facts[fact[stable]]
-    return {
-        "track": pair >> 31,
-        "action": pair & (2**31 - 1),
-        "first": grid.first + first[stable] * step,
-        "last": grid.first + last[stable] * step,
-        "quiet_from": grid.first + quiet_from[stable] * step,
-        "closed": closed[stable],
-    }
+    return _Segments(
+        pair >> 31,
+        pair & (2**31 - 1),
+        grid.first + first[stable] * step,
+        grid.first + last[stable] * step,
+        grid.first + quiet_from[stable] * step,
+        closed[stable],
+    )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
@@ -17,6 +19,7 @@ from .words import distance_word, robot_sector
 
 Ints = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
+N = TypeVar("N", bound=np.generic)
 
 
 def sightings_table(
@@ -91,7 +94,7 @@ def group_sizes(line: Timeline, boxes: Boxes, groups: Groups, cluster_row: Ints)
     return sizes, known
 
 
-def _take(values: npt.NDArray[np.generic], row: Ints) -> npt.NDArray[np.generic]:
+def _take(values: npt.NDArray[N], row: Ints) -> npt.NDArray[N]:
     """Values at rows; zero where the row is -1."""
     if not len(values):
         return np.zeros(len(row), values.dtype)
