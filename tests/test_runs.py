@@ -36,6 +36,7 @@ from jrdb_avr.schema.wording import question_id, render
 POSES = ("walking", "sitting", "standing", "lying")
 TRACK = 3141
 FRAMES = tuple(range(0, 301, 15))
+KILLS = 2
 
 
 def question(t0, t1, sequence=SEQUENCE):
@@ -301,7 +302,7 @@ def test_resume_after_kill_equals_an_undisturbed_run(store):
         arguments += ["--run-id", "killed", "--concurrency", "2"]
         whole = [sys.executable, "-c", "from jrdb_avr.engine.cli import main; main()", "evaluate", *arguments]
         journal = store.run_path("killed") / "journal.jsonl"
-        for _ in range(4):
+        for _ in range(KILLS):
             before = journal.read_bytes().count(b"\n") if journal.exists() else 0
             with subprocess.Popen([*whole, "--resume"], stderr=subprocess.DEVNULL) as process:
                 deadline = time.monotonic() + 30
@@ -320,7 +321,7 @@ def test_resume_after_kill_equals_an_undisturbed_run(store):
         assert calls == served
     assert lasting(predictions(store, "killed")) == lasting(predictions(store, "whole"))
     # A call in flight when the process was killed is asked again; one that finished is not.
-    assert sum(count - 1 for count in calls.values()) <= 4 * 2
+    assert sum(count - 1 for count in calls.values()) <= KILLS * 2
     assert json.loads(store.run_path("killed").joinpath("journal.jsonl").read_bytes().splitlines()[-1])
 
 
