@@ -95,11 +95,14 @@ def robot_view(line: Timeline, boxes: Boxes, rules: LoadRules) -> Iterator[_Fact
     clear, angle = boxes.clear, boxes.angle
     yield _no_facts()
     rows = np.flatnonzero(np.isin(boxes.frame, line.keyframes))
-    for a, b in _pairs(boxes.frame, rows):
-        for label, turn in (
-            (FIRST_LEFT, clockwise(angle[b], angle[a])),
-            (FIRST_RIGHT, clockwise(angle[a], angle[b])),
-        ):
+    reach = rules.neighbor_max_deg + rules.neighbor_margin_deg
+    for all_a, all_b in _pairs(boxes.frame, rows):
+        right = clockwise(angle[all_a], angle[all_b])
+        for label, turned in ((FIRST_LEFT, np.where(right > 0, 360.0 - right, 0.0)), (FIRST_RIGHT, right)):
+            near = np.flatnonzero(turned <= reach)
+            if not len(near):
+                continue
+            a, b, turn = all_a[near], all_b[near], turned[near]
             settles = clear[b] & (turn >= rules.neighbor_margin_deg) & (turn <= rules.neighbor_max_deg)
             starts = np.flatnonzero(np.append(True, a[1:] != a[:-1]))
             counts = np.diff(np.append(starts, len(a)))
@@ -119,8 +122,12 @@ def person_frame(line: Timeline, located: Located, rules: LoadRules) -> Iterator
     # Words that begin where the relation's reach ends are not of this relation.
     words_within = 1 + sum(bound < rules.pair_max_m for bound in DISTANCE_BOUNDS_M)
     yield _no_facts()
+    ahead = np.ascontiguousarray(located.center[:, 0])
     rows = np.flatnonzero(np.isin(located.frame, line.keyframes))
     for a, b in _pairs(located.frame, rows):
+        # Most pairs are far apart already along one axis.
+        close = np.flatnonzero(np.abs(ahead[b] - ahead[a]) <= reach)
+        a, b = a[close], b[close]
         offset = located.center[b] - located.center[a]
         metres = np.sqrt((offset**2).sum(axis=1))
         near = metres <= reach

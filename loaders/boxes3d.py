@@ -165,7 +165,7 @@ class _Columns:
     def flush(self) -> None:
         records, n, parts = self._records, len(self._records), self.parts
         parts["frame"].append(np.repeat(np.array(self._frames, np.int64), self._counts))
-        numbers = chain.from_iterable(map(attrgetter(*(f"box.{name}" for name in NUMBERS)), records))
+        numbers = chain.from_iterable(map(attrgetter(*NUMBERS), map(attrgetter("box"), records)))
         parts["numbers"].append(np.fromiter(numbers, np.float64, n * len(NUMBERS)).reshape(n, len(NUMBERS)))
         labels = map(attrgetter("label_id"), records)
         parts["label"].append(np.fromiter(map(self.labels.__getitem__, labels), np.int64, n))
