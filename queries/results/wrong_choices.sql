@@ -5,7 +5,10 @@ WITH chosen AS (
     WHERE answer IS NOT NULL AND json_extract(answer, '$.choice') IS NOT NULL
 )
 SELECT chosen.run_id, q.family, q.template,
-       coalesce(json_extract_string(a.distractors, '$[' || (choice - 1) || ']'), 'none recorded') AS perturbation,
+       coalesce(
+           regexp_replace(json_extract_string(a.distractors, '$[' || (choice - 1) || ']'), ' without .*', ''),
+           'none recorded'
+       ) AS perturbation,
        count(*) AS times
 FROM chosen
 JOIN questions q USING (question_id)
