@@ -104,7 +104,7 @@ def test_random_worlds_have_the_facts_of_the_oracle(seed):
 
 @pytest.mark.slow
 def test_many_random_worlds_have_the_facts_of_the_oracle():
-    for seed in range(2000):
+    for seed in range(400):
         check_tables(random_world(random.Random(seed)))
 
 
