@@ -33,7 +33,8 @@ def command(store: Path, rule_texts: tuple[str, ...], as_json: bool) -> None:
     if as_json:
         print_json(report.rows())
     else:
-        print_rows(report.rows(), title="Questions")
+        # Faults follow below, one to a line.
+        print_rows([{name: row[name] for name in row if name != "first fault"} for row in report.rows()])
     for name, faults in report.faults.items():
         for fault in faults[:20]:
             note(f"{name}: {fault}")

@@ -1,0 +1,28 @@
+"""The demo in small: every step runs, and leaves what it should."""
+
+import pyarrow.parquet as pq
+import pytest
+
+from jrdb_avr.engine.demo import Size, run_demo, steps
+from jrdb_avr.schema.errors import InputError
+
+
+def test_the_whole_system_runs_once(tmp_path):
+    said = []
+    folder = tmp_path / "demo"
+    size = Size(sequences=1, frames=450, people=14, asked=6)
+    run_demo(folder, size, said.append)
+    for arguments in steps(folder, size):
+        assert any(line.startswith(f"\n$ jrdb-avr {arguments[0]} ") for line in said)
+    assert (folder / "look.png").read_bytes().startswith(b"\x89PNG")
+    (run,) = (folder / "store" / "runs").iterdir()
+    scores = pq.read_table(run / "scores.parquet")
+    assert scores.num_rows == 6 and sum(scores["combined_score"].to_pylist()) >= 3
+    assert "synthetic" in said[-2]
+    with pytest.raises(InputError, match="not empty"):
+        run_demo(folder, size, said.append)
+
+
+def test_a_step_that_fails_ends_the_demo(tmp_path):
+    with pytest.raises(InputError, match="the step 'jrdb-avr sample' failed"):
+        run_demo(tmp_path / "demo", Size(frames=1), lambda line: None)

@@ -1,0 +1,82 @@
+"""The README's commands do what it says: the tour runs as written, and its output is of the shape shown."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def steps():
+    """(command, lines shown) of every console block."""
+    found = []
+    for block in re.findall(r"```console\n(.*?)\n```", README, flags=re.S):
+        for line in block.splitlines():
+            if line.startswith("$ "):
+                found.append((line[2:], []))
+            else:
+                found[-1][1].append(line)
+    return found
+
+
+def words(lines):
+    """The lines that hold no number, without spaces and rules: what does not depend on counts and clocks."""
+    plain = (re.sub(r"[\s─-╿]+", " ", line).strip() for line in lines)
+    return {line for line in plain if line and not re.search(r"\d", line)}
+
+
+@pytest.fixture(scope="module")
+def environment():
+    """One in which `jrdb-avr` is the command of the Python that runs the tests."""
+    return os.environ | {"PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+
+
+def test_the_tour_runs_as_written(tmp_path, environment):
+    ran = []
+    for command, shown in steps():
+        done = subprocess.run(
+            ["bash", "-c", command],
+            cwd=tmp_path,
+            env=environment,
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            timeout=300,
+        )
+        assert done.returncode == 0 and "jrdb-avr: " not in done.stdout, f"{command}\n{done.stdout}"
+        missing = words(shown) - words(done.stdout.splitlines())
+        assert shown and not missing, f"{command}: the README shows {missing}"
+        ran.append(command.split()[1])
+    assert set(ran) >= {"sample", "load", "cypher", "sql", "observe", "generate", "validate", "evaluate", "report"}
+    assert (tmp_path / "tour" / "look.png").stat().st_size > 10_000
+
+
+def test_two_commands_set_it_up():
+    shell = re.findall(r"```sh\n(.*?)\n```", README.split("## Five-minute tour")[0], flags=re.S)
+    assert shell == [
+        "python3 -m venv .venv && . .venv/bin/activate && pip install . && jrdb-avr demo",
+        "pip install '.[test]' && pytest",
+    ]
+    # What the README says is what is run for every change.
+    assert shell[1] in (ROOT / ".ci" / "run").read_text().splitlines()
+
+
+def test_every_command_shown_exists():
+    from jrdb_avr.engine.cli import COMMANDS
+
+    assert set(re.findall(r"jrdb-avr ([a-z]+)", README)) <= set(COMMANDS)
+
+
+def test_every_file_named_exists():
+    named = set(re.findall(r"`((?:schema|loaders|queries|engine|agent|docs)/[\w/.]*)`", README))
+    named |= set(re.findall(r"\]\(([\w/.]+)\)", README))
+    assert named and all((ROOT / name).exists() for name in named), named
+
+
+def test_it_names_no_machine():
+    assert not re.search(r"/(?:work|tmp|home|root)/|\b\d{1,3}(?:\.\d{1,3}){3}\b", README)
