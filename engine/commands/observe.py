@@ -14,7 +14,7 @@ from jrdb_avr.engine.output import note, store_option
     # An ANGLE may be negative: -90 is no option.
     context_settings={"ignore_unknown_options": True},
     epilog="Example: jrdb-avr observe gates-ai-lab-2019-02-08_0 15 180 --store S --out look.png  "
-    "(180 is straight ahead, 90 the robot's left, 0 behind, 270 its right)"
+    "(180 is straight ahead, 90 the robot's left, 0 behind, 270 its right)",
 )
 @click.argument("sequence")
 @click.argument("frame", type=int)

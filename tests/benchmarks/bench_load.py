@@ -133,17 +133,15 @@ def measure(root, workers, folder):
     times = {}
     with stopwatch(times, "decode, 1 process"):
         records = sum(map(decode, files))
-    with warm_pool(workers) as pool:
-        with stopwatch(times, f"decode, {workers} processes"):
-            pool.map(decode, files, chunksize=1)
+    with warm_pool(workers) as pool, stopwatch(times, f"decode, {workers} processes"):
+        pool.map(decode, files, chunksize=1)
     shards = [loading.Shard(f, str(folder / "tables"), LoadRules()) for f in files]
     with stopwatch(times, "tables, 1 process"):
         for shard in shards:
             loading.load_shard(shard)
     shutil.rmtree(folder / "tables")
-    with warm_pool(workers) as pool:
-        with stopwatch(times, f"tables, {workers} processes"):
-            peaks = pool.map(tables_only, shards, chunksize=1)
+    with warm_pool(workers) as pool, stopwatch(times, f"tables, {workers} processes"):
+        peaks = pool.map(tables_only, shards, chunksize=1)
     store = Store(folder / "store")
     with stopwatch(times, f"whole load, {workers} processes"):
         loading.load(find_root(root), store, LoadRules(), workers)
