@@ -164,7 +164,7 @@ def test_a_killed_load_is_repaired_by_running_it_again(tmp_path, world):
     duration = time.monotonic() - started
     store = Store(tmp_path / "store")
     rng = random.Random(5)
-    for share in (0.3, 0.6, 0.8, 0.95, rng.random()):
+    for share in (0.5, 0.9, rng.random()):
         process = subprocess.Popen(
             [sys.executable, "-c", RUN, "load", str(root), "--store", str(store.path)],
             stdout=subprocess.DEVNULL,
@@ -213,7 +213,7 @@ def test_killed_between_any_two_moves_a_rerun_repairs(tmp_path, monkeypatch, cal
     same(old, fresh)
 
 
-@pytest.mark.parametrize("limit_kb", [1, 20, 300])
+@pytest.mark.parametrize("limit_kb", [20, 300])
 def test_a_full_disk_is_one_line_and_leaves_the_old_store(tmp_path, limit_kb):
     small = write_root(tmp_path / "small", {"yard-1": GOOD})
     store = Store(tmp_path / "store")
