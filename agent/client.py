@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import ipaddress
+import math
 import os
 import tempfile
 import time
@@ -30,6 +31,13 @@ if TYPE_CHECKING:
 
 KEY_VARIABLE: Final = "OPENAI_API_KEY"
 _LONGEST_PAUSE_S: Final = 60.0
+_PROBE_TIMEOUT_S: Final = 60.0
+_MOST_TOKENS: Final = 1 << 40
+_REMEDIES: Final = {
+    401: f"; put the server's key into ${KEY_VARIABLE}",
+    403: f"; put a key that may use the model into ${KEY_VARIABLE}",
+    404: "; check --base-url (most end in /v1) and --model",
+}
 
 
 class Reply(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -60,15 +68,10 @@ class _Choice(msgspec.Struct):
     finish_reason: str | None = None
 
 
-class _Usage(msgspec.Struct):
-    prompt_tokens: int | None = None
-    completion_tokens: int | None = None
-
-
 class _Completion(msgspec.Struct):
     choices: list[_Choice]
     model: str | None = None
-    usage: _Usage | None = None
+    usage: Any = None
 
 
 class _BrokenError(Exception):
@@ -103,7 +106,7 @@ class Client:
         self.model = model
         self.structured = structured
         self._cache = cache
-        self._key = os.environ.get(key_variable, "")
+        self._key = _checked_key(key_variable)
         self._max_tokens = max_tokens
         self._timeout_s = timeout_s
         self._retries = retries
@@ -162,12 +165,12 @@ class Client:
             "additionalProperties": False,
         }
         try:
-            return self._send({**self._request(schema), "messages": wire(ask)}, retries=1).model
+            return self._send({**self._request(schema), "messages": wire(ask)}, 1, _PROBE_TIMEOUT_S).model
         except EndpointError as error:
             if not (self.structured and any(word in str(error) for word in ("response_format", "json_schema"))):
                 raise
         self.structured = False
-        return self._send({**self._request(None), "messages": wire(ask)}, retries=1).model
+        return self._send({**self._request(None), "messages": wire(ask)}, 1, _PROBE_TIMEOUT_S).model
 
     def _request(self, schema: Mapping[str, Any] | None) -> dict[str, Any]:
         request: dict[str, Any] = {"model": self.model, "temperature": 0, "max_tokens": self._max_tokens}
@@ -184,23 +187,24 @@ class Client:
         key = hashlib.sha256(msgspec.json.encode(request, order="sorted")).hexdigest()
         return self._cache / key[:2] / f"{key}.json"
 
-    def _send(self, request: Mapping[str, Any], retries: int) -> Reply:
+    def _send(self, request: Mapping[str, Any], retries: int, most_s: float = math.inf) -> Reply:
         # Encoded once and sent as bytes: a request may hold megabytes of pictures.
         body = msgspec.json.encode(request)
+        timeout_s = min(self._timeout_s, most_s)
         for attempt in range(retries + 1):
             try:
-                return self._try(body)
+                return self._try(body, timeout_s)
             except _BrokenError as broken:
                 if attempt == retries:
                     raise EndpointError(
-                        f"{self.base_url}: {self._redact(broken.reason)} ({attempt + 1} tries): "
+                        f"{self.base_url}: {broken.reason} ({attempt + 1} tries): "
                         "start the server or correct --base-url, then run again with --resume"
                     ) from None
                 wait = broken.pause if broken.pause is not None else 0.5 * 2**attempt
                 self._pause(min(max(wait, 0.0), _LONGEST_PAUSE_S))
         raise AssertionError("unreachable")
 
-    def _try(self, body: bytes) -> Reply:
+    def _try(self, body: bytes, timeout_s: float) -> Reply:
         import httpx2
         import openai
 
@@ -209,41 +213,48 @@ class Client:
                 "/chat/completions",
                 content=body,
                 cast_to=httpx2.Response,
-                options={"headers": {"Content-Type": "application/json"}},
+                options={"headers": {"Content-Type": "application/json"}, "timeout": timeout_s},
             )
             data = response.content
         except openai.APITimeoutError:
-            raise _BrokenError(f"no reply within {self._timeout_s:g} s") from None
+            raise _BrokenError(f"no reply within {timeout_s:g} s") from None
         except openai.APIConnectionError as error:
-            raise _BrokenError(f"cannot reach the server ({_one_line(error.__cause__ or error)})") from None
+            raise _BrokenError(f"cannot reach the server ({self._one_line(error.__cause__ or error)})") from None
         except openai.APIStatusError as error:
-            reason = f"HTTP {error.status_code}: {_one_line(error.message)}"
+            reason = f"HTTP {error.status_code}: {self._one_line(error.message)}"
             if error.status_code == 429 or error.status_code >= 500:
                 raise _BrokenError(reason, _retry_after(error.response.headers.get("retry-after"))) from None
-            raise EndpointError(f"{self.base_url}: {self._redact(reason)}") from None
+            raise EndpointError(f"{self.base_url}: {reason}{_REMEDIES.get(error.status_code, '')}") from None
         except httpx2.HTTPError as error:
-            raise _BrokenError(f"the reply broke off ({_one_line(error)})") from None
+            raise _BrokenError(f"the reply broke off ({self._one_line(error)})") from None
         return _parse(data)
 
-    def _redact(self, text: str) -> str:
-        return text.replace(self._key, "[key]") if self._key else text
+    def _one_line(self, error: object) -> str:
+        # The key goes before the text is cut, or its beginning could stay.
+        text = str(error)
+        return _one_line(text.replace(self._key, "[key]") if self._key else text) or type(error).__name__
 
 
 def _parse(data: bytes) -> Reply:
     try:
         completion = msgspec.json.decode(data, type=_Completion)
         choice = completion.choices[0]
-    except (msgspec.DecodeError, IndexError, RecursionError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, IndexError, RecursionError) as error:
         raise _BrokenError(f"the reply is no chat completion ({_one_line(error)})") from None
-    usage = completion.usage or _Usage()
     return Reply(
         content=choice.message.content or "",
         reasoning=choice.message.reasoning_content or choice.message.reasoning or "",
         finish_reason=choice.finish_reason or "",
         model=completion.model or "",
-        prompt_tokens=usage.prompt_tokens or 0,
-        completion_tokens=usage.completion_tokens or 0,
+        prompt_tokens=_tokens(completion.usage, "prompt_tokens"),
+        completion_tokens=_tokens(completion.usage, "completion_tokens"),
     )
+
+
+def _tokens(usage: object, name: str) -> int:
+    """A count of tokens; 0 where the server gives none, or nonsense: a good reply is not refused for it."""
+    count = usage.get(name) if isinstance(usage, dict) else None
+    return count if type(count) is int and 0 <= count <= _MOST_TOKENS else 0
 
 
 def _checked_url(base_url: str) -> str:
@@ -258,6 +269,16 @@ def _checked_url(base_url: str) -> str:
         # The address is printed and stored with the run.
         raise EndpointError(f"--base-url must hold no password or query: put the key into ${KEY_VARIABLE}")
     return base_url.rstrip("/")
+
+
+def _checked_key(variable: str) -> str:
+    """The key of the environment. Raises EndpointError, without it, for one that cannot stand in a header."""
+    key = os.environ.get(variable, "").strip()
+    if not all("!" <= character <= "~" for character in key):
+        raise EndpointError(
+            f"${variable} holds a character that no key has (a space, a line end, a letter beyond ASCII)"
+        )
+    return key
 
 
 def _is_loopback(base_url: str) -> bool:
@@ -277,13 +298,13 @@ def _retry_after(value: str | None) -> float | None:
 
 
 def _one_line(error: object) -> str:
-    return " ".join(str(error).split())[:300] or type(error).__name__
+    return " ".join(str(error).split())[:300]
 
 
 def _read(place: Path) -> Reply | None:
     try:
         return msgspec.json.decode(place.read_bytes(), type=Reply)
-    except (OSError, msgspec.DecodeError):
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError):
         # Absent, or broken by a crash of the machine: the call is made again.
         return None
 

@@ -221,3 +221,74 @@ def test_probe_finds_a_server_without_json_schema():
         assert not made.structured
         made.complete(ASK, {"type": "object"})
     assert "response_format" not in server.requests[-1]
+
+
+@pytest.mark.parametrize(
+    "usage",
+    [[], "x", {"prompt_tokens": 10**30}, {"prompt_tokens": -1}, {"prompt_tokens": 5.5}, {"prompt_tokens": True}, None],
+    ids=str,
+)
+def test_a_server_that_counts_nonsense_is_still_heard(usage):
+    with FakeServer(lambda request, n: {**completion("hi"), "usage": usage}) as server:
+        made, _ = client(server)
+        reply = made.complete(ASK)
+    assert (reply.content, reply.prompt_tokens, reply.completion_tokens) == ("hi", 0, 0)
+
+
+def test_a_reply_that_is_not_utf8_is_tried_again():
+    broken = Body(b'{"choices": [{"finish_reason": "stop", "message": {"content": "\xff\xfe"}}]}')
+    with FakeServer(sequence_of(broken, "hi")) as server:
+        made, pauses = client(server)
+        assert made.complete(ASK).content == "hi"
+        assert len(pauses) == 1
+    with FakeServer(sequence_of(broken)) as server, pytest.raises(EndpointError, match="no chat completion"):
+        client(server)[0].probe()
+
+
+def test_a_cached_call_that_is_not_utf8_is_made_again(tmp_path):
+    with FakeServer(sequence_of("hi")) as server:
+        made, _ = client(server, cache=tmp_path)
+        made.complete(ASK)
+        (kept,) = tmp_path.rglob("*.json")
+        kept.write_bytes(b'{"content": "\xff"}')
+        assert made.complete(ASK).content == "hi"
+    assert len(server.requests) == 2
+
+
+@pytest.mark.parametrize("key", ["sk-abc\nX-Evil: y", "sk abc", "sk-abc\x1b", "sk-\xe4bc"])
+def test_a_key_that_is_no_key_is_refused_without_showing_it(monkeypatch, key):
+    monkeypatch.setenv("OPENAI_API_KEY", key)
+    with pytest.raises(EndpointError, match="OPENAI_API_KEY") as caught:
+        Client("http://localhost:1/v1", "fake")
+    assert "sk" not in str(caught.value)
+    assert "bc" not in str(caught.value)
+
+
+def test_a_line_end_after_the_key_is_no_part_of_it(monkeypatch):
+    monkeypatch.setenv("OPENAI_API_KEY", SECRET + "\n")
+    with FakeServer(sequence_of("hi")) as server:
+        client(server)[0].complete(ASK)
+    assert server.headers[0]["authorization"] == f"Bearer {SECRET}"
+
+
+def test_no_part_of_the_key_is_left_where_a_message_is_cut(monkeypatch):
+    monkeypatch.setenv("OPENAI_API_KEY", SECRET)
+    for length in range(250, 300):
+        with FakeServer(sequence_of(Status(400, "x" * length + SECRET))) as server:
+            with pytest.raises(EndpointError) as caught:
+                client(server)[0].complete(ASK)
+        assert SECRET[:6] not in str(caught.value)
+
+
+@pytest.mark.parametrize(("code", "remedy"), [(401, "OPENAI_API_KEY"), (403, "OPENAI_API_KEY"), (404, "--base-url")])
+def test_a_refusal_says_what_to_do(code, remedy):
+    with FakeServer(sequence_of(Status(code))) as server, pytest.raises(EndpointError, match=remedy):
+        client(server)[0].complete(ASK)
+
+
+def test_a_probe_does_not_wait_as_long_as_a_question(monkeypatch):
+    monkeypatch.setattr("jrdb_avr.agent.client._PROBE_TIMEOUT_S", 0.2)
+    with FakeServer(sequence_of(Slow(1.0, "hi"))) as server:
+        with pytest.raises(EndpointError, match="no reply within 0.2 s"):
+            client(server)[0].probe()
+        assert client(server)[0].complete(ASK).content == "hi"
