@@ -58,7 +58,7 @@ def convention_of(model: str) -> Convention:
 
 # -- the reply as one object ------------------------------------------------------------------------------------------
 
-_FENCE: Final = re.compile(r"\s*```(?:json)?[ \t]*\n(.*?)\n?[ \t]*```\s*", re.DOTALL)
+_FENCE: Final = re.compile(r"```(?:json)?[ \t]*\n")
 
 
 def reply_object(reply: Reply, convention: Convention = CONTRACT) -> dict[str, Any]:
@@ -75,8 +75,11 @@ def reply_object(reply: Reply, convention: Convention = CONTRACT) -> dict[str, A
         text = _after_thinking(reply.reasoning, convention)
     if not text:
         raise DecodeError("the reply is empty")
-    fenced = _FENCE.fullmatch(text)
-    return _object(fenced[1] if fenced else text)
+    # No pattern over the whole text: one that looks for the end from every blank takes hours over a long reply.
+    fence = _FENCE.match(text)
+    if fence and text.endswith("```"):
+        text = text[fence.end() : max(fence.end(), len(text) - 3)]
+    return _object(text)
 
 
 def _after_thinking(text: str, convention: Convention) -> str:
@@ -125,8 +128,8 @@ def _listed(names: Collection[str]) -> str:
 
 
 def _plain(text: str) -> str:
-    """A model's word in a message of ours: short, and ASCII whatever it holds."""
-    return text[:40].encode("ascii", "backslashreplace").decode()
+    """A model's word in a message of ours: short, and printable ASCII whatever it holds."""
+    return text[:40].encode("unicode_escape").decode()
 
 
 # -- parts of the contract --------------------------------------------------------------------------------------------

@@ -274,9 +274,9 @@ def test_a_line_end_after_the_key_is_no_part_of_it(monkeypatch):
 def test_no_part_of_the_key_is_left_where_a_message_is_cut(monkeypatch):
     monkeypatch.setenv("OPENAI_API_KEY", SECRET)
     for length in range(250, 300):
-        with FakeServer(sequence_of(Status(400, "x" * length + SECRET))) as server:
-            with pytest.raises(EndpointError) as caught:
-                client(server)[0].complete(ASK)
+        message = "x" * length + SECRET
+        with FakeServer(sequence_of(Status(400, message))) as server, pytest.raises(EndpointError) as caught:
+            client(server)[0].complete(ASK)
         assert SECRET[:6] not in str(caught.value)
 
 
@@ -289,6 +289,6 @@ def test_a_refusal_says_what_to_do(code, remedy):
 def test_a_probe_does_not_wait_as_long_as_a_question(monkeypatch):
     monkeypatch.setattr("jrdb_avr.agent.client._PROBE_TIMEOUT_S", 0.2)
     with FakeServer(sequence_of(Slow(1.0, "hi"))) as server:
-        with pytest.raises(EndpointError, match="no reply within 0.2 s"):
+        with pytest.raises(EndpointError, match="no reply within"):
             client(server)[0].probe()
         assert client(server)[0].complete(ASK).content == "hi"

@@ -2,6 +2,7 @@
 
 import inspect
 import json
+import time
 
 import pytest
 from hypothesis import given
@@ -280,3 +281,24 @@ def test_schemas_close_every_object():
         schema = decode.answer_schema(mode, ["a", "b"])
         assert schema["type"] == "integer" or schema["additionalProperties"] is False
     assert decode.answer_schema("multiple_choice", ["a", "b"])["maximum"] == 2
+
+
+@pytest.mark.parametrize("filler", [" ", "\n", "\t", "`", "{", "```\n", "</think>"])
+@pytest.mark.parametrize("start", ["", "```\n", "```json\n{", "<think>"])
+def test_a_long_reply_is_read_in_a_moment(start, filler):
+    """A megabyte took hours where reading was quadratic."""
+    started = time.perf_counter()
+    with pytest.raises(DecodeError):
+        reply_object(Reply(start + filler * (1_000_000 // len(filler)) + "x", finish_reason="stop"))
+    assert time.perf_counter() - started < 5
+
+
+def test_reasons_hold_no_control_characters():
+    for word in ("\x1b[2J", "a\nb", "\x00", "\x9b31m", "\ud800", "\u202e"):
+        for reply in ({"action": "observe", word: 1}, {word: 1}):
+            with pytest.raises(DecodeError) as caught:
+                decode.only_keys(reply, ("action",), "x")
+            assert str(caught.value).isascii() and str(caught.value).isprintable()
+        with pytest.raises(DecodeError) as caught:
+            reply_object(Reply("{}", finish_reason=word))
+        assert str(caught.value).isascii() and str(caught.value).isprintable()
