@@ -45,6 +45,11 @@ def json_option(function: C) -> C:
     return click.option("--json", "as_json", is_flag=True, help="Print one JSON array of objects.")(function)
 
 
+def rule_option(help_text: str) -> Callable[[C], C]:
+    """Add the option `--rule`, to be given often, as the parameter `rule_texts`; `pairs` reads it."""
+    return click.option("--rule", "rule_texts", multiple=True, metavar="NAME=VALUE", help=help_text)
+
+
 def pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
     """Values of a repeated option NAME=VALUE by name. Raises UsageError where there is no "="."""
     found = {}

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import click
 
-from jrdb_avr.engine.output import json_option, print_json, print_rows
+from jrdb_avr.engine.output import json_option, pairs, print_json, print_rows
 
 C = TypeVar("C", bound=Callable[..., Any])
 
@@ -65,10 +65,9 @@ def _parameters(params: tuple[str, ...]) -> dict[str, Any]:
     from jrdb_avr.queries.named import parse_value
 
     given = {}
-    for text in params:
-        name, equals, value = text.partition("=")
-        if not equals or not name.isidentifier():
-            raise click.UsageError(f"--param {text!r}: write NAME=VALUE")
+    for name, value in pairs("--param", params).items():
+        if not name.isidentifier():
+            raise click.UsageError(f"--param {name}: not the name of a parameter")
         given[name] = parse_value(value)
     return given
 

@@ -12,9 +12,11 @@ from jrdb_avr.engine.output import (
     clean,
     json_option,
     note,
+    pairs,
     print_json,
     print_rows,
     progress,
+    rule_option,
     store_option,
     workers_option,
 )
@@ -39,7 +41,7 @@ from jrdb_avr.engine.output import (
     type=click.Path(dir_okay=False, path_type=Path),
     help="Also write every proven candidate before selection to this Parquet file.",
 )
-@click.option("--rule", "rule_texts", multiple=True, metavar="NAME=VALUE", help="Override a rule; may be given often.")
+@rule_option("Override a rule; may be given often.")
 @json_option
 def command(
     store: Path,
@@ -60,7 +62,7 @@ def command(
     from jrdb_avr.schema.rules import Rules, override
 
     place = Store(store)
-    rules = override(Rules(), _changes(rule_texts))
+    rules = override(Rules(), pairs("--rule", rule_texts))
     with progress("searching", len(place.manifest().sequences)) as advance:
         report = generate(
             place, rules, profile=profile, seed=seed, workers=workers, candidates=candidates, advance=advance
@@ -92,16 +94,6 @@ def command(
     if report.faults:
         note(f"{len(report.faults)} candidates were refused by the second path: this is a fault of the program")
         sys.exit(1)
-
-
-def _changes(texts: tuple[str, ...]) -> dict[str, str]:
-    changes = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        if not equals:
-            raise click.UsageError(f"--rule {text}: write NAME=VALUE")
-        changes[name] = value
-    return changes
 
 
 def _columns(rows: tuple[dict[str, Any], ...]) -> list[dict[str, Any]]:

@@ -13,9 +13,11 @@ from jrdb_avr.engine.output import (
     clean,
     json_option,
     note,
+    pairs,
     print_json,
     print_rows,
     progress,
+    rule_option,
     store_option,
     workers_option,
 )
@@ -34,9 +36,7 @@ if TYPE_CHECKING:
 @store_option
 @click.option("--rebuild", is_flag=True, help="Derive intervals and graph again from the store's annotation tables.")
 @click.option("--strict", is_flag=True, help="Exit with 1 if anything was refused or skipped.")
-@click.option(
-    "--rule", "rule_texts", multiple=True, metavar="NAME=VALUE", help="Override a load rule; may be given often."
-)
+@rule_option("Override a load rule; may be given often.")
 @workers_option
 @json_option
 def command(
@@ -86,12 +86,7 @@ def command(
 
 def _rules(texts: tuple[str, ...], start: LoadRules) -> LoadRules:
     """Load rules with overrides, named with or without `load.` before them."""
-    changes = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        if not equals:
-            raise click.UsageError(f"--rule {text}: write NAME=VALUE")
-        changes[f"load.{name.removeprefix('load.')}"] = value
+    changes = {f"load.{name.removeprefix('load.')}": value for name, value in pairs("--rule", texts).items()}
     return override(Rules(load=start), changes).load
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from jrdb_avr.engine.output import json_option, note, pairs, print_json, print_rows, progress, store_option
+from jrdb_avr.engine.output import json_option, note, pairs, print_json, print_rows, progress, rule_option, store_option
 
 
 @click.command(
@@ -15,7 +15,7 @@ from jrdb_avr.engine.output import json_option, note, pairs, print_json, print_r
     epilog="Example: jrdb-avr validate --store store",
 )
 @store_option
-@click.option("--rule", "rule_texts", multiple=True, metavar="NAME=VALUE", help="As it was given to generate.")
+@rule_option("As it was given to generate.")
 @json_option
 def command(store: Path, rule_texts: tuple[str, ...], as_json: bool) -> None:
     """Check the questions of STORE: files, ids, choices, answers, texts, evidence, proofs; derive each answer again.
