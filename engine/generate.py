@@ -20,7 +20,7 @@ from jrdb_avr.schema.tables import CANDIDATES, QUESTIONS
 
 from .blind import blind_check, posed
 from .candidates import RULES
-from .publish import evidence_table, publish, question_tables, read_heads
+from .publish import publish, question_tables, read_heads
 from .selection import select
 from .shard import EXAMPLES, Found, Job, search_sequence
 from .templates import TEMPLATES
@@ -136,7 +136,6 @@ def _publish(store: Store, found: Sequence[Found], rules: Rules, profile: str, s
     tables = {
         "questions": questions,
         "answers": answers,
-        "evidence": evidence_table(store, questions, answers),
         "rejected": rejected,
         "sequences": pa.Table.from_pylist(list(heads.rows), schema=QUESTIONS["sequences"]),
     }

@@ -10,16 +10,18 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
-import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
-from jrdb_avr.queries.store import Store, write_table
+from jrdb_avr.queries.store import Store, write_atomic, write_table
 from jrdb_avr.schema.answers import Choice, encode_answer
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.plan import parse_plan
@@ -29,6 +31,13 @@ from jrdb_avr.schema.wording import question_id, render
 
 TABLES: Final = ("answers", "evidence", "rejected", "sequences", "questions")
 """The tables of a generation in the order in which they are moved in; `questions` last, it makes them valid."""
+
+EVIDENCE_BLOCK: Final = 500
+"""Questions whose evidence is held in memory at once."""
+
+_EVIDENCE: Final = ["frame", "x", "y", "w", "h"]
+
+Ints = npt.NDArray[np.int64]
 
 GENERATION_KEY: Final = "generation"
 """Metadata key of the mark that the tables of one generation share."""
@@ -88,26 +97,34 @@ def question_tables(selected: pa.Table, heads: Heads, rules: Rules) -> tuple[pa.
     )
 
 
-def evidence_table(store: Store, questions: pa.Table, answers: pa.Table) -> pa.Table:
-    """Every box of each question's target, by question and frame."""
-    track_of = dict(zip(answers["question_id"].to_pylist(), answers["target_track"].to_pylist(), strict=True))
-    parts = [QUESTIONS["evidence"].empty_table()]
+def evidence_blocks(store: Store, questions: pa.Table, answers: pa.Table) -> Iterator[pa.Table]:
+    """Every box of each question's target, by question and frame, a block of questions at a time.
+
+    Thousands of questions with a thousand boxes each would not fit into memory comfortably as one table.
+    """
+    boxes: dict[str, tuple[Ints, pa.Table]] = {}
     for sequence in sorted(set(questions["sequence"].to_pylist())):
-        ids = questions.filter(pc.equal(questions["sequence"], sequence))["question_id"].to_pylist()
-        boxes = store.interval("sightings", sequence).select(["track", "frame", "x", "y", "w", "h"])
-        boxes = boxes.sort_by([("track", "ascending"), ("frame", "ascending")])
-        tracks = boxes["track"].to_numpy()
-        wanted = [track_of[identity] for identity in ids]
-        low, high = np.searchsorted(tracks, wanted, side="left"), np.searchsorted(tracks, wanted, side="right")
-        rows = np.concatenate([np.arange(a, b) for a, b in zip(low, high, strict=True)])
-        owner = pa.array(ids).take(pa.array(np.repeat(np.arange(len(ids)), high - low)))
-        part = boxes.take(pa.array(rows)).drop_columns(["track"]).add_column(0, "question_id", owner)
-        parts.append(part.cast(QUESTIONS["evidence"]))
-    return pa.concat_tables(parts).sort_by([("question_id", "ascending"), ("frame", "ascending")])
+        table = store.interval("sightings", sequence).select(["track", *_EVIDENCE])
+        table = table.sort_by([("track", "ascending"), ("frame", "ascending")])
+        boxes[sequence] = (table["track"].to_numpy().astype(np.int64), table.select(_EVIDENCE))
+    track_of = dict(zip(answers["question_id"].to_pylist(), answers["target_track"].to_pylist(), strict=True))
+    where = questions.select(["question_id", "sequence"]).sort_by("question_id").to_pylist()
+    for start in range(0, len(where), EVIDENCE_BLOCK):
+        parts = []
+        for line in where[start : start + EVIDENCE_BLOCK]:
+            tracks, table = boxes[line["sequence"]]
+            low, high = np.searchsorted(tracks, [track_of[line["question_id"]], track_of[line["question_id"]] + 1])
+            part = table.slice(low, high - low)
+            owner = pa.repeat(pa.scalar(line["question_id"]), len(part))
+            parts.append(part.add_column(0, "question_id", owner))
+        yield pa.concat_tables(parts).cast(QUESTIONS["evidence"]).combine_chunks()
 
 
 def publish(store: Store, tables: Mapping[str, pa.Table]) -> None:
-    """Write the tables of a generation so that they are all there, or tell that they are not. Under the writer lock."""
+    """Write the tables of a generation so that they are all there, or tell that they are not. Under the writer lock.
+
+    `tables` holds all but the evidence, which follows from questions and answers.
+    """
     digest = hashlib.sha256()
     for name in ("questions", "answers"):
         digest.update(msgspec.json.encode(tables[name].to_pylist(), order="sorted"))
@@ -117,8 +134,10 @@ def publish(store: Store, tables: Mapping[str, pa.Table]) -> None:
     try:
         # What a killed run left behind.
         shutil.rmtree(pending, ignore_errors=True)
-        for name in TABLES:
-            write_table(pending / f"{name}.parquet", tables[name], QUESTIONS[name], metadata)
+        for name, table in tables.items():
+            write_table(pending / f"{name}.parquet", table, QUESTIONS[name], metadata)
+        blocks = evidence_blocks(store, tables["questions"], tables["answers"])
+        write_atomic(pending / "evidence.parquet", lambda path: _write_blocks(path, blocks, metadata))
         for name in TABLES:
             (pending / f"{name}.parquet").replace(store.question_path(name))
         _sync_folder(str(folder))
@@ -126,6 +145,13 @@ def publish(store: Store, tables: Mapping[str, pa.Table]) -> None:
         raise StoreError(f"cannot write {folder}: {error.strerror}; free some space and generate again") from None
     finally:
         shutil.rmtree(pending, ignore_errors=True)
+
+
+def _write_blocks(path: Path, blocks: Iterator[pa.Table], metadata: dict[str, str]) -> None:
+    schema = QUESTIONS["evidence"].with_metadata(metadata)
+    with pq.ParquetWriter(path, schema, compression="zstd") as writer:
+        for block in blocks:
+            writer.write_table(block.replace_schema_metadata(metadata))
 
 
 def _sync_folder(path: str) -> None:
