@@ -115,8 +115,8 @@ def pairs(raw: bytes) -> tuple[list[tuple[str, Any]], list[str]]:
         quick = msgspec.json.decode(raw)
     except (msgspec.DecodeError, RecursionError, UnicodeError):
         quick = None
-    # As many keys as the text seems to hold: none is repeated.
-    if isinstance(quick, dict) and len(quick) == raw.count(b'":'):
+    # A colon for each key and no other: none is repeated.
+    if isinstance(quick, dict) and len(quick) == raw.count(b":"):
         return list(quick.items()), []
     value = loose(raw)
     if not isinstance(value, _Members):

@@ -8,7 +8,7 @@ so that each is judged alone. It checks the structure it walks over, not the sca
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Final
 
 _TOKEN: Final = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*"|["\[\]{}]', re.DOTALL)
@@ -62,6 +62,34 @@ def elements(data: bytes, start: int = 0) -> Iterator[tuple[int, int]]:
         position = _next(data, end, b"]")
         if position < 0:
             return
+
+
+def holds_only(data: bytes, position: int, values: Iterable[bytes]) -> bool:
+    """Whether a colon and an object with exactly these values, in this order, stand at `position` (after blanks)."""
+    opening = b"{"
+    position = _blank(data, position)
+    if data[position : position + 1] != b":":
+        return False
+    position = _blank(data, position + 1)
+    for value in values:
+        if data[position : position + 1] != opening:
+            return False
+        key = _STRING.match(data, _blank(data, position + 1))
+        position = _blank(data, key.end()) if key else len(data)
+        position = _blank(data, position + 1)
+        if not data.startswith(value, position):
+            return False
+        position, opening = _blank(data, position + len(value)), b","
+    return opening == b"," and data[position : position + 1] == b"}"
+
+
+def end_of_text(data: bytes, last: int) -> bool:
+    """Whether nothing but the closing bracket of an object follows its last member, which ends at `last`."""
+    position = _blank(data, last)
+    # An object without members has its opening bracket still before it.
+    if data[position : position + 1] == b"{":
+        position = _blank(data, position + 1)
+    return data[position : position + 1] == b"}" and _blank(data, position + 1) == len(data)
 
 
 def _blank(data: bytes, position: int) -> int:

@@ -6,6 +6,7 @@ stays in its own frame or record. A file that cannot be used as a whole raises I
 
 from __future__ import annotations
 
+import codecs
 import errno
 import os
 import re
@@ -18,7 +19,7 @@ import msgspec
 
 from jrdb_avr.schema.errors import InputError
 
-from .jsonscan import MalformedError, elements, members
+from .jsonscan import MalformedError, elements, end_of_text, holds_only, members
 from .problems import Problems, shorten
 
 MAX_FILE: Final = 256 << 20
@@ -28,8 +29,6 @@ MAX_RECORDS: Final = 1000
 """Records of one frame: JRDB's fullest have about a hundred, and pairs of people grow with the square."""
 SCAN_FROM: Final = 64 << 20
 """Files from this size on are cut by the scanner, whose memory does not depend on the number of members."""
-
-_FRAME_KEY: Final = re.compile(rb'\.(?:jpg|jpeg|png|pcd|pcb)"\s*:')
 
 R = TypeVar("R")
 
@@ -96,10 +95,10 @@ def read_frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> It
     Raises InputError, naming the file, if the file cannot be read as a whole. That may happen after frames were
     yielded: whoever reads keeps nothing of such a file.
     """
-    data = _read(path)
+    data = _read(path).removeprefix(codecs.BOM_UTF8)
     key_form = re.compile(r"([0-9]{6})\.(?:" + "|".join(suffixes) + ")")
     seen: set[int] = set()
-    for key, raw in _cut(data, path):
+    for key, raw in _cut(data, path, problems):
         match = key_form.fullmatch(key)
         if match is None:
             problems.add("frame", "frame key is not six digits and " + "/".join(suffixes), frame=shorten(key))
@@ -136,7 +135,7 @@ def _read(path: Path) -> bytes:
     return data
 
 
-def _cut(data: bytes, path: Path) -> Iterator[tuple[str, bytes]]:
+def _cut(data: bytes, path: Path, problems: Problems) -> Iterator[tuple[str, bytes]]:
     """Frame keys and raw frames, in the order of the file, repeated keys included."""
     if len(data) < SCAN_FROM and data.count(b'"labels"') == 1:
         try:
@@ -144,37 +143,31 @@ def _cut(data: bytes, path: Path) -> Iterator[tuple[str, bytes]]:
         except _BROKEN:
             pass  # the scanner finds what is usable
         else:
-            if not _repeats_keys(data, labels):
+            # Of a repeated key, decoding keeps the last only: then the text holds more than the frames read.
+            if holds_only(data, data.index(b'"labels"') + len(b'"labels"'), map(bytes, labels.values())):
                 for key, raw in labels.items():
                     yield key, bytes(raw)
                 return
-    yield from _scan(data, path.name)
+    yield from _scan(data, path.name, problems)
 
 
-def _repeats_keys(data: bytes, labels: dict[str, msgspec.Raw]) -> bool:
-    """Whether a frame key stands in the text more than once, where decoding kept only the last."""
-    # In the two usual layouts, with or without blanks after : and , nothing is left over beside the frames read.
-    rest = len(data) - sum(map(len, labels)) - sum(map(_length, labels.values())) - 2 * len(labels)
-    if rest - 12 in (2 * len(labels), 4 * len(labels)):
-        return False
-    # A key stands before a colon; `file_id` holds the same text as a value.
-    return sum(1 for _ in _FRAME_KEY.finditer(data)) != len(labels)
-
-
-def _length(raw: msgspec.Raw) -> int:
-    return memoryview(raw).nbytes
-
-
-def _scan(data: bytes, name: str) -> Iterator[tuple[str, bytes]]:
+def _scan(data: bytes, name: str, problems: Problems) -> Iterator[tuple[str, bytes]]:
     try:
-        found = [(begin, end) for key, begin, end in members(data) if _key_text(key) == "labels"]
+        end, found = 0, []
+        for key, begin, stop in members(data):
+            end = stop
+            if _key_text(key) == "labels":
+                found.append(begin)
+        if not end_of_text(data, end):
+            raise InputError(f"{name}: not JSON: there is text after its end", file=name)
         if not found:
             raise InputError(f'{name}: there is no object "labels"', file=name)
-        begin, _ = found[0]
-        if data[begin : begin + 1] != b"{":
+        if data[found[0] : found[0] + 1] != b"{":
             raise InputError(f'{name}: "labels" is not an object', file=name)
-        for key, start, stop in members(data, begin):
-            yield _key_text(key), data[start:stop]
+        if len(found) > 1:
+            problems.add("file", "key twice, the first is kept", field="labels", count=len(found) - 1)
+        for key, begin, stop in members(data, found[0]):
+            yield _key_text(key), data[begin:stop]
     except MalformedError as error:
         raise InputError(f"{name}: not JSON: {error}", file=name) from None
 

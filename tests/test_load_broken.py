@@ -14,6 +14,7 @@ from worlds import load_reported, person, person_3d, write_root
 from jrdb_avr.loaders import labelfile
 from jrdb_avr.loaders.layers import find_root
 from jrdb_avr.loaders.load import Shard, load_shard
+from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError, InputError
 from jrdb_avr.schema.rules import LoadRules
@@ -158,6 +159,44 @@ def test_the_first_of_a_repeated_frame_key_is_kept(tmp_path):
     store, report = loaded(tmp_path, again)
     assert boxes(store) == [(0, 1)]
     assert [(p.kind, p.reason) for p in report.problems] == [("frame", "frame key twice, the first is kept")]
+
+
+@pytest.mark.parametrize("frames", range(1, 20))
+@pytest.mark.parametrize("colon", [":", ": ", " : "])
+@pytest.mark.parametrize("again", ["000000.jpg", "000000\\u002ejpg"])
+def test_a_repeated_frame_key_is_found_whatever_the_layout(tmp_path, frames, colon, again):
+    members = [f'"{i:06d}.jpg"{colon}[]' for i in range(1, frames)]
+    text = f'{{"labels":{{"000000.jpg"{colon}[{json.dumps(GOOD)}],{",".join([*members, ""])}"{again}"{colon}[]}}}}'
+    problems = Problems("x.json")
+    (tmp_path / "x.json").write_text(text)
+    read = list(labelfile.read_frames(tmp_path / "x.json", ("jpg",), problems))
+    assert [frame for frame, _, _ in read] == list(range(frames))
+    assert json.loads(read[0][2]) == [GOOD]
+    assert [(p.kind, p.reason, p.frame) for p in problems.listed()] == [
+        ("frame", "frame key twice, the first is kept", "000000.jpg")
+    ]
+
+
+def test_a_second_labels_object_is_counted(tmp_path):
+    text = f'{{"labels": {{"000000.jpg": [{json.dumps(GOOD)}]}}, "labels": {{"000015.jpg": []}}}}'
+    store, report = loaded(tmp_path, text)
+    assert boxes(store) == [(0, 1)]
+    assert [(p.kind, p.reason, p.field) for p in report.problems] == [
+        ("file", "key twice, the first is kept", "labels")
+    ]
+
+
+def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path):
+    store, report = loaded(tmp_path, b"\xef\xbb\xbf" + json.dumps({"labels": {"000000.jpg": [GOOD]}}).encode())
+    assert (boxes(store), report.problems) == ([(0, 1)], [])
+
+
+@pytest.mark.parametrize("labels", ['{"sitting":1,"sitting" :3}', '{"sitting" :1,"sitting" :3}'])
+def test_a_repeated_label_is_found_whatever_the_layout(tmp_path, labels):
+    record = f'{{"label_id": "pedestrian:2", "box": [1, 2, 3, 4], "action_label": {labels}}}'
+    store, report = loaded(tmp_path, raw_2d(record))
+    assert store.annotation("actions", NAME)["difficulty"].to_pylist() == [1, 1]
+    assert [(p.reason, p.field) for p in report.problems] == [("key twice, the first is kept", "action_label.sitting")]
 
 
 def test_an_empty_list_means_nobody_is_here(tmp_path):
@@ -352,6 +391,8 @@ BAD_FILES = {
     "blank": b" \n\t ",
     "truncated": WHOLE[: len(WHOLE) // 2].encode(),
     "truncated in a text": WHOLE[: WHOLE.index("walk") + 2].encode(),
+    "two texts": (WHOLE + WHOLE).encode(),
+    "a bracket too many": (WHOLE + "}").encode(),
     "last bracket missing": WHOLE[:-1].encode(),
     "not UTF-8": WHOLE.encode().replace(b"walking", b"walk\xff\xfeg"),
     "UTF-16": WHOLE.encode("utf-16"),
