@@ -71,7 +71,10 @@ def main() -> None:
         click.echo("stopped", err=True)
         sys.exit(130)
     except AvrError as error:
-        click.echo(f"jrdb-avr: {' '.join(str(error).split())}", err=True)
+        from jrdb_avr.engine.output import note
+
+        # The words may be those of a server or a file: `note` keeps them from moving the terminal's cursor.
+        note(f"jrdb-avr: {' '.join(str(error).split())}")
         sys.exit(1)
     except BrokenPipeError:
         # The reader of our output (head, less) has gone: nothing is left to say, also not at shutdown.

@@ -17,6 +17,7 @@ from jrdb_avr.engine.cli import COMMANDS, group, main
 from jrdb_avr.queries.handle import build_graph
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Manifest, SequenceEntry, Store
+from jrdb_avr.schema.errors import EndpointError
 from jrdb_avr.schema.graph import scene_ddl
 from jrdb_avr.schema.rules import LoadRules, rules_hash
 from jrdb_avr.schema.tables import INTERVALS, QUESTIONS, RUNS
@@ -237,6 +238,15 @@ def test_errors_are_one_line(store, tmp_path):
         assert err.count("\n") == 1, (arguments, err)
         assert err.startswith("jrdb-avr: ")
     assert not (tmp_path / "x.png").exists()
+
+
+def test_terminal_escapes_are_stripped_from_errors(monkeypatch):
+    def fail(**options):
+        raise EndpointError("a server says \x1b]0;title\x07\x9b2J\r so")
+
+    monkeypatch.setattr("jrdb_avr.engine.cli.group", fail)
+    code, _, err = run("report")
+    assert (code, err) == (1, "jrdb-avr: a server says ]0;title2J so\n")
 
 
 def test_a_closed_pipe_is_no_traceback(store):
