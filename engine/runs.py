@@ -19,16 +19,19 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 import pyarrow as pa
 
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.answers import encode_answer
+from jrdb_avr.schema.answers import ANSWER_TYPES, encode_answer
 from jrdb_avr.schema.errors import AvrError, InputError, LockedError, StoreError
 from jrdb_avr.schema.method import Method, Observation, Observe, Prediction, Question, SequenceInfo, Step, Task
-from jrdb_avr.schema.tables import RUNS
+from jrdb_avr.schema.tables import QUESTIONS, RUNS
+
+_STOP_S: Final = 1.0
+"""Longest wait for the threads of a run that ends early."""
 
 
 class Finished(msgspec.Struct, frozen=True):
@@ -48,15 +51,28 @@ class Finished(msgspec.Struct, frozen=True):
 
 
 def read_questions(store: Store) -> list[Question]:
-    """The public questions, in the file's order. Raises StoreError where there are none."""
-    rows = store.questions("questions").to_pylist()
+    """The public questions, in the file's order. Raises StoreError where there are none or they are of another form."""
+    rows = _public_rows(store, "questions")
+    ids, modes = {row["question_id"] for row in rows}, {row["answer_mode"] for row in rows}
+    if len(ids) < len(rows) or not modes <= set(ANSWER_TYPES):
+        raise StoreError(f"{store.question_path('questions')} holds an unknown mode or an id twice: generate again")
     return [Question(**{**row, "choices": tuple(row["choices"])}) for row in rows]
 
 
 def read_sequences(store: Store) -> dict[str, SequenceInfo]:
-    """The public facts of each sequence, by name."""
-    rows = store.questions("sequences").to_pylist()
+    """The public facts of each sequence, by name. Raises StoreError as `read_questions` does."""
+    rows = _public_rows(store, "sequences")
     return {row["sequence"]: SequenceInfo(**{**row, "frames": tuple(row["frames"])}) for row in rows}
+
+
+def _public_rows(store: Store, name: str) -> list[dict[str, Any]]:
+    """The rows of a public table, with the columns of its schema and no nulls."""
+    schema, table = QUESTIONS[name], store.questions(name)
+    try:
+        rows: list[dict[str, Any]] = table.select(schema.names).cast(schema).to_pylist()
+    except (KeyError, ValueError, pa.ArrowException):
+        raise StoreError(f"{store.question_path(name)} is of another version: generate again") from None
+    return rows
 
 
 def choose(questions: Sequence[Question], ids: Iterable[str] | None, limit: int | None) -> list[Question]:
@@ -139,7 +155,8 @@ class Journal:
         for number, line in enumerate(data[:whole].splitlines(), 1):
             try:
                 entry = msgspec.json.decode(line, type=Finished)
-            except msgspec.DecodeError:
+                _tables("", [entry])
+            except (msgspec.DecodeError, UnicodeDecodeError, ValueError, TypeError, OverflowError, pa.ArrowException):
                 raise StoreError(f"{self._path}, line {number}, is damaged: evaluate under another --run-id") from None
             found[entry.question_id] = entry
         return found
@@ -166,22 +183,40 @@ class Journal:
 # -- asking -----------------------------------------------------------------------------------------------------------
 
 
-def ask(method: Method, question: Question, sequence: SequenceInfo, observe: Observe) -> Finished:
-    """Ask one question. Whatever the method raises becomes an `error` prediction with the reason."""
+class _Stopped(BaseException):
+    """The run has ended while a question was being asked; no error of the method, and past its `except Exception`."""
+
+
+def ask(
+    method: Method,
+    question: Question,
+    sequence: SequenceInfo,
+    observe: Observe,
+    stopped: Callable[[], bool] = lambda: False,
+) -> Finished:
+    """Ask one question. Whatever the method raises, or returns that is no prediction, becomes an `error` with the
+    reason.
+    """
     steps: list[Step] = []
     looks: list[None] = []
 
     def counted(sequence: str, frame_index: int, angle_deg: float) -> Observation:
+        if stopped():
+            raise _Stopped
         observation = observe(sequence, frame_index, angle_deg)
         looks.append(None)
         return observation
 
     def record(step: Step) -> None:
+        if stopped():
+            raise _Stopped
         steps.append(step)
 
     started = time.perf_counter()
     try:
         prediction = method.answer(Task(question, sequence, counted, record))
+        finished = _finished(question.question_id, prediction, steps, time.perf_counter() - started)
+        _tables("", [finished])
     except Exception as error:
         reason = " ".join(str(error).split())
         prediction = Prediction(
@@ -190,7 +225,8 @@ def ask(method: Method, question: Question, sequence: SequenceInfo, observe: Obs
             n_observations=len(looks),
             n_model_calls=sum(step.kind == "model" for step in steps),
         )
-    return _finished(question.question_id, prediction, steps, time.perf_counter() - started)
+        finished = _finished(question.question_id, prediction, steps, time.perf_counter() - started)
+    return finished
 
 
 def _finished(question_id: str, prediction: Prediction, steps: Sequence[Step], seconds: float) -> Finished:
@@ -240,8 +276,8 @@ def ask_all(
 ) -> None:
     """Ask what the journal does not hold, or holds as an error; `concurrency` questions are in flight at a time.
 
-    The threads are daemons and one thread writes: an interrupt ends the process at once, and loses only what is in
-    flight.
+    The threads are daemons and one thread writes: an interrupt ends the process within seconds, and loses only what is
+    in flight.
     """
     waiting: queue.SimpleQueue[Question] = queue.SimpleQueue()
     done: queue.SimpleQueue[Finished | BaseException] = queue.SimpleQueue()
@@ -251,30 +287,48 @@ def ask_all(
     for question in due:
         waiting.put(question)
 
+    stop = threading.Event()
+
     def work() -> None:
         try:
-            while True:
+            while not stop.is_set():
                 question = waiting.get_nowait()
-                done.put(ask(method, question, sequences[question.sequence], observe))
-        except queue.Empty:
+                done.put(ask(method, question, sequences[question.sequence], observe, stop.is_set))
+        except (queue.Empty, _Stopped):
             return
         except BaseException as error:
             done.put(error)
 
-    for _ in range(min(concurrency, len(due))):
-        threading.Thread(target=work, daemon=True).start()
-    for _ in due:
-        entry = done.get()
-        if isinstance(entry, BaseException):
-            raise entry
-        journal.append(entry)
-        advance(1)
+    threads = [threading.Thread(target=work, daemon=True) for _ in range(min(concurrency, len(due)))]
+    for thread in threads:
+        thread.start()
+    try:
+        for _ in due:
+            entry = done.get()
+            if isinstance(entry, BaseException):
+                raise entry
+            journal.append(entry)
+            advance(1)
+    finally:
+        # A thread that is inside the image decoder when the interpreter ends would abort the process; one that waits
+        # for a server would not, and is not waited for.
+        stop.set()
+        deadline = time.monotonic() + _STOP_S
+        for thread in threads:
+            thread.join(max(0.0, deadline - time.monotonic()))
 
 
 def write_tables(store: Store, run_id: str, entries: Iterable[Finished]) -> None:
     """Write a run's `predictions` and `steps`, sorted by question and step."""
-    ordered = sorted(entries, key=lambda entry: entry.question_id)
-    predictions = [{"run_id": run_id, **entry.prediction} for entry in ordered]
-    steps = [{"run_id": run_id, **step} for entry in ordered for step in entry.steps]
-    store.write_run(run_id, "steps", pa.Table.from_pylist(steps, schema=RUNS["steps"]))
-    store.write_run(run_id, "predictions", pa.Table.from_pylist(predictions, schema=RUNS["predictions"]))
+    predictions, steps = _tables(run_id, sorted(entries, key=lambda entry: entry.question_id))
+    store.write_run(run_id, "steps", steps)
+    store.write_run(run_id, "predictions", predictions)
+
+
+def _tables(run_id: str, entries: Sequence[Finished]) -> tuple[pa.Table, pa.Table]:
+    """The `predictions` and `steps` of entries. pyarrow's errors, ValueError and the like where one does not fit."""
+    predictions = [{"run_id": run_id, **entry.prediction} for entry in entries]
+    steps = [{"run_id": run_id, **step} for entry in entries for step in entry.steps]
+    # The cast finds what the making of a table lets pass: a null where none may be.
+    first = pa.Table.from_pylist(predictions, RUNS["predictions"]).cast(RUNS["predictions"])
+    return first, pa.Table.from_pylist(steps, RUNS["steps"]).cast(RUNS["steps"])

@@ -54,15 +54,19 @@ def write_run_manifest(store: Store, manifest: RunManifest) -> None:
 
 
 def read_run_manifest(store: Store, run_id: str) -> RunManifest:
-    """Read `run.json`. Raises StoreError where the run is missing or its manifest cannot be read."""
+    """Read `run.json`. Raises StoreError where the run is missing or its manifest cannot be read or names another."""
     path = store.run_path(run_id) / "run.json"
     try:
-        return msgspec.json.decode(path.read_bytes(), type=RunManifest)
+        manifest = msgspec.json.decode(path.read_bytes(), type=RunManifest)
     except FileNotFoundError:
         known = ", ".join(run_ids(store)) or "none"
         raise StoreError(f"{store.path} has no run {run_id!r}; runs: {known}") from None
-    except (msgspec.DecodeError, OSError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, OSError) as error:
         raise StoreError(f"cannot read {path}: {error}; evaluate again under another run id") from None
+    if manifest.run_id != run_id:
+        # A copied or renamed folder: its scores would be written to, and reported as, the other run's.
+        raise StoreError(f"{path} is of run {manifest.run_id!r}: give the folder that name, or take it out of runs/")
+    return manifest
 
 
 def run_ids(store: Store) -> list[str]:

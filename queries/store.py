@@ -34,7 +34,7 @@ from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, QUESTIONS, RUNS
 
 MANIFEST_VERSION: Final = 1
 
-_SEQUENCE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+_PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
 class SequenceEntry(msgspec.Struct, frozen=True):
@@ -56,9 +56,14 @@ class Manifest(msgspec.Struct, frozen=True):
     version: int = MANIFEST_VERSION
 
 
+def is_plain_name(name: str) -> bool:
+    """Whether a name can be a folder's or file's: letters, digits, dot, dash, underscore, and no way up."""
+    return bool(_PLAIN_NAME.fullmatch(name)) and ".." not in name
+
+
 def safe_sequence(name: str) -> str:
     """The name, if it can be a sequence's: letters, digits, dot, dash, underscore. Raises InputError otherwise."""
-    if not _SEQUENCE.fullmatch(name) or ".." in name:
+    if not is_plain_name(name):
         raise InputError(f"{name!r} cannot be a sequence name: use letters, digits, '.', '_' and '-'", field="sequence")
     return name
 
@@ -111,7 +116,12 @@ class Store:
         return self.path / "questions" / f"{table}.parquet"
 
     def run_path(self, run_id: str) -> Path:
-        return self.path / "runs" / safe_sequence(run_id)
+        """The folder of a run. Raises InputError for an id that is no plain name."""
+        if not is_plain_name(run_id):
+            raise InputError(
+                f"{run_id[:120]!r} cannot be a run id: use up to 100 letters, digits, '.', '_' and '-'", field="run_id"
+            )
+        return self.path / "runs" / run_id
 
     # -- tables -----------------------------------------------------------------------------------------------
 
@@ -152,7 +162,7 @@ class Store:
             manifest = msgspec.json.decode(path.read_bytes(), type=Manifest)
         except FileNotFoundError:
             raise StoreError(f"{self.path} is no store: run 'jrdb-avr load ROOT --store {self.path}' first") from None
-        except (msgspec.DecodeError, OSError) as error:
+        except (msgspec.DecodeError, UnicodeDecodeError, OSError) as error:
             raise StoreError(f"cannot read {path}: {error}; load the annotations again") from None
         if manifest.version != MANIFEST_VERSION:
             raise StoreError(f"{path} has version {manifest.version}, not {MANIFEST_VERSION}: load again")

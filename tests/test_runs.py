@@ -185,7 +185,7 @@ def test_questions_by_id_by_file_and_by_number(store, tmp_path):
         (("--questions", ","), "names no question"),
         (("--questions", "x" * 5000), "cannot read"),
         (("--questions", BLIND.question_id), "no question is left"),
-        (("--run-id", "../evil"), "sequence name"),
+        (("--run-id", "../evil"), "run id"),
         (("--model", "qwen", "--base-url", "nowhere"), "no server address"),
     ],
 )
@@ -358,6 +358,63 @@ def test_resume_refuses_another_run(store):
     assert "asked other questions than the store has now" in str(other.exception)
 
 
+def test_answers_without_a_manifest_are_nobodys(store):
+    """Deleting run.json and asking another model must not give it the answers of the first."""
+    evaluate(store, "--limit", "1", "--run-id", "r")
+    (store.run_path("r") / "run.json").unlink()
+    with FakeServer(lambda request, n: "{}") as server:
+        options = ("--limit", "1", "--run-id", "r", "--model", "other", "--base-url", server.url)
+        result = evaluate(store, *options, ok=False)
+    assert isinstance(result.exception, StoreError)
+    assert "no run.json" in str(result.exception)
+    assert not (store.run_path("r") / "run.json").exists()
+
+
+def test_a_copied_run_is_not_the_run(store):
+    evaluate(store, "--limit", "1")
+    shutil.copytree(store.run_path("react-marker"), store.run_path("copy"))
+    result = evaluate(store, "--run-id", "copy", "--resume", ok=False)
+    assert isinstance(result.exception, StoreError)
+    assert "'react-marker'" in str(result.exception)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda table: table.drop_columns(["template"]),
+        lambda table: table.set_column(6, "answer_mode", pa.array(["essay"] * len(table))),
+        lambda table: pa.concat_tables([table, table]),
+        lambda table: table.set_column(3, "choices", pa.nulls(len(table), pa.list_(pa.string()))),
+        lambda table: table.set_column(0, "question_id", pa.nulls(len(table), pa.string())),
+    ],
+    ids=["a column less", "another mode", "ids twice", "no choices", "no ids"],
+)
+def test_questions_of_another_form_are_one_line(store, change):
+    table = store.questions("questions").select(QUESTIONS["questions"].names)
+    pq.write_table(change(table.replace_schema_metadata(None)), store.question_path("questions"))
+    result = evaluate(store, ok=False)
+    assert isinstance(result.exception, StoreError)
+    assert "generate again" in str(result.exception)
+
+
+def test_a_run_that_cannot_be_written_ends_with_one_line(store):
+    """Also while other questions are at work in the image decoder: no abort, exit code 1."""
+    import resource
+
+    command = [sys.executable, "-c", "from jrdb_avr.engine.cli import main; main()", "evaluate"]
+    command += ["--store", str(store.path), "--method", "react", "--model", "marker", "--concurrency", "12"]
+
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+
+    done = subprocess.run(command, preexec_fn=limit, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.count("\n") <= 2
+    assert "File too large; then run again with --resume" in done.stderr
+    evaluate(store, "--resume")
+    assert set(predictions(store)["status"].to_pylist()) == {"answered"}
+
+
 def test_an_unreachable_server_is_one_line_and_leaves_no_run(store):
     result = evaluate(store, "--model", "x", "--base-url", "http://127.0.0.1:9/v1", ok=False)
     assert isinstance(result.exception, AvrError)
@@ -368,8 +425,10 @@ def test_an_unreachable_server_is_one_line_and_leaves_no_run(store):
 # -- the journal ------------------------------------------------------------------------------------------------------
 
 
-def entry(name, status="answered"):
-    return runs.Finished(name, {"status": status}, [])
+def entry(name, status="answered", **other):
+    row = {field.name: None if field.nullable else 0 for field in RUNS["predictions"] if field.name != "run_id"}
+    row |= {"question_id": name, "status": status, "raw": "", "reason": ""}
+    return runs.Finished(name, row | other, [])
 
 
 def test_the_journal_keeps_what_was_appended(tmp_path):
@@ -382,7 +441,7 @@ def test_the_journal_keeps_what_was_appended(tmp_path):
         assert journal.finished == {"a": entry("a"), "b": entry("b")}
 
 
-@given(st.integers(0, 200))
+@given(st.integers(0, 1000))
 def test_a_journal_cut_anywhere_keeps_its_whole_lines(tmp_path_factory, cut):
     path = tmp_path_factory.mktemp("journal") / "journal.jsonl"
     with runs.Journal(path) as journal:
@@ -401,6 +460,27 @@ def test_a_damaged_journal_is_refused(tmp_path):
     path = tmp_path / "journal.jsonl"
     path.write_bytes(b"garbage\n" + msgspec.json.encode(entry("a")) + b"\n")
     with pytest.raises(StoreError, match="line 1, is damaged"):
+        runs.Journal(path)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"[]",
+        b"\xff\xfe",
+        b'{"question_id": "a", "prediction": {}, "steps": []}',
+        b'{"question_id": "a", "prediction": {"status": "answered"}, "steps": []}',
+        msgspec.json.encode(entry("a", evidence_x="left")),
+        msgspec.json.encode(entry("a", n_model_calls=1 << 40)),
+        msgspec.json.encode(entry("a", raw=None)),
+        msgspec.json.encode(runs.Finished("a", entry("a").prediction, [{"step": 1}])),
+    ],
+    ids=range(8),
+)
+def test_a_journal_line_of_another_form_is_refused(tmp_path, line):
+    path = tmp_path / "journal.jsonl"
+    path.write_bytes(msgspec.json.encode(entry("b")) + b"\n" + line + b"\n")
+    with pytest.raises(StoreError, match="line 2, is damaged"):
         runs.Journal(path)
 
 
@@ -441,6 +521,41 @@ def test_whatever_a_method_raises_is_an_error_row(error):
     assert "\n" not in finished.prediction["reason"]
     assert finished.prediction["n_model_calls"] == 1
     assert len(finished.steps) == 1
+
+
+@pytest.mark.parametrize(
+    "returned",
+    [None, "answered", Prediction("answered", n_model_calls=1 << 40), Prediction("answered", prompt_tokens=10**30)],
+    ids=["nothing", "a text", "a large number", "a huge number"],
+)
+def test_what_is_no_prediction_is_an_error_row(tmp_path, returned):
+    finished = runs.ask(Scripted(lambda task: returned), QUESTIONS_ASKED[0], INFO, no_look)
+    assert finished.failed
+    runs.write_tables(Store(tmp_path), "r", [finished])
+
+
+def test_a_run_that_ends_early_leaves_no_question_at_work(tmp_path):
+    """What is in flight ends at its next look or step, and nothing new is begun."""
+    ended = []
+
+    def behave(task):
+        try:
+            while True:
+                task.record(Step("model", "", "", 0.0))
+                time.sleep(0.01)
+        finally:
+            ended.append(task.question.question_id)
+
+    def once(task):
+        return behave(task) if task.question != QUESTIONS_ASKED[0] else Prediction("invalid")
+
+    def fail(steps):
+        if steps:
+            raise KeyboardInterrupt
+
+    with runs.Journal(tmp_path / "journal.jsonl") as journal, pytest.raises(KeyboardInterrupt):
+        runs.ask_all(Scripted(once), QUESTIONS_ASKED, {SEQUENCE: INFO}, no_look, journal, 4, fail)
+    assert 3 <= len(ended) <= 4
 
 
 def test_what_utf8_cannot_hold_is_written_out(tmp_path):

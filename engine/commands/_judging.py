@@ -9,7 +9,7 @@ from jrdb_avr.engine.output import note
 from jrdb_avr.engine.scoring import read_truth, score_run
 from jrdb_avr.queries.runs import RunManifest, run_ids
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.errors import StoreError
+from jrdb_avr.schema.errors import InputError, StoreError
 
 
 def scored_runs(store: Store, names: tuple[str, ...], iou: float) -> Iterator[tuple[RunManifest, Any, Any]]:
@@ -25,7 +25,7 @@ def scored_runs(store: Store, names: tuple[str, ...], iou: float) -> Iterator[tu
     for name in names or known:
         try:
             result = score_run(store, truth, name, iou)
-        except StoreError as error:
+        except (StoreError, InputError) as error:
             if names:
                 raise
             note(f"left out: {error}")

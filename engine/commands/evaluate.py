@@ -62,6 +62,7 @@ def command(
     from jrdb_avr.engine import runs
     from jrdb_avr.engine.observe import Observer
     from jrdb_avr.queries.store import Store
+    from jrdb_avr.schema.errors import StoreError
 
     if base_url is None and model != MARKER:
         raise click.UsageError(f"--model {model} needs --base-url, the address of the server that has it")
@@ -75,6 +76,9 @@ def command(
     observe = Observer(image_root, [info for name, info in sequences.items() if name in asked])
     with contextlib.ExitStack() as stack:
         journal = stack.enter_context(runs.Journal(folder / "journal.jsonl"))
+        if journal.finished and not (folder / "run.json").exists():
+            # Of another model, for all that is known.
+            raise StoreError(f"{folder} holds answers and no run.json: delete it, or give another --run-id")
         url = base_url or stack.enter_context(_marker(folder))
         method = _method(method_name, url, model, place, run_id, questions)
         advance = stack.enter_context(progress(f"{method_name}, {model}", len(questions)))
