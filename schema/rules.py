@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import msgspec
 
@@ -27,31 +27,39 @@ def frames(seconds: float) -> int:
     return round(seconds * FPS)
 
 
-class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What makes a fact true, false or unknown."""
+Pixels = Annotated[float, msgspec.Meta(ge=0, le=10_000)]
+Metres = Annotated[float, msgspec.Meta(ge=0, le=1000)]
+Seconds = Annotated[float, msgspec.Meta(ge=0, le=3600)]
 
-    gap_frames: int = 7
+
+class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What makes a fact true, false or unknown.
+
+    Margins stay so small that at most two sectors, or two distance words, meet anywhere.
+    """
+
+    gap_frames: Annotated[int, msgspec.Meta(ge=0, le=900)] = 7
     """Action and membership gaps up to this many frames are closed where the layer has every frame."""
-    clear_min_width: float = 12.0
-    clear_min_height: float = 40.0
-    clear_max_width: float = 480.0
-    sector_margin_deg: float = 5.0
-    narrow_sector_margin_deg: float = 2.0
+    clear_min_width: Pixels = 12.0
+    clear_min_height: Pixels = 40.0
+    clear_max_width: Pixels = 480.0
+    sector_margin_deg: Annotated[float, msgspec.Meta(ge=0, lt=45)] = 5.0
+    narrow_sector_margin_deg: Annotated[float, msgspec.Meta(ge=0, lt=5)] = 2.0
     """Margin at the edges of the front-side and back-side sectors, which are only 15 and 10 degrees wide."""
-    distance_margin: float = 0.10
+    distance_margin: Annotated[float, msgspec.Meta(ge=0, le=0.33)] = 0.10
     """Relative margin round each bound of the distance words."""
-    pair_max_m: float = 5.0
-    pair_margin_m: float = 0.5
+    pair_max_m: Metres = 5.0
+    pair_margin_m: Metres = 0.5
     """Person-frame relations reach 5 m; from 4.5 to 5.5 m they are unknown."""
-    pair_vertical_m: float = 1.35
+    pair_vertical_m: Metres = 1.35
     """People farther apart in height are on different floors or steps: their person-frame relation is unknown."""
-    neighbor_max_deg: float = 60.0
-    neighbor_margin_deg: float = 1.0
+    neighbor_max_deg: Annotated[float, msgspec.Meta(ge=0, le=180)] = 60.0
+    neighbor_margin_deg: Annotated[float, msgspec.Meta(ge=0, le=180)] = 1.0
     """First to the left or right: within 60 degrees; unknown under 1 degree away or 1 degree ahead of the next."""
-    segment_min_s: float = 2.0
-    segment_edge_s: float = 1.0
+    segment_min_s: Seconds = 2.0
+    segment_edge_s: Seconds = 1.0
     """Before a stable segment (and after a closed one) the action is false and the person present for this long."""
-    segment_quiet_s: float = 3.0
+    segment_quiet_s: Seconds = 3.0
     """No other frame with the action true or unknown this near before or after a stable segment."""
 
 
@@ -104,7 +112,7 @@ def override(rules: Rules, changes: Mapping[str, str]) -> Rules:
             raise InputError(f"there is no rule {name!r}; see Rules in jrdb_avr.schema.rules", field=name)
         try:
             target[key] = msgspec.json.decode(text.encode())
-        except msgspec.DecodeError:
+        except (msgspec.DecodeError, UnicodeError):
             raise InputError(f"rule {name}: {text!r} is not a JSON value", field=name) from None
     try:
         return msgspec.convert(plain, Rules)

@@ -75,3 +75,23 @@ def test_seconds_are_frames():
 def test_rules_are_frozen():
     with pytest.raises(AttributeError):
         Rules().shift_s = 1.0
+
+
+@pytest.mark.parametrize("name", LoadRules.__struct_fields__)
+@pytest.mark.parametrize("value", ["-1", "1e300"])
+def test_a_load_rule_out_of_its_range_is_refused(name, value):
+    with pytest.raises(InputError, match=name):
+        override(Rules(), {f"load.{name}": value})
+
+
+@pytest.mark.parametrize(
+    "change", [{"sector_margin_deg": "45"}, {"narrow_sector_margin_deg": "5"}, {"distance_margin": "0.34"}]
+)
+def test_margins_at_which_three_words_would_meet_are_refused(change):
+    with pytest.raises(InputError):
+        override(Rules(), {f"load.{name}": value for name, value in change.items()})
+
+
+def test_a_value_that_is_no_unicode_is_refused():
+    with pytest.raises(InputError, match="gap_frames"):
+        override(Rules(), {"load.gap_frames": "\udcff"})
