@@ -63,8 +63,8 @@ def pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
 
 def print_json(rows: Sequence[Any]) -> None:
     """Print one JSON array."""
-    # NaN and infinity are not JSON: msgspec writes null for them.
-    click.echo(msgspec.json.encode(list(rows), enc_hook=str))
+    # NaN and infinity are not JSON: msgspec writes null for them. Sums of whole numbers come as decimals.
+    click.echo(msgspec.json.Encoder(enc_hook=str, decimal_format="number").encode(list(rows)))
 
 
 def print_rows(rows: Sequence[dict[str, Any]], title: str = "", columns: Sequence[str] = ()) -> None:
@@ -77,7 +77,7 @@ def print_rows(rows: Sequence[dict[str, Any]], title: str = "", columns: Sequenc
     table = Table(title=title or None, title_justify="left")
     for name in names:
         numeric = bool(rows) and all(isinstance(row[name], int | float) for row in rows)
-        table.add_column(name, justify="right" if numeric else "left", overflow="fold")
+        table.add_column(Text(clean(name)), justify="right" if numeric else "left", overflow="fold")
     for row in rows:
         table.add_row(*(Text(_cell(row[name])) for name in names))
     width = None if sys.stdout.isatty() else 200

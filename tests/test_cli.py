@@ -177,6 +177,29 @@ def test_json_is_one_array_and_nothing_else(store):
         assert all(isinstance(row, dict) for row in rows)
 
 
+def test_sums_are_numbers(store):
+    code, out, _ = run("sql", "SELECT sum(x) AS s, 1.50::DECIMAL(9, 2) AS m FROM range(3) t(x)", "--store", store.path)
+    assert (code, "1.50" in out) == (0, True)
+    code, out, _ = run("sql", "SELECT sum(x) AS s FROM range(3) t(x)", "--store", store.path, "--json")
+    assert (code, json.loads(out)) == (0, [{"s": 3}])
+
+
+@pytest.mark.parametrize("form", ["--json", "--csv", None])
+@pytest.mark.parametrize("value", ["'infinity'::DATE", "'infinity'::TIMESTAMP", "['200000-01-01'::TIMESTAMP]"])
+def test_a_time_that_python_cannot_hold_is_one_line(store, form, value):
+    code, out, err = run("sql", f"SELECT {value} AS x", "--store", store.path, *([form] if form else []))
+    assert (code, out) == (1, "")
+    assert "cast it to text" in err
+
+
+@pytest.mark.parametrize("language", ["cypher", "sql"])
+def test_a_statement_that_is_no_text_is_a_wrong_call(store, language):
+    code, _, err = run(language, "SELECT '\udcff' AS x", "--store", store.path)
+    assert (code, "UTF-8" in err) == (2, True)
+    code, _, err = run(language, "SELECT $a AS x", "--store", store.path, "--param", "a=\udcff")
+    assert (code, "UTF-8" in err) == (2, True)
+
+
 def test_rows_are_the_same_in_every_form(store, tmp_path):
     ask = ("sql", "SELECT question_id, family FROM questions ORDER BY 1", "--store", store.path)
     rows = json.loads(run(*ask, "--json")[1])

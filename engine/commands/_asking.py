@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import click
 
 from jrdb_avr.engine.output import json_option, pairs, print_json, print_rows
+from jrdb_avr.schema.errors import QueryError
 
 C = TypeVar("C", bound=Callable[..., Any])
 
@@ -55,6 +56,10 @@ def run_asking(
         return
     if query is None:
         raise click.UsageError("give a QUERY or the NAME of one (--list shows them)")
+    try:
+        "".join((query, *params)).encode()
+    except UnicodeEncodeError:
+        raise click.UsageError("QUERY and --param must be UTF-8 text") from None
     if store is None:
         raise click.UsageError("Missing option '--store'.")
     table = ask(store, *find_query(language, query, _parameters(params)), timeout)
@@ -82,11 +87,20 @@ def _print_table(table: Any, as_csv: bool, as_json: bool, parquet: Path | None) 
         write_atomic(parquet, lambda temporary: pq.write_table(table, temporary))
         click.echo(f"{table.num_rows} rows -> {parquet}", err=True)
     elif as_json:
-        print_json(table.to_pylist())
+        print_json(_rows(table))
     elif as_csv:
         click.echo(_csv(table), nl=False)
     else:
-        print_rows(table.to_pylist(), columns=table.column_names)
+        print_rows(_rows(table), columns=table.column_names)
+
+
+def _rows(table: Any) -> list[dict[str, Any]]:
+    """The rows as Python values. Raises QueryError for times that Python cannot hold."""
+    try:
+        rows: list[dict[str, Any]] = table.to_pylist()
+    except (OverflowError, ValueError) as error:
+        raise QueryError(f"the result holds a time that cannot be printed ({error}): cast it to text") from None
+    return rows
 
 
 def _unique_names(table: Any) -> Any:
@@ -110,7 +124,7 @@ def _csv(table: Any) -> str:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(table.column_names)
-    for row in table.to_pylist():
+    for row in _rows(table):
         writer.writerow(
             msgspec.json.encode(cell, enc_hook=str).decode() if isinstance(cell, list | dict) else cell
             for cell in row.values()
