@@ -19,7 +19,7 @@ import pyarrow.compute as pc
 
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest
 from jrdb_avr.queries.store import Store, read_table, write_table
-from jrdb_avr.schema.answers import ANSWER_TYPES, Answer, Choice, FrameAnswer, FrameViewpoint, Number, Span
+from jrdb_avr.schema.answers import ANSWER_TYPES, TIE, Answer, Choice, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.answers import decode_answer as decode
 from jrdb_avr.schema.errors import DecodeError, InputError, StoreError
 from jrdb_avr.schema.panorama import WIDTH, angle_error
@@ -152,7 +152,7 @@ def answers_match(mode: Ints, second: Ints, given: Payloads, truth: Payloads) ->
         Choice: given.first == truth.first,
         FrameAnswer: near,
         Span: _span_iou(given, truth) >= SPAN_IOU,
-        FrameViewpoint: near & (angle_error(given.number, truth.number) <= ANGLE_DEG),
+        FrameViewpoint: near & (angle_error(given.number, truth.number) <= ANGLE_DEG + TIE),
         Number: (given.number > 0) & (truth.number > 0) & (ratio >= 1 / NUMBER_RATIO) & (ratio <= NUMBER_RATIO),
     }
     for number, name in enumerate(_MODES):
@@ -193,9 +193,14 @@ def score_run(
     if not path.exists():
         raise StoreError(f"run {run_id} has no predictions yet: evaluate it to the end (the same call resumes it)")
     predictions = read_table(path)
-    missing = set(RUNS["predictions"].names) - set(predictions.column_names)
+    schema = RUNS["predictions"]
+    missing = set(schema.names) - set(predictions.column_names)
     if missing:
         raise StoreError(f"{path} lacks the columns {', '.join(sorted(missing))}: evaluate again")
+    try:
+        predictions = predictions.select(schema.names).cast(schema)
+    except (ValueError, pa.ArrowException) as error:
+        raise StoreError(f"{path} is of another form ({str(error).splitlines()[0]}): evaluate again") from None
     return manifest, predictions, score_predictions(truth, run_id, manifest.question_ids, predictions, iou)
 
 
@@ -267,7 +272,7 @@ def _boxes_match(truth: Truth, row: Ints, frame: Ints, box: Floats, threshold: f
         return np.zeros(len(row), dtype=bool)
     key = row * _FRAME_SPAN + np.clip(frame, 0, _FRAME_SPAN - 1)
     at = np.minimum(np.searchsorted(truth.keys, key), len(truth.keys) - 1)
-    hits: Bools = (truth.keys[at] == key) & (box_ious(box, truth.boxes[at]) >= threshold)
+    hits: Bools = (truth.keys[at] == key) & (box_ious(box, truth.boxes[at]) >= threshold - TIE)
     return hits
 
 

@@ -18,6 +18,9 @@ from .rules import FPS
 
 AnswerMode = Literal["multiple_choice", "frame", "span", "frame_viewpoint", "number"]
 
+TIE: Final = 1e-9
+"""What rounding may take from, or add to, an angle in degrees or a share that lies exactly at an inclusive bound."""
+
 _FRAME_LIMIT: Final = 10_000_000
 _Frame = Annotated[int, msgspec.Meta(ge=0, le=_FRAME_LIMIT)]
 
@@ -120,7 +123,7 @@ def same_answer(given: Answer | None, truth: Answer, fps: float = FPS) -> bool:
             return (
                 math.isfinite(given.angle_deg)
                 and abs(given.frame - truth.frame) <= second
-                and float(angle_error(given.angle_deg, truth.angle_deg)) <= 20.0
+                and float(angle_error(given.angle_deg, truth.angle_deg)) <= 20.0 + TIE
             )
         case Number(), Number():
             return given.value > 0 and truth.value > 0 and 0.5 <= given.value / truth.value <= 2.0
@@ -132,4 +135,4 @@ def evidence_hits(evidence: Evidence | None, truth: dict[int, Box], threshold: f
     """Whether the evidence box lies on the target: `truth` maps each frame in which it has a box to that box."""
     if evidence is None or evidence.frame not in truth or not all(map(math.isfinite, evidence.box)):
         return False
-    return iou(Box(*evidence.box), truth[evidence.frame]) >= threshold
+    return iou(Box(*evidence.box), truth[evidence.frame]) >= threshold - TIE

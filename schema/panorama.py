@@ -112,7 +112,10 @@ def iou(a: Box, b: Box) -> float:
     rows = min(a.y + a.h, b.y + b.h) - max(a.y, b.y)
     if rows <= 0:
         return 0.0
-    turn = round((a.x + a.w / 2 - b.x - b.w / 2) / WIDTH) * WIDTH
+    apart = (a.x + a.w / 2 - b.x - b.w / 2) / WIDTH
+    if not math.isfinite(apart):
+        return 0.0
+    turn = round(apart) * WIDTH
     columns = max(
         min(a.x + a.w, b.x + shift + b.w) - max(a.x, b.x + shift) for shift in (turn - WIDTH, turn, turn + WIDTH)
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -440,11 +441,11 @@ MUTANTS = [
         "np.minimum(a.last, b.last) - np.maximum(a.first, b.first)",
     ),
     ("a.last - a.first + 1, 0", "a.last - a.first, 0"),
-    ("truth.number) <= ANGLE_DEG", "truth.number) < ANGLE_DEG"),
+    ("truth.number) <= ANGLE_DEG + TIE", "truth.number) < ANGLE_DEG"),
     ("angle_error(given.number, truth.number)", "np.abs(given.number - truth.number)"),
     ("ratio >= 1 / NUMBER_RATIO", "ratio > 1 / NUMBER_RATIO"),
     ("ratio <= NUMBER_RATIO", "ratio < NUMBER_RATIO"),
-    ("box_ious(box, truth.boxes[at]) >= threshold", "box_ious(box, truth.boxes[at]) > threshold"),
+    ("box_ious(box, truth.boxes[at]) >= threshold - TIE", "box_ious(box, truth.boxes[at]) > threshold"),
     ("for shift in (turn - WIDTH, turn, turn + WIDTH)", "for shift in (0.0 * turn,)"),
     ("np.minimum(ax + aw, bx + shift + bw)", "np.minimum(aw, bx + shift + bw)"),
     ("aw * ah + bw * bh - overlap", "aw * ah + bw * bh"),
@@ -504,3 +505,42 @@ def test_mutants_of_the_scorer_are_caught(old, new, monkeypatch):
     monkeypatch.setitem(sys.modules, "mutant", mutant)
     exec(compile(source.replace(old, new), "mutant", "exec"), mutant.__dict__)
     assert not scores_as_specified(mutant)
+
+
+@given(st.integers(0, 3599), st.sampled_from([200, -200]))
+def test_twenty_degrees_score_whatever_rounding_says(tenths, turn):
+    truth = {"frame": 100, "angle_deg": tenths / 10}
+    for beyond in (0, 1):
+        given_ = {"frame": 100, "angle_deg": (tenths + turn + (beyond if turn > 0 else -beyond)) % 3600 / 10}
+        assert answer_score("frame_viewpoint", truth, given_) == 1 - beyond
+
+
+@given(*[st.integers(1, 40_000)] * 2, *[st.integers(2, 4_000)] * 2)
+def test_half_a_box_scores_whatever_rounding_says(x, y, w, h):
+    rows = [("q", "frame", {"frame": 1}, {5: (x / 10, y / 10, w / 10, h / 10)})]
+    for share, expected in ((1.0, 1), (0.999, 0)):
+        predicted = [prediction("q", {"frame": 1}, (5, (x / 10, y / 10, w / 20 * share, h / 10)))]
+        assert score(rows, predicted)[0][1] == expected
+
+
+def test_predictions_of_another_form_are_one_line(tmp_path):
+    from jrdb_avr.queries.runs import questions_hash, write_run_manifest
+    from jrdb_avr.queries.store import Store
+
+    store = Store(tmp_path)
+    store.write_questions("questions", QUESTIONS["questions"].empty_table(), {})
+    write_run_manifest(store, RunManifest("r", "m", "x", questions_hash(store), (), True, {}, "now"))
+    empty = {name: pa.array([], pa.string()) for name in ("question_id", "answer")}
+    truth = make_truth(
+        QUESTIONS["questions"].empty_table(),
+        QUESTIONS["sequences"].empty_table(),
+        pa.table(empty),
+        QUESTIONS["evidence"].empty_table(),
+    )
+    good = predictions_of([prediction("q")])
+    path = store.run_path("r") / "predictions.parquet"
+    for name, column in (("evidence_x", ["left"]), ("status", [None]), ("n_observations", ["many"])):
+        table = good.set_column(good.schema.get_field_index(name), name, pa.array(column, pa.string()))
+        pq.write_table(table, path)
+        with pytest.raises(StoreError, match="of another form"):
+            scoring.score_run(store, truth, "r")
