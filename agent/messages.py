@@ -50,7 +50,7 @@ def crop_picture(observation: Observation) -> Picture:
     done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     if not done:
         raise ObserveError(f"the crop of frame {observation.frame_id} cannot be written as JPEG")
-    return Picture(f"{observation.sequence} {observation.frame_id} {observation.angle_deg:.6g}", data.tobytes())
+    return Picture(f"{observation.sequence} {observation.frame_id} {observation.angle_deg:.12g}", data.tobytes())
 
 
 def wire(messages: Sequence[Message]) -> list[dict[str, Any]]:

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import msgspec
 
-from jrdb_avr.schema.answers import Answer, Evidence, encode_answer
+from jrdb_avr.schema.answers import TIE, Answer, Evidence, encode_answer
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Prediction, Step, Task
 from jrdb_avr.schema.panorama import CROP, angle_error, from_crop
@@ -157,7 +157,7 @@ class _Episode:
         started = time.perf_counter()
         for look in self.looks:
             seen = look.observation
-            if seen.frame_index == frame and float(angle_error(seen.angle_deg, angle)) <= DUPLICATE_DEG:
+            if seen.frame_index == frame and float(angle_error(seen.angle_deg, angle)) <= DUPLICATE_DEG + TIE:
                 reason = f"within {DUPLICATE_DEG:g} degree of the earlier look at angle {seen.angle_deg:g}"
                 self.steps.append(f"look at frame {frame:06d}, angle {angle:g}: refused, {reason}")
                 self._record("observe", asked, {"refused": reason}, started)

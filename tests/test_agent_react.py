@@ -3,9 +3,10 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from fake_server import FakeServer, completion, images, texts
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from painted_world import World, still
 
@@ -219,3 +220,38 @@ def test_frame_ranges_are_short():
     assert frame_ranges(range(0, 200, 5)) == "000000 to 000195 in steps of 5"
     assert frame_ranges([7]) == "000007"
     assert frame_ranges([]) == "none"
+
+
+@given(st.integers(0, 3599), st.sampled_from([10, -10]))
+@example(22, -10)
+@example(27, -10)
+def test_one_degree_is_a_duplicate_whatever_rounding_says(tenths, turn):
+    """Two looks, counted in whole tenths of a degree: ten apart are one look, eleven are two."""
+    from jrdb_avr.agent.client import Reply
+    from jrdb_avr.schema.method import Observation, Question, SequenceInfo, Task
+
+    image = np.zeros((480, 480, 3), np.uint8)
+
+    def observe(sequence, frame_index, angle_deg):
+        return Observation(sequence, frame_index, f"{frame_index:06d}", 0.0, angle_deg, 45.96, 0, image)
+
+    for beyond, looks in ((0, 1), (1, 2)):
+        second = (tenths + turn + (beyond if turn > 0 else -beyond)) % 3600
+        replies = iter([look(0, tenths / 10), look(0, second / 10), "no more", "no more"])
+
+        class Chat:
+            def complete(self, messages, schema=None, replies=replies):
+                return Reply(next(replies), finish_reason="stop")
+
+        question = Question("0" * 16, "s", "f", "t", "?", CHOICES, "multiple_choice")
+        task = Task(question, SequenceInfo("s", 15.0, 1, (0,)), observe, lambda step: None)
+        assert ReAct(Chat()).answer(task).n_observations == looks
+
+
+def test_a_picture_is_named_as_exactly_as_it_was_taken(world):
+    """A step can be redrawn: the angle in the transcript gives the crop's own column, also between two columns."""
+    for column in range(0, 3760, 97):
+        angle = (column + 0.5 + 1e-6) * 360 / 3760
+        _, _, steps = play(world, [look(150, angle), answer()])
+        told = float(steps[2].request.partition("[image painted 000150 ")[2].partition("]")[0])
+        assert crop_left(told) == json.loads(steps[1].response)["left"]
