@@ -79,7 +79,7 @@ class Observer:
 
     def _check(self, sequence: str, frame_index: int) -> int:
         if not isinstance(sequence, str) or sequence not in self._sequences:
-            raise ObserveError(f"no sequence {str(sequence)[:100]!r}; there are: {_some(sorted(self._sequences))}")
+            raise ObserveError(f"no sequence {_shown(sequence)!r}; there are: {_some(sorted(self._sequences))}")
         try:
             frame = operator.index(frame_index)
         except TypeError:
@@ -87,7 +87,7 @@ class Observer:
         if isinstance(frame_index, bool | np.bool_) or frame not in self._frames[sequence]:
             frames = self._sequences[sequence].frames
             raise ObserveError(
-                f"{sequence} has no image at frame {str(frame_index)[:40]}; frames with an image: "
+                f"{sequence} has no image at frame {_shown(frame_index)}; frames with an image: "
                 + (_near(frames, frame) if frames else "none")
             )
         return frame
@@ -121,7 +121,8 @@ class Observer:
             raise ObserveError("there are no images: load a root that holds images/image_stitched")
         path = self._root / sequence / f"{frame:06d}.jpg"
         try:
-            data = path.read_bytes()
+            # A pipe or a device would be waited for without end.
+            data = path.read_bytes() if path.is_file() or not path.exists() else b""
         except OSError as error:
             raise ObserveError(f"cannot read {path}: {os.strerror(error.errno or 0)}") from None
         return decode_panorama(data, str(path))
@@ -233,9 +234,18 @@ def _angle(angle_deg: float) -> float:
     except (TypeError, ValueError, OverflowError):
         angle = math.nan
     if not math.isfinite(angle):
-        raise ObserveError(f"angle {str(angle_deg)[:40]} is no finite number of degrees (180 is ahead, 90 left)")
+        raise ObserveError(f"angle {_shown(angle_deg)} is no finite number of degrees (180 is ahead, 90 left)")
     # The second modulo catches a tiny negative angle, whose first rounds to 360.
     return angle % 360.0 % 360.0
+
+
+def _shown(value: object) -> str:
+    """What a caller gave, in a message."""
+    try:
+        return str(value)[:100]
+    except ValueError:
+        # Python writes no integer of more than 4,300 digits.
+        return "of thousands of digits"
 
 
 def _some(names: list[str], limit: int = 30) -> str:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import os
 import threading
 
 import cv2
@@ -275,3 +276,18 @@ def test_a_box_is_drawn_on_a_crop_over_the_seam(observe):
     drawn = changed_columns(seen.image, draw_on_crop(seen.image, seen.left, [sighting(-30.0)]))
     assert {210, 269} <= drawn
     assert not changed_columns(seen.image, draw_on_crop(seen.image, seen.left, [sighting(1800.0)]))
+
+
+@pytest.mark.parametrize("number", [10**5000, -(10**5000)], ids=["large", "small"])
+def test_numbers_too_long_to_be_written_are_refused(observe, number):
+    with pytest.raises(ObserveError, match="frames with an image"):
+        observe(NAME, number, 0)
+    with pytest.raises(ObserveError, match="no finite number"):
+        observe(NAME, FRAMES[0], number)
+
+
+def test_a_pipe_in_place_of_an_image_is_not_waited_for(tmp_path):
+    (tmp_path / NAME).mkdir()
+    os.mkfifo(tmp_path / NAME / "000000.jpg")
+    with pytest.raises(ObserveError, match="no whole JPEG"):
+        Observer(tmp_path, [info((0,))])(NAME, 0, 180)
