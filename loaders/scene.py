@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -99,8 +98,8 @@ def _clusters(rows: pa.Table) -> pa.Table:
 
 
 def _seen_in(rows: pa.Table) -> pa.Table:
-    flat = np.stack([rows[name].to_numpy() for name in "xywh"], axis=1).ravel()
-    rows = rows.append_column("box", pa.FixedSizeListArray.from_arrays(pa.array(flat), 4))
+    sides = [pa.array(rows[name].to_numpy()) for name in "xywh"]
+    rows = rows.append_column("box", pa.StructArray.from_arrays(sides, names=list("xywh")))
     rows = rows.append_column("from", _keys(rows["sequence"], rows["track"]))
     rows = rows.append_column("to", _frame_keys(rows["sequence"], rows["frame"]))
     return _shaped(rows, ("from", "to", *_columns("SeenIn")))
@@ -142,7 +141,7 @@ _RELS: Final[tuple[tuple[str, str, _Shape], ...]] = (
 
 def _columns(table: str) -> list[str]:
     """Column names of a relationship table, in the order of its DDL."""
-    return [column.split()[0] for column in SCENE_RELS[table][2].split(", ")]
+    return [column.split()[0] for column in SCENE_RELS[table][2]]
 
 
 def _keys(sequence: pa.ChunkedArray, number: pa.ChunkedArray) -> pa.ChunkedArray:

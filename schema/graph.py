@@ -21,27 +21,48 @@ SCENE_NODES: Final[dict[str, str]] = {
     "Action": "name STRING PRIMARY KEY, pose BOOLEAN",
 }
 
-_SPAN: Final = "first INT64, last INT64, first_s DOUBLE, last_s DOUBLE"
+_SPAN: Final = ("first INT64", "last INT64", "first_s DOUBLE", "last_s DOUBLE")
 
-SCENE_RELS: Final[dict[str, tuple[str, str, str]]] = {
+SCENE_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "SeenIn": (
         "Person",
         "Frame",
-        "sequence STRING, frame INT64, box DOUBLE[4], angle DOUBLE, occlusion STRING, no_eval BOOLEAN, "
-        "clear BOOLEAN, face_visible BOOLEAN, listed BOOLEAN, pose STRING, group_size INT64, sector STRING, "
-        "sector_other STRING, located BOOLEAN, distance DOUBLE, distance_word STRING, distance_word_other STRING, "
-        "cx DOUBLE, cy DOUBLE, cz DOUBLE, heading DOUBLE",
+        (
+            "sequence STRING",
+            "frame INT64",
+            # A struct, not DOUBLE[4]: a checkpoint moves lists one by one, minutes for a million.
+            "box STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)",
+            "angle DOUBLE",
+            "occlusion STRING",
+            "no_eval BOOLEAN",
+            "clear BOOLEAN",
+            "face_visible BOOLEAN",
+            "listed BOOLEAN",
+            "pose STRING",
+            "group_size INT64",
+            "sector STRING",
+            "sector_other STRING",
+            "located BOOLEAN",
+            "distance DOUBLE",
+            "distance_word STRING",
+            "distance_word_other STRING",
+            "cx DOUBLE",
+            "cy DOUBLE",
+            "cz DOUBLE",
+            "heading DOUBLE",
+        ),
     ),
     "Performs": (
         "Person",
         "Action",
-        f"sequence STRING, {_SPAN}, difficulty INT64, certain BOOLEAN, gap BOOLEAN",
+        ("sequence STRING", *_SPAN, "difficulty INT64", "certain BOOLEAN", "gap BOOLEAN"),
     ),
-    "MemberOf": ("Person", "SocialGroup", f"sequence STRING, {_SPAN}, certain BOOLEAN, gap BOOLEAN"),
-    "Interacts": ("Person", "Person", f"label STRING, sequence STRING, {_SPAN}, certain BOOLEAN"),
-    "Beside": ("Person", "Person", f"label STRING, sequence STRING, {_SPAN}, certain BOOLEAN"),
-    "Handles": ("Person", "Object", f"verb STRING, sequence STRING, {_SPAN}, certain BOOLEAN"),
+    "MemberOf": ("Person", "SocialGroup", ("sequence STRING", *_SPAN, "certain BOOLEAN", "gap BOOLEAN")),
+    "Interacts": ("Person", "Person", ("label STRING", "sequence STRING", *_SPAN, "certain BOOLEAN")),
+    "Beside": ("Person", "Person", ("label STRING", "sequence STRING", *_SPAN, "certain BOOLEAN")),
+    "Handles": ("Person", "Object", ("verb STRING", "sequence STRING", *_SPAN, "certain BOOLEAN")),
 }
+"""Per relationship table: from, to, and its columns as name and type."""
 
 STORAGE_VERSION: Final = 1
 """Raised when the tables above change: a graph of another version is rebuilt."""
@@ -51,7 +72,7 @@ def scene_ddl() -> list[str]:
     """CREATE statements of the scene namespace, nodes first."""
     statements = [f"CREATE NODE TABLE {name}({columns})" for name, columns in SCENE_NODES.items()]
     statements += [
-        f"CREATE REL TABLE {name}(FROM {source} TO {target}, {columns})"
+        f"CREATE REL TABLE {name}(FROM {source} TO {target}, {', '.join(columns)})"
         for name, (source, target, columns) in SCENE_RELS.items()
     ]
     return statements
