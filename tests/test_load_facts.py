@@ -72,10 +72,9 @@ def compare_graph(graph, expected, sequence):
     ]
     ends = {"SeenIn": "b.frame", "Performs": "b.name", "MemberOf": "b.cluster", "Beside": "b.track"}
     for relation, (kind, source, target) in RELATIONS.items():
-        names = [
-            n for n in INTERVALS[kind].names if n not in ("sequence", source, target, *"xywh", "action", "cluster")
-        ]
-        columns = "".join(f", r.{name} AS {name}" for name in names if name != "frame")
+        names = [n for n in INTERVALS[kind].names if n not in ("sequence", source, target, "action", "cluster")]
+        stored = {name: f"box.{name}" if name in "xywh" else name for name in names}
+        columns = "".join(f", r.{stored[name]} AS {name}" for name in names if name != "frame")
         query = (
             f"MATCH (a:Person)-[r:{relation}]->(b) WHERE r.sequence = $s "
             f"RETURN a.track AS {source}, {ends[relation]} AS {target}{columns}"
