@@ -67,7 +67,7 @@ def frame_ranges(frames: Sequence[int]) -> str:
     return ", ".join(parts) or "none"
 
 
-_RANGE = re.compile(r"(\d{6})(?: to (\d{6}) in steps of (\d{1,7}))?")
+_RANGE = re.compile(r"(\d{6})(?: to (\d{6}) in steps of ([1-9]\d{0,6}))?")
 
 
 def read_frame_ranges(text: str) -> list[int]:

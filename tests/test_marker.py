@@ -1,10 +1,15 @@
 """The marker model plays painted worlds whose answers are known, through pixels and a socket."""
 
+import contextlib
 import json
+import socket
+import struct
 import subprocess
 import sys
 import threading
+import time
 import urllib.error
+import urllib.parse
 import urllib.request
 
 import pytest
@@ -364,7 +369,9 @@ def prompt(question=KNOWN, image=None, place=PLACE, frames="000000"):
         b'{"messages": 3}',
         prompt("What is the weather?"),
         prompt("Find the only person who is standing at 1.0 s (frame 15). What?"),
+        b'{"messages": [{"content": "\xff"}]}',
         prompt(frames="none"),
+        prompt(frames="000000 to 000060 in steps of 0"),
         prompt(place="{}"),
         prompt(place=PLACE.replace("000000", "../../")),
         prompt(image="file:///etc/passwd"),
@@ -426,17 +433,67 @@ def test_the_server_ends_with_its_parent():
     pytest.fail("the server outlived its parent")
 
 
-def test_the_marker_reads_nothing_but_what_it_is_sent():
-    """The server's process opens no Parquet file, no label file and no image."""
+WATCHED = """
+import runpy, sys
+def watch(event, args):
+    if event == "open" and isinstance(args[0], (str, bytes)):
+        name = args[0] if isinstance(args[0], str) else args[0].decode()
+        if "site-packages" not in name and not name.startswith((sys.prefix, sys.base_prefix)):
+            print("opened", name, file=sys.stderr, flush=True)
+sys.addaudithook(watch)
+sys.argv = ["marker"]
+runpy.run_module("jrdb_avr.agent.marker", run_name="__main__")
+"""
+
+
+@contextlib.contextmanager
+def serving(code):
+    """The URL of a server that this code starts in a process of its own, and its stderr's lines once it has ended."""
+    told = []
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", code], text=True, **pipes) as process:
+        try:
+            yield process.stdout.readline().rpartition(" ")[2].strip(), told
+        finally:
+            told += process.communicate(timeout=30)[1].splitlines()
+
+
+def test_the_marker_reads_nothing_but_what_it_is_sent(tmp_path):
+    """While it plays a question, its process opens no file but the program's own."""
+    box = still(1800, 7, pose="standing")
+    world = World(tmp_path, [box], tuple(range(0, 151, 15)))
+    with serving(WATCHED) as (url, told):
+        times = {"t0": Time(frame=15), "t1": Time(frame=150)}
+        spec = AnswerSpec(mode="multiple_choice", read="action", of="a", at="t1")
+        plan = Plan("a", "a", times, (Node("a", (pose("standing"),)),), (), spec)
+        task = world.task(render("change", plan, "0" * 64), "multiple_choice", POSES)
+        prediction = ReAct(Client(url, "marker")).answer(task)
+    assert prediction.status == "answered"
+    check_evidence(prediction, box.box)
+    assert told, "the watch saw nothing at all"
+    assert [line for line in told if not line.endswith((".py", ".pyc"))] == []
+
+
+def test_a_client_that_goes_away_is_no_traceback():
+    code = "import sys, runpy; sys.argv = ['m']; runpy.run_module('jrdb_avr.agent.marker', run_name='__main__')"
+    with serving(code) as (url, told):
+        place = urllib.parse.urlsplit(url)
+        for sent in (b"", b"POST /v1/chat/completions HTTP/1.1\r\nContent-Length: 100\r\n\r\n{"):
+            gone = socket.create_connection((place.hostname, place.port))
+            gone.sendall(sent)
+            time.sleep(0.1)
+            # A reset, as the kernel sends for a process that was killed.
+            gone.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            gone.close()
+        time.sleep(0.2)
+        assert Client(url, "marker").probe() == "marker"
+    assert told == []
+
+
+def test_the_marker_loads_neither_loaders_nor_engines():
     code = (
-        "import sys, runpy\n"
-        "def watch(event, args):\n"
-        "    if event == 'open' and str(args[0]).endswith(('.parquet', '.jpg', '.kuzu', 'labels.json')):\n"
-        "        print('opened', args[0], flush=True)\n"
-        "sys.addaudithook(watch)\n"
-        "import jrdb_avr.agent.marker.server\n"
-        "bad = [m for m in sys.modules if m.startswith(('jrdb_avr.engine', 'jrdb_avr.loaders', 'kuzu', 'duckdb'))]\n"
-        "print('modules', bad)\n"
+        "import sys, jrdb_avr.agent.marker.server\n"
+        "bad = ('jrdb_avr.engine', 'jrdb_avr.loaders', 'jrdb_avr.queries', 'kuzu', 'duckdb', 'pyarrow')\n"
+        "print([m for m in sys.modules if m.startswith(bad)])\n"
     )
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert out.strip() == "modules []"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"

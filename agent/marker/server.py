@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -42,11 +43,16 @@ class Server(ThreadingHTTPServer):
         """The base URL that a client is given."""
         return f"http://127.0.0.1:{self.server_port}/v1"
 
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A client that goes away, as when a run is killed, is no fault to tell; anything else is."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
+
     def reply(self, body: bytes) -> dict[str, Any]:
         """The completion for a request's body. Raises DecodeError for what cannot be understood."""
         try:
             request = msgspec.json.decode(body, type=_Request)
-        except msgspec.DecodeError as error:
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
             raise DecodeError(f"no chat-completions request: {error}") from None
         task = read_task(request.messages, self.reader)
         if task is None:
@@ -104,7 +110,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         length = self.headers.get("Content-Length", "")
-        if not length.isdigit() or int(length) > _LONGEST_REQUEST:
+        if not (length.isascii() and length.isdigit()) or int(length) > _LONGEST_REQUEST:
             self.close_connection = True
             self._send(413, {"error": {"message": "a request needs a Content-Length of at most 256 MB"}})
             return
