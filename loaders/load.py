@@ -2,7 +2,8 @@
 
 Everything is first written into a staging folder inside the store; the graph is built and its rows are counted; only
 then the new parts are moved in and the manifest is written last. So a load that fails leaves the old store as it was,
-and one that is killed is repaired by running it again: what it left behind is swept away under the writer's lock.
+and one that is killed is repaired by running it again: what it left behind is swept away under the writer's lock. Once
+the moves have begun, they are finished by whoever writes next, so that the tables outlive a kill at any moment.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.queries.handle import build_graph
+from jrdb_avr.queries.handle import build_graph, remove_graph
 from jrdb_avr.queries.store import Manifest, SequenceEntry, Store
 from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.rules import LoadRules, rules_hash
@@ -95,6 +96,7 @@ def rebuild(
     """Derive intervals and graph again from the annotation tables of a store.
 
     Raises StoreError where the store holds no annotations or one of its files does not read or is not the one loaded.
+    A load or rebuild that was killed while it moved things must have been brought to its end by `resume`.
     """
     with store.writing("load --rebuild"), _staging(store) as staging:
         manifest = store.manifest()
@@ -108,6 +110,16 @@ def rebuild(
             advance(1)
         _finish(store, staging, manifest.image_root, rules, dict(sorted(entries.items())), PARTS[1:])
     return entries
+
+
+def resume(store: Store) -> None:
+    """Finish the moves of a load that was killed between them; does nothing to any other store.
+
+    The graph is taken away, as it may be the old one: a rebuild makes it anew. Raises LockedError, StoreError.
+    """
+    if _half_moved(store):
+        with store.writing("load"):
+            _finish_moves(store)
 
 
 # -- one sequence ------------------------------------------------------------------------------------------------
@@ -249,6 +261,7 @@ def _staging(store: Store) -> Iterator[Store]:
     """The staging folder, empty; gone afterwards. Under the writer's lock, so what lies there is nobody's."""
     staging = Store(store.path / STAGING)
     try:
+        _finish_moves(store)
         shutil.rmtree(staging.path, ignore_errors=True)
         staging.path.mkdir()
     except OSError as error:
@@ -256,7 +269,8 @@ def _staging(store: Store) -> Iterator[Store]:
     try:
         yield staging
     finally:
-        shutil.rmtree(staging.path, ignore_errors=True)
+        if not _half_moved(store):
+            shutil.rmtree(staging.path, ignore_errors=True)
 
 
 def _finish(
@@ -270,9 +284,26 @@ def _finish(
     """Build the graph, move what is staged in, and put the manifest back last."""
     manifest = Manifest(image_root, rules, rules_hash(rules), entries, {})
     _in_child(_build, Index(str(store.path), str(staging.path), manifest))
+    _move(store, staging, parts)
+
+
+def _move(store: Store, staging: Store, parts: Sequence[str]) -> None:
     for part in parts:
         _swap(store.path / part, staging.path / part, staging.path / f"old_{part}")
     (staging.path / "store.json").replace(store.path / "store.json")
+
+
+def _half_moved(store: Store) -> bool:
+    """Whether a load ended between taking the old manifest away and putting the new one in."""
+    return (store.path / STAGING / "store.json").exists() and not (store.path / "store.json").exists()
+
+
+def _finish_moves(store: Store) -> None:
+    """As `resume`, under the writer's lock."""
+    if _half_moved(store):
+        staging = Store(store.path / STAGING)
+        remove_graph(store.graph_path)
+        _move(store, staging, [part for part in PARTS if (staging.path / part).exists()])
 
 
 @dataclass(frozen=True)

@@ -343,6 +343,17 @@ def build_graph(path: str | Path, *, buffer_bytes: int = BUFFER_BYTES) -> Iterat
             lock.close()
 
 
+def remove_graph(path: str | Path) -> None:
+    """Take a graph away, if there is one. Raises LockedError where anybody has it open, StoreError as `lock_graph`."""
+    place = Path(path).resolve()
+    lock = lock_graph(place, shared=False)
+    try:
+        _remove(place)
+    finally:
+        if lock is not None:
+            lock.close()
+
+
 def lock_graph(path: Path, *, shared: bool) -> IO[str] | None:
     """Take the side-file lock of a graph, until the file returned is closed.
 

@@ -213,6 +213,44 @@ def test_killed_between_any_two_moves_a_rerun_repairs(tmp_path, monkeypatch, cal
     same(old, fresh)
 
 
+@pytest.mark.parametrize("again", ["load", "rebuild"])
+@pytest.mark.parametrize("first", ["load", "rebuild"])
+@pytest.mark.parametrize("call", range(2))
+def test_killed_between_any_two_moves_no_table_is_lost(tmp_path, monkeypatch, call, first, again):
+    """Also without the label files: they may be gone by then."""
+    store = load_world(tmp_path / "old", {"yard-1": GOOD, "yard-2": GOOD})
+    root = find_root(write_root(tmp_path / "new", {"yard-1": GOOD}))
+    expected = Store(tmp_path / "expected")
+    if first == "load":
+        loading.load(root, expected, LoadRules(), 1)
+    else:
+        expected = load_world(tmp_path / "same", {"yard-1": GOOD, "yard-2": GOOD})
+    swap, calls = loading._swap, []
+
+    def dying(place, new, gone):
+        if len(calls) == call:
+            raise Killed
+        calls.append(place)
+        swap(place, new, gone)
+
+    monkeypatch.setattr(loading, "_swap", dying)
+    with monkeypatch.context() as killed:
+        # Nothing is tidied up by a process that is killed.
+        killed.setattr(loading.shutil, "rmtree", lambda *a, **k: None)
+        with pytest.raises(Killed):
+            if first == "load":
+                loading.load(root, store, LoadRules(), 1)
+            else:
+                loading.rebuild(store, LoadRules(), 1)
+                raise Killed
+    monkeypatch.setattr(loading, "_swap", swap)
+    if again == "load":
+        with pytest.raises(AvrError):
+            loading.load(find_root(write_root(tmp_path / "bad", {"yard-1": {"2d": b"x"}})), store, LoadRules(), 1)
+    assert command("load", "--rebuild", "--store", store.path).returncode == 0
+    same(store, expected)
+
+
 @pytest.mark.parametrize("limit_kb", [20, 300])
 def test_a_full_disk_is_one_line_and_leaves_the_old_store(tmp_path, limit_kb):
     small = write_root(tmp_path / "small", {"yard-1": GOOD})

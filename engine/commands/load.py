@@ -61,6 +61,7 @@ def command(
 
     place = Store(store)
     if root is None:
+        loading.resume(place)
         manifest = place.manifest()
         rules = _rules(rule_texts, manifest.load_rules)
         with progress("rebuilding", len(manifest.sequences)) as advance:
