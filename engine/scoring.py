@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -23,7 +24,7 @@ from jrdb_avr.schema.answers import ANSWER_TYPES, TIE, Answer, Choice, FrameAnsw
 from jrdb_avr.schema.answers import decode_answer as decode
 from jrdb_avr.schema.errors import DecodeError, InputError, StoreError
 from jrdb_avr.schema.panorama import WIDTH, angle_error
-from jrdb_avr.schema.tables import RUNS
+from jrdb_avr.schema.tables import QUESTIONS, RUNS
 
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
@@ -70,8 +71,11 @@ class Truth:
 
 def read_truth(store: Store) -> Truth:
     """The store's questions with their answers and evidence. Raises StoreError where a table is missing or unfit."""
-    questions, sequences = store.questions("questions"), store.questions("sequences")
-    return make_truth(questions, sequences, store.questions("answers"), store.questions("evidence"))
+    questions, sequences, answers, evidence = (
+        _fitted(store.questions(name), QUESTIONS[name], store.question_path(name), "generate")
+        for name in ("questions", "sequences", "answers", "evidence")
+    )
+    return make_truth(questions, sequences, answers, evidence)
 
 
 def make_truth(questions: pa.Table, sequences: pa.Table, answers: pa.Table, evidence: pa.Table) -> Truth:
@@ -191,17 +195,21 @@ def score_run(
         raise StoreError(f"run {run_id} was asked another questions file than this store's: score it in its own store")
     path = store.run_path(run_id) / "predictions.parquet"
     if not path.exists():
-        raise StoreError(f"run {run_id} has no predictions yet: evaluate it to the end (the same call resumes it)")
+        raise StoreError(f"run {run_id} has no predictions yet: evaluate it to the end (the same call with --resume)")
     predictions = read_table(path)
-    schema = RUNS["predictions"]
-    missing = set(schema.names) - set(predictions.column_names)
-    if missing:
-        raise StoreError(f"{path} lacks the columns {', '.join(sorted(missing))}: evaluate again")
-    try:
-        predictions = predictions.select(schema.names).cast(schema)
-    except (ValueError, pa.ArrowException) as error:
-        raise StoreError(f"{path} is of another form ({str(error).splitlines()[0]}): evaluate again") from None
+    predictions = _fitted(predictions, RUNS["predictions"], path, "evaluate")
     return manifest, predictions, score_predictions(truth, run_id, manifest.question_ids, predictions, iou)
+
+
+def _fitted(table: pa.Table, schema: pa.Schema, path: Path, command: str) -> pa.Table:
+    """The table under the schema, without further columns. Raises StoreError where it does not fit."""
+    missing = set(schema.names) - set(table.column_names)
+    if missing:
+        raise StoreError(f"{path} lacks the columns {', '.join(sorted(missing))}: {command} again")
+    try:
+        return table.select(schema.names).cast(schema)
+    except (ValueError, pa.ArrowException) as error:
+        raise StoreError(f"{path} is of another form ({str(error).splitlines()[0]}): {command} again") from None
 
 
 def write_scores(store: Store, run_id: str, scores: pa.Table, iou: float) -> None:

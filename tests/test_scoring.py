@@ -544,3 +544,20 @@ def test_predictions_of_another_form_are_one_line(tmp_path):
         pq.write_table(table, path)
         with pytest.raises(StoreError, match="of another form"):
             scoring.score_run(store, truth, "r")
+
+
+@pytest.mark.parametrize("name", ["questions", "sequences", "answers", "evidence"])
+def test_questions_of_another_form_are_one_line(tmp_path, name):
+    from jrdb_avr.queries.store import Store
+
+    store = Store(tmp_path)
+    for table in ("questions", "sequences", "answers", "evidence"):
+        store.write_questions(table, QUESTIONS[table].empty_table(), {})
+    assert len(scoring.read_truth(store).ids) == 0
+    pq.write_table(pa.table({"question_id": ["a"]}), store.question_path(name))
+    with pytest.raises(StoreError, match="lacks the columns"):
+        scoring.read_truth(store)
+    row = pa.table({field.name: pa.nulls(1, field.type) for field in QUESTIONS[name]})
+    pq.write_table(row, store.question_path(name))
+    with pytest.raises(StoreError, match="of another form"):
+        scoring.read_truth(store)
