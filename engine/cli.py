@@ -80,6 +80,10 @@ def main() -> None:
         # The reader of our output (head, less) has gone: nothing is left to say, also not at shutdown.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
+    except UnicodeEncodeError as error:
+        # Half a character, most often from the bytes of a file's name; no table can hold it.
+        click.echo(f"jrdb-avr: {ascii(error.object)[:200]} is no Unicode text: use other names", err=True)
+        sys.exit(1)
     except OSError as error:
         click.echo(f"jrdb-avr: {error.strerror or error}: {error.filename or ''}", err=True)
         sys.exit(1)

@@ -89,12 +89,23 @@ def find_root(path: str | Path) -> Root:
 
 
 def image_frames(folder: str | None) -> list[int]:
-    """Frame numbers of the panoramas `000000.jpg`, ... in a folder, ascending."""
+    """Frame numbers of the panoramas `000000.jpg`, ... in a folder, ascending. Raises InputError if unreadable."""
     if folder is None:
         return []
-    with os.scandir(folder) as entries:
-        named = [(_IMAGE.fullmatch(entry.name), entry) for entry in entries]
-        return sorted(int(match[1]) for match, entry in named if match and entry.is_file())
+    try:
+        with os.scandir(folder) as entries:
+            named = [(_IMAGE.fullmatch(entry.name), entry) for entry in entries]
+            return sorted(int(match[1]) for match, entry in named if match and _is_file(entry))
+    except OSError as error:
+        name = Path(folder).name
+        raise InputError(f"{name}: the folder of images cannot be read: {error.strerror}", file=name) from None
+
+
+def _is_file(entry: os.DirEntry[str]) -> bool:
+    try:
+        return entry.is_file()
+    except OSError:  # a link that leads round in a circle
+        return False
 
 
 def _label_files(root: Path, names: tuple[str, ...]) -> list[Path]:

@@ -150,11 +150,16 @@ def load_shard(shard: Shard) -> ShardResult:
                 problems["3d"].add("file", str(error))
             else:
                 heading = heading_check(tables["boxes_3d"])
+        pictures: list[int] = []
+        try:
+            pictures = image_frames(files.images)
+        except InputError as error:
+            problems["images"] = Problems(error.file)
+            problems["images"].add("file", str(error))
         listed = [problem for layer in problems.values() for problem in layer.listed()]
         if not any(len(known) for known, _ in frames.values()):
             return ShardResult(empty_report(sequence, listed), None)
-        pictures = np.array(image_frames(files.images), np.int64)
-        frames["images"] = pictures, np.ones(len(pictures), np.int64)
+        frames["images"] = np.array(pictures, np.int64), np.ones(len(pictures), np.int64)
         tables["frames"] = _frames_table(sequence, frames)
         tables = {layer: tables.get(layer, schema.empty_table()) for layer, schema in ANNOTATIONS.items()}
         intervals = derive(sequence, tables, shard.rules)

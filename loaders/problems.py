@@ -29,7 +29,7 @@ class Problems:
     """A counter of problems of one file."""
 
     def __init__(self, file: str) -> None:
-        self.file = file
+        self.file = shorten(file, 200)
         self._found: dict[tuple[str, str, str], Problem] = {}
 
     def add(

@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
+from worlds import person, write_root
 
 from jrdb_avr.engine.cli import COMMANDS, group, main
 from jrdb_avr.queries.handle import build_graph
@@ -198,6 +199,12 @@ def test_a_statement_that_is_no_text_is_a_wrong_call(store, language):
     assert (code, "UTF-8" in err) == (2, True)
     code, _, err = run(language, "SELECT $a AS x", "--store", store.path, "--param", "a=\udcff")
     assert (code, "UTF-8" in err) == (2, True)
+
+
+def test_a_path_that_is_no_text_is_one_line(tmp_path):
+    root = write_root(tmp_path / "root", {"yard-1": {"2d": {0: [person(1, (1, 60, 50, 200))]}}})
+    code, out, err = run("load", root, "--store", tmp_path / "s\udcff")
+    assert (code, out, len(err.splitlines())) == (1, "", 1)
 
 
 def test_rows_are_the_same_in_every_form(store, tmp_path):

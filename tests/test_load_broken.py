@@ -8,6 +8,8 @@ from __future__ import annotations
 import json
 import os
 
+import msgspec
+import pyarrow.compute as pc
 import pytest
 from worlds import load_reported, person, person_3d, write_root
 
@@ -15,6 +17,7 @@ from jrdb_avr.loaders import labelfile
 from jrdb_avr.loaders.layers import find_root
 from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.problems import Problems
+from jrdb_avr.loaders.report import as_row
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError, InputError
 from jrdb_avr.schema.rules import LoadRules
@@ -451,6 +454,37 @@ def test_what_is_no_file_is_refused(tmp_path):
     assert list(store.manifest().sequences) == ["good-1"]
     refused = {report.problems[0].file: report.problems[0].reason for report in reports if report.problems}
     assert set(refused) == {"folder-1.json", "loop-1.json", "gone-1.json", "pipe-1.json", "bad name!.json"}
+
+
+def test_images_that_cannot_be_read_are_no_images(tmp_path, monkeypatch):
+    world = {"good-1": {"2d": {0: [GOOD]}, "images": [0]}, "good-2": {"2d": {0: [GOOD]}, "images": [0]}}
+    images = write_root(tmp_path / "root", world) / "images" / "image_stitched"
+    (images / "good-1" / "000001.jpg").symlink_to("000001.jpg")
+    os.mkfifo(images / "good-1" / "000002.jpg")
+    scandir = os.scandir
+
+    def refusing(folder):
+        if str(folder).endswith("good-2"):
+            raise PermissionError(13, "Permission denied")
+        return scandir(folder)
+
+    monkeypatch.setattr(os, "scandir", refusing)
+    store, reports = load_reported(tmp_path, world)
+    pictures = {name: store.interval("frames", name).filter(pc.field("image"))["frame"].to_pylist() for name in world}
+    assert pictures == {"good-1": [0], "good-2": []}
+    assert [found(report) for report in reports] == [
+        [],
+        [("file", "good-2: the folder of images cannot be read: Permission denied", 1, "good-2", "", "")],
+    ]
+
+
+def test_a_file_name_that_is_no_unicode_can_be_reported(tmp_path):
+    world = {"good-1": {"2d": {0: [GOOD]}}}
+    folder = write_root(tmp_path / "root", world) / "labels" / "labels_2d_stitched"
+    (folder / os.fsdecode(b"bad\xff.json")).write_text("{}")
+    _, reports = load_reported(tmp_path, world)
+    assert [problem["file"] for report in reports for problem in as_row(report)["problems"]] == ["bad .json"]
+    assert json.loads(msgspec.json.encode([as_row(report) for report in reports]))
 
 
 def test_a_file_over_the_limit_is_refused(tmp_path, monkeypatch):
