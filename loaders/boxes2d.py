@@ -9,9 +9,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from functools import partial
 from itertools import chain
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -355,11 +354,17 @@ def _expand(
     codes = kept.codes[field]
     numbers = Distinct()
     members_of: list[list[int]] = []
+    issues_of: dict[int, list[_Issue]] = {}
     for i, raw in enumerate(columns.codes[field]):
         values, issues = ([], []) if raw in (b"", b"null") else decode(raw)
         members_of.append([numbers[value] for value in values])
-        for reason, name, value in issues:
-            refusals.count(codes == i, "field", reason, name, partial(_given, value))
+        if issues:
+            issues_of[i] = issues
+    if issues_of:
+        # By first row, so that the first example of a problem is the first by frame.
+        for code, begin, count in sorted(zip(*_firsts(codes), strict=True), key=itemgetter(1)):
+            for reason, name, value in issues_of.get(code, ()):
+                refusals.add("field", reason, name, begin, value, count)
     flat = np.array(list(chain.from_iterable(members_of)), np.int64)
     lengths = np.array([len(numbered) for numbered in members_of], np.int64)
     starts = np.cumsum(lengths) - lengths
@@ -368,8 +373,10 @@ def _expand(
     return _Rows(row, taken, list(numbers))
 
 
-def _given(value: object, row: int) -> object:
-    return value
+def _firsts(codes: Ints) -> tuple[list[int], list[int], list[int]]:
+    """Every code that occurs, its first row and how often it occurs."""
+    found, first, counts = np.unique(codes, return_index=True, return_counts=True)
+    return found.tolist(), first.tolist(), counts.tolist()
 
 
 def _named(raw: bytes, field: str) -> tuple[list[tuple[str, str, Any]], list[_Issue]]:

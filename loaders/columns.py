@@ -61,8 +61,12 @@ class Refusals:
         n = int(where.sum())
         if n:
             row = int(where.argmax())
-            frame = f"{int(self._frame[row]):06d}.{self._suffix}"
-            self._problems.add(kind, reason, frame=frame, field=field, value=value(row), count=n)
+            self.add(kind, reason, field, row, value(row), n)
+
+    def add(self, kind: str, reason: str, field: str, row: int, value: object, count: int) -> None:
+        """Add a problem of `count` rows, of which `row` is the first."""
+        frame = f"{int(self._frame[row]):06d}.{self._suffix}"
+        self._problems.add(kind, reason, frame=frame, field=field, value=value, count=count)
 
 
 def first_of_equal(keys: Ints) -> tuple[Ints, Bools]:

@@ -147,7 +147,8 @@ def read_labels(table: pa.Table) -> Labels:
     written = table["action"].combine_chunks().dictionary_encode()
     spelled = written.dictionary.to_pylist()
     names = sorted(spelled)
-    rank = np.array([names.index(name) for name in spelled], np.int64)
+    place = {name: i for i, name in enumerate(names)}
+    rank = np.array([place[name] for name in spelled], np.int64)
     code = written.indices.to_numpy().astype(np.int64)
     action = rank[code] if len(code) else code
     frame, track = _person_columns(table)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 
 import msgspec
 import pyarrow.compute as pc
@@ -320,6 +321,21 @@ def test_a_bad_group_is_no_group(tmp_path, value):
     assert store.annotation("groups", NAME)["track"].to_pylist() == [1]
     ((kind, field),) = [(p.kind, p.field.partition(".")[0]) for p in report.problems]
     assert (kind, field) == ("field", "social_group")
+
+
+def test_time_is_not_squared_where_every_record_is_wrong_in_its_own_way(tmp_path):
+    def crowd(frame):
+        named = [(i, f"label {frame} {i}") for i in range(500)]
+        return [person(i, (1, 2, 30, 40), {name: 1, "sitting": name}, (name, 1)) for i, name in named]
+
+    world = {frame: crowd(frame) for frame in range(80)}
+    started = time.process_time()
+    _, report = loaded(tmp_path, world)
+    assert time.process_time() - started < 15
+    assert {(p.reason, p.field): (p.count, p.frame, p.detail) for p in report.problems} == {
+        ("difficulty: not a number", "action_label"): (40_000, "000000.jpg", "label 0 0"),
+        ("not a number", "social_group.cluster_ID"): (40_000, "000000.jpg", "label 0 0"),
+    }
 
 
 # -- 3D --------------------------------------------------------------------------------------------------------
