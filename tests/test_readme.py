@@ -1,4 +1,4 @@
-"""The README's commands do what it says: the tour runs as written, and its output is of the shape shown."""
+"""The README's commands do what it says: the tour runs as written, and its output is the one shown."""
 
 import os
 import re
@@ -24,10 +24,15 @@ def steps():
     return found
 
 
-def words(lines):
-    """The lines that hold no number, without spaces and rules: what does not depend on counts and clocks."""
-    plain = (re.sub(r"[\s─-╿]+", " ", line).strip() for line in lines)
-    return {line for line in plain if line and not re.search(r"\d", line)}
+def kept(command, lines):
+    """The lines that must be the same, without spaces and rules.
+
+    What a run prints depends on clocks and on the JPEG decoder's version, so of runs only the lines without a number
+    count; all else is the same everywhere.
+    """
+    plain = [re.sub(r"[\s─-╿]+", " ", line).strip() for line in lines]
+    of_a_run = re.search(r" (evaluate|score|report|scores_by_family) ", command)
+    return [line for line in plain if line and not (of_a_run and re.search(r"\d", line))]
 
 
 @pytest.fixture(scope="module")
@@ -49,8 +54,7 @@ def test_the_tour_runs_as_written(tmp_path, environment):
             timeout=300,
         )
         assert done.returncode == 0 and "jrdb-avr: " not in done.stdout, f"{command}\n{done.stdout}"
-        missing = words(shown) - words(done.stdout.splitlines())
-        assert shown and not missing, f"{command}: the README shows {missing}"
+        assert shown and kept(command, shown) == kept(command, done.stdout.splitlines()), command
         ran.append(command.split()[1])
     assert set(ran) >= {"sample", "load", "cypher", "sql", "observe", "generate", "validate", "evaluate", "report"}
     assert (tmp_path / "tour" / "look.png").stat().st_size > 10_000
