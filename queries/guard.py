@@ -10,9 +10,13 @@ others run on past its own timeout.
 from __future__ import annotations
 
 import json
+import os
 import re
+import resource
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -27,6 +31,8 @@ from .binding import strip_literals
 
 TIMEOUT_S: Final = 60.0
 BUFFER_BYTES: Final = 256 << 20
+MEMORY_BYTES: Final = 2 << 30
+"""What the child may take in all: lists and results lie outside of the engine's buffer."""
 
 _REFUSED: Final = [
     "ALTER",
@@ -132,13 +138,29 @@ def ask_graph(
 def serve() -> None:
     """The child: one request on stdin, an Arrow stream on stdout or an error as JSON on stderr."""
     request = msgspec.json.decode(sys.stdin.buffer.read(), type=_Request)
+    threading.Thread(target=_watch_memory, daemon=True).start()
     try:
         table = _ask(request)
     except (QueryError, StoreError) as error:
-        sys.stderr.buffer.write(b"\n" + msgspec.json.encode((type(error).__name__, str(error))) + b"\n")
+        _report(error)
         sys.exit(1)
     with pa.ipc.new_stream(sys.stdout.buffer, table.schema) as writer:
         writer.write_table(table)
+
+
+def _report(error: Exception) -> None:
+    sys.stderr.buffer.write(b"\n" + msgspec.json.encode((type(error).__name__, str(error))) + b"\n")
+    sys.stderr.buffer.flush()
+
+
+def _watch_memory() -> None:
+    """End the process when it takes too much, where the kernel tells (Linux)."""
+    place = Path("/proc/self/statm")
+    while place.exists():
+        if int(place.read_text().split()[1]) * resource.getpagesize() > MEMORY_BYTES:
+            _report(QueryError(f"stopped at {MEMORY_BYTES >> 30} GB of memory: narrow the statement"))
+            os._exit(1)
+        time.sleep(0.02)
 
 
 def _ask(request: _Request) -> pa.Table:

@@ -102,6 +102,7 @@ def _lock_down(connection: Any) -> None:
         "autoinstall_known_extensions = false",
         "autoload_known_extensions = false",
         "temp_directory = ''",
+        "memory_limit = '2GB'",
         "enable_external_access = false",
         "lock_configuration = true",
     ):

@@ -71,6 +71,8 @@ def safe_sequence(name: str) -> str:
 def write_atomic(path: Path, write: Callable[[Path], None]) -> None:
     """Call `write` with a path beside `path`, sync the file, rename it in. Raises StoreError if the disk refuses."""
     temporary: Path | None = None
+    if path.exists() and not path.is_file():
+        raise StoreError(f"cannot write {path}: it is there already and no file; choose another name")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)

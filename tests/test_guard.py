@@ -315,6 +315,16 @@ def test_hostile_sql_is_refused_in_one_line(store, surroundings):
         assert SECRET not in str(error.value)
 
 
+def test_cypher_is_stopped_at_its_memory(store):
+    with pytest.raises(QueryError, match="GB of memory"):
+        store.cypher("UNWIND range(1, 400000000) AS x RETURN x")
+
+
+def test_sql_is_stopped_at_its_memory(store):
+    with pytest.raises(QueryError, match="Out of Memory"):
+        store.sql("SELECT list(repeat('x', 10000000)) FROM range(1000)")
+
+
 def test_sql_is_stopped_in_time(store):
     endless = "SELECT count(*) FROM range(10000000) a, range(10000000) b WHERE a.range % 7 = b.range % 5"
     with pytest.raises(QueryError, match="stopped after"):

@@ -124,3 +124,11 @@ def test_a_broken_parquet_file_is_one_error(tmp_path):
     path.write_bytes(path.read_bytes()[:-20])
     with pytest.raises(StoreError, match=r"t\.parquet"):
         read_table(path)
+
+
+def test_what_is_no_file_is_not_replaced(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(StoreError, match="no file"):
+        write_atomic(tmp_path / "pipe", lambda path: path.write_bytes(b"x"))
+    assert (tmp_path / "pipe").is_fifo()
+    assert [path.name for path in tmp_path.iterdir()] == ["pipe"]
