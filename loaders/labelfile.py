@@ -22,8 +22,8 @@ from jrdb_avr.schema.errors import InputError
 from .jsonscan import MalformedError, elements, end_of_text, holds_only, members
 from .problems import Problems, shorten
 
-MAX_FILE: Final = 256 << 20
-"""Bytes of the largest file that is read; three times the largest real one, all layers in it."""
+MAX_FILE: Final = 160 << 20
+"""Bytes of the largest file that is read; twice the largest real one, all layers in it. One of 190 MB took 741 MB."""
 MAX_FRAME: Final = 4 << 20
 MAX_RECORDS: Final = 1000
 """Records of one frame: JRDB's fullest have about a hundred, and pairs of people grow with the square."""
