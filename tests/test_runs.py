@@ -335,8 +335,9 @@ def test_errors_are_rows_and_are_asked_again(store):
 
     with FakeServer(script) as server:
         options = ("--model", "fake", "--base-url", server.url, "--limit", "3", "--concurrency", "1", "--json")
-        (row,) = json.loads(evaluate(store, *options).stdout)
-        assert row["error"] == 3
+        result = evaluate(store, *options, ok=False)
+        (row,) = json.loads(result.stdout)
+        assert (result.exit_code, row["error"]) == (1, 3)
         table = predictions(store, "react-fake").to_pylist()
         assert all("HTTP 400" in r["reason"] and r["answer"] is None for r in table)
         assert [r["n_model_calls"] for r in table].count(0) == 2

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import datetime
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -58,6 +59,7 @@ def command(
     """Ask a model the questions of a store, and keep every step.
 
     The model's key is read from the environment (OPENAI_API_KEY). The run can be stopped at any time and resumed.
+    Exit code 1 while any question ends in an error.
     """
     from jrdb_avr.engine import runs
     from jrdb_avr.engine.observe import Observer
@@ -88,11 +90,13 @@ def command(
     rows = [_summary(run_id, entries)]
     if as_json:
         print_json(rows)
-        return
-    print_rows(rows, title="Run (synthetic: the marker model)" if model == MARKER else "Run")
+    else:
+        print_rows(rows, title="Run (synthetic: the marker model)" if model == MARKER else "Run")
     if rows[0]["error"]:
         note(f"{rows[0]['error']} questions ended in an error: run the same command with --resume to ask them again")
-    note(f"next: jrdb-avr score --store {store} {run_id} && jrdb-avr report --store {store}")
+        sys.exit(1)
+    if not as_json:
+        note(f"next: jrdb-avr score --store {store} {run_id} && jrdb-avr report --store {store}")
 
 
 def default_run_id(method: str, model: str) -> str:
