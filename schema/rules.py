@@ -30,6 +30,21 @@ def frames(seconds: float) -> int:
 Pixels = Annotated[float, msgspec.Meta(ge=0, le=10_000)]
 Metres = Annotated[float, msgspec.Meta(ge=0, le=1000)]
 Seconds = Annotated[float, msgspec.Meta(ge=0, le=3600)]
+Wait = Annotated[float, msgspec.Meta(ge=1, le=3600)]
+"""Seconds between two asked times: a keyframe at least, or they would be one."""
+Share = Annotated[float, msgspec.Meta(gt=0, le=1)]
+
+CONDITION_KINDS: Final = (
+    "gender",
+    "age",
+    "pose",
+    "action",
+    "object",
+    "interaction",
+    "group_size",
+    "sector",
+    "distance",
+)
 
 
 class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -67,31 +82,27 @@ class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """All thresholds; `load` holds those that are baked into the graph."""
 
     load: LoadRules = LoadRules()
-    condition_order: tuple[str, ...] = (
-        "gender",
-        "age",
-        "pose",
-        "action",
-        "object",
-        "interaction",
-        "group_size",
-        "sector",
-        "distance",
-    )
+    condition_order: tuple[str, ...] = CONDITION_KINDS
     """Ties between descriptions of equal length go to the earlier kinds."""
-    max_conditions: int = 3
-    min_wait_s: float = 3.0
+    max_conditions: Annotated[int, msgspec.Meta(ge=1, le=3)] = 3
+    min_wait_s: Wait = 3.0
     """Least time from the description's time to what is asked, and between two asked times."""
-    shift_s: float = 3.0
+    shift_s: Wait = 3.0
     """How far time.shift moves the asked times."""
-    distance_changed_m: float = 1.5
-    distance_same_m: float = 0.5
+    distance_changed_m: Metres = 1.5
+    distance_same_m: Metres = 0.5
     """Closer or farther from 1.5 m on, about the same below 0.5 m, no question in between."""
-    visible_share: float = 0.5
+    visible_share: Share = 0.5
     """A box counts as shown by a view when at least this share of its width lies inside."""
-    near_duplicate_s: float = 2.0
-    max_per_person: int = 12
-    max_answer_share: float = 0.34
+    near_duplicate_s: Seconds = 2.0
+    max_per_person: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 12
+    max_answer_share: Share = 0.34
+
+    def __post_init__(self) -> None:
+        if sorted(self.condition_order) != sorted(CONDITION_KINDS):
+            raise ValueError(f"condition_order holds each of {', '.join(CONDITION_KINDS)} once")
+        if self.distance_same_m > self.distance_changed_m:
+            raise ValueError("distance_same_m is at most distance_changed_m, or a change could be none")
 
 
 def rules_hash(rules: Rules | LoadRules) -> str:

@@ -27,7 +27,8 @@ def test_every_load_rule_changes_both_hashes(name):
 
 @pytest.mark.parametrize("name", [name for name in Rules.__struct_fields__ if name not in ("load", "condition_order")])
 def test_every_rule_can_be_overridden(name):
-    value = getattr(Rules(), name) + 1
+    value = getattr(Rules(), name)
+    value = value - 1 if isinstance(value, int) else value * 0.9
     changed = override(Rules(), {name: str(value)})
     assert getattr(changed, name) == value
     assert rules_hash(changed) != rules_hash(Rules())
@@ -95,3 +96,24 @@ def test_margins_at_which_three_words_would_meet_are_refused(change):
 def test_a_value_that_is_no_unicode_is_refused():
     with pytest.raises(InputError, match="gap_frames"):
         override(Rules(), {"load.gap_frames": "\udcff"})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("min_wait_s", "-5"),
+        ("min_wait_s", "0"),
+        ("shift_s", "0.01"),
+        ("max_conditions", "4"),
+        ("visible_share", "0"),
+        ("max_answer_share", "1.5"),
+        ("near_duplicate_s", "-1"),
+        ("max_per_person", "0"),
+        ("distance_same_m", "2"),
+        ("condition_order", '["pose"]'),
+        ("condition_order", '["pose", "pose"]'),
+    ],
+)
+def test_a_rule_that_makes_no_sense_is_refused(name, value):
+    with pytest.raises(InputError, match="rules: "):
+        override(Rules(), {name: value})
