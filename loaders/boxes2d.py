@@ -26,6 +26,7 @@ from . import fields
 from .columns import Distinct, Ints, Refusals, constant, distinct_of, first_of_equal, known_frames, person_keys, ragged
 from .labelfile import RecordReader, read_frames
 from .problems import Problems, shorten
+from .reading import Reading
 from .records import BAD, OTHER, record_parts, repaired_label, track_codes, unpacked
 
 CHUNK: Final = 20_000
@@ -63,20 +64,7 @@ _READ_ONCE: Final = ("label_id", "box")
 """Keys whose repetition in a record is looked for; of other repeated keys JSON's usual reading, the last, holds."""
 
 
-class Labels2D:
-    """Annotation tables of one sequence's stitched 2D file, and labels outside the vocabulary."""
-
-    def __init__(
-        self, tables: dict[str, pa.Table], frames: dict[str, tuple[Ints, Ints]], unknown: Counter[tuple[str, str]]
-    ) -> None:
-        self.tables = tables
-        self.frames = frames
-        """Per layer: its frames, and the records in each."""
-        self.unknown = unknown
-        """Count per (field, label)."""
-
-
-def load_2d(path: Path, sequence: str, problems: Problems) -> Labels2D:
+def load_2d(path: Path, sequence: str, problems: Problems) -> Reading:
     """Read a stitched 2D label file. Raises InputError if the file as a whole cannot be used."""
     columns = _Columns()
     reader = RecordReader(Record, _repair, _READ_ONCE)
@@ -184,7 +172,7 @@ class _Columns:
         return np.concatenate(self.parts[name])
 
 
-def _tables(columns: _Columns, sequence: str, complete: list[int], problems: Problems) -> Labels2D:
+def _tables(columns: _Columns, sequence: str, complete: list[int], problems: Problems) -> Reading:
     frame: Ints = columns.column("frame")
     refusals = Refusals(frame, "jpg", problems)
     track, rows, partial = _keep(columns, frame, refusals)
@@ -215,7 +203,7 @@ def _tables(columns: _Columns, sequence: str, complete: list[int], problems: Pro
         "actions": known_frames(distinct_of(kept.frame[listed]), kept.frame[listed]),
         "groups": known_frames(distinct_of(kept.frame[groups.row]), kept.frame[groups.row]),
     }
-    return Labels2D(tables, layers, unknown)
+    return Reading(tables, layers, unknown)
 
 
 class _Kept:

@@ -23,6 +23,7 @@ from . import fields
 from .columns import Bools, Distinct, Ints, Refusals, constant, first_of_equal, known_frames, nullable, person_keys
 from .labelfile import RecordReader, read_frames
 from .problems import Problems
+from .reading import Reading
 from .records import BAD, OTHER, record_parts, repaired_label, track_codes, unpacked
 from .report import Heading
 from .scene_people import read_located, rows_of, wrap
@@ -67,8 +68,8 @@ class Record(msgspec.Struct, gc=False):
 _READ_ONCE: Final = ("label_id", "box")
 
 
-def load_3d(path: Path, sequence: str, problems: Problems) -> tuple[pa.Table, tuple[Ints, Ints]]:
-    """The table `boxes_3d` of a label file, and the frames that the layer knows with their records.
+def load_3d(path: Path, sequence: str, problems: Problems) -> Reading:
+    """The table `boxes_3d` of a label file.
 
     Raises InputError if the file as a whole cannot be used.
     """
@@ -82,7 +83,8 @@ def load_3d(path: Path, sequence: str, problems: Problems) -> tuple[pa.Table, tu
             columns.add(frame, found[0])
     columns.flush()
     table = _table(columns, sequence, problems)
-    return table, known_frames(np.array(sorted(known), np.int64), table["frame"].to_numpy().astype(np.int64))
+    frames = known_frames(np.array(sorted(known), np.int64), table["frame"].to_numpy().astype(np.int64))
+    return Reading({"boxes_3d": table}, {"3d": frames})
 
 
 def heading_check(table: pa.Table) -> Heading:

@@ -12,7 +12,7 @@ from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS
 from .beside import beside_table
 from .columns import constant, distinct_of
 from .runs import action_runs, actions_table, memberships_table
-from .scene_people import read_boxes, read_groups, read_labels, read_located, track_spans
+from .scene_people import listed_keys, read_boxes, read_groups, read_labels, read_located, track_spans
 from .segments import segments_table
 from .sightings import sightings_table
 from .timeline import frames_table, sequence_table, timeline
@@ -33,16 +33,18 @@ def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules)
         "track": tracks,
         "gender": pa.nulls(len(tracks), pa.string()),
         "age": pa.nulls(len(tracks), pa.string()),
+        "ethnicity": pa.nulls(len(tracks), pa.string()),
         "first_frame": first,
         "last_frame": last,
     }
-    return {
+    derived = {
         "sequence": sequence_table(line, boxes.has_attributes),
         "frames": frames_table(line),
         "persons": pa.table(persons).cast(INTERVALS["persons"]),
-        "sightings": sightings_table(line, boxes, labels, groups, located, rules),
+        "sightings": sightings_table(line, boxes, labels, groups, located, listed_keys(tables["listed"]), rules),
         "actions": actions_table(line, labels, runs),
         "memberships": memberships_table(line, groups, rules),
         "beside": beside_table(line, boxes, located, rules),
         "segments": segments_table(line, boxes, labels, runs, rules),
     }
+    return {kind: derived.get(kind, schema.empty_table()) for kind, schema in INTERVALS.items()}

@@ -22,22 +22,19 @@ from pathlib import Path
 from typing import Final
 
 import msgspec
-import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.queries.handle import build_graph, remove_graph
 from jrdb_avr.queries.store import Manifest, SequenceEntry, Store
 from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.rules import LoadRules, rules_hash
-from jrdb_avr.schema.tables import ANNOTATIONS, LAYERS
+from jrdb_avr.schema.tables import ANNOTATIONS
 
-from .boxes2d import load_2d
-from .boxes3d import heading_check, load_3d
-from .columns import constant
+from .annotate import annotate
 from .intervals import derive
-from .layers import Root, SequenceFiles, image_frames
+from .layers import Root, SequenceFiles
 from .problems import Problems
-from .report import SequenceReport, UnknownLabel, empty_report
+from .report import SequenceReport, empty_report
 from .scene import build_scene
 from .shards import end_with_parent, map_shards
 from .timeline import step_of
@@ -128,53 +125,23 @@ def resume(store: Store) -> None:
 def load_shard(shard: Shard) -> ShardResult:
     """Read one sequence's files and write its annotation and interval tables into the staging folder."""
     with _collector_off():
-        files, sequence = shard.files, shard.files.sequence
-        tables: dict[str, pa.Table] = {}
-        frames: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-        problems = {layer: Problems(Path(path).name) for layer, path in files.labels.items()}
-        unknown: list[UnknownLabel] = []
-        if "2d" in files.labels:
-            try:
-                labels = load_2d(Path(files.labels["2d"]), sequence, problems["2d"])
-            except InputError as error:
-                problems["2d"].add("file", str(error))
-            else:
-                tables |= labels.tables
-                frames |= labels.frames
-                unknown = [UnknownLabel(*key, count) for key, count in sorted(labels.unknown.items())]
-        heading = None
-        if "3d" in files.labels:
-            try:
-                tables["boxes_3d"], frames["3d"] = load_3d(Path(files.labels["3d"]), sequence, problems["3d"])
-            except InputError as error:
-                problems["3d"].add("file", str(error))
-            else:
-                heading = heading_check(tables["boxes_3d"])
-        pictures: list[int] = []
-        try:
-            pictures = image_frames(files.images)
-        except InputError as error:
-            problems["images"] = Problems(error.file)
-            problems["images"].add("file", str(error))
-        listed = [problem for layer in problems.values() for problem in layer.listed()]
-        if not any(len(known) for known, _ in frames.values()):
-            return ShardResult(empty_report(sequence, listed), None)
-        frames["images"] = np.array(pictures, np.int64), np.ones(len(pictures), np.int64)
-        tables["frames"] = _frames_table(sequence, frames)
-        tables = {layer: tables.get(layer, schema.empty_table()) for layer, schema in ANNOTATIONS.items()}
-        intervals = derive(sequence, tables, shard.rules)
-        entry = _write(Store(shard.staging), sequence, tables, intervals)
+        sequence = shard.files.sequence
+        found = annotate(shard.files)
+        if not found.frames:
+            return ShardResult(empty_report(sequence, found.problems), None)
+        intervals = derive(sequence, found.tables, shard.rules)
+        entry = _write(Store(shard.staging), sequence, found.tables, intervals)
         report = SequenceReport(
             sequence,
             list(entry.layers),
-            {layer: step_of(frames[layer][0]) for layer in entry.layers if layer != "images"},
+            {layer: step_of(found.frames[layer][0]) for layer in entry.layers if layer != "images"},
             intervals["frames"].num_rows,
             intervals["persons"].num_rows,
-            tables["boxes_2d"].num_rows,
-            tables["boxes_3d"].num_rows,
-            unknown,
-            listed,
-            heading,
+            found.tables["boxes_2d"].num_rows,
+            found.tables["boxes_3d"].num_rows,
+            found.unknown,
+            found.problems,
+            found.heading,
         )
         return ShardResult(report, entry)
 
@@ -228,22 +195,6 @@ def _write(
         tables[path.as_posix()] = staging.write_interval(kind, sequence, table)
     layers = intervals["sequence"]["layers"][0].as_py()
     return SequenceEntry(tuple(layers), tables)
-
-
-def _frames_table(sequence: str, frames: dict[str, tuple[np.ndarray, np.ndarray]]) -> pa.Table:
-    parts = [
-        pa.table(
-            {
-                "sequence": constant(sequence, len(frames[layer][0])),
-                "layer": constant(layer, len(frames[layer][0])),
-                "frame": frames[layer][0],
-                "records": frames[layer][1],
-            }
-        ).cast(ANNOTATIONS["frames"])
-        for layer in LAYERS
-        if layer in frames
-    ]
-    return pa.concat_tables(parts)
 
 
 @contextlib.contextmanager

@@ -84,14 +84,18 @@ def _frames(rows: pa.Table) -> pa.Table:
 
 def _persons(rows: pa.Table) -> pa.Table:
     keyed = rows.append_column("id", _keys(rows["sequence"], rows["track"]))
-    return _shaped(keyed, ("id", "sequence", "track", "gender", "age", "first_frame", "last_frame"))
+    return _shaped(keyed, ("id", "sequence", "track", "gender", "age", "ethnicity", "first_frame", "last_frame"))
 
 
 def _clusters(rows: pa.Table) -> pa.Table:
     distinct = rows.select(["sequence", "cluster"]).group_by(["sequence", "cluster"]).aggregate([])
     distinct = distinct.sort_by([("sequence", "ascending"), ("cluster", "ascending")])
     keyed = distinct.append_column("id", _keys(distinct["sequence"], distinct["cluster"]))
-    return _shaped(keyed, ("id", "sequence", "cluster"))
+    none = pa.nulls(keyed.num_rows, pa.list_(pa.string()))
+    keyed = keyed.append_column("venue", pa.nulls(keyed.num_rows, pa.string()))
+    for name in ("aim", "bpc", "ssc", "location", "inter"):
+        keyed = keyed.append_column(name, none)
+    return _shaped(keyed, ("id", "sequence", "cluster", "venue", "aim", "bpc", "ssc", "location", "inter"))
 
 
 # -- relationships: the two keys, then the columns of the DDL ------------------------------------------------------

@@ -183,6 +183,13 @@ def read_located(table: pa.Table) -> Located:
     return Located(frame, track, center, wrap(math.pi - table["rot_z"].to_numpy()), distance)
 
 
+def listed_keys(table: pa.Table) -> dict[str, Ints]:
+    """From the annotation table `listed`: per layer, ascending keys of (frame, track) whose list was read."""
+    keys = person_keys(*_person_columns(table))
+    layers = ("interactions", "handles")
+    return {layer: np.sort(keys[pc.equal(table["layer"], layer).to_numpy()]) for layer in layers}
+
+
 def wrap(radians: Floats) -> Floats:
     """Angles in [-pi, pi)."""
     return (radians + math.pi) % (2 * math.pi) - math.pi

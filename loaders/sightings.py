@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TypeVar
 
 import numpy as np
@@ -23,9 +24,15 @@ N = TypeVar("N", bound=np.generic)
 
 
 def sightings_table(
-    line: Timeline, boxes: Boxes, labels: Labels, groups: Groups, located: Located, rules: LoadRules
+    line: Timeline,
+    boxes: Boxes,
+    labels: Labels,
+    groups: Groups,
+    located: Located,
+    listed: Mapping[str, Ints],
+    rules: LoadRules,
 ) -> pa.Table:
-    """All sightings of a sequence, by frame and track."""
+    """All sightings of a sequence, by frame and track. `listed`: per layer, the keys whose list was read."""
     n = len(boxes.frame)
     cluster_row = rows_of(person_keys(groups.frame, groups.track), boxes.keys)
     sizes, size_known = group_sizes(line, boxes, groups, cluster_row)
@@ -47,6 +54,7 @@ def sightings_table(
             "clear": boxes.clear,
             "face_visible": pa.nulls(n, pa.bool_()),
             "listed": boxes.listed,
+            **{f"{layer}_listed": rows_of(keys, boxes.keys) >= 0 for layer, keys in listed.items()},
             "pose": texts(labels.names, certain_pose(boxes, labels)),
             "cluster": nullable(_take(groups.cluster, cluster_row), cluster_row < 0, pa.int64()),
             "group_size": nullable(sizes, ~size_known, pa.int32()),

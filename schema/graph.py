@@ -1,9 +1,10 @@
 """DDL of the scene namespace: the tables of the property graph, in Cypher.
 
 Names of tables and the properties written here are public. Node keys: `Person` and `SocialGroup` are
-`<sequence>/<number>`, `Frame` is `<sequence>/<six digits>`. Every relationship carries `sequence`, by which queries
-filter (ten times faster than by a property of the node). Relations are intervals of frames, inclusive, with seconds
-beside them; `certain` is false where the fact is unknown: it could be so.
+`<sequence>/<number>`, `Frame` is `<sequence>/<six digits>`, `Object` is `<sequence>/<category id>:<track>` (tracks
+restart per category). Every relationship carries `sequence`, by which queries filter (ten times faster than by a
+property of the node). Relations are intervals of frames, inclusive, with seconds beside them; `certain` is false where
+the fact is unknown: it could be so.
 """
 
 from __future__ import annotations
@@ -14,10 +15,13 @@ SCENE_NODES: Final[dict[str, str]] = {
     "Sequence": "sequence STRING PRIMARY KEY, fps DOUBLE, frame_count INT64, layers STRING[], action_step INT64",
     "Frame": "id STRING PRIMARY KEY, sequence STRING, frame INT64, seconds DOUBLE, keyframe BOOLEAN, "
     "annotated BOOLEAN, image BOOLEAN",
-    "Person": "id STRING PRIMARY KEY, sequence STRING, track INT64, gender STRING, age STRING, "
+    "Person": "id STRING PRIMARY KEY, sequence STRING, track INT64, gender STRING, age STRING, ethnicity STRING, "
     "first_frame INT64, last_frame INT64",
-    "Object": "id STRING PRIMARY KEY, sequence STRING, track INT64, category STRING",
-    "SocialGroup": "id STRING PRIMARY KEY, sequence STRING, cluster INT64",
+    "Object": "id STRING PRIMARY KEY, sequence STRING, track INT64, category_id INT64, category STRING, "
+    "first_frame INT64, last_frame INT64",
+    # bpc: what the bodies are on; ssc: salient surroundings (the annotators' abbreviations).
+    "SocialGroup": "id STRING PRIMARY KEY, sequence STRING, cluster INT64, venue STRING, aim STRING[], bpc STRING[], "
+    "ssc STRING[], location STRING[], inter STRING[]",
     "Action": "name STRING PRIMARY KEY, pose BOOLEAN",
 }
 
@@ -38,6 +42,8 @@ SCENE_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
             "clear BOOLEAN",
             "face_visible BOOLEAN",
             "listed BOOLEAN",
+            "interactions_listed BOOLEAN",
+            "handles_listed BOOLEAN",
             "pose STRING",
             "group_size INT64",
             "sector STRING",
@@ -58,13 +64,13 @@ SCENE_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
         ("sequence STRING", *_SPAN, "difficulty INT64", "certain BOOLEAN", "gap BOOLEAN"),
     ),
     "MemberOf": ("Person", "SocialGroup", ("sequence STRING", *_SPAN, "certain BOOLEAN", "gap BOOLEAN")),
-    "Interacts": ("Person", "Person", ("label STRING", "sequence STRING", *_SPAN, "certain BOOLEAN")),
+    "Interacts": ("Person", "Person", ("label STRING", "sequence STRING", *_SPAN, "certain BOOLEAN", "gap BOOLEAN")),
     "Beside": ("Person", "Person", ("label STRING", "sequence STRING", *_SPAN, "certain BOOLEAN")),
-    "Handles": ("Person", "Object", ("verb STRING", "sequence STRING", *_SPAN, "certain BOOLEAN")),
+    "Handles": ("Person", "Object", ("verb STRING", "sequence STRING", *_SPAN, "certain BOOLEAN", "gap BOOLEAN")),
 }
 """Per relationship table: from, to, and its columns as name and type."""
 
-STORAGE_VERSION: Final = 1
+STORAGE_VERSION: Final = 2
 """Raised when the tables above change: a graph of another version is rebuilt."""
 
 
@@ -81,6 +87,11 @@ def scene_ddl() -> list[str]:
 def person_key(sequence: str, track: int) -> str:
     """Key of a `Person` node."""
     return f"{sequence}/{track}"
+
+
+def object_key(sequence: str, category_id: int, track: int) -> str:
+    """Key of an `Object` node."""
+    return f"{sequence}/{category_id}:{track}"
 
 
 def frame_key(sequence: str, frame: int) -> str:

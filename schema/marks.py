@@ -27,7 +27,8 @@ import numpy.typing as npt
 
 from .errors import InputError
 from .panorama import WIDTH, Box
-from .vocabulary import AGES, GENDERS, INTERACTIONS, OBJECTS, OTHER_ACTIONS, POSES, VERBS
+from .things import OBJECTS, VERBS
+from .vocabulary import AGES, GENDERS, INTERACTIONS, OTHER_ACTIONS, POSES
 
 Image = npt.NDArray[np.uint8]
 Bits = npt.NDArray[np.uint8]

@@ -24,8 +24,23 @@ def _schema(*fields: tuple[str, pa.DataType] | tuple[str, pa.DataType, bool]) ->
 
 _BOX = (("x", _F), ("y", _F), ("w", _F), ("h", _F))
 
-LAYERS: Final = ("2d", "actions", "groups", "3d", "images")
-"""Layers of the `frames` table: `actions` and `groups` ride in the 2D file but may be annotated at another step."""
+LAYERS: Final = (
+    "2d",
+    "actions",
+    "groups",
+    "3d",
+    "demographics",
+    "interactions",
+    "group_info",
+    "handles",
+    "pose",
+    "panoptic",
+    "timestamps",
+    "images",
+)
+"""Layers of the `frames` table. Several may ride in one file and yet be annotated at different steps: `actions` and
+`groups` come with the 2D boxes; `demographics`, `interactions` and `group_info` with the social file (or, where that
+lacks, the reasoning file); `handles` with the reasoning file."""
 
 ANNOTATIONS: Final[dict[str, pa.Schema]] = {
     # One row per (layer, frame) that the layer knows, also where it says "nobody here".
@@ -77,6 +92,78 @@ ANNOTATIONS: Final[dict[str, pa.Schema]] = {
         ("interpolated", _B, True),
         ("no_eval", _B, True),
     ),
+    # One row per label. attribute: gender, age or ethnicity. value null: annotators could not tell.
+    "demographics": _schema(
+        ("sequence", _S),
+        ("frame", _I),
+        ("track", _I),
+        ("attribute", _S),
+        ("value", _S, True),
+        ("raw", _S),
+        ("difficulty", pa.int8(), True),
+    ),
+    # One row per (person, partner, label) as written, so mostly both directions.
+    "interactions": _schema(
+        ("sequence", _S),
+        ("frame", _I),
+        ("track", _I),
+        ("partner", _I),
+        ("label", _S),
+        ("raw", _S),
+        ("difficulty", pa.int8(), True),
+    ),
+    # attribute: venue, aim, bpc (what the body is on), ssc (salient surroundings), location or inter.
+    "group_info": _schema(
+        ("sequence", _S),
+        ("frame", _I),
+        ("track", _I),
+        ("attribute", _S),
+        ("value", _S, True),
+        ("raw", _S),
+        ("difficulty", pa.int8(), True),
+    ),
+    # (object, category_id) is the thing in `panoptic`; the name of the category is in `categories`.
+    "handles": _schema(
+        ("sequence", _S),
+        ("frame", _I),
+        ("track", _I),
+        ("object", _I),
+        ("category_id", _I),
+        ("verb", _S),
+        ("raw", _S),
+        ("difficulty", pa.int8(), True),
+    ),
+    # A person whose whole list of `layer` (interactions or handles) could be read: what it does not hold is false.
+    "listed": _schema(("sequence", _S), ("layer", _S), ("frame", _I), ("track", _I)),
+    # keypoints: 17 times x, y in stitched pixels and visibility (0 not visible, 1 occluded, 2 visible).
+    "poses": _schema(
+        ("sequence", _S),
+        ("frame", _I),
+        ("track", _I),
+        ("keypoints", pa.list_(pa.field("item", _F, nullable=False), 51)),
+    ),
+    # object null: stuff (walls, sky) has no tracks. segmentation: the run-length code as written.
+    "panoptic": _schema(
+        ("sequence", _S),
+        ("frame", _I),
+        ("object", _I, True),
+        ("category_id", _I),
+        *((name, _F, True) for name in "xywh"),
+        ("area", _F, True),
+        ("segmentation", _S, True),
+    ),
+    # Category numbers are the file's own. category null: a name outside the vocabulary.
+    "categories": _schema(("sequence", _S), ("category_id", _I), ("category", _S, True), ("raw", _S)),
+    # sensor: images or clouds. timestamp: seconds since the epoch.
+    "timestamps": _schema(("sequence", _S), ("sensor", _S), ("frame", _I), ("timestamp", _F)),
+    # Pinhole intrinsics of the cameras that the panorama is stitched from, pixels.
+    "calibration": _schema(
+        ("sequence", _S),
+        ("sensor", _S),
+        ("width", _I, True),
+        ("height", _I, True),
+        *((n, _F) for n in ("fx", "fy", "cx", "cy")),
+    ),
 }
 
 _SPAN = (("first", _I), ("last", _I), ("first_s", _F), ("last_s", _F))
@@ -92,6 +179,7 @@ INTERVALS: Final[dict[str, pa.Schema]] = {
         ("keyframes", pa.list_(pa.field("item", _I, nullable=False))),
         ("has_attributes", _B),
     ),
+    # seconds: from the timestamps where there are any, counted from frame 0; else frame / fps.
     # annotated: the 2D layer knows the frame (its boxes are all the people there are).
     "frames": _schema(
         ("sequence", _S),
@@ -106,12 +194,19 @@ INTERVALS: Final[dict[str, pa.Schema]] = {
         ("track", _I),
         ("gender", _S, True),
         ("age", _S, True),
+        ("ethnicity", _S, True),
         ("first_frame", _I),
         ("last_frame", _I),
+    ),
+    # How many frames say what of a person; chosen: the value that more than half of them say.
+    "demographics": _schema(
+        ("sequence", _S), ("track", _I), ("attribute", _S), ("value", _S), ("votes", _I), ("chosen", _B)
     ),
     # One row per 2D box.
     # clear: the clear view of the rules. located: 3D box with lidar points at this frame.
     # listed: the person has an action list, so an action not performed is false. pose: the one certain pose.
+    # face_visible: head or an eye is marked visible; null where the person has no pose at this frame.
+    # interactions_listed, handles_listed: the list was read, so what it does not hold is false.
     # group_size: null when unknown. sector/distance_word: the word; *_other: the second possible word near an
     # edge, null when the first is certain. A null distance_word: the distance is unknown.
     "sightings": _schema(
@@ -125,6 +220,8 @@ INTERVALS: Final[dict[str, pa.Schema]] = {
         ("clear", _B),
         ("face_visible", _B, True),
         ("listed", _B),
+        ("interactions_listed", _B),
+        ("handles_listed", _B),
         ("pose", _S, True),
         ("cluster", pa.int64(), True),
         ("group_size", _I, True),
@@ -151,6 +248,39 @@ INTERVALS: Final[dict[str, pa.Schema]] = {
     ),
     "memberships": _schema(
         ("sequence", _S), ("track", _I), ("cluster", pa.int64()), *_SPAN, ("certain", _B), ("gap", _B)
+    ),
+    # Both directions of every fact. certain = false: hard or unreadable label, or (gap = true) a closed gap.
+    "interactions": _schema(
+        ("sequence", _S),
+        ("source", _I),
+        ("target", _I),
+        ("label", _S),
+        *_SPAN,
+        ("certain", _B),
+        ("gap", _B),
+    ),
+    "handles": _schema(
+        ("sequence", _S),
+        ("track", _I),
+        ("object", _I),
+        ("category_id", _I),
+        ("verb", _S),
+        *_SPAN,
+        ("certain", _B),
+        ("gap", _B),
+    ),
+    # Things with a track, people left out. category null: unknown, or the panoptic layer does not hold the thing.
+    "objects": _schema(
+        ("sequence", _S),
+        ("object", _I),
+        ("category_id", _I),
+        ("category", _S, True),
+        ("first_frame", _I, True),
+        ("last_frame", _I, True),
+    ),
+    # What members' records say of their group; chosen: what more than half of those that tell the attribute say.
+    "group_info": _schema(
+        ("sequence", _S), ("cluster", pa.int64()), ("attribute", _S), ("value", _S), ("votes", _I), ("chosen", _B)
     ),
     # source -> target: where the target is, seen from the source. Person frame: label '<sector>, <distance word>'.
     # Robot view: one-keyframe rows of FIRST_LEFT and FIRST_RIGHT; an uncertain one may have several targets.
