@@ -84,6 +84,14 @@ FIRST_LEFT: Final = "first to the left of (robot view)"
 FIRST_RIGHT: Final = "first to the right of (robot view)"
 """An edge a -> b: b is the first person met when turning from a to the left (or right), as the robot sees it."""
 
+WINDOW_DEGREES: Final = (30, 45, 60, 90)
+WINDOWS_LEFT: Final = tuple(f"within {degrees} degrees to the left of (robot view)" for degrees in WINDOW_DEGREES)
+WINDOWS_RIGHT: Final = tuple(f"within {degrees} degrees to the right of (robot view)" for degrees in WINDOW_DEGREES)
+"""An edge a -> b: b is one of the people within so many degrees to the left (or right) of a, as the robot sees it."""
+
+SAME_GROUP: Final = "in the same group as"
+"""An edge between two members of one social group."""
+
 GENDERS: Final = ("male", "female")
 AGES: Final = ("childhood", "adolescence", "young adulthood", "middle adulthood", "late adulthood")
 
