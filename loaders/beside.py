@@ -75,7 +75,7 @@ def beside_table(line: Timeline, boxes: Boxes, located: Located, rules: LoadRule
             "source": columns["source"],
             "target": columns["target"],
             "label": texts(_LABELS, columns["label"]),
-            **span_columns(columns["first"], columns["last"]),
+            **span_columns(line, columns["first"], columns["last"]),
             "certain": columns["certain"],
         }
     ).cast(INTERVALS["beside"])

@@ -25,7 +25,7 @@ def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules)
     labels = read_labels(tables["actions"])
     groups = read_groups(tables["groups"])
     located = read_located(tables["boxes_3d"])
-    line = timeline(sequence, tables["frames"], distinct_of(boxes.frame))
+    line = timeline(sequence, tables["frames"], distinct_of(boxes.frame), tables["timestamps"])
     runs = action_runs(line, labels, rules)
     tracks, first, last = track_spans(tables)
     persons = {

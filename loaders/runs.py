@@ -17,7 +17,7 @@ from jrdb_avr.schema.tables import INTERVALS
 
 from .columns import constant, nullable, texts
 from .scene_people import UNREADABLE, Groups, Labels
-from .timeline import Timeline, seconds
+from .timeline import Timeline
 
 Ints = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
@@ -78,7 +78,7 @@ def actions_table(line: Timeline, labels: Labels, runs: Runs) -> pa.Table:
             "sequence": constant(line.sequence, len(runs.track)),
             "track": runs.track,
             "action": texts(labels.names, runs.value),
-            **span_columns(runs.first, runs.last),
+            **span_columns(line, runs.first, runs.last),
             "difficulty": nullable(runs.difficulty, runs.difficulty == UNREADABLE, pa.int8()),
             "certain": runs.certain,
             "gap": runs.gap,
@@ -98,13 +98,13 @@ def memberships_table(line: Timeline, groups: Groups, rules: LoadRules) -> pa.Ta
             "sequence": constant(line.sequence, len(runs.track)),
             "track": runs.track,
             "cluster": runs.value,
-            **span_columns(runs.first, runs.last),
+            **span_columns(line, runs.first, runs.last),
             "certain": runs.certain,
             "gap": runs.gap,
         }
     ).cast(INTERVALS["memberships"])
 
 
-def span_columns(first: Ints, last: Ints) -> dict[str, npt.NDArray[np.generic]]:
+def span_columns(line: Timeline, first: Ints, last: Ints) -> dict[str, npt.NDArray[np.generic]]:
     """The four columns of an interval: inclusive frames and their seconds."""
-    return {"first": first, "last": last, "first_s": seconds(first), "last_s": seconds(last)}
+    return {"first": first, "last": last, "first_s": line.seconds(first), "last_s": line.seconds(last)}

@@ -41,6 +41,29 @@ class Grid:
 
 
 @dataclass(frozen=True)
+class Clock:
+    """When frames were taken: seconds since the epoch of stamped frames, ascending. Without stamps frames are 1/15 s.
+
+    Between stamped frames time runs evenly; before the first and after the last one frame takes 1/15 s.
+    """
+
+    frame: Ints
+    stamp: Floats
+
+    def seconds(self, frame: Ints) -> Floats:
+        """Seconds of frames, counted from frame 0."""
+        if not len(self.frame):
+            return frame / FPS
+        return self._epoch(frame) - float(self._epoch(np.zeros(1, np.int64))[0])
+
+    def _epoch(self, frame: Ints) -> Floats:
+        """Seconds counted from the first stamp: small numbers keep their digits."""
+        inside = np.interp(frame, self.frame, self.stamp - self.stamp[0])
+        beyond = np.minimum(frame - self.frame[0], 0) + np.maximum(frame - self.frame[-1], 0)
+        return np.asarray(inside + beyond / FPS)
+
+
+@dataclass(frozen=True)
 class Timeline:
     """Frames of one sequence. `layers` holds the annotated frames of each layer that knows any, ascending."""
 
@@ -48,7 +71,12 @@ class Timeline:
     layers: dict[str, Ints]
     keyframes: Ints
     frames: Ints
-    """Every frame of any layer, and of any box."""
+    """Every frame of any layer but the timestamps, which may reach further than the labels, and of any box."""
+    clock: Clock
+
+    def seconds(self, frame: Ints) -> Floats:
+        """Seconds of frames, counted from frame 0, by the sequence's clock."""
+        return self.clock.seconds(frame)
 
     def frames_of(self, layer: str) -> Ints:
         return self.layers.get(layer, np.empty(0, np.int64))
@@ -69,8 +97,8 @@ def step_of(frames: Ints) -> int:
     return KEYFRAME_STEP if len(frames) < 2 or np.gcd.reduce(np.diff(frames)) % KEYFRAME_STEP == 0 else 1
 
 
-def timeline(sequence: str, frames: pa.Table, box_frames: Ints) -> Timeline:
-    """Read the `frames` table. `box_frames` are the frames with a 2D box, listed in the table or not.
+def timeline(sequence: str, frames: pa.Table, box_frames: Ints, timestamps: pa.Table) -> Timeline:
+    """Read the tables `frames` and `timestamps`. `box_frames`: frames with a 2D box, listed in the table or not.
 
     A keyframe with boxes that the 2D layer does not list holds people who could not be read: nothing unique or absent
     can be told of it, so it is left out of the keyframes.
@@ -88,17 +116,18 @@ def timeline(sequence: str, frames: pa.Table, box_frames: Ints) -> Timeline:
         first = -(-int(leading[0]) // KEYFRAME_STEP) * KEYFRAME_STEP
         keyframes = np.arange(first, int(leading[-1]) + 1, KEYFRAME_STEP, dtype=np.int64)
     unread = np.setdiff1d(box_frames, layers.get("2d", np.empty(0, np.int64)))
-    known = np.union1d(numbers, box_frames)
-    return Timeline(sequence, layers, np.setdiff1d(keyframes, unread), known)
+    stamped = pc.equal(frames["layer"], "timestamps").to_numpy()
+    known = np.union1d(numbers[~stamped], box_frames)
+    return Timeline(sequence, layers, np.setdiff1d(keyframes, unread), known, _clock(timestamps))
+
+
+def _clock(timestamps: pa.Table) -> Clock:
+    images = timestamps.filter(pc.equal(timestamps["sensor"], "images"))
+    return Clock(images["frame"].to_numpy().astype(np.int64), images["timestamp"].to_numpy())
 
 
 def _leading(layers: dict[str, Ints]) -> str:
     return next((layer for layer in ("actions", "2d", "3d") if layer in layers), "")
-
-
-def seconds(frame: Ints) -> Floats:
-    """Seconds of frames, counted from frame 0."""
-    return frame / FPS
 
 
 def sequence_table(line: Timeline, has_attributes: bool) -> pa.Table:
@@ -121,7 +150,7 @@ def frames_table(line: Timeline) -> pa.Table:
         {
             "sequence": constant(line.sequence, len(line.frames)),
             "frame": line.frames,
-            "seconds": seconds(line.frames),
+            "seconds": line.seconds(line.frames),
             "keyframe": np.isin(line.frames, line.keyframes),
             "annotated": np.isin(line.frames, line.frames_of("2d")),
             "image": np.isin(line.frames, line.frames_of("images")),
