@@ -174,3 +174,24 @@ VERBS: Final = (
     "going up",
 )
 """What a person does with a thing."""
+
+STUFF: Final = frozenset({*OBJECTS[: OBJECTS.index("crutch")], "glass"})
+"""Categories without tracks: what surrounds people and things."""
+
+CATEGORY_PREFIXES: Final = ("t_", "m_")
+"""Stand before names in some files, and say nothing of the thing."""
+
+
+def normal_category(name: str) -> str:
+    """The usual spelling of a category's name: without case and prefix, whatever separates its words.
+
+    A name outside `OBJECTS` comes back in lower case, with underscores for blanks and dashes.
+    """
+    plain = name.strip().lower().translate(_SEPARATORS)
+    for prefix in CATEGORY_PREFIXES:
+        plain = plain.removeprefix(prefix)
+    return _SPELLED.get(plain.replace("_", ""), plain)
+
+
+_SEPARATORS: Final = str.maketrans("- ", "__")
+_SPELLED: Final = {name.replace("_", ""): name for name in OBJECTS}
