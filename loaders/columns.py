@@ -69,6 +69,13 @@ class Refusals:
         self._problems.add(kind, reason, frame=frame, field=field, value=value, count=count)
 
 
+def mask_of(rows: Ints, n: int) -> Bools:
+    """A mask over `n` rows, True at `rows`."""
+    mask = np.zeros(n, np.bool_)
+    mask[rows] = True
+    return mask
+
+
 def first_of_equal(keys: Ints) -> tuple[Ints, Bools]:
     """A stable ascending order of `keys`, and a mask over it: True at the first of each run of equal keys."""
     order = np.argsort(keys, kind="stable")
