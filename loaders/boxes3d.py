@@ -13,24 +13,22 @@ from typing import Any, Final
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from jrdb_avr.schema.rules import FPS, frames
 from jrdb_avr.schema.tables import ANNOTATIONS
 
 from . import fields
-from .columns import Bools, Distinct, Ints, Refusals, constant, first_of_equal, known_frames, nullable, person_keys
-from .labelfile import RecordReader, read_frames
+from .columns import Distinct, Refusals, constant, known_frames, nullable, person_keys
+from .gather import Columns, People, gather, keep_people, numbered
+from .labelfile import RecordReader
 from .problems import Problems
 from .reading import Reading
-from .records import BAD, OTHER, record_parts, repaired_label, track_codes, unpacked
+from .records import record_parts, repaired_label, unpacked
 from .report import Heading
 from .scene_people import read_located, rows_of, wrap
 
-CHUNK: Final = 20_000
 NUMBERS: Final = ("cx", "cy", "cz", "l", "w", "h", "rot_z")
-Floats = npt.NDArray[np.float64]
 
 
 class Box(msgspec.Struct, gc=False):
@@ -65,7 +63,7 @@ class Record(msgspec.Struct, gc=False):
     attributes: Attributes | None = None
 
 
-_READ_ONCE: Final = ("label_id", "box")
+_READ_ONCE: Final = ("label_id", "box", "attributes")
 
 
 def load_3d(path: Path, sequence: str, problems: Problems) -> Reading:
@@ -73,18 +71,14 @@ def load_3d(path: Path, sequence: str, problems: Problems) -> Reading:
 
     Raises InputError if the file as a whole cannot be used.
     """
-    columns = _Columns()
+    labels, flags = Distinct(), Distinct()
     reader = RecordReader(Record, _repair, _READ_ONCE)
-    known = []
-    for frame, key, raw in read_frames(path, ("pcd", "pcb"), problems):
-        found = reader.read(raw, key, problems)
-        if found is not None:
-            known.append(frame)
-            columns.add(frame, found[0])
-    columns.flush()
-    table = _table(columns, sequence, problems)
-    frames = known_frames(np.array(sorted(known), np.int64), table["frame"].to_numpy().astype(np.int64))
-    return Reading({"boxes_3d": table}, {"3d": frames})
+    gathered = gather(path, ("pcd", "pcb"), reader, lambda records: _take(records, labels, flags), problems)
+    columns = gathered.columns()
+    people = _kept(columns, list(labels), problems)
+    table = _table(columns, list(flags), people, sequence, problems)
+    known = np.array(sorted(gathered.known), np.int64)
+    return Reading({"boxes_3d": table}, {"3d": known_frames(known, people.frame)})
 
 
 def heading_check(table: pa.Table) -> Heading:
@@ -144,93 +138,54 @@ def _attributes(raw: bytes | None, frame: str, problems: Problems) -> Attributes
     return Attributes(**usable)
 
 
-class _Columns:
-    """Records turned into numbers, chunk by chunk."""
-
-    def __init__(self) -> None:
-        self.labels = Distinct()
-        self.flags = Distinct()
-        self.parts: dict[str, list[npt.NDArray[Any]]] = {
-            name: [] for name in ("frame", "label", "numbers", "distance", "points", "flags")
-        }
-        self._records: list[Record] = []
-        self._frames: list[int] = []
-        self._counts: list[int] = []
-
-    def add(self, frame: int, records: list[Record]) -> None:
-        self._records += records
-        self._frames.append(frame)
-        self._counts.append(len(records))
-        if len(self._records) >= CHUNK:
-            self.flush()
-
-    def flush(self) -> None:
-        records, n, parts = self._records, len(self._records), self.parts
-        parts["frame"].append(np.repeat(np.array(self._frames, np.int64), self._counts))
-        numbers = chain.from_iterable(map(attrgetter(*NUMBERS), map(attrgetter("box"), records)))
-        parts["numbers"].append(np.fromiter(numbers, np.float64, n * len(NUMBERS)).reshape(n, len(NUMBERS)))
-        labels = map(attrgetter("label_id"), records)
-        parts["label"].append(np.fromiter(map(self.labels.__getitem__, labels), np.int64, n))
-        attributes = [item or NO_ATTRIBUTES for item in map(attrgetter("attributes"), records)]
-        for name, key in (("distance", "distance"), ("points", "num_points")):
-            # None becomes NaN: numbers of a file are finite by now.
-            parts[name].append(np.array(list(map(attrgetter(key), attributes)), np.float64))
-        flags = map(attrgetter("interpolated", "no_eval"), attributes)
-        parts["flags"].append(np.fromiter(map(self.flags.__getitem__, flags), np.int64, n))
-        self._records, self._frames, self._counts = [], [], []
+def _take(records: list[Record], labels: Distinct, flags: Distinct) -> Columns:
+    n = len(records)
+    numbers = chain.from_iterable(map(attrgetter(*NUMBERS), map(attrgetter("box"), records)))
+    attributes = [item or NO_ATTRIBUTES for item in map(attrgetter("attributes"), records)]
+    return {
+        "label_id": numbered(labels, map(attrgetter("label_id"), records), n),
+        "numbers": np.fromiter(numbers, np.float64, n * len(NUMBERS)).reshape(n, len(NUMBERS)),
+        # None becomes NaN: numbers of a file are finite by now.
+        "distance": np.array(list(map(attrgetter("distance"), attributes)), np.float64),
+        "points": np.array(list(map(attrgetter("num_points"), attributes)), np.float64),
+        "flags": numbered(flags, map(attrgetter("interpolated", "no_eval"), attributes), n),
+    }
 
 
-def _table(columns: _Columns, sequence: str, problems: Problems) -> pa.Table:
-    parts = {name: np.concatenate(arrays) for name, arrays in columns.parts.items()}
-    frame: Ints = parts["frame"]
-    refusals = Refusals(frame, "pcd", problems)
-    rows, track = _keep(columns, parts, refusals)
-    frame = frame[rows]
-    refusals = Refusals(frame, "pcd", problems)
-    distance, points = parts["distance"][rows], parts["points"][rows]
+def _kept(columns: Columns, labels: list[str], problems: Problems) -> People:
+    numbers = columns["numbers"]
+    faults = [
+        (np.asarray(~(np.abs(numbers) <= fields.MAX_METRE).all(axis=1)), "box: not finite or kilometres away"),
+        (np.asarray(~(numbers[:, 3:6] > 0).all(axis=1)), "box: length, width or height is not positive"),
+    ]
+
+    def box(row: int) -> object:
+        return dict(zip(NUMBERS, numbers[row].tolist(), strict=True))
+
+    refusals = Refusals(columns["frame"], "pcd", problems)
+    return keep_people(columns["frame"], labels, columns["label_id"], faults, box, refusals)
+
+
+def _table(
+    columns: Columns, flags: list[tuple[bool | None, bool | None]], people: People, sequence: str, problems: Problems
+) -> pa.Table:
+    columns = {name: column[people.row] for name, column in columns.items()}
+    refusals = Refusals(people.frame, "pcd", problems)
+    distance, points = columns["distance"], columns["points"]
     wrong = ~np.isnan(distance) & ~((distance >= 0) & (distance <= fields.MAX_METRE))
     refusals.count(wrong, "field", "number out of range", "attributes.distance", lambda row: float(distance[row]))
     odd = ~np.isnan(points) & ~((points >= 0) & (points < 2**31) & (points == np.floor(points)))
     refusals.count(odd, "field", "not a count", "attributes.num_points", lambda row: float(points[row]))
-    flags = list(columns.flags)
-    flag_code = pa.array(parts["flags"][rows])
+    flag_code = pa.array(columns["flags"])
     return pa.table(
         {
-            "sequence": constant(sequence, len(rows)),
-            "frame": frame,
-            "track": track,
-            **{name: parts["numbers"][rows, i] for i, name in enumerate(NUMBERS)},
+            "sequence": constant(sequence, len(people.row)),
+            "frame": people.frame,
+            "track": people.track,
+            **{name: columns["numbers"][:, i] for i, name in enumerate(NUMBERS)},
             "distance": nullable(distance, wrong | np.isnan(distance), pa.float64()),
             "num_points": nullable(np.where(odd, 0, np.nan_to_num(points)), odd | np.isnan(points), pa.int32()),
             "interpolated": pa.array([flag[0] for flag in flags], pa.bool_()).take(flag_code),
             "no_eval": pa.array([flag[1] for flag in flags], pa.bool_()).take(flag_code),
         }
     ).cast(ANNOTATIONS["boxes_3d"])
-
-
-def _keep(columns: _Columns, parts: dict[str, npt.NDArray[Any]], refusals: Refusals) -> tuple[Ints, Ints]:
-    """Rows to keep, sorted by (frame, track), and their tracks."""
-    labels = list(columns.labels)
-    code, numbers = parts["label"], parts["numbers"]
-    track = track_codes(labels, code)
-
-    def label(row: int) -> object:
-        return labels[code[row]]
-
-    def box(row: int) -> object:
-        return dict(zip(NUMBERS, numbers[row].tolist(), strict=True))
-
-    refusals.count(track == OTHER, "record", "label_id is not of a tracked person", "label_id", label)
-    refusals.count(track == BAD, "record", "label_id is not pedestrian:N", "label_id", label)
-    person: Bools = track >= 0
-    wild = person & ~(np.abs(numbers) <= fields.MAX_METRE).all(axis=1)
-    refusals.count(wild, "record", "box: not finite or kilometres away", "box", box)
-    flat = person & ~wild & ~(numbers[:, 3:6] > 0).all(axis=1)
-    refusals.count(flat, "record", "box: length, width or height is not positive", "box", box)
-    usable = np.flatnonzero(person & ~wild & ~flat)
-    order, first = first_of_equal(person_keys(parts["frame"][usable], track[usable]))
-    again = np.zeros(len(track), np.bool_)
-    again[usable[order[~first]]] = True
-    refusals.count(again, "record", "same person twice in a frame, the first is kept", "label_id", label)
-    rows = usable[order[first]]
-    return rows, track[rows]

@@ -12,6 +12,8 @@ import os
 import re
 import stat
 from collections.abc import Callable, Iterator
+from itertools import repeat
+from operator import attrgetter, is_not
 from pathlib import Path
 from typing import Final, Generic, TypeVar
 
@@ -30,7 +32,7 @@ MAX_RECORDS: Final = 1000
 SCAN_FROM: Final = 64 << 20
 """Files from this size on are cut by the scanner, whose memory does not depend on the number of members."""
 
-R = TypeVar("R")
+R = TypeVar("R", bound=msgspec.Struct)
 
 _BROKEN: Final = (msgspec.DecodeError, RecursionError, UnicodeError)
 
@@ -43,23 +45,31 @@ class RecordReader(Generic[R]):
     """Decodes records of type R: whole frames at once where they are clean, else one by one.
 
     `repair` gets the bytes of a record that is not clean, the frame key and the problems, and returns what can be used
-    of it or None. `fields` are the keys that a record has at most once: a frame that holds one more often than it has
-    records repeats a key somewhere (JSON leaves open which of the two counts) and is taken one by one.
+    of it or None. `once` names the fields that a record has at most once, fields of one meaning together: where a frame
+    holds their keys more often than decoded records have them, a record repeats one (JSON leaves open which of the two
+    counts), and the frame is taken record by record. `clean` looks deeper into decoded records and their bytes.
     """
 
     def __init__(
-        self, record: type[R], repair: Callable[[bytes, str, Problems], R | None], fields: tuple[str, ...]
+        self,
+        record: type[R],
+        repair: Callable[[bytes, str, Problems], R | None],
+        once: tuple[str | tuple[str, ...], ...],
+        clean: Callable[[list[R], bytes], bool] = lambda records, raw: True,
     ) -> None:
         self._frame = msgspec.json.Decoder(list[record])  # type: ignore[valid-type]
         self._record = msgspec.json.Decoder(record)
         self._repair = repair
-        self._keys = tuple(f'"{field}"'.encode() for field in fields)
+        info = {field.name: field for field in msgspec.structs.fields(record)}
+        groups = [[info[name] for name in ((group,) if isinstance(group, str) else group)] for group in once]
+        self._once = [[(f'"{field.encode_name}"'.encode(), field) for field in group] for group in groups]
+        self._clean = clean
 
     def read(self, raw: bytes, frame: str, problems: Problems) -> tuple[list[R], bool] | None:
         """The usable records of a frame, and whether every record was; None where the frame is no list."""
         try:
             records = self._frame.decode(raw)
-            if len(records) <= MAX_RECORDS and all(raw.count(key) <= len(records) for key in self._keys):
+            if len(records) <= MAX_RECORDS and self._plain(records, raw):
                 return records, True
         except _BROKEN:
             pass
@@ -82,11 +92,27 @@ class RecordReader(Generic[R]):
 
     def _one(self, raw: bytes, frame: str, problems: Problems) -> R | None:
         try:
-            if all(raw.count(key) <= 1 for key in self._keys):
-                return self._record.decode(raw)
+            record = self._record.decode(raw)
+            if self._plain([record], raw):
+                return record
         except _BROKEN:
             pass
         return self._repair(raw, frame, problems)
+
+    def _plain(self, records: list[R], raw: bytes) -> bool:
+        """Whether no key is repeated, none being written with escapes, so that decoding lost nothing."""
+        once = all(
+            sum(raw.count(key) for key, _ in group) <= sum(_having(records, field) for _, field in group)
+            for group in self._once
+        )
+        return once and b"\\u" not in raw and self._clean(records, raw)
+
+
+def _having(records: list[R], field: msgspec.structs.FieldInfo) -> int:
+    """Records that have a field; one with the default written out counts as lacking it."""
+    if field.required:
+        return len(records)
+    return sum(map(is_not, map(attrgetter(field.name), records), repeat(field.default)))
 
 
 def read_frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> Iterator[tuple[int, str, bytes]]:

@@ -61,6 +61,19 @@ def repaired_label(parts: dict[str, bytes], frame: str, problems: Problems) -> s
     return str(label)
 
 
+def repaired_box(parts: dict[str, bytes], frame: str, problems: Problems) -> tuple[float, float, float, float] | None:
+    """The record's 2D box, four numbers; None, with the reason counted, if it has none."""
+    try:
+        box = fields.loose(parts.get("box", b"null"))
+        if not isinstance(box, list) or len(box) != 4:
+            raise ValueError("not four numbers")
+        x, y, w, h = (fields.number(value) for value in box)
+    except ValueError as error:
+        problems.add("record", f"box: {error}", frame=frame, field="box", value=parts.get("box", b"missing"))
+        return None
+    return x, y, w, h
+
+
 def unpacked(raw: bytes, field: str, frame: str, problems: Problems) -> dict[str, Any]:
     """Members of a sub-object, first of equal keys, repeated ones counted. Raises ValueError if it is no object."""
     items, again = fields.pairs(raw)

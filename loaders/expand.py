@@ -1,0 +1,153 @@
+"""Raw sub-objects of label records -> rows of facts, each distinct sub-object decoded once.
+
+A person's labels repeat from frame to frame as the same bytes. So a column of raw objects is numbered first (see
+`gather`), each distinct one is decoded into a few values, and numpy spreads the values over the rows.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from itertools import chain
+from operator import itemgetter
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from jrdb_avr.schema.tables import ANNOTATIONS
+
+from . import fields
+from .columns import Bools, Distinct, Ints, Refusals, constant, ragged
+from .problems import shorten
+
+ABSENT: Final = (b"", b"null")
+"""Raw values of a key that is not there: a null says no more than a missing key."""
+
+Issue = tuple[str, str, object]
+"""Reason, field and offending value."""
+
+Value = tuple[Any, ...]
+
+
+class Decoded(NamedTuple):
+    """What one distinct raw value holds. `whole`: nothing of it was refused, so that what it lacks is not there."""
+
+    values: list[Value]
+    issues: list[Issue]
+    whole: bool = True
+
+
+class Facts(NamedTuple):
+    """Facts of a column: for each the row that it is of, ascending, and its number in `values`."""
+
+    row: Ints
+    code: Ints
+    values: list[Value]
+    whole: Bools
+    """Per row of the column: something was written, and none of it was refused."""
+
+    def labels(self, place: int = 0) -> Counter[Any]:
+        """How often each value occurs at a place of the value tuples."""
+        found: Counter[Any] = Counter()
+        for code, n in enumerate(np.bincount(self.code, minlength=len(self.values)).tolist()):
+            found[self.values[code][place]] += n
+        return +found
+
+
+def expand(
+    codes: Ints, raws: Iterable[bytes], decode: Callable[[bytes], Decoded], refusals: Refusals, kind: str = "field"
+) -> Facts:
+    """Decode every distinct raw value (`raws[code]`) and spread what it holds over the rows of `codes`.
+
+    What was wrong with a value is counted once per row that has it.
+    """
+    numbers = Distinct()
+    held: list[list[int]] = []
+    issues: dict[int, list[Issue]] = {}
+    whole: list[bool] = []
+    for i, raw in enumerate(raws):
+        decoded = Decoded([], [], False) if raw in ABSENT else decode(raw)
+        held.append([numbers[value] for value in decoded.values])
+        whole.append(decoded.whole)
+        if decoded.issues:
+            issues[i] = decoded.issues
+    count_issues(codes, issues, refusals, kind)
+    flat = np.array(list(chain.from_iterable(held)), np.int64)
+    lengths = np.array([len(values) for values in held], np.int64)
+    starts = np.cumsum(lengths) - lengths
+    row, place = ragged(lengths[codes] if len(codes) else codes)
+    taken = flat[starts[codes[row]] + place] if len(row) else row
+    every = np.array(whole, np.bool_)[codes] if len(codes) else np.empty(0, np.bool_)
+    return Facts(row, taken, list(numbers), every)
+
+
+def count_issues(codes: Ints, issues: dict[int, list[Issue]], refusals: Refusals, kind: str) -> None:
+    """Report the issues of each code, once per row that has the code."""
+    if not issues:
+        return
+    found, first, counts = np.unique(codes, return_index=True, return_counts=True)
+    # By first row, so that the first example of a problem is the first by frame.
+    places = sorted(zip(found.tolist(), first.tolist(), counts.tolist(), strict=True), key=itemgetter(1))
+    for code, begin, count in places:
+        for reason, name, value in issues.get(code, ()):
+            refusals.add(kind, reason, name, begin, value, count)
+
+
+def facts_table(
+    layer: str,
+    sequence: str,
+    rows: dict[str, Ints],
+    code: Ints,
+    values: Sequence[Value],
+    names: tuple[str, ...],
+) -> pa.Table:
+    """The annotation table of a layer, sorted by `rows` (frame, track, ...: numbers per fact), then by value.
+
+    `names` are the columns that the value tuples fill.
+    """
+    rank = np.empty(len(values), np.int64)
+    rank[sorted(range(len(values)), key=lambda i: tuple((v is None, v or 0) for v in values[i]))] = np.arange(
+        len(values)
+    )
+    order = np.lexsort((rank[code] if len(values) else code, *reversed(rows.values())))
+    schema = ANNOTATIONS[layer]
+    columns: dict[str, Any] = {"sequence": constant(sequence, len(order))}
+    columns |= {name: column[order] for name, column in rows.items()}
+    taken = pa.array(code[order])
+    for i, name in enumerate(names):
+        columns[name] = pa.array([value[i] for value in values], schema.field(name).type).take(taken)
+    return pa.table(columns).cast(schema)
+
+
+def label_pairs(raw: bytes, field: str) -> tuple[list[tuple[str, Any]], list[Issue], bool]:
+    """Members of a label object as (label, value), what is wrong with it, and whether every member could be kept."""
+    try:
+        items, again = fields.pairs(raw)
+    except ValueError as error:
+        return [], [(str(error), field, raw)], False
+    return clean_pairs(items, again, field)
+
+
+def clean_pairs(
+    items: list[tuple[str, Any]], again: list[str], field: str
+) -> tuple[list[tuple[str, Any]], list[Issue], bool]:
+    """As `label_pairs`, of members already decoded and keys that stood there again."""
+    issues: list[Issue] = [("key twice, the first is kept", f"{field}.{shorten(name)}", "") for name in again]
+    kept, whole = [], True
+    for name, value in items:
+        try:
+            kept.append((fields.text(name), value))
+        except ValueError as error:
+            issues.append((f"label: {error}", field, name))
+            whole = False
+    return kept, issues, whole
+
+
+def coded(value: object, field: str, issues: list[Issue]) -> int | None:
+    """A difficulty code; None, with an issue added, where it cannot be read."""
+    try:
+        return fields.difficulty(value)
+    except ValueError as error:
+        issues.append((f"difficulty: {error}", field, value))
+        return None
