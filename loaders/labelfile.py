@@ -34,7 +34,7 @@ SCAN_FROM: Final = 64 << 20
 
 R = TypeVar("R", bound=msgspec.Struct)
 
-_BROKEN: Final = (msgspec.DecodeError, RecursionError, UnicodeError)
+BROKEN: Final = (msgspec.DecodeError, RecursionError, UnicodeError)
 
 
 class _File(msgspec.Struct, gc=False):
@@ -69,9 +69,9 @@ class RecordReader(Generic[R]):
         """The usable records of a frame, and whether every record was; None where the frame is no list."""
         try:
             records = self._frame.decode(raw)
-            if len(records) <= MAX_RECORDS and self._plain(records, raw):
+            if len(records) <= MAX_RECORDS and self.plain(records, raw):
                 return records, True
-        except _BROKEN:
+        except BROKEN:
             pass
         records = []
         try:
@@ -93,13 +93,13 @@ class RecordReader(Generic[R]):
     def _one(self, raw: bytes, frame: str, problems: Problems) -> R | None:
         try:
             record = self._record.decode(raw)
-            if self._plain([record], raw):
+            if self.plain([record], raw):
                 return record
-        except _BROKEN:
+        except BROKEN:
             pass
         return self._repair(raw, frame, problems)
 
-    def _plain(self, records: list[R], raw: bytes) -> bool:
+    def plain(self, records: list[R], raw: bytes) -> bool:
         """Whether no key is repeated, none being written with escapes, so that decoding lost nothing."""
         once = all(
             sum(raw.count(key) for key, _ in group) <= sum(_having(records, field) for _, field in group)
@@ -121,7 +121,7 @@ def read_frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> It
     Raises InputError, naming the file, if the file cannot be read as a whole. That may happen after frames were
     yielded: whoever reads keeps nothing of such a file.
     """
-    data = _read(path).removeprefix(codecs.BOM_UTF8)
+    data = read_file(path).removeprefix(codecs.BOM_UTF8)
     key_form = re.compile(r"([0-9]{6})\.(?:" + "|".join(suffixes) + ")")
     seen: set[int] = set()
     for key, raw in _cut(data, path, problems):
@@ -137,7 +137,7 @@ def read_frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> It
             yield int(match[1]), key, raw
 
 
-def _read(path: Path) -> bytes:
+def read_file(path: Path) -> bytes:
     """The bytes of a label file. Raises InputError if it is no file, too large, unreadable, empty or not UTF-8."""
     name = path.name
     try:
@@ -166,7 +166,7 @@ def _cut(data: bytes, path: Path, problems: Problems) -> Iterator[tuple[str, byt
     if len(data) < SCAN_FROM and data.count(b'"labels"') == 1:
         try:
             labels = msgspec.json.decode(data, type=_File).labels
-        except _BROKEN:
+        except BROKEN:
             pass  # the scanner finds what is usable
         else:
             # Of a repeated key, decoding keeps the last only: then the text holds more than the frames read.
@@ -182,7 +182,7 @@ def _scan(data: bytes, name: str, problems: Problems) -> Iterator[tuple[str, byt
         end, found = 0, []
         for key, begin, stop in members(data):
             end = stop
-            if _key_text(key) == "labels":
+            if key_text(key) == "labels":
                 found.append(begin)
         if not end_of_text(data, end):
             raise InputError(f"{name}: not JSON: there is text after its end", file=name)
@@ -193,13 +193,13 @@ def _scan(data: bytes, name: str, problems: Problems) -> Iterator[tuple[str, byt
         if len(found) > 1:
             problems.add("file", "key twice, the first is kept", field="labels", count=len(found) - 1)
         for key, begin, stop in members(data, found[0]):
-            yield _key_text(key), data[begin:stop]
+            yield key_text(key), data[begin:stop]
     except MalformedError as error:
         raise InputError(f"{name}: not JSON: {error}", file=name) from None
 
 
-def _key_text(key: bytes) -> str:
+def key_text(key: bytes) -> str:
     try:
         return msgspec.json.decode(key, type=str)
-    except _BROKEN:
+    except BROKEN:
         return key.decode("utf-8", "replace")
