@@ -35,16 +35,8 @@ def build_scene(graph: Graph, store: Store, sequences: Sequence[str]) -> dict[st
             graph.copy(table, rows)
             copied[table] += rows.num_rows
 
-    names: set[str] = set(ACTIONS)
-    for table, kind, shape in _NODES:
-        for rows in _batches(store, kind, sequences):
-            copy(table, shape(rows))
-    for rows in _batches(store, "actions", sequences):
-        names |= set(rows["action"].unique().to_pylist())
-    copy("Action", pa.table({"name": sorted(names), "pose": [name in POSES for name in sorted(names)]}))
-    for table, kind, shape in _RELS:
-        for rows in _batches(store, kind, sequences):
-            copy(table, shape(rows))
+    for table, rows in scene_rows(store, sequences):
+        copy(table, rows)
     # What was copied must be there: the engine has no page checksums.
     graph.execute("CHECKPOINT")
     for table, expected in copied.items():
@@ -53,6 +45,23 @@ def build_scene(graph: Graph, store: Store, sequences: Sequence[str]) -> dict[st
         if found != expected:
             raise StoreError(f"the graph holds {found} rows of {table} instead of {expected}: load again")
     return {**copied, "storage_version": STORAGE_VERSION}
+
+
+def scene_rows(store: Store, sequences: Sequence[str]) -> Iterator[tuple[str, pa.Table]]:
+    """Every table of the scene namespace as (name, rows) in batches, nodes before edges; columns as in the graph.
+
+    Edges begin with the two keys, `from` and `to`. Raises StoreError where an interval table does not read.
+    """
+    names: set[str] = set(ACTIONS)
+    for table, kind, shape in _NODES:
+        for rows in _batches(store, kind, sequences):
+            yield table, shape(rows)
+    for rows in _batches(store, "actions", sequences):
+        names |= set(rows["action"].unique().to_pylist())
+    yield "Action", pa.table({"name": sorted(names), "pose": [name in POSES for name in sorted(names)]})
+    for table, kind, shape in _RELS:
+        for rows in _batches(store, kind, sequences):
+            yield table, shape(rows)
 
 
 def _batches(store: Store, kind: str, sequences: Sequence[str]) -> Iterator[pa.Table]:
