@@ -1,17 +1,36 @@
 """Every fact of every interval table, computed from the raw JSON by brute force.
 
-Plain Python, frame by frame and person by person, following the definitions and sharing no code with what it checks:
-constants and spellings are written out again. Slow, and meant to be read.
+Plain Python over the rows of `oracle_reading`, frame by frame and person by person, following the definitions and
+sharing no code with what it checks: constants and spellings are written out again. Slow, and meant to be read.
+
+Where the definitions leave something open, what a user would expect: a fact between people, or of a person and a thing,
+needs the people's 2D boxes in that frame; things in the hands of somebody that the panoptic layer does not hold are
+things all the same; nobody "handles" people.
 
 `facts(root, sequence)` returns {table: list of row dicts} in the columns of the interval tables.
 """
 
 from __future__ import annotations
 
-import json
 import math
 from itertools import pairwise
-from pathlib import Path
+
+from oracle_reading import read_root
+
+LAYERS = (
+    "2d",
+    "actions",
+    "groups",
+    "3d",
+    "demographics",
+    "interactions",
+    "group_info",
+    "handles",
+    "pose",
+    "panoptic",
+    "timestamps",
+    "images",
+)
 
 POSES = {
     "walking",
@@ -26,26 +45,11 @@ POSES = {
     "running",
     "lying",
 }
-DOORS = {"opening the door", "pushing the door", "holding the door"}
+PERSON_CATEGORIES = {"pedestrian", "bicyclist/rider", "child"}
 
 
 def facts(root, sequence):
-    return Oracle(Path(root), sequence).tables()
-
-
-def _file(root, folder, sequence):
-    for path in (root / "labels" / folder / f"{sequence}.json", root / folder / f"{sequence}.json"):
-        if path.exists():
-            return json.loads(path.read_text())["labels"]
-    return None
-
-
-def _code(value):
-    """A difficulty 1..3, None if unreadable."""
-    try:
-        return int(float(value)) if float(value) in (1, 2, 3) else None
-    except (TypeError, ValueError):
-        return None
+    return Oracle(read_root(root, sequence), sequence).tables()
 
 
 def step_of(frames):
@@ -56,71 +60,56 @@ def step_of(frames):
 
 
 class Oracle:
-    def __init__(self, root, sequence):
+    def __init__(self, found, sequence):
         self.sequence = sequence
-        self.people = {}  # (frame, track) -> 2D record
-        self.known_2d = set()
-        self.located = {}  # (frame, track) -> 3D record with points
-        self.frames_3d = set()
-        self.boxed = []  # (frame, track) of any box
-        self._read_2d(_file(root, "labels_2d_stitched", sequence))
-        self._read_3d(_file(root, "labels_3d", sequence))
-        folder = root / "images" / "image_stitched" / sequence
-        self.pictures = {int(p.stem) for p in folder.glob("*.jpg")} if folder.exists() else set()
+        self.found = found
+        self.people = {(row["frame"], row["track"]): row for row in found.rows("boxes_2d")}
+        solid = {(row["frame"], row["track"]): row for row in found.rows("boxes_3d")}
+        self.located = {key: row for key, row in solid.items() if (row["num_points"] or 0) > 0}
+        self.boxed = [*self.people, *solid]
+        self.known_2d = set(found.frames.get("2d", ()))
         self.tracks = {}
         for frame, track in sorted(self.people):
             self.tracks.setdefault(frame, []).append(track)
-        self.has_attributes = any("attributes" in r for r in self.people.values())
-        self.actions = {key: self._actions(record) for key, record in self.people.items()}
-        self.clusters = {}
-        for key, record in self.people.items():
-            group = record.get("social_group")
-            if group is not None:
-                self.clusters[key] = (group["cluster_ID"], _code(group["cluster_stat"]))
-        self.action_frames = sorted({f for (f, _), names in self.actions.items() if names})
-        self.group_frames = sorted({f for f, _ in self.clusters})
+        self.has_attributes = any(row["has_attributes"] for row in self.people.values())
+        self.actions = {key: {} for key in self.people}
+        for row in found.rows("actions"):
+            listed = self.actions[row["frame"], row["track"]]
+            listed[row["action"]] = easier(listed.get(row["action"]), row["difficulty"])
+        self.clusters = {
+            (row["frame"], row["track"]): (row["cluster"], row["difficulty"]) for row in found.rows("groups")
+        }
+        self.action_frames = self._known("actions")
+        self.group_frames = self._known("groups")
+        self.poses = {(row["frame"], row["track"]): row["keypoints"] for row in found.rows("poses")}
+        self.listed = {(row["layer"], row["frame"], row["track"]) for row in found.rows("listed")}
+        self.stamps = {row["frame"]: row["timestamp"] for row in found.rows("timestamps") if row["sensor"] == "images"}
         self.keyframes = self._keyframes()
 
-    # -- reading --
+    def _span(self, first, last):
+        return {"first": first, "last": last, "first_s": self.seconds(first), "last_s": self.seconds(last)}
 
-    def _read_2d(self, labels):
-        for key, records in (labels or {}).items():
-            frame, whole = int(key[:6]), True
-            for record in records:
-                prefix, _, number = record["label_id"].partition(":")
-                if prefix != "pedestrian":
-                    continue
-                x, y, w, h = record["box"]
-                if not (w > 0 and h > 0 and all(map(math.isfinite, (x, y, w, h)))):
-                    whole = False
-                elif (frame, int(number)) not in self.people:
-                    self.people[frame, int(number)] = record
-                    self.boxed.append((frame, int(number)))
-            if whole:
-                self.known_2d.add(frame)
+    def _known(self, layer):
+        return sorted(self.found.frames.get(layer, ()))
 
-    def _read_3d(self, labels):
-        for key, records in (labels or {}).items():
-            self.frames_3d.add(int(key[:6]))
-            for record in records:
-                place = int(key[:6]), int(record["label_id"].split(":")[1])
-                self.boxed.append(place)
-                if (record["attributes"].get("num_points") or 0) > 0:
-                    self.located[place] = record
+    def seconds(self, frame):
+        """By the image timestamps, counted from frame 0; even between stamped frames, 1/15 s per frame beyond them."""
+        return self._clock(frame) - self._clock(0)
 
-    @staticmethod
-    def _actions(record):
-        """{action: difficulty}; the easier of two spellings of one action, None only if no code is readable."""
-        found = {}
-        for name, value in (record.get("action_label") or {}).items():
-            name = name.lower().replace("_", " ").replace("-", " ").strip()
-            name = "interaction with door" if name in DOORS else name.replace(" something", " sth")
-            if name != "impossible":
-                found.setdefault(name, []).append(_code(value))
-        return {name: min((c for c in codes if c is not None), default=None) for name, codes in found.items()}
+    def _clock(self, frame):
+        if not self.stamps:
+            return frame / 15
+        start = self.stamps[min(self.stamps)]
+        before = max((f for f in self.stamps if f <= frame), default=None)
+        after = min((f for f in self.stamps if f >= frame), default=None)
+        if before is None or after is None:
+            edge = after if before is None else before
+            return self.stamps[edge] - start + (frame - edge) / 15
+        share = (frame - before) / (after - before) if after > before else 0.0
+        return self.stamps[before] - start + share * (self.stamps[after] - self.stamps[before])
 
     def _keyframes(self):
-        base = self.action_frames or sorted(self.known_2d) or sorted(self.frames_3d)
+        base = self.action_frames or self._known("2d") or self._known("3d")
         if not base:
             return []
         marks = base if step_of(base) == 15 else [f for f in range(base[0], base[-1] + 1) if f % 15 == 0]
@@ -170,15 +159,14 @@ class Oracle:
         record = self.people.get((frame, track))
         if record is None:
             return False
-        _, y, w, h = record["box"]
-        attributes = record.get("attributes") or {}
-        visible = not self.has_attributes or attributes.get("occlusion") in ("Fully_visible", "Mostly_visible")
+        y, w, h = (record[side] for side in "ywh")
+        visible = not self.has_attributes or record["occlusion"] in ("Fully_visible", "Mostly_visible")
         fits = y >= 0 and y + h <= 480 and 12 <= w <= 480 and h >= 40
-        return visible and fits and attributes.get("no_eval") is not True
+        return visible and fits and record["no_eval"] is not True
 
     def angle(self, frame, track):
-        x, _, w, _ = self.people[frame, track]["box"]
-        return ((x + w / 2) / 3760 * 360) % 360
+        record = self.people[frame, track]
+        return ((record["x"] + record["w"] / 2) / 3760 * 360) % 360
 
     def in_frame(self, frame):
         return self.tracks.get(frame, [])
@@ -196,29 +184,27 @@ class Oracle:
         result = {
             "sequence": self._sequence(),
             "frames": self._frames(),
-            "persons": self._persons(),
+            "demographics": self._demographics(),
             "sightings": [self._sighting(f, t) for f, t in sorted(self.people)],
             "actions": self._action_intervals(),
             "memberships": self._membership_intervals(),
+            "interactions": self._interactions(),
+            "handles": self._handles(),
+            "objects": self._objects(),
+            "group_info": self._group_info(),
             "beside": self._robot_view() + self._person_frame(),
             "segments": self._segments(),
         }
+        result["persons"] = self._persons(result["demographics"])
         return {name: [{"sequence": self.sequence, **row} for row in rows] for name, rows in result.items()}
 
     def _sequence(self):
-        layers = {
-            "2d": self.known_2d,
-            "actions": self.action_frames,
-            "groups": self.group_frames,
-            "3d": self.frames_3d,
-            "images": self.pictures,
-        }
-        leading = self.action_frames or sorted(self.known_2d) or sorted(self.frames_3d)
+        leading = self.action_frames or self._known("2d") or self._known("3d")
         return [
             {
                 "fps": 15.0,
                 "frame_count": max(self._all_frames()) + 1,
-                "layers": [name for name, frames in layers.items() if frames],
+                "layers": [name for name in LAYERS if self.found.frames.get(name)],
                 "action_step": step_of(leading),
                 "keyframes": self.keyframes,
                 "has_attributes": self.has_attributes,
@@ -226,44 +212,148 @@ class Oracle:
         ]
 
     def _all_frames(self):
-        return sorted(self.known_2d | self.frames_3d | self.pictures | {f for f, _ in self.people})
+        """Of every layer but the timestamps, which may reach further than what they stamp."""
+        known = {f for layer, frames in self.found.frames.items() if layer != "timestamps" for f in frames}
+        return sorted(known | {f for f, _ in self.people})
 
     def _frames(self):
         return [
             {
                 "frame": f,
-                "seconds": f / 15,
+                "seconds": self.seconds(f),
                 "keyframe": f in self.keyframes,
                 "annotated": f in self.known_2d,
-                "image": f in self.pictures,
+                "image": f in self.found.frames.get("images", ()),
             }
             for f in self._all_frames()
         ]
 
-    def _persons(self):
+    def _persons(self, demographics):
         rows = []
         for track in sorted({t for _, t in self.boxed}):
             frames = [f for f, t in self.boxed if t == track]
+            chosen = {row["attribute"]: row["value"] for row in demographics if row["track"] == track and row["chosen"]}
+            told = {name: chosen.get(name) for name in ("gender", "age", "ethnicity")}
+            rows.append({"track": track, **told, "first_frame": min(frames), "last_frame": max(frames)})
+        return rows
+
+    def _demographics(self):
+        """Each frame votes once for each value that it tells with difficulty 1-2."""
+        votes = {
+            (row["track"], row["attribute"], row["value"], row["frame"])
+            for row in self.found.rows("demographics")
+            if row["value"] is not None and row["difficulty"] in (1, 2)
+        }
+        rows = []
+        for track, attribute, value in sorted({vote[:3] for vote in votes}):
+            mine = sum(vote[:3] == (track, attribute, value) for vote in votes)
+            every = sum(vote[:2] == (track, attribute) for vote in votes)
             rows.append(
-                {"track": track, "gender": None, "age": None, "first_frame": min(frames), "last_frame": max(frames)}
+                {"track": track, "attribute": attribute, "value": value, "votes": mine, "chosen": 2 * mine > every}
             )
         return rows
 
+    def _group_info(self):
+        """Each member votes in each frame for the values that it tells of the group it is in at that frame."""
+        votes = {
+            (self.clusters[row["frame"], row["track"]][0], row["attribute"], row["value"], row["frame"], row["track"])
+            for row in self.found.rows("group_info")
+            if row["value"] is not None
+            and row["difficulty"] in (1, 2)
+            and (row["frame"], row["track"]) in self.clusters
+        }
+        rows = []
+        for cluster, attribute, value in sorted({vote[:3] for vote in votes}):
+            mine = sum(vote[:3] == (cluster, attribute, value) for vote in votes)
+            telling = len({vote[3:] for vote in votes if vote[:2] == (cluster, attribute)})
+            rows.append(
+                {
+                    "cluster": cluster,
+                    "attribute": attribute,
+                    "value": value,
+                    "votes": mine,
+                    "chosen": 2 * mine > telling,
+                }
+            )
+        return rows
+
+    def _interactions(self):
+        """Both directions of every fact between two people with a box; the easier of all that say it counts."""
+        said = {}
+        for row in self.found.rows("interactions"):
+            frame, pair = row["frame"], (row["track"], row["partner"])
+            if all((frame, track) in self.people for track in pair):
+                for key in ((*pair, row["label"]), (*reversed(pair), row["label"])):
+                    frames = said.setdefault(key, {})
+                    frames[frame] = easier(frames.get(frame), row["difficulty"])
+        return [
+            {"source": source, "target": target, "label": label, **row}
+            for (source, target, label), frames in sorted(said.items())
+            for row in self._relation("interactions", frames)
+        ]
+
+    def _handles(self):
+        people = {row["category_id"] for row in self.found.rows("categories") if row["category"] in PERSON_CATEGORIES}
+        said = {}
+        for row in self.found.rows("handles"):
+            if (row["frame"], row["track"]) in self.people and row["category_id"] not in people:
+                frames = said.setdefault((row["track"], row["object"], row["category_id"], row["verb"]), {})
+                frames[row["frame"]] = easier(frames.get(row["frame"]), row["difficulty"])
+        return [
+            {"track": track, "object": thing, "category_id": category, "verb": verb, **row}
+            for (track, thing, category, verb), frames in sorted(said.items())
+            for row in self._relation("handles", frames)
+        ]
+
+    def _relation(self, layer, frames):
+        """Intervals of a relation that stands in `frames` with a difficulty each."""
+        known = self._known(layer)
+        step = step_of(known)
+
+        def kind(frame):
+            if frame in frames:
+                return "certain" if frames[frame] in (1, 2) else "hard"
+            return "gap" if step == 1 and self._closed(frame, frames.__contains__) else None
+
+        return [
+            {**self._span(first, last), "certain": what == "certain", "gap": what == "gap"}
+            for first, last, what in _chains(known, step, kind)
+        ]
+
+    def _objects(self):
+        """Things with a track, as the panoptic layer shows them, and those that only somebody handles."""
+        names = {row["category_id"]: row["category"] for row in self.found.rows("categories")}
+        seen = {}
+        for row in self.found.rows("panoptic"):
+            if row["object"] is not None:
+                seen.setdefault((row["object"], row["category_id"]), []).append(row["frame"])
+        for row in self._handles():
+            seen.setdefault((row["object"], row["category_id"]), [])
+        return [
+            {"object": thing, "category_id": category, "category": names.get(category)}
+            | {"first_frame": min(frames, default=None), "last_frame": max(frames, default=None)}
+            for (thing, category), frames in sorted(seen.items())
+            if names.get(category) not in PERSON_CATEGORIES
+        ]
+
     def _sighting(self, frame, track):
         record = self.people[frame, track]
-        attributes = record.get("attributes") or {}
         angle = self.angle(frame, track)
         sectors = robot_sectors(angle)
+        keypoints = self.poses.get((frame, track))
         row = {
             "frame": frame,
             "track": track,
-            **dict(zip("xywh", map(float, record["box"]), strict=True)),
+            **{side: record[side] for side in "xywh"},
             "angle": angle,
-            "occlusion": attributes.get("occlusion"),
-            "no_eval": attributes.get("no_eval") is True,
+            "occlusion": record["occlusion"],
+            "no_eval": record["no_eval"] is True,
             "clear": self.clear(frame, track),
-            "face_visible": None,
+            # The first three points are head, right eye, left eye.
+            "face_visible": None if keypoints is None else 2 in [keypoints[3 * i + 2] for i in range(3)],
             "listed": bool(self.actions[frame, track]),
+            "interactions_listed": ("interactions", frame, track) in self.listed,
+            "handles_listed": ("handles", frame, track) in self.listed,
             "pose": self.pose(frame, track),
             "cluster": self.clusters.get((frame, track), (None,))[0],
             "group_size": self.group_size(frame, track),
@@ -274,10 +364,8 @@ class Oracle:
         empty = dict.fromkeys(("distance", "distance_word", "distance_word_other", "cx", "cy", "cz", "heading"))
         if not row["located"]:
             return row | empty
-        solid = self.located[frame, track]
-        box = solid["box"]
-        distance = solid["attributes"].get("distance")
-        distance = math.hypot(box["cx"], box["cy"]) if distance is None else distance
+        box = self.located[frame, track]
+        distance = math.hypot(box["cx"], box["cy"]) if box["distance"] is None else box["distance"]
         words = distance_words(distance)
         heading = math.pi - box["rot_z"]
         return row | {
@@ -307,7 +395,7 @@ class Oracle:
                     codes = [self.actions.get((f, track), {}).get(action) for f in range(first, last + 1, step)]
                     difficulty = None if what == "gap" or None in codes else max(codes)
                     rows.append(
-                        {"track": track, "action": action, **_span(first, last), "difficulty": difficulty}
+                        {"track": track, "action": action, **self._span(first, last), "difficulty": difficulty}
                         | {"certain": what == "certain", "gap": what == "gap"}
                     )
         return rows
@@ -329,7 +417,7 @@ class Oracle:
 
             for first, last, what in _chains(self.group_frames, step, kind):
                 rows.append(
-                    {"track": track, "cluster": cluster, **_span(first, last)}
+                    {"track": track, "cluster": cluster, **self._span(first, last)}
                     | {"certain": what == "certain", "gap": what == "gap"}
                 )
         return rows
@@ -363,7 +451,8 @@ class Oracle:
         certain = settled is not None and len(could) == 1
         label = f"first to the {side} of (robot view)"
         return [
-            {"source": source, "target": t, "label": label, **_span(frame, frame), "certain": certain} for t in could
+            {"source": source, "target": t, "label": label, **self._span(frame, frame), "certain": certain}
+            for t in could
         ]
 
     def _person_frame(self):
@@ -386,12 +475,12 @@ class Oracle:
                 while last + 15 in frames:
                     last += 15
                 rows.append(
-                    {"source": source, "target": target, "label": label, **_span(frame, last), "certain": certain}
+                    {"source": source, "target": target, "label": label, **self._span(frame, last), "certain": certain}
                 )
         return rows
 
     def _beside(self, frame, source, target):
-        a, b = self.located[frame, source]["box"], self.located[frame, target]["box"]
+        a, b = self.located[frame, source], self.located[frame, target]
         dx, dy, dz = (b[k] - a[k] for k in ("cx", "cy", "cz"))
         metres = math.sqrt(dx * dx + dy * dy + dz * dz)
         if metres > 5.5:
@@ -440,8 +529,9 @@ class Oracle:
         return rows
 
 
-def _span(first, last):
-    return {"first": first, "last": last, "first_s": first / 15, "last_s": last / 15}
+def easier(a, b):
+    """The easier of two difficulties; None is unreadable."""
+    return min((c for c in (a, b) if c is not None), default=None)
 
 
 def _chains(frames, step, kind):

@@ -17,7 +17,6 @@ from worlds import load_world, write_root
 
 from jrdb_avr.loaders.layers import find_root
 from jrdb_avr.loaders.load import Shard, load, load_shard
-from jrdb_avr.loaders.sample.writer import plan, write
 from jrdb_avr.queries.handle import Graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import LoadRules
@@ -140,6 +139,8 @@ def test_the_graph_has_the_facts_of_the_oracle(seed, tmp_path):
 
 
 def test_a_synthetic_sample_has_the_facts_of_the_oracle(tmp_path):
+    from jrdb_avr.loaders.sample.writer import plan, write
+
     root = tmp_path / "root"
     for _ in write(plan(root, [(200, 12)], 3, images="none"), 1):
         pass

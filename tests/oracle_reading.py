@@ -1,0 +1,660 @@
+"""What the label files say, read by brute force: the rows of every annotation table, from the raw text.
+
+Plain Python over parsed JSON, sharing no code with the loaders; spellings are written out again. It states what counts
+as usable:
+- A file must be UTF-8 and JSON in structure, with the object or lists that its format has; else nothing of it is.
+- A value that is no JSON is broken, and so is a list or object with broken structure inside. Broken values cost what
+  needs them and nothing else: a record without a person or a box is lost, a label without a code is uncertain.
+- Of members with equal keys the first holds. Decoders usually keep the last, so whoever compares a file that repeats
+  keys takes `last=True` too.
+- A person is `pedestrian:N`. Numbers are finite, bools are none; whole numbers may come as 7.0 or "7".
+
+- Of equal persons in a frame (poses and things alike) the first usable one holds. `every=True` keeps them all: what
+  anybody sees who judges the records one by one.
+
+`read(layer, data)` gives a `Found` for one file; `read_root(root, sequence)` brings a sequence's files together.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from functools import partial
+from pathlib import Path
+
+BROKEN = type("Broken", (), {"__repr__": lambda self: "BROKEN"})()
+TRACK_MAX = 2**31 - 2
+PIXEL_MAX = 1e5
+METRE_MAX = 1e4
+RECORDS_MAX = 1000
+
+FOLDERS = {
+    "2d": ("labels_2d_stitched",),
+    "social": ("labels_2d_activity_social_stitched", "labels_2d_social"),
+    "reasoning": ("labels_2d_stitched_new_version", "labels_2d_stitched_test_new_version1"),
+    "3d": ("labels_3d",),
+    "pose": ("labels_2d_pose_stitched_coco", "pose_stitched"),
+    "panoptic": ("labels_2d_panoptic_stitched_CW", "labels_2d_panoptic_stitched_OW"),
+}
+
+
+class RefusedError(Exception):
+    """The file as a whole cannot be used."""
+
+
+class Found:
+    """Rows per annotation table, known frames per layer, and the boxes of a file whose boxes are not its facts."""
+
+    def __init__(self, every=False):
+        self.every = every
+        self.tables = {}
+        self.frames = {}
+        self.boxes = {}
+
+    def add(self, table, **row):
+        self.tables.setdefault(table, []).append(row)
+
+    def rows(self, table):
+        return self.tables.get(table, [])
+
+    def keep(self, records):
+        """Of (key, ...) the first of equal keys, or all of them; sorted by key."""
+        kept, seen = [], set()
+        for record in records:
+            if self.every or record[0] not in seen:
+                kept.append(record)
+            seen.add(record[0])
+        return sorted(kept, key=lambda record: record[0])
+
+
+# -- text to values ------------------------------------------------------------------------------------------------
+
+_STRING = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"', re.DOTALL)
+_SCALAR = re.compile(r'[^,\[\]{}\s"]+')
+_MARK = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"|["\[\]{}]', re.DOTALL)
+_BLANK = re.compile(r"[ \t\r\n]*")
+
+
+class StructureError(Exception):
+    """Brackets, commas or quotes are not where they must be."""
+
+
+def parse(data, last=False):
+    """The value of a JSON text, BROKEN where a part of it is none. RefusedError where nothing can be told."""
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise RefusedError("not UTF-8") from None
+    try:
+        return json.loads(text, object_pairs_hook=lambda pairs: _members(pairs, last))
+    except (ValueError, RecursionError):
+        pass
+    try:
+        value, end = _value(text, _skip(text, 0), last, 0)
+    except StructureError as error:
+        raise RefusedError(str(error)) from None
+    if _skip(text, end) != len(text):
+        raise RefusedError("text after the end")
+    return value
+
+
+def _members(pairs, last):
+    if last:
+        return dict(pairs)
+    return dict(reversed(pairs)) if len({key for key, _ in pairs}) < len(pairs) else dict(pairs)
+
+
+def _skip(text, at):
+    return _BLANK.match(text, at).end()
+
+
+def _value(text, at, last, depth):
+    first = text[at : at + 1]
+    if first not in ("[", "{"):
+        match = (_STRING if first == '"' else _SCALAR).match(text, at)
+        if match is None:
+            raise StructureError("a value is missing")
+        try:
+            return json.loads(match[0], strict=False), match.end()
+        except (ValueError, RecursionError):
+            return BROKEN, match.end()
+    end = _closing(text, at)
+    # The outer levels carry the file: a fault in their structure is a fault of the whole.
+    if depth > 60:
+        return BROKEN, end
+    try:
+        return _container(text, at, last, depth)
+    except StructureError:
+        if depth < 2:
+            raise
+        return BROKEN, end
+
+
+def _container(text, at, last, depth):
+    opening, closing = text[at], "]" if text[at] == "[" else "}"
+    found, at = [], _skip(text, at + 1)
+    if text[at : at + 1] == closing:
+        return ([] if opening == "[" else {}), at + 1
+    while True:
+        key = None
+        if opening == "{":
+            key = _STRING.match(text, at)
+            if key is None:
+                raise StructureError("a key is missing")
+            at = _skip(text, key.end())
+            if text[at : at + 1] != ":":
+                raise StructureError("a colon is missing")
+            at = _skip(text, at + 1)
+        value, at = _value(text, at, last, depth + 1)
+        try:
+            found.append(value if key is None else (json.loads(key[0], strict=False), value))
+        except ValueError:
+            found.append((key[0], value))
+        at = _skip(text, at)
+        mark = text[at : at + 1]
+        if mark == closing:
+            return (found if opening == "[" else _members(found, last)), at + 1
+        if mark != ",":
+            raise StructureError("a comma is missing")
+        at = _skip(text, at + 1)
+
+
+def _closing(text, at):
+    depth = 0
+    for match in _MARK.finditer(text, at):
+        mark = match[0]
+        if mark == '"':
+            raise StructureError("a string does not end")
+        if len(mark) == 1:
+            depth += 1 if mark in "[{" else -1
+            if depth == 0:
+                return match.end()
+    raise StructureError("the text ends early")
+
+
+# -- single fields ---------------------------------------------------------------------------------------------------
+
+
+def number(value):
+    """A finite float, else None."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        value = float(value)
+    except OverflowError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def whole(value):
+    """An int, also from 7.0 and "7", else None."""
+    if isinstance(value, str):
+        return int(value) if re.fullmatch(r"-?[0-9]{1,19}", value) else None
+    if isinstance(value, int) and not isinstance(value, bool):
+        return value
+    value = number(value)
+    return int(value) if value is not None and value == math.floor(value) else None
+
+
+def code(value):
+    """A difficulty 1..3, None if unreadable."""
+    value = whole(value)
+    return value if value in (1, 2, 3) else None
+
+
+def flag(value):
+    """A bool, also from "true" and "false", else None."""
+    if isinstance(value, str) and value.lower() in ("true", "false"):
+        return value.lower() == "true"
+    return value if isinstance(value, bool) else None
+
+
+def clean(value):
+    """Text that can be printed, else None."""
+    if not isinstance(value, str):
+        return None
+    value = "".join(c if c.isprintable() else " " for c in value).strip()
+    return value if 0 < len(value) <= 100 else None
+
+
+def plain(label):
+    """Lower case, one blank for any of blank, _ and -."""
+    return " ".join(label.lower().replace("_", " ").replace("-", " ").split())
+
+
+def track_of(value):
+    """(N, True) of `pedestrian:N`; (None, True) for something that is no tracked person; else (None, False)."""
+    if not isinstance(value, str):
+        return None, False
+    match = re.fullmatch(r"pedestrian:([0-9]{1,10})", value)
+    if match and int(match[1]) <= TRACK_MAX:
+        return int(match[1]), True
+    return None, match is None and re.fullmatch(r"[A-Za-z_ ]+:-?[0-9]+", value) is not None
+
+
+def partner_of(value):
+    """The N of a pair, as `pedestrian:N`, N or "N"."""
+    if isinstance(value, str) and ":" in value:
+        return track_of(value)[0]
+    value = whole(value)
+    return value if value is not None and 0 <= value <= TRACK_MAX else None
+
+
+def box_of(value):
+    """[x, y, w, h] of a usable 2D box, else None."""
+    if not isinstance(value, list) or len(value) != 4:
+        return None
+    box = [number(v) for v in value]
+    if any(v is None or abs(v) > PIXEL_MAX for v in box) or box[2] <= 0 or box[3] <= 0:
+        return None
+    return box
+
+
+# -- spellings -------------------------------------------------------------------------------------------------------
+
+DOORS = {"opening the door", "pushing the door", "holding the door"}
+TOLD = {"gender": "gender", "age": "age", "race": "ethnicity"}
+INFO = {"venue": "venue", "aim": "aim", "BPC": "bpc", "SSC": "ssc", "location_pre": "location", "inter": "inter"}
+
+
+# The files' words for groups keep their underscores; a word of no list is written with blanks.
+GROUP_WORDS = """
+cafeteria/dining_hall/food_court open_area/campus open_space/corridor room/class study_space street
+wandering discussing_an_object/matter studying/writing/reading/working waiting_for_someone/something socializing
+excursion attending_class/lecture/seminar eating/ordering_food commuting navigating
+floor chair stairs ground platform grass bike scooter balcony sofa skateboard sidewalk pathway desk street crosswalk
+bench road counter pillar bin gate table wall fence door trolley coffee_machine shelves cafeteria room elevator board
+stroller statue standboard poster show_case window crutches tree pole building food_truck bus robot baggage
+stand_pillar screen forecourt shop cabinet light_street car copy_machine drink_fountain class at
+"""
+AGES = {
+    "child": "childhood",
+    "adolescent": "adolescence",
+    "young": "young adulthood",
+    "middle aged": "middle adulthood",
+    "elderly": "late adulthood",
+}
+
+
+def action_name(label):
+    label = plain(label)
+    return "interaction with door" if label in DOORS else label.replace(" something", " sth")
+
+
+def interaction_name(label):
+    label = plain(label).replace(" something", " sth")
+    return "standing together" if label == "standing together together" else label
+
+
+def labels_of(value):
+    """(label, difficulty) of the members of a label object, broken labels left out."""
+    if not isinstance(value, dict):
+        return []
+    return [(name, code(c)) for name, c in ((clean(k), v) for k, v in value.items()) if name is not None]
+
+
+# -- layers: file to rows --------------------------------------------------------------------------------------------
+
+
+def label_frames(value, suffixes):
+    """(frame, records) of a label file: the first of equal frames, those with a list."""
+    if not isinstance(value, dict) or not isinstance(value.get("labels"), dict):
+        raise RefusedError('no object "labels"')
+    seen = set()
+    for key, records in value["labels"].items():
+        match = re.fullmatch(r"([0-9]{6})\.(" + suffixes + ")", key)
+        if match and int(match[1]) not in seen:
+            seen.add(int(match[1]))
+            if isinstance(records, list) and len(records) <= RECORDS_MAX:
+                yield int(match[1]), records
+
+
+def read_2d(value, every=False):
+    found = Found(every)
+    known, people = {}, []
+    for frame, records in label_frames(value, "jpg|jpeg|png"):
+        unread = False
+        for record in records:
+            track, told = track_of(record.get("label_id")) if isinstance(record, dict) else (None, False)
+            box = box_of(record.get("box")) if track is not None else None
+            unread |= not told or (track is not None and box is None)
+            if box is not None:
+                people.append(((frame, track), record, box))
+        if not unread:
+            known[frame] = 0
+    for (frame, track), record, box in found.keep(people):
+        if frame in known:
+            known[frame] += 1
+        _read_person(found, frame, track, record, box)
+    found.frames["2d"] = known
+    for layer, flagged in (("actions", "actions"), ("groups", "groups")):
+        found.frames[layer] = {}
+        for frame in sorted({(row["frame"], row["track"]) for row in found.rows(flagged)}):
+            found.frames[layer][frame[0]] = found.frames[layer].get(frame[0], 0) + 1
+    return found
+
+
+def _read_person(found, frame, track, record, box):
+    here = {"frame": frame, "track": track}
+    attributes = record.get("attributes")
+    told = isinstance(attributes, dict)
+    attributes = attributes if told else {}
+    occlusion = attributes.get("occlusion")
+    words = ("Fully_visible", "Mostly_visible", "Severely_occluded", "Fully_occluded")
+    actions = [(n, c) for n, c in labels_of(record.get("action_label")) if plain(n) != "impossible"]
+    found.add(
+        "boxes_2d",
+        **here,
+        **dict(zip("xywh", box, strict=True)),
+        has_attributes=told,
+        occlusion=occlusion if isinstance(occlusion, str) and occlusion in words else None,
+        truncated=flag(attributes.get("truncated")),
+        interpolated=flag(attributes.get("interpolated")),
+        no_eval=flag(attributes.get("no_eval")),
+        has_actions=bool(actions),
+        file_id=clean(record.get("file_id")),
+    )
+    for name, difficulty in actions:
+        found.add("actions", **here, action=action_name(name), raw=name, difficulty=difficulty)
+    group = record.get("social_group")
+    cluster = whole(group.get("cluster_ID")) if isinstance(group, dict) else None
+    if cluster is not None and abs(cluster) <= 2**62:
+        found.add("groups", **here, cluster=cluster, difficulty=code(group.get("cluster_stat")))
+    activities = record.get("social_activity")
+    for name, value in activities.items() if isinstance(activities, dict) else ():
+        if clean(name) is not None:
+            found.add("social_activities", **here, activity=action_name(clean(name)), value=number(value))
+
+
+def read_3d(value, every=False):
+    found = Found(every)
+    known, people = {}, []
+    for frame, records in label_frames(value, "pcd|pcb"):
+        known[frame] = 0
+        for record in records:
+            track = track_of(record.get("label_id"))[0] if isinstance(record, dict) else None
+            box = record.get("box") if track is not None else None
+            sides = (
+                [number(box.get(k)) for k in ("cx", "cy", "cz", "l", "w", "h", "rot_z")]
+                if isinstance(box, dict)
+                else []
+            )
+            usable = sides and all(v is not None and abs(v) <= METRE_MAX for v in sides) and min(sides[3:6]) > 0
+            if usable:
+                people.append(((frame, track), record, sides))
+    for (frame, track), record, sides in found.keep(people):
+        known[frame] += 1
+        attributes = record.get("attributes")
+        attributes = attributes if isinstance(attributes, dict) else {}
+        distance, points = number(attributes.get("distance")), number(attributes.get("num_points"))
+        counted = points is not None and 0 <= points < 2**31 and points == math.floor(points)
+        found.add(
+            "boxes_3d",
+            frame=frame,
+            track=track,
+            **dict(zip(("cx", "cy", "cz", "l", "w", "h", "rot_z"), sides, strict=True)),
+            distance=distance if distance is not None and 0 <= distance <= METRE_MAX else None,
+            num_points=int(points) if counted else None,
+            interpolated=flag(attributes.get("interpolated")),
+            no_eval=flag(attributes.get("no_eval")),
+        )
+    found.frames["3d"] = known
+    return found
+
+
+def read_social(value, every=False, reasoning=False):
+    """Demographics, interactions and group info; of a reasoning file also handles.
+
+    Each list is judged alone: a person-frame is listed for interactions (handles) where its list could be read to the
+    last entry. A key that is not there means an empty list in a reasoning file, and unknown in a social file.
+    """
+    found, people = Found(every), []
+    for frame, records in label_frames(value, "jpg|jpeg|png"):
+        for record in records:
+            track = track_of(record.get("label_id"))[0] if isinstance(record, dict) else None
+            if track is not None:
+                people.append(((frame, track), record))
+    for (frame, track), record in found.keep(people):
+        here = {"frame": frame, "track": track}
+        box = box_of(record.get("box"))
+        if box is not None:
+            found.boxes[frame, track] = box
+        for told in _objects(record.get("demographics_info")):
+            for key, attribute in TOLD.items():
+                _read_told(found, "demographics", here, attribute, told.get(key))
+        for told in _objects(record.get("group_info")):
+            for key, attribute in INFO.items():
+                _read_told(found, "group_info", here, attribute, told.get(key))
+        _read_interactions(found, here, record, reasoning)
+        if reasoning:
+            _read_handles(found, here, record)
+    for layer in ("demographics", "interactions", "group_info") + (("handles",) if reasoning else ()):
+        listed = [row for row in found.rows("listed") if row["layer"] == layer]
+        keys = {(row["frame"], row["track"]) for row in [*found.rows(layer), *listed]}
+        found.frames[layer] = {}
+        for frame, _ in sorted(keys):
+            found.frames[layer][frame] = found.frames[layer].get(frame, 0) + 1
+    return found
+
+
+def _read_told(found, table, here, attribute, labels):
+    for name, difficulty in labels_of(labels):
+        for value in told_values(attribute, name):
+            found.add(table, **here, attribute=attribute, value=value, raw=name, difficulty=difficulty)
+
+
+def _objects(value):
+    """The objects of a list that should hold one object at most."""
+    return [item for item in value if isinstance(item, dict)] if isinstance(value, list) else []
+
+
+def told_values(attribute, name):
+    """What a label of a person's or a group's attribute says: several aims may be joined; None cannot be told."""
+    values = []
+    for part in name.split("&") if attribute == "aim" else [name]:
+        word = plain(part.replace(":", " ") if attribute == "venue" else part)
+        if not word:
+            continue
+        value = {
+            "gender": word,
+            "age": AGES.get(word, word),
+            "ethnicity": word,
+            "inter": interaction_name(word),
+            "venue": re.sub("^(indoor|outdoor) (.*)", lambda m: f"{m[1]}_{_spelled(m[2])}", word),
+        }.get(attribute, _spelled(word))
+        values.append(None if word in ("unknown", "impossible") else value)
+    return list(dict.fromkeys(values))
+
+
+def _spelled(word):
+    return word.replace(" ", "_") if word.replace(" ", "_") in GROUP_WORDS.split() else word
+
+
+def _read_interactions(found, here, record, reasoning):
+    keys = [key for key in ("H-interaction", "HHI") if key in record]
+    whole_list = bool(keys) or reasoning
+    for key in keys:
+        entries = record[key]
+        whole_list &= isinstance(entries, list)
+        for entry in entries if isinstance(entries, list) else ():
+            partner = partner_of(entry.get("pair")) if isinstance(entry, dict) else None
+            labels = entry.get("inter_labels") if isinstance(entry, dict) else None
+            usable = partner is not None and partner != here["track"] and isinstance(labels, dict)
+            whole_list &= usable and len(labels_of(labels)) == len(labels)
+            for name, difficulty in labels_of(labels) if usable else ():
+                label = interaction_name(name)
+                if label != "impossible":
+                    found.add("interactions", **here, partner=partner, label=label, raw=name, difficulty=difficulty)
+    if whole_list:
+        found.add("listed", layer="interactions", **here)
+
+
+def _read_handles(found, here, record):
+    entries = record.get("HOI", [])
+    whole_list = isinstance(entries, list)
+    for entry in entries if isinstance(entries, list) else ():
+        pair = entry.get("pair") if isinstance(entry, dict) else None
+        pair = [partner_of(v) for v in pair] if isinstance(pair, list) and len(pair) == 2 else [None]
+        labels = entry.get("inter_labels") if isinstance(entry, dict) else None
+        usable = None not in pair and isinstance(labels, dict)
+        whole_list &= usable and len(labels_of(labels)) == len(labels)
+        for name, difficulty in labels_of(labels) if usable else ():
+            verb = {plain(v): v for v in ("finding_something", "putting_something")}.get(plain(name), plain(name))
+            found.add(
+                "handles", **here, object=pair[0], category_id=pair[1], verb=verb, raw=name, difficulty=difficulty
+            )
+    if whole_list:
+        found.add("listed", layer="handles", **here)
+
+
+def coco(value):
+    """{image id: frame} and the annotations of a COCO file."""
+    if not isinstance(value, dict) or not isinstance(value.get("images"), list):
+        raise RefusedError('no list "images"')
+    if not isinstance(value.get("annotations"), list):
+        raise RefusedError('no list "annotations"')
+    frame_of = {}
+    for image in value["images"]:
+        name = image.get("file_name") if isinstance(image, dict) else None
+        number_of = whole(image.get("id")) if isinstance(image, dict) else None
+        match = re.fullmatch(r"(?:.*[/\\])?([0-9]{6})\.(jpg|jpeg|png)", name) if isinstance(name, str) else None
+        if match and number_of is not None and number_of not in frame_of:
+            frame_of[number_of] = int(match[1])
+    return frame_of, [item for item in value["annotations"] if isinstance(item, dict)]
+
+
+def read_pose(value, every=False):
+    found, poses = Found(every), []
+    frame_of, annotations = coco(value)
+    for record in annotations:
+        frame, track = frame_of.get(whole(record.get("image_id"))), whole(record.get("track_id"))
+        points = record.get("keypoints")
+        points = [number(v) for v in points] if isinstance(points, list) and len(points) == 51 else [None]
+        if frame is None or track is None or not 0 <= track <= TRACK_MAX or None in points:
+            continue
+        if all(points[i] in (0, 1, 2) for i in range(2, 51, 3)):
+            poses.append(((frame, track), points))
+    known = dict.fromkeys(sorted(set(frame_of.values())), 0)
+    for (frame, track), points in found.keep(poses):
+        known[frame] += 1
+        found.add("poses", frame=frame, track=track, keypoints=points)
+    found.frames["pose"] = known
+    return found
+
+
+def read_panoptic(value, every=False):
+    found = Found(every)
+    frame_of, annotations = coco(value)
+    for category in value["categories"] if isinstance(value.get("categories"), list) else ():
+        number_of = whole(category.get("id")) if isinstance(category, dict) else None
+        name = clean(category.get("name")) if isinstance(category, dict) else None
+        if number_of is not None and name is not None:
+            found.add("categories", category_id=number_of, category=category_name(name), raw=name)
+    known = dict.fromkeys(sorted(set(frame_of.values())), 0)
+    seen = set()
+    for record in annotations:
+        frame, category = frame_of.get(whole(record.get("image_id"))), whole(record.get("category_id"))
+        if frame is None or category is None:
+            continue
+        inner = record.get("attributes") if isinstance(record.get("attributes"), dict) else {}
+        written = [record.get("tracking_id"), inner.get("tracking_id"), inner.get("floor_id")]
+        track = next((partner_of(v) for v in written if v is not None), None)
+        if track is not None and (frame, category, track) in seen and not every:
+            continue
+        seen.add((frame, category, track))
+        box = record.get("bbox")
+        box = [number(v) for v in box] if isinstance(box, list) and len(box) == 4 else [None] * 4
+        known[frame] += 1
+        found.add(
+            "panoptic",
+            frame=frame,
+            object=track,
+            category_id=category,
+            **dict(zip("xywh", [None] * 4 if None in box else box, strict=True)),
+            area=number(record.get("area")),
+        )
+    found.frames["panoptic"] = known
+    return found
+
+
+def category_name(raw):
+    """The standard name of a category, None outside the vocabulary: letter case and the prefixes t_ and m_ are lost."""
+    return STANDARD.get(re.sub(r"^(t|m) ", "", plain(raw)))
+
+
+CATEGORIES = """
+road terrain sky vegetation wall column building stair ceiling barrier/fence crutch fire_extinguisher
+big_socket/button airpot controller umbrella animal monitor carpet cabinet jacket emergency_pole helmet peripheral
+curtain box document television light_pole board manhole phone ladder waterbottle picture_frames standee store_sign
+statues cargo tableware accessory other clock golfcart wall_panel decoration hanging_light window poster lift vent
+fountain door_handle floor/walking_path machines child trash_bin shelf car bicycle/scooter bag big_vehicle
+chair/sofa pedestrian sign trolley pole/trafficcone bicyclist/rider table skateboard/segway/hoverboard glass
+door
+"""
+STANDARD = {plain(name): name for name in CATEGORIES.split()}
+
+
+def read_stamps(value, sensor, every=False):
+    """Timestamps of one sensor: the first of equal frames."""
+    found, stamps = Found(every), []
+    if not isinstance(value, dict) or not isinstance(value.get("data"), list):
+        raise RefusedError('no list "data"')
+    for record in value["data"]:
+        frame = whole(record.get("frame_id")) if isinstance(record, dict) else None
+        stamp = number(record.get("timestamp")) if isinstance(record, dict) else None
+        if frame is not None and 0 <= frame <= 999_999 and stamp is not None:
+            stamps.append((frame, stamp))
+    for frame, stamp in found.keep(stamps):
+        found.add("timestamps", sensor=sensor, frame=frame, timestamp=stamp)
+    found.frames["timestamps"] = dict.fromkeys((frame for frame, _ in found.keep(stamps)), 1)
+    return found
+
+
+READ = {
+    "2d": read_2d,
+    "3d": read_3d,
+    "social": read_social,
+    "reasoning": partial(read_social, reasoning=True),
+    "pose": read_pose,
+    "panoptic": read_panoptic,
+    "images": partial(read_stamps, sensor="images"),
+    "clouds": partial(read_stamps, sensor="clouds"),
+}
+
+
+def read(layer, data, last=False, every=False):
+    """The facts of one file. RefusedError where it cannot be used at all."""
+    return READ[layer](parse(data, last), every=every)
+
+
+def read_root(root, sequence):
+    """All facts of a sequence under the usual directory names, each layer from the first directory that has it."""
+    root, whole_found, files = Path(root), Found(), {}
+    for layer, folders in FOLDERS.items():
+        paths = [base / name / f"{sequence}.json" for name in folders for base in (root / "labels", root)]
+        path = next((p for p in paths if p.exists()), None)
+        if path is not None:
+            try:
+                files[layer] = read(layer, path.read_bytes())
+            except RefusedError:
+                continue
+    for sensor, name in (("images", "frames_img.json"), ("clouds", "frames_pc.json")):
+        path = root / "timestamps" / sequence / name
+        if path.exists():
+            files[sensor] = read(sensor, path.read_bytes())
+    if "social" in files and "reasoning" in files:
+        # Where both are usable, the social file has the word on everything but handles.
+        second = files["reasoning"]
+        second.tables = {"handles": second.rows("handles"), "listed": second.rows("listed")}
+        second.tables["listed"] = [row for row in second.rows("listed") if row["layer"] == "handles"]
+        second.frames = {"handles": second.frames["handles"]}
+    for found in files.values():
+        for table, rows in found.tables.items():
+            whole_found.tables.setdefault(table, []).extend(rows)
+        for layer, known in found.frames.items():
+            whole_found.frames.setdefault(layer, {}).update(known)
+    folder = root / "images" / "image_stitched" / sequence
+    if folder.exists():
+        whole_found.frames["images"] = {int(p.stem): 1 for p in sorted(folder.glob("*.jpg"))}
+    return whole_found
