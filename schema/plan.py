@@ -58,14 +58,23 @@ _READ_TIMES: Final[dict[str, int]] = {
 }
 """How many times each read names: `at` is one name, or a list of two."""
 
-_EVENT_READS: Final = {"start": ("start",), "start_view": ("start",), "span": ("start", "end")}
+_EVENT_READS: Final[dict[str, tuple[tuple[str, ...], ...]]] = {
+    "start": (("start",),),
+    "start_view": (("start",),),
+    "span": (("start",), ("end",)),
+    "next_action": (("end",),),
+    "seconds_between": (("start", "leaves"), ("start", "returns")),
+}
+"""The kinds of event that a read can be asked at, per time; other reads take any time."""
+
 _TIMELESS: Final = frozenset({"gender", "age"})
 
 
 class Time(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
     """A stated frame, or the first event of a kind after another time.
 
-    `start` and `end` name the `action` that starts or ends; `leaves` and `returns` are of the person alone.
+    `start` and `end` name the `action` that starts or ends; `leaves` and `returns` are of the person alone. Only where
+    `next_action` is read an `end` names no action: it is the end of the pose held at the time `after`.
     """
 
     frame: _Frame | None = None
@@ -110,7 +119,8 @@ class Edge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class AnswerSpec(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
     """What is read for the answer: `read` of node `of` at one time, or at a list of times.
 
-    `relation` is the relation counted by the read `count`.
+    `relation` is the relation counted by the read `count`: different people who are in it with `of` at any moment
+    from the first of two stated times to the second.
     """
 
     mode: AnswerMode
@@ -215,8 +225,11 @@ def _check_times(plan: Plan, ids: list[str]) -> None:
             raise PlanError(field, "an event needs 'of' and 'after'")
         _known(f"{field}.of", time.of, ids, "node")
         _known(f"{field}.after", time.after, list(plan.times), "time")
-        if (time.action is None) != (time.event in ("leaves", "returns")):
-            raise PlanError(f"{field}.action", "is needed by start and end, and by nothing else")
+        unnamed = time.event == "end" and plan.answer.read == "next_action" and name in plan.asked()
+        if time.action is None and time.event in ("start", "end") and not unnamed:
+            raise PlanError(f"{field}.action", "is needed by start and end (but for the end before a next_action)")
+        if time.action is not None and time.event in ("leaves", "returns"):
+            raise PlanError(f"{field}.action", f"belongs to start and end, not to {time.event!r}")
     for name in plan.times:
         seen = {name}
         after = plan.times[name].after
@@ -276,6 +289,16 @@ def _check_answer(plan: Plan, ids: list[str]) -> None:
         raise PlanError("answer.at", f"the read {answer.read!r} names {_READ_TIMES[answer.read]} time(s)")
     if (answer.relation is None) != (answer.read != "count"):
         raise PlanError("answer.relation", "is needed by the read 'count', and by nothing else")
-    for name, event in zip(times, _EVENT_READS.get(answer.read, ()), strict=False):
-        if plan.times[name].event != event:
-            raise PlanError("answer.at", f"the read {answer.read!r} needs {name!r} to be an event {event!r}")
+    if len(set(times)) < len(times):
+        raise PlanError("answer.at", f"names {times[0]!r} twice")
+    for name, kinds in zip(times, _EVENT_READS.get(answer.read, ()), strict=False):
+        time = plan.times[name]
+        if time.event not in kinds:
+            wanted = " or ".join(repr(kind) for kind in kinds)
+            raise PlanError("answer.at", f"the read {answer.read!r} needs {name!r} to be an event {wanted}")
+        if time.of != answer.of:
+            raise PlanError(f"times.{name}.of", f"the answer is read of {answer.of!r}, so the event is too")
+    if answer.read == "count":
+        first, last = (plan.times[name].frame for name in times)
+        if first is None or last is None or first >= last:
+            raise PlanError("answer.at", "the read 'count' needs two stated frames, the earlier first")

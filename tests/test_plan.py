@@ -113,6 +113,8 @@ def test_the_example_is_valid_and_comes_back():
         ({"answer__read": "span"}, "answer.mode"),
         ({"answer__relation": "conversation"}, "answer.relation"),
         ({"answer": {"mode": "number", "read": "count", "of": "c", "at": ["t0", "t1"]}}, "answer.relation"),
+        ({"answer__of": "b"}, "times.t1.of"),
+        ({"times__t1__event": "end"}, "answer.at"),
     ],
 )
 def test_a_fault_is_refused_by_its_field(changes, field):
@@ -121,6 +123,64 @@ def test_a_fault_is_refused_by_its_field(changes, field):
     assert error.value.field == field
     assert str(error.value).startswith(f"{field}: ")
     assert "\n" not in str(error.value)
+
+
+def one_person(answer, **times):
+    """A plan about the person a alone, who is sitting at the first time."""
+    conditions = [{"action": "sitting", "at": min(times)}]
+    nodes = [{"id": "a", "conditions": conditions}]
+    document = {"root": "a", "target": "a", "times": times, "nodes": nodes, "edges": [], "answer": answer}
+    return json.dumps(document)
+
+
+END = {"event": "end", "of": "a", "after": "t0"}
+NEXT = {"mode": "multiple_choice", "read": "next_action", "of": "a", "at": "t1"}
+
+
+def test_the_pose_that_ends_before_the_next_one_is_not_named():
+    plan = parse_plan(one_person(NEXT, t0={"frame": 150}, t1=END))
+    assert plan.times["t1"].action is None and plan.asked() == ("t1",)
+    assert parse_plan(one_person(NEXT, t0={"frame": 150}, t1=END | {"action": "sitting"})).asked() == ("t1",)
+
+
+SPAN = {"mode": "span", "read": "span", "of": "a", "at": ["t1", "t2"]}
+SECONDS = {"mode": "number", "read": "seconds_between", "of": "a", "at": ["t1", "t2"]}
+COUNT = {"mode": "number", "read": "count", "of": "a", "at": ["t1", "t2"], "relation": "in the same group as"}
+START = {"event": "start", "of": "a", "action": "walking", "after": "t0"}
+
+
+@pytest.mark.parametrize(
+    ("answer", "times", "field"),
+    [
+        # An end that names no action, asked by another read, or not itself the time of the read.
+        ({"mode": "multiple_choice", "read": "action", "of": "a", "at": "t1"}, {"t1": END}, "times.t1.action"),
+        (SPAN, {"t1": START, "t2": END | {"after": "t1"}}, "times.t2.action"),
+        (NEXT, {"t1": END, "t2": END | {"after": "t1"}}, "times.t2.action"),
+        (NEXT, {"t1": {"event": "start", "of": "a", "after": "t0"}}, "times.t1.action"),
+        (NEXT, {"t1": START}, "answer.at"),
+        (NEXT, {"t1": {"frame": 300}}, "answer.at"),
+        (NEXT | {"mode": "number"}, {"t1": END}, "answer.mode"),
+        (SECONDS, {"t1": {"frame": 300}, "t2": START}, "answer.at"),
+        (SECONDS, {"t1": START, "t2": {"event": "leaves", "of": "a", "after": "t0"}}, "answer.at"),
+        (SECONDS | {"at": ["t1", "t1"]}, {"t1": START}, "answer.at"),
+        (SECONDS | {"relation": "conversation"}, {"t1": START, "t2": START}, "answer.relation"),
+        (COUNT, {"t1": START, "t2": {"frame": 300}}, "answer.at"),
+        (COUNT, {"t1": {"frame": 300}, "t2": {"frame": 300}}, "answer.at"),
+        (COUNT, {"t1": {"frame": 300}, "t2": {"frame": 150}}, "answer.at"),
+        (COUNT | {"at": "t1"}, {"t1": {"frame": 300}}, "answer.at"),
+    ],
+)
+def test_reads_and_the_times_they_are_asked_at(answer, times, field):
+    with pytest.raises(PlanError) as error:
+        parse_plan(one_person(answer, t0={"frame": 150}, **times))
+    assert error.value.field == field
+
+
+def test_seconds_and_counts():
+    later = START | {"action": "typing"}
+    assert parse_plan(one_person(SECONDS, t0={"frame": 0}, t1=START, t2=later)).asked() == ("t1", "t2")
+    # The time of a count's description is the first that it counts over.
+    assert parse_plan(one_person(COUNT, t1={"frame": 0}, t2={"frame": 300})).asked() == ("t1", "t2")
 
 
 def test_events_that_wait_for_each_other_are_refused():
