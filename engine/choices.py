@@ -77,8 +77,8 @@ def _perturbed(
     for shift in candidates.shifts:
         if shift.answer[row] != NOBODY:
             yield VALUES[shift.answer[row]], f"time.shift {shift.by / FPS:+g} s"
-    for condition, tracks in zip(descriptions.of(name), descriptions.look_alikes(name), strict=True):
-        for other in tracks:
+    for condition, moments in zip(descriptions.of(name), descriptions.look_alikes(name), strict=True):
+        for other in scene.tracks[scene.persons(moments)].tolist():
             answer = _read(scene, candidates, other, times, rules) if other != track else None
             if answer is not None:
                 yield answer, f"look-alike without {condition_text(condition)}"

@@ -1,63 +1,96 @@
-"""Conditions that hold of people at keyframes, and whom each excludes.
+"""Conditions of people at keyframes: which hold, which certainly do not, and whom each excludes.
 
-A *sighting* is a person with a box at a keyframe; a *use* is a condition at a keyframe where it is true of somebody.
-Facts have three values: a use excludes the people of whom the condition is certainly false; of whom it is unknown,
-they could match. Per use, the excluded people are a bit mask over the keyframe's people, 64 to a word.
+A *sighting* is a person with a box at a keyframe. A condition is coded by its place in `Conditions.vocabulary`, which
+holds every condition that is true of somebody in the scene; its state of a sighting is TRUE, FALSE or UNKNOWN. A *use*
+is a condition at a keyframe, numbered `keyframe * len(vocabulary) + code`. It excludes the people of whom it is
+certainly false; those of whom it is unknown could match. Sets of a keyframe's people are bit masks, 64 to a word.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow as pa
-import pyarrow.compute as pc
 
-from jrdb_avr.schema.plan import Condition
+from jrdb_avr.schema.plan import Attribute, Condition
 from jrdb_avr.schema.rules import Rules
-from jrdb_avr.schema.vocabulary import ACTIONS, DISTANCE_WORDS, OTHER_ACTIONS, POSES, ROBOT_SECTORS
+from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES, VERBS
+from jrdb_avr.schema.vocabulary import (
+    ACTIONS,
+    AGES,
+    DISTANCE_WORDS,
+    GENDERS,
+    INTERACTIONS,
+    OTHER_ACTIONS,
+    POSES,
+    ROBOT_SECTORS,
+)
 
-from .scene import NOBODY, Bools, Ints, Scene
+from .relations import KIND, SOCIAL, Facts, untold_others
+from .scene import NOBODY, Bools, Ints, Scene, coded, spread
 
 Words = npt.NDArray[np.uint64]
+States = npt.NDArray[np.int8]
+
+FALSE, TRUE, UNKNOWN = 0, 1, 2
 
 ANCHOR_TIME: Final = "t0"
 """Name of the time at which the conditions of a description hold."""
-
-_KINDS: Final = ("pose", "action", "sector", "distance", "group_size")
-_FIRST_CODE: Final = np.cumsum([0, len(POSES), len(OTHER_ACTIONS), len(ROBOT_SECTORS), len(DISTANCE_WORDS)])
-"""Conditions are coded as one number: the kinds' ranges follow each other, the open-ended group sizes last."""
-
-POSE, ACTION, SECTOR, DISTANCE, GROUP_SIZE = range(len(_KINDS))
 
 
 @dataclass(frozen=True)
 class Conditions:
     """Who is there at each keyframe, what is true of them, and whom that excludes.
 
-    rows, keyframe, slot: per sighting, its row in `boxes`, its keyframe's number and its place in the masks.
-    held: per sighting the uses true of it, by the rules' order of kinds, filled up with NOBODY.
-    code, rank, masks: per use the condition, the place of its kind in the rules' order, and whom it excludes.
-    everybody: per keyframe the mask of all people with a box; tracks: per keyframe and slot the track.
+    rows, moment, keyframe, slot: per sighting, its row in `boxes`, its moment, its keyframe's number and its place in
+    the masks. states: (sightings, codes). held: per sighting the uses by which it may be described, by the rules'
+    order of kinds, filled up with NOBODY. rank: per code the place of its kind in that order. everybody: per keyframe
+    the mask of all people with a box; slots: per keyframe and slot the moment, NOBODY where there is none.
     """
 
     rows: Ints
+    moment: Ints
     keyframe: Ints
     slot: Ints
-    held: Ints
-    code: Ints
+    vocabulary: tuple[Condition, ...]
+    kinds: tuple[str, ...]
     rank: Ints
-    masks: Words
+    states: States
+    held: Ints
     everybody: Words
-    tracks: Ints
+    slots: Ints
 
-    @property
-    def kind(self) -> Ints:
-        """Per use, the kind's number."""
-        return kind_of(self.code)
+    @cached_property
+    def masks(self) -> Words:
+        """Per use, the mask of the people of whom it is certainly false."""
+        return self._masks(FALSE)
+
+    @cached_property
+    def sure(self) -> Words:
+        """Per use, the mask of the people of whom it is certainly true."""
+        return self._masks(TRUE)
+
+    def _masks(self, state: int) -> Words:
+        bits = np.zeros((len(self.everybody), len(self.vocabulary), self.slots.shape[1]), dtype=bool)
+        sighting, code = np.nonzero(self.states == state)
+        bits[self.keyframe[sighting], code, self.slot[sighting]] = True
+        return _packed(bits.reshape(-1, self.slots.shape[1]))
+
+    def of_kind(self, *kinds: str) -> Bools:
+        """Per code, whether it is of one of these kinds."""
+        return np.array([kind in kinds for kind in self.kinds], dtype=bool)
+
+    def code(self, uses: Ints) -> Ints:
+        """Codes of uses."""
+        return uses % max(len(self.vocabulary), 1)
+
+    def condition(self, use: int) -> Condition:
+        """The plan's condition of a use."""
+        return self.vocabulary[use % len(self.vocabulary)]
 
     def alone(self) -> Words:
         """Per sighting, the mask that holds only this person."""
@@ -65,178 +98,170 @@ class Conditions:
         masks[np.arange(len(self.rows)), self.slot // 64] = np.uint64(1) << (self.slot % 64).astype(np.uint64)
         return masks
 
-    def members(self, keyframe: int, mask: Words) -> list[int]:
-        """Tracks of a mask's people, sorted."""
+    def members(self, keyframe: int, mask: Words) -> Ints:
+        """Moments of a mask's people, ascending."""
         slots = np.flatnonzero(np.unpackbits(mask.view(np.uint8), bitorder="little"))
-        return sorted(self.tracks[keyframe, slots].tolist())
-
-
-def kind_of(code: Ints) -> Ints:
-    return np.searchsorted(_FIRST_CODE, code, side="right") - 1
-
-
-def condition_of(code: int) -> Condition:
-    """The plan's condition of a code, holding at the description's time."""
-    kind = int(np.searchsorted(_FIRST_CODE, code, side="right")) - 1
-    value = code - int(_FIRST_CODE[kind])
-    match kind:
-        case 0:
-            return Condition(action=POSES[value], at=ANCHOR_TIME)
-        case 1:
-            return Condition(action=OTHER_ACTIONS[value], at=ANCHOR_TIME)
-        case 2:
-            return Condition(attribute="sector", value=ROBOT_SECTORS[value], at=ANCHOR_TIME)
-        case 3:
-            return Condition(attribute="distance", value=DISTANCE_WORDS[value], at=ANCHOR_TIME)
-        case _:
-            return Condition(attribute="group_size", value=value, at=ANCHOR_TIME)
+        return np.sort(self.slots[keyframe, slots])
 
 
 @dataclass(frozen=True)
-class _Facts:
-    """Per sighting: codes of its attributes, NOBODY where unknown; sure and maybe: a column per word of ACTIONS."""
+class _Column:
+    """One condition: what it is, its state of every sighting, and whose it may describe."""
 
-    pose: Ints
-    group_size: Ints
-    sector: Ints
-    sector_other: Ints
-    distance: Ints
-    distance_other: Ints
-    listed: Bools
-    sure: Bools
-    maybe: Bools
+    kind: str
+    condition: Condition
+    state: States
+    usable: Bools | None = None
 
 
-def find_conditions(scene: Scene, rules: Rules) -> Conditions:
-    """All conditions true of somebody at a keyframe of the scene."""
+def find_conditions(scene: Scene, facts: Facts, rules: Rules) -> Conditions:
+    """All conditions true of somebody at a keyframe of the scene; `facts` are its relations."""
     moments = np.flatnonzero(scene.moment_rows != NOBODY)
     # By keyframe, then person: people of a keyframe lie side by side and their slots count up.
     moments = moments[np.lexsort((moments, moments % len(scene.keyframes)))] if len(moments) else moments
-    keyframe = moments % len(scene.keyframes)
+    keyframe = moments % max(len(scene.keyframes), 1)
     rows = scene.moment_rows[moments]
     people = np.bincount(keyframe, minlength=len(scene.keyframes))
-    start = np.concatenate([[0], np.cumsum(people)[:-1]]).astype(np.int64)
+    start = np.cumsum(people) - people
     slot = np.arange(len(rows)) - start[keyframe]
-    width = max(1, -(-int(people.max(initial=0)) // 64))
-    facts = _facts(scene, moments, rows)
-
-    sighting, code = _true_facts(facts)
-    order = {kind: place for place, kind in enumerate(rules.condition_order)}
-    rank_of_kind = np.array([order.get(kind, NOBODY) for kind in _KINDS])
-    used = rank_of_kind[kind_of(code)] != NOBODY
-    sighting, code = sighting[used], code[used]
-    uses, use_of_fact = np.unique(keyframe[sighting] * _CODES + code, return_inverse=True)
-    use_keyframe, use_code = uses // _CODES, uses % _CODES
-    rank = rank_of_kind[kind_of(use_code)]
-
-    tracks = np.full((len(scene.keyframes), width * 64), NOBODY)
-    tracks[keyframe, slot] = scene.tracks[scene.persons(moments)]
+    width = 64 * max(1, -(-int(people.max(initial=0)) // 64))
+    columns = [
+        column
+        for find in (_persons, _actions, _objects, _interactions, _places)
+        for column in find(scene, facts, moments, rows)
+        if column.kind in rules.condition_order and (column.state == TRUE).any()
+    ]
+    states = np.stack([column.state for column in columns], axis=1) if columns else np.zeros((len(rows), 0), np.int8)
+    rank = np.array([rules.condition_order.index(column.kind) for column in columns], dtype=np.int64)
+    usable = states == TRUE
+    for code, column in enumerate(columns):
+        if column.usable is not None:
+            usable[:, code] &= column.usable
+    slots = np.full((len(scene.keyframes), width), NOBODY)
+    slots[keyframe, slot] = moments
     return Conditions(
         rows=rows,
+        moment=moments,
         keyframe=keyframe,
         slot=slot,
-        held=_held(sighting, use_of_fact, rank, len(rows)),
-        code=use_code,
+        vocabulary=tuple(column.condition for column in columns),
+        kinds=tuple(column.kind for column in columns),
         rank=rank,
-        masks=_exclusions(facts, use_keyframe, use_code, start, people, width),
-        everybody=_pack(tracks != NOBODY),
-        tracks=tracks,
+        states=states,
+        held=_held(usable, rank, keyframe),
+        everybody=_packed(slots != NOBODY),
+        slots=slots,
     )
 
 
-_CODES: Final = 1 << 20
-"""More than any condition's code; group sizes beyond it do not occur."""
-
-
-def _facts(scene: Scene, moments: Ints, rows: Ints) -> _Facts:
-    group_size = scene.column("group_size")[rows]
-    sure = np.zeros((len(rows), len(ACTIONS)), dtype=bool)
-    maybe = np.zeros_like(sure)
-    # Every action interval is spread over the keyframes it covers.
-    table = scene.actions
-    low = np.searchsorted(scene.keyframes, table["first"].to_numpy(), side="left")
-    high = np.searchsorted(scene.keyframes, table["last"].to_numpy(), side="right")
-    span = np.maximum(high - low, 0)
-    row = np.repeat(np.arange(len(table)), span)
-    at = np.arange(len(row)) - np.repeat(np.cumsum(span) - span, span) + low[row]
-    sighting_of = np.full(scene.moment_count, NOBODY)
-    sighting_of[moments] = np.arange(len(moments))
-    person = scene.person_of(table["track"].to_numpy())
-    sighting = sighting_of[person[row] * len(scene.keyframes) + at]
-    action = np.asarray(pc.index_in(table["action"], value_set=pa.array(ACTIONS)).to_numpy(), dtype=np.int64)[row]
-    certain = np.asarray(table["certain"].to_numpy(), dtype=bool)[row]
-    kept = sighting != NOBODY
-    maybe[sighting[kept], action[kept]] = True
-    kept &= certain
-    sure[sighting[kept], action[kept]] = True
-    return _Facts(
-        pose=scene.poses[rows],
-        group_size=np.where(np.isnan(group_size), NOBODY, group_size).astype(np.int64),
-        sector=scene.codes("sector", ROBOT_SECTORS)[rows],
-        sector_other=scene.codes("sector_other", ROBOT_SECTORS)[rows],
-        distance=scene.codes("distance_word", DISTANCE_WORDS)[rows],
-        distance_other=scene.codes("distance_word_other", DISTANCE_WORDS)[rows],
-        listed=scene.flag("listed")[rows],
-        sure=sure,
-        maybe=maybe,
-    )
-
-
-def _true_facts(facts: _Facts) -> tuple[Ints, Ints]:
-    """(sighting, code) of every condition that is certainly true."""
-    found = []
-    certain = (
-        (POSE, facts.pose, facts.pose != NOBODY),
-        (SECTOR, facts.sector, facts.sector_other == NOBODY),
-        (DISTANCE, facts.distance, (facts.distance != NOBODY) & (facts.distance_other == NOBODY)),
-        (GROUP_SIZE, facts.group_size, facts.group_size != NOBODY),
-    )
-    for kind, value, known in certain:
-        sighting = np.flatnonzero(known)
-        found.append((sighting, value[sighting] + _FIRST_CODE[kind]))
-    sighting, action = np.nonzero(facts.sure[:, len(POSES) :])
-    found.append((sighting, action + _FIRST_CODE[ACTION]))
-    return np.concatenate([s for s, _ in found]), np.concatenate([c for _, c in found])
-
-
-def _held(sighting: Ints, use: Ints, rank: Ints, count: int) -> Ints:
-    """The uses true of each sighting as rows of a matrix, ordered by rank and code, filled up with NOBODY."""
-    order = np.lexsort((use, rank[use], sighting))
-    sighting, use = sighting[order], use[order]
-    place = np.arange(len(use)) - np.searchsorted(sighting, sighting, side="left")
-    held = np.full((count, int(place.max(initial=0)) + 1), NOBODY)
-    held[sighting, place] = use
+def _held(usable: Bools, rank: Ints, keyframe: Ints) -> Ints:
+    """The uses of each sighting as rows of a matrix, ordered by rank and code, filled up with NOBODY."""
+    order = np.argsort(rank, kind="stable")
+    sighting, place = np.nonzero(usable[:, order])
+    column = np.arange(len(sighting)) - np.searchsorted(sighting, sighting, side="left")
+    held = np.full((len(usable), int(column.max(initial=0)) + 1), NOBODY)
+    held[sighting, column] = keyframe[sighting] * usable.shape[1] + order[place]
     return held
 
 
-def _exclusions(facts: _Facts, keyframe: Ints, code: Ints, start: Ints, people: Ints, width: int) -> Words:
-    """Per use, the mask of the people at its keyframe of whom the condition is certainly false."""
-    count = people[keyframe]
-    use = np.repeat(np.arange(len(code)), count)
-    slot = np.arange(len(use)) - np.repeat(np.cumsum(count) - count, count)
-    who = start[keyframe[use]] + slot
-    kind, value = kind_of(code)[use], (code - _FIRST_CODE[kind_of(code)])[use]
-    false = np.zeros(len(use), dtype=bool)
-    tests: tuple[tuple[int, Callable[[Ints, Ints], Bools]], ...] = (
-        # A closed gap of a pose leaves it possible beside the pose that is listed.
-        (POSE, lambda w, v: (facts.pose[w] != NOBODY) & (facts.pose[w] != v) & ~facts.maybe[w, v]),
-        (ACTION, lambda w, v: facts.listed[w] & ~facts.maybe[w, v + len(POSES)]),
-        (SECTOR, lambda w, v: (facts.sector[w] != v) & (facts.sector_other[w] != v)),
-        (
-            DISTANCE,
-            lambda w, v: (facts.distance[w] != NOBODY) & (facts.distance[w] != v) & (facts.distance_other[w] != v),
-        ),
-        (GROUP_SIZE, lambda w, v: (facts.group_size[w] != NOBODY) & (facts.group_size[w] != v)),
-    )
-    for number, test in tests:
-        chosen = np.flatnonzero(kind == number)
-        false[chosen] = test(who[chosen], value[chosen])
-    excluded = np.zeros((len(code), width * 64), dtype=bool)
-    excluded[use, slot] = false
-    return _pack(excluded)
-
-
-def _pack(bits: Bools) -> Words:
+def _packed(bits: Bools) -> Words:
     """Rows of booleans, a multiple of 64 wide, as rows of 64-bit words."""
-    packed = np.ascontiguousarray(np.packbits(bits, axis=1, bitorder="little"))
-    return packed.view(np.uint64)
+    return np.ascontiguousarray(np.packbits(bits, axis=1, bitorder="little")).view(np.uint64)
+
+
+def _state(true: Bools, false: Bools) -> States:
+    return np.where(true, TRUE, np.where(false, FALSE, UNKNOWN)).astype(np.int8)
+
+
+# -- the kinds --------------------------------------------------------------------------------------------------
+
+
+def _persons(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[_Column]:
+    """Gender and age; used only of people whose face can be seen, where the pose layer tells."""
+    persons = scene.persons(moments)
+    seen = scene.flag("face_visible")[rows] if "pose" in scene.layers else None
+    attributes: tuple[tuple[Attribute, tuple[str, ...]], ...] = (("gender", GENDERS), ("age", AGES))
+    for name, words in attributes:
+        value = scene.person_codes(name, words)[persons]
+        for code, word in enumerate(words):
+            state = _state(value == code, (value != NOBODY) & (value != code))
+            yield _Column(name, Condition(attribute=name, value=word), state, seen)
+
+
+def _actions(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[_Column]:
+    sure = np.zeros((len(ACTIONS), scene.moment_count), dtype=bool)
+    maybe = np.zeros_like(sure)
+    row, keyframe = spread(scene, scene.actions)
+    person = scene.person_of(scene.actions["track"].to_numpy())[row]
+    moment = person * len(scene.keyframes) + keyframe
+    action = coded(scene.actions["action"], ACTIONS)[row]
+    certain = np.asarray(scene.actions["certain"].to_numpy(), dtype=bool)[row]
+    maybe[action, moment] = True
+    sure[action[certain], moment[certain]] = True
+    pose, listed = scene.poses[rows], scene.flag("listed")[rows]
+    for code, word in enumerate(POSES):
+        # A closed gap of a pose leaves it possible beside the pose that is listed.
+        state = _state(pose == code, (pose != NOBODY) & (pose != code) & ~maybe[code, moments])
+        yield _Column("pose", Condition(action=word, at=ANCHOR_TIME), state)
+    for code, word in enumerate(OTHER_ACTIONS, start=len(POSES)):
+        state = _state(sure[code, moments], listed & ~maybe[code, moments])
+        yield _Column("action", Condition(action=word, at=ANCHOR_TIME), state)
+
+
+def _objects(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[_Column]:
+    """What is done with a thing of a category; a thing of unknown category could be any."""
+    row, keyframe = spread(scene, scene.handles)
+    moment = scene.person_of(scene.handles["track"].to_numpy())[row] * len(scene.keyframes) + keyframe
+    certain = np.asarray(scene.handles["certain"].to_numpy(), dtype=bool)[row]
+    verb = coded(scene.handles["verb"], VERBS)[row]
+    thing = scene.handled_categories[row]
+    listed = scene.flag("handles_listed")[rows]
+    for pair in np.unique(np.stack([verb, thing])[:, (verb != NOBODY) & (thing != NOBODY)], axis=1).T.tolist():
+        action, category = VERBS[pair[0]], OBJECTS[pair[1]]
+        if action in POSES or category in PERSON_CATEGORIES:
+            continue
+        exact = (verb == pair[0]) & (thing == pair[1])
+        could = exact | ((verb == pair[0]) & (thing == NOBODY))
+        true, possible = _marked(scene, moment[exact & certain]), _marked(scene, moment[could])
+        state = _state(true[moments], listed & ~possible[moments])
+        yield _Column("object", Condition(object=category, verb=action, at=ANCHOR_TIME), state)
+
+
+def _interactions(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[_Column]:
+    """An interaction with anybody; false where everybody's lists were read and none tells of it."""
+    social = KIND[facts.relation] == SOCIAL
+    if not social.any():
+        return
+    open_to = untold_others(scene, facts.told)[SOCIAL]
+    for code, label in enumerate(INTERACTIONS):
+        of_label = social & (facts.relation == code)
+        true = _marked(scene, facts.source[of_label & facts.certain])
+        possible = _marked(scene, facts.source[of_label])
+        state = _state(true[moments], (open_to[moments] == 0) & ~possible[moments])
+        yield _Column("interaction", Condition(interaction=label, at=ANCHOR_TIME), state)
+
+
+def _places(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[_Column]:
+    """Group size, sector and distance word."""
+    sizes = scene.column("group_size")[rows]
+    size = np.where(np.isnan(sizes), NOBODY, sizes).astype(np.int64)
+    for number in np.unique(size[size != NOBODY]).tolist():
+        state = _state(size == number, (size != NOBODY) & (size != number))
+        yield _Column("group_size", Condition(attribute="group_size", value=number, at=ANCHOR_TIME), state)
+    attributes: tuple[tuple[Attribute, str, tuple[str, ...]], ...] = (
+        ("sector", "sector", ROBOT_SECTORS),
+        ("distance", "distance_word", DISTANCE_WORDS),
+    )
+    for kind, column, words in attributes:
+        value, other = scene.codes(column, words)[rows], scene.codes(f"{column}_other", words)[rows]
+        known = value != NOBODY
+        for code, word in enumerate(words):
+            true = (value == code) & (other == NOBODY)
+            state = _state(true, known & (value != code) & (other != code))
+            yield _Column(kind, Condition(attribute=kind, value=word, at=ANCHOR_TIME), state)
+
+
+def _marked(scene: Scene, moments: Ints) -> Bools:
+    marks = np.zeros(scene.moment_count, dtype=bool)
+    marks[moments] = True
+    return marks

@@ -20,7 +20,8 @@ from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.wording import in_order
 
-from .conditions import DISTANCE, POSE, SECTOR, Conditions, Words, condition_of, find_conditions
+from .conditions import Conditions, Words, find_conditions
+from .relations import Facts
 from .scene import NOBODY, Bools, Ints, Scene
 
 
@@ -46,10 +47,10 @@ class Descriptions:
 
     def of(self, name: int) -> tuple[Condition, ...]:
         """The conditions of a name, in the order in which they were chosen."""
-        return tuple(condition_of(int(self.conditions.code[use])) for use in self.uses[name] if use != NOBODY)
+        return tuple(self.conditions.condition(int(use)) for use in self.uses[name] if use != NOBODY)
 
-    def look_alikes(self, name: int) -> list[list[int]]:
-        """Per condition of a name: the tracks that could match without it, the target's among them."""
+    def look_alikes(self, name: int) -> list[Ints]:
+        """Per condition of a name: moments of those who could match without it, the target's among them."""
         keyframe = int(self.conditions.keyframe[self.sighting[name]])
         uses = [use for use in self.uses[name] if use != NOBODY]
         return [
@@ -80,20 +81,18 @@ def conditions_json(conditions: tuple[Condition, ...]) -> str:
     return msgspec.json.encode(in_order(conditions), order="sorted").decode()[1:-1]
 
 
-def describe_people(scene: Scene, rules: Rules) -> Descriptions:
-    """Choose the descriptions of everybody at every keyframe of a scene."""
-    conditions = find_conditions(scene, rules)
+def describe_people(scene: Scene, facts: Facts, rules: Rules) -> Descriptions:
+    """Choose the descriptions of everybody at every keyframe of a scene; `facts` are its relations."""
+    conditions = find_conditions(scene, facts, rules)
     sighting, columns = _subsets(conditions, rules)
-    poseless = ~np.any((conditions.kind[columns] == POSE) & (columns != NOBODY), axis=1)
+    poseless = ~_any(conditions, conditions.of_kind("pose"), columns)
     best = _best(scene, conditions, sighting, columns, np.ones(len(sighting), dtype=bool))
     best_poseless = _best(scene, conditions, sighting, columns, poseless)
     chosen = np.union1d(best, best_poseless)
-    keyframe = conditions.keyframe[sighting[chosen]]
-    track = conditions.tracks[keyframe, conditions.slot[sighting[chosen]]]
     return Descriptions(
         conditions=conditions,
         sighting=sighting[chosen],
-        moment=scene.person_of(track) * len(scene.keyframes) + keyframe,
+        moment=conditions.moment[sighting[chosen]],
         uses=columns[chosen],
         left=_left(conditions, sighting[chosen], columns[chosen]),
         general=np.isin(chosen, best),
@@ -105,8 +104,8 @@ def _subsets(conditions: Conditions, rules: Rules) -> tuple[Ints, Ints]:
     """(sighting, its uses) of every set of conditions that describes, up to the size at which both kinds are found."""
     count, most = conditions.held.shape
     others = conditions.everybody[conditions.keyframe] & ~conditions.alone()
-    weak = np.isin(conditions.kind, (SECTOR, DISTANCE))
-    is_pose = conditions.kind == POSE
+    weak = conditions.of_kind("sector", "distance")
+    is_pose = conditions.of_kind("pose")
     open_general = np.ones(count, dtype=bool)
     open_poseless = np.ones(count, dtype=bool)
     sightings, columns = [np.zeros(0, dtype=np.int64)], [np.zeros((0, rules.max_conditions), dtype=np.int64)]
@@ -116,7 +115,7 @@ def _subsets(conditions: Conditions, rules: Rules) -> tuple[Ints, Ints]:
             # Held conditions stand without holes, so the last place decides whether there are as many.
             rows = searched[conditions.held[searched, places[-1]] != NOBODY]
             uses = conditions.held[np.ix_(rows, places)]
-            rows, uses = _kept(rows, uses, ~np.all(weak[uses], axis=1))
+            rows, uses = _kept(rows, uses, ~np.all(weak[conditions.code(uses)], axis=1))
             excluded = np.bitwise_or.reduce(conditions.masks[uses], axis=1)
             alone = np.all((excluded & others[rows]) == others[rows], axis=1)
             rows, uses = _kept(rows, uses, alone)
@@ -125,8 +124,15 @@ def _subsets(conditions: Conditions, rules: Rules) -> tuple[Ints, Ints]:
             sightings.append(rows)
             columns.append(filled)
             open_general[rows] = False
-            open_poseless[rows[~np.any(is_pose[uses], axis=1)]] = False
+            open_poseless[rows[~np.any(is_pose[conditions.code(uses)], axis=1)]] = False
     return np.concatenate(sightings), np.concatenate(columns)
+
+
+def _any(conditions: Conditions, which: Bools, uses: Ints) -> Bools:
+    """Per set of uses, whether any is of the codes marked."""
+    if not len(which):
+        return np.zeros(len(uses), dtype=bool)
+    return np.asarray(np.any(which[conditions.code(uses)] & (uses != NOBODY), axis=1))
 
 
 def _kept(rows: Ints, uses: Ints, which: Bools) -> tuple[Ints, Ints]:
@@ -137,7 +143,7 @@ def _best(scene: Scene, conditions: Conditions, sighting: Ints, uses: Ints, allo
     """Per sighting the index of its best allowed subset: fewest conditions, then ranks, then hash."""
     index = np.flatnonzero(allowed)
     size = np.sum(uses[index] != NOBODY, axis=1)
-    rank = np.where(uses[index] == NOBODY, 0, conditions.rank[uses[index]])
+    rank = np.where(uses[index] == NOBODY, 0, conditions.rank[conditions.code(uses[index])])
     keys = [rank[:, place] for place in reversed(range(rank.shape[1]))]
     order = np.lexsort((*keys, size, sighting[index]))
     index, size, rank = index[order], size[order], rank[order]
@@ -158,8 +164,8 @@ def _best(scene: Scene, conditions: Conditions, sighting: Ints, uses: Ints, allo
 
 def _tie_text(scene: Scene, conditions: Conditions, sighting: int, uses: Ints) -> str:
     keyframe = int(conditions.keyframe[sighting])
-    track = int(conditions.tracks[keyframe, conditions.slot[sighting]])
-    used = tuple(condition_of(int(conditions.code[use])) for use in uses if use != NOBODY)
+    track = int(scene.tracks[scene.persons(conditions.moment[sighting])])
+    used = tuple(conditions.condition(int(use)) for use in uses if use != NOBODY)
     return f"{scene.sequence}\n{track}\n{int(scene.keyframes[keyframe])}\n{conditions_json(used)}"
 
 

@@ -77,7 +77,7 @@ def make_record(
         hops=0,
         time_gap_s=(max(times.values()) - times["t0"]) / scene.fps,
         separation_deg=float(np.max(turns)),
-        people_in_scene=int(np.count_nonzero(descriptions.conditions.tracks[keyframe] != NOBODY)),
+        people_in_scene=int(np.count_nonzero(descriptions.conditions.slots[keyframe] != NOBODY)),
     )
 
 

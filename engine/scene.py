@@ -25,6 +25,7 @@ from jrdb_avr.queries.handle import Graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.panorama import Floats
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, frames
+from jrdb_avr.schema.things import OBJECTS
 from jrdb_avr.schema.vocabulary import ACTIONS, POSES
 
 from . import views
@@ -35,7 +36,19 @@ Bools = npt.NDArray[np.bool_]
 NOBODY: Final = -1
 """Row number of a box that is not there, and the code of an unknown value."""
 
-_TABLES: Final = ("sequence", "frames", "persons", "sightings", "actions", "segments")
+_TABLES: Final = (
+    "sequence",
+    "frames",
+    "persons",
+    "sightings",
+    "actions",
+    "segments",
+    "memberships",
+    "interactions",
+    "beside",
+    "handles",
+    "objects",
+)
 
 
 @dataclass(frozen=True)
@@ -52,6 +65,12 @@ class Scene:
     boxes: pa.Table
     actions: pa.Table
     segments: pa.Table
+    memberships: pa.Table
+    interactions: pa.Table
+    beside: pa.Table
+    handles: pa.Table
+    objects: pa.Table
+    persons_table: pa.Table
 
     # -- boxes ------------------------------------------------------------------------------------------------
 
@@ -65,8 +84,7 @@ class Scene:
 
     def codes(self, name: str, words: tuple[str, ...]) -> Ints:
         """A text column of `boxes` as indices into `words`; null and other words are NOBODY."""
-        found = pc.index_in(self.boxes[name], value_set=pa.array(words))
-        return np.asarray(pc.fill_null(found, NOBODY).to_numpy(), dtype=np.int64)
+        return coded(self.boxes[name], words)
 
     @cached_property
     def geometry(self) -> dict[str, Floats]:
@@ -118,6 +136,22 @@ class Scene:
         spans = [rows[name].to_numpy() for name in ("track", "first", "last")]
         return rows["action"].to_pylist(), np.stack(spans).astype(np.int64)
 
+    # -- people and things --------------------------------------------------------------------------------------
+
+    def person_codes(self, name: str, words: tuple[str, ...]) -> Ints:
+        """A text column of the people as indices into `words`, per person; NOBODY where unknown."""
+        codes = np.full(len(self.tracks), NOBODY)
+        codes[self.person_of(self.persons_table["track"].to_numpy())] = coded(self.persons_table[name], words)
+        return codes
+
+    @cached_property
+    def handled_categories(self) -> Ints:
+        """Per row of `handles`: index into OBJECTS of the thing's category, NOBODY where unknown."""
+        keys = zip(self.objects["object"].to_pylist(), self.objects["category_id"].to_pylist(), strict=True)
+        things = dict(zip(keys, coded(self.objects["category"], OBJECTS).tolist(), strict=True))
+        handled = zip(self.handles["object"].to_pylist(), self.handles["category_id"].to_pylist(), strict=True)
+        return np.array([things.get(key, NOBODY) for key in handled], dtype=np.int64)
+
     # -- moments ----------------------------------------------------------------------------------------------
 
     @property
@@ -168,6 +202,21 @@ class Scene:
 _SPREAD: Final = 1 << 32
 
 
+def coded(column: pa.ChunkedArray, words: tuple[str, ...]) -> Ints:
+    """Texts as indices into `words`; null and other words are NOBODY."""
+    found = pc.index_in(column, value_set=pa.array(words))
+    return np.asarray(pc.fill_null(found, NOBODY).to_numpy(), dtype=np.int64)
+
+
+def spread(scene: Scene, table: pa.Table) -> tuple[Ints, Ints]:
+    """Every row of an interval table with every keyframe's number that it covers."""
+    low = np.searchsorted(scene.keyframes, table["first"].to_numpy(), side="left")
+    high = np.searchsorted(scene.keyframes, table["last"].to_numpy(), side="right")
+    span = np.maximum(high - low, 0)
+    row = np.repeat(np.arange(len(table)), span)
+    return row, np.arange(len(row)) - np.repeat(np.cumsum(span) - span, span) + low[row]
+
+
 def load_scene(store: Store, sequence: str) -> Scene:
     """Read a sequence's interval tables. Raises StoreError where one is missing."""
     return make_scene({kind: store.interval(kind, sequence) for kind in _TABLES})
@@ -193,6 +242,12 @@ def make_scene(tables: dict[str, pa.Table]) -> Scene:
         boxes=tables["sightings"].sort_by([("track", "ascending"), ("frame", "ascending")]).combine_chunks(),
         actions=tables["actions"].filter(known).sort_by(order),
         segments=tables["segments"].filter(named).sort_by(order),
+        memberships=tables["memberships"],
+        interactions=tables["interactions"],
+        beside=tables["beside"],
+        handles=tables["handles"],
+        objects=tables["objects"],
+        persons_table=tables["persons"],
     )
 
 

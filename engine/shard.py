@@ -26,6 +26,7 @@ from .descriptions import Descriptions, describe_people
 from .proofs import make_record, needed_boxes, proof
 from .proven import BLOCK, candidate_table, frame_lists, with_selection_columns
 from .rederive import Annotations, rederive
+from .relations import find_facts
 from .scene import Bools, Ints, Scene, load_scene, scene_graph
 from .selection import near_duplicates
 from .templates import TEMPLATES, Template
@@ -64,7 +65,8 @@ def search_sequence(job: Job) -> Found:
     """Find, prove and thin out the candidates of one sequence."""
     store = Store(job.store)
     scene = load_scene(store, job.sequence)
-    descriptions = describe_people(scene, job.rules)
+    facts = find_facts(scene)
+    descriptions = describe_people(scene, facts, job.rules)
     search = _Search(job, scene, descriptions, Annotations.read(store, job.sequence, job.rules))
     with scene_graph(scene, *descriptions.tables, job.rules) as graph:
         for template in TEMPLATES:

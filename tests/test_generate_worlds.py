@@ -9,6 +9,7 @@ from worlds import person, person_3d
 
 from jrdb_avr.engine.candidates import PASSED, RULES, VALUES, find_candidates
 from jrdb_avr.engine.descriptions import describe_people
+from jrdb_avr.engine.relations import find_facts
 from jrdb_avr.engine.scene import load_scene, scene_graph
 from jrdb_avr.engine.templates import TEMPLATES
 from jrdb_avr.schema.rules import Rules
@@ -76,7 +77,7 @@ def judge(store):
     """({(template, track, seconds, action): (rule or None, answer)}, {(track, second): description})."""
     rules = Rules()
     scene = load_scene(store, SEQUENCE)
-    names = describe_people(scene, rules)
+    names = describe_people(scene, find_facts(scene), rules)
     people = len(scene.keyframes)
     found = {}
     with scene_graph(scene, *names.tables, rules) as graph:

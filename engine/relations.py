@@ -1,0 +1,179 @@
+"""Relations between people at keyframes, as facts of three values and as steps from one person to the next.
+
+A *fact* joins two moments of one keyframe: certain, or possible (a hard label, a closed gap, an edge of a sector).
+Where a person's list was not read, or a 3D box has no lidar points, every relation of that kind with anybody is
+possible. A *step* is what a relation leads to from a moment: exactly one person who
+certainly has it while nobody else could, or the reason why there is none. Every moment has a step for every relation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+
+from jrdb_avr.schema.vocabulary import (
+    DISTANCE_BOUNDS_M,
+    DISTANCE_WORDS,
+    FIRST_LEFT,
+    FIRST_RIGHT,
+    INTERACTIONS,
+    PERSON_SECTORS,
+    SAME_GROUP,
+    person_frame_label,
+)
+
+from .scene import NOBODY, Bools, Ints, Scene, coded, spread
+
+_WORDS_WITHIN: Final = DISTANCE_WORDS[: 1 + sum(bound < 5.0 for bound in DISTANCE_BOUNDS_M)]
+PERSON_FRAME: Final = tuple(person_frame_label(sector, word) for sector in PERSON_SECTORS for word in _WORDS_WITHIN)
+
+SOCIAL, GROUP, ROBOT_VIEW, PERSON_VIEW = range(4)
+"""Kinds of relations: what is unknown of a person is unknown for all relations of a kind."""
+
+RELATIONS: Final = (*INTERACTIONS, SAME_GROUP, FIRST_LEFT, FIRST_RIGHT, *PERSON_FRAME)
+"""Relations of which a question may take a step; coded columns are indices into it."""
+
+KIND: Final = np.array(
+    [SOCIAL] * len(INTERACTIONS) + [GROUP] + [ROBOT_VIEW] * 2 + [PERSON_VIEW] * len(PERSON_FRAME), np.int64
+)
+
+LAYER_OF_KIND: Final = {SOCIAL: "interactions", GROUP: "groups", ROBOT_VIEW: "2d", PERSON_VIEW: "3d"}
+
+EMPTY, SEVERAL, UNKNOWN = -1, -2, -3
+"""Steps that lead to nobody: nobody could match, two or more certainly do, or it cannot be told."""
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Every pair of moments with a relation that is or could be, once per relation.
+
+    told (kinds, moments): whether a moment tells who its partners in a kind are. Of two people of whom one does not
+    tell, every relation of the kind that has no fact is unknown.
+    """
+
+    source: Ints
+    relation: Ints
+    target: Ints
+    certain: Bools
+    told: Bools
+
+
+@dataclass(frozen=True)
+class Steps:
+    """For every moment with a box and every relation that leads anywhere in the scene: its target, or EMPTY, ..."""
+
+    source: Ints
+    relation: Ints
+    target: Ints
+
+
+def find_facts(scene: Scene) -> Facts:
+    """All relations at the keyframes of a scene, between people with a box there."""
+    parts = [
+        _pairs_of(scene, scene.interactions),
+        _pairs_of(scene, scene.beside),
+        _groups(scene),
+    ]
+    source, relation, target, certain = (np.concatenate([part[i] for part in parts]) for i in range(4))
+    # A pair may have a row by each of two spans: what is certain by one of them is certain.
+    key = (source * len(RELATIONS) + relation) * scene.moment_count + target
+    order = np.lexsort((~certain, key))
+    kept = order[np.flatnonzero(np.r_[True, key[order][1:] != key[order][:-1]][: len(order)])]
+    return Facts(source[kept], relation[kept], target[kept], certain[kept], _told(scene))
+
+
+def find_steps(scene: Scene, facts: Facts) -> Steps:
+    """The step of every moment with a box by every relation that leads to somebody anywhere."""
+    cell = facts.source * len(RELATIONS) + facts.relation
+    cells, first, place, rows = np.unique(cell, return_index=True, return_inverse=True, return_counts=True)
+    owner, relation = cells // len(RELATIONS), cells % len(RELATIONS)
+    kind = KIND[facts.relation]
+    # Those of whom nothing is known count beside those who have a fact, and are not counted twice.
+    untold = ~(facts.told[kind, facts.source] & facts.told[kind, facts.target])
+    others = untold_others(scene, facts.told)
+    could = rows + others[KIND[relation], owner] - np.bincount(place, weights=untold, minlength=len(cells))
+    sure = np.bincount(place, weights=facts.certain, minlength=len(cells))
+    single = (could == 1) & (sure == 1)
+    target = np.where(single, facts.target[first], np.where(sure >= 2, SEVERAL, UNKNOWN))
+    leading = np.unique(relation[single])
+    moments = np.flatnonzero(scene.moment_rows != NOBODY)
+    source, by = np.repeat(moments, len(leading)), np.tile(leading, len(moments))
+    result = np.where(others[KIND[by], source] > 0, UNKNOWN, EMPTY)
+    if len(cells):
+        wanted = source * len(RELATIONS) + by
+        at = np.minimum(np.searchsorted(cells, wanted), len(cells) - 1)
+        result = np.where(cells[at] == wanted, target[at], result)
+    return Steps(source, by, result)
+
+
+def untold_others(scene: Scene, told: Bools) -> Ints:
+    """(kinds, moments): with how many others every relation of a kind is possible for want of knowledge."""
+    there = scene.moment_rows != NOBODY
+    keyframe = np.arange(scene.moment_count) % max(len(scene.keyframes), 1)
+    people = np.bincount(keyframe[there], minlength=len(scene.keyframes))
+    result = np.zeros(told.shape, np.int64)
+    for kind in range(len(told)):
+        silent = np.bincount(keyframe[there & ~told[kind]], minlength=len(scene.keyframes))
+        result[kind] = np.where(told[kind], silent[keyframe], people[keyframe] - 1)
+    return result
+
+
+def _told(scene: Scene) -> Bools:
+    told = np.ones((len(LAYER_OF_KIND), scene.moment_count), bool)
+    there = np.flatnonzero(scene.moment_rows != NOBODY)
+    rows = scene.moment_rows[there]
+    told[SOCIAL, there] = scene.flag("interactions_listed")[rows]
+    told[PERSON_VIEW, there] = scene.flag("located")[rows]
+    row, keyframe = spread(scene, scene.memberships)
+    told[GROUP] = False
+    told[GROUP, scene.person_of(scene.memberships["track"].to_numpy())[row] * len(scene.keyframes) + keyframe] = True
+    return told
+
+
+# -- facts by kind ----------------------------------------------------------------------------------------------
+
+_Part = tuple[Ints, Ints, Ints, Bools]
+
+
+def _pairs_of(scene: Scene, table: pa.Table) -> _Part:
+    """Facts of a table of labelled spans between a source and a target track; unknown labels are left out."""
+    codes = coded(table["label"], RELATIONS)
+    row, keyframe = spread(scene, table)
+    known = codes[row] != NOBODY
+    row, keyframe = row[known], keyframe[known]
+    source = scene.person_of(table["source"].to_numpy())[row] * len(scene.keyframes) + keyframe
+    target = scene.person_of(table["target"].to_numpy())[row] * len(scene.keyframes) + keyframe
+    there = (scene.moment_rows[source] != NOBODY) & (scene.moment_rows[target] != NOBODY)
+    certain = np.asarray(table["certain"].to_numpy(), dtype=bool)[row]
+    return source[there], codes[row][there], target[there], certain[there]
+
+
+def _groups(scene: Scene) -> _Part:
+    """Pairs of members of one cluster: certain where both memberships are."""
+    table = scene.memberships
+    row, keyframe = spread(scene, table)
+    moment = scene.person_of(table["track"].to_numpy())[row] * len(scene.keyframes) + keyframe
+    there = scene.moment_rows[moment] != NOBODY
+    row, keyframe, moment = row[there], keyframe[there], moment[there]
+    cluster = np.unique(table["cluster"].to_numpy(), return_inverse=True)[1][row]
+    certain = np.asarray(table["certain"].to_numpy(), dtype=bool)[row]
+    group = keyframe * (int(cluster.max(initial=0)) + 1) + cluster
+    order = np.argsort(group, kind="stable")
+    moment, certain, group = moment[order], certain[order], group[order]
+    source, target = _within(group)
+    other = moment[source] != moment[target]
+    source, target = source[other], target[other]
+    relation = np.full(len(source), RELATIONS.index(SAME_GROUP))
+    return moment[source], relation, moment[target], certain[source] & certain[target]
+
+
+def _within(group: Ints) -> tuple[Ints, Ints]:
+    """Ordered pairs of rows of equal groups; `group` is ascending."""
+    _, start, size = np.unique(group, return_index=True, return_counts=True)
+    each = np.repeat(size, size)
+    source = np.repeat(np.arange(len(group)), each)
+    place = np.arange(len(source)) - np.repeat(np.cumsum(each) - each, each)
+    return source, np.repeat(np.repeat(start, size), each) + place
