@@ -55,24 +55,31 @@ class Facts(NamedTuple):
         return +found
 
 
+NOTHING: Final = Decoded([], [], False)
+
+
 def expand(
-    codes: Ints, raws: Iterable[bytes], decode: Callable[[bytes], Decoded], refusals: Refusals, kind: str = "field"
+    codes: Ints,
+    raws: Iterable[bytes],
+    decode: Callable[[bytes], Decoded],
+    refusals: Refusals,
+    absent: Decoded = NOTHING,
 ) -> Facts:
     """Decode every distinct raw value (`raws[code]`) and spread what it holds over the rows of `codes`.
 
-    What was wrong with a value is counted once per row that has it.
+    What was wrong with a value is counted once per row that has it. `absent` is what a missing value holds.
     """
     numbers = Distinct()
     held: list[list[int]] = []
     issues: dict[int, list[Issue]] = {}
     whole: list[bool] = []
     for i, raw in enumerate(raws):
-        decoded = Decoded([], [], False) if raw in ABSENT else decode(raw)
+        decoded = absent if raw in ABSENT else decode(raw)
         held.append([numbers[value] for value in decoded.values])
         whole.append(decoded.whole)
         if decoded.issues:
             issues[i] = decoded.issues
-    count_issues(codes, issues, refusals, kind)
+    count_issues(codes, issues, refusals)
     flat = np.array(list(chain.from_iterable(held)), np.int64)
     lengths = np.array([len(values) for values in held], np.int64)
     starts = np.cumsum(lengths) - lengths
@@ -82,7 +89,7 @@ def expand(
     return Facts(row, taken, list(numbers), every)
 
 
-def count_issues(codes: Ints, issues: dict[int, list[Issue]], refusals: Refusals, kind: str) -> None:
+def count_issues(codes: Ints, issues: dict[int, list[Issue]], refusals: Refusals) -> None:
     """Report the issues of each code, once per row that has the code."""
     if not issues:
         return
@@ -91,7 +98,7 @@ def count_issues(codes: Ints, issues: dict[int, list[Issue]], refusals: Refusals
     places = sorted(zip(found.tolist(), first.tolist(), counts.tolist(), strict=True), key=itemgetter(1))
     for code, begin, count in places:
         for reason, name, value in issues.get(code, ()):
-            refusals.add(kind, reason, name, begin, value, count)
+            refusals.add("field", reason, name, begin, value, count)
 
 
 def facts_table(

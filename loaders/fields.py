@@ -118,7 +118,11 @@ def pairs(raw: bytes) -> tuple[list[tuple[str, Any]], list[str]]:
     # A colon for each key and no other: none is repeated.
     if isinstance(quick, dict) and len(quick) == raw.count(b":"):
         return list(quick.items()), []
-    value = loose(raw)
+    return object_members(loose(raw))
+
+
+def object_members(value: object) -> tuple[list[tuple[str, Any]], list[str]]:
+    """As `pairs`, of a value that `loose` gave, or that stood inside one."""
     if not isinstance(value, _Members):
         raise ValueError("not an object")
     first: dict[str, Any] = {}

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -31,12 +32,18 @@ def _track_or_code(label: str) -> int:
         return BAD
 
 
-def record_parts(raw: bytes, frame: str, problems: Problems) -> dict[str, bytes] | None:
-    """Raw values of a record by key, first of equal keys; None, with the reason counted, if it is no object."""
+def record_parts(
+    raw: bytes, frame: str, problems: Problems, same: Mapping[str, str] = MappingProxyType({})
+) -> dict[str, bytes] | None:
+    """Raw values of a record by key, first of equal keys; None, with the reason counted, if it is no object.
+
+    `same` maps other names of a key to its usual one.
+    """
     parts: dict[str, bytes] = {}
     try:
         for key, begin, end in members(raw):
-            name = fields.loose(key)
+            written = fields.loose(key)
+            name = same.get(written, written)
             if name in parts:
                 problems.add("field", "key twice, the first is kept", frame=frame, field=shorten(name))
             else:
