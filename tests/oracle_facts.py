@@ -84,6 +84,7 @@ class Oracle:
         self.poses = {(row["frame"], row["track"]): row["keypoints"] for row in found.rows("poses")}
         self.listed = {(row["layer"], row["frame"], row["track"]) for row in found.rows("listed")}
         self.stamps = {row["frame"]: row["timestamp"] for row in found.rows("timestamps") if row["sensor"] == "images"}
+        self._times = {}
         self.keyframes = self._keyframes()
 
     def _span(self, first, last):
@@ -97,6 +98,11 @@ class Oracle:
         return self._clock(frame) - self._clock(0)
 
     def _clock(self, frame):
+        if frame not in self._times:
+            self._times[frame] = self._time(frame)
+        return self._times[frame]
+
+    def _time(self, frame):
         if not self.stamps:
             return frame / 15
         start = self.stamps[min(self.stamps)]
@@ -143,10 +149,10 @@ class Oracle:
         if self.gap(frame, track, action):
             return "unknown"
         listed = self.actions.get((frame, track), {})
-        if not listed:
-            return "unknown"
         if action in listed:
             return "true" if self.certain(frame, track, action) else "unknown"
+        if (frame, track) not in self.people or not self.people[frame, track]["has_actions"]:
+            return "unknown"
         if action in POSES and self.pose(frame, track) is None:
             return "unknown"
         return "false"
@@ -351,7 +357,7 @@ class Oracle:
             "clear": self.clear(frame, track),
             # The first three points are head, right eye, left eye.
             "face_visible": None if keypoints is None else 2 in [keypoints[3 * i + 2] for i in range(3)],
-            "listed": bool(self.actions[frame, track]),
+            "listed": record["has_actions"],
             "interactions_listed": ("interactions", frame, track) in self.listed,
             "handles_listed": ("handles", frame, track) in self.listed,
             "pose": self.pose(frame, track),

@@ -352,7 +352,7 @@ def _read_person(found, frame, track, record, box):
         truncated=flag(attributes.get("truncated")),
         interpolated=flag(attributes.get("interpolated")),
         no_eval=flag(attributes.get("no_eval")),
-        has_actions=bool(actions),
+        has_actions=bool(actions) and len(labels_of(record["action_label"])) == len(record["action_label"]),
         file_id=clean(record.get("file_id")),
     )
     for name, difficulty in actions:
@@ -631,7 +631,8 @@ def read(layer, data, last=False, every=False):
 def read_root(root, sequence):
     """All facts of a sequence under the usual directory names, each layer from the first directory that has it."""
     root, whole_found, files = Path(root), Found(), {}
-    for layer, folders in FOLDERS.items():
+    # The richer files hold the 2D boxes too, for roots that have no others.
+    for layer, folders in {**FOLDERS, "2d": (*FOLDERS["2d"], *FOLDERS["social"], *FOLDERS["reasoning"])}.items():
         paths = [base / name / f"{sequence}.json" for name in folders for base in (root / "labels", root)]
         path = next((p for p in paths if p.exists()), None)
         if path is not None:

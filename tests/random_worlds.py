@@ -2,14 +2,17 @@
 
 Everything comes from one `random.Random`, so a seed names a world. People enter, leave and drop out for a few frames,
 change pose, get hard labels and two poses, change groups, cross the seam, hide, and stand at odd distances; frames are
-missing or empty, and some records are unusable.
+missing or empty, and some records are unusable. Each of the other layers is there or not, at every frame or one per
+second, with one-sided and repeated interactions, partners who are not there, attributes that change from frame to
+frame, spellings that vary, things without a category, and timestamps that begin late.
 """
 
 from __future__ import annotations
 
 import math
+import random
 
-from worlds import person, person_3d
+from worlds import CATEGORIES, member, person, person_3d, pose, thing
 
 POSES = ("walking", "standing", "sitting")
 EXTRA = ("talking to someone", "Opening_the_door", "pushing the door", "impossible", "waving")
@@ -38,7 +41,120 @@ def random_world(rng, name="yard-2020-01-01_0"):
         layers["images"] = sorted(rng.sample(range(first + length * step), min(2, length)))
     if not any(layers.get(layer) for layer in ("2d", "3d")):
         layers["2d"] = {frames[0]: []}
+    # A source of its own: the layers above do not depend on those below.
+    layers |= _more_layers(random.Random(rng.getrandbits(64)), frames, lost, people, "2d" in layers)
     return {name: layers}
+
+
+def _more_layers(rng, frames, lost, people, boxed):
+    layers = {}
+    lives = [_social_life(rng, frames, life) for life in people]
+    known = [f for f in frames if f not in lost or rng.random() < 0.5]
+    if rng.random() < 0.6:
+        step = rng.choice((1, 1, 15))
+        layers["social"] = {f: _frame_social(rng, f, people, lives, "H-interaction") for f in known[::step]}
+    # Only beside 2D boxes of their own: a reasoning file alone is tested by name.
+    if rng.random() < 0.5 and boxed:
+        step = rng.choice((1, 1, 15))
+        alias = rng.choice(("HHI", "H-interaction"))
+        layers["reasoning"] = {f: _frame_reasoning(rng, f, people, lives, alias) for f in known[::step]}
+    if rng.random() < 0.5:
+        layers["pose"] = {f: _frame_pose(rng, f, people) for f in frames[:-1] or frames}
+    if rng.random() < 0.5:
+        layers["panoptic"] = {f: _frame_panoptic(rng) for f in frames[:: 15 if frames[-1] - frames[0] > 30 else 1]}
+    if rng.random() < 0.5:
+        start, pace = rng.choice((0.0, 1549500000.0)), rng.choice((1 / 15, 0.07))
+        late = rng.choice((0, 0, 3))
+        times = {f: start + f * pace + rng.choice((0.0, 0.001)) for f in range(late, frames[-1] + 5)}
+        layers["timestamps"] = {"images": {f: t for f, t in times.items() if rng.random() < 0.95}}
+        layers["timestamps"] |= {"clouds": times} if rng.random() < 0.5 else {}
+        if not layers["timestamps"]["images"]:
+            del layers["timestamps"]
+    return {layer: content for layer, content in layers.items() if content}
+
+
+GENDERS = ({"Male": "1"}, {"Female": "1"}, {"Female": 2}, {"Male": "3"}, {"impossible": "1"}, {}, {"Male": "x"})
+AGES = ({"Young_Adulthood": "1"}, {"Middle_Adulthood": 1.0}, {"young": "2"}, {"Late_Adulthood": "3"}, {"Ageless": "1"})
+RACES = ({"Others": "2"}, {"Caucasian/White": "1"}, {"impossible": "1"})
+TALK = ("conversation", "walking together", "standing together together", "looking_at something together", "juggling")
+VENUES = ({"indoor_room/class": "1"}, {"indoor:room/class": "2"}, {"outdoor_street": "1"}, {"indoor_street": "3"})
+AIMS = ({"socializing": "1"}, {"socializing&commuting": "1"}, {"unknown": "1"}, {"navigating": 2, "wandering": "3"})
+AROUND = ({"table": "1", "board": "2"}, {"food-truck": "1"}, {"food_truck": 1, "food truck": "2"}, {})
+VERBS = ("holding", "looking_into", "looking into", "finding something", "polishing")
+
+
+def _social_life(rng, frames, life):
+    """Per frame of a person: what the social and reasoning files say. Most of it stays, some flickers."""
+    scale = 1 if len(frames) < 2 or frames[1] - frames[0] == 1 else 0.15
+    mine = {"gender": rng.choice(GENDERS), "age": rng.choice(AGES), "race": rng.choice(RACES)}
+    others = [{**mine, "gender": rng.choice(GENDERS)}, {**mine, "age": rng.choice(AGES)}, {"gender": mine["gender"]}]
+    group = {"venue": rng.choice(VENUES), "aim": rng.choice(AIMS), "SSC": rng.choice(AROUND), "BPC": {"floor": "1"}}
+    groups = [group | {"venue": rng.choice(VENUES)}, group | {"aim": rng.choice(AIMS)}, {"location_pre": {"at": "1"}}]
+    friends = (0, 1, 2, 3, 7, 19, 40)
+    talks = [
+        [(rng.choice(friends), {rng.choice(TALK): rng.choice(("1", 2, "3"))}) for _ in range(rng.randrange(1, 4))]
+        for _ in range(2)
+    ]
+    talks.append([*talks[0], *talks[0], (rng.choice(friends), {"conversation": "x", "hugging": "1"})])
+    holds = [
+        [((rng.randrange(3), rng.choice((*CATEGORIES, 12))), {rng.choice(VERBS): rng.choice(("1", "2", "3"))})]
+        for _ in range(3)
+    ]
+    holds.append([*holds[0], *holds[1], (("1", "40"), {"holding": "1", "touching": 2})])
+    pieces = {
+        "told": _pieces(rng, frames, (mine,) * 8 + (*others, [], None), (5, 60), scale),
+        "info": _pieces(rng, frames, (group,) * 6 + (*groups, [], None), (5, 60), scale),
+        "talk": _pieces(rng, frames, (*talks * 3, [], [], None), (1, 25), scale),
+        "hold": _pieces(rng, frames, (*holds * 2, [], [], None), (1, 25), scale),
+    }
+    return {
+        frame: {key: values[i] for key, values in pieces.items()} for i, frame in enumerate(frames) if frame in life
+    }
+
+
+def _entries(track, talks):
+    """What a record says of its partners: nobody is one's own."""
+    return None if talks is None else [(partner, labels) for partner, labels in talks if partner != track]
+
+
+def _frame_social(rng, frame, people, lives, alias):
+    rows = []
+    for life, social in zip(people, lives, strict=True):
+        if frame in life and rng.random() < 0.99:
+            here, said = life[frame], social[frame]
+            talk = _entries(here["track"], said["talk"])
+            rows.append(member(here["track"], here["box"], said["told"], talk, said["info"], alias=alias))
+    return rows
+
+
+def _frame_reasoning(rng, frame, people, lives, alias):
+    rows = []
+    for life, social in zip(people, lives, strict=True):
+        if frame in life and rng.random() < 0.99:
+            here, said = life[frame], social[frame]
+            told = None if rng.random() < 0.5 else said["told"]
+            talk = _entries(here["track"], said["talk"])
+            rows.append(member(here["track"], here["box"], told, talk, said["info"], said["hold"], alias=alias))
+    return rows
+
+
+def _frame_pose(rng, frame, people):
+    codes = [0] * 17
+    rows = []
+    for life in people:
+        if frame in life and rng.random() < 0.7:
+            head = rng.choice(((2, 2, 2), (0, 1, 0), (1, 0, 2), (0, 0, 0)))
+            rows.append(pose(life[frame]["track"], float(life[frame]["box"][0]), 100.0, [*head, *codes[3:]]))
+    return rows
+
+
+def _frame_panoptic(rng):
+    rows = [thing(None, 4)]
+    for track in range(3):
+        where = rng.choice(("tracking_id", "attributes.tracking_id", "attributes.floor_id"))
+        for category in rng.sample((40, 57, 63, 71, 900), rng.randrange(0, 3)):
+            rows.append(thing(track, category, where=where))
+    return rows
 
 
 def _life(rng, track, frames):
