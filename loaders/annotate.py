@@ -19,13 +19,20 @@ from .boxes2d import load_2d
 from .boxes3d import heading_check, load_3d
 from .columns import constant
 from .layers import SequenceFiles, image_frames
+from .panoptic import load_panoptic
+from .pose import load_pose
 from .problems import Problem, Problems
 from .reading import Reading
 from .report import Heading, UnknownLabel
 
 Ints = npt.NDArray[np.int64]
 
-READERS: Final[dict[str, Callable[[Path, str, Problems], Reading]]] = {"2d": load_2d, "3d": load_3d}
+READERS: Final[dict[str, Callable[[Path, str, Problems], Reading]]] = {
+    "2d": load_2d,
+    "3d": load_3d,
+    "pose": load_pose,
+    "panoptic": load_panoptic,
+}
 """Loader of each file, in the order in which they are read."""
 
 

@@ -175,23 +175,18 @@ VERBS: Final = (
 )
 """What a person does with a thing."""
 
-STUFF: Final = frozenset({*OBJECTS[: OBJECTS.index("crutch")], "glass"})
-"""Categories without tracks: what surrounds people and things."""
-
 CATEGORY_PREFIXES: Final = ("t_", "m_")
 """Stand before names in some files, and say nothing of the thing."""
 
 
 def normal_category(name: str) -> str:
-    """The usual spelling of a category's name: without case and prefix, whatever separates its words.
+    """The usual spelling of a category's name: without case and prefix, underscores between words.
 
-    A name outside `OBJECTS` comes back in lower case, with underscores for blanks and dashes.
+    Names outside `OBJECTS` come back in the same spelling.
     """
-    plain = name.strip().lower().translate(_SEPARATORS)
-    for prefix in CATEGORY_PREFIXES:
-        plain = plain.removeprefix(prefix)
-    return _SPELLED.get(plain.replace("_", ""), plain)
+    plain = "_".join(name.lower().translate(_BLANKS).split())
+    prefix = next((prefix for prefix in CATEGORY_PREFIXES if plain.startswith(prefix)), "")
+    return plain.removeprefix(prefix)
 
 
-_SEPARATORS: Final = str.maketrans("- ", "__")
-_SPELLED: Final = {name.replace("_", ""): name for name in OBJECTS}
+_BLANKS: Final = str.maketrans("-_", "  ")
