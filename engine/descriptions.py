@@ -21,7 +21,7 @@ from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.wording import in_order
 
 from .conditions import Conditions, Words, find_conditions
-from .relations import Facts
+from .relations import EMPTY, SEVERAL, UNKNOWN, Facts
 from .scene import NOBODY, Bools, Ints, Scene
 
 
@@ -59,21 +59,51 @@ class Descriptions:
         ]
 
     @cached_property
-    def tables(self) -> tuple[pa.Table, pa.Table]:
-        """The graph's tables `Description`, with the conditions as they stand in a plan's JSON, and `Names`."""
+    def texts(self) -> tuple[list[str], Ints]:
+        """Distinct sets of conditions, as they stand in a plan's JSON, sorted; and each name's place among them."""
         texts = [conditions_json(self.of(name)) for name in range(len(self.moment))]
         distinct = sorted(set(texts))
         number = {text: i for i, text in enumerate(distinct)}
+        return distinct, np.array([number[text] for text in texts], dtype=np.int64)
+
+    @cached_property
+    def tables(self) -> tuple[pa.Table, pa.Table]:
+        """The graph's tables `Description`, with the conditions as they stand in a plan's JSON, and `Names`."""
+        distinct, number = self.texts
         names = {
-            "from": pa.array([number[text] for text in texts], pa.int64()),
+            "from": number,
             "to": self.moment,
-            "id": np.arange(len(texts)),
+            "id": np.arange(len(number)),
             "anchor": self.anchor(),
             "general": self.general,
             "poseless": self.poseless,
         }
         nodes = {"id": np.arange(len(distinct)), "conditions": pa.array(distinct, pa.string())}
         return pa.table(nodes), pa.table(names)
+
+    @cached_property
+    def fits(self) -> Ints:
+        """(distinct descriptions, keyframes): the moment of the one person who certainly matches while nobody else
+        could, or EMPTY, SEVERAL or UNKNOWN."""
+        conditions = self.conditions
+        distinct, number = self.texts
+        one_name = np.unique(number, return_index=True)[1]
+        uses = self.uses[one_name]
+        codes = np.where(uses == NOBODY, NOBODY, conditions.code(uses))
+        at = np.arange(len(conditions.everybody)) * max(len(conditions.vocabulary), 1)
+        could = np.repeat(conditions.everybody[None], len(distinct), axis=0)
+        sure = could.copy()
+        for column in codes.T:
+            stated = np.flatnonzero(column != NOBODY)
+            use = at[None, :] + column[stated, None]
+            could[stated] &= ~conditions.masks[use]
+            sure[stated] &= conditions.sure[use]
+        possible, certain = (np.bitwise_count(mask).sum(axis=2, dtype=np.int64) for mask in (could, sure))
+        result = np.where(certain >= 2, SEVERAL, np.where(possible == 0, EMPTY, UNKNOWN))
+        single = np.nonzero((possible == 1) & (certain == 1))
+        bits = np.unpackbits(could[single].view(np.uint8), axis=1, bitorder="little")
+        result[single] = conditions.slots[single[1], bits.argmax(axis=1)] if len(bits) else NOBODY
+        return np.asarray(result)
 
 
 def conditions_json(conditions: tuple[Condition, ...]) -> str:
