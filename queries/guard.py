@@ -131,7 +131,10 @@ def ask_graph(
     try:
         kind, message = msgspec.json.decode(done.stderr.splitlines()[-1], type=tuple[str, str])
     except (IndexError, msgspec.DecodeError):
-        raise QueryError("the engine crashed on this statement (nothing is damaged): simplify it") from None
+        raise QueryError(
+            f"the engine crashed on this statement: simplify it, or see whether the graph is damaged by "
+            f"'jrdb-avr load --verify --store {path.parent}'"
+        ) from None
     raise getattr(errors, kind)(message)
 
 

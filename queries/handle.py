@@ -29,11 +29,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final, Self
 
+import msgspec
 import pyarrow as pa
 
 from jrdb_avr.schema.errors import LockedError, QueryError, StoreError
 
 from .binding import bind, strip_literals
+from .seal import check_seal, rebuild_hint, seal_of, seal_path
 
 BUFFER_BYTES: Final = 512 << 20
 """Hard limit of the engine's page cache; 256 MB held every query measured at full size, COPY needs more."""
@@ -41,8 +43,6 @@ BUFFER_BYTES: Final = 512 << 20
 _MEMORY_BYTES: Final = 1 << 30
 """Address space of an in-memory database; the engine's default of 8 TiB allows only a few in a process."""
 
-_HEADER: Final = b"KUZU"
-_PAGE: Final = 4096
 _SIDE_FILES: Final = (".wal", ".shadow", ".tmp")
 
 _OPERATOR = re.compile(r"\b([A-Z][A-Z_]*)\[\d+\]")
@@ -334,6 +334,8 @@ def build_graph(path: str | Path, *, buffer_bytes: int = BUFFER_BYTES) -> Iterat
             # The old log goes first: beside the new file it would be replayed into it.
             for suffix in _SIDE_FILES:
                 place.with_name(place.name + suffix).unlink(missing_ok=True)
+            seal_path(temporary).write_bytes(msgspec.json.encode(seal_of(temporary)))
+            seal_path(temporary).replace(seal_path(place))
             temporary.replace(place)
         except OSError as error:
             raise StoreError(f"cannot write {place}: {error.strerror}; free some space and load again") from None
@@ -397,18 +399,8 @@ def _holder(file: IO[str]) -> str:
 
 
 def _open_database(path: Path, read_only: bool, buffer_bytes: int) -> Any:
-    rebuild = f"run 'jrdb-avr load --rebuild --store {path.parent}'"
-    try:
-        size = path.stat().st_size
-        # Looked at only while this process has no database open here: closing a file drops the engine's lock on it.
-        with path.open("rb") as file:
-            header = file.read(len(_HEADER))
-    except FileNotFoundError:
-        raise StoreError(f"{path} does not exist: {rebuild}") from None
-    except OSError as error:
-        raise StoreError(f"cannot read {path}: {error.strerror}") from None
-    if header != _HEADER or size % _PAGE:
-        raise StoreError(f"{path} is no whole graph file: {rebuild}")
+    # Looks at the file only while this process has no database open here, as the seal asks.
+    check_seal(path)
     import kuzu
 
     try:
@@ -416,7 +408,7 @@ def _open_database(path: Path, read_only: bool, buffer_bytes: int) -> Any:
     except RuntimeError as error:
         if "lock" in str(error):
             raise LockedError(f"{path} is in use by another process: wait for it", holder="another process") from None
-        raise StoreError(f"cannot open {path} ({_short(str(error))}): {rebuild}") from None
+        raise StoreError(f"cannot open {path} ({_short(str(error))}): {rebuild_hint(path)}") from None
 
 
 def _recover(path: Path, buffer_bytes: int) -> None:
@@ -434,7 +426,7 @@ def _translated(error: RuntimeError, text: str, timeout_s: float | None, path: P
         return QueryError(f"stopped after {timeout_s:g} s: {_short(text)}" if timeout_s else "interrupted")
     if "past the end of the file" in message or "Cannot read from file" in message:
         where = f"{path} is cut short" if path else "the graph file is cut short"
-        return StoreError(f"{where}: run 'jrdb-avr load --rebuild --store {path.parent if path else 'S'}'")
+        return StoreError(f"{where}: {rebuild_hint(path)}" if path else where)
     if "Buffer manager exception" in message:
         return QueryError(f"needs more memory than its limit: narrow it (by sequence): {_short(text)}")
     if "No space left" in message or "File too large" in message or "Cannot write to file" in message:
@@ -462,6 +454,6 @@ def _make_parent(place: Path) -> None:
 
 
 def _remove(path: Path) -> None:
-    for place in (path, *(path.with_name(path.name + suffix) for suffix in _SIDE_FILES)):
+    for place in (path, seal_path(path), *(path.with_name(path.name + suffix) for suffix in _SIDE_FILES)):
         with contextlib.suppress(OSError):
             place.unlink(missing_ok=True)

@@ -38,6 +38,7 @@ def store(tmp_path_factory):
                     "track": people,
                     "gender": ["Female", "Male", None, "Female", None],
                     "age": ["Adult"] * 5,
+                    "ethnicity": [None] * 5,
                     "first_frame": [0] * 5,
                     "last_frame": [30] * 5,
                 }
@@ -210,7 +211,11 @@ def test_fuzzed_statements_change_nothing(text):
     except AvrError as error:
         assert SECRET not in str(error)
     assert graph_file.read_bytes() == before
-    assert sorted(place.name for place in graph_file.parent.iterdir()) == ["graph.kuzu", "graph.kuzu.lock"]
+    assert sorted(place.name for place in graph_file.parent.iterdir()) == [
+        "graph.kuzu",
+        "graph.kuzu.json",
+        "graph.kuzu.lock",
+    ]
 
 
 _fuzz = []

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from jrdb_avr.queries import handle
 from jrdb_avr.queries.binding import bind, parameters, strip_literals
 from jrdb_avr.queries.handle import Graph, build_graph
+from jrdb_avr.queries.seal import check_seal, seal_of
 from jrdb_avr.schema.errors import LockedError, QueryError, StoreError
-from jrdb_avr.schema.graph import scene_ddl
+from jrdb_avr.schema.graph import STORAGE_VERSION, scene_ddl
 
 NODES = "CREATE NODE TABLE N(id INT64 PRIMARY KEY, s STRING)"
 EDGES = "CREATE REL TABLE R(FROM N TO N, k INT64)"
@@ -265,6 +266,7 @@ def test_quotes_and_comments_hold_no_parameters():
 CHILD = """
 import sys
 from jrdb_avr.queries.handle import Graph, build_graph
+from jrdb_avr.queries.seal import check_seal, seal_of
 from jrdb_avr.schema.errors import LockedError
 try:
     if sys.argv[2] == "build":
@@ -401,7 +403,7 @@ def test_a_failed_build_leaves_the_old_graph(path):
     with pytest.raises(ZeroDivisionError), build_graph(path) as graph:
         graph.execute(NODES)
         raise ZeroDivisionError
-    assert names(path.parent) == ["graph.kuzu", "graph.kuzu.lock"]
+    assert names(path.parent) == ["graph.kuzu", "graph.kuzu.json", "graph.kuzu.lock"]
     assert ask_child(path, "read") == "4"
 
 
@@ -412,7 +414,7 @@ def test_a_build_replaces_the_graph_and_sweeps_up(path):
     path.with_name("graph.kuzu.wal").write_bytes(b"the old graph's log")
     with build_graph(path) as graph:
         fill(graph, [], range(10))
-    assert names(path.parent) == ["graph.kuzu", "graph.kuzu.lock"]
+    assert names(path.parent) == ["graph.kuzu", "graph.kuzu.json", "graph.kuzu.lock"]
     assert ask_child(path, "read") == "10"
 
 
@@ -435,15 +437,48 @@ def test_the_scene_is_made_by_its_ddl(tmp_path):
         lambda data: b"x" * len(data),
         lambda data: data[:-1],
         lambda data: data[: len(data) // 8192 * 4096],
+        # Cut at a page's edge, by one page: the engine opens it and answers.
+        lambda data: data[:-4096],
         lambda data: data[:4] + bytes([40]) + data[5:],
     ],
 )
-def test_a_damaged_graph_says_how_to_rebuild(path, damage):
+def test_a_damaged_graph_is_noticed_at_open_and_says_how_to_rebuild(path, damage):
     path.write_bytes(damage(path.read_bytes()))
-    with pytest.raises(StoreError, match="load --rebuild --store") as error, Graph.open(path) as graph:
-        graph.query("MATCH (n:N)-[r:R]->(m:N) RETURN count(*) AS n, min(n.s) AS s, max(r.k) AS k")
+    with pytest.raises(StoreError, match=f"run 'jrdb-avr load --rebuild --store {path.parent}'") as error:
+        Graph.open(path)
     assert "\n" not in str(error.value)
     assert not handle._registry
+
+
+@pytest.mark.parametrize(
+    ("seal", "words"),
+    [
+        (None, "no readable graph.kuzu.json"),
+        ("", "no readable graph.kuzu.json"),
+        ('{"storage_version":1,"size":4096,"crc32":0}', f"version 1 of the tables, this is {STORAGE_VERSION}"),
+    ],
+)
+def test_a_graph_of_another_version_is_noticed_at_open(path, seal, words):
+    place = path.with_name("graph.kuzu.json")
+    place.unlink() if seal is None else place.write_text(seal)
+    with pytest.raises(StoreError, match=f"{words}.*run 'jrdb-avr load --rebuild --store"):
+        Graph.open(path, read_only=True)
+    with build_graph(path) as graph:
+        fill(graph, [])
+    Graph.open(path, read_only=True).close()
+
+
+def test_writing_later_keeps_the_seal(path):
+    """Opening for writing changes the first page; tables beside the scene's make the file longer."""
+    before = check_seal(path)
+    Graph.open(path).close()
+    assert seal_of(path) == before
+    with Graph.open(path) as graph:
+        graph.execute("CREATE NODE TABLE Later(id INT64 PRIMARY KEY, s STRING)")
+        graph.copy("Later", pa.table({"id": range(50_000), "s": [str(n) for n in range(50_000)]}))
+    assert path.stat().st_size > before.size
+    with Graph.open(path, read_only=True) as graph:
+        assert graph.query("MATCH (n:Later) RETURN count(*) AS n")["n"].to_pylist() == [50_000]
 
 
 def test_no_graph(tmp_path):
