@@ -11,8 +11,9 @@ from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS
 
 from .beside import beside_table
 from .columns import constant, distinct_of
+from .objects import objects_table
 from .runs import action_runs, actions_table, memberships_table
-from .scene_people import listed_keys, read_boxes, read_groups, read_labels, read_located, track_spans
+from .scene_people import listed_keys, read_boxes, read_faces, read_groups, read_labels, read_located, track_spans
 from .segments import segments_table
 from .sightings import sightings_table
 from .timeline import frames_table, sequence_table, timeline
@@ -37,13 +38,16 @@ def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules)
         "first_frame": first,
         "last_frame": last,
     }
+    faces = read_faces(tables["poses"])
+    listed = listed_keys(tables["listed"])
     derived = {
         "sequence": sequence_table(line, boxes.has_attributes),
         "frames": frames_table(line),
         "persons": pa.table(persons).cast(INTERVALS["persons"]),
-        "sightings": sightings_table(line, boxes, labels, groups, located, listed_keys(tables["listed"]), rules),
+        "sightings": sightings_table(line, boxes, labels, groups, located, listed, faces, rules),
         "actions": actions_table(line, labels, runs),
         "memberships": memberships_table(line, groups, rules),
+        "objects": objects_table(sequence, tables["panoptic"], tables["categories"], tables["handles"]),
         "beside": beside_table(line, boxes, located, rules),
         "segments": segments_table(line, boxes, labels, runs, rules),
     }

@@ -20,7 +20,7 @@ from jrdb_avr.schema.panorama import HEIGHT, center_angle
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.vocabulary import CLEAR_OCCLUSIONS, POSES
 
-from .columns import person_keys
+from .columns import person_keys, ranked
 
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
@@ -144,13 +144,7 @@ def read_boxes(table: pa.Table, rules: LoadRules) -> Boxes:
 
 def read_labels(table: pa.Table) -> Labels:
     """From the annotation table `actions`."""
-    written = table["action"].combine_chunks().dictionary_encode()
-    spelled = written.dictionary.to_pylist()
-    names = sorted(spelled)
-    place = {name: i for i, name in enumerate(names)}
-    rank = np.array([place[name] for name in spelled], np.int64)
-    code = written.indices.to_numpy().astype(np.int64)
-    action = rank[code] if len(code) else code
+    names, action = ranked(table["action"])
     frame, track = _person_columns(table)
     difficulty = table["difficulty"].fill_null(UNREADABLE).to_numpy().astype(np.int64)
     order = np.lexsort((difficulty, action, track, frame))
@@ -188,6 +182,24 @@ def listed_keys(table: pa.Table) -> dict[str, Ints]:
     keys = person_keys(*_person_columns(table))
     layers = ("interactions", "handles")
     return {layer: np.sort(keys[pc.equal(table["layer"], layer).to_numpy()]) for layer in layers}
+
+
+@dataclass(frozen=True)
+class Faces:
+    """People with a pose."""
+
+    keys: Ints
+    """One ascending number per (frame, track)."""
+    visible: Bools
+    """Whether the head or an eye is marked visible."""
+
+
+def read_faces(table: pa.Table) -> Faces:
+    """From the annotation table `poses`, whose rows are sorted by (frame, track)."""
+    values = table["keypoints"].combine_chunks().flatten().to_numpy()
+    # Head, right eye and left eye are the first three points of 17 with x, y and visibility each.
+    codes = values.reshape(-1, 17, 3)[:, :3, 2]
+    return Faces(person_keys(*_person_columns(table)), np.asarray((codes == 2).any(axis=1)))
 
 
 def wrap(radians: Floats) -> Floats:

@@ -14,7 +14,7 @@ from jrdb_avr.schema.tables import INTERVALS
 from jrdb_avr.schema.vocabulary import DISTANCE_WORDS, ROBOT_SECTORS
 
 from .columns import constant, nullable, person_keys, texts
-from .scene_people import Boxes, Groups, Labels, Located, rows_of
+from .scene_people import Boxes, Faces, Groups, Labels, Located, rows_of
 from .timeline import Timeline
 from .words import distance_word, robot_sector
 
@@ -30,6 +30,7 @@ def sightings_table(
     groups: Groups,
     located: Located,
     listed: Mapping[str, Ints],
+    faces: Faces,
     rules: LoadRules,
 ) -> pa.Table:
     """All sightings of a sequence, by frame and track. `listed`: per layer, the keys whose list was read."""
@@ -38,6 +39,7 @@ def sightings_table(
     sizes, size_known = group_sizes(line, boxes, groups, cluster_row)
     place = rows_of(located.keys, boxes.keys)
     here = place >= 0
+    face = rows_of(faces.keys, boxes.keys)
     sector, sector_other = robot_sector(boxes.angle, rules)
     distance = _take(located.distance, place)
     word, word_other = distance_word(distance, rules)
@@ -52,7 +54,7 @@ def sightings_table(
             "occlusion": boxes.occlusion,
             "no_eval": boxes.no_eval,
             "clear": boxes.clear,
-            "face_visible": pa.nulls(n, pa.bool_()),
+            "face_visible": nullable(_take(faces.visible, face), face < 0, pa.bool_()),
             "listed": boxes.listed,
             **{f"{layer}_listed": rows_of(keys, boxes.keys) >= 0 for layer, keys in listed.items()},
             "pose": texts(labels.names, certain_pose(boxes, labels)),
