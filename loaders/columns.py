@@ -28,6 +28,16 @@ def texts(values: Sequence[str], codes: Ints) -> pa.Array:
     return dictionary.take(pa.array(codes, pa.int64(), mask=codes < 0))
 
 
+def ranked(column: pa.ChunkedArray) -> tuple[list[str], Ints]:
+    """The distinct texts of a column, ascending, and the place of each row's text among them; -1 for null."""
+    written = column.combine_chunks().dictionary_encode()
+    spelled = written.dictionary.to_pylist()
+    names = sorted(spelled)
+    place = {name: i for i, name in enumerate(names)}
+    rank = np.array([place[name] for name in spelled] + [-1], np.int64)
+    return names, rank[written.indices.fill_null(len(names)).to_numpy()]
+
+
 def constant(value: str, n: int) -> pa.Array:
     """A column of `n` equal strings."""
     return pa.repeat(pa.scalar(value, pa.string()), n)

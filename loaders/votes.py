@@ -1,0 +1,155 @@
+"""What frames say of a person, and members of their group, counted: the majority is the attribute's value.
+
+A frame votes where it tells the attribute with difficulty 1 or 2 and a value that is not "cannot be told". Of a person,
+a value is chosen that has more than half of all votes; of a group, every value that more than half of the records
+telling the attribute say, but a venue only if it is the only such one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from jrdb_avr.schema.tables import INTERVALS
+
+from .columns import constant, distinct_of, person_keys, ranked, texts
+from .scene_people import HARD, UNREADABLE, Groups, read_groups, rows_of
+
+Ints = npt.NDArray[np.int64]
+Bools = npt.NDArray[np.bool_]
+
+
+class Disagreement(msgspec.Struct):
+    """Frames of a person, or records of a group, that do not say the same."""
+
+    subject: str
+    """`person 12` or `group 7`."""
+    attribute: str
+    votes: dict[str, int]
+    """How many frames or records say each value."""
+    of: int
+    """Frames or records that tell the attribute."""
+
+
+@dataclass(frozen=True)
+class Votes:
+    """Votes per (subject, attribute, value), ascending. `tellers`: votes cast on the attribute, one per record."""
+
+    subject: Ints
+    attribute: list[str]
+    value: list[str]
+    votes: Ints
+    tellers: Ints
+    topic: Ints
+    """A number per (subject, attribute), ascending."""
+
+    def table(self, kind: str, subject: str, sequence: str, chosen: Bools) -> pa.Table:
+        columns = {
+            "sequence": constant(sequence, len(self.subject)),
+            subject: self.subject,
+            "attribute": pa.array(self.attribute, pa.string()),
+            "value": pa.array(self.value, pa.string()),
+            "votes": self.votes,
+            "chosen": chosen,
+        }
+        return pa.table(columns).cast(INTERVALS[kind])
+
+
+def demographics_table(sequence: str, table: pa.Table) -> pa.Table:
+    """The interval table `demographics`, from the annotation table of that name."""
+    votes = person_votes(table)
+    cast = np.bincount(votes.topic, weights=votes.votes)[votes.topic]
+    return votes.table("demographics", "track", sequence, 2 * votes.votes > cast)
+
+
+def group_info_table(sequence: str, table: pa.Table, groups: Groups) -> pa.Table:
+    """The interval table `group_info`, from the annotation table of that name."""
+    votes = group_votes(table, groups)
+    chosen = 2 * votes.votes > votes.tellers
+    rivals = np.bincount(votes.topic, weights=chosen)[votes.topic] > 1
+    venue = np.array([name == "venue" for name in votes.attribute], np.bool_)
+    return votes.table("group_info", "cluster", sequence, chosen & ~(venue & rivals))
+
+
+def chosen_values(demographics: pa.Table, attribute: str, tracks: Ints) -> pa.Array:
+    """The chosen value of each person, null where there is none. `demographics` is the interval table."""
+    rows = demographics.filter(pc.and_(demographics["chosen"], pc.equal(demographics["attribute"], attribute)))
+    values = rows["value"].to_pylist()
+    return texts(values, rows_of(rows["track"].to_numpy().astype(np.int64), tracks))
+
+
+def disagreements(tables: Mapping[str, pa.Table]) -> list[Disagreement]:
+    """People whose frames, and groups whose members' records, say different values. `tables` are annotation tables."""
+    found = _split(person_votes(tables["demographics"]), "person", alone=True)
+    return found + _split(group_votes(tables["group_info"], read_groups(tables["groups"])), "group", alone=False)
+
+
+def _split(votes: Votes, subject: str, alone: bool) -> list[Disagreement]:
+    """Topics on which votes differ. `alone`: a topic has one value only, so two of them differ in any case."""
+    several = np.bincount(votes.topic)[votes.topic] > 1 if alone else np.zeros(len(votes.topic), np.bool_)
+    found: dict[int, Disagreement] = {}
+    differing = np.isin(votes.topic, votes.topic[several | (votes.votes < votes.tellers)])
+    for row in np.flatnonzero(differing).tolist():
+        name = f"{subject} {int(votes.subject[row])}"
+        topic = found.setdefault(
+            int(votes.topic[row]), Disagreement(name, votes.attribute[row], {}, int(votes.tellers[row]))
+        )
+        topic.votes[votes.value[row]] = int(votes.votes[row])
+    return list(found.values())
+
+
+def person_votes(table: pa.Table) -> Votes:
+    """Votes of the annotation table `demographics` by track."""
+    return _count(table, lambda frame, track: (track, np.ones(len(track), np.bool_)))
+
+
+def group_votes(table: pa.Table, groups: Groups) -> Votes:
+    """Votes of the annotation table `group_info` by the cluster that a record names; one without cluster has none."""
+    keys = person_keys(groups.frame, groups.track)
+
+    def cluster_of(frame: Ints, track: Ints) -> tuple[Ints, Bools]:
+        row = rows_of(keys, person_keys(frame, track))
+        return np.append(groups.cluster, 0)[row], row >= 0
+
+    return _count(table, cluster_of)
+
+
+def _count(table: pa.Table, subject_of: Callable[[Ints, Ints], tuple[Ints, Bools]]) -> Votes:
+    """Count an annotation table sorted by (frame, track). `subject_of`: subjects of records, and which have one."""
+    attributes, attribute = ranked(table["attribute"])
+    values, value = ranked(table["value"])
+    difficulty = table["difficulty"].fill_null(UNREADABLE).to_numpy()
+    frame, track = table["frame"].to_numpy().astype(np.int64), table["track"].to_numpy().astype(np.int64)
+    new = np.ones(len(frame), np.bool_)
+    new[1:] = (frame[1:] != frame[:-1]) | (track[1:] != track[:-1])
+    record = np.cumsum(new) - 1
+    subject, has = subject_of(frame[new], track[new])
+    subjects, number = np.unique(subject, return_inverse=True)
+    votes = np.flatnonzero((difficulty < HARD) & (value >= 0) & (has[record] if len(record) else new))
+    record, attribute, value = record[votes], attribute[votes], value[votes]
+    # Two spellings of one value in a record are one vote.
+    said, what = np.unique(attribute * len(values) + value, return_inverse=True)
+    ballot = np.unique(record * max(len(said), 1) + what)
+    record, what = np.divmod(ballot, max(len(said), 1))
+    by_value, counts = np.unique(number[record] * max(len(said), 1) + what, return_counts=True)
+    attribute = said[what] // max(len(values), 1)
+    teller = distinct_of(record * max(len(attributes), 1) + attribute)
+    record, attribute = np.divmod(teller, max(len(attributes), 1))
+    topics, tellers = np.unique(number[record] * max(len(attributes), 1) + attribute, return_counts=True)
+    number, what = np.divmod(by_value, max(len(said), 1))
+    attribute, value = np.divmod(said[what], max(len(values), 1))
+    topic = np.searchsorted(topics, number * max(len(attributes), 1) + attribute)
+    return Votes(
+        subjects[number],
+        [attributes[i] for i in attribute.tolist()],
+        [values[i] for i in value.tolist()],
+        counts,
+        tellers[topic],
+        topic,
+    )
