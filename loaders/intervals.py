@@ -16,7 +16,9 @@ from .runs import action_runs, actions_table, memberships_table
 from .scene_people import listed_keys, read_boxes, read_faces, read_groups, read_labels, read_located, track_spans
 from .segments import segments_table
 from .sightings import sightings_table
+from .ties import handles_table, interactions_table
 from .timeline import frames_table, sequence_table, timeline
+from .votes import chosen_values, demographics_table, group_info_table
 
 
 def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules) -> dict[str, pa.Table]:
@@ -29,12 +31,11 @@ def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules)
     line = timeline(sequence, tables["frames"], distinct_of(boxes.frame), tables["timestamps"])
     runs = action_runs(line, labels, rules)
     tracks, first, last = track_spans(tables)
+    demographics = demographics_table(sequence, tables["demographics"])
     persons = {
         "sequence": constant(sequence, len(tracks)),
         "track": tracks,
-        "gender": pa.nulls(len(tracks), pa.string()),
-        "age": pa.nulls(len(tracks), pa.string()),
-        "ethnicity": pa.nulls(len(tracks), pa.string()),
+        **{name: chosen_values(demographics, name, tracks) for name in ("gender", "age", "ethnicity")},
         "first_frame": first,
         "last_frame": last,
     }
@@ -48,6 +49,10 @@ def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules)
         "actions": actions_table(line, labels, runs),
         "memberships": memberships_table(line, groups, rules),
         "objects": objects_table(sequence, tables["panoptic"], tables["categories"], tables["handles"]),
+        "demographics": demographics,
+        "group_info": group_info_table(sequence, tables["group_info"], groups),
+        "interactions": interactions_table(line, tables["interactions"], boxes, rules),
+        "handles": handles_table(line, tables["handles"], tables["categories"], boxes, rules),
         "beside": beside_table(line, boxes, located, rules),
         "segments": segments_table(line, boxes, labels, runs, rules),
     }
