@@ -15,9 +15,9 @@ from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import INTERVALS
 from jrdb_avr.schema.things import PERSON_CATEGORIES
 
-from .columns import constant, ranked, texts
+from .columns import constant, person_keys, ranked, texts
 from .runs import Runs, find_runs, span_columns
-from .scene_people import HARD, UNREADABLE, Boxes
+from .scene_people import HARD, UNREADABLE, Boxes, rows_of
 from .timeline import Timeline
 
 Ints = npt.NDArray[np.int64]
@@ -26,7 +26,7 @@ Bools = npt.NDArray[np.bool_]
 
 def interactions_table(line: Timeline, table: pa.Table, boxes: Boxes, rules: LoadRules) -> pa.Table:
     """The interval table `interactions`, from the annotation table of that name."""
-    table = table.filter(pa.array(_both_there(table, boxes)))
+    table = table.filter(pa.array(_both_there(table, boxes.keys)))
     names, label = ranked(table["label"])
     frame, source, target = (_numbers(table, name) for name in ("frame", "track", "partner"))
     low, high = np.minimum(source, target), np.maximum(source, target)
@@ -48,9 +48,10 @@ def interactions_table(line: Timeline, table: pa.Table, boxes: Boxes, rules: Loa
     return pa.table(columns).cast(INTERVALS["interactions"])
 
 
-def absent_partners(table: pa.Table, boxes: Boxes) -> int:
+def absent_partners(table: pa.Table, boxes: pa.Table) -> int:
     """Rows of the annotation table `interactions` that give no fact, as one of the two has no 2D box in the frame."""
-    return int((~_both_there(table, boxes)).sum())
+    keys = person_keys(_numbers(boxes, "frame"), _numbers(boxes, "track"))
+    return int((~_both_there(table, keys)).sum())
 
 
 def handles_table(line: Timeline, table: pa.Table, categories: pa.Table, boxes: Boxes, rules: LoadRules) -> pa.Table:
@@ -81,10 +82,11 @@ def handles_table(line: Timeline, table: pa.Table, categories: pa.Table, boxes: 
     return pa.table(columns).cast(INTERVALS["handles"])
 
 
-def _both_there(table: pa.Table, boxes: Boxes) -> Bools:
-    """Rows whose two people have a 2D box in the frame."""
+def _both_there(table: pa.Table, keys: Ints) -> Bools:
+    """Rows whose two people have a 2D box in the frame; `keys` are those of the boxes, ascending."""
     frame, source, target = (_numbers(table, name) for name in ("frame", "track", "partner"))
-    return (boxes.rows(frame, source) >= 0) & (boxes.rows(frame, target) >= 0)
+    there = [rows_of(keys, person_keys(frame, track)) >= 0 for track in (source, target)]
+    return np.asarray(there[0] & there[1])
 
 
 def _runs(line: Timeline, layer: str, frame: Ints, fact: Ints, table: pa.Table, rules: LoadRules) -> Runs:
