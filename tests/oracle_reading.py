@@ -420,10 +420,10 @@ def read_social(value, every=False, reasoning=False):
         box = box_of(record.get("box"))
         if box is not None:
             found.boxes[frame, track] = box
-        for told in _objects(record.get("demographics_info")):
+        for told in _objects(record.get("demographics_info"), every):
             for key, attribute in TOLD.items():
                 _read_told(found, "demographics", here, attribute, told.get(key))
-        for told in _objects(record.get("group_info")):
+        for told in _objects(record.get("group_info"), every):
             for key, attribute in INFO.items():
                 _read_told(found, "group_info", here, attribute, told.get(key))
         _read_interactions(found, here, record, reasoning)
@@ -444,9 +444,10 @@ def _read_told(found, table, here, attribute, labels):
             found.add(table, **here, attribute=attribute, value=value, raw=name, difficulty=difficulty)
 
 
-def _objects(value):
-    """The objects of a list that should hold one object at most."""
-    return [item for item in value if isinstance(item, dict)] if isinstance(value, list) else []
+def _objects(value, every):
+    """The object of a list that should hold one at most: its first element."""
+    elements = value if isinstance(value, list) else []
+    return [item for item in (elements if every else elements[:1]) if isinstance(item, dict)]
 
 
 def told_values(attribute, name):
@@ -472,7 +473,9 @@ def _spelled(word):
 
 
 def _read_interactions(found, here, record, reasoning):
-    keys = [key for key in ("H-interaction", "HHI") if key in record]
+    # Two names of one list, and a null says no more than a key that is not there.
+    keys = [key for key in record if key in ("H-interaction", "HHI") and record[key] is not None]
+    keys = keys if found.every else keys[:1]
     whole_list = bool(keys) or reasoning
     for key in keys:
         entries = record[key]
@@ -491,7 +494,7 @@ def _read_interactions(found, here, record, reasoning):
 
 
 def _read_handles(found, here, record):
-    entries = record.get("HOI", [])
+    entries = [] if record.get("HOI") is None else record["HOI"]
     whole_list = isinstance(entries, list)
     for entry in entries if isinstance(entries, list) else ():
         pair = entry.get("pair") if isinstance(entry, dict) else None
@@ -601,14 +604,28 @@ def read_stamps(value, sensor, every=False):
     if not isinstance(value, dict) or not isinstance(value.get("data"), list):
         raise RefusedError('no list "data"')
     for record in value["data"]:
-        frame = whole(record.get("frame_id")) if isinstance(record, dict) else None
-        stamp = number(record.get("timestamp")) if isinstance(record, dict) else None
-        if frame is not None and 0 <= frame <= 999_999 and stamp is not None:
-            stamps.append((frame, stamp))
+        if isinstance(record, dict):
+            stamp = record.get("timestamp")
+            text = isinstance(stamp, str) and re.fullmatch(r"[0-9]{1,11}(\.[0-9]{1,20})?", stamp)
+            stamp = float(stamp) if text else number(stamp)
+            frames = [whole(record.get("frame_id")), *_frames_of_files(record)]
+            frames = [f for f in frames if f is not None and 0 <= f <= 999_999]
+            if stamp is not None:
+                stamps += [(frame, stamp) for frame in (frames if every else frames[:1])]
     for frame, stamp in found.keep(stamps):
         found.add("timestamps", sensor=sensor, frame=frame, timestamp=stamp)
     found.frames["timestamps"] = dict.fromkeys((frame for frame, _ in found.keep(stamps)), 1)
     return found
+
+
+def _frames_of_files(record):
+    """Frames by the names of the pictures or clouds of an entry."""
+    for key in ("cameras", "pointclouds"):
+        for item in record[key] if isinstance(record.get(key), list) else ():
+            url = item.get("url") if isinstance(item, dict) else None
+            match = re.fullmatch(r"(?:.*/)?([0-9]{6})\.[a-z]+", url, re.DOTALL) if isinstance(url, str) else None
+            if match:
+                yield int(match[1])
 
 
 READ = {

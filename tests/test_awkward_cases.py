@@ -1,0 +1,641 @@
+"""The awkward cases that real JRDB files contain, one test each: what the store, the graph and the report make of them.
+
+The numbers are those of the list of cases that the loaders are built after.
+"""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from worlds import VISIBLE, load_reported, member, person, person_3d, pose, thing, write_root
+
+from jrdb_avr.loaders.layers import find_root
+from jrdb_avr.loaders.load import Shard, load_shard
+from jrdb_avr.queries.handle import Graph
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.rules import LoadRules, Rules
+
+NAME = "yard-2020-01-01_0"
+BOX = (100, 60, 50, 200)
+
+
+def placed(track):
+    """A box of the person's own."""
+    return (100 * track + 10, 60, 50, 200)
+
+
+def walking(track, **more):
+    return person(track, placed(track), {"walking": 1}, (5, 1), **more)
+
+
+def loaded(tmp_path, **layers):
+    """The store without a graph, and the report, of one sequence; layers by their names, `boxes` for `2d`."""
+    layers = {{"boxes": "2d", "solid": "3d"}.get(name, name): content for name, content in layers.items()}
+    (files,) = find_root(write_root(tmp_path / "root", {NAME: layers})).sequences
+    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules())).report
+    return Store(tmp_path / "store"), report
+
+
+def graph_of(tmp_path, layers):
+    """The graph and the report of a world of one sequence."""
+    store, (report,) = load_reported(tmp_path, {NAME: layers})
+    return Graph.open(store.graph_path, read_only=True), report
+
+
+def column(store, kind, name):
+    return store.interval(kind, NAME)[name].to_pylist()
+
+
+def rows(store, kind, *names):
+    return [tuple(row[name] for name in names) for row in store.interval(kind, NAME).to_pylist()]
+
+
+def written(store, layer, *names):
+    return [tuple(row[name] for name in names) for row in store.annotation(layer, NAME).to_pylist()]
+
+
+def problems(report, word=""):
+    """Count, file, frame and field of the problems whose reason holds a word."""
+    return [(p.count, p.file, p.frame, p.field) for p in report.problems if word in p.reason]
+
+
+def test_case_01_file_id_disagrees_with_its_key(tmp_path):
+    store, report = loaded(tmp_path, boxes={0: [walking(1, file_id="000002.jpg")], 15: [walking(1)]})
+    assert column(store, "sightings", "frame") == [0, 15]
+    assert written(store, "boxes_2d", "frame", "file_id") == [(0, "000002.jpg"), (15, None)]
+    assert report.problems == []
+
+
+def trail(track, frame):
+    """Where somebody who walks round the robot is seen, and stands: a new column in every frame."""
+    turn = 0.02 * frame + 1.3 * track
+    x, y = 4 * math.cos(turn), 4 * math.sin(turn)
+    center = 3760 * (0.5 - math.atan2(y, x) / (2 * math.pi)) % 3760
+    return (round(center - 30, 1), 100, 60, 200), (x, y)
+
+
+@pytest.mark.parametrize("shift", [-2, -1, 1, 2])
+@pytest.mark.parametrize("layer", ["social", "reasoning"])
+def test_case_02_a_layer_with_another_numbering(tmp_path, layer, shift):
+    told = {"gender": {"Male": "1"}}
+    boxes = {f: [person(t, trail(t, f)[0], {"walking": 1}) for t in range(3)] for f in range(40)}
+
+    def shifted(by):
+        handles = [((1, 40), {"holding": "1"})] if layer == "reasoning" else None
+        talk = [(1, {"conversation": "1"})]
+        return {
+            f: [member(t, trail(t, f + by)[0], told, talk if t == 0 else [], handles=handles) for t in range(3)]
+            for f in range(40)
+        }
+
+    good, report = loaded(tmp_path / "good", boxes=boxes, **{layer: shifted(0)})
+    assert report.problems == []
+    assert column(good, "persons", "gender") == ["male"] * 3
+    store, report = loaded(tmp_path / "shifted", boxes=boxes, **{layer: shifted(shift)})
+    assert column(store, "persons", "gender") == [None] * 3
+    for kind in ("interactions", "handles", "demographics"):
+        assert store.interval(kind, NAME).num_rows == 0
+    ((kind, count, file),) = [(p.kind, p.count, p.file) for p in report.problems]
+    assert (kind, count, file) == ("file", 1, f"{NAME}.json")
+    assert column(store, "sequence", "layers") == [["2d", "actions"]]
+    assert store.interval("sightings", NAME).num_rows == 120
+
+
+@pytest.mark.parametrize("shift", [-2, -1, 1, 2])
+def test_case_02_3d_boxes_with_another_numbering(tmp_path, shift):
+    boxes = {f: [person(t, trail(t, f)[0], {"walking": 1}) for t in range(3)] for f in range(60)}
+
+    def shifted(by):
+        return {f: [person_3d(t, *trail(t, f + by)[1]) for t in range(3)] for f in range(60)}
+
+    good, report = loaded(tmp_path / "good", boxes=boxes, solid=shifted(0))
+    assert all(column(good, "sightings", "located")) and report.problems == []
+    store, report = loaded(tmp_path / "shifted", boxes=boxes, solid=shifted(shift))
+    assert not any(column(store, "sightings", "located"))
+    assert [(p.kind, p.count) for p in report.problems] == [("file", 1)]
+    assert column(store, "sequence", "layers") == [["2d", "actions"]]
+
+
+def test_case_03_occlusion_and_truncation_missing(tmp_path):
+    bare = {"interpolated": False, "no_eval": False}
+    store, report = loaded(tmp_path, boxes={0: [walking(1), walking(2, attributes=bare)]})
+    assert rows(store, "sightings", "track", "occlusion", "clear") == [(1, "Fully_visible", True), (2, None, False)]
+    assert written(store, "boxes_2d", "truncated") == [(False,), (None,)]
+    assert report.problems == []
+
+
+def test_case_04_truncation_in_four_forms(tmp_path):
+    forms = ["true", True, None, "False"]
+    people = [walking(i, attributes=VISIBLE | {"truncated": form}) for i, form in enumerate(forms)]
+    store, report = loaded(tmp_path, boxes={0: people})
+    assert written(store, "boxes_2d", "truncated") == [(True,), (True,), (None,), (False,)]
+    assert report.problems == []
+
+
+def test_case_05_difficulty_as_number_or_text(tmp_path):
+    codes = [1, 1.0, "1", 4, "easy"]
+    people = [person(i, placed(i), {"walking": code}) for i, code in enumerate(codes)]
+    told = [member(i, placed(i), {"gender": {"Male": code}}) for i, code in enumerate(codes)]
+    store, report = loaded(tmp_path, boxes={0: people}, social={0: told})
+    assert written(store, "actions", "difficulty") == [(1,), (1,), (1,), (None,), (None,)]
+    assert written(store, "demographics", "difficulty") == [(1,), (1,), (1,), (None,), (None,)]
+    assert column(store, "sightings", "pose") == ["walking"] * 3 + [None] * 2
+    assert column(store, "persons", "gender") == ["male"] * 3 + [None] * 2
+    assert sum(p.count for p in report.problems) == 4
+
+
+def test_case_06_empty_lists(tmp_path):
+    store, report = loaded(
+        tmp_path,
+        boxes={0: [walking(1), walking(2), walking(3)]},
+        social={0: [member(1, placed(1), [], [], []), member(2, placed(2), [], None, [])]},
+    )
+    for kind in ("demographics", "interactions", "group_info", "handles"):
+        assert store.interval(kind, NAME).num_rows == 0
+    # An empty list says that there are none; a missing key, or a missing record, says nothing.
+    assert column(store, "sightings", "interactions_listed") == [True, False, False]
+    assert column(store, "sightings", "handles_listed") == [False, False, False]
+    assert report.problems == []
+
+
+def test_case_07_no_actions_or_an_impossible_one(tmp_path):
+    empty = [person(1, placed(1), {}), person(2, placed(2)), person(3, placed(3), {"impossible": 1})]
+    graph, report = graph_of(tmp_path, {"2d": {0: [*empty, walking(4)]}})
+    with graph:
+        seen = graph.query("MATCH (p:Person)-[s:SeenIn]->() RETURN p.track, s.listed, s.pose ORDER BY p.track")
+        assert [tuple(row.values()) for row in seen.to_pylist()] == [
+            (1, False, None),
+            (2, False, None),
+            (3, False, None),
+            (4, True, "walking"),
+        ]
+        assert graph.query("MATCH ()-[r:Performs]->(a) RETURN a.name")["a.name"].to_pylist() == ["walking"]
+        assert graph.query("MATCH (a:Action) WHERE a.name = 'impossible' RETURN a.name").num_rows == 0
+    assert report.problems == []
+
+
+def test_case_08_no_pose_or_two(tmp_path):
+    people = [
+        person(1, placed(1), {"talking to someone": 1}),
+        person(2, placed(2), {"bending": 1, "standing": 1}),
+        person(3, placed(3), {"sitting": 2, "holding sth": 1}),
+    ]
+    store, report = loaded(tmp_path, boxes={0: people})
+    assert column(store, "sightings", "pose") == [None, None, "sitting"]
+    assert rows(store, "actions", "track", "action", "certain") == [
+        (1, "talking to someone", True),
+        (2, "bending", False),
+        (2, "standing", False),
+        (3, "holding sth", True),
+        (3, "sitting", True),
+    ]
+    assert report.problems == []
+
+
+def test_case_09_spelling_variants(tmp_path):
+    doors = {"opening the door": 1, "Pushing_the-door": 1, "looking at something": 1, "juggling balls": 1}
+    told = {"gender": {"Male": "1"}, "age": {"young-adulthood": "1"}}
+    talk = [(2, {"standing together together": "1", "looking_at something together": "1", "fencing": "1"})]
+    info = {"venue": {"indoor:room/class": "1"}, "SSC": {"food-truck": "1"}, "aim": {"socializing&commuting": "1"}}
+    store, report = loaded(
+        tmp_path,
+        boxes={0: [person(1, placed(1), doors, (5, 1)), person(2, placed(2), {"walking": 1}, (5, 1))]},
+        social={0: [member(1, placed(1), told, talk, info), member(2, placed(2))]},
+    )
+    actions = {action for track, action in rows(store, "actions", "track", "action") if track == 1}
+    assert actions == {"interaction with door", "looking at sth", "juggling balls"}
+    assert {label for (label,) in rows(store, "interactions", "label")} == {
+        "standing together",
+        "looking at sth together",
+        "fencing",
+    }
+    assert column(store, "persons", "age")[0] == "young adulthood"
+    assert rows(store, "group_info", "attribute", "value") == [
+        ("aim", "commuting"),
+        ("aim", "socializing"),
+        ("ssc", "food_truck"),
+        ("venue", "indoor_room/class"),
+    ]
+    assert sorted(label.label for label in report.unknown_labels) == ["fencing", "juggling balls"]
+    assert report.problems == []
+
+
+def test_case_10_person_zero(tmp_path):
+    graph, report = graph_of(
+        tmp_path,
+        {
+            "2d": {0: [person(0, placed(0), {"sitting": 1}, (0, 1)), person(1, placed(1), {"sitting": 1}, (0, 1))]},
+            "3d": {0: [person_3d(0, 3.0, 0.0)]},
+            "reasoning": {
+                0: [
+                    member(0, placed(0), {"gender": {"Female": "1"}}, handles=[((0, 40), {"holding": "1"})]),
+                    member(1, placed(1), None, [(0, {"conversation": "1"})], alias="HHI"),
+                ]
+            },
+            "pose": {0: [pose(0)]},
+            "panoptic": {0: [thing(0, 40)]},
+        },
+    )
+    with graph:
+        found = graph.query(
+            "MATCH (f)<-[s:SeenIn]-(p:Person {track: 0})-[:Handles]->(o:Object), (p)-[:Interacts]->(q:Person), "
+            "(p)-[:MemberOf]->(g:SocialGroup) "
+            "RETURN p.gender, o.track, o.category, q.track, s.pose, s.located, s.face_visible, s.group_size, g.cluster"
+        ).to_pylist()
+        assert [tuple(row.values()) for row in found] == [("female", 0, "accessory", 1, "sitting", True, True, 2, 0)]
+    assert report.problems == []
+
+
+def test_case_11_label_ids_of_others(tmp_path):
+    others = [walking(1) | {"label_id": label} for label in ("person:-1", "pedestrian:-1", "car:2", "dog")]
+    store, report = loaded(
+        tmp_path,
+        boxes={0: [walking(1), *others]},
+        solid={0: [person_3d(1, 3.0, 0.0), person_3d(1, 3.0, 0.0) | {"label_id": "person:-1"}]},
+        social={0: [member(1, placed(1), {"gender": {"Male": "1"}}), member(1, placed(1)) | {"label_id": "car:1"}]},
+    )
+    assert rows(store, "persons", "track", "gender") == [(1, "male")]
+    assert rows(store, "sightings", "track", "located") == [(1, True)]
+    assert sum(p.count for p in report.problems if p.field == "label_id") == 6
+
+
+def test_case_12_the_same_person_twice(tmp_path):
+    store, report = loaded(
+        tmp_path,
+        boxes={0: [walking(1), walking(1, box=[900, 60, 50, 200])]},
+        solid={0: [person_3d(1, 3.0, 0.0), person_3d(1, 9.0, 0.0)]},
+        social={
+            0: [member(1, placed(1), {"gender": {"Male": "1"}}), member(1, placed(1), {"gender": {"Female": "1"}})]
+        },
+        pose={0: [pose(1, visibility=2), pose(1, visibility=0)]},
+        panoptic={0: [thing(1, 40, box=(1, 2, 3, 4)), thing(1, 40, box=(5, 6, 7, 8))]},
+    )
+    assert rows(store, "sightings", "x", "cx", "face_visible") == [(placed(1)[0], 3.0, True)]
+    assert rows(store, "demographics", "value", "votes") == [("male", 1)]
+    assert written(store, "panoptic", "object", "x") == [(1, 1.0)]
+    assert len(problems(report, "twice")) == 5
+
+
+def test_case_13_2d_without_3d_and_the_reverse(tmp_path):
+    store, report = loaded(
+        tmp_path, boxes={0: [walking(1), walking(2)]}, solid={0: [person_3d(2, 3.0, 0.0), person_3d(3, 4.0, 0.0)]}
+    )
+    assert column(store, "persons", "track") == [1, 2, 3]
+    assert rows(store, "sightings", "track", "located", "distance") == [(1, False, None), (2, True, 3.0)]
+    assert report.problems == []
+
+
+def test_case_14_a_frame_in_one_file_only(tmp_path):
+    store, report = loaded(
+        tmp_path,
+        boxes={f: [walking(1)] for f in range(3)},
+        solid={f: [person_3d(1, 3.0, 0.0)] for f in range(1, 5)},
+        pose={f: [pose(1)] for f in range(2)},
+        panoptic={0: [thing(1, 40)], 15: [thing(1, 40)]},
+        social={6: [member(1, placed(1), {"gender": {"Male": "1"}})]},
+    )
+    assert rows(store, "frames", "frame", "annotated") == [(f, f < 3) for f in (0, 1, 2, 3, 4, 6, 15)]
+    assert rows(store, "sightings", "frame", "face_visible") == [(0, True), (1, True), (2, None)]
+    assert rows(store, "persons", "first_frame", "last_frame", "gender") == [(0, 4, "male")]
+    assert report.problems == []
+
+
+def test_case_15_an_empty_frame_is_not_an_unannotated_one(tmp_path):
+    store, report = loaded(
+        tmp_path, boxes={0: [walking(1)], 15: [], 30: [walking(1)]}, panoptic={0: [], 15: [thing(1, 40)], 45: []}
+    )
+    assert rows(store, "frames", "frame", "annotated") == [(0, True), (15, True), (30, True), (45, False)]
+    assert [f for layer, f in written(store, "frames", "layer", "frame") if layer == "panoptic"] == [0, 15, 45]
+    assert report.problems == []
+
+
+def test_case_16_a_box_over_the_seam(tmp_path):
+    people = [person(1, (-20, 60, 50, 200)), person(2, (3740, 60, 50, 200)), person(3, (100, -5, 50, 200))]
+    store, report = loaded(tmp_path, boxes={0: people})
+    assert rows(store, "sightings", "x", "clear") == [(-20.0, True), (3740.0, True), (100.0, False)]
+    # Both centres lie 5 columns right of the seam, straight behind the robot.
+    angles = column(store, "sightings", "angle")
+    assert angles[0] == pytest.approx(5 / 3760 * 360) and angles[1] == pytest.approx(5 / 3760 * 360)
+    assert column(store, "sightings", "sector")[:2] == ["behind", "behind"]
+    assert report.problems == []
+
+
+def test_case_17_a_sliver_at_the_seam(tmp_path):
+    store, report = loaded(tmp_path, boxes={0: [person(1, (3755, 60, 5, 200)), person(2, (0, 60, 11.9, 200))]})
+    assert rows(store, "sightings", "track", "w", "clear") == [(1, 5.0, False), (2, 11.9, False)]
+    assert report.problems == []
+
+
+def test_case_18_boxes_without_area(tmp_path):
+    flat = [person(2, (1, 1, 0, 50)), person(3, (1, 1, 50, -5))]
+    store, report = loaded(tmp_path, boxes={0: [walking(1), *flat], 15: [walking(1)]})
+    assert rows(store, "sightings", "frame", "track") == [(0, 1), (15, 1)]
+    assert problems(report, "box") == [(2, f"{NAME}.json", "000000.jpg", "box")]
+
+
+def test_case_19_fully_occluded(tmp_path):
+    people = [walking(i, attributes=VISIBLE | {"occlusion": word}) for i, word in enumerate(OCCLUSIONS)]
+    store, report = loaded(tmp_path, boxes={0: people})
+    assert rows(store, "sightings", "occlusion", "clear") == list(
+        zip(OCCLUSIONS, (True, True, False, False), strict=True)
+    )
+    assert report.problems == []
+
+
+OCCLUSIONS = ("Fully_visible", "Mostly_visible", "Severely_occluded", "Fully_occluded")
+
+
+def test_case_20_interpolated_3d_boxes_count(tmp_path):
+    solid = person_3d(1, 3.0, 0.0)
+    assert solid["attributes"]["interpolated"] is True
+    store, _ = loaded(tmp_path, boxes={0: [walking(1)]}, solid={0: [solid]})
+    assert column(store, "sightings", "located") == [True]
+    assert written(store, "boxes_3d", "interpolated") == [(True,)]
+
+
+def test_case_21_3d_boxes_without_points(tmp_path):
+    people = [walking(1), walking(2), walking(3)]
+    solid = [person_3d(1, 3.0, 0.0, points=0), person_3d(2, 3.0, 1.0, points=None), person_3d(3, 3.0, 2.0, points=1)]
+    store, report = loaded(tmp_path, boxes={0: people}, solid={0: solid})
+    assert rows(store, "sightings", "located", "cx") == [(False, None), (False, None), (True, 3.0)]
+    assert [label for (label,) in rows(store, "beside", "label") if "robot view" not in label] == []
+    assert report.problems == []
+
+
+def test_case_22_no_eval(tmp_path):
+    skipped = walking(2, attributes=VISIBLE | {"no_eval": True})
+    graph, report = graph_of(tmp_path, {"2d": {0: [walking(1), skipped]}})
+    with graph:
+        seen = graph.query("MATCH (p)-[s:SeenIn]->() RETURN p.track, s.no_eval, s.clear, s.pose ORDER BY p.track")
+        assert [tuple(row.values()) for row in seen.to_pylist()] == [
+            (1, False, True, "walking"),
+            (2, True, False, "walking"),
+        ]
+    assert report.problems == []
+
+
+def test_case_23_rot_z_beyond_pi(tmp_path):
+    turns = (3.509, -2.171, 3.509 + 2 * math.pi, math.pi / 2)
+    solid = [person_3d(i, 3.0, 0.0) for i in range(4)]
+    for record, rot_z in zip(solid, turns, strict=True):
+        record["box"]["rot_z"] = rot_z
+    store, report = loaded(tmp_path, boxes={0: [walking(i) for i in range(4)]}, solid={0: solid})
+    headings = column(store, "sightings", "heading")
+    assert headings == pytest.approx([math.pi - 3.509, math.pi + 2.171 - 2 * math.pi, math.pi - 3.509, math.pi / 2])
+    assert report.problems == []
+
+
+def test_case_24_distance_missing(tmp_path):
+    gone = person_3d(2, 3.0, 4.0)
+    del gone["attributes"]["distance"]
+    solid = [person_3d(1, 3.0, 4.0, distance=None), gone, person_3d(3, 3.0, 4.0, distance=6.5)]
+    store, report = loaded(tmp_path, boxes={0: [walking(i) for i in (1, 2, 3)]}, solid={0: solid})
+    assert column(store, "sightings", "distance") == [5.0, 5.0, 6.5]
+    assert report.problems == []
+
+
+def test_case_25_clusters_change_and_are_reused(tmp_path):
+    def here(frame):
+        first, second = (7, 8) if frame < 30 else (9, 7)
+        return [person(t, placed(t), {"standing": 1}, (c, 1)) for t, c in ((1, first), (2, first), (3, second))]
+
+    graph, report = graph_of(tmp_path, {"2d": {f: here(f) for f in range(60)}})
+    with graph:
+        found = graph.query(
+            "MATCH (p)-[m:MemberOf]->(g) RETURN p.track, g.cluster, m.first, m.last ORDER BY p.track, m.first"
+        )
+        assert [tuple(row.values()) for row in found.to_pylist()] == [
+            (1, 7, 0, 29),
+            (1, 9, 30, 59),
+            (2, 7, 0, 29),
+            (2, 9, 30, 59),
+            (3, 8, 0, 29),
+            (3, 7, 30, 59),
+        ]
+        sizes = graph.query(
+            "MATCH (p)-[s:SeenIn]->() WHERE s.frame IN [0, 59] RETURN p.track, s.group_size ORDER BY s.frame, p.track"
+        )
+        # Alone in one's cluster is a group of one: no group.
+        assert [tuple(row.values()) for row in sizes.to_pylist()] == [(1, 2), (2, 2), (3, 1)] * 2
+    assert report.problems == []
+
+
+def test_case_26_tracks_with_gaps(tmp_path):
+    frames = [f for f in range(60) if not 20 <= f < 25 and not 40 <= f < 55]
+    store, report = loaded(tmp_path, boxes={f: [walking(1)] if f in frames else [] for f in range(60)})
+    assert column(store, "sightings", "frame") == frames
+    # A short gap is unknown, a long one is an end.
+    assert rows(store, "actions", "first", "last", "certain", "gap") == [
+        (0, 19, True, False),
+        (20, 24, False, True),
+        (25, 39, True, False),
+        (55, 59, True, False),
+    ]
+    assert report.problems == []
+
+
+def test_case_27_short_tracks_give_no_question_of_change(tmp_path):
+    from jrdb_avr.engine.generate import generate
+
+    def here(frame):
+        someone = person(1, (100, 60, 50, 200), {"walking" if frame < 150 else "sitting": 1}, (1, 1))
+        other = person(2, (900, 60, 50, 200), {"standing": 1}, (2, 1))
+        passing = [person(3, (1800, 60, 50, 200), {"bending": 1}, (3, 1))] if frame == 90 else []
+        return [someone, other, *passing]
+
+    store, _ = load_reported(tmp_path, {NAME: {"2d": {f: here(f) for f in range(300)}}})
+    generate(store, Rules(), workers=1)
+    import pyarrow.parquet as pq
+
+    answers = pq.read_table(store.path / "questions" / "answers.parquet").to_pylist()
+    questions = pq.read_table(store.path / "questions" / "questions.parquet").to_pylist()
+    asked = {row["question_id"]: row["template"] for row in questions}
+    targets = {(row["target_track"], asked[row["question_id"]]) for row in answers}
+    assert (1, "change") in targets
+    assert not {template for track, template in targets if track == 3} & {"change", "start", "span", "later_pose"}
+
+
+def test_case_28_groups_and_actions_are_independent(tmp_path):
+    store, report = loaded(
+        tmp_path, boxes={0: [person(1, placed(1), None, (5, 1)), person(2, placed(2), {"walking": 1}, None)]}
+    )
+    assert rows(store, "sightings", "track", "pose", "cluster") == [(1, None, 5), (2, "walking", None)]
+    assert rows(store, "memberships", "track", "cluster") == [(1, 5)]
+    assert rows(store, "actions", "track", "action") == [(2, "walking")]
+    assert report.problems == []
+
+
+def test_case_29_one_sided_and_repeated_interactions(tmp_path):
+    talk = [(2, {"conversation": "3"}), (2, {"conversation": "1"}), (3, {"hugging": "3"}), (9, {"hugging": "1"})]
+    graph, report = graph_of(
+        tmp_path,
+        {
+            "2d": {0: [walking(1), walking(2), walking(3)]},
+            "social": {0: [member(1, placed(1), None, talk), member(2, placed(2), None, [])]},
+        },
+    )
+    with graph:
+        found = graph.query(
+            "MATCH (a)-[r:Interacts]->(b) RETURN a.track, b.track, r.label, r.certain ORDER BY a.track, b.track"
+        )
+        assert [tuple(row.values()) for row in found.to_pylist()] == [
+            (1, 2, "conversation", True),
+            (1, 3, "hugging", False),
+            (2, 1, "conversation", True),
+            (3, 1, "hugging", False),
+        ]
+        listed = graph.query("MATCH (p)-[s:SeenIn]->() RETURN p.track, s.interactions_listed ORDER BY p.track")
+        assert [tuple(row.values()) for row in listed.to_pylist()] == [(1, True), (2, True), (3, False)]
+    # The partner who is not there is counted, and is no person.
+    assert sum(p.count for p in report.problems) == 1
+
+
+def test_case_29_nobody_interacts_with_oneself(tmp_path):
+    store, report = loaded(
+        tmp_path, boxes={0: [walking(1)]}, social={0: [member(1, placed(1), None, [(1, {"hugging": "1"})])]}
+    )
+    assert store.interval("interactions", NAME).num_rows == 0
+    assert column(store, "sightings", "interactions_listed") == [False]
+    assert sum(p.count for p in report.problems) == 1
+
+
+def test_case_30_members_disagree_on_their_group(tmp_path):
+    said = ({"indoor_room/class": "1"}, {"indoor_room/class": "2"}, {"outdoor_street": "1"}, {"outdoor_street": "3"})
+    people = [person(i, placed(i), {"sitting": 1}, (5, 1)) for i in range(4)]
+    told = [member(i, placed(i), info={"venue": venue, "aim": {"wandering": "1"}}) for i, venue in enumerate(said)]
+    graph, report = graph_of(tmp_path, {"2d": {0: people}, "social": {0: told}})
+    with graph:
+        found = graph.query("MATCH (g:SocialGroup) RETURN g.cluster, g.venue, g.aim, g.ssc").to_pylist()
+        assert [tuple(row.values()) for row in found] == [(5, "indoor_room/class", ["wandering"], [])]
+    assert rows(Store(tmp_path / "store"), "group_info", "attribute", "value", "votes", "chosen") == [
+        ("aim", "wandering", 4, True),
+        ("venue", "indoor_room/class", 2, True),
+        ("venue", "outdoor_street", 1, False),
+    ]
+    assert len(report.problems) == 1
+
+
+def test_case_31_poses_reach_over_the_whole_panorama(tmp_path):
+    store, report = loaded(tmp_path, boxes={0: [walking(1)]}, pose={0: [pose(1, x=3000.0)]})
+    ((points,),) = written(store, "poses", "keypoints")
+    assert points[:3] == [3000.0, 100.0, 2.0] and len(points) == 51
+    assert column(store, "sightings", "face_visible") == [True]
+    assert report.problems == []
+
+
+def test_case_32_poses_join_by_file_name(tmp_path):
+    """Image numbers that say frame + 2, that run backwards, and that say nothing."""
+    names = {17: 15, 2: 0, 5: 30}
+    images = [{"id": i, "width": 752, "file_name": f"image_stitched/x/{f:06d}.jpg"} for i, f in names.items()]
+    annotations = [{"id": i, "image_id": i, **pose(i)} for i in names]
+    file = {"images": images, "annotations": annotations, "categories": [{"id": 1, "name": "person"}]}
+    store, report = loaded(tmp_path, boxes={f: [walking(1)] for f in (0, 15, 30)}, pose=file)
+    assert written(store, "poses", "frame", "track") == [(0, 2), (15, 17), (30, 5)]
+    assert report.problems == []
+
+
+def test_case_33_panoptic_ids_under_three_names(tmp_path):
+    things = [
+        thing(1, 40),
+        thing(1, 71, where="attributes.tracking_id"),
+        thing(2, 71, where="attributes.floor_id"),
+        thing(None, 4),
+        thing(5, 63),
+        thing(6, 900),
+    ]
+    categories = {40: "T_Accessory", 71: "DOOR", 4: "m_wall", 63: "pedestrian", 900: "teapot"}
+    images = [{"id": 9, "file_name": "image_stitched/x/000015.jpg", "width": 3760, "height": 480}]
+    file = {
+        "images": images,
+        "annotations": [{"id": i, "image_id": 9} | record for i, record in enumerate(things)],
+        "categories": [{"id": i, "name": name} for i, name in categories.items()],
+    }
+    graph, report = graph_of(tmp_path, {"2d": {15: [walking(5)]}, "panoptic": file})
+    with graph:
+        found = graph.query("MATCH (o:Object) RETURN o.category_id, o.track, o.category ORDER BY o.id")
+        # The person of the panoptic layer is tracked by the boxes, and is no thing.
+        assert sorted(tuple(row.values()) for row in found.to_pylist()) == sorted(
+            [(40, 1, "accessory"), (71, 1, "door"), (71, 2, "door"), (900, 6, None)]
+        )
+    assert [label.label for label in report.unknown_labels] == ["teapot"]
+    assert report.problems == []
+
+
+@pytest.mark.parametrize("labels_level", [True, False])
+@pytest.mark.parametrize(
+    "names",
+    [
+        {},
+        {
+            "social": "labels_2d_social",
+            "pose": "pose_stitched",
+            "reasoning": "labels_2d_stitched_test_new_version1",
+            "panoptic": "labels_2d_panoptic_stitched_OW",
+        },
+        {"panoptic": "labels_2d_panoptic_stitched_CW_wo5s"},
+    ],
+)
+def test_case_34_directories_have_several_names(tmp_path, labels_level, names):
+    from worlds import FOLDERS
+
+    layers = {
+        "2d": {0: [walking(1)]},
+        "3d": {0: [person_3d(1, 3.0, 0.0)]},
+        "social": {0: [member(1, placed(1), {"gender": {"Male": "1"}})]},
+        "reasoning": {0: [member(1, placed(1), handles=[((1, 40), {"holding": "1"})])]},
+        "pose": {0: [pose(1)]},
+        "panoptic": {0: [thing(1, 40)]},
+    }
+    root = write_root(tmp_path / "root", {NAME: layers}, labels_level, FOLDERS | names)
+    (files,) = find_root(root).sequences
+    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules())).report
+    store = Store(tmp_path / "store")
+    assert rows(store, "sightings", "located", "face_visible", "handles_listed") == [(True, True, True)]
+    assert column(store, "persons", "gender") == ["male"]
+    assert rows(store, "objects", "category", "first_frame") == [("accessory", 0)]
+    assert report.problems == []
+
+
+def test_case_35_frames_are_counted_as_they_lie_on_disk(tmp_path):
+    """bytes-cafe has 1,727 frames by the published constants, and 1,726 in the files."""
+    name = "bytes-cafe-2019-02-07_0"
+    root = write_root(tmp_path / "root", {name: {"2d": {0: [walking(1)], 1725: [walking(1)]}}})
+    (files,) = find_root(root).sequences
+    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules())).report
+    assert Store(tmp_path / "store").interval("sequence", name)["frame_count"].to_pylist() == [1726]
+    assert report.frames == 2
+
+
+@pytest.mark.parametrize("layer", ["social", "reasoning"])
+@pytest.mark.parametrize("alias", ["HHI", "H-interaction"])
+def test_case_36_hhi_is_h_interaction(tmp_path, layer, alias):
+    told = [member(1, placed(1), None, [(2, {"conversation": "1"})], alias=alias), member(2, placed(2))]
+    store, report = loaded(tmp_path, boxes={0: [walking(1), walking(2)]}, **{layer: {0: told}})
+    assert rows(store, "interactions", "source", "target", "label") == [(1, 2, "conversation"), (2, 1, "conversation")]
+    # Absent means empty in a reasoning file alone.
+    assert column(store, "sightings", "interactions_listed") == [True, layer == "reasoning"]
+    assert report.problems == []
+
+
+def test_case_37_demographics_that_change(tmp_path):
+    said = {
+        1: [{"Male": "1"}] * 3 + [{"Female": "1"}] * 2,
+        2: [{"Male": "1"}] * 2 + [{"Female": "2"}] * 2 + [{"Male": "3"}],
+        3: [{"impossible": "1"}] * 4 + [{"Female": "1"}],
+    }
+    store, report = loaded(
+        tmp_path,
+        boxes={f: [walking(t) for t in said] for f in range(5)},
+        social={f: [member(t, placed(t), {"gender": said[t][f]}) for t in said] for f in range(5)},
+    )
+    assert column(store, "persons", "gender") == ["male", None, "female"]
+    assert rows(store, "demographics", "track", "value", "votes", "chosen") == [
+        (1, "female", 2, False),
+        (1, "male", 3, True),
+        (2, "female", 2, False),
+        (2, "male", 2, False),
+        (3, "female", 1, True),
+    ]
+    # People 1 and 2 are reported.
+    assert sum(p.count for p in report.problems) == 2
