@@ -661,8 +661,8 @@ def read_root(root, sequence):
         path = root / "timestamps" / sequence / name
         if path.exists():
             files[sensor] = read(sensor, path.read_bytes())
-    if "social" in files and "reasoning" in files:
-        # Where both are usable, the social file has the word on everything but handles.
+    if "reasoning" in files and any(files["social"].frames.values() if "social" in files else ()):
+        # Where both say something, the social file has the word on everything but handles.
         second = files["reasoning"]
         second.tables = {"handles": second.rows("handles"), "listed": second.rows("listed")}
         second.tables["listed"] = [row for row in second.rows("listed") if row["layer"] == "handles"]
