@@ -1,0 +1,407 @@
+"""The pose layer: what is kept of a keypoint file, what is refused, and what follows from it."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import math
+import random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pycocotools.coco import COCO
+from worlds import coco_file, person, pose
+
+from jrdb_avr.loaders import coco, labelfile
+from jrdb_avr.loaders.boxes2d import load_2d
+from jrdb_avr.loaders.intervals import derive
+from jrdb_avr.loaders.pose import load_pose
+from jrdb_avr.loaders.problems import Problems
+from jrdb_avr.schema.errors import InputError
+from jrdb_avr.schema.rules import LoadRules
+from jrdb_avr.schema.tables import ANNOTATIONS
+
+NAME = "yard-2020-01-01_0"
+POINTS = [value for i in range(17) for value in (100.0 + i, 200.0 + i, i % 3)]
+
+
+def read(folder, content):
+    """Rows {(frame, track): keypoints}, frames {frame: records} and problems of a pose file."""
+    path = folder / f"{NAME}.json"
+    path.write_bytes(content if isinstance(content, bytes) else json.dumps(content).encode())
+    problems = Problems(path.name)
+    reading = load_pose(path, NAME, problems)
+    table = reading.tables["poses"]
+    assert table.schema == ANNOTATIONS["poses"]
+    rows = [((row["frame"], row["track"]), row["keypoints"]) for row in table.to_pylist()]
+    assert rows == sorted(rows), "by frame and track"
+    frames = dict(zip(*(column.tolist() for column in reading.frames["pose"]), strict=True))
+    return dict(rows), frames, problems.listed()
+
+
+def found(problems):
+    return [(p.kind, p.reason, p.count, p.frame, p.field) for p in problems]
+
+
+def image(number, frame, folder=f"image_stitched/{NAME}/", **more):
+    return {"id": number, "file_name": f"{folder}{frame:06d}.jpg", "width": 752, "height": 480} | more
+
+
+def annotation(number, image_id, track, **more):
+    record = {"id": number, "image_id": image_id, "track_id": track, "category_id": 1, "keypoints": POINTS}
+    return {key: value for key, value in (record | more).items() if value is not ...}
+
+
+def a_file(*annotations, images=None):
+    """A file of the frames 0 and 15, with person 1 in both."""
+    good = [annotation(1, 10, 1), annotation(2, 20, 1)]
+    return {"images": images or [image(10, 0), image(20, 15)], "annotations": [*good, *annotations], "categories": []}
+
+
+GOOD = {(0, 1): POINTS, (15, 1): POINTS}
+
+
+def test_keypoints_are_kept_as_written(tmp_path):
+    rows, frames, problems = read(tmp_path, a_file(annotation(3, 20, 0, keypoints=[-7.25, 3800.5, 2, *POINTS[3:]])))
+    assert rows == GOOD | {(15, 0): [-7.25, 3800.5, 2.0, *POINTS[3:]]}  # a person 0, beyond both edges
+    assert frames == {0: 1, 15: 2}
+    assert problems == []
+
+
+def test_case_14_and_15_frames_are_those_of_the_images(tmp_path):
+    """The last frame is missing here, and frame 15 shows nobody: it is known all the same."""
+    rows, frames, problems = read(tmp_path, coco_file({0: [pose(1)], 15: []}, "pose"))
+    assert list(rows) == [(0, 1)]
+    assert frames == {0: 1, 15: 0}
+    assert problems == []
+
+
+def test_case_31_the_width_of_another_camera_is_ignored(tmp_path):
+    wide = [value for i in range(17) for value in (3000.0 + 40 * i, 100.0, 2)]
+    images = [image(10, 0, width=752), image(20, 15, width="?", height=None)]
+    rows, _, problems = read(tmp_path, a_file(annotation(3, 10, 5, keypoints=wide), images=images))
+    assert rows[0, 5] == wide
+    assert problems == []
+
+
+def test_case_32_images_are_joined_by_file_name_not_by_number(tmp_path):
+    """The numbers are those of other frames here: any arithmetic on them gives a wrong frame."""
+    images = [image(16, 0), image(1, 15), image(0, 30)]
+    content = {"images": images, "annotations": [annotation(i, i, i + 1) for i in (0, 1, 16)]}
+    rows, frames, problems = read(tmp_path, content)
+    assert list(rows) == [(0, 17), (15, 2), (30, 1)]
+    assert list(frames) == [0, 15, 30]
+    assert problems == []
+
+
+@pytest.mark.parametrize("folder", ["", "image_stitched/", f"x\\{NAME}\\", f"/data/train/{NAME}/", "yard/"])
+def test_the_folder_of_an_image_says_nothing_unless_it_is_another_sequence(tmp_path, folder):
+    images = [image(10, 0, folder), image(20, 15, folder)]
+    assert read(tmp_path, a_file(images=images)) == (GOOD, {0: 1, 15: 1}, [])
+
+
+def by_coco_tools(path):
+    """The same file read by the tools of the COCO project."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        tools = COCO(str(path))
+    frame_of = {i: int(item["file_name"][-10:-4]) for i, item in tools.imgs.items()}
+    return {(frame_of[a["image_id"]], a["track_id"]): a["keypoints"] for a in tools.loadAnns(tools.getAnnIds())}
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_the_coco_projects_own_tools_read_the_same(tmp_path_factory, seed):
+    rng = random.Random(seed)
+    frames = rng.sample(range(2000), rng.randrange(1, 8))
+    numbers = rng.sample(range(-5, 10**6), len(frames))
+    images = [image(n, frame) for n, frame in zip(numbers, frames, strict=True)]
+    people = [(n, track) for n in numbers for track in rng.sample(range(50), rng.randrange(6))]
+    rng.shuffle(people)
+
+    def points():
+        return [v for _ in range(17) for v in (round(rng.uniform(-50, 3900), 2), rng.randrange(480), rng.randrange(3))]
+
+    annotations = [annotation(i, *pair, keypoints=points()) for i, pair in enumerate(people)]
+    folder = tmp_path_factory.mktemp("coco")
+    rows, known, problems = read(folder, {"images": images, "annotations": annotations, "categories": []})
+    assert rows == by_coco_tools(folder / f"{NAME}.json")
+    assert known == {frame: sum(key[0] == frame for key in rows) for frame in frames}
+    assert problems == []
+
+
+# -- what is refused -----------------------------------------------------------------------------------------------
+
+
+BAD_KEYPOINTS = {
+    "missing": ...,
+    "null": None,
+    "empty": [],
+    "fifty": POINTS[:50],
+    "fifty-two": [*POINTS, 0],
+    "a text": "1 2 3",
+    "texts": ["1"] * 51,
+    "bools": [True] * 51,
+    "an object": {"x": 1},
+    "nested": [POINTS],
+    "NaN": [math.nan, *POINTS[1:]],
+    "infinite": [math.inf, *POINTS[1:]],
+    "beyond a float": [10**400, *POINTS[1:]],
+    "far outside": [1e9, *POINTS[1:]],
+    "a null inside": [None, *POINTS[1:]],
+    "visibility 3": [1, 2, 3, *POINTS[3:]],
+    "visibility -1": [1, 2, -1, *POINTS[3:]],
+    "visibility 0.5": [1, 2, 0.5, *POINTS[3:]],
+}
+
+
+@pytest.mark.parametrize("keypoints", BAD_KEYPOINTS.values(), ids=BAD_KEYPOINTS)
+def test_bad_keypoints_cost_their_own_record(tmp_path, keypoints):
+    rows, frames, problems = read(tmp_path, a_file(annotation(3, 20, 2, keypoints=keypoints), annotation(4, 20, 3)))
+    assert rows == GOOD | {(15, 3): POINTS}
+    assert frames == {0: 1, 15: 2}
+    ((kind, reason, count, frame, field),) = found(problems)
+    assert (kind, count, frame, field) == ("record", 1, "000015.jpg", "keypoints")
+    assert reason.startswith("keypoints: ")
+
+
+BAD_NUMBERS = {
+    "missing": ...,
+    "null": None,
+    "a bool": True,
+    "a fraction": 1.5,
+    "a text": "one",
+    "a list": [1],
+    "endless": 10**400,
+    "NaN": math.nan,
+}
+
+
+@pytest.mark.parametrize("number", [*BAD_NUMBERS.values(), -1, 2**31], ids=[*BAD_NUMBERS, "negative", "beyond 31 bits"])
+def test_a_bad_track_costs_its_own_record(tmp_path, number):
+    rows, _, problems = read(tmp_path, a_file(annotation(3, 20, 2, track_id=number)))
+    assert rows == GOOD
+    ((kind, _, count, frame, field),) = found(problems)
+    assert (kind, count, field) == ("record", 1, "track_id")
+    assert frame in ("annotation 3", "000015.jpg")
+
+
+@pytest.mark.parametrize("number", [*BAD_NUMBERS.values(), 30, -1], ids=[*BAD_NUMBERS, "unknown", "negative"])
+def test_an_annotation_of_no_image_is_refused(tmp_path, number):
+    rows, frames, problems = read(tmp_path, a_file(annotation(3, number, 2), annotation("b", number, 3)))
+    assert rows == GOOD
+    assert frames == {0: 1, 15: 1}
+    ((kind, _, count, frame, field),) = found(problems)
+    assert (kind, count, frame, field) == ("record", 2, "annotation 3", "image_id")
+
+
+@pytest.mark.parametrize("number", [7.0, "7"])
+def test_numbers_may_come_as_texts_or_with_a_point(tmp_path, number):
+    rows, frames, problems = read(
+        tmp_path, a_file(annotation(3, number, number), images=[image(7, 30), *a_file()["images"]])
+    )
+    assert rows == GOOD | {(30, 7): POINTS}
+    assert frames == {0: 1, 15: 1, 30: 1}
+    assert problems == []
+
+
+BAD_IMAGES = {
+    "another sequence": ({"file_name": "image_stitched/hall-2020-01-01_0/000030.jpg"}, "images.file_name"),
+    "no frame": ({"file_name": f"{NAME}/panorama.jpg"}, "images.file_name"),
+    "five digits": ({"file_name": "00030.jpg"}, "images.file_name"),
+    "other digits": ({"file_name": "٠٠٠٠٣٠.jpg"}, "images.file_name"),
+    "a cloud": ({"file_name": "000030.pcd"}, "images.file_name"),
+    "no name": ({"file_name": None}, "images.file_name"),
+    "a name that is a list": ({"file_name": ["000030.jpg"]}, "images.file_name"),
+    "no number": ({"id": None}, "images.id"),
+    "a bool": ({"id": True}, "images.id"),
+}
+
+
+@pytest.mark.parametrize(("change", "field"), BAD_IMAGES.values(), ids=BAD_IMAGES)
+def test_a_bad_image_is_no_frame_and_takes_its_annotations_along(tmp_path, change, field):
+    images = [image(10, 0), image(20, 15), image(30, 30) | change]
+    rows, frames, problems = read(tmp_path, a_file(annotation(3, 30, 2), images=images))
+    assert rows == GOOD
+    assert frames == {0: 1, 15: 1}
+    assert [(p[2], p[4]) for p in found(problems)] in ([(1, field), (1, "image_id")], [(1, "image_id"), (1, field)])
+
+
+def test_a_number_of_two_images_stands_for_neither(tmp_path):
+    images = [image(10, 0), image(20, 15), image(30, 30), image(30, 45)]
+    rows, frames, problems = read(tmp_path, a_file(annotation(3, 30, 2), images=images))
+    assert rows == GOOD
+    assert frames == {0: 1, 15: 1}
+    assert {(kind, count, field) for kind, _, count, _, field in found(problems)} == {
+        ("frame", 1, "images.id"),
+        ("record", 1, "image_id"),
+    }
+
+
+def test_a_frame_listed_twice_is_the_first_image_only(tmp_path):
+    images = [image(10, 0), image(20, 15), image(30, 15)]
+    rows, frames, problems = read(tmp_path, a_file(annotation(3, 30, 2), images=images))
+    assert (rows, frames) == (GOOD, {0: 1, 15: 1})
+    assert sorted((count, field) for _, _, count, _, field in found(problems)) == [
+        (1, "image_id"),
+        (1, "images.file_name"),
+    ]
+
+
+def test_the_first_pose_of_a_person_in_a_frame_is_kept(tmp_path):
+    broken = annotation(3, 20, 2, keypoints=None)
+    first, second = ([v + offset for v in POINTS[:2]] + POINTS[2:] for offset in (1, 2))
+    more = [broken, annotation(4, 20, 2, keypoints=first), annotation(5, 20, 2, keypoints=second)]
+    rows, _, problems = read(tmp_path, a_file(*more))
+    assert rows == GOOD | {(15, 2): first}
+    assert [(reason, count, field) for _, reason, count, _, field in found(problems)] == [
+        ("keypoints: missing", 1, "keypoints"),
+        ("same person twice in a frame, the first is kept", 1, "track_id"),
+    ]
+
+
+@pytest.mark.parametrize("record", ["3", "null", '"x"', "[]", "[[1]]", "true", "NaN", "{}"])
+def test_what_is_no_annotation_is_refused(tmp_path, record):
+    text = json.dumps(a_file()).replace('"annotations": [', f'"annotations": [{record}, ')
+    rows, frames, problems = read(tmp_path, text.encode())
+    assert (rows, frames) == (GOOD, {0: 1, 15: 1})
+    ((kind, _, count, _, _),) = found(problems)
+    assert (kind, count) == ("record", 1)
+
+
+def test_of_repeated_keys_the_first_counts(tmp_path):
+    text = json.dumps(a_file()).replace('"track_id": 1', '"track_id": 4, "track_id": 1', 1)
+    rows, _, problems = read(tmp_path, text.encode())
+    assert rows == {(0, 4): POINTS, (15, 1): POINTS}
+    assert [(kind, reason, field) for kind, reason, _, _, field in found(problems)] == [
+        ("field", "key twice, the first is kept", "track_id")
+    ]
+    text = json.dumps(a_file())[:-1] + ', "annotations": []}'
+    rows, _, problems = read(tmp_path, text.encode())
+    assert rows == GOOD
+    assert [(kind, field) for kind, _, _, _, field in found(problems)] == [("file", "annotations")]
+
+
+def test_a_frame_with_too_many_people_is_refused_alone(tmp_path):
+    crowd = [annotation(i, 20, i) for i in range(2, 1002)]
+    rows, frames, problems = read(tmp_path, a_file(*crowd))
+    assert rows == {(0, 1): POINTS}
+    assert frames == {0: 1}
+    assert found(problems) == [("frame", "frame with more than 1000 records", 1, "000015.jpg", "image_id")]
+
+
+BAD_FILES = {
+    "empty": b"",
+    "blank": b" \n",
+    "no JSON": b"hello",
+    "a list": b"[]",
+    "not UTF-8": b'{"images": [], "annotations": [], "x": "\xff"}',
+    "no images": b'{"annotations": []}',
+    "no annotations": b'{"images": []}',
+    "images null": b'{"images": null, "annotations": []}',
+    "annotations an object": b'{"images": [], "annotations": {}}',
+    "text behind": b'{"images": [], "annotations": []} {}',
+    "a comma missing": b'{"images": [{"id": 1, "file_name": "000000.jpg"} {}], "annotations": []}',
+    "a 2D file": b'{"labels": {"000000.jpg": []}}',
+}
+
+
+@pytest.mark.parametrize("data", BAD_FILES.values(), ids=BAD_FILES)
+def test_a_file_that_cannot_be_used_is_refused_as_a_whole(tmp_path, data):
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, data)
+    assert caught.value.file == f"{NAME}.json"
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_cut_short_anywhere_is_refused(tmp_path):
+    whole = json.dumps(a_file(images=[image(10, 0), image(20, 15)])).encode()
+    for length in range(len(whole)):
+        with pytest.raises(InputError):
+            read(tmp_path, whole[:length])
+
+
+def test_limits(tmp_path, monkeypatch):
+    monkeypatch.setattr(coco, "MAX_LISTED", 3)
+    read(tmp_path, a_file(annotation(3, 20, 2)))
+    with pytest.raises(InputError, match="more than 3 annotations"):
+        read(tmp_path, a_file(annotation(3, 20, 2), annotation(4, 20, 3)))
+    with pytest.raises(InputError, match="more than 3 images"):
+        read(tmp_path, a_file(images=[image(i, i) for i in range(4)]))
+    monkeypatch.setattr(labelfile, "MAX_FILE", 100)
+    with pytest.raises(InputError, match="larger than the limit"):
+        read(tmp_path, a_file())
+
+
+@pytest.mark.parametrize("size", [0, 10**9])
+@pytest.mark.parametrize("flaw", ["", "NaN", '{"image_id": 10, "track_id": "9", "keypoints": [1]}'])
+def test_large_and_flawed_files_are_read_in_pieces_with_the_same_result(tmp_path, monkeypatch, size, flaw):
+    frames = {frame: [pose(track, x=frame + track) for track in range(40)] for frame in range(60)}
+    content = json.dumps(coco_file(frames, "pose"))
+    expected = read(tmp_path, content.encode())
+    assert len(expected[0]) == 2400
+    monkeypatch.setattr(coco, "SCAN_FROM", size)
+    monkeypatch.setattr(coco, "CHUNK", 7)
+    rows, known, problems = read(
+        tmp_path, content.replace('"annotations": [', f'"annotations": [{flaw}' + ", " * bool(flaw)).encode()
+    )
+    assert (rows, known) == expected[:2]
+    assert len(problems) == bool(flaw)
+
+
+# -- what follows from it ------------------------------------------------------------------------------------------
+
+
+def derived(folder, people, poses):
+    """Interval tables of 2D boxes {frame: [track]} and a pose file."""
+    boxes = {
+        "labels": {f"{f:06d}.jpg": [person(t, (100, 60, 50, 200)) for t in tracks] for f, tracks in people.items()}
+    }
+    (folder / "2d.json").write_text(json.dumps(boxes))
+    (folder / "pose.json").write_text(json.dumps(poses))
+    readings = [
+        load(folder / f"{name}.json", NAME, Problems(name)) for name, load in (("2d", load_2d), ("pose", load_pose))
+    ]
+    frames = [
+        {"sequence": NAME, "layer": layer, "frame": frame, "records": n}
+        for reading in readings
+        for layer, known in reading.frames.items()
+        for frame, n in zip(*(column.tolist() for column in known), strict=True)
+    ]
+    tables = readings[0].tables | readings[1].tables
+    tables["frames"] = ANNOTATIONS["frames"].empty_table().from_pylist(frames, ANNOTATIONS["frames"])
+    return derive(NAME, tables, LoadRules())
+
+
+@pytest.mark.parametrize("code", [0, 1, 2])
+@pytest.mark.parametrize("point", range(17))
+def test_a_face_is_visible_where_head_or_an_eye_is(tmp_path, point, code):
+    visibility = [1 if i < 3 else 2 for i in range(17)]
+    visibility[point] = code
+    tables = derived(tmp_path, {0: [0, 1], 15: [0]}, coco_file({0: [pose(0, visibility=visibility)]}, "pose"))
+    seen = {(row["frame"], row["track"]): row["face_visible"] for row in tables["sightings"].to_pylist()}
+    # A person without a pose, and one in a frame without poses: unknown.
+    assert seen == {(0, 0): point < 3 and code == 2, (0, 1): None, (15, 0): None}
+
+
+def test_case_14_a_pose_layer_without_the_last_frame_takes_nothing_away(tmp_path):
+    people = {frame: [1] for frame in range(46)}
+    with_poses = derived(tmp_path, people, coco_file({frame: [pose(1)] for frame in range(45)}, "pose"))
+    without = derived(tmp_path, people, coco_file({}, "pose"))
+    row, bare = with_poses["sequence"].to_pylist()[0], without["sequence"].to_pylist()[0]
+    assert row["layers"] == ["2d", "pose"]
+    assert bare["layers"] == ["2d"]
+    assert {**row, "layers": []} == {**bare, "layers": []}
+    assert row["keyframes"] == [0, 15, 30, 45]
+    assert with_poses["frames"] == without["frames"]
+    assert with_poses["sightings"]["face_visible"].to_pylist() == [True] * 45 + [None]
+    assert with_poses["sightings"].drop_columns("face_visible") == without["sightings"].drop_columns("face_visible")
+
+
+def test_a_pose_of_a_person_without_a_box_makes_no_person(tmp_path):
+    tables = derived(tmp_path, {0: [1]}, coco_file({0: [pose(1), pose(2)], 15: [pose(2)]}, "pose"))
+    assert tables["persons"]["track"].to_pylist() == [1]
+    assert tables["sightings"]["track"].to_pylist() == [1]
+    # Both layers know frames; only the boxes know who is there.
+    assert [(row["frame"], row["annotated"]) for row in tables["frames"].to_pylist()] == [(0, True), (15, False)]
