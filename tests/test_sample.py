@@ -74,6 +74,9 @@ def test_every_record_has_the_format(flat):
                 assert int(one["label_id"].split(":")[1]) >= 0
                 assert one["file_id"].endswith(".jpg")
                 x, y, w, h = one["box"]
+                if one["label_id"] in ("pedestrian:9000", "pedestrian:9001"):
+                    assert w <= 0 or h <= 0
+                    continue
                 assert w > 0
                 assert h > 0
                 assert 0 <= y <= y + h <= 480
@@ -250,12 +253,12 @@ def test_same_seed_same_bytes_whatever_the_workers(tmp_path):
     assert run(tmp_path / "few", *sizes, "--sequences", 2).exit_code == 0
     few = digest(tmp_path / "few")
     assert few == {path: whole[path] for path in few}
-    assert len(few) == 4
+    assert len(few) == 19
     # Another seed, another world.
     assert run(tmp_path / "other", *sizes, "--sequences", 4, "--seed", 5).exit_code == 0
     other = digest(tmp_path / "other")
     assert set(other) == set(whole)
-    assert not any(other[path] == whole[path] for path in whole)
+    assert not any(other[path] == whole[path] for path in whole if not path.startswith("calibration"))
 
 
 @pytest.mark.parametrize("people", [1, 3, 60])
@@ -278,6 +281,10 @@ def test_an_empty_folder_is_taken(tmp_path):
     (tmp_path / "new").mkdir()
     assert run(tmp_path / "new", "--sequences", 1, "--frames", 60, "--people", 2, "--no-images").exit_code == 0
     assert sorted(path.name for path in Path(tmp_path / "new" / "labels").iterdir()) == [
+        "labels_2d_activity_social_stitched",
+        "labels_2d_panoptic_stitched_CW",
+        "labels_2d_pose_stitched_coco",
         "labels_2d_stitched",
+        "labels_2d_stitched_new_version",
         "labels_3d",
     ]

@@ -1,23 +1,49 @@
-"""People as simple figures: body, head, limbs, posture, and what they hold, drawn into a box.
+"""People as simple figures round their joints, with what they sit on, ride and hold.
 
-Colours are RGB and stay below the brightness that a mark's plate alone has. Coordinates inside a figure: `u` from -0.5
-(left) to 0.5 (right) of the box's width, `v` from 0 (top) to 1 (feet).
+Colours are RGB and stay below the brightness that a mark's plate alone has. A figure is drawn by a pen, which turns
+the colour of a part into what goes into the image: the colour itself, or the number of the part's segment.
 """
 
 from __future__ import annotations
 
 import itertools
-import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-Image = npt.NDArray[np.uint8]
+from .skeleton import (
+    HEAD,
+    HIP,
+    L_ELBOW,
+    L_EYE,
+    L_FOOT,
+    L_HIP,
+    L_KNEE,
+    L_SHOULDER,
+    L_WRIST,
+    NECK,
+    R_ELBOW,
+    R_EYE,
+    R_FOOT,
+    R_HIP,
+    R_KNEE,
+    R_SHOULDER,
+    R_WRIST,
+)
+
+Image = npt.NDArray[Any]
 Color = tuple[int, int, int]
 Point = tuple[int, int]
+
+BODY: Final = -1
+"""The part of a figure that is the person; things have their own numbers."""
+
+Pen = Callable[[Color, int], Color]
+"""(colour, part) -> what is drawn; the part is BODY or the place of a thing."""
 
 _SHIRTS: Final[tuple[Color, ...]] = (
     (150, 50, 50),
@@ -33,11 +59,8 @@ _TROUSERS: Final[tuple[Color, ...]] = ((40, 45, 70), (70, 60, 50), (50, 55, 50),
 _SKINS: Final[tuple[Color, ...]] = ((180, 140, 115), (150, 110, 85), (110, 80, 60), (170, 130, 100))
 _HAIR: Final[tuple[Color, ...]] = ((40, 30, 25), (80, 55, 35), (110, 100, 95), (130, 100, 50))
 _METAL: Final[Color] = (70, 72, 78)
-_PROP: Final[Color] = (150, 130, 60)
-
-_PROPS: Final = frozenset(
-    ("holding sth", "typing", "eating sth", "talking on the phone", "reading", "writing", "looking into sth")
-)
+_WOOD: Final[Color] = (95, 75, 55)
+_PAPER: Final[Color] = (176, 174, 162)
 
 
 @dataclass(frozen=True)
@@ -62,188 +85,177 @@ def look_of(identity: int) -> Look:
 
 @dataclass(frozen=True)
 class Figure:
-    """A body in its box (x, y, w, h in pixels, not cut at the image): pose and other actions by name; `side` is
-    where it faces, -1 left to 1 right; `stride` the phase of its gait in radians."""
+    """A body in its box (x, y, w, h in pixels, not cut at the image).
+
+    `joints` (17, 2) pixels; `meter` pixels per metre; `across` and `toward` say how it faces (see `skeleton.facing`).
+    `under`: the thing that it sits on or rides. `held`: per hand used (right, left), category and thing.
+    """
 
     x: int
     y: int
     w: int
     h: int
     pose: str
-    actions: tuple[str, ...]
-    side: float
-    stride: float
+    joints: npt.NDArray[np.float64]
+    meter: float
+    across: float
+    toward: float
     look: Look
+    under: int
+    held: tuple[tuple[int, str, int], ...]
 
 
-def draw_figure(image: Image, figure: Figure) -> None:
+def draw_figure(image: Image, figure: Figure, pen: Pen) -> None:
     """Draw the figure, in place."""
-    _DRAWERS.get(figure.pose, _upright)(image, figure)
+    if figure.pose in _UNDER:
+        _UNDER[figure.pose](image, figure, pen)
+    right = figure.across >= 0
+    # Facing right, the right side of the body is the nearer one.
+    near, far = ((_RIGHT, _LEFT), (_LEFT, _RIGHT))[not right]
+    _side(image, figure, pen, far)
+    _trunk(image, figure, pen)
+    _head(image, figure, pen)
+    _side(image, figure, pen, near)
+    for hand, category, thing in figure.held:
+        _DRAW_HELD.get(category, _block)(image, figure, pen, _joint(figure, (R_WRIST, L_WRIST)[hand]), category, thing)
+
+
+_RIGHT: Final = (R_SHOULDER, R_ELBOW, R_WRIST, R_HIP, R_KNEE, R_FOOT)
+_LEFT: Final = (L_SHOULDER, L_ELBOW, L_WRIST, L_HIP, L_KNEE, L_FOOT)
+
+
+def _joint(figure: Figure, number: int) -> Point:
+    x, y = figure.joints[number].tolist()
+    return round(x), round(y)
 
 
 def _at(figure: Figure, u: float, v: float) -> Point:
     return round(figure.x + (0.5 + u) * figure.w), round(figure.y + v * figure.h)
 
 
-def _limb(image: Image, points: list[Point], color: Color, thick: float) -> None:
-    line = max(1, round(thick))
+def _line(image: Image, points: list[Point], color: Color, thick: float) -> None:
+    width = max(1, round(thick))
     for a, b in itertools.pairwise(points):
-        cv2.line(image, a, b, color, line)
+        cv2.line(image, a, b, color, width)
 
 
-def _head(image: Image, figure: Figure, u: float, v: float, size: float) -> None:
-    """A head with hair; `size` is its radius in pixels."""
-    center = _at(figure, u, v)
-    radius = max(2, round(size))
-    cv2.circle(image, center, radius, figure.look.skin, -1)
-    # Hair at the side turned away, all over for who looks away.
-    cv2.ellipse(image, center, (radius, radius), 0, 180, 360, figure.look.hair, -1)
-    if radius >= 6:
-        eye = (round(center[0] + figure.side * radius * 0.5), center[1] + radius // 4)
-        cv2.circle(image, eye, max(1, radius // 6), (30, 30, 30), -1)
+def _side(image: Image, figure: Figure, pen: Pen, limbs: tuple[int, ...]) -> None:
+    """A leg and an arm."""
+    shoulder, elbow, wrist, hip, knee, foot = (_joint(figure, number) for number in limbs)
+    _line(image, [hip, knee, foot], pen(figure.look.trousers, BODY), 0.13 * figure.meter)
+    _line(image, [shoulder, elbow, wrist], pen(figure.look.shirt, BODY), 0.09 * figure.meter)
+    cv2.circle(image, wrist, max(1, round(0.05 * figure.meter)), pen(figure.look.skin, BODY), -1)
 
 
-def _torso(image: Image, figure: Figure, hip: Point, neck: Point, width: float) -> None:
-    """A body from hip to neck, with shoulders a little wider than the waist."""
-    dx, dy = neck[0] - hip[0], neck[1] - hip[1]
-    length = math.hypot(dx, dy) or 1.0
-    nx, ny = -dy / length, dx / length
-    half = width / 2
-    corners = [
-        (hip[0] + nx * half * 0.85, hip[1] + ny * half * 0.85),
-        (neck[0] + nx * half, neck[1] + ny * half),
-        (neck[0] - nx * half, neck[1] - ny * half),
-        (hip[0] - nx * half * 0.85, hip[1] - ny * half * 0.85),
-    ]
-    cv2.fillConvexPoly(image, np.array(corners).round().astype(np.int32), figure.look.shirt)
+def _trunk(image: Image, figure: Figure, pen: Pen) -> None:
+    numbers = (R_SHOULDER, L_SHOULDER, L_HIP, R_HIP)
+    corners = np.array([_joint(figure, number) for number in numbers], np.int32)
+    color = pen(figure.look.shirt, BODY)
+    cv2.fillConvexPoly(image, cv2.convexHull(corners), color)
+    _line(image, [_joint(figure, NECK), _joint(figure, HIP)], color, 0.24 * figure.meter)
 
 
-def _arms(image: Image, figure: Figure, u: float, shoulder: float, hand: float, spread: float) -> None:
-    """Two arms from the shoulders at height `shoulder` down to `hand`; what the person does moves one of them."""
-    thick = figure.h * 0.05
-    turn = 1 if figure.side >= 0 else -1
-    left, right = _at(figure, u - spread, shoulder), _at(figure, u + spread, shoulder)
-    rest = _at(figure, u - turn * spread * 1.25, hand)
-    _limb(image, [left if turn > 0 else right, rest], figure.look.shirt, thick)
-    start = right if turn > 0 else left
-    if "pointing at sth" in figure.actions:
-        end = _at(figure, u + turn * 0.46, shoulder + 0.02)
-    elif "greeting gestures" in figure.actions:
-        end = _at(figure, u + turn * 0.42, max(0.02, shoulder - 0.16))
-    elif "talking on the phone" in figure.actions:
-        end = _at(figure, u + turn * 0.2, max(0.05, shoulder - 0.1))
-    elif _PROPS.intersection(figure.actions):
-        end = _at(figure, u + turn * 0.4, shoulder + (hand - shoulder) * 0.6)
-    else:
-        end = _at(figure, u + turn * spread * 1.3, hand)
-    _limb(image, [start, end], figure.look.shirt, thick)
-    if _PROPS.intersection(figure.actions):
-        size = max(1, round(figure.h * 0.03))
-        cv2.rectangle(image, (end[0] - size, end[1] - size), (end[0] + size, end[1] + size), _PROP, -1)
+def _head(image: Image, figure: Figure, pen: Pen) -> None:
+    center = _joint(figure, HEAD)
+    radius = max(2, round(0.12 * figure.meter))
+    _line(image, [center, _joint(figure, NECK)], pen(figure.look.skin, BODY), 0.1 * figure.meter)
+    away = figure.toward < -0.25
+    cv2.circle(image, center, radius, pen(figure.look.hair if away else figure.look.skin, BODY), -1)
+    if not away:
+        # Hair above and at the back of the head.
+        turn = round(-40 * figure.across)
+        cv2.ellipse(image, center, (radius, radius), turn, 180, 360, pen(figure.look.hair, BODY), -1)
+        if radius >= 6:
+            for eye in (R_EYE, L_EYE):
+                cv2.circle(image, _joint(figure, eye), max(1, radius // 6), pen((30, 30, 30), BODY), -1)
 
 
-def _upright(image: Image, figure: Figure) -> None:
-    """Standing, walking, running and stairs: legs swing with the stride."""
-    swing = {"standing": 0.0, "running": 0.34}.get(figure.pose, 0.24) * math.sin(figure.stride)
-    lean = {"running": 0.1, "standing": 0.0}.get(figure.pose, 0.03) * figure.side
-    thick = figure.h * 0.075
-    hip = _at(figure, 0, 0.53)
-    for offset, move in ((-0.1, swing), (0.1, -swing)):
-        knee = _at(figure, offset + move * 0.6, 0.76)
-        foot = _at(figure, offset + move, 0.98)
-        _limb(image, [(hip[0] + round(offset * figure.w * 0.8), hip[1]), knee, foot], figure.look.trousers, thick)
-    _torso(image, figure, hip, _at(figure, lean, 0.19), min(figure.w * 0.56, figure.h * 0.26))
-    _arms(image, figure, lean, 0.22, 0.52, min(0.3, 0.14 * figure.h / max(figure.w, 1)))
-    _head(image, figure, lean * 1.3, 0.085, figure.h * 0.08)
+# ------------------------------------------------------------------------------------------------ below the body
 
 
-def _sitting(image: Image, figure: Figure) -> None:
-    turn = 1 if figure.side >= 0 else -1
-    thick = figure.h * 0.1
-    back = -turn * 0.3
-    cv2.rectangle(image, _at(figure, -0.4, 0.62), _at(figure, 0.4, 0.69), (95, 75, 55), -1)
-    _limb(image, [_at(figure, back, 0.3), _at(figure, back, 0.99)], (95, 75, 55), figure.h * 0.04)
-    _limb(image, [_at(figure, -back, 0.66), _at(figure, -back, 0.99)], (95, 75, 55), figure.h * 0.04)
-    for offset in (-0.06, 0.06):
-        hip, knee = _at(figure, -turn * 0.1 + offset, 0.6), _at(figure, turn * 0.3 + offset, 0.62)
-        _limb(image, [hip, knee, _at(figure, turn * 0.32 + offset, 0.97)], figure.look.trousers, thick)
-    _torso(image, figure, _at(figure, -turn * 0.1, 0.62), _at(figure, -turn * 0.04, 0.24), figure.w * 0.48)
-    _arms(image, figure, -turn * 0.04, 0.28, 0.56, 0.22)
-    _head(image, figure, -turn * 0.02, 0.115, figure.h * 0.108)
+def _chair(image: Image, figure: Figure, pen: Pen) -> None:
+    turn = 1 if figure.across >= 0 else -1
+    color = pen(_WOOD, figure.under)
+    cv2.rectangle(image, _at(figure, -0.4, 0.64), _at(figure, 0.4, 0.71), color, -1)
+    _line(image, [_at(figure, -turn * 0.36, 0.3), _at(figure, -turn * 0.36, 0.99)], color, 0.06 * figure.meter)
+    _line(image, [_at(figure, turn * 0.3, 0.68), _at(figure, turn * 0.3, 0.99)], color, 0.06 * figure.meter)
 
 
-def _bending(image: Image, figure: Figure) -> None:
-    turn = 1 if figure.side >= 0 else -1
-    hip = _at(figure, -turn * 0.18, 0.3)
-    neck = _at(figure, turn * 0.2, 0.26)
-    for offset in (-0.06, 0.06):
-        _limb(image, [hip, _at(figure, -turn * 0.12 + offset, 0.98)], figure.look.trousers, figure.h * 0.11)
-    _torso(image, figure, hip, neck, figure.h * 0.34)
-    _limb(image, [neck, _at(figure, turn * 0.32, 0.82)], figure.look.shirt, figure.h * 0.07)
-    _head(image, figure, turn * 0.34, 0.3, figure.h * 0.12)
+def _mat(image: Image, figure: Figure, pen: Pen) -> None:
+    cv2.rectangle(image, _at(figure, -0.49, 0.82), _at(figure, 0.49, 1.0), pen((90, 100, 90), BODY), -1)
 
 
-def _lying(image: Image, figure: Figure) -> None:
-    turn = 1 if figure.side >= 0 else -1
-    cv2.rectangle(image, _at(figure, -0.49, 0.8), _at(figure, 0.49, 1.0), (90, 100, 90), -1)
-    _limb(
-        image, [_at(figure, -turn * 0.05, 0.58), _at(figure, -turn * 0.46, 0.66)], figure.look.trousers, figure.h * 0.4
-    )
-    _torso(image, figure, _at(figure, -turn * 0.08, 0.55), _at(figure, turn * 0.26, 0.5), figure.h * 0.55)
-    _head(image, figure, turn * 0.38, 0.45, figure.h * 0.28)
-
-
-def _wheels(image: Image, figure: Figure, size: float) -> None:
-    radius = max(2, round(size))
+def _wheels(image: Image, figure: Figure, pen: Pen, radius: float) -> None:
+    size = max(2, round(radius))
     for u in (-0.33, 0.33):
-        center = _at(figure, u, 1.0)
-        cv2.circle(image, (center[0], center[1] - radius), radius, (35, 35, 38), max(1, radius // 6))
+        x, y = _at(figure, u, 1.0)
+        cv2.circle(image, (x, y - size), size, pen((35, 35, 38), figure.under), max(1, size // 6))
 
 
-def _cycling(image: Image, figure: Figure) -> None:
-    turn = 1 if figure.side >= 0 else -1
-    radius = min(figure.h * 0.2, figure.w * 0.18)
-    seat, bar = _at(figure, -turn * 0.12, 0.52), _at(figure, turn * 0.24, 0.46)
-    low = _at(figure, 0.0, 0.82)
+def _bicycle(image: Image, figure: Figure, pen: Pen) -> None:
+    turn = 1 if figure.across >= 0 else -1
+    color = pen(_METAL, figure.under)
+    seat, bar, low = _at(figure, -turn * 0.12, 0.54), _at(figure, turn * 0.24, 0.46), _at(figure, 0.0, 0.82)
     front, back = _at(figure, turn * 0.33, 0.82), _at(figure, -turn * 0.33, 0.82)
-    _wheels(image, figure, radius)
-    _limb(image, [back, seat, low, back], _METAL, figure.h * 0.02)
-    _limb(image, [low, bar, front], _METAL, figure.h * 0.02)
-    for phase in (0.0, math.pi):
-        du, dv = 0.06 * math.cos(figure.stride + phase), 0.06 * math.sin(figure.stride + phase)
-        knee = _at(figure, turn * 0.1, 0.64 + dv * 0.6)
-        _limb(image, [seat, knee, _at(figure, du, 0.84 + dv)], figure.look.trousers, figure.h * 0.07)
-    neck = _at(figure, turn * 0.06, 0.2)
-    _torso(image, figure, seat, neck, figure.h * 0.19)
-    _limb(image, [neck, bar], figure.look.shirt, figure.h * 0.05)
-    _head(image, figure, turn * 0.1, 0.09, figure.h * 0.075)
+    _wheels(image, figure, pen, min(figure.h * 0.2, figure.w * 0.18))
+    _line(image, [back, seat, low, back], color, figure.h * 0.02)
+    _line(image, [low, bar, front], color, figure.h * 0.02)
 
 
-def _on_board(image: Image, figure: Figure) -> None:
-    """Skating, and scootering with its handle."""
-    turn = 1 if figure.side >= 0 else -1
-    board = _at(figure, -0.42, 0.94), _at(figure, 0.42, 0.965)
-    cv2.rectangle(image, *board, (90, 50, 40), -1)
-    _wheels(image, figure, max(2.0, figure.h * 0.02))
-    hip = _at(figure, 0, 0.53)
-    for u in (-0.18, 0.14):
-        _limb(image, [hip, _at(figure, u * 1.1, 0.75), _at(figure, u, 0.93)], figure.look.trousers, figure.h * 0.075)
-    neck = _at(figure, turn * 0.05, 0.19)
-    _torso(image, figure, hip, neck, min(figure.w * 0.5, figure.h * 0.24))
+def _deck(image: Image, figure: Figure, pen: Pen) -> None:
+    """A skateboard, or a scooter with its handle."""
+    turn = 1 if figure.across >= 0 else -1
+    cv2.rectangle(image, _at(figure, -0.42, 0.945), _at(figure, 0.42, 0.97), pen((90, 50, 40), figure.under), -1)
+    _wheels(image, figure, pen, max(2.0, figure.h * 0.02))
     if figure.pose == "scootering":
-        bar = _at(figure, turn * 0.36, 0.42)
-        _limb(image, [bar, _at(figure, turn * 0.38, 0.94)], _METAL, figure.h * 0.025)
-        _limb(image, [neck, bar], figure.look.shirt, figure.h * 0.05)
-    else:
-        _arms(image, figure, 0.0, 0.22, 0.4, 0.3)
-    _head(image, figure, turn * 0.06, 0.085, figure.h * 0.08)
+        pole = [_at(figure, turn * 0.36, 0.42), _at(figure, turn * 0.38, 0.94)]
+        _line(image, pole, pen(_METAL, figure.under), figure.h * 0.025)
 
 
-_DRAWERS: Final = {
-    "sitting": _sitting,
-    "bending": _bending,
-    "lying": _lying,
-    "cycling": _cycling,
-    "skating": _on_board,
-    "scootering": _on_board,
+_UNDER: Final = {
+    "sitting": _chair,
+    "lying": _mat,
+    "cycling": _bicycle,
+    "skating": _deck,
+    "scootering": _deck,
 }
+
+
+# ------------------------------------------------------------------------------------------------ in the hand
+
+_BLOCKS: Final[dict[str, tuple[float, float, Color]]] = {
+    "phone": (0.08, 0.16, (30, 32, 38)),
+    "waterbottle": (0.09, 0.26, (70, 120, 160)),
+    "box": (0.36, 0.28, (150, 118, 72)),
+    "document": (0.24, 0.3, _PAPER),
+    "tableware": (0.24, 0.08, (160, 162, 165)),
+    "peripheral": (0.42, 0.07, (55, 55, 60)),
+    "jacket": (0.26, 0.5, (80, 62, 48)),
+}
+"""Width and height in metres, colour."""
+
+Draw = Callable[[Image, Figure, Pen, Point, str, int], None]
+
+
+def _block(image: Image, figure: Figure, pen: Pen, hand: Point, category: str, thing: int) -> None:
+    wide, high, color = _BLOCKS[category]
+    dx, dy = max(1, round(wide * figure.meter / 2)), max(1, round(high * figure.meter / 2))
+    cv2.rectangle(image, (hand[0] - dx, hand[1] - dy), (hand[0] + dx, hand[1] + dy), pen(color, thing), -1)
+
+
+def _bag(image: Image, figure: Figure, pen: Pen, hand: Point, category: str, thing: int) -> None:
+    dx, drop, high = (max(1, round(size * figure.meter)) for size in (0.17, 0.12, 0.34))
+    color = pen((140, 70, 40), thing)
+    _line(image, [(hand[0] - dx, hand[1] + drop), hand, (hand[0] + dx, hand[1] + drop)], color, 0.03 * figure.meter)
+    cv2.rectangle(image, (hand[0] - dx, hand[1] + drop), (hand[0] + dx, hand[1] + drop + high), color, -1)
+
+
+def _umbrella(image: Image, figure: Figure, pen: Pen, hand: Point, category: str, thing: int) -> None:
+    high, reach = round(0.75 * figure.meter), max(2, round(0.3 * figure.meter))
+    top = max(hand[1] - high, figure.y + reach)
+    color = pen((60, 60, 120), thing)
+    _line(image, [hand, (hand[0], top)], color, 0.03 * figure.meter)
+    cv2.ellipse(image, (hand[0], top), (reach, reach), 0, 180, 360, color, -1)
+
+
+_DRAW_HELD: Final[dict[str, Draw]] = {"bag": _bag, "umbrella": _umbrella}

@@ -1,4 +1,4 @@
-"""The label files of a simulated sequence: base 2D with actions and groups, and 3D.
+"""The box files of a simulated sequence, frame by frame: base 2D with actions and groups, and 3D.
 
 The files tell the truth of the world, with the annotators' habits of the real ones: hard labels (mostly of people who
 are covered), dropouts, several spellings of one value, and at low rates each awkward case that these layers hold. None
@@ -7,6 +7,8 @@ of them states a wrong fact as certain.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -22,6 +24,8 @@ Bools = npt.NDArray[np.bool_]
 Ints = npt.NDArray[np.int64]
 
 HARD: Final = 3
+NOBODY: Final = 9000
+"""Number of a person who is in no other record."""
 OCCLUSION_BOUNDS: Final = (0.08, 0.30, 0.90)
 """Covered shares where fully visible, mostly visible and severely occluded end."""
 FILE_ID_SHIFT: Final = 2
@@ -105,6 +109,7 @@ class Quirks:
         self.sliver: Bools = hidden & (rng.random(shape) < 0.5)
         self.old_numbering = world.name.endswith(("_0", "_1"))
         self.foreign = int(rng.integers(0, world.frames)) if world.name.endswith("_1") else -1
+        self.flat = int(rng.integers(0, world.frames)) if world.name.endswith("_2") else -1
         self.lost_2d = (world.frames // 15 // 2) * 15 + 7 if world.name.endswith("_2") else -1
         self.lost_3d = range(30, 33) if world.name.endswith("_0") else range(0)
         self.empty_2d = world.frames - 2 if world.name.endswith("_3") else -1
@@ -120,46 +125,73 @@ _OTHER_SPELLINGS: Final = {
 }
 
 
-def labels_2d(world: World) -> dict[str, Any]:
-    """The content of `labels_2d_stitched/<sequence>.json`."""
-    quirks = Quirks(world)
+@dataclass(frozen=True)
+class LabelFrame:
+    """One frame of `labels_2d_stitched`: its key, the places of the people with a box, and a record for each of them.
+
+    `foreign`: records of nobody. Box files with more in them hold the same records, extended.
+    """
+
+    frame: int
+    key: str
+    people: list[int]
+    records: list[dict[str, Any]]
+    foreign: list[dict[str, Any]]
+
+
+def frames_2d(world: World, quirks: Quirks) -> Iterator[LabelFrame]:
+    """The frames of `labels_2d_stitched/<sequence>.json`, in order."""
     here = annotated(world)
     occluded = occlusion(world)
     actions_level, group_level = difficulty(world)
-    boxes = world.boxes.tolist()
-    cluster_name = rng_of(world.seed, world.name, "clusters").permutation(1000).tolist()
-    out: dict[str, list[dict[str, Any]]] = {}
+    names = cluster_names(world)
     for frame in range(world.frames):
         if frame == quirks.lost_2d:
             continue
         rows: list[dict[str, Any]] = []
-        out[f"{frame:06d}.jpg"] = rows
-        if frame == quirks.empty_2d:
-            continue
+        people = [] if frame == quirks.empty_2d else np.flatnonzero(here[frame]).tolist()
         file_frame = frame + FILE_ID_SHIFT if quirks.old_numbering else frame
-        for i in np.flatnonzero(here[frame]).tolist():
-            box = _written_box(boxes[frame][i], quirks, frame, i)
+        boxes = world.boxes[frame].tolist()
+        for i in people:
+            box = written_box(boxes[i], quirks, frame, i)
             record: dict[str, Any] = {
                 "label_id": f"pedestrian:{world.people[i].track}",
                 "file_id": f"{file_frame:06d}.jpg",
                 "box": box,
-                "attributes": _attributes(world, quirks, frame, i, int(occluded[frame, i]), box),
+                "attributes": _attributes(quirks, frame, i, int(occluded[frame, i]), box),
             }
             listed = _action_label(world, quirks, frame, i, actions_level[frame, i].tolist())
             if listed is not None:
                 record["action_label"] = listed
             if not quirks.no_group[frame, i]:
-                cluster = cluster_name[int(world.cluster[frame, i]) % 1000]
+                cluster = names[int(world.cluster[frame, i])]
                 record["social_group"] = {"cluster_ID": cluster, "cluster_stat": int(group_level[frame, i])}
                 if listed and not world.apart[frame, i] and len(world.parties[world.people[i].party].members) > 2:
                     record["social_activity"] = {POSES[int(world.pose[frame, i])]: 1.0}
             rows.append(record)
-        if frame == quirks.foreign and rows:
-            rows.append({**rows[0], "label_id": "person:-1"})
-    return {"labels": out}
+        foreign: list[dict[str, Any]] = []
+        if rows and frame == quirks.foreign:
+            foreign = [{**rows[0], "label_id": "person:-1"}]
+        elif rows and frame == quirks.flat:
+            x, y, w, h = rows[0]["box"]
+            foreign = [
+                {**rows[0], "label_id": f"pedestrian:{NOBODY}", "box": [x, y, 0, h]},
+                {**rows[0], "label_id": f"pedestrian:{NOBODY + 1}", "box": [x, y, w, -h]},
+            ]
+        yield LabelFrame(frame, f"{frame:06d}.jpg", people, rows, foreign)
 
 
-def _written_box(box: list[int], quirks: Quirks, frame: int, i: int) -> list[float]:
+def cluster_names(world: World) -> list[int]:
+    """The number that the files give to each cluster of the world.
+
+    Those who stand apart alone take numbers of others again: a number tells a group only together with its members.
+    """
+    count = len(world.parties) + len(world.people)
+    names: list[int] = rng_of(world.seed, world.name, "clusters").permutation(max(1000, count))[:count].tolist()
+    return names
+
+
+def written_box(box: list[int], quirks: Quirks, frame: int, i: int) -> list[float]:
     """The box as annotators left it: whole numbers or floats; over the seam with x < 0 or reaching past 3760."""
     x, y, w, h = box
     x %= WIDTH
@@ -174,7 +206,7 @@ def _written_box(box: list[int], quirks: Quirks, frame: int, i: int) -> list[flo
     return [x, y, w, h]
 
 
-def _attributes(world: World, quirks: Quirks, frame: int, i: int, occluded: int, box: list[float]) -> dict[str, Any]:
+def _attributes(quirks: Quirks, frame: int, i: int, occluded: int, box: list[float]) -> dict[str, Any]:
     out: dict[str, Any] = {
         "area": float(box[2] * box[3]),
         "interpolated": frame % 15 != 0,
@@ -223,9 +255,8 @@ def _coded(level: int, form: int) -> int | float | str:
     return (level, float(level), str(level))[form]
 
 
-def labels_3d(world: World) -> dict[str, Any]:
-    """The content of `labels_3d/<sequence>.json`."""
-    quirks = Quirks(world)
+def frames_3d(world: World, quirks: Quirks) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+    """Keys and records of `labels_3d/<sequence>.json`, in order."""
     motion = world.motion
     file_shift = FILE_ID_SHIFT if quirks.old_numbering else 0
     turned = np.pi - motion.heading + 2 * np.pi * quirks.turns
@@ -236,17 +267,14 @@ def labels_3d(world: World) -> dict[str, Any]:
     points = np.where(quirks.no_points | (visible <= 0), 0, np.maximum(points, 1)).astype(np.int64)
     keep = world.present & ~quirks.no_3d
     columns = np.stack([motion.x, motion.y, cz, world.width, world.height, turned, world.distance], axis=-1)
-    rounded = np.round(columns, 3).tolist()
-    out: dict[str, list[dict[str, Any]]] = {}
+    columns = np.round(columns, 3)
     for frame in range(world.frames):
         if frame in quirks.lost_3d:
             continue
         rows: list[dict[str, Any]] = []
-        out[f"{frame:06d}.pcd"] = rows
-        if frame == quirks.empty_3d:
-            continue
-        for i in np.flatnonzero(keep[frame]).tolist():
-            x, y, z, wide, high, rot, distance = rounded[frame][i]
+        places = columns[frame].tolist()
+        for i in [] if frame == quirks.empty_3d else np.flatnonzero(keep[frame]).tolist():
+            x, y, z, wide, high, rot, distance = places[i]
             attributes: dict[str, Any] = {
                 "distance": None if quirks.no_distance[frame, i] else distance,
                 "interpolated": True,
@@ -261,4 +289,4 @@ def labels_3d(world: World) -> dict[str, Any]:
                     "attributes": attributes,
                 }
             )
-    return {"labels": out}
+        yield f"{frame:06d}.pcd", rows

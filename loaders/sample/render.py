@@ -1,10 +1,12 @@
-"""Panoramas of a simulated sequence: background, partitions and people from the farthest to the nearest, with marks."""
+"""Panoramas of a simulated sequence, from the farthest to the nearest: surroundings, partitions, things and people with
+their marks. The same strokes, with numbers for colours, give the segments of the panoptic layer.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -12,23 +14,32 @@ import numpy.typing as npt
 
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.marks import ALONE, HEADING_STEP, MAX_DISTANCE_DM, MAX_GROUP, Mark, draw
-from jrdb_avr.schema.panorama import FOCAL_ROWS, HEIGHT, HORIZON_ROW, WIDTH, Box
+from jrdb_avr.schema.panorama import FOCAL_ROWS, HORIZON_ROW, WIDTH, Box
 from jrdb_avr.schema.rules import KEYFRAME_STEP
-from jrdb_avr.schema.vocabulary import OTHER_ACTIONS, POSES
+from jrdb_avr.schema.things import VERBS
+from jrdb_avr.schema.vocabulary import INTERACTIONS, OTHER_ACTIONS, POSES
 
-from .figures import Color, Figure, draw_figure, look_of
+from .backdrop import Backdrop, backdrop
+from .bonds import shown
+from .figures import BODY, Color, Figure, Pen, draw_figure, look_of
+from .furniture import draw_thing
 from .labels import annotated
 from .script import NONE
-from .world import FLOOR, World, rng_of
+from .skeleton import facing
+from .things import BELOW, at_tick
+from .world import FARTHEST, FLOOR, World, body_rows, rng_of, turned
 
 Image = npt.NDArray[np.uint8]
 Bools = npt.NDArray[np.bool_]
+Floats = npt.NDArray[np.float64]
 
 QUALITY: Final = 92
 """JPEG quality of the panoramas."""
 
-_WALLS: Final[tuple[Color, ...]] = ((150, 145, 132), (132, 145, 150), (150, 138, 120), (138, 148, 135))
-_FLOORS: Final[tuple[Color, ...]] = ((118, 108, 96), (104, 108, 112), (112, 112, 98), (100, 96, 92))
+_PERSON, _PANEL, _THING = range(3)
+STEPS: Final = -2
+"""The part of a drawing that is the stairs below a person."""
+
 _PANELS: Final[tuple[Color, ...]] = ((96, 84, 70), (70, 84, 100), (84, 96, 80), (100, 78, 84))
 
 
@@ -56,11 +67,14 @@ def marks_of(world: World, labelled: Bools, frame: int) -> dict[int, Mark]:
     here = np.flatnonzero(world.present[frame])
     clusters = world.cluster[frame, here].tolist()
     counted = world.cluster[frame, labelled[frame]].tolist()
+    tick = int(world.tick[frame])
+    partners = shown(world.bonds, tick, here[labelled[frame, here]])
+    handled = {person: row for person, *row in reversed(at_tick(world.things.handling, tick))}
     for i, cluster in zip(here.tolist(), clusters, strict=True):
         person = world.people[i]
         heading = np.degrees(world.motion.heading[frame, i])
         distance = round(float(world.distance[frame, i]) * 10)
-        out[i] = Mark(
+        mark = Mark(
             identity=person.identity,
             gender=person.gender,
             age=person.age,
@@ -72,6 +86,13 @@ def marks_of(world: World, labelled: Bools, frame: int) -> dict[int, Mark]:
             distance_dm=distance if distance <= MAX_DISTANCE_DM else None,
             heading_deg=round(heading / HEADING_STEP) * HEADING_STEP % 360,
         )
+        if i in partners:
+            partner, label = partners[i]
+            mark = replace(mark, partner=world.people[partner].identity, interaction=INTERACTIONS[label])
+        if i in handled:
+            thing, verb, _ = handled[i]
+            mark = replace(mark, object=world.things.things[thing].category, verb=VERBS[verb])
+        out[i] = mark
     return out
 
 
@@ -80,43 +101,104 @@ def _place(action: str) -> int:
 
 
 @dataclass(frozen=True)
+class Segments:
+    """Numbers of what is drawn in a sequence: the surroundings first, as in `Backdrop.ids`, then steps, partitions,
+    things and people."""
+
+    surroundings: tuple[str, ...]
+    panels: int
+    things: int
+
+    @property
+    def steps(self) -> int:
+        return len(self.surroundings) + 1
+
+    def panel(self, index: int) -> int:
+        return self.steps + 1 + index
+
+    def thing(self, index: int) -> int:
+        return self.panel(self.panels) + index
+
+    def person(self, index: int) -> int:
+        return self.thing(self.things) + index
+
+
+@dataclass(frozen=True)
 class Painter:
-    """Paints the frames of one world; the background is made once and turned with the robot."""
+    """Paints the frames of one world; the surroundings are made once and turned with the robot."""
 
     world: World
     labelled: Bools
-    background: Image
+    backdrop: Backdrop
     panel_colors: tuple[Color, ...]
+    segments: Segments
+    facing: tuple[Floats, Floats]
 
     @classmethod
     def of(cls, world: World) -> Painter:
         rng = rng_of(world.seed, world.name, "colors")
         colors = tuple(_PANELS[int(rng.integers(len(_PANELS)))] for _ in world.panels)
-        return cls(world, annotated(world), _background(rng), colors)
+        around = backdrop(rng)
+        segments = Segments(around.categories, len(world.panels), len(world.things.things))
+        return cls(world, annotated(world), around, colors, segments, facing(world.pose, *turned(world.motion)))
 
     def paint(self, frame: int) -> Image:
         """The panorama (480, 3760, 3), RGB."""
-        world = self.world
-        yaw = float(world.motion.robot[frame, 2])
-        # Turning left by yaw moves what is far to the right by as much.
-        image: Image = np.roll(self.background, round(yaw / (2 * np.pi) * WIDTH), axis=1)
-        marks = marks_of(world, self.labelled, frame)
-        things = [(float(world.distance[frame, i]), 1, i) for i in marks]
-        things += [(float(d), 0, k) for k, d in enumerate(world.panel_distance[frame].tolist())]
-        for _, person, index in sorted(things, reverse=True):
-            if person:
-                self._person(image, frame, index, marks[index])
-            else:
-                self._panel(image, frame, index)
+        image: Image = np.roll(self.backdrop.image, self._turn(frame), axis=1)
+        marks = marks_of(self.world, self.labelled, frame)
+        for kind, index in self._from_far(frame):
+            self._draw(image, frame, kind, index, _as_color)
+            if kind == _PERSON:
+                x, y, w, h = self.world.boxes[frame, index].tolist()
+                draw(image, Box(x, y, w, h), marks[index])
         return image
 
-    def _panel(self, image: Image, frame: int, index: int) -> None:
+    def segment(self, frame: int) -> npt.NDArray[np.uint16]:
+        """The number of the segment (see `Segments`) at every pixel, (480, 3760)."""
+        image = np.roll(self.backdrop.ids, self._turn(frame), axis=1)
+        for kind, index in self._from_far(frame):
+            self._draw(image, frame, kind, index, self._numbering(kind, index))
+        return image
+
+    def _turn(self, frame: int) -> int:
+        # Turning left by yaw moves what is far to the right by as much.
+        return round(float(self.world.motion.robot[frame, 2]) / (2 * np.pi) * WIDTH)
+
+    def _numbering(self, kind: int, index: int) -> Pen:
+        own = self.segments.person(index) if kind == _PERSON else self.segments.panel(index)
+
+        def pen(color: Color, part: int) -> Color:
+            number = self.segments.thing(part) if part >= 0 else self.segments.steps if part == STEPS else own
+            return (number, number, number)
+
+        return pen
+
+    def _from_far(self, frame: int) -> list[tuple[int, int]]:
+        """(kind, place) of everything there is at a frame."""
+        world = self.world
+        there = [(float(world.distance[frame, i]), _PERSON, i) for i in np.flatnonzero(world.present[frame]).tolist()]
+        there += [(float(d), _PANEL, k) for k, d in enumerate(world.panel_distance[frame].tolist())]
+        there += [(d, _THING, k) for k, d in enumerate(world.thing_distance[frame].tolist()) if d < FARTHEST]
+        return [(kind, index) for _, kind, index in sorted(there, reverse=True)]
+
+    def _draw(self, image: npt.NDArray[Any], frame: int, kind: int, index: int, pen: Pen) -> None:
+        if kind == _PERSON:
+            self._person(image, frame, index, pen)
+        elif kind == _PANEL:
+            self._panel(image, frame, index, pen)
+        else:
+            thing = self.world.things.stands[index]
+            x, y, w, h = self.world.thing_boxes[frame, index].tolist()
+            for left in _copies(x, w):
+                draw_thing(image, self.world.things.things[thing].category, (left, y, w, h), pen, thing)
+
+    def _panel(self, image: npt.NDArray[Any], frame: int, index: int, pen: Pen) -> None:
         x, y, w, h = self.world.panel_boxes[frame, index].tolist()
         color = self.panel_colors[index]
-        edge = (color[0] - 30, color[1] - 30, color[2] - 30)
-        poster = (color[0] + 25, color[1] + 30, color[2] + 20)
+        edge = pen((color[0] - 30, color[1] - 30, color[2] - 30), BODY)
+        poster = pen((color[0] + 25, color[1] + 30, color[2] + 20), BODY)
         for left in _copies(x, w):
-            cv2.rectangle(image, (left, y), (left + w, y + h), color, -1)
+            cv2.rectangle(image, (left, y), (left + w, y + h), pen(color, BODY), -1)
             cv2.rectangle(image, (left, y), (left + w, y + h), edge, 2)
             for part in range(1, 5):
                 at = left + w * part // 5
@@ -125,24 +207,49 @@ class Painter:
                     image, (at - w // 7, y + h // 6), (at - w // 16, y + h // 2), poster if part % 2 else edge, -1
                 )
 
-    def _person(self, image: Image, frame: int, i: int, mark: Mark) -> None:
+    def _person(self, image: npt.NDArray[Any], frame: int, i: int, pen: Pen) -> None:
         world = self.world
-        x, y, w, h = world.boxes[frame, i].tolist()
+        x, _, w, _ = world.boxes[frame, i].tolist()
         distance = float(world.distance[frame, i])
-        feet = FLOOR + float(world.motion.z[frame, i])
-        top = round(HORIZON_ROW - FOCAL_ROWS * (feet + float(world.height[frame, i])) / distance)
-        bottom = round(HORIZON_ROW - FOCAL_ROWS * feet / distance)
+        top, bottom = (
+            round(row) for row in body_rows(world.motion.z[frame, i], world.distance[frame, i], world.height[frame, i])
+        )
         ground = round(HORIZON_ROW - FOCAL_ROWS * FLOOR / distance)
-        azimuth = np.arctan2(world.motion.y[frame, i], world.motion.x[frame, i])
-        side = -float(np.sin(world.motion.heading[frame, i] - azimuth))
+        mine = self._carried(frame).get(i, [])
         for left in _copies(x, w):
-            _shadow(image, left, ground, w)
+            if pen is _as_color:
+                _shadow(image, left, ground, w)
             if ground - bottom > 1:
-                _steps(image, left, bottom, w, ground - bottom)
-            stride = frame * 0.5 + i
-            look = look_of(mark.identity)
-            draw_figure(image, Figure(left, top, w, bottom - top, mark.pose or "", mark.actions, side, stride, look))
-        draw(image, Box(x, y, w, h), mark)
+                _steps(image, left, bottom, w, ground - bottom, pen)
+            figure = Figure(
+                left,
+                top,
+                w,
+                bottom - top,
+                POSES[int(world.pose[frame, i])],
+                world.joints[frame, i] + np.array([left - x, 0.0]),
+                FOCAL_ROWS / distance,
+                float(self.facing[0][frame, i]),
+                float(self.facing[1][frame, i]),
+                look_of(world.people[i].identity),
+                next((thing for hand, _, thing in mine if hand == BELOW), BODY),
+                tuple(held for held in mine if held[0] != BELOW),
+            )
+            draw_figure(image, figure, pen)
+
+    def _carried(self, frame: int) -> dict[int, list[tuple[int, str, int]]]:
+        """Per person, (hand or BELOW, category, thing) of what is drawn with the figure."""
+        out: dict[int, list[tuple[int, str, int]]] = {}
+        for person, thing, _, hand in at_tick(self.world.things.handling, int(self.world.tick[frame])):
+            one = self.world.things.things[thing]
+            if not one.standing:
+                out.setdefault(person, []).append((hand, one.category, thing))
+        return out
+
+
+def _as_color(color: Color, part: int) -> Color:
+    """The pen of pictures."""
+    return color
 
 
 def _copies(x: int, w: int) -> list[int]:
@@ -151,64 +258,14 @@ def _copies(x: int, w: int) -> list[int]:
     return [start, start - WIDTH] if start + w > WIDTH else [start]
 
 
-def _shadow(image: Image, x: int, ground: int, w: int) -> None:
+def _shadow(image: npt.NDArray[Any], x: int, ground: int, w: int) -> None:
     cv2.ellipse(image, (x + w // 2, ground - 1), (max(1, w // 2), max(1, w // 8)), 0, 0, 360, (62, 58, 54), -1)
 
 
-def _steps(image: Image, x: int, y: int, w: int, h: int) -> None:
-    cv2.rectangle(image, (x, y), (x + w - 1, y + h), (104, 100, 96), -1)
+def _steps(image: npt.NDArray[Any], x: int, y: int, w: int, h: int, pen: Pen) -> None:
+    cv2.rectangle(image, (x, y), (x + w - 1, y + h), pen((104, 100, 96), STEPS), -1)
     for row in range(y, y + h, max(3, h // 5)):
-        cv2.line(image, (x, row), (x + w - 1, row), (74, 70, 68), 1)
-
-
-def _background(rng: np.random.Generator) -> Image:
-    """Walls with windows, doors and pillars all round above the horizon, a tiled floor below; no bright pixel."""
-    wall, floor = _WALLS[int(rng.integers(len(_WALLS)))], _FLOORS[int(rng.integers(len(_FLOORS)))]
-    image = np.empty((HEIGHT, WIDTH, 3), np.float32)
-    rows = np.arange(HEIGHT, dtype=np.float32)[:, None, None]
-    foot = 240
-    image[:foot] = np.array(wall, np.float32) * (0.72 + 0.3 * rows[:foot] / foot)
-    image[foot:] = np.array(floor, np.float32) * (0.86 + 0.3 * (rows[foot:] - foot) / (HEIGHT - foot))
-    # Joints of the tiles: rings at equal distances, and spokes.
-    for meters in np.arange(1.0, 24.0, 1.0):
-        row = int(HORIZON_ROW - FOCAL_ROWS * FLOOR / meters)
-        if foot < row < HEIGHT:
-            image[row] *= 0.9
-    canvas = np.clip(image, 0, 175).astype(np.uint8)
-    for column in range(0, WIDTH, 188):
-        cv2.line(canvas, (column, foot), (column, HEIGHT), (floor[0] - 14, floor[1] - 14, floor[2] - 14), 1)
-    _furnish(canvas, rng, foot, wall)
-    noise = rng.normal(0, 1, (HEIGHT // 8, WIDTH // 8)).astype(np.float32)
-    # Joined at the seam before it is blown up, so that no edge shows there.
-    joined = np.hstack([noise[:, -1:], noise, noise[:, :1]])
-    grain = cv2.resize(joined, (WIDTH + 16, HEIGHT), interpolation=cv2.INTER_LINEAR)
-    grained = canvas + grain[:, 8:-8, None] * 1.5
-    return np.asarray(np.clip(grained, 0, 180), np.uint8)
-
-
-def _furnish(canvas: Image, rng: np.random.Generator, foot: int, wall: Color) -> None:
-    """Landmarks on the wall, each 235 columns its own."""
-    dark = (wall[0] - 45, wall[1] - 45, wall[2] - 45)
-    for slot in range(16):
-        x = slot * 235 + int(rng.integers(10, 60))
-        kind = int(rng.integers(5))
-        tint = tuple(int(c) for c in rng.integers(70, 150, 3))
-        if kind == 0:
-            cv2.rectangle(canvas, (x, 60), (x + 130, 150), (130, 150, 168), -1)
-            cv2.rectangle(canvas, (x, 60), (x + 130, 150), dark, 3)
-            cv2.line(canvas, (x + 65, 60), (x + 65, 150), dark, 2)
-        elif kind == 1:
-            cv2.rectangle(canvas, (x, 120), (x + 60, foot), tint, -1)
-            cv2.rectangle(canvas, (x, 120), (x + 60, foot), dark, 2)
-            cv2.circle(canvas, (x + 50, 185), 3, dark, -1)
-        elif kind == 2:
-            cv2.rectangle(canvas, (x, 0), (x + 34, foot), dark, -1)
-        elif kind == 3:
-            cv2.rectangle(canvas, (x, 80), (x + 100, 150), tint, -1)
-            cv2.putText(canvas, str(slot), (x + 20, 135), cv2.FONT_HERSHEY_SIMPLEX, 1.5, (40, 40, 40), 3)
-        else:
-            cv2.rectangle(canvas, (x + 36, 170), (x + 48, foot), (80, 60, 45), -1)
-            cv2.ellipse(canvas, (x + 42, 130), (40, 55), 0, 0, 360, (60, 95, 60), -1)
+        cv2.line(image, (x, row), (x + w - 1, row), pen((74, 70, 68), STEPS), 1)
 
 
 def write_images(world: World, frames: list[int], folder: Path) -> None:

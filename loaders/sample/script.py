@@ -48,6 +48,9 @@ HIDDEN: Final = 0.29
 SPREAD: Final = 0.4
 """Radians to either side of its bearing that a party in the open moves."""
 
+ETHNICITIES: Final = ("Caucasian/White", "Negroid/Black", "Mongoloid/Asian", "Others")
+"""As the label files spell them."""
+
 _ON_THE_MOVE: Final = (
     "holding sth",
     "looking at robot",
@@ -83,6 +86,7 @@ class Person:
     party: int
     gender: str
     age: str
+    ethnicity: str
     height: float
 
 
@@ -181,6 +185,7 @@ def _persons(rng: Rng, parties: tuple[Party, ...]) -> tuple[Person, ...]:
                 party=party_of[i],
                 gender=GENDERS[int(rng.integers(2))],
                 age=age,
+                ethnicity=ETHNICITIES[int(tracks[i]) % len(ETHNICITIES)],
                 height=float(np.clip(rng.normal(tall, 0.07), 1.1, 1.92)),
             )
         )

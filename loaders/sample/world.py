@@ -17,8 +17,11 @@ from jrdb_avr.schema.panorama import FOCAL_ROWS, HEIGHT, HORIZON_ROW, WIDTH
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 from jrdb_avr.schema.vocabulary import POSES
 
+from .bonds import Bonds, bonds_of
 from .motion import Motion, move, to_robot
 from .script import Party, Person, Rng, write_script
+from .skeleton import joints
+from .things import SIZES, Things, things_of
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -59,7 +62,11 @@ class World:
     be negative or reach past 3760, rows cut at the image. `covered`: share of the box behind nearer people and panels.
     `panel_boxes` (frames, panels, 4) and `panel_distance` (frames, panels) likewise. `cluster` numbers groups; people
     who share one are together. `order` (frames, people): places from the nearest to the farthest. `tick` (frames):
-    number of the second whose states hold; `phase`: first frame of tick 1.
+    number of the second whose states hold; `phase`: first frame of tick 1. `thing_boxes` (frames, standing
+    things, 4) and `thing_distance` (frames, standing things; infinite where the thing is not there) by column of
+    `things.stands`.
+    `joints` (frames, people, 17, 2): stitched pixels, not cut at the image nor wrapped at the seam; `joint_covered`
+    (frames, people, 17): behind something nearer.
     """
 
     name: str
@@ -84,6 +91,12 @@ class World:
     panel_boxes: Ints
     panel_distance: Floats
     order: Ints
+    bonds: Bonds
+    things: Things
+    thing_boxes: Ints
+    thing_distance: Floats
+    joints: npt.NDArray[np.float32]
+    joint_covered: Bools
 
 
 def rng_of(seed: int, *names: str) -> Rng:
@@ -108,6 +121,20 @@ def build(name: str, seed: int, frames: int, people: int) -> World:
     present &= boxes[..., 3] > 4
     panel_boxes, panel_distance = _panel_boxes(panels, motion.robot)
     order = np.argsort(distance, axis=1, kind="stable")
+    actions = script.actions[tick]
+    bodies = _bodies(motion, boxes, body_rows(motion.z, distance, height), pose, actions)
+    things = things_of(rng_of(seed, name, "things"), script, motion, tick)
+    thing_boxes, thing_distance = _thing_boxes(things, motion.robot)
+    covered, joint_covered = _covered(
+        boxes,
+        _ground_rows(distance),
+        present,
+        distance,
+        order,
+        np.concatenate([panel_boxes, thing_boxes], axis=1),
+        np.concatenate([panel_distance, thing_distance], axis=1),
+        bodies,
+    )
     return World(
         name=name,
         seed=seed,
@@ -121,16 +148,22 @@ def build(name: str, seed: int, frames: int, people: int) -> World:
         present=present,
         apart=script.apart[tick],
         pose=pose,
-        actions=script.actions[tick],
+        actions=actions,
         cluster=_clusters(script.people, script.apart)[tick],
         distance=distance,
         height=height,
         width=width,
         boxes=boxes,
-        covered=_covered(boxes, _ground_rows(distance), present, distance, order, panel_boxes, panel_distance),
+        covered=covered,
         panel_boxes=panel_boxes,
         panel_distance=panel_distance,
         order=order,
+        bonds=bonds_of(rng_of(seed, name, "bonds"), script),
+        things=things,
+        thing_boxes=thing_boxes,
+        thing_distance=thing_distance,
+        joints=bodies,
+        joint_covered=joint_covered,
     )
 
 
@@ -139,12 +172,65 @@ def person_boxes(motion: Motion, distance: Floats, height: Floats, width: Floats
     azimuth = np.arctan2(motion.y, motion.x)
     column = WIDTH * (0.5 - azimuth / (2 * np.pi))
     half = WIDTH * np.arctan2(width / 2, distance) / (2 * np.pi)
-    feet = FLOOR + motion.z
-    top = HORIZON_ROW - FOCAL_ROWS * (feet + height) / distance
-    bottom = HORIZON_ROW - FOCAL_ROWS * feet / distance
+    top, bottom = np.moveaxis(body_rows(motion.z, distance, height), -1, 0)
     left, right = np.round(column - half), np.round(column + half)
     top, bottom = np.clip(np.round(top), 0, HEIGHT), np.clip(np.round(bottom), 0, HEIGHT)
     return np.stack([left, top, right - left, bottom - top], axis=-1).astype(np.int64)
+
+
+def body_rows(feet: Floats, distance: Floats, height: Floats) -> Floats:
+    """Rows (..., 2) of the top and the bottom of bodies, not cut at the image; `feet` is metres above the floor."""
+    low = FLOOR + feet
+    rows = [HORIZON_ROW - FOCAL_ROWS * (low + height) / distance, HORIZON_ROW - FOCAL_ROWS * low / distance]
+    return np.stack(rows, axis=-1).astype(np.float64)
+
+
+def turned(motion: Motion) -> tuple[Floats, Floats]:
+    """How people face, as the robot sees it: across (-1 left, 1 right) and toward the robot (1, or -1 away)."""
+    off = motion.heading - np.arctan2(motion.y, motion.x)
+    return -np.sin(off), -np.cos(off)
+
+
+def gait(frames: int, people: int) -> Floats:
+    """Phase of each person's stride, radians, (frames, people)."""
+    return np.arange(frames)[:, None] * 0.5 + np.arange(people)
+
+
+def _bodies(motion: Motion, boxes: Ints, rows: Floats, pose: Ints, actions: Ints) -> npt.NDArray[np.float32]:
+    """Joints in pixels, (frames, people, 17, 2)."""
+    frames, people = pose.shape
+    side, toward = turned(motion)
+    stride = gait(frames, people)
+    out = np.empty((frames, people, 17, 2), np.float32)
+    # Some frames at a time: the work would else take several times the memory of the result.
+    for start in range(0, frames, 128):
+        part = slice(start, start + 128)
+        flat = joints(
+            pose[part].ravel(),
+            actions[part].reshape(-1, actions.shape[-1]),
+            side[part].ravel(),
+            toward[part].ravel(),
+            stride[part].ravel(),
+        ).reshape(-1, people, 17, 2)
+        x, w = boxes[part, :, 0, None], boxes[part, :, 2, None]
+        top, bottom = rows[part, :, 0, None], rows[part, :, 1, None]
+        out[part, :, :, 0] = x + (0.5 + flat[..., 0]) * w
+        out[part, :, :, 1] = top + flat[..., 1] * (bottom - top)
+    return out
+
+
+def _thing_boxes(things: Things, robot: Floats) -> tuple[Ints, Floats]:
+    """Boxes and distances of standing things, by column of `things.stands`."""
+    sizes = np.array([SIZES[things.things[k].category] for k in things.stands]).reshape(-1, 2)
+    x, y = to_robot(robot[:, None, :], things.x, things.y)
+    distance = np.maximum(np.hypot(x, y), 0.8)
+    column = WIDTH * (0.5 - np.arctan2(y, x) / (2 * np.pi))
+    half = WIDTH * np.arctan2(sizes[:, 0] / 2, distance) / (2 * np.pi)
+    top, bottom = np.moveaxis(body_rows(np.zeros_like(distance), distance, sizes[:, 1]), -1, 0)
+    top, bottom = np.clip(np.round(top), 0, HEIGHT), np.clip(np.round(bottom), 0, HEIGHT)
+    left, right = np.round(column - half), np.round(column + half)
+    boxes = np.stack([left, top, right - left, bottom - top], axis=-1).astype(np.int64)
+    return boxes, np.where(things.there, distance, np.inf)
 
 
 def _panels(rng: Rng, parties: tuple[Party, ...]) -> tuple[Panel, ...]:
@@ -199,30 +285,39 @@ def _covered(
     present: Bools,
     distance: Floats,
     order: Ints,
-    panel_boxes: Ints,
-    panel_distance: Floats,
-) -> Floats:
-    """Share of each box that lies behind nearer ones, counted on a raster of `GRID` pixels; 0 for the absent.
+    obstacle_boxes: Ints,
+    obstacle_distance: Floats,
+    bodies: npt.NDArray[np.float32],
+) -> tuple[Floats, Bools]:
+    """Share of each box that lies behind nearer ones, counted on a raster of `GRID` pixels, and which joints do so.
 
-    A person's box covers with the steps below it, down to the row `ground`.
+    0 and False for the absent. A person's box covers with the steps below it, down to the row `ground`; obstacles
+    (panels and things) cover their boxes.
     """
     frames, count = distance.shape
     covered = np.zeros((frames, count))
+    joint_covered = np.zeros((frames, count, 17), bool)
     across, down = WIDTH // GRID, HEIGHT // GRID
     # Three turns side by side: a box over the seam is one slice, written in all its copies.
     taken = np.zeros((down, 3 * across), np.uint8)
+    cells = taken.ravel()
     for frame in range(frames):
         taken[:] = 0
-        panels = sorted(range(panel_distance.shape[1]), key=lambda i: -panel_distance[frame, i])
+        row = np.clip(bodies[frame, :, :, 1] // GRID, 0, down - 1).astype(np.int64)
+        column = (bodies[frame, :, :, 0] // GRID).astype(np.int64) % across + across
+        place = row * (3 * across) + column
+        nearest = np.argsort(-obstacle_distance[frame], kind="stable").tolist()
+        away = obstacle_distance[frame].tolist()
         for i in order[frame].tolist():
             if not present[frame, i]:
                 continue
-            while panels and panel_distance[frame, panels[-1]] < distance[frame, i]:
-                x, y, w, h = panel_boxes[frame, panels.pop()].tolist()
+            while nearest and away[nearest[-1]] < distance[frame, i]:
+                x, y, w, h = obstacle_boxes[frame, nearest.pop()].tolist()
                 _take(taken, x, y, w, h, y + h, across)
             x, y, w, h = boxes[frame, i].tolist()
+            joint_covered[frame, i] = cells[place[i]]
             covered[frame, i] = _take(taken, x, y, w, h, max(y + h, int(ground[frame, i])), across)
-    return covered
+    return covered, joint_covered
 
 
 def _take(taken: npt.NDArray[np.uint8], x: int, y: int, w: int, h: int, foot: int, across: int) -> float:

@@ -1,14 +1,16 @@
 """Writes a sample root: one sequence at a time, each from its own seed, in worker processes.
 
-A layer is a function of the simulated world; a further one is another entry in `_LAYERS`.
+A layer is a function of the simulated world that gives its file's text in parts; a further one is another entry in
+`_LAYERS`. The box files share their records, which are made once.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import msgspec
 import numpy as np
@@ -17,18 +19,29 @@ from jrdb_avr.loaders.shards import map_shards
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
-from .labels import HARD, annotated, difficulty, labels_2d, labels_3d, occlusion
+from .clocks import calibration_files, frames_img, frames_pc
+from .labels import HARD, Quirks, annotated, difficulty, frames_2d, frames_3d, occlusion
+from .panoptic import category_ids, panoptic_file
+from .poses import pose_file
 from .render import image_frames, write_images
 from .script import NONE
+from .social import Social
 from .world import World, build
 
 _PLACES: Final = ("plaza", "cafe", "hall", "library", "street", "lobby", "atrium", "campus", "market")
 
-_LAYERS: Final[dict[str, Callable[[World], dict[str, Any]]]] = {
-    "labels/labels_2d_stitched": labels_2d,
-    "labels/labels_3d": labels_3d,
+_LAYERS: Final[dict[str, Callable[[World], Iterator[bytes]]]] = {
+    "labels/labels_2d_pose_stitched_coco/{}.json": pose_file,
+    "labels/labels_2d_panoptic_stitched_CW/{}.json": panoptic_file,
+    "timestamps/{}/frames_img.json": frames_img,
+    "timestamps/{}/frames_pc.json": frames_pc,
 }
-"""Folder of each layer of one JSON file per sequence, and what makes its content."""
+"""Path of each layer's file, with the sequence's name in the braces, and what makes its text."""
+
+_BOXES_2D: Final = "labels/labels_2d_stitched/{}.json"
+_BOXES_3D: Final = "labels/labels_3d/{}.json"
+_SOCIAL: Final = "labels/labels_2d_activity_social_stitched/{}.json"
+_REASONING: Final = "labels/labels_2d_stitched_new_version/{}.json"
 
 FULL_SCALE: Final = (
     *((1079, 12), (715, 11), (789, 13), (1604, 42), (1222, 23), (638, 18), (1663, 7), (425, 5), (791, 23)),
@@ -86,6 +99,10 @@ def plan(root: Path, sizes: list[tuple[int, int]], seed: int, images: str) -> li
 
 def write(orders: list[Order], workers: int) -> Iterator[Written]:
     """Write the sequences; yields each as it is done, in no fixed order."""
+    for name, text in calibration_files().items():
+        for folder in sorted({Path(order.root) / "calibration" for order in orders}):
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_text(text)
     for _, written in map_shards(write_sequence, orders, workers, lambda order: order.frames * order.people):
         yield written
 
@@ -94,14 +111,54 @@ def write_sequence(order: Order) -> Written:
     """Simulate one sequence and write its files."""
     world = build(order.name, order.seed, order.frames, order.people)
     root = Path(order.root)
-    for folder, layer in _LAYERS.items():
-        path = root / folder / f"{order.name}.json"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(msgspec.json.encode(layer(world)))
+    for name, layer in _LAYERS.items():
+        with _open(root, name, order.name) as file:
+            file.writelines(layer(world))
+    _write_boxes(root, world)
     images = image_frames(world, order.images)
     if images:
         write_images(world, images, root / "images" / "image_stitched" / order.name)
     return _count(world, len(images))
+
+
+def _open(root: Path, name: str, sequence: str) -> BinaryIO:
+    path = root / name.format(sequence)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path.open("wb")
+
+
+def _write_boxes(root: Path, world: World) -> None:
+    """The files of one list of records per frame. Only one frame of them is in memory at a time."""
+    quirks = Quirks(world)
+    social = Social(world, quirks, category_ids(world))
+    with ExitStack() as stack:
+        flat, more, most, solid = (
+            _FrameFile(stack.enter_context(_open(root, name, world.name)))
+            for name in (_BOXES_2D, _SOCIAL, _REASONING, _BOXES_3D)
+        )
+        for one in frames_2d(world, quirks):
+            flat.add(one.key, one.records + one.foreign)
+            more.add(one.key, social.social(one))
+            most.add(one.key, social.reasoning(one))
+        for key, rows in frames_3d(world, quirks):
+            solid.add(key, rows)
+        for file in (flat, more, most, solid):
+            file.end()
+
+
+class _FrameFile:
+    """A file of lists of records by frame key, written frame by frame."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._next = b'{"labels":{'
+
+    def add(self, key: str, records: list[dict[str, Any]]) -> None:
+        self._file.write(b'%b"%b":%b' % (self._next, key.encode(), msgspec.json.encode(records)))
+        self._next = b","
+
+    def end(self) -> None:
+        self._file.write(self._next.removesuffix(b",") + b"}}")
 
 
 def _count(world: World, images: int) -> Written:

@@ -1,0 +1,224 @@
+"""What the social and the reasoning files hold beside the boxes: demographics, interactions, groups, handled things.
+
+Lists are written as JSON text: most of them stay the same from frame to frame, and a sequence has up to a million.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from jrdb_avr.schema.things import VERBS
+from jrdb_avr.schema.vocabulary import AGES, GENDERS, INTERACTIONS
+
+from .entries import of_bonds, of_handling, some
+from .labels import HARD, LabelFrame, Quirks, occlusion, spans
+from .script import Rng
+from .things import category_code
+from .world import World, rng_of
+
+_EMPTY: Final = msgspec.Raw(b"[]")
+
+_VENUES: Final = {
+    "plaza": "outdoor_open_area/campus",
+    "cafe": "indoor_cafeteria/dining_hall/food_court",
+    "hall": "indoor_open_space/corridor",
+    "library": "indoor_study_space",
+    "street": "outdoor_street",
+    "lobby": "indoor_open_space/corridor",
+    "atrium": "indoor_room/class",
+    "campus": "outdoor_open_area/campus",
+    "market": "outdoor_cafeteria/dining_hall/food_court",
+}
+_AIMS: Final = (
+    "wandering",
+    "discussing_an_object/matter",
+    "studying/writing/reading/working",
+    "waiting_for_someone/something",
+    "socializing",
+    "excursion",
+    "attending_class/lecture/seminar",
+    "eating/ordering_food",
+    "commuting",
+    "navigating",
+    "socializing&eating/ordering_food",
+)
+_BODY_ON: Final = ("floor", "chair", "ground", "pathway", "sidewalk", "bench")
+_NEAR: Final = ("table", "wall", "board", "pillar", "door", "poster", "trolley", "window", "robot", "baggage")
+_WHERE: Final = ("at", "near", "in front of", "around")
+
+_SPELLINGS: Final = {
+    "standing together": "standing together together",
+    "looking at sth together": "looking at something together",
+    "holding sth together": "holding something together",
+    "walking together": "walking_together",
+}
+
+Lists = dict[int, msgspec.Raw]
+"""By a person's place, the text of one of its lists; who is not in it has an empty one."""
+
+
+class Social:
+    """Writes the lists of one sequence."""
+
+    def __init__(self, world: World, quirks: Quirks, category_ids: list[int]) -> None:
+        self._world = world
+        rng = rng_of(world.seed, world.name, "social")
+        self._hidden = occlusion(world) >= 2
+        everywhere = np.ones(self._hidden.shape, bool)
+        self._untold = spans(rng, self._hidden, 0.0008, 5, 40)
+        self._key_missing = spans(rng, self._hidden, 0.0004, 5, 30)
+        self._says_other = spans(rng, everywhere, 0.00012, 5, 20)
+        self._group_other = spans(rng, everywhere, 0.00012, 5, 20)
+        self._person_draw = rng.random(len(world.people))
+        self._persons = [_person_texts(rng, world, i) for i in range(len(world.people))]
+        self._groups = _group_texts(rng, world)
+        count = len(world.bonds.first)
+        self._bonds = of_bonds(world, rng.choice(3, size=count, p=[0.93, 0.04, 0.03]))
+        self._twice = some(rng, count, 0.02).tolist()
+        self._words = _words(world, some(rng, count, 0.04))
+        self._handled = of_handling(world)
+        self._pairs = _thing_texts(rng, world, category_ids)
+
+    def social(self, one: LabelFrame) -> list[dict[str, Any]]:
+        """Records of the social file at a frame of the 2D file."""
+        together = self._interactions(one.frame)
+        rows = []
+        for i, record in zip(one.people, one.records, strict=True):
+            row = {**record, "demographics_info": self._demographics(one.frame, i)}
+            if not self._key_missing[one.frame, i]:
+                row["H-interaction"] = together.get(i, _EMPTY)
+            row["group_info"] = self._group(one.frame, i)
+            rows.append(row)
+        return rows + one.foreign
+
+    def reasoning(self, one: LabelFrame) -> list[dict[str, Any]]:
+        """Records of the reasoning file: other names, and empty lists mostly left out."""
+        together, handled = self._interactions(one.frame), self._handles(one.frame)
+        sizes = Counter(record["social_group"]["cluster_ID"] for record in one.records if "social_group" in record)
+        rows = []
+        for i, record in zip(one.people, one.records, strict=True):
+            row = {**record, "demographics_info": self._demographics(one.frame, i)}
+            if i in together or i % 3 == 0:
+                row["HHI"] = together.get(i, _EMPTY)
+            if i in handled or i % 5 == 0:
+                row["HOI"] = handled.get(i, _EMPTY)
+            row["group_info"] = self._group(one.frame, i)
+            if "social_group" in record:
+                row["group_size"] = sizes[record["social_group"]["cluster_ID"]]
+            rows.append(row)
+        return rows + one.foreign
+
+    def _demographics(self, frame: int, i: int) -> msgspec.Raw:
+        if self._untold[frame, i]:
+            return _EMPTY
+        texts = self._persons[i]
+        if self._says_other[frame, i]:
+            return texts["other"]
+        draw = self._person_draw[i]
+        if self._hidden[frame, i] and draw < 0.4:
+            return texts["impossible" if draw < 0.12 else "hard"]
+        return texts["plain"]
+
+    def _group(self, frame: int, i: int) -> msgspec.Raw:
+        plain, other = self._groups[self._world.people[i].party]
+        if self._world.apart[frame, i]:
+            return _EMPTY
+        return other if self._group_other[frame, i] else plain
+
+    def _interactions(self, frame: int) -> Lists:
+        boxes = self._world.boxes[frame].tolist()
+        texts: dict[int, list[str]] = {}
+        for i, run, j, level in self._bonds.at(frame):
+            x, y, w, h = boxes[j]
+            track = self._world.people[j].track
+            text = (
+                f'{{"pair":"pedestrian:{track}","box_pair":[{x},{y},{w},{h}],'
+                f'"inter_labels":{{"{self._words[run]}":"{level}"}}}}'
+            )
+            texts.setdefault(i, []).extend([text] * (1 + self._twice[run]))
+        return _lists(texts)
+
+    def _handles(self, frame: int) -> Lists:
+        texts: dict[int, list[str]] = {}
+        for i, run, _, level in self._handled.at(frame):
+            texts.setdefault(i, []).append(self._pairs[run].replace("LEVEL", str(level)))
+        return _lists(texts)
+
+
+def _lists(texts: dict[int, list[str]]) -> Lists:
+    return {i: msgspec.Raw(f"[{','.join(some)}]".encode()) for i, some in texts.items()}
+
+
+def _person_texts(rng: Rng, world: World, i: int) -> dict[str, msgspec.Raw]:
+    """`demographics_info` of a person: as it is, hard, impossible, and a slip of the annotators."""
+    person = world.people[i]
+
+    def text(gender: str, age: str, levels: list[int], ethnicity: str = person.ethnicity) -> msgspec.Raw:
+        labels = {"gender": gender.title(), "age": age.replace(" ", "_").title(), "race": ethnicity}
+        if gender == "impossible":
+            labels = dict.fromkeys(labels, "impossible")
+        element = {key: {label: str(level)} for (key, label), level in zip(labels.items(), levels, strict=True)}
+        return msgspec.Raw(msgspec.json.encode([element]))
+
+    slip = (GENDERS[person.gender == GENDERS[0]], person.age)
+    if i % 2:
+        slip = (person.gender, AGES[(AGES.index(person.age) + 1) % len(AGES)])
+    return {
+        "plain": text(person.gender, person.age, rng.integers(1, 3, 3).tolist()),
+        "hard": text(person.gender, person.age, [HARD] * 3),
+        "impossible": text("impossible", person.age, [1, 1, 1]),
+        "other": text(*slip, [2, 2, 2]),
+    }
+
+
+def _group_texts(rng: Rng, world: World) -> list[tuple[msgspec.Raw, msgspec.Raw]]:
+    """`group_info` per party: what all its members carry, and what one says who disagrees; empty for one alone."""
+    out = []
+    for index, party in enumerate(world.parties):
+        if len(party.members) == 1:
+            out.append((_EMPTY, _EMPTY))
+            continue
+        aims, near = rng.permutation(len(_AIMS)), rng.permutation(len(_NEAR))
+        level = str(int(rng.choice([1, 2, 3], p=[0.55, 0.33, 0.12])))
+        done = Counter(world.bonds.label[np.isin(world.bonds.a, party.members)].tolist())
+        element = {
+            "venue": {_venue(world.name, index): "1"},
+            "aim": {_AIMS[aims[0]]: level},
+            "inter": {INTERACTIONS[label]: "1" for label, _ in sorted(done.most_common(2))},
+            "BPC": {_BODY_ON[int(rng.integers(len(_BODY_ON)))]: "1"},
+            "SSC": {_NEAR[near[0]]: "1", **({_NEAR[near[1]]: "2"} if rng.random() < 0.4 else {})},
+            "location_pre": {_WHERE[int(rng.integers(len(_WHERE)))]: "1"},
+        }
+        slip = element | {"aim": {_AIMS[aims[1]]: "2"}, "SSC": {_NEAR[near[2]]: "1"}}
+        out.append((msgspec.Raw(msgspec.json.encode([element])), msgspec.Raw(msgspec.json.encode([slip]))))
+    return out
+
+
+def _venue(sequence: str, party: int) -> str:
+    """The place that the sequence's name tells; one party in five writes it with a colon."""
+    venue = _VENUES[sequence.split("-")[1]]
+    return venue.replace("_", ":", 1) if party % 5 == 4 else venue
+
+
+def _words(world: World, odd: Any) -> list[str]:
+    """The label of each run, a few of them in another spelling."""
+    labels = [INTERACTIONS[label] for label in world.bonds.label.tolist()]
+    return [_SPELLINGS.get(label, label) if other else label for label, other in zip(labels, odd.tolist(), strict=True)]
+
+
+def _thing_texts(rng: Rng, world: World, category_ids: list[int]) -> list[str]:
+    """The entry of each run of handling, with LEVEL in the place of its difficulty; some pairs hold texts."""
+    handling = world.things.handling
+    out = []
+    for thing, verb, text in zip(
+        handling.thing.tolist(), handling.verb.tolist(), (rng.random(len(handling.thing)) < 0.1).tolist(), strict=True
+    ):
+        one = world.things.things[thing]
+        numbers = [one.number, category_ids[category_code(one)]]
+        pair = ",".join(f'"{number}"' if text else str(number) for number in numbers)
+        out.append(f'{{"inter_labels":{{"{VERBS[verb]}":"LEVEL"}},"pair":[{pair}]}}')
+    return out
