@@ -1,0 +1,484 @@
+"""The panoptic layer: what is kept of a file of masks, what is refused, and the objects that follow from it."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import math
+import random
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pycocotools import mask as masks
+from pycocotools.coco import COCO
+from worlds import coco_file, person, thing
+
+from jrdb_avr.loaders import coco, panoptic
+from jrdb_avr.loaders.boxes2d import load_2d
+from jrdb_avr.loaders.intervals import derive
+from jrdb_avr.loaders.panoptic import load_panoptic
+from jrdb_avr.loaders.problems import Problems
+from jrdb_avr.schema.errors import InputError
+from jrdb_avr.schema.rules import LoadRules
+from jrdb_avr.schema.tables import ANNOTATIONS
+from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES, normal_category
+
+NAME = "yard-2020-01-01_0"
+SHELF, DOOR, WALL, PERSON, TEAPOT = 57, 71, 4, 63, 900
+
+
+def reading_of(folder, content):
+    path = folder / f"{NAME}.json"
+    path.write_bytes(content if isinstance(content, bytes) else json.dumps(content).encode())
+    problems = Problems(path.name)
+    reading = load_panoptic(path, NAME, problems)
+    for name, table in reading.tables.items():
+        assert table.schema == ANNOTATIONS[name]
+    return reading, problems.listed()
+
+
+def things(reading):
+    """(frame, category number, object) of every row, in order."""
+    return [(row["frame"], row["category_id"], row["object"]) for row in reading.tables["panoptic"].to_pylist()]
+
+
+def known(reading):
+    return dict(zip(*(column.tolist() for column in reading.frames["panoptic"]), strict=True))
+
+
+def found(problems):
+    return [(p.kind, p.reason, p.count, p.frame, p.field) for p in problems]
+
+
+def test_things_and_stuff_are_kept_as_written(tmp_path):
+    polygon = [[1.5, 2, 3, 4, 5, 6.25], [10, 10, 20, 10, 20, 20, 10, 20]]
+    content = coco_file(
+        {
+            0: [
+                thing(0, SHELF, (-3, 4.5, 30, 40)),
+                thing(None, WALL, segmentation=polygon),
+                thing(7, PERSON, area=None, segmentation={"size": [4, 4], "counts": [3, 5, 8]}),
+            ]
+        },
+        "panoptic",
+    )
+    reading, problems = reading_of(tmp_path, content)
+    rows = reading.tables["panoptic"].to_pylist()
+    assert [list(row.values())[1:] for row in rows] == [
+        [0, None, WALL, 10.0, 20.0, 30.0, 40.0, 12.5, "[[1.5,2,3,4,5,6.25],[10,10,20,10,20,20,10,20]]"],
+        [0, 0, SHELF, -3.0, 4.5, 30.0, 40.0, 12.5, '{"size":[480,3760],"counts":"abc"}'],
+        [0, 7, PERSON, 10.0, 20.0, 30.0, 40.0, None, '{"size":[4,4],"counts":[3,5,8]}'],
+    ]
+    assert problems == []
+
+
+def test_case_15_an_image_without_annotations_is_a_known_frame(tmp_path):
+    reading, problems = reading_of(
+        tmp_path, coco_file({0: [thing(1, SHELF)], 15: [], 30: [thing(1, SHELF)]}, "panoptic")
+    )
+    assert known(reading) == {0: 1, 15: 0, 30: 1}
+    assert problems == []
+
+
+def test_case_32_images_are_joined_by_file_name_not_by_number(tmp_path):
+    """By the rule `image number = frame // 15 + 1` every row would land in another frame."""
+    images = [{"id": i, "file_name": f"image_stitched/{NAME}/{f:06d}.jpg"} for i, f in ((3, 0), (1, 15), (2, 30))]
+    rows = [thing(i, SHELF, image_id=i, id=i) for i in (1, 2, 3)]
+    content = {"images": images, "annotations": rows, "categories": [{"id": SHELF, "name": "shelf"}]}
+    reading, _ = reading_of(tmp_path, content)
+    assert things(reading) == [(0, SHELF, 3), (15, SHELF, 1), (30, SHELF, 2)]
+
+
+@pytest.mark.parametrize("where", ["tracking_id", "attributes.tracking_id", "attributes.floor_id"])
+@pytest.mark.parametrize("track", [0, 12, 12.0, "12"])
+def test_case_33_a_track_stands_under_three_names(tmp_path, where, track):
+    reading, problems = reading_of(tmp_path, coco_file({0: [thing(track, SHELF, where=where)]}, "panoptic"))
+    assert things(reading) == [(0, SHELF, int(track))]
+    assert problems == []
+
+
+def test_case_33_the_first_name_that_says_anything_counts(tmp_path):
+    rows = [
+        thing(1, SHELF, attributes={"tracking_id": 2, "floor_id": 3}),
+        thing(None, SHELF, attributes={"tracking_id": 4, "floor_id": 5}, tracking_id=None),
+        thing(None, SHELF, attributes={"tracking_id": None, "floor_id": 6}),
+        thing(None, SHELF, attributes={"color": "red"}),
+        thing("x", SHELF, attributes={"tracking_id": 8}),
+        thing(-1, SHELF),
+    ]
+    reading, problems = reading_of(tmp_path, coco_file({0: rows}, "panoptic"))
+    assert [row[2] for row in things(reading)] == [1, 4, 6, None, None, None]
+    assert [(kind, count, field) for kind, _, count, _, field in found(problems)] == [("field", 1, "tracking_id")]
+
+
+def test_case_33_categories_go_by_name_and_tracks_restart_in_each(tmp_path):
+    content = coco_file({0: [thing(1, 5), thing(1, 6), thing(1, 6)], 15: [thing(1, 5)]}, "panoptic")
+    content["categories"] = [{"id": 6, "name": "shelf"}, {"id": 5, "name": "door"}]
+    reading, problems = reading_of(tmp_path, content)
+    assert things(reading) == [(0, 5, 1), (0, 6, 1), (15, 5, 1)]
+    assert [list(row.values())[1:] for row in reading.tables["categories"].to_pylist()] == [
+        [5, "door", "door"],
+        [6, "shelf", "shelf"],
+    ]
+    assert found(problems) == [
+        ("record", "same thing twice in a frame, the first is kept", 1, "000000.jpg", "tracking_id")
+    ]
+
+
+def test_the_first_of_a_repeated_thing_is_kept_and_stuff_is_never_repeated(tmp_path):
+    rows = [thing(1, SHELF, (1, 1, 1, 1)), thing(None, WALL), thing(1, SHELF, (2, 2, 2, 2)), thing(None, WALL)]
+    reading, problems = reading_of(tmp_path, coco_file({0: rows}, "panoptic"))
+    assert things(reading) == [(0, WALL, None), (0, WALL, None), (0, SHELF, 1)]
+    assert reading.tables["panoptic"]["x"].to_pylist() == [10.0, 10.0, 1.0]
+    assert [p.count for p in problems] == [1]
+
+
+SPELLINGS = {
+    "TRASH_BIN": "trash_bin",
+    "t_door": "door",
+    "M_Chair/Sofa": "chair/sofa",
+    "light-pole": "light_pole",
+    " Floor/Walking  path ": "floor/walking_path",
+    "T-table": "table",
+    "tableware": "tableware",
+    "monitor": "monitor",
+    "t_teapot": None,
+    "m_": None,
+}
+
+
+@pytest.mark.parametrize("raw", SPELLINGS)
+def test_case_33_spellings_of_categories(tmp_path, raw):
+    content = coco_file({0: [thing(1, 8)]}, "panoptic") | {"categories": [{"id": 8, "name": raw}]}
+    reading, problems = reading_of(tmp_path, content)
+    (row,) = reading.tables["categories"].to_pylist()
+    assert (row["category"], row["raw"]) == (SPELLINGS[raw], raw.strip())
+    assert list(reading.unknown) == ([] if SPELLINGS[raw] else [("categories", normal_category(raw))])
+    assert problems == []
+
+
+def test_every_name_of_the_vocabulary_is_its_own_usual_spelling():
+    for name in OBJECTS:
+        assert normal_category(name) == name
+        assert normal_category(f"T_{name.upper()}") == name
+    assert PERSON_CATEGORIES.issubset(OBJECTS)
+
+
+def by_coco_tools(path):
+    """Boxes and masks of the same file, read by the tools of the COCO project."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        tools = COCO(str(path))
+    frame_of = {i: int(item["file_name"][-10:-4]) for i, item in tools.imgs.items()}
+    return {
+        (frame_of[a["image_id"]], tools.cats[a["category_id"]]["name"], a["tracking_id"]): (
+            a["bbox"],
+            a["area"],
+            int(tools.annToMask(a).sum()),
+        )
+        for a in tools.loadAnns(tools.getAnnIds())
+    }
+
+
+def pixels_of(text):
+    """Area of a stored mask, by the mask tools."""
+    mask = json.loads(text)
+    if isinstance(mask, list):
+        mask = masks.merge(masks.frPyObjects(mask, 48, 376))
+    elif isinstance(mask["counts"], list):
+        mask = masks.frPyObjects(mask, *mask["size"])
+    return int(masks.area(mask))
+
+
+@pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_the_coco_projects_own_tools_read_the_same(tmp_path_factory, seed):
+    rng = random.Random(seed)
+    frames = rng.sample(range(0, 600, 15), rng.randrange(1, 5))
+    numbers = rng.sample(range(1, 1000), len(frames))
+    images = [
+        {"id": n, "file_name": f"image_stitched/{NAME}/{f:06d}.jpg", "height": 48, "width": 376}
+        for n, f in zip(numbers, frames, strict=True)
+    ]
+    names = rng.sample(OBJECTS, 6)
+    categories = [{"id": i, "name": name} for i, name in zip(rng.sample(range(100), 6), names, strict=True)]
+    keys = {(n, rng.choice(categories)["id"], rng.randrange(4)) for n in numbers for _ in range(rng.randrange(5))}
+    annotations = []
+    for i, (number, category, track) in enumerate(sorted(keys), 1):
+        x, y, w, h = rng.randrange(300), rng.randrange(30), rng.randrange(2, 70), rng.randrange(2, 18)
+        grid = np.zeros((48, 376), np.uint8, order="F")
+        grid[y : y + h, x : x + w] = 1
+        packed = masks.encode(grid)
+        runs = np.diff(np.flatnonzero(np.diff(np.concatenate([[2], grid.ravel("F"), [2]]))), prepend=0)[1:]
+        shape = rng.choice(
+            [
+                {"size": [48, 376], "counts": packed["counts"].decode()},
+                {"size": [48, 376], "counts": runs.tolist()},
+                [[float(x), y, x + w, y, x + w, y + h, x, y + h]],
+            ]
+        )
+        annotations.append(
+            {"id": i, "image_id": number, "category_id": category, "tracking_id": track}
+            | {"bbox": [x, y, w, h], "area": float(w * h), "segmentation": shape}
+        )
+    folder = tmp_path_factory.mktemp("coco")
+    reading, problems = reading_of(folder, {"images": images, "annotations": annotations, "categories": categories})
+    name_of = {row["category_id"]: row["category"] for row in reading.tables["categories"].to_pylist()}
+    rows = {
+        (row["frame"], name_of[row["category_id"]], row["object"]): (
+            [row[side] for side in "xywh"],
+            row["area"],
+            pixels_of(row["segmentation"]),
+        )
+        for row in reading.tables["panoptic"].to_pylist()
+    }
+    assert rows == by_coco_tools(folder / f"{NAME}.json")
+    assert len(rows) == len(annotations)
+    assert problems == []
+
+
+# -- what is refused -----------------------------------------------------------------------------------------------
+
+
+def beside_good(record):
+    """A file whose frame 15 holds a good thing and a record, which need not be JSON of any use."""
+    return coco_file(
+        {0: [thing(1, SHELF)], 15: [thing(2, SHELF), {"category_id": DOOR, "tracking_id": 9} | record]}, "panoptic"
+    )
+
+
+GOOD = [(0, SHELF, 1), (15, SHELF, 2)]
+
+BAD_FIELDS = {
+    "bbox": [[1, 2, 3], [1, 2, 3, "4"], [math.nan, 1, 1, 1], [math.inf, 1, 1, 1], {"x": 1}, "1 2 3 4", [True] * 4],
+    "area": ["12", math.nan, math.inf, [1], True, 10**400],
+    "tracking_id": ["one", 1.5, True, [1], 2**31, -2, math.nan],
+    "segmentation": [
+        "abc",
+        5,
+        {"size": [480, 3760]},
+        {"counts": "abc"},
+        {"size": [480], "counts": "abc"},
+        {"size": ["480", "3760"], "counts": "abc"},
+        {"size": [480, 3760], "counts": [1.5]},
+        [[1, 2, 3, 4]],
+        [[1, 2, 3, 4, 5, 6, 7]],
+        [1, 2, 3, 4, 5, 6],
+        [["1", 2, 3, 4, 5, 6]],
+        [[math.nan, 2, 3, 4, 5, 6]],
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [(field, value) for field, values in BAD_FIELDS.items() for value in values], ids=str
+)
+def test_a_bad_field_leaves_the_rest_of_its_record(tmp_path, field, value):
+    reading, problems = reading_of(tmp_path, beside_good({field: value}))
+    track = None if field == "tracking_id" else 9
+    assert things(reading) == [*GOOD, (15, DOOR, track)]
+    row = reading.tables["panoptic"].to_pylist()[-1]
+    assert row[{"bbox": "x", "tracking_id": "object"}.get(field, field)] is None
+    ((kind, _, count, frame, name),) = found(problems)
+    assert (kind, count, name) == ("field", 1, field)
+    assert frame in ("000015.jpg", "annotation 3")
+
+
+@pytest.mark.parametrize("attributes", [[], 3, "x", [1]])
+def test_attributes_that_are_no_object_cost_only_themselves(tmp_path, attributes):
+    reading, problems = reading_of(tmp_path, beside_good({"attributes": attributes}))
+    assert things(reading) == [*GOOD, (15, DOOR, 9)]
+    assert [(p.kind, p.field, p.count) for p in problems] == [("field", "attributes", 1)]
+
+
+@pytest.mark.parametrize("number", [None, True, 1.5, "one", [1], -1, 2**31, 10**400, math.nan], ids=str)
+def test_a_bad_category_costs_its_own_record(tmp_path, number):
+    reading, problems = reading_of(tmp_path, beside_good({"category_id": number}))
+    assert things(reading) == GOOD
+    ((kind, _, count, _, field),) = found(problems)
+    assert (kind, count, field) == ("record", 1, "category_id")
+
+
+def test_annotations_of_unknown_images_and_images_of_others_are_refused(tmp_path):
+    content = coco_file({0: [thing(1, SHELF)], 15: [thing(2, SHELF)], 30: [thing(3, SHELF)]}, "panoptic")
+    content["images"][2]["file_name"] = "image_stitched/hall-2020-01-01_0/000030.jpg"
+    content["annotations"].append(thing(4, SHELF, id=99, image_id=5))
+    reading, problems = reading_of(tmp_path, content)
+    assert things(reading) == GOOD
+    assert known(reading) == {0: 1, 15: 1}
+    assert [(kind, count, field) for kind, _, count, _, field in found(problems)] == [
+        ("frame", 1, "images.file_name"),
+        ("record", 2, "image_id"),
+    ]
+
+
+def test_a_category_that_is_not_listed_is_unknown(tmp_path):
+    reading, problems = reading_of(tmp_path, beside_good({"category_id": 12}))
+    assert things(reading) == [(0, SHELF, 1), (15, 12, 9), (15, SHELF, 2)]
+    assert found(problems) == [("field", "not in the list of categories", 1, "000015.jpg", "category_id")]
+
+
+BAD_CATEGORIES = {
+    "no name": {"id": 8},
+    "a name that is no text": {"id": 8, "name": 3},
+    "an empty name": {"id": 8, "name": " "},
+    "an endless name": {"id": 8, "name": "x" * 1000},
+    "no number": {"name": "door"},
+    "a negative number": {"id": -8, "name": "door"},
+    "a fraction": {"id": 8.5, "name": "door"},
+    "no object": 3,
+}
+
+
+@pytest.mark.parametrize("entry", BAD_CATEGORIES.values(), ids=BAD_CATEGORIES)
+def test_a_bad_entry_of_the_categories_costs_itself(tmp_path, entry):
+    content = coco_file({0: [thing(1, SHELF)]}, "panoptic")
+    content["categories"] = [entry, {"id": SHELF, "name": "shelf"}]
+    reading, problems = reading_of(tmp_path, content)
+    assert reading.tables["categories"]["category_id"].to_pylist() == [SHELF]
+    ((kind, _, count, _, field),) = found(problems)
+    assert (kind, count) == ("record", 1)
+    assert field.startswith("categories") or entry == 3
+
+
+def test_a_category_number_of_two_names_stands_for_neither(tmp_path):
+    content = coco_file({0: [thing(1, 8), thing(1, 9)]}, "panoptic")
+    names = {8: ["shelf", "door"], 9: ["door", "DOOR"]}
+    content["categories"] = [{"id": number, "name": name} for number in names for name in names[number]]
+    reading, problems = reading_of(tmp_path, content)
+    assert [(r["category_id"], r["category"]) for r in reading.tables["categories"].to_pylist()] == [(9, "door")]
+    assert things(reading) == [(0, 8, 1), (0, 9, 1)]
+    assert sorted((p.kind, p.count, p.field) for p in problems) == [
+        ("field", 1, "category_id"),
+        ("record", 1, "categories"),
+        ("record", 1, "categories"),
+    ]
+
+
+@pytest.mark.parametrize("categories", [None, {}, "x", ...])
+def test_without_a_list_of_categories_things_are_unknown(tmp_path, categories):
+    content = coco_file({0: [thing(1, SHELF)]}, "panoptic") | {"categories": categories}
+    if categories is ...:
+        del content["categories"]
+    reading, problems = reading_of(tmp_path, content)
+    assert things(reading) == [(0, SHELF, 1)]
+    assert reading.tables["categories"].num_rows == 0
+    assert [(p.kind, p.field) for p in problems] == [("field", "category_id"), ("file", "categories")]
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"hello", b'{"images": []}', b'{"labels": {}}', b'{"images": [], "annotations": 3}']
+)
+def test_a_file_that_cannot_be_used_is_refused_as_a_whole(tmp_path, data):
+    with pytest.raises(InputError):
+        reading_of(tmp_path, data)
+
+
+def test_a_file_cut_short_anywhere_is_refused(tmp_path):
+    whole = json.dumps(beside_good({"attributes": {"floor_id": 3}})).encode()
+    for length in range(len(whole)):
+        with pytest.raises(InputError):
+            reading_of(tmp_path, whole[:length])
+
+
+def test_masks_are_bounded(tmp_path, monkeypatch):
+    monkeypatch.setattr(panoptic, "MAX_SEGMENTATION", 100)
+    reading, problems = reading_of(tmp_path, beside_good({"segmentation": {"size": [480, 3760], "counts": "a" * 100}}))
+    assert [text is None for text in reading.tables["panoptic"]["segmentation"].to_pylist()] == [False, False, True]
+    assert [(p.kind, p.field, p.count) for p in problems] == [("field", "segmentation", 1)]
+
+
+@pytest.mark.parametrize("size", [0, 10**9])
+@pytest.mark.parametrize("flaw", ["", "NaN", '{"image_id": true, "category_id": 3}'])
+def test_large_and_flawed_files_are_read_in_pieces_with_the_same_result(tmp_path, monkeypatch, size, flaw):
+    frames = {15 * i: [thing(t, SHELF if t % 2 else DOOR, (i, t, 5, 5)) for t in range(50)] for i in range(40)}
+    content = json.dumps(coco_file(frames, "panoptic"), indent=1)
+    expected, _ = reading_of(tmp_path, content.encode())
+    assert len(things(expected)) == 2000
+    monkeypatch.setattr(coco, "SCAN_FROM", size)
+    monkeypatch.setattr(coco, "CHUNK", 7)
+    content = content.replace('"annotations": [', f'"annotations": [{flaw}' + ", " * bool(flaw))
+    reading, problems = reading_of(tmp_path, content.encode())
+    assert reading.tables == expected.tables
+    assert known(reading) == known(expected)
+    assert len(problems) == bool(flaw)
+
+
+# -- objects -------------------------------------------------------------------------------------------------------
+
+
+def derived(folder, frames, handles=(), categories=None):
+    """Interval tables of a panoptic file beside 2D boxes; `handles`: (frame, person, object, category)."""
+    boxes = {"labels": {f"{f:06d}.jpg": [person(1, (100, 60, 50, 200))] for f in range(32)}}
+    (folder / "2d.json").write_text(json.dumps(boxes))
+    flat = load_2d(folder / "2d.json", NAME, Problems("2d"))
+    content = coco_file(frames, "panoptic")
+    if categories:
+        content["categories"] = [{"id": number, "name": name} for number, name in categories.items()]
+    reading, _ = reading_of(folder, content)
+    rows = [
+        {"sequence": NAME, "layer": layer, "frame": frame, "records": n}
+        for layer, (numbers, counts) in (flat.frames | reading.frames).items()
+        for frame, n in zip(numbers.tolist(), counts.tolist(), strict=True)
+    ]
+    held = [
+        {"sequence": NAME, "frame": frame, "track": track, "object": thing, "category_id": category}
+        | {"verb": "holding", "raw": "holding", "difficulty": 1}
+        for frame, track, thing, category in handles
+    ]
+    tables = flat.tables | reading.tables
+    tables["frames"] = pa.Table.from_pylist(rows, ANNOTATIONS["frames"])
+    tables["handles"] = pa.Table.from_pylist(held, ANNOTATIONS["handles"])
+    return derive(NAME, tables, LoadRules())
+
+
+def objects(tables):
+    return [tuple(row.values())[1:] for row in tables["objects"].to_pylist()]
+
+
+def test_objects_have_a_track_and_are_no_people(tmp_path):
+    frames = {
+        0: [thing(2, SHELF), thing(None, WALL), thing(5, PERSON), thing(None, DOOR)],
+        15: [thing(2, DOOR), thing(0, TEAPOT)],
+        30: [thing(2, SHELF), thing(2, DOOR), thing(5, PERSON)],
+    }
+    tables = derived(tmp_path, frames)
+    assert objects(tables) == [
+        (2, SHELF, "shelf", 0, 30),
+        (2, DOOR, "door", 15, 30),
+        (0, TEAPOT, None, 15, 15),
+    ]
+
+
+def test_what_people_handle_is_an_object_where_no_mask_shows_it_too(tmp_path):
+    handles = [(0, 1, 2, SHELF), (1, 1, 8, DOOR), (2, 1, 8, DOOR), (3, 1, 4, 12), (4, 1, 5, PERSON), (5, 1, 0, SHELF)]
+    tables = derived(tmp_path, {15: [thing(2, SHELF)]}, handles)
+    assert objects(tables) == [
+        (4, 12, None, None, None),
+        (0, SHELF, "shelf", None, None),
+        (2, SHELF, "shelf", 15, 15),
+        (8, DOOR, "door", None, None),
+    ]
+
+
+@pytest.mark.parametrize("name", sorted(PERSON_CATEGORIES))
+def test_people_are_left_out_under_any_number_and_spelling(tmp_path, name):
+    tables = derived(tmp_path, {0: [thing(1, 3), thing(1, 4)]}, [(0, 1, 9, 3)], {3: f"T_{name.upper()}", 4: "bag"})
+    assert objects(tables) == [(1, 4, "bag", 0, 0)]
+
+
+def test_case_14_a_panoptic_layer_once_per_second_changes_no_other_frame(tmp_path):
+    tables = derived(tmp_path, {0: [thing(2, SHELF)], 15: [], 30: [thing(2, SHELF)]})
+    bare = derived(tmp_path, {})
+    row, other = tables["sequence"].to_pylist()[0], bare["sequence"].to_pylist()[0]
+    assert row["layers"] == ["2d", "panoptic"]
+    assert {**row, "layers": []} == {**other, "layers": []}
+    assert row["keyframes"] == [0, 15, 30]
+    for kind in ("frames", "sightings", "persons", "beside"):
+        assert tables[kind] == bare[kind], kind
+    assert objects(tables) == [(2, SHELF, "shelf", 0, 30)]
+    assert objects(bare) == []
