@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 
 from jrdb_avr.schema.tables import ANNOTATIONS
@@ -69,7 +70,7 @@ def load_2d(path: Path, sequence: str, problems: Problems) -> Reading:
     reader = RecordReader(Record, _repair, _READ_ONCE)
     gathered = gather(path, SUFFIXES, reader, lambda records: _take(records, codes), problems)
     columns = gathered.columns()
-    people = kept_boxes(columns, list(codes["label_id"]), problems)
+    people = _kept(columns, list(codes["label_id"]), problems)
     return _tables(columns, codes, people, _complete(gathered.complete, people), sequence, problems)
 
 
@@ -139,15 +140,18 @@ def take_boxes(records: list[Any], labels: Distinct) -> Columns:
     }
 
 
-def kept_boxes(columns: Columns, labels: list[str], problems: Problems) -> People:
-    """The records with the columns of `take_boxes` that are kept."""
-    box = columns["box"]
-    faults = [
+def box_faults(box: npt.NDArray[np.float64]) -> list[tuple[Bools, str]]:
+    """Boxes that cannot be used, and why."""
+    return [
         (np.asarray(~(np.abs(box) <= fields.MAX_PIXEL).all(axis=1)), "box: not finite or far outside the image"),
-        (~((box[:, 2] > 0) & (box[:, 3] > 0)), "box: width or height is not positive"),
+        (np.asarray(~((box[:, 2] > 0) & (box[:, 3] > 0))), "box: width or height is not positive"),
     ]
-    refusals = Refusals(columns["frame"], "jpg", problems)
-    return keep_people(columns["frame"], labels, columns["label_id"], faults, lambda row: box[row].tolist(), refusals)
+
+
+def _kept(columns: Columns, labels: list[str], problems: Problems) -> People:
+    frame, box = columns["frame"], columns["box"]
+    refusals = Refusals(frame, "jpg", problems)
+    return keep_people(frame, labels, columns["label_id"], box_faults(box), lambda row: box[row].tolist(), refusals)
 
 
 def _take(records: list[Record], codes: dict[str, Distinct]) -> Columns:

@@ -5,8 +5,8 @@ can be stale) is not read. Entries change from frame to frame, but their pairs a
 and each distinct one is decoded once.
 
 A list is *whole* when nothing of it was refused: then what it does not hold is false. An entry is refused where it is
-no object, its pair cannot be read or is the person itself, or it tells no label. A label that says "impossible" leaves
-no fact, and the list not whole. A difficulty that cannot be read leaves the label, unknown.
+no object, its pair cannot be read or is the person itself, or its labels are no object. A label that says "impossible"
+leaves no fact, and the list not whole. A difficulty that cannot be read leaves the label, unknown.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from jrdb_avr.schema.social import NOT_TOLD, plain
+from jrdb_avr.schema.social import plain
+from jrdb_avr.schema.vocabulary import IMPOSSIBLE
 
 from . import fields
 from .columns import Bools, Distinct, Ints, Refusals, ragged
@@ -216,11 +217,9 @@ def _read_pairs(pairs: list[object], kind: Kind) -> tuple[tuple[Ints, ...], dict
 
 def _labels(raw: bytes, kind: Kind) -> Decoded:
     named, issues, whole = label_pairs(raw, kind.key)
-    if not named and not issues:
-        return Decoded([], [("inter_labels is empty", kind.key, raw)], False)
     values: list[Value] = []
     for written, value in named:
-        if plain(written) in NOT_TOLD:
+        if plain(written) == IMPOSSIBLE:
             whole = False
         else:
             values.append((kind.normal(written), written, coded(value, kind.key, issues)))

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -32,18 +31,12 @@ def _track_or_code(label: str) -> int:
         return BAD
 
 
-def record_parts(
-    raw: bytes, frame: str, problems: Problems, same: Mapping[str, str] = MappingProxyType({})
-) -> dict[str, bytes] | None:
-    """Raw values of a record by key, first of equal keys; None, with the reason counted, if it is no object.
-
-    `same` maps other names of a key to its usual one.
-    """
+def record_parts(raw: bytes, frame: str, problems: Problems) -> dict[str, bytes] | None:
+    """Raw values of a record by key, first of equal keys; None, with the reason counted, if it is no object."""
     parts: dict[str, bytes] = {}
     try:
         for key, begin, end in members(raw):
-            written = fields.loose(key)
-            name = same.get(written, written)
+            name = fields.loose(key)
             if name in parts:
                 problems.add("field", "key twice, the first is kept", frame=frame, field=shorten(name))
             else:
@@ -68,15 +61,17 @@ def repaired_label(parts: dict[str, bytes], frame: str, problems: Problems) -> s
     return str(label)
 
 
-def repaired_box(parts: dict[str, bytes], frame: str, problems: Problems) -> tuple[float, float, float, float] | None:
-    """The record's 2D box, four numbers; None, with the reason counted, if it has none."""
+def repaired_box(
+    parts: dict[str, bytes], frame: str, problems: Problems, kind: str = "record"
+) -> tuple[float, float, float, float] | None:
+    """The record's 2D box, four numbers; None, with the reason counted, if it has none. `kind`: what is lost then."""
     try:
         box = fields.loose(parts.get("box", b"null"))
         if not isinstance(box, list) or len(box) != 4:
             raise ValueError("not four numbers")
         x, y, w, h = (fields.number(value) for value in box)
     except ValueError as error:
-        problems.add("record", f"box: {error}", frame=frame, field="box", value=parts.get("box", b"missing"))
+        problems.add(kind, f"box: {error}", frame=frame, field="box", value=parts.get("box", b"missing"))
         return None
     return x, y, w, h
 

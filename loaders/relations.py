@@ -2,12 +2,14 @@
 
 `labels_2d_activity_social_stitched/<sequence>.json` and its successors are 2D files with more in every record:
 demographics and group information (lists of no or one object of label objects), interactions with people, and in
-reasoning files also with things. A record is kept under the same rules as by the 2D layer, so that both keep the same
-people. Demographics and group information repeat from frame to frame; each distinct object is decoded once.
+reasoning files also with things. The first record of a person in a frame counts; its box is not needed for its facts,
+and only tells whether the frame numbers are those of the 2D layer. Demographics and group information repeat from frame
+to frame; each distinct object is decoded once.
 """
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping
 from operator import attrgetter
@@ -31,7 +33,7 @@ from jrdb_avr.schema.things import VERBS
 from jrdb_avr.schema.vocabulary import INTERACTIONS
 
 from . import fields
-from .boxes2d import SUFFIXES, frames_of, kept_boxes, take_boxes
+from .boxes2d import SUFFIXES, box_faults, frames_of, take_boxes
 from .columns import Bools, Distinct, Refusals, constant
 from .entries import (
     MAX_ENTRIES,
@@ -46,7 +48,7 @@ from .entries import (
     thing_of,
 )
 from .expand import Decoded, Facts, Issue, Value, clean_pairs, coded, expand, facts_table
-from .gather import Columns, People, gather, numbered
+from .gather import Columns, People, gather, keep_people, numbered
 from .labelfile import RecordReader
 from .problems import Problems, shorten
 from .reading import Reading
@@ -56,6 +58,12 @@ _NOTHING: Final = msgspec.Raw(b"")
 
 INTERACTING: Final = Kind("interactions", "H-interaction", person_of, ("partner",), "label", normal_interaction)
 HANDLING: Final = Kind("handles", "HOI", thing_of, ("object", "category_id"), "verb", normal_verb)
+
+
+INTERACTION_KEYS: Final = ("H-interaction", "HHI")
+"""Two names of one list; the newer comes from the reasoning files."""
+
+_NO_BOX: Final = (math.nan,) * 4
 
 
 class Record(msgspec.Struct, gc=False):
@@ -72,7 +80,6 @@ class SocialRecord(Record, gc=False):
     group_info: msgspec.Raw = _NOTHING
     interactions: list[Entry] | None = msgspec.field(default=None, name="H-interaction")
     hhi: list[Entry] | None = msgspec.field(default=None, name="HHI")
-    """The newer name of the same list."""
 
 
 class HandlingRecord(Record, gc=False):
@@ -106,7 +113,8 @@ def read_relations(
     )
     gathered = gather(path, SUFFIXES, reader, lambda records: _take(records, raws, kinds, codes), problems)
     columns = gathered.columns()
-    people = kept_boxes(columns, list(codes["label_id"]), problems)
+    everybody = Refusals(columns["frame"], "jpg", problems)
+    people = keep_people(columns["frame"], list(codes["label_id"]), columns["label_id"], (), lambda row: "", everybody)
     refusals = Refusals(people.frame, "jpg", problems)
     tables: dict[str, pa.Table] = {}
     frames = {}
@@ -133,7 +141,7 @@ def read_relations(
         frames[kind.layer] = frames_of(people.frame[told | _among(found.person, people)])
         unknown += _unknown_labels(found, kind)
     tables["listed"] = pa.concat_tables(listed) if listed else ANNOTATIONS["listed"].empty_table()
-    return Reading(tables, frames, unknown, _boxes(columns, people))
+    return Reading(tables, frames, unknown, _boxes(columns["box"][people.row], people, refusals))
 
 
 def _raw_fields(record: type[Record]) -> tuple[str, ...]:
@@ -176,11 +184,15 @@ def _take(records: list[Any], raws: tuple[str, ...], kinds: tuple[Kind, ...], co
 
 def _repair(raw: bytes, record: type[Record], frame: str, problems: Problems) -> Record | None:
     """What can be used of a record that does not decode as it stands; None, with the reason counted, if nothing."""
-    parts = record_parts(raw, frame, problems, {"HHI": "H-interaction"})
+    parts = record_parts(raw, frame, problems)
     label = None if parts is None else repaired_label(parts, frame, problems)
-    box = None if parts is None or label is None else repaired_box(parts, frame, problems)
-    if parts is None or label is None or box is None:
+    if parts is None or label is None:
         return None
+    box = repaired_box(parts, frame, problems, "field") or _NO_BOX
+    names = [name for name in parts if name in INTERACTION_KEYS and parts[name] != b"null"]
+    if len(names) > 1 and issubclass(record, SocialRecord):
+        problems.add("field", "key twice, the first is kept", frame=frame, field=names[1])
+    parts[INTERACTING.key] = parts[names[0]] if names else b"null"
     values: dict[str, Any] = {name: msgspec.Raw(parts.get(name, b"")) for name in _raw_fields(record)}
     for kind in _kinds(record):
         values[kind.layer] = repaired_list(parts.get(kind.key), kind, frame, problems)
@@ -276,8 +288,11 @@ def _among(rows: Any, people: People) -> Bools:
     return mask
 
 
-def _boxes(columns: Columns, people: People) -> pa.Table:
-    box = columns["box"][people.row]
-    return pa.table(
-        {"frame": people.frame, "track": people.track, **{name: box[:, i] for i, name in enumerate("xywh")}}
-    )
+def _boxes(box: Any, people: People, refusals: Refusals) -> pa.Table:
+    """The usable boxes, as `Reading` has them. A box that could not be read was counted then."""
+    usable = ~np.isnan(box[:, 0])
+    for fault, reason in box_faults(box):
+        refusals.count(usable & fault, "field", reason, "box", lambda row: box[row].tolist())
+        usable &= ~fault
+    columns = {"frame": people.frame, "track": people.track, **{name: box[:, i] for i, name in enumerate("xywh")}}
+    return pa.table(columns).filter(pa.array(usable))
