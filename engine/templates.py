@@ -103,7 +103,7 @@ def plan_texts(template: Template, columns: Mapping[str, pa.Array]) -> pa.Array:
     """
     words = WORDS[template.name]
     marks = {name: _FRAME_MARK + i for i, name in enumerate(template.times)}
-    plan = canonical(words.build(Slots((_CONDITIONS,), marks, "?action" if words.asks_action else None)))
+    plan = canonical(words.build(Slots((_CONDITIONS,), marks, ("?action",)[: words.actions])))
     holes = {'{"action":"?conditions","at":"t0"}': "conditions", "?action": "action"}
     holes |= {str(mark): name for name, mark in marks.items()}
     pieces: list[pa.Array | str] = [plan]

@@ -22,7 +22,7 @@ from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan, canonical, parse_plan
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, rules_hash
 from jrdb_avr.schema.tables import CANARY, QUESTIONS
-from jrdb_avr.schema.wording import TEMPLATES, parse, question_id, question_key, render
+from jrdb_avr.schema.wording import FAMILIES, parse, question_id, question_key, render
 
 from .publish import GENERATION_KEY
 from .rederive import Annotations, NeededBox, rederive
@@ -216,10 +216,9 @@ def _check_question(
     except AvrError as error:
         report.check("plans", False, f"{name}: {error}")
         return
-    template = TEMPLATES.get(row["template"])
+    family = FAMILIES.get(row["template"], "none")
     report.check("plans", canonical(plan) == own["plan"], f"{name}: the plan is not in its canonical form")
     report.check("plans", plan.answer.mode == mode, f"{name}: the plan's answer is of mode {plan.answer.mode}")
-    family = template.family if template else "none"
     report.check("plans", family == row["family"], f"{name}: template {row['template']!r} is of family {family!r}")
     _check_text(report, row, own, plan, info, annotations)
     _check_private(report, row, own, plan, answer)

@@ -343,12 +343,12 @@ def test_plans_made_from_columns_are_canonical(template, conditions, frames):
 
     words = WORDS[template.name]
     times = dict(zip(words.times, frames, strict=False))
-    action = "looking at sth" if words.asks_action else None
-    plan = words.build(Slots(in_order(conditions), times, action))
+    actions = ("looking at sth",)[: words.actions]
+    plan = words.build(Slots(in_order(conditions), times, actions))
     columns = {name: pa.array([frame]) for name, frame in times.items()}
     columns["conditions"] = pa.array([conditions_json(tuple(conditions))])
-    if action:
-        columns["action"] = pa.array([action])
+    if actions:
+        columns["action"] = pa.array(actions)
     made = plan_texts(template, columns)
     assert made.to_pylist() == [canonical(plan)]
     key = hashed(joined([pa.array(["hall"]), "\n", pa.array([7], pa.int32()), "\n", made]))

@@ -70,7 +70,7 @@ def at_t0(**kwargs):
 
 def ask(world, template, conditions, frames, action=None, rules=RULES):
     row = TEMPLATES[template]
-    plan = row.build(Slots(tuple(conditions), dict(zip(row.times, frames, strict=True)), action))
+    plan = row.build(Slots(tuple(conditions), dict(zip(row.times, frames, strict=True)), (action,) if action else ()))
     return rederive(world.read(rules), plan, template, rules)
 
 

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jrdb_avr.engine.selection import PROFILES, answer_bin, near_duplicates, select, wait_bin
-from jrdb_avr.schema.plan import canonical
+from jrdb_avr.schema.plan import Condition, canonical
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.tables import CANDIDATES
-from jrdb_avr.schema.wording import TEMPLATES, Condition, Slots
+from jrdb_avr.schema.wording import TEMPLATES, Slots
 
 RULES = Rules()
 
@@ -28,9 +28,12 @@ SCHEMA = pa.schema(
     ]
 )
 
+WORDS = ("walking", "typing")
+
 PLANS = {
-    name: canonical(row.build(Slots((Condition(action="sitting", at="t0"),), dict.fromkeys(row.times, 0), "walking")))
+    name: canonical(row.build(Slots((Condition(action="sitting", at="t0"),), dict.fromkeys(row.times, 0), WORDS)))
     for name, row in TEMPLATES.items()
+    if not row.uses
 }
 
 

@@ -9,11 +9,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from jrdb_avr.engine.templates import TEMPLATES
 from jrdb_avr.engine.validate import CHECKS, validate
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.rules import Rules
-from jrdb_avr.schema.wording import TEMPLATES, question_id
+from jrdb_avr.schema.wording import question_id
 
 RULES = Rules()
 
@@ -35,7 +36,7 @@ def few(benchmark_copy):
     kept = set(chosen.values())
     for name in ("questions", "answers", "evidence"):
         keep_only(benchmark_copy, name, kept)
-    assert set(chosen) == set(TEMPLATES) and faulty(benchmark_copy) <= {"selection"}
+    assert set(chosen) == {template.name for template in TEMPLATES} and faulty(benchmark_copy) <= {"selection"}
     return benchmark_copy
 
 

@@ -1,0 +1,184 @@
+"""Descriptions of people: conditions as a noun phrase, and that phrase read back.
+
+Left and right of a description are the robot's, and it says so. Conditions stand in the order of `in_order`, whatever
+order the rules use to choose among descriptions.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Final
+
+import msgspec
+
+from ..errors import PlanError
+from ..plan import Condition
+from ..vocabulary import POSES
+from .phrases import ACTION_PHRASES, INTERACTION_PHRASES, handled, handling, phrase_of
+
+_HEADS: Final[dict[tuple[str | None, str | None], str]] = {
+    (None, None): "person",
+    ("female", None): "woman or girl",
+    ("male", None): "man or boy",
+    (None, "childhood"): "child",
+    ("female", "childhood"): "girl",
+    ("male", "childhood"): "boy",
+    (None, "adolescence"): "teenager",
+    ("female", "adolescence"): "teenage girl",
+    ("male", "adolescence"): "teenage boy",
+    (None, "young adulthood"): "young adult",
+    ("female", "young adulthood"): "young woman",
+    ("male", "young adulthood"): "young man",
+    (None, "middle adulthood"): "middle-aged person",
+    ("female", "middle adulthood"): "middle-aged woman",
+    ("male", "middle adulthood"): "middle-aged man",
+    (None, "late adulthood"): "elderly person",
+    ("female", "late adulthood"): "elderly woman",
+    ("male", "late adulthood"): "elderly man",
+}
+"""(gender, age) -> noun."""
+
+_SECTORS: Final = {
+    "ahead": "ahead of {robot}",
+    "right": "to {robot's} right",
+    "behind": "behind {robot}",
+    "left": "to {robot's} left",
+}
+_DISTANCES: Final = {
+    "very close": "very close to {robot}",
+    "close": "close to {robot}",
+    "moderate": "at a moderate distance from {robot}",
+    "far": "far from {robot}",
+    "very far": "very far from {robot}",
+}
+
+_NUMBERS: Final = ("two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
+_ALONE: Final = "in no group"
+_GROUP: Final = "in a group of "
+
+
+def in_order(conditions: Sequence[Condition]) -> tuple[Condition, ...]:
+    """The conditions in the order in which plans hold them: gender, age, pose, other actions, interaction, ..."""
+    return tuple(sorted(conditions, key=lambda condition: (_rank(condition), msgspec.json.encode(condition))))
+
+
+def _rank(condition: Condition) -> int:
+    if condition.attribute is not None:
+        return {"gender": 0, "age": 1, "group_size": 6, "sector": 7, "distance": 8}[condition.attribute]
+    if condition.action is not None:
+        return 2 if condition.action in POSES else 3
+    return 4 if condition.object is not None else 5
+
+
+def describe(conditions: Sequence[Condition]) -> str:
+    """A noun phrase, as in "the only person to the robot's left who is sitting". Raises PlanError if there is none.
+
+    >>> describe((Condition(action="sitting", at="t0"), Condition(attribute="distance", value="far", at="t0")))
+    'the only person far from the robot who is sitting'
+    """
+    values: dict[str, str | int] = {}
+    doing = []
+    for condition in conditions:
+        if condition.attribute is not None and condition.value is not None:
+            if condition.attribute in values:
+                raise PlanError("conditions", f"{condition.attribute} is given twice")
+            values[condition.attribute] = condition.value
+        elif condition.action is not None:
+            doing.append(phrase_of(ACTION_PHRASES, condition.action, "action"))
+        elif condition.interaction is not None:
+            doing.append(phrase_of(INTERACTION_PHRASES, condition.interaction, "interaction"))
+        elif condition.object is not None and condition.verb is not None:
+            doing.append(handling(condition.verb, condition.object))
+    head = _HEADS.get((_text(values, "gender"), _text(values, "age")))
+    if head is None:
+        raise PlanError("conditions", f"there are no words for {values.get('gender')}, {values.get('age')}")
+    place = _place(_text(values, "sector"), _text(values, "distance"))
+    if "group_size" in values:
+        doing.append(_group(values["group_size"]))
+    clause = f"who is {_listed(doing)}" if doing else ""
+    return " ".join(part for part in ("the only", head, place, clause) if part)
+
+
+def _text(values: dict[str, str | int], name: str) -> str | None:
+    value = values.get(name)
+    return value if isinstance(value, str) else None
+
+
+def _listed(parts: list[str]) -> str:
+    return " and ".join((", ".join(parts[:-1]), parts[-1])) if len(parts) > 1 else parts[0]
+
+
+def _group(size: str | int) -> str:
+    if not isinstance(size, int) or size < 1:
+        raise PlanError("conditions", f"{size!r} is no size of a group")
+    if size == 1:
+        return _ALONE
+    return _GROUP + (_NUMBERS[size - 2] if size - 2 < len(_NUMBERS) else str(size))
+
+
+def _place(sector: str | None, distance: str | None) -> str:
+    if (sector is not None and sector not in _SECTORS) or (distance is not None and distance not in _DISTANCES):
+        raise PlanError("conditions", f"there are no words for the place {sector}, {distance}")
+    first = _SECTORS[sector] if sector else ""
+    second = _DISTANCES[distance] if distance else ""
+    if first and second:
+        second = second.replace("{robot}", "it")
+    both = " and ".join(part for part in (first, second) if part)
+    return both.replace("{robot}", "the robot").replace("{robot's}", "the robot's")
+
+
+ACTION_OF: Final = {phrase: action for action, phrase in ACTION_PHRASES.items()}
+_INTERACTION_OF: Final = {phrase: label for label, phrase in INTERACTION_PHRASES.items()}
+_PLACES: Final = {
+    _place(sector, distance): (sector, distance) for sector in (None, *_SECTORS) for distance in (None, *_DISTANCES)
+}
+
+
+def _alternatives(phrases: Sequence[str]) -> str:
+    # Longest first: "middle-aged person" must not stop at a shorter phrase that begins alike.
+    return "|".join(re.escape(phrase) for phrase in sorted(phrases, key=lambda phrase: (-len(phrase), phrase)))
+
+
+_PERSON: Final = re.compile(
+    rf"the only (?P<head>{_alternatives(list(_HEADS.values()))})"
+    rf"(?: (?P<place>{_alternatives([place for place in _PLACES if place])}))?"
+    r"(?: who is (?P<state>.+))?"
+)
+
+
+def read_description(text: str, at: str) -> tuple[Condition, ...]:
+    """The conditions of a noun phrase, holding at the time named `at`. Raises PlanError for any other text."""
+    match = _PERSON.fullmatch(text)
+    if match is None:
+        raise PlanError("question", f"{text[:80]!r} describes nobody")
+    gender, age = next(key for key, head in _HEADS.items() if head == match["head"])
+    sector, distance = _PLACES[match["place"] or ""]
+    conditions = [] if gender is None else [Condition(attribute="gender", value=gender)]
+    if age is not None:
+        conditions.append(Condition(attribute="age", value=age))
+    if match["state"]:
+        conditions += [_read_state(part, at) for part in re.split(", | and ", match["state"])]
+    if sector is not None:
+        conditions.append(Condition(attribute="sector", value=sector, at=at))
+    if distance is not None:
+        conditions.append(Condition(attribute="distance", value=distance, at=at))
+    return in_order(conditions)
+
+
+def _read_state(phrase: str, at: str) -> Condition:
+    if phrase in ACTION_OF:
+        return Condition(action=ACTION_OF[phrase], at=at)
+    if phrase in _INTERACTION_OF:
+        return Condition(interaction=_INTERACTION_OF[phrase], at=at)
+    if phrase in handled():
+        verb, thing = handled()[phrase]
+        return Condition(object=thing, verb=verb, at=at)
+    if phrase == _ALONE:
+        return Condition(attribute="group_size", value=1, at=at)
+    size = phrase.removeprefix(_GROUP)
+    if size in _NUMBERS:
+        return Condition(attribute="group_size", value=_NUMBERS.index(size) + 2, at=at)
+    if phrase.startswith(_GROUP) and re.fullmatch("[1-9][0-9]{0,5}", size):
+        return Condition(attribute="group_size", value=int(size), at=at)
+    raise PlanError("question", f"{phrase[:80]!r} is nothing a person is in a question")

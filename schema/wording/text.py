@@ -1,0 +1,206 @@
+"""Questions as text, and the text read back: `render` and its exact inverse `parse`, both over the template table."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import cache
+from string import Formatter
+from typing import Any, Final
+
+from ..errors import PlanError
+from ..plan import Plan, canonical
+from ..rules import FPS
+from .people import ACTION_OF, describe, in_order, read_description
+from .phrases import ACTION_PHRASES, phrase_of
+from .relations import Style, read_relations, relate
+from .rows import Slots, Template
+from .templates import TEMPLATES
+
+_EXACT: Final = {"At": "At", "at": "at", "When": "When", "How": "How", "about": ""}
+_ABOUT: Final = {"At": "At about", "at": "at about", "When": "About when", "How": "About how", "about": "about "}
+"""Words for events: the second set where an action is annotated once a second."""
+
+_COUNTED: Final = "that person"
+"""The described person, where a relation is said of that person alone."""
+
+
+def moment(frame: int) -> str:
+    """A stated time: seconds from frame 0, and the frame.
+
+    >>> moment(150)
+    '10.0 s (frame 150)'
+    """
+    return f"{frame / FPS:.1f} s (frame {frame})"
+
+
+_MOMENT: Final = re.compile(r"[0-9]{1,7}\.[0-9] s \(frame ([0-9]{1,7})\)")
+
+
+def render(template: str, plan: Plan, key: str, about: bool = False) -> str:
+    """The question's text; `key` (hex, as `question_key` gives it) picks the paraphrase.
+
+    `about` marks a time that is asked for as approximate: True where the action layer is annotated once a second.
+    Templates that ask for no event do not change with it. Raises PlanError for a plan that is not of the template,
+    or for which there are no words.
+    """
+    rows = [row for row in TEMPLATES.values() if row.template == template]
+    if not rows:
+        known = ", ".join(dict.fromkeys(row.template for row in TEMPLATES.values()))
+        raise PlanError("template", f"{template!r} is no template; use one of {known}")
+    for row in rows:
+        slots = row.slots(plan)
+        if slots is not None and canonical(row.build(slots)) == canonical(plan):
+            _check(row, slots)
+            return _fill(row, row.paraphrases[int(key[-8:], 16) % len(row.paraphrases)], slots, about)
+    raise PlanError("plan", f"is no plan of the template {template!r}")
+
+
+def _check(row: Template, slots: Slots) -> None:
+    """Refuse the plans that say what another, or none, should say: equal questions have one plan."""
+    if in_order(slots.conditions) != slots.conditions:
+        raise PlanError("nodes[0].conditions", "must stand in the order that in_order gives")
+    if any(condition.at not in (None, row.times[0]) for condition in slots.conditions):
+        raise PlanError("nodes[0].conditions", f"must hold at {row.times[0]!r}, the time of the description")
+    if len(set(slots.actions)) < len(slots.actions):
+        raise PlanError("times", "the two actions that start are different ones")
+    if "join" in row.uses:
+        first, second, _, _ = slots.relations
+        if first == second:
+            raise PlanError("edges[1].relation", "must differ from that of edges[0], or both lead to one person")
+        if first > second:
+            raise PlanError("edges[0].relation", "must come before that of edges[1] in the alphabet")
+
+
+# -- slots ----------------------------------------------------------------------------------------------------
+
+
+@cache
+def _pieces(paraphrase: str, about: bool) -> tuple[tuple[str, str], ...]:
+    """(text, slot after it) of a paraphrase, with the words for events filled in; the last slot is empty."""
+    words = _ABOUT if about else _EXACT
+    pieces, text = [], ""
+    for literal, slot, _, _ in Formatter().parse(paraphrase):
+        text += literal
+        if slot in words:
+            text += words[slot]
+        elif slot is not None:
+            pieces.append((text, slot))
+            text = ""
+    return (*pieces, (text, ""))
+
+
+_STYLES: Final[dict[str, Style]] = {"says": "says", "Says": "says", "the": "the", "holds": "holds"}
+
+
+def _numbered(slot: str) -> tuple[str, int]:
+    """`says2` -> ("says", 1)."""
+    return slot[:-1], int(slot[-1]) - 1
+
+
+def _names(row: Template, number: int) -> tuple[str, str]:
+    """What the two people of a relation are called in the text."""
+    if not row.path:
+        return _COUNTED, ""
+    source, target = row.path[number]
+    return source.upper(), target.upper()
+
+
+def _fill(row: Template, paraphrase: str, slots: Slots, about: bool) -> str:
+    return "".join(text + _word(row, slots, slot) for text, slot in _pieces(paraphrase, about))
+
+
+def _word(row: Template, slots: Slots, slot: str) -> str:
+    if slot == "":
+        return ""
+    if slot == "who":
+        return describe(slots.conditions)
+    if slot in slots.frames:
+        return moment(slots.frames[slot])
+    kind, number = _numbered(slot)
+    if kind == "action":
+        return phrase_of(ACTION_PHRASES, slots.actions[number], "action")
+    phrase = relate(slots.relations[number], row.uses[number], _STYLES[kind], *_names(row, number))
+    return _raised(phrase) if kind == "Says" else phrase
+
+
+def _raised(phrase: str) -> str:
+    return phrase[0].upper() + phrase[1:]
+
+
+# -- reading --------------------------------------------------------------------------------------------------
+
+
+def parse(text: str) -> tuple[str, Plan]:
+    """The template and the plan of a question's text. Raises PlanError for a text that `render` cannot have written."""
+    for row in TEMPLATES.values():
+        for paraphrase in row.paraphrases:
+            for about in (False, True):
+                for found in _readings(row, _pieces(paraphrase, about), text):
+                    slots = _slots(row, found)
+                    # What was read must be what would be written: a list in another order, for one, is not ours.
+                    if _written(row, paraphrase, slots, about) == text:
+                        return row.template, row.build(slots)
+    raise PlanError("question", f"{text[:80]!r} is no question of this benchmark")
+
+
+def _written(row: Template, paraphrase: str, slots: Slots, about: bool) -> str | None:
+    try:
+        _check(row, slots)
+    except PlanError:
+        return None
+    return _fill(row, paraphrase, slots, about)
+
+
+def _slots(row: Template, found: dict[str, Any]) -> Slots:
+    relations = {slot[-1]: value for slot, value in found.items() if slot[:-1] in _STYLES}
+    return Slots(
+        conditions=found["who"],
+        frames={name: found[name] for name in row.times},
+        actions=tuple(value for slot, value in sorted(found.items()) if slot.startswith("action")),
+        relations=tuple(value for _, value in sorted(relations.items())),
+    )
+
+
+def _readings(row: Template, pieces: tuple[tuple[str, str], ...], text: str) -> Iterator[dict[str, Any]]:
+    """Every way to read a text along the pieces of a paraphrase: slot -> what stands there."""
+    literal, slot = pieces[0]
+    if not text.startswith(literal):
+        return
+    rest = text[len(literal) :]
+    if not slot:
+        if not rest:
+            yield {}
+        return
+    for end in _ends(rest, pieces[1][0]):
+        value = _read(row, slot, rest[:end])
+        if value is not None:
+            for others in _readings(row, pieces[1:], rest[end:]):
+                yield {slot: value} | others
+
+
+def _ends(text: str, literal: str) -> Iterator[int]:
+    """Where a slot's words may end: before each place where the text that follows them stands."""
+    place = text.find(literal, 1) if literal else len(text)
+    while place > 0:
+        yield place
+        place = text.find(literal, place + 1) if literal else -1
+
+
+def _read(row: Template, slot: str, words: str) -> Any:
+    """What a slot's words say, or None where they say nothing."""
+    if slot == "who":
+        try:
+            return read_description(words, row.times[0])
+        except PlanError:
+            return None
+    if slot in row.times:
+        stated = _MOMENT.fullmatch(words)
+        return int(stated[1]) if stated and moment(int(stated[1])) == words else None
+    kind, number = _numbered(slot)
+    if kind == "action":
+        return ACTION_OF.get(words)
+    table = read_relations(row.uses[number], _STYLES[kind], *_names(row, number))
+    if kind == "Says":
+        words = next((phrase for phrase in table if _raised(phrase) == words), "")
+    return table.get(words)
