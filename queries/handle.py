@@ -24,7 +24,7 @@ import fcntl
 import os
 import re
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final, Self
@@ -38,7 +38,10 @@ from .binding import bind, strip_literals
 from .seal import check_seal, rebuild_hint, seal_of, seal_path
 
 BUFFER_BYTES: Final = 512 << 20
-"""Hard limit of the engine's page cache; 256 MB held every query measured at full size, COPY needs more."""
+"""Hard limit of the engine's page cache; 256 MB held every query measured at full size."""
+
+BUILD_BYTES: Final = 800 << 20
+"""The same while a graph is built: COPY holds every row of a batch, in both directions of an edge."""
 
 _MEMORY_BYTES: Final = 1 << 30
 """Address space of an in-memory database; the engine's default of 8 TiB allows only a few in a process."""
@@ -206,6 +209,19 @@ class Graph:
             self._plans.clear()
             self._run(f"COPY `{_identifier(table)}` FROM $rows", {"rows": rows}, None)
 
+    def copy_files(self, table: str, folder: Path, names: Sequence[str]) -> None:
+        """As `copy`, from Parquet files of a folder.
+
+        The engine takes a path for a pattern, so the names must be plain ones and the process changes to the folder
+        meanwhile: whatever that is called is no matter then.
+        """
+        if any(not re.fullmatch(r"[A-Za-z0-9._-]+", name) for name in names):
+            raise QueryError("a file to copy from needs a plain name")
+        files = ", ".join(f"'{name}'" for name in names)
+        with self._writing(), self._lock, contextlib.chdir(folder):
+            self._plans.clear()
+            self._run(f"COPY `{_identifier(table)}` FROM [{files}]", {}, None)
+
     @contextlib.contextmanager
     def transaction(self) -> Iterator[None]:
         """One write transaction round the statements inside; an error rolls all of them back."""
@@ -300,7 +316,7 @@ def _refuse_wrong_answers(plan: Plan, text: str) -> None:
 
 
 @contextlib.contextmanager
-def build_graph(path: str | Path, *, buffer_bytes: int = BUFFER_BYTES) -> Iterator[Graph]:
+def build_graph(path: str | Path, *, buffer_bytes: int = BUILD_BYTES) -> Iterator[Graph]:
     """Build a graph beside `path` and rename it in when the block ends well; otherwise the old one stays.
 
     Holds the graph's lock throughout. Raises LockedError where anybody has the graph open, StoreError where the disk
