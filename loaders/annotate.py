@@ -1,4 +1,8 @@
-"""One sequence's files -> its annotation tables: every layer is read by its own loader, then brought together."""
+"""One sequence's files -> its annotation tables: every layer is read by its own loader, then brought together.
+
+A layer whose boxes show that its frame numbers are not those of the 2D boxes is refused as a whole. The reasoning file
+serves the social facts only where no usable social file did.
+"""
 
 from __future__ import annotations
 
@@ -11,29 +15,44 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import ANNOTATIONS, LAYERS
 
 from .boxes2d import load_2d
 from .boxes3d import heading_check, load_3d
+from .calibration import cameras_check, load_calibration
 from .columns import constant
-from .layers import SequenceFiles, image_frames
+from .layers import LAYER_FILES, SequenceFiles, image_frames
 from .panoptic import load_panoptic
 from .pose import load_pose
-from .problems import Problem, Problems
+from .problems import Problem, Problems, shorten
 from .reading import Reading
-from .report import Heading, UnknownLabel
+from .reasoning import load_reasoning
+from .report import Cameras, Disagreement, Heading, ShiftCheck, Stamps, UnknownLabel
+from .shift import check_shift, tracks_of
+from .social import load_social
+from .ties import absent_partners
+from .timestamps import frame_rate, load_timestamps
+from .votes import disagreements
 
 Ints = npt.NDArray[np.int64]
 
 READERS: Final[dict[str, Callable[[Path, str, Problems], Reading]]] = {
     "2d": load_2d,
     "3d": load_3d,
+    "social": load_social,
     "pose": load_pose,
     "panoptic": load_panoptic,
+    "timestamps": load_timestamps,
+    "calibration": load_calibration,
 }
-"""Loader of each file, in the order in which they are read."""
+"""Loaders of single files. That of the reasoning file must know what the social file gave."""
+
+SOCIAL_FACTS: Final = ("demographics", "interactions", "group_info")
+NOT_LABELS: Final = ("timestamps", "images")
+"""Layers whose frames are no annotated ones."""
 
 
 @dataclass(frozen=True)
@@ -47,46 +66,109 @@ class Annotated:
     unknown: list[UnknownLabel]
     problems: list[Problem]
     heading: Heading | None
+    shifts: list[ShiftCheck]
+
+    @property
+    def label_frames(self) -> Ints:
+        """Frames of any layer of labels, ascending."""
+        known = [frames for layer, (frames, _) in self.frames.items() if layer not in NOT_LABELS]
+        return np.unique(np.concatenate(known)) if known else np.empty(0, np.int64)
+
+    @property
+    def disagreements(self) -> list[Disagreement]:
+        return disagreements(self.tables)
+
+    @property
+    def absent_partners(self) -> int:
+        return absent_partners(self.tables["interactions"], self.tables["boxes_2d"])
+
+    @property
+    def stamps(self) -> Stamps | None:
+        table = self.tables["timestamps"]
+        images = table.filter(pc.equal(table["sensor"], "images"))
+        rate = frame_rate(images["frame"].to_numpy(), images["timestamp"].to_numpy())
+        return Stamps(len(images), len(table) - len(images), rate) if len(table) else None
+
+    @property
+    def cameras(self) -> Cameras | None:
+        return cameras_check(self.tables["calibration"])
 
 
 def annotate(files: SequenceFiles) -> Annotated:
     """Read every file of a sequence. A file that cannot be used as a whole is a problem, never an error."""
-    sequence = files.sequence
-    tables: dict[str, pa.Table] = {}
-    frames: dict[str, tuple[Ints, Ints]] = {}
-    unknown: Counter[tuple[str, str]] = Counter()
+    readings: dict[str, Reading] = {}
     problems: list[Problems] = []
-    for layer, read in READERS.items():
+    shifts: list[ShiftCheck] = []
+    for layer in LAYER_FILES:
         if layer not in files.labels:
             continue
         path = Path(files.labels[layer])
-        problems.append(Problems(path.name))
+        problems.append(Problems(path.name, layer))
         try:
-            reading = read(path, sequence, problems[-1])
+            reading = _read(layer, path, files.sequence, readings, problems[-1])
         except InputError as error:
             problems[-1].add("file", str(error))
             continue
+        check = None if files.labels.get("2d") == str(path) else _check(layer, reading, readings)
+        if check is not None:
+            shifts.append(check)
+            if check.result == "shifted":
+                problems[-1].add("file", check.reason, value=shorten(path.name))
+                continue
+        readings[layer] = reading
+    return _together(files, readings, problems, shifts)
+
+
+def _read(layer: str, path: Path, sequence: str, readings: dict[str, Reading], problems: Problems) -> Reading:
+    if layer != "reasoning":
+        return READERS[layer](path, sequence, problems)
+    social = readings.get("social")
+    served = social is not None and any(len(social.frames[fact][0]) for fact in SOCIAL_FACTS if fact in social.frames)
+    return load_reasoning(path, sequence, problems, social=not served)
+
+
+def _check(layer: str, reading: Reading, readings: dict[str, Reading]) -> ShiftCheck | None:
+    """The frame numbers of a file beside those of the 2D boxes; None for a layer without boxes."""
+    boxes = tracks_of(layer, reading)
+    if boxes is None:
+        return None
+    reference = tracks_of("2d", readings["2d"]) if "2d" in readings else None
+    return check_shift(layer, boxes, reference)
+
+
+def _together(
+    files: SequenceFiles, readings: dict[str, Reading], problems: list[Problems], shifts: list[ShiftCheck]
+) -> Annotated:
+    tables: dict[str, pa.Table] = {}
+    frames: dict[str, tuple[Ints, Ints]] = {}
+    unknown: Counter[tuple[str, str]] = Counter()
+    for reading in readings.values():
+        # Lists that could be read are told by two files: of interactions by one, of things by another.
+        both = [part["listed"] for part in (tables, reading.tables) if "listed" in part]
         tables |= reading.tables
+        if both:
+            tables["listed"] = pa.concat_tables(both)
         frames |= reading.frames
         unknown += reading.unknown
-    if any(len(known) for known, _ in frames.values()):
+    if any(len(known) for layer, (known, _) in frames.items() if layer not in NOT_LABELS):
         pictures: list[int] = []
         try:
             pictures = image_frames(files.images)
         except InputError as error:
-            problems.append(Problems(error.file))
+            problems.append(Problems(error.file, "images"))
             problems[-1].add("file", str(error))
         frames["images"] = np.array(pictures, np.int64), np.ones(len(pictures), np.int64)
     else:
         frames = {}
     heading = heading_check(tables["boxes_3d"]) if "boxes_3d" in tables else None
-    tables["frames"] = _frames_table(sequence, frames)
+    tables["frames"] = _frames_table(files.sequence, frames)
     return Annotated(
         {layer: tables.get(layer, schema.empty_table()) for layer, schema in ANNOTATIONS.items()},
         frames,
         [UnknownLabel(*key, count) for key, count in sorted(unknown.items())],
         [problem for layer in problems for problem in layer.listed()],
         heading,
+        shifts,
     )
 
 

@@ -30,11 +30,11 @@ from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.rules import LoadRules, rules_hash
 from jrdb_avr.schema.tables import ANNOTATIONS
 
-from .annotate import annotate
+from .annotate import NOT_LABELS, annotate
 from .intervals import derive
 from .layers import Root, SequenceFiles
-from .problems import Problems
-from .report import SequenceReport, empty_report
+from .problems import shorten
+from .report import SequenceReport, frame_range, warnings
 from .scene import build_scene
 from .shards import end_with_parent, map_shards
 from .timeline import step_of
@@ -127,21 +127,35 @@ def load_shard(shard: Shard) -> ShardResult:
     with _collector_off():
         sequence = shard.files.sequence
         found = annotate(shard.files)
+        files = {
+            layer: shorten(f"{Path(path).parent.name}/{Path(path).name}", 200)
+            for layer, path in shard.files.labels.items()
+        }
         if not found.frames:
-            return ShardResult(empty_report(sequence, found.problems), None)
+            return ShardResult(SequenceReport(sequence, found.problems, files=files), None)
         intervals = derive(sequence, found.tables, shard.rules)
         entry = _write(Store(shard.staging), sequence, found.tables, intervals)
+        labels, images = frame_range(found.label_frames), frame_range(found.frames["images"][0])
         report = SequenceReport(
             sequence,
-            list(entry.layers),
-            {layer: step_of(found.frames[layer][0]) for layer in entry.layers if layer != "images"},
-            intervals["frames"].num_rows,
-            intervals["persons"].num_rows,
-            found.tables["boxes_2d"].num_rows,
-            found.tables["boxes_3d"].num_rows,
-            found.unknown,
             found.problems,
-            found.heading,
+            layers=list(entry.layers),
+            steps={layer: step_of(found.frames[layer][0]) for layer in entry.layers if layer not in NOT_LABELS},
+            files=files,
+            frames=intervals["frames"].num_rows,
+            people=intervals["persons"].num_rows,
+            boxes=found.tables["boxes_2d"].num_rows,
+            boxes_3d=found.tables["boxes_3d"].num_rows,
+            unknown_labels=found.unknown,
+            heading=found.heading,
+            label_frames=labels,
+            image_frames=images,
+            shifts=found.shifts,
+            stamps=found.stamps,
+            cameras=found.cameras,
+            disagreements=found.disagreements,
+            absent_partners=found.absent_partners,
+            warnings=warnings(labels, images, found.heading, found.cameras),
         )
         return ShardResult(report, entry)
 
@@ -309,10 +323,8 @@ def _swap(place: Path, new: Path, old: Path) -> None:
 
 def _reports(root: Root, results: dict[str, ShardResult]) -> list[SequenceReport]:
     reports = [result.report for _, result in sorted(results.items())]
-    for file in root.unnamable:
-        problems = Problems(file.name)
-        problems.add("file", "file name cannot be a sequence name", value=file.name)
-        reports.append(empty_report("", problems.listed()))
+    if root.problems or root.notes:
+        reports.append(SequenceReport("", list(root.problems), warnings=list(root.notes)))
     return reports
 
 

@@ -23,13 +23,16 @@ class Problem(msgspec.Struct):
     field: str
     detail: str
     """The offending value of the first example, shortened."""
+    layer: str = ""
+    """The layer whose file it is, where that is known."""
 
 
 class Problems:
     """A counter of problems of one file."""
 
-    def __init__(self, file: str) -> None:
+    def __init__(self, file: str, layer: str = "") -> None:
         self.file = shorten(file, 200)
+        self.layer = layer
         self._found: dict[tuple[str, str, str], Problem] = {}
 
     def add(
@@ -40,7 +43,8 @@ class Problems:
         if known is not None:
             known.count += count
             return
-        self._found[kind, reason, field] = Problem(kind, reason, count, self.file, frame, field, shorten(value))
+        example = Problem(kind, reason, count, self.file, frame, field, shorten(value), self.layer)
+        self._found[kind, reason, field] = example
 
     def listed(self) -> list[Problem]:
         """All entries, by kind, reason and field."""
