@@ -211,27 +211,28 @@ class Images:
 
 def read_images(file: CocoFile, sequence: str, problems: Problems) -> Images:
     """The images of the file that are frames of `sequence`; what else is listed is refused. Raises InputError."""
-    frame_of: dict[int, int] = {}
-    ambiguous: set[int] = set()
-    taken: set[int] = set()
+    listed: list[tuple[Image, int | None]] = []
     for images in _IMAGES.read(file, "images", problems):
         for image in images:
             try:
-                frame = _frame_of(image.file_name, sequence)
+                listed.append((image, _frame_of(image.file_name, sequence)))
             except ValueError as error:
+                listed.append((image, None))
                 _refuse_image(image, str(error), "file_name", problems)
-                continue
-            known = frame_of.get(image.id)
-            if known is not None and known != frame:
-                # Nobody can tell which of the two its annotations belong to.
-                ambiguous.add(image.id)
-                _refuse_image(image, "image number of two frames, neither is kept", "id", problems)
-            elif frame in taken:
-                _refuse_image(image, "frame listed twice, the first is kept", "file_name", problems)
-            else:
-                frame_of[image.id] = frame
-                taken.add(frame)
-    kept = sorted((number, frame) for number, frame in frame_of.items() if number not in ambiguous)
+    first: dict[int, int | None] = {}
+    # Nobody can tell to which of two images with one number its annotations belong.
+    ambiguous = {image.id for image, frame in listed if first.setdefault(image.id, frame) != frame}
+    number_of: dict[int, int] = {}
+    for image, frame in listed:
+        if frame is None:
+            continue
+        if image.id in ambiguous:
+            _refuse_image(image, "image number of two files, neither is kept", "id", problems)
+        elif frame in number_of:
+            _refuse_image(image, "frame listed twice, the first is kept", "file_name", problems)
+        else:
+            number_of[frame] = image.id
+    kept = sorted((number, frame) for frame, number in number_of.items())
     pairs = np.array(kept, np.int64).reshape(-1, 2)
     return Images(np.ascontiguousarray(pairs[:, 0]), np.ascontiguousarray(pairs[:, 1]))
 
@@ -318,11 +319,9 @@ def known_images(images: Images, image_id: Ints, names: Callable[[int], object],
 
 def crowded(frame: Ints, refusals: Refusals) -> Bools:
     """Which records belong to frames with too many of them; the frames are counted."""
-    if not len(frame):
-        return np.zeros(0, np.bool_)
-    _, first, group, counts = np.unique(frame, return_index=True, return_inverse=True, return_counts=True)
-    full = counts > MAX_RECORDS
+    full: Bools = (np.bincount(frame) > MAX_RECORDS)[frame]
     if full.any():
-        row = int(first[full].min())
-        refusals.add("frame", f"frame with more than {MAX_RECORDS} records", "image_id", row, "", int(full.sum()))
-    return np.asarray(full[group])
+        frames = len(np.unique(frame[full]))
+        reason = f"frame with more than {MAX_RECORDS} records"
+        refusals.add("frame", reason, "image_id", int(full.argmax()), "", frames)
+    return full

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from operator import attrgetter
+from itertools import repeat
+from operator import attrgetter, is_not
 from pathlib import Path
 from typing import Any, Final
 
@@ -60,9 +61,16 @@ class Annotation(msgspec.Struct, gc=False):
 
     @property
     def tracks(self) -> tuple[_MaybeNumber, ...]:
-        """What stands under the names of the track; the first number counts."""
+        """What stands under the names of the track."""
         inner = self.attributes
         return (self.tracking_id,) if inner is None else (self.tracking_id, inner.tracking_id, inner.floor_id)
+
+    @property
+    def track(self) -> int:
+        """The first number under a name of the track, else NO_TRACK."""
+        if isinstance(self.tracking_id, int):
+            return self.tracking_id
+        return next((number for number in self.tracks if isinstance(number, int)), NO_TRACK)
 
 
 class RunLengths(msgspec.Struct, gc=False):
@@ -156,8 +164,7 @@ def _item(values: Any) -> Any:
 
 def _tracks(chunk: Sequence[Annotation], refusals: Refusals) -> Ints:
     """Track per annotation, NO_TRACK where there is none."""
-    named = map(attrgetter("tracks"), chunk)
-    track = np.array([next((n for n in names if isinstance(n, int)), NO_TRACK) for names in named], np.int64)
+    track = np.array(list(map(attrgetter("track"), chunk)), np.int64)
     wrong = (track < NO_TRACK) | (track > fields.MAX_TRACK)
     refusals.count(wrong, "field", "track: number out of range", "tracking_id", _item(track))
     track[wrong] = NO_TRACK
@@ -175,13 +182,11 @@ def _segmentations(chunk: Sequence[Annotation], refusals: Refusals) -> pa.Array:
     """Masks as compact JSON, null where there is none."""
     texts: list[bytes | None] = []
     for row, raw in enumerate(map(bytes, map(attrgetter("segmentation"), chunk))):
-        text = None
-        if raw not in _ABSENT:
-            try:
-                text = _compact(raw)
-            except ValueError as error:
-                refusals.add("field", f"segmentation: {error}", "segmentation", row, raw[:100], 1)
-        texts.append(text)
+        try:
+            texts.append(None if raw in _ABSENT else _compact(raw))
+        except ValueError as error:
+            refusals.add("field", f"segmentation: {error}", "segmentation", row, raw[:100], 1)
+            texts.append(None)
     return pa.array(texts, pa.binary()).cast(pa.string())
 
 
@@ -195,7 +200,7 @@ def _compact(raw: bytes) -> bytes:
         raise ValueError("neither run lengths nor polygons") from None
     if isinstance(mask, list) and any(len(polygon) < 6 or len(polygon) % 2 for polygon in mask):
         raise ValueError("a polygon is not three or more pairs of numbers")
-    return msgspec.json.format(raw, indent=-1) if any(blank in raw for blank in (b" ", b"\n", b"\r", b"\t")) else raw
+    return msgspec.json.format(raw, indent=-1)
 
 
 # -- records that are not clean ------------------------------------------------------------------------------------
@@ -267,8 +272,9 @@ def _area(raw: bytes, where: str, problems: Problems) -> float | None:
 def _tracks_once(records: list[Annotation], raw: bytes) -> bool:
     """Whether no name of a track is written more often than was decoded."""
     written = raw.count(b'"tracking_id"') + raw.count(b'"floor_id"')
-    return written <= sum(name is not msgspec.UNSET for record in records for name in record.tracks)
+    outer = sum(map(is_not, map(attrgetter("tracking_id"), records), repeat(msgspec.UNSET)))
+    # Only a file whose tracks stand inside is looked at record by record.
+    return written <= outer or written <= sum(n is not msgspec.UNSET for record in records for n in record.tracks)
 
 
-_ONCE: Final = ("image_id", "category_id", "bbox", "area", "segmentation", "attributes")
-_ANNOTATIONS: Final = ListReader(Annotation, _repair, _ONCE, _tracks_once)
+_ANNOTATIONS: Final = ListReader(Annotation, _repair, ("image_id", "category_id", "bbox"), _tracks_once)

@@ -59,8 +59,7 @@ def load_pose(path: Path, sequence: str, problems: Problems) -> Reading:
         image = np.fromiter(map(attrgetter("image_id"), chunk), np.int64, n)
         track = np.fromiter(map(attrgetter("track_id"), chunk), np.int64, n)
         frame = known_images(images, image, ids.__getitem__, problems)
-        raws = [bytes(annotation.keypoints) for annotation in chunk]
-        parts.append(_usable(frame, track, raws, problems))
+        parts.append(_usable(frame, track, list(map(attrgetter("keypoints"), chunk)), problems))
     frame = np.concatenate([part[0] for part in parts])
     track = np.concatenate([part[1] for part in parts])
     values = np.concatenate([part[2] for part in parts])
@@ -73,13 +72,13 @@ def load_pose(path: Path, sequence: str, problems: Problems) -> Reading:
     reason = "same person twice in a frame, the first is kept"
     refusals.count(again, "record", reason, "track_id", lambda row: int(track[row]))
     rows = usable[order[first]]
-    known = np.setdiff1d(images.frame, frame[full])
-    return Reading(
-        {"poses": _table(sequence, frame[rows], track[rows], values[rows])}, {"pose": known_frames(known, frame[rows])}
-    )
+    known = known_frames(np.setdiff1d(images.frame, frame[full]), frame[rows])
+    if not np.array_equal(rows, np.arange(len(frame))):
+        frame, track, values = frame[rows], track[rows], values[rows]
+    return Reading({"poses": _table(sequence, frame, track, values)}, {"pose": known})
 
 
-def _usable(frame: Ints, track: Ints, raws: Sequence[bytes], problems: Problems) -> tuple[Ints, Ints, Floats]:
+def _usable(frame: Ints, track: Ints, raws: Sequence[msgspec.Raw], problems: Problems) -> tuple[Ints, Ints, Floats]:
     """Frame, track and values (n, 51) of the records of a chunk whose every part can be used."""
     refusals = Refusals(frame, "jpg", problems)
     person = (track >= 0) & (track <= fields.MAX_TRACK)
@@ -88,29 +87,33 @@ def _usable(frame: Ints, track: Ints, raws: Sequence[bytes], problems: Problems)
     given, values = _decoded(rows, raws, refusals)
     points = values.reshape(-1, POINTS, 3)
     near: Bools = np.asarray((np.abs(points[:, :, :2]) <= fields.MAX_PIXEL).all(axis=(1, 2)))
-    coded: Bools = np.asarray(np.isin(points[:, :, 2], (0.0, 1.0, 2.0)).all(axis=1))
+    code = points[:, :, 2]
+    coded: Bools = np.asarray(((code == 2) | (code == 1) | (code == 0)).all(axis=1))
     for fault, reason in ((~near, "far outside the image"), (near & ~coded, "visibility is not 0, 1 or 2")):
         wrong = mask_of(given[fault], len(frame))
-        refusals.count(wrong, "record", f"keypoints: {reason}", "keypoints", raws.__getitem__)
+        refusals.count(wrong, "record", f"keypoints: {reason}", "keypoints", lambda row: bytes(raws[row]))
     good = near & coded
+    if good.all():
+        return frame[given], track[given], values
     return frame[given[good]], track[given[good]], values[good]
 
 
-def _decoded(rows: Ints, raws: Sequence[bytes], refusals: Refusals) -> tuple[Ints, Floats]:
+def _decoded(rows: Ints, raws: Sequence[msgspec.Raw], refusals: Refusals) -> tuple[Ints, Floats]:
     """Those of the rows that have 51 finite numbers, and the numbers."""
-    here = [row for row in rows.tolist() if raws[row] not in _ABSENT]
-    lost = np.setdiff1d(rows, here)
-    refusals.count(mask_of(lost, len(raws)), "record", "keypoints: missing", "keypoints")
+    here = rows.tolist()
     found: Sequence[Sequence[float]]
     try:
         found = _ROWS.decode(b"[" + b",".join([raws[row] for row in here]) + b"]")
+        if len(found) != len(here):  # one of the raw values is no single one
+            raise msgspec.DecodeError
     except msgspec.DecodeError:
         found, kept = [], []
         for row in here:
+            raw = bytes(raws[row])
             try:
-                found.append(_numbers(raws[row]))
+                found.append(_numbers(raw))
             except ValueError as error:
-                refusals.add("record", f"keypoints: {error}", "keypoints", row, raws[row], 1)
+                refusals.add("record", f"keypoints: {error}", "keypoints", row, raw, 1)
             else:
                 kept.append(row)
         here = kept
@@ -120,6 +123,8 @@ def _decoded(rows: Ints, raws: Sequence[bytes], refusals: Refusals) -> tuple[Int
 
 def _numbers(raw: bytes) -> Sequence[float]:
     """The keypoints of a record. Raises ValueError where they are not 51 finite numbers."""
+    if raw in _ABSENT:
+        raise ValueError("missing")
     try:
         return _ROW.decode(raw)  # type: ignore[no-any-return]
     except (msgspec.DecodeError, RecursionError):
