@@ -71,7 +71,7 @@ class Found:
 # -- text to values ------------------------------------------------------------------------------------------------
 
 _STRING = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"', re.DOTALL)
-_SCALAR = re.compile(r'[^,\[\]{}\s"]+')
+_SCALAR = re.compile(r'[^,\[\]{}\s"]+', re.ASCII)
 _MARK = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"|["\[\]{}]', re.DOTALL)
 _BLANK = re.compile(r"[ \t\r\n]*")
 
