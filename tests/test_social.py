@@ -1,0 +1,667 @@
+"""Social files: demographics, interactions and group information, from the file to the intervals.
+
+Worlds are small enough to see through. What is refused is counted and leaves no fact; what is not known is not false.
+"""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from worlds import member, person, write_root
+
+from jrdb_avr.loaders.intervals import derive
+from jrdb_avr.loaders.layers import find_root
+from jrdb_avr.loaders.load import Shard, load_shard
+from jrdb_avr.loaders.problems import Problems
+from jrdb_avr.loaders.social import load_social
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import InputError
+from jrdb_avr.schema.rules import LoadRules
+from jrdb_avr.schema.social import (
+    AIMS,
+    BODY_PLACES,
+    ETHNICITIES,
+    SURROUNDINGS,
+    VALUES,
+    VENUES,
+    normal_interaction,
+    normal_values,
+    normal_verb,
+)
+from jrdb_avr.schema.things import VERBS
+from jrdb_avr.schema.vocabulary import AGES, GENDERS, INTERACTIONS
+
+NAME = "yard-2020-01-01_0"
+BOX = (100, 60, 50, 200)
+
+
+def read(tmp_path, content, loader=load_social):
+    """The reading of one file and its problems. `content`: records of frame 0, {frame: records}, or text."""
+    path = tmp_path / f"{NAME}.json"
+    if isinstance(content, list):
+        content = {0: content}
+    if isinstance(content, dict):
+        content = json.dumps({"labels": {f"{frame:06d}.jpg": records for frame, records in content.items()}})
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    problems = Problems(path.name)
+    return loader(path, NAME, problems), problems.listed()
+
+
+def rows(reading, layer):
+    """Rows of an annotation table as tuples, without sequence, and without the frame where all are of frame 0."""
+    table = reading.tables[layer]
+    names = [name for name in table.column_names if name not in ("sequence", "raw")]
+    return [tuple(row[name] for name in names) for row in table.to_pylist()]
+
+
+def reasons(problems):
+    return [(p.reason, p.field, p.frame, p.count) for p in problems]
+
+
+def record(**fields):
+    return {"label_id": "pedestrian:1", "box": list(BOX)} | fields
+
+
+def talk(*pairs):
+    """Interaction entries, of (pair, labels)."""
+    return [{"pair": pair, "inter_labels": labels} for pair, labels in pairs]
+
+
+# -- vocabulary --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("attribute", sorted(VALUES))
+def test_every_value_of_the_vocabulary_is_its_own_spelling_and_comes_in_any(attribute):
+    for value in VALUES[attribute]:
+        for written in (value, value.upper(), value.replace("_", "-"), value.replace("_", " "), f" {value} "):
+            assert normal_values(attribute, written) == (value,)
+
+
+@pytest.mark.parametrize(
+    ("attribute", "written", "values"),
+    [
+        ("gender", "Male", ["male"]),
+        ("gender", "female", ["female"]),
+        ("gender", "impossible", [None]),
+        ("age", "Young_Adulthood", ["young adulthood"]),
+        ("age", "child", ["childhood"]),
+        ("age", "adolescent", ["adolescence"]),
+        ("age", "young", ["young adulthood"]),
+        ("age", "middle-aged", ["middle adulthood"]),
+        ("age", "elderly", ["late adulthood"]),
+        ("ethnicity", "Caucasian/White", ["caucasian/white"]),
+        ("ethnicity", "Others", ["others"]),
+        ("venue", "indoor:room/class", ["indoor_room/class"]),
+        ("venue", "outdoor_open_area/campus", ["outdoor_open_area/campus"]),
+        ("venue", "Indoor: Study Space", ["indoor_study_space"]),
+        ("aim", "socializing&commuting", ["socializing", "commuting"]),
+        ("aim", "socializing & Socializing", ["socializing"]),
+        ("aim", "waiting for someone/something", ["waiting_for_someone/something"]),
+        ("aim", "unknown", [None]),
+        ("bpc", "unknown", [None]),
+        ("ssc", "food-truck", ["food_truck"]),
+        ("ssc", "show-case", ["show_case"]),
+        ("ssc", "garbage-bin", ["bin"]),
+        ("inter", "standing together together", ["standing together"]),
+        ("gender", "Robot_Like", ["robot like"]),
+        ("aim", "&", []),
+    ],
+)
+def test_spellings_of_attributes(attribute, written, values):
+    assert list(normal_values(attribute, written)) == values
+
+
+@pytest.mark.parametrize(
+    ("written", "label"),
+    [
+        ("standing together together", "standing together"),
+        ("holding_something_together", "holding sth together"),
+        ("looking at something together", "looking at sth together"),
+        ("looking-into sth together", "looking into sth together"),
+        ("Pointing at something together", "pointing at sth together"),
+        ("dancing_together", "dancing together"),
+        *((label, label) for label in INTERACTIONS),
+    ],
+)
+def test_spellings_of_interactions(written, label):
+    assert normal_interaction(written) == label
+
+
+def test_spellings_of_verbs():
+    assert [normal_verb(verb) for verb in VERBS] == list(VERBS)
+    assert [normal_verb(verb.replace("_", " ").upper()) for verb in VERBS] == list(VERBS)
+    assert normal_verb("looking_into") == "looking into"
+    assert normal_verb("juggling_balls") == "juggling balls"
+
+
+def test_vocabularies_have_the_sizes_of_the_format():
+    sizes = [len(set(words)) for words in (GENDERS, AGES, ETHNICITIES, VENUES, AIMS, BODY_PLACES, SURROUNDINGS)]
+    assert sizes == [2, 5, 4, 12, 10, 18, 49]
+
+
+# -- what files say ----------------------------------------------------------------------------------------------
+
+
+def test_a_record_with_everything(tmp_path):
+    told = {"gender": {"Male": "1"}, "age": {"Young_Adulthood": "2"}, "race": {"Others": "3"}}
+    info = {
+        "venue": {"indoor_room/class": "1"},
+        "aim": {"socializing": "1"},
+        "inter": {"conversation": "1"},
+        "BPC": {"floor": "1"},
+        "SSC": {"table": "1", "board": "2"},
+        "location_pre": {"at": "1"},
+    }
+    reading, problems = read(tmp_path, [member(1, BOX, told, [(9, {"conversation": "1"})], info)])
+    assert rows(reading, "demographics") == [
+        (0, 1, "age", "young adulthood", 2),
+        (0, 1, "ethnicity", "others", 3),
+        (0, 1, "gender", "male", 1),
+    ]
+    assert rows(reading, "interactions") == [(0, 1, 9, "conversation", 1)]
+    assert rows(reading, "group_info") == [
+        (0, 1, "aim", "socializing", 1),
+        (0, 1, "bpc", "floor", 1),
+        (0, 1, "inter", "conversation", 1),
+        (0, 1, "location", "at", 1),
+        (0, 1, "ssc", "board", 2),
+        (0, 1, "ssc", "table", 1),
+        (0, 1, "venue", "indoor_room/class", 1),
+    ]
+    assert rows(reading, "listed") == [("interactions", 0, 1)]
+    assert reading.boxes.to_pylist() == [{"frame": 0, "track": 1, "x": 100, "y": 60, "w": 50, "h": 200}]
+    assert {layer: (f.tolist(), n.tolist()) for layer, (f, n) in reading.frames.items()} == dict.fromkeys(
+        ("demographics", "group_info", "interactions"), ([0], [1])
+    )
+    assert problems == []
+    assert not reading.unknown
+
+
+@pytest.mark.parametrize("code", [2, 2.0, "2"])
+def test_case_05_codes_as_numbers_and_texts(tmp_path, code):
+    content = [member(1, BOX, {"gender": {"Male": code}}, [(2, {"hugging": code})], {"aim": {"wandering": code}})]
+    reading, problems = read(tmp_path, content)
+    for layer in ("demographics", "interactions", "group_info"):
+        assert reading.tables[layer]["difficulty"].to_pylist() == [2]
+    assert problems == []
+
+
+@pytest.mark.parametrize("code", [0, 4, 1.5, -1, "one", "", "1.0", True, None, [], {}, 10**30, "9" * 4000])
+def test_case_05_other_codes_leave_the_label_unknown(tmp_path, code):
+    content = [member(1, BOX, {"gender": {"Male": code}}, [(2, {"hugging": code})], {"aim": {"wandering": code}})]
+    reading, problems = read(tmp_path, content)
+    for layer in ("demographics", "interactions", "group_info"):
+        assert reading.tables[layer]["difficulty"].to_pylist() == [None]
+    assert rows(reading, "listed") == [("interactions", 0, 1)]
+    assert sorted(p.field for p in problems) == ["H-interaction", "demographics_info.gender", "group_info.aim"]
+
+
+def test_case_06_empty_missing_and_null_lists(tmp_path):
+    nulls = {"demographics_info": None, "H-interaction": None, "group_info": None}
+    content = [member(1, BOX, [], [], []), member(2, BOX), member(3, BOX) | nulls]
+    reading, problems = read(tmp_path, content)
+    assert [reading.tables[layer].num_rows for layer in ("demographics", "interactions", "group_info")] == [0, 0, 0]
+    # An empty list says that there are no interactions; no list says nothing.
+    assert rows(reading, "listed") == [("interactions", 0, 1)]
+    assert {layer: frames.tolist() for layer, (frames, _) in reading.frames.items()} == {
+        "demographics": [],
+        "group_info": [],
+        "interactions": [0],
+    }
+    assert problems == []
+
+
+def test_case_09_unknown_labels_are_kept_and_counted(tmp_path):
+    said = {"gender": {"Unsure_yet": "1"}, "race": {"impossible": "1"}}
+    info = {"SSC": {"food-truck": "1", "Ice-cream Stand": "1"}, "aim": {"socializing&juggling": "1"}}
+    content = {f: [member(1, BOX, said, [(2, {"Dancing_together": "1"})], info)] for f in (0, 1)}
+    reading, problems = read(tmp_path, content)
+    assert dict(reading.unknown) == {
+        ("demographics_info.gender", "unsure yet"): 2,
+        ("group_info.SSC", "ice cream stand"): 2,
+        ("group_info.aim", "juggling"): 2,
+        ("H-interaction", "dancing together"): 2,
+    }
+    assert (0, 1, 2, "dancing together", 1) in rows(reading, "interactions")
+    assert problems == []
+
+
+def test_case_10_person_zero(tmp_path):
+    reading, problems = read(
+        tmp_path, [member(0, BOX, {"gender": {"Male": "1"}}, [(1, {"hugging": "1"})]), member(1, BOX, None, [])]
+    )
+    assert rows(reading, "demographics") == [(0, 0, "gender", "male", 1)]
+    assert rows(reading, "interactions") == [(0, 0, 1, "hugging", 1)]
+    reading, problems = read(tmp_path, [member(1, BOX, None, [(0, {"hugging": "1"})])])
+    assert rows(reading, "interactions") == [(0, 1, 0, "hugging", 1)]
+    assert problems == []
+
+
+@pytest.mark.parametrize("pair", ["pedestrian:9", "9", 9, 9.0])
+def test_partners_in_every_form(tmp_path, pair):
+    reading, problems = read(tmp_path, [record(**{"H-interaction": talk((pair, {"hugging": "1"}))})])
+    assert rows(reading, "interactions") == [(0, 1, 9, "hugging", 1)]
+    assert problems == []
+
+
+def test_case_29_entries_of_one_pair_are_kept_as_written(tmp_path):
+    entries = talk(("pedestrian:2", {"hugging": "1"}), (2, {"hugging": "1", "conversation": 3}), ("2", {"hugging": 2}))
+    reading, problems = read(tmp_path, [record(**{"H-interaction": entries})])
+    assert rows(reading, "interactions") == [
+        (0, 1, 2, "conversation", 3),
+        (0, 1, 2, "hugging", 1),
+        (0, 1, 2, "hugging", 1),
+        (0, 1, 2, "hugging", 2),
+    ]
+    assert rows(reading, "listed") == [("interactions", 0, 1)]
+    assert problems == []
+
+
+def test_case_36_either_name_of_the_list(tmp_path):
+    entries, others = talk((2, {"hugging": "1"})), talk((3, {"conversation": "1"}))
+    reading, problems = read(tmp_path, [record(HHI=entries)])
+    assert rows(reading, "interactions") == [(0, 1, 2, "hugging", 1)]
+    assert problems == []
+    # Both in one record: a key given twice, of which the first counts, unless it says nothing.
+    reading, problems = read(tmp_path, [record(HHI=entries, **{"H-interaction": others})])
+    assert rows(reading, "interactions") == [(0, 1, 2, "hugging", 1)]
+    assert reasons(problems) == [("key twice, the first is kept", "H-interaction", "000000.jpg", 1)]
+    reading, problems = read(tmp_path, [record(HHI=None, **{"H-interaction": others})])
+    assert rows(reading, "interactions") == [(0, 1, 3, "conversation", 1)]
+    assert problems == []
+
+
+def test_of_several_objects_the_first_is_kept_and_the_others_counted(tmp_path):
+    said, info = [{"gender": {"Male": "1"}}, {"gender": {"Female": "1"}}], [{"aim": {"wandering": "1"}}, {}, 5]
+    reading, problems = read(tmp_path, [record(demographics_info=said, group_info=info)])
+    assert rows(reading, "demographics") == [(0, 1, "gender", "male", 1)]
+    assert rows(reading, "group_info") == [(0, 1, "aim", "wandering", 1)]
+    assert [(reason, field) for reason, field, _, _ in reasons(problems)] == [
+        ("more than one element, the first is kept", "demographics_info"),
+        ("more than one element, the first is kept", "group_info"),
+    ]
+
+
+def test_the_tables_do_not_depend_on_the_order_of_records_or_labels(tmp_path):
+    people = [
+        member(
+            t,
+            BOX,
+            {"gender": {"Male": "1", "Female": "3"}},
+            [(9, {"hugging": "1", "conversation": "2"}), (8, {"x": 1})],
+        )
+        for t in range(4)
+    ]
+    turned = [
+        member(
+            t,
+            BOX,
+            {"gender": {"Female": "3", "Male": "1"}},
+            [(8, {"x": 1}), (9, {"conversation": "2", "hugging": "1"})],
+        )
+        for t in range(4)
+    ]
+    one, _ = read(tmp_path, {0: people, 15: people})
+    two, _ = read(tmp_path, {15: turned[::-1], 0: turned[::-1]})
+    assert {layer: table.to_pylist() for layer, table in one.tables.items()} == {
+        layer: table.to_pylist() for layer, table in two.tables.items()
+    }
+
+
+# -- broken input ------------------------------------------------------------------------------------------------
+
+GOOD = {"gender": {"Male": "1"}}
+
+ENTRIES = {
+    "a number": (5, "entry is no object"),
+    "null": (None, "entry is no object"),
+    "a list": ([2, {"hugging": "1"}], "entry is no object"),
+    "no pair": ({"inter_labels": {"hugging": "1"}}, "pair is missing"),
+    "null pair": ({"pair": None, "inter_labels": {"hugging": "1"}}, "pair: not a number"),
+    "a bool": ({"pair": True, "inter_labels": {"hugging": "1"}}, "pair: not a number"),
+    "half a person": ({"pair": 2.5, "inter_labels": {"hugging": "1"}}, "pair: not a whole number"),
+    "negative": ({"pair": -1, "inter_labels": {"hugging": "1"}}, "pair: number out of range"),
+    "huge": ({"pair": 10**400, "inter_labels": {"hugging": "1"}}, "pair: number too large"),
+    "too large": ({"pair": 2**31 - 1, "inter_labels": {"hugging": "1"}}, "pair: number out of range"),
+    "NaN": ({"pair": float("nan"), "inter_labels": {"hugging": "1"}}, "pair: not a finite number"),
+    "no person": ({"pair": "person:-1", "inter_labels": {"hugging": "1"}}, "pair: label_id is not of a tracked person"),
+    "a name": ({"pair": "Ann", "inter_labels": {"hugging": "1"}}, "pair: label_id is not pedestrian:N"),
+    "nested": ({"pair": [[2]], "inter_labels": {"hugging": "1"}}, "pair: not a number"),
+    "oneself": ({"pair": 1, "inter_labels": {"hugging": "1"}}, "pair is the person itself"),
+    "no labels": ({"pair": 2}, "inter_labels is missing"),
+    "null labels": ({"pair": 2, "inter_labels": None}, "inter_labels is missing"),
+    "labels a list": ({"pair": 2, "inter_labels": ["hugging"]}, "not an object"),
+    "labels a text": ({"pair": 2, "inter_labels": "hugging"}, "not an object"),
+    "empty label": ({"pair": 2, "inter_labels": {"": "1"}}, "label: empty text"),
+    "endless label": ({"pair": 2, "inter_labels": {"h" * 101: "1"}}, "label: text too long"),
+}
+
+
+@pytest.mark.parametrize("name", ENTRIES)
+def test_a_broken_entry_leaves_the_others_but_the_list_is_not_whole(tmp_path, name):
+    entry, reason = ENTRIES[name]
+    entries = [*talk((3, {"conversation": "1"})), entry, *talk((4, {"conversation": "1"}))]
+    other = {"label_id": "pedestrian:5", "box": list(BOX), "H-interaction": []}
+    reading, problems = read(tmp_path, [record(demographics_info=[GOOD], **{"H-interaction": entries}), other])
+    assert rows(reading, "interactions") == [(0, 1, 3, "conversation", 1), (0, 1, 4, "conversation", 1)]
+    assert rows(reading, "demographics") == [(0, 1, "gender", "male", 1)]
+    assert rows(reading, "listed") == [("interactions", 0, 5)]
+    assert reasons(problems) == [(reason, "H-interaction", "000000.jpg", 1)]
+
+
+def test_an_impossible_interaction_is_no_fact_and_no_denial(tmp_path):
+    entries = talk((2, {"impossible": "1", "hugging": "1"}))
+    reading, problems = read(tmp_path, [record(**{"H-interaction": entries})])
+    assert rows(reading, "interactions") == [(0, 1, 2, "hugging", 1)]
+    assert rows(reading, "listed") == []
+    assert problems == []
+
+
+@pytest.mark.parametrize("value", [5, "x", True, {}, {"gender": {"Male": 1}}, {"pair": 2}])
+@pytest.mark.parametrize("key", ["demographics_info", "H-interaction", "HHI", "group_info"])
+def test_what_is_no_list_costs_its_own_facts(tmp_path, key, value):
+    good = member(1, BOX, GOOD, [(2, {"hugging": "1"})], {"aim": {"wandering": "1"}})
+    if key == "HHI":
+        del good["H-interaction"]
+    reading, problems = read(tmp_path, [good | {key: value}])
+    tables = {"demographics_info": "demographics", "group_info": "group_info"}
+    lost = tables.get(key, "interactions")
+    for layer in ("demographics", "interactions", "group_info"):
+        assert reading.tables[layer].num_rows == (0 if layer == lost else 1), layer
+    assert (rows(reading, "listed") == []) == (lost == "interactions")
+    assert [(p.reason, p.field) for p in problems] == [("not a list", "H-interaction" if key == "HHI" else key)]
+
+
+@pytest.mark.parametrize(
+    ("value", "reason", "field"),
+    [
+        ([5], "not an object", "demographics_info"),
+        ([None], "not an object", "demographics_info"),
+        ([[{"gender": {"Male": "1"}}]], "not an object", "demographics_info"),
+        ([{"gender": "Male", "age": {"Childhood": "1"}}], "not an object", "demographics_info.gender"),
+        ([{"gender": ["Male"], "age": {"Childhood": "1"}}], "not an object", "demographics_info.gender"),
+        ([{"gender": {"": "1"}, "age": {"Childhood": "1"}}], "label: empty text", "demographics_info.gender"),
+        ([{"gender": {"-": "1"}, "age": {"Childhood": "1"}}], "label: no word", "demographics_info.gender"),
+    ],
+)
+def test_broken_demographics(tmp_path, value, reason, field):
+    reading, problems = read(tmp_path, [record(demographics_info=value)])
+    kept = [(0, 1, "age", "childhood", 1)] if isinstance(value[0], dict) else []
+    assert rows(reading, "demographics") == kept
+    assert reasons(problems) == [(reason, field, "000000.jpg", 1)]
+
+
+def test_text_that_decoders_choke_on(tmp_path):
+    deep = "[" * 100_000 + "]" * 100_000
+    good = json.dumps(member(2, BOX, GOOD, []))
+    raw = (
+        '{"label_id": "pedestrian:1", "box": [1, 2, 3, 4], "demographics_info": [{"gender": {"Male": NaN}, '
+        '"age": {"Childhood": 1}}], "H-interaction": [{"pair": 2, "inter_labels": {"hugging": Infinity}}], '
+        f'"group_info": {deep}}}'
+    )
+    reading, problems = read(tmp_path, f'{{"labels": {{"000000.jpg": [{raw}, {good}]}}}}')
+    assert rows(reading, "demographics") == [
+        (0, 1, "age", "childhood", 1),
+        (0, 1, "gender", "male", None),
+        (0, 2, "gender", "male", 1),
+    ]
+    assert rows(reading, "interactions") == [(0, 1, 2, "hugging", None)]
+    assert {(p.reason, p.field) for p in problems} == {
+        ("difficulty: not a finite number", "demographics_info.gender"),
+        ("difficulty: not a finite number", "H-interaction"),
+        ("nested too deeply", "group_info"),
+    }
+
+
+def test_repeated_keys_keep_the_first_at_every_level(tmp_path):
+    raw = """{"label_id": "pedestrian:1", "box": [1, 2, 3, 4],
+        "demographics_info": [{"gender": {"Male": "1", "Male": "3"}, "gender": {"Female": "1"}}],
+        "demographics_info": [],
+        "H-interaction": [{"pair": 2, "pair": 3, "inter_labels": {"hugging": "1", "hugging": "3"}},
+                          {"pair": 4, "inter_labels": {"hugging": "1"}, "inter_labels": {}}],
+        "group_info": [], "group_in\\u0066o": [{"aim": {"wandering": "1"}}]}"""
+    reading, problems = read(tmp_path, f'{{"labels": {{"000000.jpg": [{raw}]}}}}')
+    assert rows(reading, "demographics") == [(0, 1, "gender", "male", 1)]
+    assert rows(reading, "interactions") == [(0, 1, 2, "hugging", 1), (0, 1, 4, "hugging", 1)]
+    assert rows(reading, "group_info") == []
+    assert {p.reason for p in problems} == {"key twice, the first is kept"}
+    assert sorted(p.field for p in problems) == [
+        "H-interaction.hugging",
+        "H-interaction.inter_labels",
+        "H-interaction.pair",
+        "demographics_info",
+        "demographics_info.gender",
+        "demographics_info.gender.Male",
+        "group_info",
+    ]
+
+
+def test_a_record_without_a_box_has_its_facts(tmp_path):
+    content = [record(demographics_info=[GOOD], box=[1, 2, -3, 4]), {"label_id": "pedestrian:2", "H-interaction": []}]
+    reading, problems = read(tmp_path, content)
+    assert rows(reading, "demographics") == [(0, 1, "gender", "male", 1)]
+    assert rows(reading, "listed") == [("interactions", 0, 2)]
+    assert reading.boxes.num_rows == 0
+    assert {(p.kind, p.field) for p in problems} == {("field", "box")}
+
+
+def test_the_first_record_of_a_person_in_a_frame_counts(tmp_path):
+    female = {"gender": {"Female": "1"}}
+    reading, problems = read(tmp_path, [member(1, BOX, GOOD), member(1, BOX, female), member(2, BOX, female)])
+    assert rows(reading, "demographics") == [(0, 1, "gender", "male", 1), (0, 2, "gender", "female", 1)]
+    assert [p.reason for p in problems] == ["same person twice in a frame, the first is kept"]
+
+
+def test_a_list_beyond_reason_is_refused_whole(tmp_path):
+    entries = talk(*((i, {"hugging": "1"}) for i in range(2, 1003)))
+    reading, problems = read(tmp_path, [record(**{"H-interaction": entries})])
+    assert rows(reading, "interactions") == []
+    assert rows(reading, "listed") == []
+    assert [p.reason for p in problems] == ["list with more than 1000 entries"]
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff\xfe{}", b"[]", b'{"labels": []}', b'{"labels": {"000000.jpg": ['])
+def test_a_file_that_cannot_be_used(tmp_path, content):
+    with pytest.raises(InputError, match=NAME):
+        read(tmp_path, content)
+
+
+# -- intervals ---------------------------------------------------------------------------------------------------
+
+
+def loaded(tmp_path, social, boxes=None, **rules):
+    """Store and report of a social file beside 2D boxes; by default everybody of the social file has a box."""
+    if boxes is None:
+        boxes = {f: [person(_track(r), r["box"]) for r in records] for f, records in social.items()}
+    (files,) = find_root(write_root(tmp_path / "root", {NAME: {"2d": boxes, "social": social}})).sequences
+    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules(**rules))).report
+    return Store(tmp_path / "store"), report
+
+
+def _track(record):
+    return int(record["label_id"].split(":")[1])
+
+
+def spans(store, kind="interactions"):
+    names = [n for n in store.interval(kind, NAME).column_names if n not in ("sequence", "first_s", "last_s")]
+    return [tuple(row[n] for n in names) for row in store.interval(kind, NAME).to_pylist()]
+
+
+def placed(track):
+    return (100 * track + 10, 60, 50, 200)
+
+
+def scene(*people):
+    """Social records of people 1, 2, ...: each gives its interactions, or None for no list."""
+    return [member(i, placed(i), None, talks) for i, talks in enumerate(people, 1)]
+
+
+def test_case_29_what_one_says_holds_for_both(tmp_path):
+    talking = [(2, {"conversation": "1"})]
+    store, report = loaded(tmp_path, {f: scene(talking, []) for f in range(3)})
+    assert spans(store) == [(1, 2, "conversation", 0, 2, True, False), (2, 1, "conversation", 0, 2, True, False)]
+    assert report.absent_partners == 0
+
+
+def test_case_29_the_easier_of_two_codes_counts(tmp_path):
+    hard, easy = [(2, {"hugging": "3"})], [(1, {"hugging": "2"}), (1, {"hugging": "3"})]
+    store, _ = loaded(tmp_path, {0: scene(hard, easy), 1: scene(hard, []), 2: scene(None, [(1, {"hugging": "?"})])})
+    assert spans(store)[:2] == [(1, 2, "hugging", 0, 0, True, False), (1, 2, "hugging", 1, 2, False, False)]
+
+
+def test_case_29_partners_without_a_box_are_counted(tmp_path):
+    talks = [(2, {"hugging": "1"}), (9, {"hugging": "1", "conversation": "1"})]
+    boxes = {
+        0: [person(1, placed(1)), person(2, placed(2), attributes={"no_eval": True, "occlusion": "Fully_occluded"})]
+    }
+    store, report = loaded(tmp_path, {0: scene(talks, [], [(1, {"hugging": "1"})])}, boxes)
+    # Person 2 has a box of the worst quality; 9 and 3 have none.
+    assert spans(store) == [(1, 2, "hugging", 0, 0, True, False), (2, 1, "hugging", 0, 0, True, False)]
+    assert report.absent_partners == 3
+
+
+@pytest.mark.parametrize(("gap", "closed"), [(7, True), (6, False)])
+def test_gaps_are_closed_by_rows_of_their_own(tmp_path, gap, closed):
+    talking = [(2, {"conversation": "1"})]
+    frames = {f: scene(talking if f < 5 or f > 11 else [], []) for f in range(20)}
+    store, _ = loaded(tmp_path, frames, gap_frames=gap)
+    middle = [(1, 2, "conversation", 5, 11, False, True)] if closed else []
+    one_way = [row for row in spans(store) if row[0] == 1]
+    assert one_way == [(1, 2, "conversation", 0, 4, True, False), *middle, (1, 2, "conversation", 12, 19, True, False)]
+
+
+def test_at_one_frame_per_second_nothing_is_bridged(tmp_path):
+    talking = [(2, {"conversation": "1"})]
+    frames = {f: scene(talking if f != 45 else [], []) for f in range(0, 90, 15)}
+    store, _ = loaded(tmp_path, frames)
+    assert [row for row in spans(store) if row[0] == 1] == [
+        (1, 2, "conversation", 0, 30, True, False),
+        (1, 2, "conversation", 60, 75, True, False),
+    ]
+
+
+def test_whose_lists_were_read_stands_with_the_sightings(tmp_path):
+    broken = [(2, {"hugging": "1"}), ("nobody", {"hugging": "1"})]
+    store, _ = loaded(tmp_path, {0: scene(broken, [], None)})
+    assert store.interval("sightings", NAME)["interactions_listed"].to_pylist() == [False, True, False]
+    assert spans(store)[0] == (1, 2, "hugging", 0, 0, True, False)
+
+
+def test_case_37_the_majority_of_frames_decides(tmp_path):
+    said = {
+        1: ["Male"] * 3 + ["Female"] * 2,
+        2: ["Male"] * 2 + ["Female"] * 2 + ["impossible"],
+        3: ["impossible"] * 4 + ["female"],
+    }
+    frames = {f: [member(t, placed(t), {"gender": {said[t][f]: "1"}}) for t in said] for f in range(5)}
+    store, report = loaded(tmp_path, frames)
+    assert store.interval("persons", NAME)["gender"].to_pylist() == ["male", None, "female"]
+    assert spans(store, "demographics") == [
+        (1, "gender", "female", 2, False),
+        (1, "gender", "male", 3, True),
+        (2, "gender", "female", 2, False),
+        (2, "gender", "male", 2, False),
+        (3, "gender", "female", 1, True),
+    ]
+    assert [(d.subject, d.attribute, d.votes, d.told) for d in report.disagreements] == [
+        ("person 1", "gender", {"female": 2, "male": 3}, 5),
+        ("person 2", "gender", {"female": 2, "male": 2}, 4),
+    ]
+
+
+def test_hard_and_unreadable_values_do_not_vote(tmp_path):
+    codes = ["3", "x", "2"]
+    frames = {
+        f: [member(1, BOX, {"age": {"Childhood" if code != "2" else "elderly": code}})] for f, code in enumerate(codes)
+    }
+    store, report = loaded(tmp_path, frames)
+    assert spans(store, "demographics") == [(1, "age", "late adulthood", 1, True)]
+    assert report.disagreements == []
+
+
+def test_two_spellings_of_a_value_in_a_record_are_one_vote(tmp_path):
+    store, _ = loaded(tmp_path, {0: [member(1, BOX, {"gender": {"Male": "1", "male": "2"}})]})
+    assert spans(store, "demographics") == [(1, "gender", "male", 1, True)]
+
+
+def grouped(track, cluster, info):
+    return member(track, placed(track), info=info, group=(cluster, 1))
+
+
+def in_groups(tmp_path, frames):
+    """`frames`: {frame: [(track, cluster, info)]}."""
+    social = {f: [grouped(*row) for row in found] for f, found in frames.items()}
+    boxes = {f: [person(t, placed(t), group=(c, 1)) for t, c, _ in found] for f, found in frames.items()}
+    return loaded(tmp_path, social, boxes)
+
+
+def test_case_30_members_agree_by_majority(tmp_path):
+    indoors, outdoors = {"venue": {"indoor_street": "1"}}, {"venue": {"outdoor_street": "1"}}
+    told = [(1, 7, indoors), (2, 7, indoors), (3, 7, outdoors), (4, 8, outdoors)]
+    store, report = in_groups(tmp_path, {0: told})
+    assert spans(store, "group_info") == [
+        (7, "venue", "indoor_street", 2, True),
+        (7, "venue", "outdoor_street", 1, False),
+        (8, "venue", "outdoor_street", 1, True),
+    ]
+    assert [(d.subject, d.attribute, d.votes, d.told) for d in report.disagreements] == [
+        ("group 7", "venue", {"indoor_street": 2, "outdoor_street": 1}, 3)
+    ]
+
+
+def test_several_values_of_a_group_may_be_chosen_but_one_venue(tmp_path):
+    info = {
+        "aim": {"socializing&commuting": "1"},
+        "SSC": {"table": "1", "board": "2", "wall": "3"},
+        "venue": {"indoor_street": "1", "outdoor_street": "1"},
+    }
+    store, report = in_groups(tmp_path, {0: [(1, 7, info), (2, 7, info)]})
+    assert spans(store, "group_info") == [
+        (7, "aim", "commuting", 2, True),
+        (7, "aim", "socializing", 2, True),
+        (7, "ssc", "board", 2, True),
+        (7, "ssc", "table", 2, True),
+        (7, "venue", "indoor_street", 2, False),
+        (7, "venue", "outdoor_street", 2, False),
+    ]
+    assert report.disagreements == []
+
+
+def test_the_cluster_is_that_of_the_frame(tmp_path):
+    street, wall = {"SSC": {"table": "1"}}, {"SSC": {"wall": "1"}}
+    store, _ = in_groups(tmp_path, {0: [(1, 7, street)], 1: [(1, 8, wall)], 2: [(1, 7, [])]})
+    assert spans(store, "group_info") == [(7, "ssc", "table", 1, True), (8, "ssc", "wall", 1, True)]
+
+
+def test_votes_are_those_that_counting_finds():
+    """Random tables against plain counting."""
+    rng = np.random.default_rng(7)
+    n = 400
+    frame, track = np.sort(rng.integers(0, 40, n)), rng.integers(0, 5, n)
+    order = np.lexsort((track, frame))
+    table = pa.table(
+        {
+            "sequence": pa.array([NAME] * n),
+            "frame": frame[order],
+            "track": track[order],
+            "attribute": rng.choice(["age", "gender"], n),
+            "value": pa.array([None if v == "?" else v for v in rng.choice(["a", "b", "c", "?"], n)]),
+            "raw": pa.array(["x"] * n),
+            "difficulty": pa.array([None if d == 4 else int(d) for d in rng.integers(1, 5, n)], pa.int8()),
+        }
+    )
+    said = {}
+    for row in table.to_pylist():
+        if row["value"] is not None and row["difficulty"] in (1, 2):
+            said.setdefault((row["track"], row["attribute"]), set()).add((row["frame"], row["value"]))
+    expected = []
+    for (person_, attribute), pairs in sorted(said.items()):
+        for value in sorted({v for _, v in pairs}):
+            votes = sum(v == value for _, v in pairs)
+            expected.append((person_, attribute, value, votes, 2 * votes > len(pairs)))
+    found = derive(NAME, {"demographics": table}, LoadRules())["demographics"]
+    names = ("track", "attribute", "value", "votes", "chosen")
+    assert [tuple(row[n] for n in names) for row in found.to_pylist()] == expected
