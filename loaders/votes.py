@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
@@ -19,22 +18,11 @@ import pyarrow.compute as pc
 from jrdb_avr.schema.tables import INTERVALS
 
 from .columns import constant, distinct_of, person_keys, ranked, texts
+from .report import Disagreement
 from .scene_people import HARD, UNREADABLE, Groups, read_groups, rows_of
 
 Ints = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
-
-
-class Disagreement(msgspec.Struct):
-    """Frames of a person, or records of a group, that do not say the same."""
-
-    subject: str
-    """`person 12` or `group 7`."""
-    attribute: str
-    votes: dict[str, int]
-    """How many frames or records say each value."""
-    of: int
-    """Frames or records that tell the attribute."""
 
 
 @dataclass(frozen=True)
@@ -134,22 +122,26 @@ def _count(table: pa.Table, subject_of: Callable[[Ints, Ints], tuple[Ints, Bools
     votes = np.flatnonzero((difficulty < HARD) & (value >= 0) & (has[record] if len(record) else new))
     record, attribute, value = record[votes], attribute[votes], value[votes]
     # Two spellings of one value in a record are one vote.
-    said, what = np.unique(attribute * len(values) + value, return_inverse=True)
-    ballot = np.unique(record * max(len(said), 1) + what)
-    record, what = np.divmod(ballot, max(len(said), 1))
-    by_value, counts = np.unique(number[record] * max(len(said), 1) + what, return_counts=True)
-    attribute = said[what] // max(len(values), 1)
-    teller = distinct_of(record * max(len(attributes), 1) + attribute)
-    record, attribute = np.divmod(teller, max(len(attributes), 1))
-    topics, tellers = np.unique(number[record] * max(len(attributes), 1) + attribute, return_counts=True)
-    number, what = np.divmod(by_value, max(len(said), 1))
-    attribute, value = np.divmod(said[what], max(len(values), 1))
-    topic = np.searchsorted(topics, number * max(len(attributes), 1) + attribute)
+    words, topics = len(attributes) * len(values) + 1, len(attributes) + 1
+    record, word = np.divmod(distinct_of(np.sort(record * words + attribute * len(values) + value)), words)
+    attribute = word // max(len(values), 1)
+    told, tellers = _tally(number, *np.divmod(distinct_of(record * topics + attribute), topics), topics)
+    voted, votes = _tally(number, record, word, words)
+    number, word = np.divmod(voted, words)
+    attribute, value = np.divmod(word, max(len(values), 1))
+    topic = np.searchsorted(told, number * topics + attribute)
     return Votes(
         subjects[number],
         [attributes[i] for i in attribute.tolist()],
         [values[i] for i in value.tolist()],
-        counts,
+        votes,
         tellers[topic],
         topic,
     )
+
+
+def _tally(number: Ints, record: Ints, code: Ints, codes: int) -> tuple[Ints, Ints]:
+    """How many records of a subject have a code: ascending keys `number * codes + code`, and their counts."""
+    keys = np.sort(number[record] * codes + code)
+    found = distinct_of(keys)
+    return found, np.diff(np.searchsorted(keys, found), append=len(keys))

@@ -148,13 +148,8 @@ VALUES: Final[dict[str, tuple[str, ...]]] = {
 NOT_TOLD: Final = frozenset({IMPOSSIBLE, "unknown"})
 """Annotators' words for "cannot be told"."""
 
-_INTERACTION_SPELLINGS: Final = {
-    "standing together together": "standing together",
-    "holding something together": "holding sth together",
-    "looking at something together": "looking at sth together",
-    "looking into something together": "looking into sth together",
-    "pointing at something together": "pointing at sth together",
-}
+_INTERACTION_SPELLINGS: Final = {"standing together together": "standing together"}
+"""In plain spelling, after "something" has become "sth"."""
 
 _VERB_SPELLINGS: Final = {
     "finding sth": "finding_something",
@@ -172,7 +167,6 @@ _VALUE_SPELLINGS: Final[dict[str, dict[str, str]]] = {
     },
     "aim": {"waiting for someone/sth": "waiting_for_someone/something"},
     "ssc": {"garbage bin": "bin"},
-    "inter": _INTERACTION_SPELLINGS,
 }
 
 
@@ -188,6 +182,7 @@ def _spellings(vocabulary: tuple[str, ...], others: dict[str, str]) -> dict[str,
 
 _INTERACTION: Final = _spellings(INTERACTIONS, _INTERACTION_SPELLINGS)
 _VERB: Final = _spellings(VERBS, _VERB_SPELLINGS)
+_PLACE: Final = _spellings(PLACES, {})
 _VALUE: Final = {name: _spellings(words, _VALUE_SPELLINGS.get(name, {})) for name, words in VALUES.items()}
 
 
@@ -198,7 +193,7 @@ def normal_interaction(raw: str) -> str:
     >>> normal_interaction("standing_together together")
     'standing together'
     """
-    word = plain(raw)
+    word = plain(raw).replace(" something", " sth")
     return _INTERACTION.get(word, word)
 
 
@@ -226,5 +221,16 @@ def normal_values(attribute: str, raw: str) -> tuple[str | None, ...]:
     values: dict[str | None, None] = {}
     for word in map(plain, words):
         if word:
-            values[None if word in NOT_TOLD else _VALUE[attribute].get(word, word)] = None
+            values[None if word in NOT_TOLD else _value(attribute, word)] = None
     return tuple(values)
+
+
+def _value(attribute: str, word: str) -> str:
+    """The vocabulary's spelling of a plain word."""
+    if attribute == "inter":
+        return normal_interaction(word)
+    if attribute == "venue" and word.startswith(("indoor ", "outdoor ")):
+        # Also of a place that is unknown: whether it is indoors is told.
+        side, place = word.split(" ", 1)
+        return f"{side}_{_PLACE.get(place, place)}"
+    return _VALUE[attribute].get(word, word)
