@@ -1,9 +1,9 @@
-"""Boxes drawn over panoramas and crops, for a person to look at."""
+"""Boxes and skeletons drawn over panoramas and crops, for a person to look at."""
 
 from __future__ import annotations
 
 import colorsys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -14,22 +14,39 @@ from jrdb_avr.schema.panorama import CROP, WIDTH, Box, to_crop
 _BLACK: Final = (0, 0, 0)
 
 
-def draw_on_panorama(panorama: Image, sightings: Iterable[dict[str, Any]]) -> Image:
-    """A copy of a panorama with every sighting's box and words; a box over the seam shows on both sides."""
+EDGES: Final = (
+    *((1, 2), (0, 4), (3, 4), (8, 10), (5, 7), (10, 13), (14, 16), (4, 5), (7, 12), (4, 8), (3, 6)),
+    *((13, 15), (11, 14), (6, 9), (8, 11)),
+)
+"""Points that are joined, of the seventeen: head, right and left eye, right shoulder, neck, left shoulder, right and
+left elbow, tailbone, right wrist, right hip, left hip, left wrist, right and left knee, right and left foot."""
+
+
+def draw_on_panorama(
+    panorama: Image, sightings: Sequence[dict[str, Any]], poses: Iterable[dict[str, Any]] = ()
+) -> Image:
+    """A copy of a panorama with every sighting's box and words, and every pose's skeleton.
+
+    What lies over the seam shows on both sides. A pose is a row of the annotation table `poses`: `track`, `keypoints`.
+    """
     image: Image = np.array(panorama)
     for row in sightings:
         for shift in (-WIDTH, 0, WIDTH):
             _draw(image, Box(row["x"] + shift, row["y"], row["w"], row["h"]), row)
+    _draw_skeletons(image, 0.0, sightings, poses)
     return image
 
 
-def draw_on_crop(crop: Image, left: float, sightings: Iterable[dict[str, Any]]) -> Image:
-    """A copy of the crop whose left column is `left`, with the boxes that lie in it."""
+def draw_on_crop(
+    crop: Image, left: float, sightings: Sequence[dict[str, Any]], poses: Iterable[dict[str, Any]] = ()
+) -> Image:
+    """A copy of the crop whose left column is `left`, with the boxes and skeletons that lie in it."""
     image: Image = np.array(crop)
     for row in sightings:
         box = to_crop(Box(row["x"], row["y"], row["w"], row["h"]), left)
         if box.x < CROP and box.x + box.w > 0:
             _draw(image, box, row)
+    _draw_skeletons(image, left, sightings, poses)
     return image
 
 
@@ -50,7 +67,7 @@ def _draw(image: Image, box: Box, row: dict[str, Any]) -> None:
     right, bottom = round(box.x + box.w) - 1, round(box.y + box.h) - 1
     if right < 0 or left >= image.shape[1]:
         return
-    color = _color(row["cluster"] if row["cluster"] is not None else row["track"])
+    color = _color(_number(row))
     cv2.rectangle(image, (left, top), (right, bottom), color, 1 if row["clear"] is False else 2)
     font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.4
     text = words(row)
@@ -58,6 +75,37 @@ def _draw(image: Image, box: Box, row: dict[str, Any]) -> None:
     base = max(top - 3, height + 2)
     cv2.rectangle(image, (left, base - height - 2), (left + width + 2, base + 3), color, cv2.FILLED)
     cv2.putText(image, text, (left + 1, base), font, scale, _BLACK, 1, cv2.LINE_AA)
+
+
+def _draw_skeletons(
+    image: Image, left: float, sightings: Iterable[dict[str, Any]], poses: Iterable[dict[str, Any]]
+) -> None:
+    """Thin lines and rings where a point is occluded; points that are not visible have no place."""
+    import cv2
+
+    number = {row["track"]: _number(row) for row in sightings}
+    for pose in poses:
+        points = np.reshape(pose["keypoints"], (17, 3))
+        code = points[:, 2]
+        if not code.any():
+            continue
+        # Round the seam all points lie near the first that has a place.
+        first = points[code > 0][0, 0]
+        columns = first + (points[:, 0] - first + WIDTH / 2) % WIDTH - WIDTH / 2 - left
+        color = _color(number.get(pose["track"], pose["track"]))
+        for shift in (-WIDTH, 0, WIDTH):
+            places = [(round(x + shift), round(y)) for x, y in zip(columns, points[:, 1], strict=True)]
+            for i, j in EDGES:
+                if code[i] and code[j]:
+                    cv2.line(image, places[i], places[j], color, 2 if code[i] == code[j] == 2 else 1, cv2.LINE_AA)
+            for place, seen in zip(places, code, strict=True):
+                if seen:
+                    cv2.circle(image, place, 2, color, cv2.FILLED if seen == 2 else 1, cv2.LINE_AA)
+
+
+def _number(row: dict[str, Any]) -> int:
+    """What the color of a person shows: the group, else the track."""
+    return int(row["track"] if row["cluster"] is None else row["cluster"])
 
 
 def _color(number: int) -> tuple[int, int, int]:

@@ -278,6 +278,35 @@ def test_a_box_is_drawn_on_a_crop_over_the_seam(observe):
     assert not changed_columns(seen.image, draw_on_crop(seen.image, seen.left, [sighting(1800.0)]))
 
 
+def standing(x, code=2, wrapped=False):
+    """A pose row: points on a line to the right of `x`; `wrapped`: columns are taken modulo the panorama's width."""
+    columns = [(x + 4 * i) % 3760 if wrapped else x + 4 * i for i in range(17)]
+    return {"track": 3, "keypoints": [v for i, column in enumerate(columns) for v in (column, 100.0 + 5 * i, code)]}
+
+
+@pytest.mark.parametrize("wrapped", [False, True])
+@pytest.mark.parametrize("x", [500.0, 3730.0, -30.0, 3755.0])
+def test_a_skeleton_is_drawn_where_it_is_on_both_sides_of_the_seam(observe, x, wrapped):
+    strip = np.full((480, 3760, 3), 127, np.uint8)
+    drawn = changed_columns(strip, draw_on_panorama(strip, [], [standing(x, wrapped=wrapped)]))
+    assert {int(x + 4 * i) % 3760 for i in range(17)} <= drawn
+    # No line leads across the strip.
+    assert all((column - int(x) + 10) % 3760 < 90 for column in drawn)
+    seen = observe(NAME, 0, 0.0)
+    crop = changed_columns(seen.image, draw_on_crop(seen.image, seen.left, [], [standing(x, wrapped=wrapped)]))
+    left = {(column - seen.left) % 3760 for column in drawn}
+    assert crop == {column for column in left if column < 480}
+
+
+def test_points_that_are_not_visible_are_not_drawn():
+    strip = np.full((480, 3760, 3), 127, np.uint8)
+    assert not changed_columns(strip, draw_on_panorama(strip, [], [standing(500.0, 0)]))
+    half = standing(500.0)
+    half["keypoints"][3 * 9 :] = [0.0] * 24
+    assert max(changed_columns(strip, draw_on_panorama(strip, [], [half]))) < 540
+    assert min(changed_columns(strip, draw_on_panorama(strip, [], [half]))) > 490
+
+
 @pytest.mark.parametrize("number", [10**5000, -(10**5000)], ids=["large", "small"])
 def test_numbers_too_long_to_be_written_are_refused(observe, number):
     with pytest.raises(ObserveError, match="frames with an image"):

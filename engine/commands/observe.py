@@ -22,7 +22,7 @@ from jrdb_avr.engine.output import note, store_option
 @store_option
 @click.option("--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="PNG file to write.")
 @click.option("--panorama", is_flag=True, help="The whole strip instead of a crop; needs no ANGLE.")
-@click.option("--boxes", is_flag=True, help="Draw the annotated boxes with track, pose and group.")
+@click.option("--boxes", is_flag=True, help="Draw the annotated boxes with track, pose and group, and skeletons.")
 def command(
     sequence: str, frame: int, angle: float | None, store: Path, out: Path, panorama: bool, boxes: bool
 ) -> None:
@@ -37,15 +37,15 @@ def command(
 
     opened = Store(store)
     observer = Observer(opened.manifest().image_root, [loaded_sequence(opened, sequence)])
-    people = _sightings(opened, sequence, frame) if boxes else []
+    people, poses = _annotated(opened, sequence, frame) if boxes else ([], [])
     if angle is None:
         image = observer.panorama(sequence, frame)
         if boxes:
-            image = draw_on_panorama(image, people)
+            image = draw_on_panorama(image, people, poses)
         note(f"{sequence} frame {frame:06d}: whole panorama -> {out}")
     else:
         seen = observer(sequence, frame, angle)
-        image = draw_on_crop(seen.image, seen.left, people) if boxes else seen.image
+        image = draw_on_crop(seen.image, seen.left, people, poses) if boxes else seen.image
         note(
             f"{sequence} frame {seen.frame_id}, {seen.timestamp:.2f} s, angle {seen.angle_deg:g}, "
             f"left column {seen.left}, {seen.fov_deg} degrees wide -> {out}"
@@ -53,13 +53,14 @@ def command(
     _write_png(out, image)
 
 
-def _sightings(store: Any, sequence: str, frame: int) -> list[dict[str, Any]]:
+def _annotated(store: Any, sequence: str, frame: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Sightings and poses of a frame."""
     import pyarrow.compute as pc
 
-    table = store.interval("sightings", sequence)
-    rows: list[dict[str, Any]] = table.filter(pc.equal(table["frame"], frame)).to_pylist()
+    tables = store.interval("sightings", sequence), store.annotation("poses", sequence)
+    people, poses = (table.filter(pc.equal(table["frame"], frame)).to_pylist() for table in tables)
     # The widest first, so that small boxes are drawn over large ones.
-    return sorted(rows, key=lambda row: (-row["w"], row["track"]))
+    return sorted(people, key=lambda row: (-row["w"], row["track"])), poses
 
 
 def _write_png(path: Path, image: Any) -> None:
