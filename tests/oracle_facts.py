@@ -4,8 +4,8 @@ Plain Python over the rows of `oracle_reading`, frame by frame and person by per
 sharing no code with what it checks: constants and spellings are written out again. Slow, and meant to be read.
 
 Where the definitions leave something open, what a user would expect: a fact between people, or of a person and a thing,
-needs the people's 2D boxes in that frame; things in the hands of somebody that the panoptic layer does not hold are
-things all the same; nobody "handles" people.
+needs the people's 2D boxes in that frame; things that the reasoning layer names and the panoptic layer does not hold
+are things all the same; nobody "handles" people; a group with two venues that the majority tells has none.
 
 `facts(root, sequence)` returns {table: list of row dicts} in the columns of the interval tables.
 """
@@ -281,7 +281,11 @@ class Oracle:
                     "chosen": 2 * mine > telling,
                 }
             )
-        return rows
+        venues = [row["cluster"] for row in rows if row["chosen"] and row["attribute"] == "venue"]
+        return [
+            row | {"chosen": row["chosen"] and (row["attribute"] != "venue" or venues.count(row["cluster"]) == 1)}
+            for row in rows
+        ]
 
     def _interactions(self):
         """Both directions of every fact between two people with a box; the easier of all that say it counts."""
@@ -333,7 +337,7 @@ class Oracle:
         for row in self.found.rows("panoptic"):
             if row["object"] is not None:
                 seen.setdefault((row["object"], row["category_id"]), []).append(row["frame"])
-        for row in self._handles():
+        for row in self.found.rows("handles"):
             seen.setdefault((row["object"], row["category_id"]), [])
         return [
             {"object": thing, "category_id": category, "category": names.get(category)}

@@ -136,8 +136,8 @@ def load_file(folder, layer, data):
 
 
 def seen_by_brute_force(layer, data):
-    """Facts per table by key, of both readings of repeated keys; and those that nobody could lose silently."""
-    seen, frames, sure = {}, {}, {}
+    """Facts per table by key, of both readings of repeated keys; and those of both, which nobody may lose silently."""
+    seen, frames, plain = {}, {}, []
     for last in (False, True):
         for every in (False, True):
             try:
@@ -149,9 +149,9 @@ def seen_by_brute_force(layer, data):
                     seen.setdefault(table, {}).setdefault(key_of(table, row), []).append(row)
             for name, known in found.frames.items():
                 frames.setdefault(name, set()).update(known)
-            if not last and not every:
-                sure = {table: {key_of(table, row) for row in rows} for table, rows in found.tables.items()}
-    return seen, frames, sure
+            if not every:
+                plain.append({table: {key_of(table, row) for row in rows} for table, rows in found.tables.items()})
+    return seen, frames, {table: plain[0][table] & plain[1].get(table, set()) for table in plain[0]} if plain else {}
 
 
 def check_calibration(reading, data):
