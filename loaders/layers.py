@@ -101,7 +101,7 @@ def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None =
                 sequence = search.sequence(file)
                 if sequence is not None:
                     files.setdefault(sequence, {}).setdefault(layer, str(file))
-    if not files and not search.problems.listed():
+    if not files and not search.problems:
         wanted = ", ".join(names[0].removesuffix("*") for names in LABEL_DIRS.values())
         raise InputError(f"{root} holds nothing to load: no .json files in {wanted}, with or without labels/")
     image_root = next((folder for name in IMAGE_DIRS if search.is_folder(folder := root / name)), None)
@@ -119,7 +119,7 @@ def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None =
                     found.setdefault(layer, str(folder / name))
         images = image_root / sequence if image_root else None
         sequences.append(SequenceFiles(sequence, found, str(images) if images and search.is_folder(images) else None))
-    return Root(root, image_root, tuple(sequences), tuple(search.problems.listed()), tuple(search.notes))
+    return Root(root, image_root, tuple(sequences), tuple(search.problems), tuple(search.notes))
 
 
 class _Search:
@@ -127,7 +127,7 @@ class _Search:
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        self.problems = Problems("")
+        self.problems: list[Problem] = []
         self.notes: list[str] = []
         self._names = {base: self._listing(base) or frozenset() for base in (root / "labels", root)}
 
@@ -180,7 +180,7 @@ class _Search:
         try:
             return path.is_dir()
         except OSError as error:
-            self._refuse(path, error)
+            self._refuse(self._shown(path), f"folder cannot be read: {error.strerror}")
             return False
 
     def exists(self, path: Path) -> bool:
@@ -198,11 +198,13 @@ class _Search:
         except FileNotFoundError:
             return frozenset()
         except OSError as error:
-            self._refuse(folder, error)
+            self._refuse(self._shown(folder), f"folder cannot be read: {error.strerror}")
             return None
 
-    def _refuse(self, folder: Path, error: OSError) -> None:
-        self.problems.add("file", f"folder cannot be read: {error.strerror}", field=self._shown(folder))
+    def _refuse(self, name: str, reason: str) -> None:
+        problems = Problems(name)
+        problems.add("file", reason)
+        self.problems += problems.listed()
 
     def _shown(self, folder: Path) -> str:
         return shorten(str(folder.relative_to(self.root)) if folder.is_relative_to(self.root) else str(folder), 200)

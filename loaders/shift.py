@@ -118,7 +118,7 @@ def check_shift(layer: str, tracks: Tracks, reference: Tracks | None) -> ShiftCh
         if size > MAX_SHIFT or nearest * slope.frames <= 0:
             return ShiftCheck(layer, "not tested", FOREIGN, slope.frames, slope.error)
         return _shifted(layer, nearest, slope)
-    if size + 2 * slope.error < 1:
+    if size + ERRORS_BEYOND * slope.error < 1:
         return _agrees(layer, slope)
     return ShiftCheck(layer, "not tested", STILL, slope.frames, slope.error)
 
@@ -198,7 +198,8 @@ def _agrees(layer: str, slope: Slope | None) -> ShiftCheck:
 
 
 def _shifted(layer: str, frames: int, slope: Slope | None) -> ShiftCheck:
-    reason = f"agrees with the 2D boxes only when moved by {frames:+d} frames: renumber it or load without it"
+    about = "about " if slope else ""
+    reason = f"agrees with the 2D boxes only when moved by {about}{frames:+d} frames: renumber it or load without it"
     return ShiftCheck(layer, "shifted", reason, *((slope.frames, slope.error) if slope else (float(frames), 0.0)))
 
 

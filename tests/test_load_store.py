@@ -321,7 +321,7 @@ def test_json_is_one_array_of_rows_and_strict_fails_on_a_bad_record(tmp_path):
     assert result.returncode == 0, result.stderr
     rows = json.loads(result.stdout)
     assert [row["sequence"] for row in rows] == ["yard-1", "yard-2"]
-    assert rows[0] | {"problems": [], "heading": None} == {
+    expected = {
         "sequence": "yard-1",
         "layers": ["2d", "actions", "groups"],
         "steps": {"2d": 1, "actions": 1, "groups": 1},
@@ -332,7 +332,12 @@ def test_json_is_one_array_of_rows_and_strict_fails_on_a_bad_record(tmp_path):
         "unknown_labels": [],
         "problems": [],
         "heading": None,
+        "files": {"2d": "labels_2d_stitched/yard-1.json"},
+        "label_frames": {"first": 0, "last": 39, "count": 40},
+        "image_frames": None,
+        "warnings": [],
     }
+    assert {name: rows[0][name] for name in expected} == expected
     (problem,) = rows[1]["problems"]
     assert (problem["kind"], problem["count"], problem["file"]) == ("record", 1, "yard-2.json")
     assert (problem["frame"], problem["field"], problem["detail"]) == ("000000.jpg", "box", "[1.0, 1.0, 0.0, 0.0]")

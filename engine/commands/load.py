@@ -25,7 +25,7 @@ from jrdb_avr.schema.rules import LoadRules, Rules, override
 
 if TYPE_CHECKING:
     from jrdb_avr.loaders.problems import Problem
-    from jrdb_avr.loaders.report import SequenceReport
+    from jrdb_avr.loaders.report import FrameRange, SequenceReport, ShiftCheck
 
 
 @click.command(
@@ -35,6 +35,15 @@ if TYPE_CHECKING:
 @click.argument("root", required=False, type=click.Path(path_type=Path))
 @store_option
 @click.option("--rebuild", is_flag=True, help="Derive intervals and graph again from the store's annotation tables.")
+@click.option("--verify", is_flag=True, help="Compare every file with what was loaded, and the graph with the tables.")
+@click.option(
+    "--layer-dir",
+    "layer_texts",
+    multiple=True,
+    metavar="LAYER=FOLDER",
+    help="Look for a layer's files in FOLDER, in ROOT or absolute; may be given often. LAYER= leaves the layer out. "
+    "Layers: 2d, 3d, social, reasoning, pose, panoptic, timestamps, calibration.",
+)
 @click.option("--strict", is_flag=True, help="Exit with 1 if anything was refused or skipped.")
 @rule_option("Override a load rule; may be given often.")
 @workers_option
@@ -43,17 +52,23 @@ def command(
     root: Path | None,
     store: Path,
     rebuild: bool,
+    verify: bool,
+    layer_texts: tuple[str, ...],
     strict: bool,
     rule_texts: tuple[str, ...],
     workers: int,
     as_json: bool,
 ) -> None:
-    """Load the JRDB root ROOT: stitched 2D boxes with actions and groups, 3D boxes, panoramas.
+    """Load the JRDB root ROOT: stitched 2D boxes with actions and groups, 3D boxes, social and reasoning labels, poses,
+    panoptic things, timestamps, calibration, panoramas.
 
-    Any of the layers may be missing. Broken files and records are refused one by one and listed; the rest loads.
+    Any of the layers may be missing. A layer whose frame numbers are not those of the 2D boxes is refused. Broken files and records are refused one by one and listed; the rest loads.
     """
-    if rebuild == (root is not None):
-        raise click.UsageError("give either ROOT or --rebuild")
+    if (root is not None) + rebuild + verify != 1:
+        raise click.UsageError("give one of ROOT, --rebuild and --verify")
+    if verify:
+        _verify(store, as_json)
+        return
     from jrdb_avr.loaders import load as loading
     from jrdb_avr.loaders.layers import find_root
     from jrdb_avr.loaders.report import as_row, totals
@@ -72,7 +87,7 @@ def command(
             click.echo(f"{len(entries)} sequences rebuilt in {clean(store)}")
         return
     rules = _rules(rule_texts, LoadRules())
-    found = find_root(root)
+    found = find_root(root, _layer_dirs(layer_texts))
     with progress("loading", len(found.sequences)) as advance:
         reports = loading.load(found, place, rules, workers, advance)
     if as_json:
@@ -85,6 +100,32 @@ def command(
         sys.exit(1)
 
 
+def _verify(store: Path, as_json: bool) -> None:
+    from jrdb_avr.loaders.verify import STEPS, checks_of
+    from jrdb_avr.queries.store import Store
+
+    with progress("verifying", STEPS) as advance:
+        checks = checks_of(Store(store), advance)
+    rows = [{"what": check.what, "checked": check.checked, "fault": check.fault} for check in checks]
+    print_json(rows) if as_json else print_rows(rows)
+    faults = [check for check in checks if check.fault]
+    if faults:
+        way = "ROOT" if any(check.reload for check in faults) else "--rebuild"
+        note(f"{clean(store)} is not what was loaded: run 'jrdb-avr load {way} --store {clean(store)}'")
+        sys.exit(1)
+
+
+def _layer_dirs(texts: tuple[str, ...]) -> dict[str, list[str]]:
+    """Folders per layer named, in the order given; none for a layer to be left out."""
+    folders: dict[str, list[str]] = {}
+    for text in texts:
+        layer, equals, folder = text.partition("=")
+        if not equals:
+            raise click.UsageError(f"--layer-dir {text}: write LAYER=FOLDER")
+        folders.setdefault(layer, []).extend([folder] if folder else [])
+    return folders
+
+
 def _rules(texts: tuple[str, ...], start: LoadRules) -> LoadRules:
     """Load rules with overrides, named with or without `load.` before them."""
     changes = {f"load.{name.removeprefix('load.')}": value for name, value in pairs("--rule", texts).items()}
@@ -92,13 +133,17 @@ def _rules(texts: tuple[str, ...], start: LoadRules) -> LoadRules:
 
 
 def _print(reports: list[SequenceReport]) -> None:
-    """The report for people: a table of sequences, then what was refused, then unknown labels."""
-    print_rows([_summary(report) for report in reports], title="Loaded")
-    problems = [
-        {"sequence": report.sequence, **_problem_row(problem)} for report in reports for problem in report.problems
-    ]
+    """The report for people: a table of sequences, then checks, what was refused, unknown labels and warnings."""
+    loaded = [report for report in reports if report.sequence]
+    print_rows([_summary(report) for report in loaded], title="Loaded")
+    print_rows([_checks(report) for report in loaded if report.layers], title="Checks")
+    problems: dict[tuple[Any, ...], list[str]] = {}
+    for report in reports:
+        for problem in report.problems:
+            problems.setdefault(tuple(_problem_row(problem).items()), []).append(report.sequence)
     if problems:
-        print_rows(problems, title="Refused or skipped, with the first example of each")
+        rows = [{"sequence": _sequences(names), **dict(row)} for row, names in problems.items()]
+        print_rows(rows, title="Refused or skipped, with the first example of each")
     unknown: Counter[tuple[str, str]] = Counter()
     for report in reports:
         for label in report.unknown_labels:
@@ -106,10 +151,20 @@ def _print(reports: list[SequenceReport]) -> None:
     if unknown:
         rows = [{"field": field, "label": label, "count": n} for (field, label), n in sorted(unknown.items())]
         print_rows(rows, title="Labels outside the vocabulary, kept but never asked about")
+    warnings: dict[str, list[str]] = {}
+    for report in reports:
+        for warning in report.warnings:
+            warnings.setdefault(warning, []).append(report.sequence)
+    for warning, names in warnings.items():
+        where = _sequences(names)
+        click.echo(clean(f"Note: {where}: {warning}" if where else f"Note: {warning}"))
+
+
+def _sequences(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"{len(names)} sequences"
 
 
 def _summary(report: SequenceReport) -> dict[str, Any]:
-    heading = report.heading
     return {
         "sequence": report.sequence,
         "layers (step)": ", ".join(_layer(report, layer) for layer in report.layers) or "none",
@@ -117,12 +172,33 @@ def _summary(report: SequenceReport) -> dict[str, Any]:
         "people": report.people,
         "boxes": report.boxes,
         "3D boxes": report.boxes_3d,
-        "unknown labels": sum(label.count for label in report.unknown_labels),
         "refused": report.refused,
+    }
+
+
+def _checks(report: SequenceReport) -> dict[str, Any]:
+    heading, stamps, cameras = report.heading, report.stamps, report.cameras
+    return {
+        "sequence": report.sequence,
+        "label frames": _range(report.label_frames),
+        "image frames": _range(report.image_frames),
+        "same frames as 2D": ", ".join(f"{check.layer}: {_shift(check)}" for check in report.shifts),
         "heading": ""
         if heading is None or heading.median_deg is None
         else f"{heading.median_deg:.0f}° of {heading.moves}",
+        "fps": "" if stamps is None or stamps.fps is None else f"{stamps.fps:.2f}",
+        "fy, cy": "" if cameras is None else f"{cameras.fy:.1f}, {cameras.cy:.1f}",
+        "contradictions": len(report.disagreements),
+        "absent partners": report.absent_partners,
     }
+
+
+def _range(frames: FrameRange | None) -> str:
+    return "" if frames is None else f"{frames.first}-{frames.last}"
+
+
+def _shift(check: ShiftCheck) -> str:
+    return {"agrees": "yes", "shifted": "NO", "not tested": "cannot tell"}[check.result]
 
 
 def _layer(report: SequenceReport, layer: str) -> str:
@@ -133,6 +209,7 @@ def _problem_row(problem: Problem) -> dict[str, Any]:
     """A problem as a row of the table."""
     return {
         "count": problem.count,
+        "layer": problem.layer,
         "what": problem.kind,
         "reason": problem.reason,
         "file": problem.file,
