@@ -138,7 +138,8 @@ def object_members(value: object) -> tuple[list[tuple[str, Any]], list[str]]:
 def loose(raw: bytes) -> Any:
     """Any JSON value, bare NaN and Infinity included; objects come as a private type. Raises ValueError."""
     try:
-        return json.loads(raw, object_pairs_hook=_Members)
+        # Text, not bytes: of bytes the decoder would guess an encoding, and take a NUL and a digit for a number.
+        return json.loads(raw.decode(), object_pairs_hook=_Members)
     except RecursionError:
         raise ValueError("nested too deeply") from None
     except ValueError:

@@ -272,6 +272,15 @@ def test_what_is_no_annotation_is_refused(tmp_path, record):
     assert (kind, count) == ("record", 1)
 
 
+@pytest.mark.parametrize("number", [b"\x001", b"1\x00", b"\xef\xbb\xbf1", "１".encode()])
+def test_a_number_in_another_encoding_is_none(tmp_path, number):
+    """A decoder that guesses encodings takes a NUL and a digit for UTF-16."""
+    text = json.dumps(a_file(annotation(3, 20, 777))).encode()
+    rows, _, problems = read(tmp_path, text.replace(b"777", number))
+    assert rows == GOOD
+    assert [(kind, count, field) for kind, _, count, _, field in found(problems)] == [("record", 1, "track_id")]
+
+
 def test_of_repeated_keys_the_first_counts(tmp_path):
     text = json.dumps(a_file()).replace('"track_id": 1', '"track_id": 4, "track_id": 1', 1)
     rows, _, problems = read(tmp_path, text.encode())
