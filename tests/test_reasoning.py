@@ -1,0 +1,235 @@
+"""Reasoning files: what people do with things, and the social facts where no social file gives them."""
+
+from __future__ import annotations
+
+import functools
+
+import pytest
+from test_social import BOX, NAME, placed, read, reasons, record, rows
+from worlds import member, person, thing, write_root
+
+from jrdb_avr.loaders.layers import find_root
+from jrdb_avr.loaders.load import Shard, load_shard
+from jrdb_avr.loaders.reasoning import load_reasoning
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.rules import LoadRules
+
+whole = functools.partial(load_reasoning, social=True)
+things_alone = functools.partial(load_reasoning, social=False)
+
+
+def handling(*pairs):
+    return [{"inter_labels": verbs, "pair": pair} for pair, verbs in pairs]
+
+
+def test_a_record_with_everything(tmp_path):
+    said = {"gender": {"male": "1"}, "age": {"middle-aged": "1"}}
+    content = [
+        member(
+            1,
+            BOX,
+            said,
+            [(2, {"hugging": "1"})],
+            {"aim": {"wandering": "1"}},
+            [((12, 17), {"looking_into": "1"})],
+            alias="HHI",
+        )
+    ]
+    reading, problems = read(tmp_path, content, whole)
+    assert rows(reading, "demographics") == [(0, 1, "age", "middle adulthood", 1), (0, 1, "gender", "male", 1)]
+    assert rows(reading, "interactions") == [(0, 1, 2, "hugging", 1)]
+    assert rows(reading, "group_info") == [(0, 1, "aim", "wandering", 1)]
+    assert rows(reading, "handles") == [(0, 1, 12, 17, "looking into", 1)]
+    assert rows(reading, "listed") == [("interactions", 0, 1), ("handles", 0, 1)]
+    assert problems == []
+
+
+def test_beside_a_social_file_only_things_are_read(tmp_path):
+    content = [member(1, BOX, {"gender": {"Male": "x"}}, [(1, {"hugging": "1"})], None, [((0, 0), {"holding": "1"})])]
+    reading, problems = read(tmp_path, content, things_alone)
+    assert set(reading.tables) == {"handles", "listed"}
+    assert set(reading.frames) == {"handles"}
+    assert rows(reading, "handles") == [(0, 1, 0, 0, "holding", 1)]
+    # What is wrong with the social part is not of interest here.
+    assert problems == []
+
+
+@pytest.mark.parametrize("loader", [whole, things_alone])
+def test_case_06_an_absent_list_is_an_empty_one(tmp_path, loader):
+    content = {0: [member(1, BOX), member(2, BOX, handles=[])], 15: []}
+    reading, problems = read(tmp_path, content, loader)
+    layers = ["interactions", "handles"] if loader is whole else ["handles"]
+    assert rows(reading, "listed") == [(layer, 0, track) for layer in layers for track in (1, 2)]
+    assert {layer: reading.frames[layer][0].tolist() for layer in layers} == {layer: [0] for layer in layers}
+    assert problems == []
+
+
+@pytest.mark.parametrize("pair", [[3, 17], ["3", "17"], [3.0, "17"], ["3", 17]])
+@pytest.mark.parametrize("code", [1, 1.0, "1"])
+def test_case_05_numbers_in_every_form(tmp_path, pair, code):
+    reading, problems = read(tmp_path, [record(HOI=handling((pair, {"holding": code})))], things_alone)
+    assert rows(reading, "handles") == [(0, 1, 3, 17, "holding", 1)]
+    assert problems == []
+
+
+def test_case_09_verbs_in_every_spelling(tmp_path):
+    verbs = {"looking_at": "1", "Finding something": "1", "talking-on": "1", "juggling_balls": "2"}
+    reading, problems = read(tmp_path, [record(HOI=handling(([3, 17], verbs)))], things_alone)
+    assert [row[4] for row in rows(reading, "handles")] == [
+        "finding_something",
+        "juggling balls",
+        "looking at",
+        "talking on",
+    ]
+    assert dict(reading.unknown) == {("HOI", "juggling balls"): 1}
+    assert problems == []
+
+
+def test_case_10_zero_is_a_number_like_others(tmp_path):
+    content = [member(0, BOX, handles=[((0, 0), {"holding": "1"})])]
+    reading, _ = read(tmp_path, content, things_alone)
+    assert rows(reading, "handles") == [(0, 0, 0, 0, "holding", 1)]
+
+
+PAIRS = {
+    "missing": (..., "pair is missing"),
+    "null": (None, "pair: not a track and a category"),
+    "one number": (3, "pair: not a track and a category"),
+    "one end": ([3], "pair: not a track and a category"),
+    "three ends": ([3, 17, 1], "pair: not a track and a category"),
+    "an object": ({"track": 3}, "pair: not a track and a category"),
+    "negative": ([-1, 17], "pair: number out of range"),
+    "huge": ([10**30, 17], "pair: number out of range"),
+    "beyond numbers": ([10**400, 17], "pair: number too large"),
+    "half": ([0.5, 17], "pair: not a whole number"),
+    "bools": ([True, 17], "pair: not a number"),
+    "names": (["bag", 17], "pair: not a number"),
+    "NaN": ([float("nan"), 17], "pair: not a finite number"),
+    "nested": ([[3], 17], "pair: not a number"),
+    "null end": ([3, None], "pair: not a number"),
+}
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_a_pair_that_cannot_be_read(tmp_path, name):
+    pair, reason = PAIRS[name]
+    entry = {"inter_labels": {"holding": "1"}} | ({} if pair is ... else {"pair": pair})
+    content = [record(HOI=[*handling(([3, 17], {"using": "1"})), entry]), member(2, BOX)]
+    reading, problems = read(tmp_path, content, whole)
+    assert rows(reading, "handles") == [(0, 1, 3, 17, "using", 1)]
+    # Of things nothing can be denied; interactions are another list.
+    assert rows(reading, "listed") == [("interactions", 0, 1), ("interactions", 0, 2), ("handles", 0, 2)]
+    assert reasons(problems) == [(reason, "HOI", "000000.jpg", 1)]
+
+
+def test_true_is_not_the_number_one(tmp_path):
+    entries = handling(([1, 5], {"holding": "1"}), ([True, 5], {"using": "1"}))
+    reading, problems = read(tmp_path, [record(HOI=entries)], things_alone)
+    assert rows(reading, "handles") == [(0, 1, 1, 5, "holding", 1)]
+    assert [p.reason for p in problems] == ["pair: not a number"]
+
+
+def test_repeated_keys_keep_the_first(tmp_path):
+    raw = """{"label_id": "pedestrian:1", "box": [1, 2, 3, 4],
+        "HOI": [{"pair": [1, 2], "pair": [3, 4], "inter_labels": {"holding": 1}}], "HOI": []}"""
+    reading, problems = read(tmp_path, f'{{"labels": {{"000000.jpg": [{raw}]}}}}', things_alone)
+    assert rows(reading, "handles") == [(0, 1, 1, 2, "holding", 1)]
+    assert sorted(p.field for p in problems) == ["HOI", "HOI.pair"]
+
+
+def test_only_the_other_list_breaks(tmp_path):
+    content = [record(HHI=5, HOI=handling(([1, 2], {"holding": "1"})))]
+    reading, problems = read(tmp_path, content, whole)
+    assert rows(reading, "listed") == [("handles", 0, 1)]
+    assert reasons(problems) == [("not a list", "H-interaction", "000000.jpg", 1)]
+
+
+# -- intervals ---------------------------------------------------------------------------------------------------
+
+
+def loaded(tmp_path, **layers):
+    layers = {{"boxes": "2d"}.get(name, name): content for name, content in layers.items()}
+    (files,) = find_root(write_root(tmp_path / "root", {NAME: layers})).sequences
+    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules())).report
+    return Store(tmp_path / "store"), report
+
+
+def spans(store, kind):
+    names = [n for n in store.interval(kind, NAME).column_names if n not in ("sequence", "first_s", "last_s")]
+    return [tuple(row[n] for n in names) for row in store.interval(kind, NAME).to_pylist()]
+
+
+def people(frames, *tracks):
+    return {f: [person(t, placed(t)) for t in tracks] for f in frames}
+
+
+def test_handling_becomes_intervals_with_gaps_and_doubts(tmp_path):
+    def entries(frame):
+        if 4 <= frame <= 6:
+            return []
+        code = "3" if frame >= 15 else "1"
+        return [((12, 40), {"holding": code}), ((12, 40), {"holding": "3"}), ((12, 57), {"using": "2"})]
+
+    told = {f: [member(1, placed(1), handles=entries(f))] for f in range(20)}
+    store, _ = loaded(tmp_path, boxes=people(range(20), 1), reasoning=told)
+    assert spans(store, "handles") == [
+        (1, 12, 40, "holding", 0, 3, True, False),
+        (1, 12, 40, "holding", 4, 6, False, True),
+        (1, 12, 40, "holding", 7, 14, True, False),
+        (1, 12, 40, "holding", 15, 19, False, False),
+        (1, 12, 57, "using", 0, 3, True, False),
+        (1, 12, 57, "using", 4, 6, False, True),
+        (1, 12, 57, "using", 7, 19, True, False),
+    ]
+
+
+def test_people_are_no_things_and_the_absent_handle_nothing(tmp_path):
+    told = {
+        0: [member(t, placed(t), handles=[((5, 63), {"holding": "1"}), ((5, 40), {"holding": "1"})]) for t in (1, 2)]
+    }
+    store, _ = loaded(tmp_path, boxes=people([0], 1), reasoning=told, panoptic={0: [thing(5, 40), thing(5, 63)]})
+    # Category 63 is the pedestrian; person 2 has no box.
+    assert spans(store, "handles") == [(1, 5, 40, "holding", 0, 0, True, False)]
+
+
+def test_the_social_file_goes_first(tmp_path):
+    social = {0: [member(1, placed(1), {"gender": {"Male": "1"}}, [(2, {"hugging": "1"})])]}
+    reasoning = {
+        0: [
+            member(1, placed(1), {"gender": {"female": "1"}}, [], None, [((5, 40), {"holding": "1"})], alias="HHI"),
+            member(2, placed(2)),
+        ]
+    }
+    store, report = loaded(tmp_path, boxes=people([0], 1, 2), social=social, reasoning=reasoning)
+    assert store.interval("persons", NAME)["gender"].to_pylist() == ["male", None]
+    assert [row[:3] for row in spans(store, "interactions")] == [(1, 2, "hugging"), (2, 1, "hugging")]
+    assert [row[:4] for row in spans(store, "handles")] == [(1, 5, 40, "holding")]
+    sightings = store.interval("sightings", NAME)
+    # Person 2 has no list in the social file, whatever the other file leaves out.
+    assert sightings["interactions_listed"].to_pylist() == [True, False]
+    assert sightings["handles_listed"].to_pylist() == [True, True]
+    assert report.problems == []
+
+
+@pytest.mark.parametrize("social", [None, b"", {0: []}])
+def test_case_36_the_reasoning_file_stands_in_for_a_social_file(tmp_path, social):
+    told = {
+        0: [
+            member(1, placed(1), {"gender": {"female": "1"}}, [(2, {"hugging": "1"})], alias="HHI"),
+            member(2, placed(2)),
+        ]
+    }
+    layers = {"reasoning": told} | ({} if social is None else {"social": social})
+    store, _ = loaded(tmp_path, boxes=people([0], 1, 2), **layers)
+    assert store.interval("persons", NAME)["gender"].to_pylist() == ["female", None]
+    assert [row[:3] for row in spans(store, "interactions")] == [(1, 2, "hugging"), (2, 1, "hugging")]
+    assert store.interval("sightings", NAME)["interactions_listed"].to_pylist() == [True, True]
+
+
+def test_without_the_layer_its_facts_are_unknown(tmp_path):
+    store, _ = loaded(tmp_path, boxes=people([0], 1))
+    for kind in ("interactions", "handles", "demographics", "group_info", "objects"):
+        assert store.interval(kind, NAME).num_rows == 0
+    sightings = store.interval("sightings", NAME)
+    assert sightings["interactions_listed"].to_pylist() == [False]
+    assert sightings["handles_listed"].to_pylist() == [False]
