@@ -14,12 +14,12 @@ from typing import Final
 
 import numpy as np
 
-from jrdb_avr.schema.rules import FPS, Rules
+from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 
 from .candidates import VALUES, Candidates
 from .descriptions import Descriptions
-from .proofs import condition_text, target_track
+from .proofs import condition_text, tracks_of
 from .scene import NOBODY, Scene
 
 COUNT: Final = 4
@@ -44,10 +44,9 @@ def make_choices(
         if text != truth:
             wrong.setdefault(text, perturbation)
     if candidates.template.pose_answer:
-        name = int(candidates.name[row])
-        barred = {condition.action for condition in descriptions.of(name)}
-        track = target_track(scene, descriptions, name)
-        barred |= scene.possible_actions(track, int(candidates.frames["t1"][row]))
+        barred = {condition.action for condition in descriptions.of(int(candidates.name[row]))}
+        track = tracks_of(scene, candidates, row)[candidates.template.target]
+        barred |= scene.possible_actions(track, int(candidates.frames[candidates.template.read[-1]][row]))
         for text in _common_poses(scene, key):
             if text != truth:
                 wrong.setdefault(text, None)
@@ -69,14 +68,21 @@ def _perturbed(
     """(answer, perturbation) of every perturbed program that has an answer, the most telling first."""
     name = int(candidates.name[row])
     times = [int(frames[row]) for time, frames in sorted(candidates.frames.items()) if time.startswith("t")]
-    track = target_track(scene, descriptions, name)
-    if candidates.template.pose_answer:
+    track = tracks_of(scene, candidates, row)[candidates.template.target]
+    for kind in ("hop.stop", "hop.skip"):
+        # The people nearest to the target first.
+        for perturbed in reversed(candidates.perturbed):
+            if perturbed.kind == kind and perturbed.answer[row] != NOBODY:
+                yield VALUES[perturbed.answer[row]], f"{kind}({perturbed.variant})"
+    if candidates.template.pose_answer and len(times) > 1:
         own = _read(scene, candidates, track, [times[0], times[0]], rules)
         if own is not None:
             yield own, "pose at t0"
-    for shift in candidates.shifts:
-        if shift.answer[row] != NOBODY:
-            yield VALUES[shift.answer[row]], f"time.shift {shift.by / FPS:+g} s"
+    for perturbed in candidates.perturbed:
+        if perturbed.kind == "time.shift" and perturbed.answer[row] != NOBODY:
+            yield VALUES[perturbed.answer[row]], f"time.shift {perturbed.variant}"
+    if candidates.template.edges:
+        return
     for condition, moments in zip(descriptions.of(name), descriptions.look_alikes(name), strict=True):
         for other in scene.tracks[scene.persons(moments)].tolist():
             answer = _read(scene, candidates, other, times, rules) if other != track else None
@@ -87,7 +93,7 @@ def _perturbed(
 def _read(scene: Scene, candidates: Candidates, track: int, times: list[int], rules: Rules) -> str | None:
     """What the template's program reads of a person at t0, t1, ...; None where it is unknown."""
     match candidates.template.name:
-        case "change":
+        case "change" | "later_pose":
             line = scene.box_of(track, times[1])
             pose = scene.poses[line] if line != NOBODY else NOBODY
             return POSES[pose] if pose != NOBODY else None

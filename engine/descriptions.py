@@ -66,9 +66,8 @@ class Descriptions:
         number = {text: i for i, text in enumerate(distinct)}
         return distinct, np.array([number[text] for text in texts], dtype=np.int64)
 
-    @cached_property
-    def tables(self) -> tuple[pa.Table, pa.Table]:
-        """The graph's tables `Description`, with the conditions as they stand in a plan's JSON, and `Names`."""
+    def tables(self, keyframes: Ints) -> dict[str, pa.Table]:
+        """The graph's tables `Description`, `Names` and `Fits`; `keyframes` are the frames of the scene's."""
         distinct, number = self.texts
         names = {
             "from": number,
@@ -79,7 +78,12 @@ class Descriptions:
             "poseless": self.poseless,
         }
         nodes = {"id": np.arange(len(distinct)), "conditions": pa.array(distinct, pa.string())}
-        return pa.table(nodes), pa.table(names)
+        fits = {
+            "from": np.repeat(np.arange(len(distinct)), len(keyframes)),
+            "to": self.fits.ravel(),
+            "t": np.tile(keyframes, len(distinct)),
+        }
+        return {"Description": pa.table(nodes), "Names": pa.table(names), "Fits": pa.table(fits)}
 
     @cached_property
     def fits(self) -> Ints:

@@ -6,13 +6,13 @@ What the set-wise search has established for all candidates is written out here 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from jrdb_avr.schema.panorama import angle_error
 from jrdb_avr.schema.plan import Condition
-from jrdb_avr.schema.rules import FPS, Rules
+from jrdb_avr.schema.rules import Rules
 
 from . import views
 from .candidates import OUTCOMES, VALUES, Candidates
@@ -50,20 +50,16 @@ class Record:
     people_in_scene: int
 
 
-_ROOT: Final = "a"
-
-
 def make_record(
     scene: Scene, descriptions: Descriptions, candidates: Candidates, row: int, answer: str, rules: Rules
 ) -> Record:
     """The record of one candidate that all set-wise rules passed; `answer` as its proofs tell it."""
-    name = int(candidates.name[row])
-    track = target_track(scene, descriptions, name)
-    needed = needed_boxes(scene, track, candidates, row)
-    target_angles = scene.geometry["angle"][[scene.box_of(track, box.frame) for box in needed]]
-    at_t0 = [box.frame for box in needed].index(int(candidates.frames["t0"][row]))
-    decisive = [i for i, box in enumerate(needed) if box.decisive]
-    turns = angle_error(target_angles[decisive], target_angles[at_t0])
+    name, template = int(candidates.name[row]), candidates.template
+    needed = needed_boxes(scene, candidates, row)
+    target = [box for box in needed if box.node == template.target]
+    angles = {box.frame: scene.geometry["angle"][scene.box_of(box.track, box.frame)] for box in target}
+    t0 = int(candidates.frames["t0"][row])
+    turns = angle_error(np.array([angles[box.frame] for box in target if box.decisive]), angles[t0])
     times = {key: int(values[row]) for key, values in candidates.frames.items() if key.startswith("t")}
     if candidates.segment[row] != NOBODY:
         times["t1"] = int(candidates.frames["start"][row])
@@ -73,30 +69,35 @@ def make_record(
     return Record(
         proofs=tuple(_proofs(descriptions, candidates, row, answer, needed, rules)),
         needed=needed,
-        bindings={_ROOT: track, **dict(sorted(times.items()))},
-        hops=0,
+        bindings={**tracks_of(scene, candidates, row), **dict(sorted(times.items()))},
+        hops=len(template.edges),
         time_gap_s=(max(times.values()) - times["t0"]) / scene.fps,
         separation_deg=float(np.max(turns)),
         people_in_scene=int(np.count_nonzero(descriptions.conditions.slots[keyframe] != NOBODY)),
     )
 
 
-def target_track(scene: Scene, descriptions: Descriptions, name: int) -> int:
-    """Track of the person that a name describes."""
-    return int(scene.tracks[descriptions.moment[name] // len(scene.keyframes)])
+def tracks_of(scene: Scene, candidates: Candidates, row: int) -> dict[str, int]:
+    """Track of everybody in the plan, by node."""
+    return {
+        node: int(scene.tracks[scene.persons(moments[row : row + 1])[0]]) for node, moments in candidates.people.items()
+    }
 
 
-def needed_boxes(scene: Scene, track: int, candidates: Candidates, row: int) -> tuple[NeededBox, ...]:
-    """The target's boxes at t0 and where it is read, by frame; where it is absent there is none."""
+def needed_boxes(scene: Scene, candidates: Candidates, row: int) -> tuple[NeededBox, ...]:
+    """Everybody's box at t0, and the target's where it is read, by node and frame; where it is absent there is none."""
     template = candidates.template
     t0 = int(candidates.frames["t0"][row])
-    decisive = {int(candidates.frames[name][row]) for name in template.decisive}
-    decisive = {frame for frame in decisive if scene.box_of(track, frame) != NOBODY} or {t0}
     boxes = []
-    for frame in sorted(decisive | {t0}):
-        line = scene.box_of(track, frame)
-        x, y, w, h = (float(scene.geometry[side][line]) for side in "xywh")
-        boxes.append(NeededBox(_ROOT, track, frame, x, y, w, h, frame in decisive))
+    for node, track in tracks_of(scene, candidates, row).items():
+        decisive: set[int] = set()
+        if node == template.target:
+            decisive = {int(candidates.frames[name][row]) for name in template.decisive}
+            decisive = {frame for frame in decisive if scene.box_of(track, frame) != NOBODY} or {t0}
+        for frame in sorted(decisive | {t0}):
+            line = scene.box_of(track, frame)
+            x, y, w, h = (float(scene.geometry[side][line]) for side in "xywh")
+            boxes.append(NeededBox(node, track, frame, x, y, w, h, frame in decisive))
     return tuple(boxes)
 
 
@@ -119,16 +120,15 @@ def _proofs(
     for condition, left in zip(descriptions.of(name), descriptions.left[name], strict=False):
         found.append(proof("anchor", f"without {condition_text(condition)}", int(left) >= 2, "ambiguous"))
     found.append(proof("evidence", "clear views", True, "same", own))
-    for shift in candidates.shifts:
-        outcome = OUTCOMES[shift.outcome[row]]
-        answer = VALUES[shift.answer[row]] if shift.answer[row] != NOBODY else None
-        proves = outcome in ("different", "ambiguous", "empty")
-        found.append(proof("time.shift", f"{shift.by / FPS:+g} s", proves, outcome, answer))
+    for perturbed in candidates.perturbed:
+        outcome = OUTCOMES[perturbed.outcome[row]]
+        answer = VALUES[perturbed.answer[row]] if perturbed.answer[row] != NOBODY else None
+        # One shift may fail; all others have passed the rule of their kind.
+        proves = perturbed.kind != "time.shift" or outcome in ("different", "ambiguous", "empty")
+        found.append(proof(perturbed.kind, perturbed.variant, proves, outcome, answer))
     if candidates.template.time_proof == "construction":
         # Asked is the time itself: at another time another answer would be right.
         found.append(proof("time.drop", "by construction", True, "different"))
-    else:
-        found.append(proof("time.drop", "all keyframes", True, OUTCOMES[candidates.drop[row]]))
     # Who looks one way only, and does not see what decides, has nothing to answer from.
     found.append(proof("view.ahead", "180", True, "empty"))
     x, w = np.array([box.x for box in needed]), np.array([box.w for box in needed])
@@ -138,7 +138,9 @@ def _proofs(
 
 
 def condition_text(condition: Condition) -> str:
-    """A condition in a word or two, as in "action sitting" or "sector left"."""
+    """A condition in a few words, as in "action sitting", "sector left" or "object bag (carrying)"."""
     if condition.attribute is not None:
         return f"{condition.attribute} {condition.value}"
-    return f"action {condition.action}"
+    if condition.object is not None:
+        return f"object {condition.object} ({condition.verb})"
+    return f"interaction {condition.interaction}" if condition.action is None else f"action {condition.action}"

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Final
 
 import duckdb
+import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -17,6 +18,7 @@ from jrdb_avr.schema.wording import stated_actions
 
 from .candidates import VALUES, Candidates
 from .descriptions import Descriptions
+from .relations import RELATIONS
 from .scene import NOBODY, Ints, Scene
 from .templates import joined, plan_texts
 
@@ -32,17 +34,16 @@ def candidate_table(
     `keyed=False` leaves the key out. `row` is the candidate's number.
     """
     template = candidates.template
-    person = descriptions.moment[candidates.name[rows]] // len(scene.keyframes)
-    track = pa.array(scene.tracks[person], pa.int32())
+    track = pa.array(scene.tracks[scene.persons(candidates.people[template.target][rows])], pa.int32())
     plan = _plans(scene, descriptions, candidates, rows)
     if template.answer is None:
         answer = pc.take(pa.array(VALUES), pa.array(candidates.answer[rows]))
     else:
-        parts = [
-            pa.array(candidates.frames[part][rows]) if part in candidates.frames else part for part in template.answer
-        ]
-        answer = joined(parts)
-    columns = {
+        columns = {name: pa.array(numbers[rows]) for name, numbers in candidates.frames.items()}
+        if "angle" in template.answer:
+            columns["angle"] = _angles(scene, candidates.segment[rows])
+        answer = joined([columns.get(part, part) for part in template.answer])
+    table = {
         "sequence": _constant(scene.sequence, len(rows)),
         "family": _constant(template.family, len(rows)),
         "template": _constant(template.name, len(rows)),
@@ -52,8 +53,8 @@ def candidate_table(
         "row": pa.array(rows),
     }
     if keyed:
-        columns["key"] = hashed(joined([columns["sequence"], "\n", track, "\n", plan]))
-    return pa.table(columns)
+        table["key"] = hashed(joined([table["sequence"], "\n", track, "\n", plan]))
+    return pa.table(table)
 
 
 def with_selection_columns(table: pa.Table, candidates: Candidates) -> pa.Table:
@@ -63,7 +64,7 @@ def with_selection_columns(table: pa.Table, candidates: Candidates) -> pa.Table:
     stated = [list(stated_actions(parse_plan(plan))) for plan in table["plan"].to_pylist()]
     table = table.append_column("read_frames", frame_lists(candidates, template.read, rows))
     table = table.append_column("stated", pa.array(stated, pa.list_(pa.string())))
-    return table.append_column("times", frame_lists(candidates, template.times, rows))
+    return table.append_column("times", frame_lists(candidates, template.stated, rows))
 
 
 def frame_lists(candidates: Candidates, names: tuple[str, ...], rows: Ints) -> pa.Array:
@@ -82,16 +83,22 @@ def hashed(texts: pa.Array) -> pa.Array:
 
 
 def _plans(scene: Scene, descriptions: Descriptions, candidates: Candidates, rows: Ints) -> pa.Array:
-    nodes, names = descriptions.tables
-    text_of_name = pc.take(nodes["conditions"].combine_chunks(), names["from"].combine_chunks())
-    columns = {"conditions": pc.take(text_of_name, pa.array(candidates.name[rows]))}
-    columns |= {time: pa.array(candidates.frames[time][rows]) for time in candidates.template.times}
+    texts, number = descriptions.texts
+    columns = {"conditions": pc.take(pa.array(texts, pa.string()), pa.array(number[candidates.name[rows]]))}
+    columns |= {time: pa.array(candidates.frames[time][rows]) for time in candidates.template.stated}
+    for name, codes in candidates.relations.items():
+        columns[name] = pc.take(pa.array(RELATIONS), pa.array(codes[rows]))
     segment = candidates.segment[rows]
-    if len(segment) and segment[0] != NOBODY:
-        columns["action"] = pc.take(scene.segments["action"].combine_chunks(), pa.array(segment))
-    elif candidates.template.time_proof == "construction":
-        columns["action"] = pa.array([], pa.string())
+    action = scene.segments["action"].combine_chunks()
+    columns["action"] = pc.take(action, pa.array(segment, mask=segment == NOBODY))
     return plan_texts(candidates.template, columns)
+
+
+def _angles(scene: Scene, segments: Ints) -> pa.Array:
+    """Direction in which a person is seen at the first frame of each segment, as JSON writes it."""
+    persons = scene.person_of(scene.segments["track"].to_numpy()[segments])
+    rows = scene.box_rows(persons, scene.segments["first"].to_numpy().astype(np.int64)[segments])
+    return pa.array([msgspec.json.encode(angle).decode() for angle in scene.geometry["angle"][rows].tolist()])
 
 
 def _constant(text: str, count: int) -> pa.Array:

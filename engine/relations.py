@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from jrdb_avr.schema.vocabulary import (
     DISTANCE_BOUNDS_M,
@@ -25,7 +26,7 @@ from jrdb_avr.schema.vocabulary import (
     person_frame_label,
 )
 
-from .scene import NOBODY, Bools, Ints, Scene, coded, spread
+from .scene import NOBODY, NOWHERE, Bools, Ints, Scene, coded, spread
 
 _WORDS_WITHIN: Final = DISTANCE_WORDS[: 1 + sum(bound < 5.0 for bound in DISTANCE_BOUNDS_M)]
 PERSON_FRAME: Final = tuple(person_frame_label(sector, word) for sector in PERSON_SECTORS for word in _WORDS_WITHIN)
@@ -42,7 +43,7 @@ KIND: Final = np.array(
 
 LAYER_OF_KIND: Final = {SOCIAL: "interactions", GROUP: "groups", ROBOT_VIEW: "2d", PERSON_VIEW: "3d"}
 
-EMPTY, SEVERAL, UNKNOWN = -1, -2, -3
+EMPTY, SEVERAL, UNKNOWN = NOWHERE
 """Steps that lead to nobody: nobody could match, two or more certainly do, or it cannot be told."""
 
 
@@ -68,6 +69,20 @@ class Steps:
     source: Ints
     relation: Ints
     target: Ints
+
+    @property
+    def table(self) -> pa.Table:
+        """The graph's table `Step`; where a step leads to nobody, all further steps do."""
+        leading = np.unique(self.relation)
+        ends = np.repeat(np.array(NOWHERE), len(leading))
+        relation = np.concatenate([self.relation, np.tile(leading, len(NOWHERE))])
+        return pa.table(
+            {
+                "from": np.concatenate([self.source, ends]),
+                "to": np.concatenate([self.target, ends]),
+                "relation": pc.take(pa.array(RELATIONS), pa.array(relation)),
+            }
+        )
 
 
 def find_facts(scene: Scene) -> Facts:

@@ -8,10 +8,16 @@ keyframe is a *moment*, numbered `person * len(keyframes) + keyframe`, so moment
     (Description)-[:Names]->(Moment)      the description chosen for this person at this keyframe
     (Person)-[:Does]->(Segment)           stable segments of actions
     (Moment)-[:Shift {by}]->(Moment)      the same person `by` frames later, for both directions of time.shift
+    (Moment)-[:Step {relation}]->(Moment) to the one person who certainly has the relation while nobody else could
+    (Description)-[:Fits {t}]->(Moment)   to the one person whom the description fits at keyframe t
+
+Steps and fits that lead to nobody end in one of three moments without a time, whose ids are EMPTY, SEVERAL and UNKNOWN
+of `relations`; their own steps lead back to themselves.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -32,6 +38,9 @@ from . import views
 
 Ints = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
+
+NOWHERE: Final = (-1, -2, -3)
+"""Ids of the moments that stand for nobody: none could match, several certainly do, it cannot be told."""
 
 NOBODY: Final = -1
 """Row number of a box that is not there, and the code of an unknown value."""
@@ -95,6 +104,11 @@ class Scene:
     def clear(self) -> Bools:
         """Per box: whether it is a clear view."""
         return self.flag("clear")
+
+    @cached_property
+    def listed(self) -> Bools:
+        """Per box: whether the person has an action list."""
+        return self.flag("listed")
 
     @cached_property
     def box_keys(self) -> Ints:
@@ -194,6 +208,14 @@ class Scene:
         return self.codes("pose", POSES)
 
     @cached_property
+    def moment_poses(self) -> npt.NDArray[np.int8]:
+        """Per moment: index into POSES of the one certain pose, else NOBODY."""
+        poses = np.full(self.moment_count, NOBODY, dtype=np.int8)
+        there = self.moment_rows != NOBODY
+        poses[there] = self.poses[self.moment_rows[there]]
+        return poses
+
+    @cached_property
     def distances(self) -> Floats:
         """Per box: metres from the robot where the 3D box has lidar points, else NaN."""
         return np.where(self.flag("located"), self.column("distance"), np.nan)
@@ -254,39 +276,45 @@ def make_scene(tables: dict[str, pa.Table]) -> Scene:
 _DDL: Final = (
     "CREATE NODE TABLE Person(id INT64 PRIMARY KEY, track INT64)",
     "CREATE NODE TABLE Moment(id INT64 PRIMARY KEY, t INT64, seen INT64, clear BOOLEAN, image BOOLEAN, "
-    "ahead BOOLEAN, pose STRING, distance DOUBLE)",
+    "ahead BOOLEAN, pose STRING, distance DOUBLE, angle DOUBLE)",
     "CREATE NODE TABLE Description(id INT64 PRIMARY KEY, conditions STRING)",
     "CREATE NODE TABLE Segment(id INT64 PRIMARY KEY, action STRING, `first` INT64, `last` INT64, start INT64, "
     "`end` INT64, quiet_from INT64, closed BOOLEAN, first_clear BOOLEAN, first_image BOOLEAN, first_ahead BOOLEAN, "
-    "last_clear BOOLEAN, last_image BOOLEAN, last_ahead BOOLEAN)",
+    "last_clear BOOLEAN, last_image BOOLEAN, last_ahead BOOLEAN, angle DOUBLE)",
     "CREATE REL TABLE `Is`(FROM Person TO Moment)",
     "CREATE REL TABLE Does(FROM Person TO Segment)",
     "CREATE REL TABLE Shift(FROM Moment TO Moment, by INT64)",
+    "CREATE REL TABLE Step(FROM Moment TO Moment, relation STRING)",
+    "CREATE REL TABLE Fits(FROM Description TO Moment, t INT64)",
     "CREATE REL TABLE Names(FROM Description TO Moment, id INT64, anchor BOOLEAN, general BOOLEAN, poseless BOOLEAN)",
 )
 
 
-def scene_graph(scene: Scene, descriptions: pa.Table, names: pa.Table, rules: Rules) -> Graph:
+def scene_graph(scene: Scene, tables: Mapping[str, pa.Table], rules: Rules) -> Graph:
     """The searchable graph of a sequence, in memory; the caller closes it.
 
-    `descriptions` and `names` hold the columns of the tables `Description` and `Names`.
+    `tables` hold the columns of `Description`, `Names`, `Fits` and `Step`.
     """
     graph = Graph.memory()
     for statement in _DDL:
         graph.execute(statement)
     persons = np.arange(len(scene.tracks))
     moments, table = _moments(scene, rules)
+    nowhere = pa.table(
+        [pa.array(NOWHERE, pa.int64()), *(pa.nulls(3, f.type) for f in list(table.schema)[1:])], table.schema
+    )
     segments = _segments(scene, rules)
     graph.copy("Person", pa.table({"id": persons, "track": scene.tracks}))
-    graph.copy("Moment", table)
-    graph.copy("Description", descriptions)
+    graph.copy("Moment", pa.concat_tables([table, nowhere]))
+    graph.copy("Description", tables["Description"])
     graph.copy("Segment", segments)
     graph.copy("Is", pa.table({"from": scene.persons(moments), "to": moments}))
     doer = scene.person_of(scene.segments["track"].to_numpy())
     graph.copy("Does", pa.table({"from": doer, "to": segments["id"]}))
     for by in (-frames(rules.shift_s), frames(rules.shift_s)):
         graph.copy("Shift", _shift(scene, moments, by))
-    graph.copy("Names", names)
+    for name in ("Names", "Fits", "Step"):
+        graph.copy(name, tables[name])
     return graph
 
 
@@ -328,6 +356,7 @@ def _moments(scene: Scene, rules: Rules) -> tuple[Ints, pa.Table]:
             "ahead": in_front,
             "pose": pc.take(pa.array(POSES), pc.take(pa.array(scene.poses, mask=scene.poses == NOBODY), there)),
             "distance": distance,
+            "angle": pc.take(pa.array(scene.geometry["angle"]), there),
         }
     )
 
@@ -335,6 +364,8 @@ def _moments(scene: Scene, rules: Rules) -> tuple[Ints, pa.Table]:
 def _segments(scene: Scene, rules: Rules) -> pa.Table:
     table = scene.segments
     persons = scene.person_of(table["track"].to_numpy())
+    starts = scene.box_rows(persons, table["first"].to_numpy().astype(np.int64))
+    angle = pc.take(pa.array(scene.geometry["angle"]), pa.array(starts, mask=starts == NOBODY))
     columns: dict[str, object] = {"id": np.arange(len(table))}
     for name in ("action", "first", "last", "start", "end", "quiet_from", "closed"):
         wide = pa.types.is_integer(table.schema.field(name).type)
@@ -343,4 +374,4 @@ def _segments(scene: Scene, rules: Rules) -> pa.Table:
         times = table[edge].to_numpy().astype(np.int64)
         clear, in_front = _seen(scene, scene.box_rows(persons, times), rules)
         columns |= {f"{edge}_clear": clear, f"{edge}_image": scene.has_image(times), f"{edge}_ahead": in_front}
-    return pa.table(columns)
+    return pa.table({**columns, "angle": angle})

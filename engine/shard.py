@@ -20,14 +20,15 @@ from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.rules import Rules, frames
 from jrdb_avr.schema.tables import CANDIDATES, QUESTIONS
 
-from .candidates import OUTCOMES, PASSED, RULES, Candidates, find_candidates
+from .candidates import OUTCOMES, PASSED, RULES, Candidates
 from .choices import Choices, make_choices
 from .descriptions import Descriptions, describe_people
 from .proofs import make_record, needed_boxes, proof
 from .proven import BLOCK, candidate_table, frame_lists, with_selection_columns
 from .rederive import Annotations, rederive
-from .relations import find_facts
+from .relations import find_facts, find_steps
 from .scene import Bools, Ints, Scene, load_scene, scene_graph
+from .search import find_candidates
 from .selection import near_duplicates
 from .templates import TEMPLATES, Template
 
@@ -68,13 +69,14 @@ def search_sequence(job: Job) -> Found:
     facts = find_facts(scene)
     descriptions = describe_people(scene, facts, job.rules)
     search = _Search(job, scene, descriptions, Annotations.read(store, job.sequence, job.rules))
-    with scene_graph(scene, *descriptions.tables, job.rules) as graph:
+    tables = {**descriptions.tables(scene.keyframes), "Step": find_steps(scene, facts).table}
+    with scene_graph(scene, tables, job.rules) as graph:
         for template in TEMPLATES:
             missing = tuple(layer for layer in template.layers if layer not in scene.layers)
             if missing:
                 search.lacking[template.name] = missing
             else:
-                search.judge(find_candidates(scene, graph, template, job.rules))
+                search.judge(find_candidates(scene, descriptions, graph, template, job.rules))
     return search.result()
 
 
@@ -150,14 +152,15 @@ class _Search:
         template = candidates.template.name
         second = rederive(self.annotations, parse_plan(line["plan"]), template, self.job.rules)
         track = line["target_track"]
-        boxes = {(box.frame, box.decisive) for box in needed_boxes(self.scene, track, candidates, line["row"])}
+        needed = needed_boxes(self.scene, candidates, line["row"])
+        boxes = {(box.node, box.track, box.frame, box.decisive) for box in needed}
         if second.outcome != "defined" or second.answer != line["answer"]:
             return f"answer {line['answer']}, rederived {second.answer or second.outcome}"
         if second.target != track:
             return f"target {track}, rederived {second.target}"
         if second.faults:
             return second.faults[0]
-        if {(box.frame, box.decisive) for box in second.needed} != boxes:
+        if {(box.node, box.track, box.frame, box.decisive) for box in second.needed} != boxes:
             return "other boxes are needed"
         return None
 
@@ -190,6 +193,7 @@ class _Search:
         refused = np.flatnonzero(candidates.rule == RULES.index(rule))
         columns = [self.descriptions.moment[candidates.name[refused]]]
         columns += [candidates.frames[name][refused] for name in sorted(candidates.frames)]
+        columns += [codes[refused] for _, codes in sorted(candidates.relations.items())]
         if candidates.template.time_proof == "construction":
             columns.append(candidates.segment[refused])
         order = np.lexsort((refused, mixed(columns)))[:EXAMPLES]
@@ -204,10 +208,13 @@ class _Search:
             case "anchor":
                 left = self.descriptions.left[candidates.name[row]]
                 return "could match when one condition is dropped: " + ", ".join(str(n) for n in left if n)
-            case "time.shift":
-                return ", ".join(f"{shift.by:+d} frames: {OUTCOMES[shift.outcome[row]]}" for shift in candidates.shifts)
+            case "time.shift" | "hop.stop" | "hop.skip":
+                found = [proof for proof in candidates.perturbed if proof.kind == rule]
+                return ", ".join(f"{proof.variant}: {OUTCOMES[proof.outcome[row]]}" for proof in found)
             case "time.drop":
                 return "every other keyframe with an answer gives the same"
+            case "view.single":
+                return "one view shows everybody needed"
             case "view.ahead":
                 return "all decisive boxes are seen straight ahead"
             case "evidence":
@@ -229,7 +236,7 @@ class _Search:
     def _near_kept(self, candidates: Candidates, rows: Ints, kept: Ints) -> Bools:
         """Whether each row is a near-duplicate of a kept one."""
         limit = frames(self.job.rules.near_duplicate_s)
-        person = self.descriptions.moment[candidates.name] // len(self.scene.keyframes)
+        person = self.scene.persons(candidates.people[candidates.template.target])
         order = np.argsort(person[rows], kind="stable")
         owners = person[rows][order]
         near = np.zeros(len(rows), dtype=bool)

@@ -1,9 +1,9 @@
 """The question templates as data: what each needs, which queries find and test it, and how its plan is formed.
 
 A template's candidates come from `queries/generators/<name>.cypher`; each row names the description (`name`), the
-moments it speaks of (`at0`, `at1`, ...) or the `segment`, and says which set-wise proofs hold. Its time proofs come
-from `queries/necessity/<name>_shift.cypher` and `<name>_drop.cypher`. Adding a template is adding a row here, its
-queries and its words in `schema.wording`.
+moments of the people along the path (`at0` of a, then `b`, `c`, ...) with the relations between them (`r1`, ...), and
+the moments (`at1`, ...) or segments it speaks of. What the perturbed programs answer comes from
+`queries/necessity/*.cypher`. Adding a template is adding a row here, its queries and its words in `schema.wording`.
 """
 
 from __future__ import annotations
@@ -16,97 +16,225 @@ from typing import Final, Literal
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.schema.plan import Condition, canonical
+from jrdb_avr.schema.answers import AnswerMode
+from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Event, Node, Plan, Read, Time, canonical
 from jrdb_avr.schema.rules import Rules, frames
 from jrdb_avr.schema.wording import TEMPLATES as WORDS
-from jrdb_avr.schema.wording import Slots
 
-TimeProof = Literal["moved", "construction"]
-"""`moved`: the asked times are shifted and dropped. `construction`: the answer is the time itself."""
+TimeProof = Literal["asked", "program", "construction"]
+"""What time.shift and time.drop move: the asked times, with the person held; the whole program, description and hops
+read anew; or nothing, as the answer is the time itself."""
 
 
 @dataclass(frozen=True)
 class Template:
-    """A kind of question about one person described at t0.
+    """A kind of question. Person a is described; `edges` lead from a to b, c, ..., the last being the target.
 
     layers: what the sequence must have. pose_answer: the answer is a pose, so that none may be stated.
-    read: where the answer is read, as columns of the candidates' frames (see `candidates.FRAMES`).
-    decisive: the frames whose boxes decide; where the person is absent at all of them, the box at t0 does.
-    answer: the stored answer's JSON with frame columns in braces, or None where it is a text of `choices`.
+    stated: names of the times that the question states; events: those found in the data, as (name, event, after).
+    actions: how many actions the question names, each of one event.
+    read: where the answer is read, as columns of the candidates' frames (see `candidates.Candidates`).
+    decisive: the frames whose boxes of the target decide; where it is absent at all of them, the box at t0 does.
+    answer: the stored answer's JSON with columns in braces, or None where it is a text of `choices`.
+    shift, drop: the queries of the proofs of time; hops have those of their own.
     """
 
     name: str
     layers: tuple[str, ...]
+    reads: tuple[AnswerMode, Read, tuple[str, ...]]
     time_proof: TimeProof
     read: tuple[str, ...]
     decisive: tuple[str, ...]
-    answer: tuple[str, ...] | None
+    answer: tuple[str, ...] | None = None
+    stated: tuple[str, ...] = ("t0",)
+    events: tuple[tuple[str, Event, str], ...] = ()
+    edges: tuple[tuple[str, str], ...] = ()
     pose_answer: bool = False
+    shift: str = ""
+    drop: str = ""
+    single_view: bool = True
+    """Whether the question may be answered from one fixed view."""
 
     @property
     def family(self) -> str:
         return WORDS[self.name].family
 
     @property
-    def times(self) -> tuple[str, ...]:
-        """Names of the stated times."""
-        return WORDS[self.name].times
+    def target(self) -> str:
+        return self.people[-1]
 
+    @property
+    def people(self) -> tuple[str, ...]:
+        """Nodes of the plan in order."""
+        return tuple(sorted({"a", *(target for _, target in self.edges)}))
+
+    @property
+    def relations(self) -> tuple[str, ...]:
+        """Columns that hold the relations of the edges."""
+        return tuple(f"r{i + 1}" for i in range(len(self.edges)))
+
+    def skeleton(self) -> Plan:
+        """The plan with marks in place of conditions, relations, actions and frames."""
+        times = {name: Time(frame=_FRAME_MARK + i) for i, name in enumerate(self.stated)}
+        for name, event, after in self.events:
+            action = None if event in ("leaves", "returns") else _ACTION_MARK
+            times[name] = Time(event=event, of=self.target, action=action, after=after)
+        mode, read, at = self.reads
+        edges = tuple(
+            Edge(source=source, relation=f"?{name}", target=target, at="t0")
+            for name, (source, target) in zip(self.relations, self.edges, strict=True)
+        )
+        return Plan(
+            root="a",
+            target=self.target,
+            times=times,
+            nodes=tuple(Node(id=node, conditions=(_CONDITIONS,) if node == "a" else ()) for node in self.people),
+            edges=edges,
+            answer=AnswerSpec(mode=mode, read=read, of=self.target, at=at if len(at) > 1 else at[0]),
+        )
+
+
+_CONDITIONS: Final = Condition(action="?conditions", at="t0")
+_ACTION_MARK: Final = "?action"
+_FRAME_MARK: Final = 9_000_001
+
+_START: Final[tuple[tuple[str, Event, str], ...]] = (("t1", "start", "t0"),)
+_END: Final[tuple[str, Event, str]] = ("t2", "end", "t1")
+_TWO_HOPS: Final = (("a", "b"), ("b", "c"))
 
 TEMPLATES: Final = (
     Template(
         "start",
         ("2d", "actions"),
+        ("frame", "start", ("t1",)),
         "construction",
         read=("start",),
         decisive=("first",),
         answer=('{"frame":', "start", "}"),
+        events=_START,
     ),
     Template(
         "span",
         ("2d", "actions"),
+        ("span", "span", ("t1", "t2")),
         "construction",
         read=("start", "end"),
         decisive=("first", "last"),
         answer=('{"start_frame":', "start", ',"end_frame":', "end", "}"),
+        events=(*_START, _END),
     ),
-    Template("change", ("2d", "actions"), "moved", read=("t1",), decisive=("t1",), answer=None, pose_answer=True),
-    Template("presence", ("2d",), "moved", read=("t1", "t2"), decisive=("t1", "t2"), answer=None),
-    Template("distance", ("2d", "3d"), "moved", read=("t0", "t1"), decisive=("t1",), answer=None),
+    Template(
+        "change",
+        ("2d", "actions"),
+        ("multiple_choice", "action", ("t1",)),
+        "asked",
+        read=("t1",),
+        decisive=("t1",),
+        stated=("t0", "t1"),
+        pose_answer=True,
+        shift="pose_shift",
+        drop="pose_drop",
+    ),
+    Template(
+        "presence",
+        ("2d",),
+        ("multiple_choice", "presence", ("t1", "t2")),
+        "asked",
+        read=("t1", "t2"),
+        decisive=("t1", "t2"),
+        stated=("t0", "t1", "t2"),
+        shift="presence_shift",
+        drop="presence_drop",
+    ),
+    Template(
+        "distance",
+        ("2d", "3d"),
+        ("multiple_choice", "distance_change", ("t0", "t1")),
+        "asked",
+        read=("t0", "t1"),
+        decisive=("t1",),
+        stated=("t0", "t1"),
+        shift="distance_shift",
+        drop="distance_drop",
+    ),
+)
+
+CHAINS: Final = (
+    Template(
+        "two_hop",
+        ("2d", "actions"),
+        ("multiple_choice", "action", ("t0",)),
+        "program",
+        read=("t0",),
+        decisive=("t0",),
+        edges=_TWO_HOPS,
+        pose_answer=True,
+    ),
+    Template(
+        "three_hop",
+        ("2d", "actions"),
+        ("multiple_choice", "action", ("t0",)),
+        "program",
+        read=("t0",),
+        decisive=("t0",),
+        edges=(*_TWO_HOPS, ("c", "d")),
+        pose_answer=True,
+    ),
+    Template(
+        "action_search",
+        ("2d", "actions"),
+        ("frame_viewpoint", "start_view", ("t1",)),
+        "construction",
+        read=("start",),
+        decisive=("first",),
+        answer=('{"frame":', "start", ',"angle_deg":', "angle", "}"),
+        events=_START,
+        edges=_TWO_HOPS,
+        single_view=False,
+    ),
+    Template(
+        "later_pose",
+        ("2d", "actions"),
+        ("multiple_choice", "action", ("t1",)),
+        "asked",
+        read=("t1",),
+        decisive=("t1",),
+        stated=("t0", "t1"),
+        edges=_TWO_HOPS,
+        pose_answer=True,
+        shift="pose_shift",
+        drop="pose_drop",
+    ),
 )
 
 
-def query_text(folder: str, name: str) -> str | None:
-    """The text of a packaged Cypher file, or None where there is none."""
-    file = resources.files("jrdb_avr.queries").joinpath(folder, f"{name}.cypher")
-    return file.read_text(encoding="utf-8") if file.is_file() else None
+def query_text(folder: str, name: str) -> str:
+    """The text of a packaged Cypher file."""
+    return resources.files("jrdb_avr.queries").joinpath(folder, f"{name}.cypher").read_text(encoding="utf-8")
 
 
 def query_values(rules: Rules) -> dict[str, int | float]:
-    """Values of the parameters that the queries may use; frames and metres."""
+    """Values of the parameters that the queries may use; frames, metres and degrees."""
     return {
         "wait": frames(rules.min_wait_s),
+        "later": frames(rules.long_wait_s),
+        "search": frames(rules.search_wait_s),
+        "turn": rules.turn_deg,
         "changed": rules.distance_changed_m,
         "same": rules.distance_same_m,
     }
 
 
-_CONDITIONS: Final = Condition(action="?conditions", at="t0")
-_FRAME_MARK: Final = 9_000_001
-
-
 def plan_texts(template: Template, columns: Mapping[str, pa.Array]) -> pa.Array:
     """Canonical plans of candidates, set-wise.
 
-    `columns` holds `conditions` (as JSON, without brackets), one column of frames per stated time, and `action` where
-    the template asks for one.
+    `columns` holds `conditions` (as JSON, without brackets), one column of frames per stated time, one of relations
+    per hop, and `action` where the template asks for one.
     """
-    words = WORDS[template.name]
-    marks = {name: _FRAME_MARK + i for i, name in enumerate(template.times)}
-    plan = canonical(words.build(Slots((_CONDITIONS,), marks, ("?action",)[: words.actions])))
-    holes = {'{"action":"?conditions","at":"t0"}': "conditions", "?action": "action"}
-    holes |= {str(mark): name for name, mark in marks.items()}
-    pieces: list[pa.Array | str] = [plan]
+    holes = {'{"action":"?conditions","at":"t0"}': "conditions", _ACTION_MARK: "action"}
+    holes |= {f"?{name}": name for name in template.relations}
+    holes |= {str(_FRAME_MARK + i): name for i, name in enumerate(template.stated)}
+    pieces: list[pa.Array | str] = [canonical(template.skeleton())]
     for mark, name in holes.items():
         split: list[pa.Array | str] = []
         for piece in pieces:

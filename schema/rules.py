@@ -87,6 +87,16 @@ class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     max_conditions: Annotated[int, msgspec.Meta(ge=1, le=3)] = 3
     min_wait_s: Wait = 3.0
     """Least time from the description's time to what is asked, and between two asked times."""
+    long_wait_s: Wait = 10.0
+    """Least time that long-range questions reach over."""
+    search_wait_s: Wait = 2.0
+    """Least time from the description to the start of an action that somebody found by hops is watched for."""
+    turn_deg: Annotated[float, msgspec.Meta(ge=0, lt=180)] = 20.0
+    """Who is watched for an action must have moved by more than this, as the robot sees it."""
+    gap_min_s: Seconds = 5.0
+    """Least time between two events whose distance in time is asked for."""
+    count_min: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 4
+    """Fewest people that a question lets count."""
     shift_s: Wait = 3.0
     """How far time.shift moves the asked times."""
     distance_changed_m: Metres = 1.5

@@ -7,13 +7,16 @@ import pytest
 from quick_store import quick_store
 from worlds import person, person_3d
 
-from jrdb_avr.engine.candidates import PASSED, RULES, VALUES, find_candidates
+from jrdb_avr.engine.candidates import PASSED, RULES, VALUES
 from jrdb_avr.engine.descriptions import describe_people
-from jrdb_avr.engine.relations import find_facts
+from jrdb_avr.engine.relations import RELATIONS, find_facts, find_steps
 from jrdb_avr.engine.scene import load_scene, scene_graph
-from jrdb_avr.engine.templates import TEMPLATES
+from jrdb_avr.engine.search import find_candidates
+from jrdb_avr.engine.templates import CHAINS, TEMPLATES
 from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.vocabulary import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
 
+LETTERS = {FIRST_LEFT: "L", FIRST_RIGHT: "R", SAME_GROUP: "G"}
 SEQUENCE = "yard-2020-01-01_0"
 POSES = {"w": {"walking": 1}, "t": {"standing": 1}, "s": {"sitting": 1}, "?": {"standing": 3}}
 
@@ -45,11 +48,11 @@ def build(lines):
         if not re.match(r"\d+ \|", line):
             continue
         track, letters, *facts = (part.strip() for part in line.split("|"))
-        column, group, metres, tiny, more = 400.0, None, None, (), {}
+        columns, group, metres, tiny, more = [400.0], None, None, (), {}
         for fact in facts:
             word, _, rest = fact.partition(" ")
             if word == "column":
-                column = float(rest)
+                columns = [float(part) for part in rest.split()]
             elif word == "group":
                 group = (int(rest), 1)
             elif word == "metres":
@@ -64,6 +67,8 @@ def build(lines):
             if letter == "-":
                 continue
             actions = POSES[letter] | {action: 1 for action, when in more if when == second}
+            # Whoever has fewer columns than seconds stays at the last.
+            column = columns[min(second, len(columns) - 1)]
             box = (column - 25, 100, 50, 20 if second in tiny else 150)
             rows.append(person(int(track), box, actions, group))
             if metres is not None and metres[second] != "x":
@@ -80,20 +85,22 @@ def judge(store):
     names = describe_people(scene, find_facts(scene), rules)
     people = len(scene.keyframes)
     found = {}
-    with scene_graph(scene, *names.tables, rules) as graph:
-        for template in TEMPLATES:
+    tables = {**names.tables(scene.keyframes), "Step": find_steps(scene, find_facts(scene)).table}
+    with scene_graph(scene, tables, rules) as graph:
+        for template in (*TEMPLATES, *CHAINS):
             if not set(template.layers) <= scene.layers:
                 continue
-            rows = find_candidates(scene, graph, template, rules)
+            rows = find_candidates(scene, names, graph, template, rules)
             for i in range(len(rows)):
-                track = int(scene.tracks[names.moment[rows.name[i]] // people])
-                when = tuple(int(rows.frames[name][i]) // 15 for name in template.times)
+                path = walk(scene, rows, i)
+                track = int(path.split()[-1])
+                when = tuple(int(rows.frames[name][i]) // 15 for name in template.stated)
                 action, answer = None, VALUES[rows.answer[i]]
                 if template.answer is not None:
                     action = scene.segments["action"][int(rows.segment[i])].as_py()
                     answer = " ".join(str(int(rows.frames[name][i])) for name in template.read)
                 rule = None if rows.rule[i] == PASSED else RULES[rows.rule[i]]
-                found[template.name, track, when, action] = (rule, answer)
+                found[template.name, track, when, path if template.edges else None, action] = (rule, answer)
     described = {}
     for name in range(len(names.moment)):
         if names.general[name]:
@@ -103,7 +110,20 @@ def judge(store):
     return found, described
 
 
-CLAIM = re.compile(r"(gives|refuses|lacks) (\w+) (\d+) at ([\d ]+?)(?: ([a-z][a-z ]*))?(?:: (.+))?")
+def walk(scene, rows, i):
+    """The people of a candidate with the letters of the relations between them, as in "1 L 2 G 3"."""
+    words = []
+    for node in rows.template.people:
+        words.append(str(scene.tracks[scene.persons(rows.people[node][[i]])[0]]))
+        if node != rows.template.target:
+            relation = rows.relations[f"r{len(words) // 2 + 1}"][i]
+            words.append(LETTERS.get(RELATIONS[relation], RELATIONS[relation]))
+    return " ".join(words)
+
+
+CLAIM = re.compile(
+    r"(gives|refuses|lacks) (\w+) (\d+) at ([\d ]+?)(?: by (\d[\d LRG]*\d))?(?: ([a-z][a-z ]*))?(?:: (.+))?"
+)
 
 
 @pytest.mark.parametrize("title", read_worlds())
@@ -120,8 +140,8 @@ def test_world(title, tmp_path):
             continue
         match = CLAIM.fullmatch(line)
         assert match, f"cannot read: {line}"
-        verb, template, track, when, action, value = match.groups()
-        place = (template, int(track), tuple(map(int, when.split())), action)
+        verb, template, track, when, path, action, value = match.groups()
+        place = (template, int(track), tuple(map(int, when.split())), path, action)
         verdict = found.get(place)
         expected = {"gives": (None, value), "lacks": None, "refuses": (value, verdict[1] if verdict else "")}[verb]
         assert verdict == expected, line

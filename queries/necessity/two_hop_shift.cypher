@@ -1,0 +1,5 @@
+// time.shift of two_hop: description and hops read anew, $by frames later.
+MATCH (p:Path)-[:Of]->(:Description)-[f:Fits]->(a:Moment)-[s1:Step]->(b:Moment)-[s2:Step]->(c:Moment)
+WHERE f.t = p.t + $by AND s1.relation = p.r1 AND s2.relation = p.r2
+RETURN p.id AS id, a.id AS a, b.id AS b, c.id AS c
+ORDER BY id
