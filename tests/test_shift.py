@@ -29,8 +29,7 @@ def places(rng, people, frames, walking=0.6, turning=0.02):
     yaw = turning * np.cumsum(np.convolve(rng.normal(0, 1, len(numbers) + 60), np.ones(60) / 60, "same")[30:-30])
     world = {}
     for track in range(people):
-        position = rng.uniform(-8, 8, 2) + 0j
-        place = position[0] + 1j * position[1].real
+        place = complex(*rng.uniform(-8, 8, 2))
         path = np.full(len(numbers), place)
         if rng.random() < walking:
             way = rng.uniform(0, 2 * math.pi) + np.cumsum(rng.normal(0, 0.03, len(numbers)))

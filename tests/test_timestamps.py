@@ -1,0 +1,146 @@
+"""Timestamps: entries that contradict themselves or the order are refused; seconds follow the stamps of the images."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from worlds import person, write_root
+
+from jrdb_avr.loaders.layers import find_root
+from jrdb_avr.loaders.load import Shard, load_shard
+from jrdb_avr.loaders.timeline import Clock
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.rules import LoadRules
+
+NAME = "yard-2020-01-01_0"
+START = 1_549_578_400.25
+
+
+def loaded(tmp_path, stamps, frames=range(0, 60)):
+    """Store and report of a walk of one person, with a file of timestamps."""
+    walk = {f: [person(1, (100 + f, 60, 50, 200), {"walking": 1})] for f in frames}
+    root = write_root(tmp_path / "root", {NAME: {"2d": walk, "timestamps": stamps}})
+    (files,) = find_root(root).sequences
+    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules())).report
+    return Store(tmp_path / "store"), report
+
+
+def rows(store, sensor="images"):
+    table = store.annotation("timestamps", NAME).to_pylist()
+    return [(row["frame"], row["timestamp"]) for row in table if row["sensor"] == sensor]
+
+
+def seconds(store):
+    return {row["frame"]: row["seconds"] for row in store.interval("frames", NAME).to_pylist()}
+
+
+def test_seconds_follow_the_images_and_intervals_with_them(tmp_path):
+    slow = {f: START + f / 10 for f in range(60)}
+    store, report = loaded(tmp_path, {"images": slow, "clouds": {f: START + 0.03 + f / 10 for f in range(62)}})
+    assert rows(store) == sorted(slow.items())
+    assert len(rows(store, "clouds")) == 62
+    assert seconds(store) == pytest.approx({f: f / 10 for f in range(60)}, abs=1e-6)
+    (run,) = store.interval("actions", NAME).to_pylist()
+    assert (run["first"], run["last"]) == (0, 59)
+    assert (run["first_s"], run["last_s"]) == pytest.approx((0, 5.9), abs=1e-6)
+    assert (report.stamps.images, report.stamps.clouds) == (60, 62)
+    assert report.stamps.fps == pytest.approx(10, abs=1e-3)
+    # Stamps that reach further than the labels add no frames to the sequence.
+    assert store.interval("sequence", NAME)["frame_count"].to_pylist() == [60]
+
+
+def test_clouds_alone_leave_the_seconds_to_the_frame_rate(tmp_path):
+    store, report = loaded(tmp_path, {"clouds": {f: START + f for f in range(60)}})
+    assert seconds(store) == pytest.approx({f: f / 15 for f in range(60)})
+    assert report.stamps.fps is None and report.problems == []
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.dictionaries(st.integers(0, 200), st.integers(1, 30), min_size=1, max_size=8), st.integers(0, 250))
+def test_frames_without_a_stamp_lie_between_their_neighbours(steps, frame):
+    known = sorted(steps)
+    stamps = np.cumsum([steps[f] for f in known]).astype(float)
+
+    def epoch(f):
+        """Brute force: on the line between the nearest stamped frames, and 1/15 s per frame beyond them."""
+        if f <= known[0]:
+            return stamps[0] - (known[0] - f) / 15
+        if f >= known[-1]:
+            return stamps[-1] + (f - known[-1]) / 15
+        i = max(i for i, k in enumerate(known) if k <= f)
+        return stamps[i] + (f - known[i]) / (known[i + 1] - known[i]) * (stamps[i + 1] - stamps[i])
+
+    clock = Clock(np.array(known), stamps)
+    assert clock.seconds(np.array([frame]))[0] == pytest.approx(epoch(frame) - epoch(0), abs=1e-9)
+
+
+def entry(frame, timestamp, url=None, **more):
+    picture = {"name": "stitched_image0", "url": url or f"images/image_stitched/{NAME}/{frame:06d}.jpg"}
+    return {"frame_id": frame, "timestamp": timestamp, "cameras": [picture]} | more
+
+
+GOOD = [entry(f, START + f) for f in (0, 1, 2, 4)]
+BAD = {
+    "NaN": (entry(3, float("nan")), "timestamp"),
+    "infinite": (entry(3, float("inf")), "timestamp"),
+    "no number": (entry(3, "noon"), "timestamp"),
+    "bool": (entry(3, True), "timestamp"),
+    "null": (entry(3, None), "timestamp"),
+    "negative": (entry(3, -1.0), "timestamp"),
+    "nanoseconds": (entry(3, START * 1e9), "timestamp"),
+    "equal to its neighbour": (entry(3, START + 2), "timestamp"),
+    "before its neighbour": (entry(3, START + 1.5), "timestamp"),
+    "far ahead": (entry(3, START + 900), "timestamp"),
+    "frame twice": (entry(2, START + 2.5), "timestamp"),
+    "no agreement": (entry(3, START + 3, url="x/000007.jpg"), "frame_id"),
+    "no frame": ({"timestamp": START + 3, "cameras": [{"url": "x/first.jpg"}]}, "frame_id"),
+    "frame below zero": (entry(-3, START + 3, url="x/000003.jpg"), "frame_id"),
+    "half a frame": (entry(3, START + 3) | {"frame_id": 3.5}, "frame_id"),
+    "frame of seven digits": (entry(3, START + 3, url="x") | {"frame_id": 1_000_000}, "frame_id"),
+    "frame as a list": (entry(3, START + 3) | {"frame_id": [3]}, "frame_id"),
+    "no object": (7, ""),
+}
+
+
+@pytest.mark.parametrize("bad, field", BAD.values(), ids=BAD)
+def test_a_bad_entry_costs_itself(tmp_path, bad, field):
+    store, report = loaded(tmp_path, {"images": json.dumps({"data": [*GOOD, bad]})})
+    assert rows(store) == [(f, START + f) for f in (0, 1, 2, 4)]
+    ((kind, count, layer, where),) = [(p.kind, p.count, p.layer, p.field) for p in report.problems]
+    assert (kind, count, layer, where) == ("record", 1, "timestamps", field)
+
+
+@pytest.mark.parametrize("frame_id", [3, "3", "000003", 3.0, None])
+@pytest.mark.parametrize("url", ["image_stitched/000003.jpg", "000003.png", "somewhere", None])
+def test_a_frame_has_its_number_from_the_entry_or_the_file(tmp_path, frame_id, url):
+    made = {"frame_id": frame_id, "timestamp": str(START + 3), "cameras": [{"name": "x", "url": url}]}
+    store, report = loaded(tmp_path, {"images": json.dumps({"data": [made]})})
+    known = frame_id is not None or (url or "").startswith(("image", "000"))
+    assert rows(store) == ([(3, START + 3)] if known else [])
+    assert report.refused == (0 if known else 1)
+
+
+BROKEN = ["", "[]", "{}", '{"data": {}}', '{"data": 3}', '{"data": [', "x", '{"data": [1, 2', b"\xff\xfe", "[" * 5000]
+
+
+@pytest.mark.parametrize("content", BROKEN, ids=range(len(BROKEN)))
+def test_a_broken_file_costs_its_stamps_alone(tmp_path, content):
+    store, report = loaded(tmp_path, {"images": content, "clouds": {0: START, 1: START + 1}})
+    assert rows(store) == [] and len(rows(store, "clouds")) == 2
+    assert [(p.kind, p.layer) for p in report.problems] == [("file", "timestamps")]
+    assert "frames_img.json" in report.problems[0].reason
+    assert report.boxes == 60
+
+
+def test_repeated_keys_keep_the_first(tmp_path):
+    text = (
+        '{"data": [{"frame_id": 3, "timestamp": 5.5, "timestamp": 7.5, "cameras": []},'
+        ' {"frame_id": 4, "frame_id": 9, "timestamp": 8.5}], "data": []}'
+    )
+    store, report = loaded(tmp_path, {"images": text})
+    assert rows(store) == [(3, 5.5), (4, 8.5)]
+    assert report.refused == 3
