@@ -166,10 +166,19 @@ def _together(
         {layer: tables.get(layer, schema.empty_table()) for layer, schema in ANNOTATIONS.items()},
         frames,
         [UnknownLabel(*key, count) for key, count in sorted(unknown.items())],
-        [problem for layer in problems for problem in layer.listed()],
+        [problem for layer in _once(files, problems) for problem in layer.listed()],
         heading,
         shifts,
     )
+
+
+def _once(files: SequenceFiles, problems: list[Problems]) -> list[Problems]:
+    """The problems, those of a file that serves the 2D boxes and another layer named once."""
+    boxes = next((found for found in problems if found.layer == "2d"), None)
+    for found in problems:
+        if boxes is not None and found is not boxes and files.labels.get(found.layer) == files.labels["2d"]:
+            found.without(boxes)
+    return problems
 
 
 def _frames_table(sequence: str, frames: dict[str, tuple[Ints, Ints]]) -> pa.Table:

@@ -46,6 +46,13 @@ class Problems:
         example = Problem(kind, reason, count, self.file, frame, field, shorten(value), self.layer)
         self._found[kind, reason, field] = example
 
+    def without(self, known: Problems) -> None:
+        """Leave out what another reader of the same file has counted as often."""
+        counted = {(problem.reason, problem.field, problem.count) for problem in known.listed()}
+        for key, problem in list(self._found.items()):
+            if (problem.reason, problem.field, problem.count) in counted:
+                del self._found[key]
+
     def listed(self) -> list[Problem]:
         """All entries, by kind, reason and field."""
         return [self._found[key] for key in sorted(self._found)]

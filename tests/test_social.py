@@ -469,6 +469,19 @@ def test_a_file_that_cannot_be_used(tmp_path, content):
         read(tmp_path, content)
 
 
+def test_a_file_that_gives_the_boxes_too_is_reported_once(tmp_path):
+    records = [record(box=[1, 2, -3, 4]), {"label_id": "dog"}, 7, member(2, BOX, {"gender": {"Male": "x"}})]
+    (files,) = find_root(write_root(tmp_path / "root", {NAME: {"social": {0: records}}})).sequences
+    assert set(files.labels) == {"2d", "social"}
+    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules())).report
+    assert sorted((p.field, p.count) for p in report.problems) == [
+        ("", 1),
+        ("box", 1),
+        ("demographics_info.gender", 1),
+        ("label_id", 1),
+    ]
+
+
 # -- intervals ---------------------------------------------------------------------------------------------------
 
 
