@@ -43,6 +43,7 @@ Number = Annotated[int, msgspec.Meta(ge=-NUMBER_LIMIT, le=NUMBER_LIMIT)]
 """A number of the file's own, for images or annotations."""
 
 _NOTHING: Final = msgspec.Raw(b"")
+_COLON: Final = re.compile(rb"[ \t\r\n]*:[ \t\r\n]*")
 _FRAME: Final = re.compile(r"([0-9]{6})\.(?:jpg|jpeg|png)")
 _SEQUENCE: Final = re.compile(r".+-[0-9]{4}-[0-9]{2}-[0-9]{2}_[0-9]+")
 """How JRDB names its sequences: place, date and number."""
@@ -88,18 +89,21 @@ def _quick_spans(data: bytes) -> dict[str, tuple[int, int]] | None:
     except BROKEN:
         return None
     spans = {}
+    rest, end = [], 0
     for section in SECTIONS:
         raw = bytes(getattr(file, section))
-        quoted = f'"{section}"'.encode()
-        # Of a repeated key, decoding keeps the last only.
-        if data.count(quoted) != bool(raw):
-            return None
         if raw:
-            value = re.compile(rb"[ \t\r\n]*:[ \t\r\n]*").match(data, data.index(quoted) + len(quoted))
+            quoted = f'"{section}"'.encode()
+            value = _COLON.match(data, data.find(quoted) + len(quoted))
             if value is None or not data.startswith(raw, value.end()):
                 return None
             spans[section] = (value.end(), value.end() + len(raw))
-    return spans
+    for begin, stop in sorted(spans.values()):
+        rest.append(data[end:begin])
+        end = stop
+    outside = b"".join([*rest, data[end:]])
+    # Of a repeated key, decoding keeps the last only.
+    return spans if all(outside.count(f'"{name}"'.encode()) == (name in spans) for name in SECTIONS) else None
 
 
 def _scanned_spans(data: bytes, name: str, problems: Problems) -> dict[str, tuple[int, int]]:
