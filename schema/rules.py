@@ -54,7 +54,7 @@ class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     gap_frames: Annotated[int, msgspec.Meta(ge=0, le=900)] = 7
-    """Action and membership gaps up to this many frames are closed where the layer has every frame."""
+    """Gaps of actions, memberships and relations up to this many frames are closed where the layer has every frame."""
     clear_min_width: Pixels = 12.0
     clear_min_height: Pixels = 40.0
     clear_max_width: Pixels = 480.0
