@@ -182,21 +182,22 @@ def _refuse(stamp: _Stamp, reason: str, sensor: Sensor, problems: Problems) -> N
 
 
 def _longest_increasing(values: list[float]) -> list[int]:
-    """Positions of a longest strictly increasing subsequence; so that one stray stamp costs itself, not all others."""
+    """Positions of a longest strictly increasing subsequence, of several the earliest: a stray stamp costs itself."""
     tails: list[float] = []
-    ends: list[int] = []
-    before = [-1] * len(values)
+    lengths = []
+    for value in reversed(values):
+        # Length of the longest increasing subsequence that begins here; `tails` holds negated values.
+        place = bisect_left(tails, -value)
+        tails[place : place + 1] = [-value]
+        lengths.append(place + 1)
+    lengths.reverse()
+    chain: list[int] = []
+    wanted = len(tails)
     for i, value in enumerate(values):
-        place = bisect_left(tails, value)
-        before[i] = ends[place - 1] if place else -1
-        tails[place : place + 1] = [value]
-        ends[place : place + 1] = [i]
-    chain = []
-    last = ends[-1] if ends else -1
-    while last >= 0:
-        chain.append(last)
-        last = before[last]
-    return chain[::-1]
+        if lengths[i] == wanted and (not chain or value > values[chain[-1]]):
+            chain.append(i)
+            wanted -= 1
+    return chain
 
 
 # -- entries -----------------------------------------------------------------------------------------------------
