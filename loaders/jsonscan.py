@@ -1,14 +1,14 @@
 """A scanner that finds where the members of JSON objects and arrays begin and end, without decoding them.
 
-The fast path decodes a label file strictly. When a file is not strict JSON (a bare NaN), or repeats a key, or is so
-large that decoding its outer level at once would take too much memory, this scanner cuts it into frames and records,
-so that each is judged alone. It checks the structure it walks over, not the scalars inside.
+The fast paths take strict JSON of the usual layout. When a file is not that (a bare NaN, a repeated key, a text cut
+short), this scanner cuts it into frames and records, so that each is judged alone. It checks the structure it walks
+over, not the scalars inside.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import Final
 
 _TOKEN: Final = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*"|["\[\]{}]', re.DOTALL)
@@ -62,25 +62,6 @@ def elements(data: bytes, start: int = 0) -> Iterator[tuple[int, int]]:
         position = _next(data, end, b"]")
         if position < 0:
             return
-
-
-def holds_only(data: bytes, position: int, values: Iterable[bytes]) -> bool:
-    """Whether a colon and an object with exactly these values, in this order, stand at `position` (after blanks)."""
-    opening = b"{"
-    position = _blank(data, position)
-    if data[position : position + 1] != b":":
-        return False
-    position = _blank(data, position + 1)
-    for value in values:
-        if data[position : position + 1] != opening:
-            return False
-        key = _STRING.match(data, _blank(data, position + 1))
-        position = _blank(data, key.end()) if key else len(data)
-        position = _blank(data, position + 1)
-        if not data.startswith(value, position):
-            return False
-        position, opening = _blank(data, position + len(value)), b","
-    return opening == b"," and data[position : position + 1] == b"}"
 
 
 def end_of_text(data: bytes, last: int) -> bool:

@@ -21,24 +21,24 @@ import msgspec
 
 from jrdb_avr.schema.errors import InputError
 
-from .jsonscan import MalformedError, elements, end_of_text, holds_only, members
+from .jsonscan import MalformedError, elements, end_of_text, members
 from .problems import Problems, shorten
+from .spans import frame_spans
 
 MAX_FILE: Final = 160 << 20
-"""Bytes of the largest file that is read; twice the largest real one, all layers in it. One of 190 MB took 741 MB."""
+"""Bytes of the largest file that is read into memory as a whole."""
+MAX_FRAMED: Final = 512 << 20
+"""Bytes of the largest file of frames: where these are laid out as usual, only one at a time is in memory."""
+_PIECE: Final = 1 << 20
 MAX_FRAME: Final = 4 << 20
 MAX_RECORDS: Final = 1000
 """Records of one frame: JRDB's fullest have about a hundred, and pairs of people grow with the square."""
 SCAN_FROM: Final = 64 << 20
-"""Files from this size on are cut by the scanner, whose memory does not depend on the number of members."""
+"""Lists from this size on are cut by the scanner, whose memory does not depend on the number of members."""
 
 R = TypeVar("R", bound=msgspec.Struct)
 
 BROKEN: Final = (msgspec.DecodeError, RecursionError, UnicodeError)
-
-
-class _File(msgspec.Struct, gc=False):
-    labels: dict[str, msgspec.Raw]
 
 
 class RecordReader(Generic[R]):
@@ -121,10 +121,9 @@ def read_frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> It
     Raises InputError, naming the file, if the file cannot be read as a whole. That may happen after frames were
     yielded: whoever reads keeps nothing of such a file.
     """
-    data = read_file(path).removeprefix(codecs.BOM_UTF8)
     key_form = re.compile(r"([0-9]{6})\.(?:" + "|".join(suffixes) + ")")
     seen: set[int] = set()
-    for key, raw in _cut(data, path, problems):
+    for key, raw in _cut(path, problems):
         match = key_form.fullmatch(key)
         if match is None:
             problems.add("frame", "frame key is not six digits and " + "/".join(suffixes), frame=shorten(key))
@@ -141,40 +140,56 @@ def read_file(path: Path) -> bytes:
     """The bytes of a label file. Raises InputError if it is no file, too large, unreadable, empty or not UTF-8."""
     name = path.name
     try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            raise InputError(f"{name}: not a file", file=name)
-        if status.st_size > MAX_FILE:
-            size = f"{status.st_size / (1 << 20):.0f} MB"
-            raise InputError(f"{name}: {size}, larger than the limit of {MAX_FILE >> 20} MB", file=name)
+        _check(path, MAX_FILE)
         data = path.read_bytes()
     except OSError as error:
-        reason = os.strerror(error.errno or errno.EIO)
-        raise InputError(f"{name}: cannot be read: {reason}", file=name) from None
+        raise _unreadable(name, error) from None
     if not data or data.isspace():
         raise InputError(f"{name}: the file is empty", file=name)
     if not data.isascii():
-        try:
-            data.decode()
-        except UnicodeDecodeError as error:
-            raise InputError(f"{name}: not UTF-8 at byte {error.start}", file=name) from None
+        # Piece by piece: as one text it could take four times the bytes.
+        decoder = codecs.getincrementaldecoder("utf-8")()
+        for begin in range(0, len(data), _PIECE):
+            behind = len(decoder.getstate()[0])
+            try:
+                decoder.decode(data[begin : begin + _PIECE], final=begin + _PIECE >= len(data))
+            except UnicodeDecodeError as error:
+                raise InputError(f"{name}: not UTF-8 at byte {begin - behind + error.start}", file=name) from None
     return data
 
 
-def _cut(data: bytes, path: Path, problems: Problems) -> Iterator[tuple[str, bytes]]:
+def _check(path: Path, limit: int, of: str = "") -> None:
+    """Raises InputError for what is no file or larger than the limit, OSError for what cannot be looked at."""
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
+        raise InputError(f"{path.name}: not a file", file=path.name)
+    if status.st_size > limit:
+        size = f"{status.st_size / (1 << 20):.0f} MB"
+        raise InputError(f"{path.name}: {size}, larger than the limit of {limit >> 20} MB{of}", file=path.name)
+
+
+def _unreadable(name: str, error: OSError) -> InputError:
+    return InputError(f"{name}: cannot be read: {os.strerror(error.errno or errno.EIO)}", file=name)
+
+
+def _cut(path: Path, problems: Problems) -> Iterator[tuple[str, bytes]]:
     """Frame keys and raw frames, in the order of the file, repeated keys included."""
-    if len(data) < SCAN_FROM and data.count(b'"labels"') == 1:
-        try:
-            labels = msgspec.json.decode(data, type=_File).labels
-        except BROKEN:
-            pass  # the scanner finds what is usable
-        else:
-            # Of a repeated key, decoding keeps the last only: then the text holds more than the frames read.
-            if holds_only(data, data.index(b'"labels"') + len(b'"labels"'), map(bytes, labels.values())):
-                for key, raw in labels.items():
-                    yield key, bytes(raw)
-                return
-    yield from _scan(data, path.name, problems)
+    name = path.name
+    try:
+        _check(path, MAX_FRAMED)
+        with path.open("rb") as file:
+            spans = frame_spans(file)
+            for key, begin, end in spans or ():
+                raw = os.pread(file.fileno(), end - begin, begin)
+                if len(raw) < end - begin:
+                    raise InputError(f"{name}: it became shorter while it was read", file=name)
+                yield key, raw
+        if spans is None:
+            _check(path, MAX_FILE, " of files not laid out as usual (is it whole?)")
+    except OSError as error:
+        raise _unreadable(name, error) from None
+    if spans is None:
+        yield from _scan(read_file(path).removeprefix(codecs.BOM_UTF8), name, problems)
 
 
 def _scan(data: bytes, name: str, problems: Problems) -> Iterator[tuple[str, bytes]]:

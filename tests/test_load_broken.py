@@ -5,6 +5,7 @@ Each case is one record or file put beside good ones. Nothing gives a traceback,
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import time
@@ -14,7 +15,7 @@ import pyarrow.compute as pc
 import pytest
 from worlds import load_reported, person, person_3d, write_root
 
-from jrdb_avr.loaders import labelfile
+from jrdb_avr.loaders import labelfile, spans
 from jrdb_avr.loaders.layers import find_root
 from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.problems import Problems
@@ -503,19 +504,73 @@ def test_a_file_name_that_is_no_unicode_can_be_reported(tmp_path):
     assert json.loads(msgspec.json.encode([as_row(report) for report in reports]))
 
 
-def test_a_file_over_the_limit_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(labelfile, "MAX_FILE", 1000)
-    world = {NAME: {"2d": WHOLE + " " * 1000}, "good-1": {"2d": {0: [GOOD]}}}
+@pytest.mark.parametrize(("limit", "text"), [("MAX_FRAMED", WHOLE + " " * 1000), ("MAX_FILE", WHOLE + "x" * 1000)])
+def test_a_file_over_the_limit_is_refused(tmp_path, monkeypatch, limit, text):
+    monkeypatch.setattr(labelfile, limit, 1000)
+    world = {NAME: {"2d": text}, "good-1": {"2d": {0: [GOOD]}}}
     _, reports = load_reported(tmp_path, world)
     assert "larger than the limit" in reports[1].problems[0].reason
 
 
-def test_large_files_are_cut_by_the_scanner_to_the_same_tables(tmp_path, monkeypatch):
+@pytest.mark.parametrize("window", [80, 97, 200, 1 << 20])
+def test_spans_are_those_of_the_text_whatever_the_window(tmp_path, monkeypatch, window):
+    monkeypatch.setattr(spans, "WINDOW", window)
+    values = [[], [{"a": '"000009.jpg": [' * 9}], [["]},", "\u00e9" * 200]], [{"000007.jpg": 1}][:0], [1.5, None]]
+    pad = " " * 7
+    text = f'\ufeff{{{pad}"labels": {{ ' + f"{pad},{pad}".join(
+        f'"{i:06d}.jpg"{pad}:{pad}{json.dumps(v, ensure_ascii=False)}' for i, v in enumerate(values)
+    )
+    data = (text + f"{pad}}}{pad}}}\n").encode()
+    found = spans.frame_spans(io.BytesIO(data))
+    assert [key for key, _, _ in found] == [f"{i:06d}.jpg" for i in range(len(values))]
+    assert [json.loads(data[begin:end]) for _, begin, end in found] == values
+
+
+SHORT = '{"labels": {"000000.jpg": [], "000001.jpg": [{"a": [1, 2]}]}}'
+ODD = (
+    *(SHORT[:end] for end in range(len(SHORT))),
+    SHORT.replace("1, 2", "NaN"),
+    SHORT.replace("[],", "[] [],"),
+    SHORT.replace("[],", "[]"),
+    SHORT.replace("[],", '[], "notes": [],'),
+    SHORT.replace("[],", '[], "00000a.jpg": [],'),
+    SHORT.replace("[],", "[},"),
+    SHORT + "}",
+    SHORT[:-1] + ', "labels": {}}',
+    SHORT.replace('"labels"', '"notes": 1, "labels"'),
+    SHORT.replace('{"labels"', '["labels"'),
+)
+
+
+@pytest.mark.parametrize("text", ODD)
+def test_no_spans_are_found_in_any_other_text(text):
+    assert spans.frame_spans(io.BytesIO(text.encode())) is None
+
+
+def test_no_spans_are_found_in_what_is_not_utf_8():
+    good = SHORT.replace("1, 2", '"\u00e9"')
+    assert spans.frame_spans(io.BytesIO(good.encode())) is not None
+    assert spans.frame_spans(io.BytesIO(good.encode("latin-1"))) is None
+
+
+def test_the_scanner_cuts_files_to_the_same_tables(tmp_path, monkeypatch):
     plain, _ = loaded(tmp_path / "plain", WHOLE)
-    monkeypatch.setattr(labelfile, "SCAN_FROM", 10)
+    monkeypatch.setattr(labelfile, "frame_spans", lambda file: None)
     scanned, _ = loaded(tmp_path / "scanned", WHOLE)
     for layer in ANNOTATIONS:
         assert plain.annotation(layer, NAME).equals(scanned.annotation(layer, NAME))
+
+
+def test_the_first_byte_that_is_not_utf_8_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(labelfile, "_PIECE", 4)
+    for place in range(12):
+        data = ("\u00e9" * 20).encode()
+        data = data[:place] + b"\xff" + data[place:]
+        (tmp_path / "x.json").write_bytes(data)
+        with pytest.raises(UnicodeDecodeError) as true:
+            data.decode()
+        with pytest.raises(InputError, match=f"byte {true.value.start}$"):
+            labelfile.read_file(tmp_path / "x.json")
 
 
 def test_frames_too_full_to_be_real_are_refused(tmp_path):

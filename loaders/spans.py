@@ -1,0 +1,79 @@
+"""Where the frames of a label file lie that is laid out as such files are, found without holding the file in memory.
+
+A file is read window by window. What stands between two frame keys is taken for a frame's value if it is one whole
+JSON value by msgspec's own reading and a comma follows: a text has no two readings, so nothing else can begin there.
+Any other layout (a bare NaN, a second `labels`, keys of another form) is left to the scanner in `jsonscan`.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import BinaryIO, Final
+
+import msgspec
+
+WINDOW: Final = 8 << 20
+MAX_VALUE: Final = 64 << 20
+"""Bytes of one frame at most, sixteen times as many as are read of one: memory is bounded by it."""
+
+_OPENING: Final = re.compile(rb'(?:\xef\xbb\xbf)?[ \t\r\n]*\{[ \t\r\n]*"labels"[ \t\r\n]*:[ \t\r\n]*\{[ \t\r\n]*')
+_KEY: Final = re.compile(rb'"([0-9]{6}\.[a-z]{3,4})"[ \t\r\n]*:')
+_LONGEST: Final = 64
+"""Bytes of a key with its colon that may be cut by the end of a window; with more blanks it is not found."""
+_BLANKS: Final = b" \t\r\n"
+_BROKEN: Final = (msgspec.DecodeError, RecursionError, UnicodeError)
+
+Span = tuple[str, int, int]
+"""Frame key, and where its value begins and ends in the file."""
+
+
+def frame_spans(file: BinaryIO) -> list[Span] | None:
+    """All frames of a file at its beginning, in its order; None for another layout, or text that is not UTF-8 or JSON.
+
+    Raises OSError where the file cannot be read.
+    """
+    whole = msgspec.json.Decoder(msgspec.Raw)
+    text = file.read(WINDOW)
+    opening = _OPENING.match(text)
+    key = _KEY.match(text, opening.end()) if opening else None
+    if key is None:
+        return None
+    spans: list[Span] = []
+    base = 0  # where `text` begins in the file
+    begin = search = key.end()
+    while True:
+        following = _KEY.search(text, search)
+        if following is None:
+            more = file.read(WINDOW)
+            if more:
+                if len(text) - begin > MAX_VALUE:
+                    return None
+                text, base, search = text[begin:] + more, base + begin, max(0, len(text) - begin - _LONGEST)
+                begin = 0
+                continue
+        value = _last(text[begin:]) if following is None else _before(text[begin : following.start()], b",")
+        if value is None:
+            return None
+        try:
+            whole.decode(value)
+            if not value.isascii():
+                value.decode()
+        except _BROKEN:
+            return None
+        spans.append((key[1].decode(), base + begin, base + begin + len(value)))
+        if following is None:
+            return spans
+        key = following
+        begin = search = key.end()
+
+
+def _before(text: bytes, mark: bytes) -> bytes | None:
+    """What stands before the mark that the text ends with, blanks aside; None where it ends otherwise."""
+    text = text.rstrip(_BLANKS)
+    return text[: -len(mark)].rstrip(_BLANKS) if text.endswith(mark) else None
+
+
+def _last(text: bytes) -> bytes | None:
+    """What stands before the two brackets that end a file."""
+    inner = _before(text, b"}")
+    return None if inner is None else _before(inner, b"}")
