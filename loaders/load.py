@@ -35,7 +35,7 @@ from .intervals import derive
 from .layers import Root, SequenceFiles
 from .problems import shorten
 from .report import SequenceReport, frame_range, warnings
-from .scene import build_scene
+from .scene import build_scene, stage_scene
 from .shards import end_with_parent, map_shards
 from .timeline import step_of
 
@@ -207,6 +207,7 @@ def _write(
     for kind, table in intervals.items():
         path = staging.interval_path(kind, sequence).relative_to(staging.path)
         tables[path.as_posix()] = staging.write_interval(kind, sequence, table)
+    stage_scene(staging, sequence, intervals)
     layers = intervals["sequence"]["layers"][0].as_py()
     return SequenceEntry(tuple(layers), tables)
 

@@ -2,9 +2,9 @@
 
 The graph is only an index: it holds what `intervals/` holds, keyed for traversal, and can be built again at any time.
 The rows of each sequence are first staged as Parquet files, one per table of the graph, by whichever process has the
-interval tables at hand; the engine then reads all files of a table in one COPY. (Every further COPY into a table of
-edges rewrites what is there: 950,000 sightings in four took twice the time of one. As Arrow tables in memory they took
-half a gigabyte more.) Key points of a pose stay in `annotations/poses`: in the graph they would be most of its bytes.
+interval tables at hand; the engine then reads all files of a table of edges in one COPY. (Every further COPY into one
+rewrites what is there: 950,000 sightings in four took twice the time of one. As Arrow tables in memory they took half a
+gigabyte more.) Key points of a pose stay in `annotations/poses`: in the graph they would be most of its bytes.
 """
 
 from __future__ import annotations
@@ -102,7 +102,11 @@ def _copy_staged(graph: Graph, stage: Path, sequences: Sequence[str]) -> dict[st
     copied["Action"] = actions.num_rows
     for table in _SOURCES:
         for files, rows in _batches(stage / table, sequences):
-            graph.copy_files(table, stage / table, files)
+            if table in SCENE_NODES:
+                # Files are read side by side, and nodes are numbered as they come.
+                graph.copy(table, pa.concat_tables(pq.read_table(stage / table / name) for name in files))
+            else:
+                graph.copy_files(table, stage / table, files)
             copied[table] += rows
     return copied
 
