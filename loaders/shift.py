@@ -219,7 +219,7 @@ def _of_3d(table: pa.Table) -> Tracks:
 
 
 def _of_poses(table: pa.Table) -> Tracks:
-    points = table["keypoints"].combine_chunks().flatten().to_numpy().reshape(table.num_rows, -1, 3)
+    points = table["keypoints"].combine_chunks().flatten().to_numpy().reshape(table.num_rows, 17, 3)
     told = points[:, :, 2] > 0
     # A mean of directions, as a pose may lie on both sides of the seam.
     turn = points[:, :, 0] * (2 * np.pi / WIDTH)

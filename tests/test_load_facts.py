@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from oracle_facts import facts
 from oracle_reading import read_root
 from random_worlds import random_world
-from worlds import load_world, write_root
+from worlds import load_world, person, write_root
 
 from jrdb_avr.loaders.layers import find_root
 from jrdb_avr.loaders.load import Shard, load, load_shard
@@ -151,6 +151,13 @@ def test_random_worlds_have_the_facts_of_the_oracle(seed):
 def test_many_random_worlds_have_the_facts_of_the_oracle():
     for seed in range(400):
         check_tables(random_world(random.Random(seed)))
+
+
+def test_a_pose_file_without_poses_has_its_frames():
+    """Nobody to compare frame numbers with is no fault of the file."""
+    boxes = {f: [person(1, (100, 60, 50, 200), {"walking": 1})] for f in (0, 15)}
+    expected = check_tables({"yard-2020-01-01_0": {"2d": boxes, "pose": {0: [], 15: []}}})
+    assert expected["sequence"][0]["layers"] == ["2d", "actions", "pose"]
 
 
 def test_random_worlds_are_not_empty_of_facts():
