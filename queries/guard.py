@@ -17,7 +17,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -141,7 +141,7 @@ def ask_graph(
 def serve() -> None:
     """The child: one request on stdin, an Arrow stream on stdout or an error as JSON on stderr."""
     request = msgspec.json.decode(sys.stdin.buffer.read(), type=_Request)
-    threading.Thread(target=_watch_memory, daemon=True).start()
+    threading.Thread(target=end_beyond_memory, args=(_too_much,), daemon=True).start()
     try:
         table = _ask(request)
     except (QueryError, StoreError) as error:
@@ -156,14 +156,18 @@ def _report(error: Exception) -> None:
     sys.stderr.buffer.flush()
 
 
-def _watch_memory() -> None:
-    """End the process when it takes too much, where the kernel tells (Linux)."""
+def end_beyond_memory(report: Callable[[], None]) -> None:
+    """Watch this process, where the kernel tells (Linux); when it takes too much, call `report` and end it."""
     place = Path("/proc/self/statm")
     while place.exists():
         if int(place.read_text().split()[1]) * resource.getpagesize() > MEMORY_BYTES:
-            _report(QueryError(f"stopped at {MEMORY_BYTES >> 30} GB of memory: narrow the statement"))
+            report()
             os._exit(1)
         time.sleep(0.02)
+
+
+def _too_much() -> None:
+    _report(QueryError(f"stopped at {MEMORY_BYTES >> 30} GB of memory: narrow the statement"))
 
 
 def _ask(request: _Request) -> pa.Table:

@@ -8,6 +8,8 @@ interaction stands in both directions), and are otherwise random: nulls, uncerta
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pyarrow as pa
 

@@ -1,0 +1,299 @@
+"""Is the store what was loaded? Every Parquet file by its hash, the graph by what it answers.
+
+The interval tables are the record, and the manifest holds their hashes. So the graph is not asked to agree with itself:
+each scene table is read out of it whole, with every property, once from either end of its edges (the engine keeps both
+directions apart), and compared with the rows that the interval tables give, by a sum of row hashes that no order can
+change. The file's own checksum tells what no scan can see, such as a damaged index over the keys; where other tables
+have been added to the file since, it cannot hold, and every key is looked up instead.
+
+A damaged graph can crash the engine or keep it busy for ever: it is read in a process of its own, which is ended when
+it takes too long or too much memory, and started again for the next table.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import multiprocessing
+import os
+import threading
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Final
+
+import pyarrow as pa
+
+from jrdb_avr.queries.guard import end_beyond_memory
+from jrdb_avr.queries.handle import Graph, lock_graph
+from jrdb_avr.queries.seal import check_seal, seal_of
+from jrdb_avr.queries.store import Manifest, Store
+from jrdb_avr.schema.errors import AvrError, QueryError, StoreError
+from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
+
+from .scene import scene_rows
+
+TIMEOUT_S: Final = 120.0
+"""For one table, ten times what the largest takes at full scale."""
+BATCH_ROWS: Final = 250_000
+"""Rows read out of the graph at a time, unless one sequence has more."""
+
+FILE: Final = "graph file"
+
+Digest = tuple[int, int]
+"""Rows, and the sum of their 64-bit hashes."""
+Digests = dict[str, Digest]
+"""Per sequence; under "" for a table without sequences."""
+Advance = Callable[[int], None]
+
+
+@dataclass(frozen=True)
+class Check:
+    """One part of the store: `checked` files or rows were compared, and `fault` says what is wrong, "" for nothing.
+
+    `reload`: only loading the annotations again mends it; a rebuild does for the rest.
+    """
+
+    what: str
+    checked: int
+    fault: str
+    reload: bool = False
+
+
+def checks_of(store: Store, advance: Advance = lambda steps: None, *, timeout_s: float = TIMEOUT_S) -> list[Check]:
+    """Compare a store with its manifest and its graph with its tables; one row per part.
+
+    Raises StoreError where there is no manifest, LockedError while another process writes the graph.
+    """
+    manifest = store.manifest()
+    lock = lock_graph(store.graph_path, shared=True)
+    try:
+        checks = []
+        for part in ("annotations", "intervals"):
+            checks.append(_files(store, manifest, part))
+            advance(1)
+        if checks[-1].fault:
+            return [*checks, Check("graph", 0, "not compared: the interval tables are not those it was built from")]
+        return [*checks, *_graph(store, sorted(manifest.sequences), advance, timeout_s)]
+    finally:
+        if lock is not None:
+            lock.close()
+
+
+STEPS: Final = 2 + 1 + len(SCENE_NODES) + len(SCENE_RELS)
+"""How far `advance` comes in all."""
+
+
+def _files(store: Store, manifest: Manifest, part: str) -> Check:
+    """Every file of a part against its hash, and no file that the manifest does not know: views would read it."""
+    known = {path: digest for entry in manifest.sequences.values() for path, digest in entry.tables.items()}
+    expected = {path: digest for path, digest in known.items() if path.startswith(f"{part}/")}
+    faults = [
+        f"{path} {fault}"
+        for path, digest in sorted(expected.items())
+        if (fault := _file_fault(store.path / path, digest))
+    ]
+    found = {path.relative_to(store.path).as_posix() for path in (store.path / part).rglob("*.parquet")}
+    faults += [f"{path} was not written by the load" for path in sorted(found - expected.keys())]
+    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+    return Check(part, len(expected), f"{faults[0]}{more}" if faults else "", reload=part == "annotations")
+
+
+def _file_fault(path: Path, digest: str) -> str:
+    try:
+        with path.open("rb") as file:
+            return (
+                "" if hashlib.file_digest(file, "sha256").hexdigest() == digest else "is not the file that was loaded"
+            )
+    except FileNotFoundError:
+        return "is missing"
+    except OSError as error:
+        return f"cannot be read: {error.strerror}"
+
+
+# -- the graph -----------------------------------------------------------------------------------------------------
+
+
+def _graph(store: Store, sequences: Sequence[str], advance: Advance, timeout_s: float) -> list[Check]:
+    try:
+        check_seal(store.graph_path)
+    except StoreError as error:
+        return [Check(FILE, 0, str(error))]
+    expected: defaultdict[str, Digests] = defaultdict(dict)
+    for table, rows in scene_rows(store, sequences):
+        _add(expected[table], _digests(rows.select(_columns(table))))
+    checks = []
+    for table, answer in _read(store.graph_path, (FILE, *SCENE_NODES, *SCENE_RELS), timeout_s):
+        if isinstance(answer, str):
+            checks.append(Check(table, 0, answer))
+        elif table == FILE:
+            checks.append(Check(FILE, 1, ""))
+        else:
+            faults = [f for reading in answer if (f := _difference(expected[table], reading))]
+            checks.append(Check(table, sum(n for n, _ in expected[table].values()), faults[0] if faults else ""))
+        advance(1)
+    return checks
+
+
+def _difference(expected: Digests, found: Digests) -> str:
+    """What differs, in a line; "" for nothing."""
+    wrong = [name for name in sorted(expected.keys() | found.keys()) if expected.get(name) != found.get(name)]
+    if not wrong:
+        return ""
+    rows, there = (side.get(wrong[0], (0, 0))[0] for side in (expected, found))
+    kind = f"{there} rows instead of {rows}" if rows != there else f"other content in {rows} rows"
+    where = f" of {wrong[0]}" if wrong[0] else ""
+    return f"{kind}{where}" + (f" (and in {len(wrong) - 1} more sequences)" if len(wrong) > 1 else "")
+
+
+def _digests(rows: pa.Table) -> Digests:
+    """Per sequence: rows, and the sum of row hashes."""
+    import duckdb
+
+    if not rows.num_rows:
+        return {}
+    # Whatever the width of a number is on either side, equal ones hash alike as 64 bits.
+    fields = [pa.field(f.name, pa.int64()) if pa.types.is_integer(f.type) else f for f in rows.schema]
+    given = rows.cast(pa.schema(fields))
+    names = ", ".join(f'"{name}"' for name in given.column_names)
+    by = "coalesce(sequence, '')" if "sequence" in given.column_names else "''"
+    with duckdb.connect(":memory:") as connection:
+        connection.register("given", given)
+        found = connection.execute(f"SELECT {by}, count(*), sum(hash({names})) FROM given GROUP BY 1").fetchall()  # noqa: S608
+    return {sequence: (count, int(total)) for sequence, count, total in found}
+
+
+def _add(to: Digests, more: Mapping[str, Digest]) -> None:
+    for sequence, (rows, total) in more.items():
+        before = to.get(sequence, (0, 0))
+        to[sequence] = (before[0] + rows, before[1] + total)
+
+
+# -- reading it in another process -----------------------------------------------------------------------------------
+
+
+def _read(path: Path, tables: Sequence[str], timeout_s: float) -> Iterator[tuple[str, list[Digests] | str]]:
+    """Each table's digests, one per reading, or what went wrong while it was read."""
+    left = list(tables)
+    while left:
+        with _child(path, left) as answers:
+            for table in tuple(left):
+                left.remove(table)
+                try:
+                    in_time = answers.poll(timeout_s)
+                    answer = answers.recv() if in_time else "reading it does not end"
+                except (EOFError, OSError):
+                    yield table, "the engine crashed while reading it"
+                    break
+                yield table, answer
+                if not in_time:
+                    # One wait is enough: the graph is to be rebuilt anyway.
+                    yield from ((other, f"not read, after {table}") for other in left)
+                    return
+
+
+@contextlib.contextmanager
+def _child(path: Path, tables: Sequence[str]) -> Iterator[Connection]:
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe(duplex=False)
+    process = context.Process(target=_serve, args=(theirs, str(path), list(tables)), daemon=True)
+    process.start()
+    theirs.close()
+    try:
+        yield ours
+    finally:
+        process.kill()
+        process.join()
+        ours.close()
+
+
+def _serve(answers: Connection, path: str, tables: Sequence[str]) -> None:
+    """The child: one answer per table, in order."""
+    # What the engine writes when it gives up is said in one line by the parent.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    threading.Thread(target=end_beyond_memory, args=(lambda: None,), daemon=True).start()
+    place = Path(path)
+    # Before the database is open here: closing the file would drop the engine's lock on it.
+    intact = seal_of(place).crc32 == check_seal(place).crc32
+    try:
+        graph = Graph.open(place, read_only=True)
+    except AvrError as error:
+        for _ in tables:
+            answers.send(str(error))
+        return
+    with graph:
+        for table in tables:
+            try:
+                if table == FILE:
+                    answers.send([] if intact or _grown(graph) else "it is not the file that was built")
+                else:
+                    answers.send(list(_readings(graph, table, by_key=not intact)))
+            except AvrError as error:
+                answers.send(str(error))
+            except (pa.ArrowException, UnicodeDecodeError, ValueError, RuntimeError) as error:
+                answers.send(f"it does not read: {' '.join(str(error).split())[:200]}")
+
+
+def _grown(graph: Graph) -> bool:
+    """Whether there are tables beside the scene's: then the file is longer, and some of its pages are others."""
+    names = set(graph.query("CALL show_tables() RETURN name AS name", ordered=False)["name"].to_pylist())
+    return bool(names - SCENE_NODES.keys() - SCENE_RELS.keys())
+
+
+def _readings(graph: Graph, table: str, by_key: bool) -> Iterator[Digests]:
+    """A table's digests by every way that a query may take to it."""
+    columns = _columns(table)
+    if table in SCENE_RELS:
+        source, target, _ = SCENE_RELS[table]
+        listed = ", ".join(f"r.{name} AS {name}" for name in columns[2:])
+        groups = _groups(graph, table)
+        for order in ("(a JOIN r) JOIN b", "(b JOIN r) JOIN a"):
+            found: Digests = {}
+            for sequences in groups:
+                rows = graph.query(
+                    f"MATCH (a:{source})-[r:{table}]->(b:{target}) WHERE r.sequence IN $sequences HINT {order} "
+                    f"RETURN a.{_columns(source)[0]} AS `from`, b.{_columns(target)[0]} AS `to`, {listed}",
+                    {"sequences": sequences},
+                    ordered=False,
+                    timeout_s=TIMEOUT_S,
+                )
+                _add(found, _digests(rows))
+            yield found
+        return
+    key, listed = columns[0], ", ".join(f"n.{name} AS {name}" for name in columns)
+    yield _digests(graph.query(f"MATCH (n:{table}) RETURN {listed}", ordered=False, timeout_s=TIMEOUT_S))
+    if by_key:
+        keys = graph.query(f"MATCH (n:{table}) RETURN n.{key} AS key", ordered=False)["key"].to_pylist()
+        rows = [
+            graph.query(f"MATCH (n:{table}) WHERE n.{key} = $key RETURN {listed}", {"key": value}, ordered=False)
+            for value, times in Counter(keys).items()
+            if times == 1
+        ]
+        yield _digests(pa.concat_tables(rows)) if rows else {}
+
+
+def _groups(graph: Graph, table: str) -> list[list[str]]:
+    """The sequences of an edge table's rows, in groups that can be read in one piece. Raises QueryError."""
+    counts = graph.query(
+        f"MATCH ()-[r:{table}]->() RETURN r.sequence AS sequence, count(*) AS n ORDER BY sequence", timeout_s=TIMEOUT_S
+    )
+    groups: list[list[str]] = []
+    size = BATCH_ROWS
+    for sequence, rows in zip(counts["sequence"].to_pylist(), counts["n"].to_pylist(), strict=True):
+        if sequence is None:
+            raise QueryError(f"{rows} rows are of no sequence")
+        if size + rows > BATCH_ROWS:
+            groups.append([])
+            size = 0
+        groups[-1].append(sequence)
+        size += rows
+    return groups
+
+
+def _columns(table: str) -> list[str]:
+    """Columns of a scene table as `scene_rows` gives them: nodes begin with their key, edges with their two keys."""
+    if table in SCENE_RELS:
+        return ["from", "to", *(column.split()[0] for column in SCENE_RELS[table][2])]
+    return [column.split()[0] for column in SCENE_NODES[table].split(", ")]

@@ -1,0 +1,195 @@
+"""`load --verify` finds what has happened to a store since it was loaded, and a rebuild mends it."""
+
+import json
+import random
+import shutil
+import subprocess
+import sys
+
+import pyarrow as pa
+import pytest
+from scene_tables import table_store
+
+from jrdb_avr.loaders.load import rebuild
+from jrdb_avr.loaders.verify import FILE, STEPS, checks_of
+from jrdb_avr.queries.handle import Graph, lock_graph
+from jrdb_avr.queries.seal import PAGE, check_seal, seal_of, seal_path
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import LockedError, StoreError
+from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
+
+RUN = "import sys; from jrdb_avr.engine.cli import main; sys.argv[0] = 'jrdb-avr'; main()"
+
+# Another way to everything than the one that is checked: whole nodes and edges, by the plans that the engine likes,
+# keys one by one, and filters, which look at what the pages say of their own least and greatest values.
+DUMP = """
+import hashlib, sys
+from jrdb_avr.queries.handle import Graph
+from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
+with Graph.open(sys.argv[1], read_only=True) as graph:
+    def ask(query, **params):
+        rows = sorted(map(repr, graph.query(query, params, ordered=False, timeout_s=8).to_pylist()))
+        print(hashlib.sha256("\\n".join(rows).encode()).hexdigest(), len(rows), flush=True)
+    for table in SCENE_NODES:
+        ask(f"MATCH (n:{table}) RETURN n")
+    for table, (source, target, columns) in SCENE_RELS.items():
+        ask(f"MATCH (a)-[r:{table}]->(b) RETURN a, r, b")
+        time = "frame" if table == "SeenIn" else "first"
+        for least in (20, 60, 100):
+            ask(f"MATCH (a:{source})-[r:{table}]->(b:{target}) WHERE r.{time} >= $least RETURN r", least=least)
+            ask(f"MATCH (b:{target})<-[r:{table}]-(a:{source}) WHERE r.{time} < $least RETURN b, r", least=least)
+    for track in range(36):
+        ask("MATCH (p:Person) WHERE p.id = $key RETURN p", key=f"yard-1_0/{track}")
+"""
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    return table_store(tmp_path_factory.mktemp("verify"))
+
+
+@pytest.fixture
+def copy(store, tmp_path):
+    shutil.copytree(store.path, tmp_path / "store")
+    return Store(tmp_path / "store")
+
+
+def faults(store):
+    return {check.what: check.fault for check in checks_of(store, timeout_s=8) if check.fault}
+
+
+def dump(store):
+    """What queries answer; ends early where one fails, crashes or does not end."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", DUMP, str(store.graph_path)], capture_output=True, text=True, timeout=20, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return "timeout"
+    return done.stdout
+
+
+def overwrite(path, rng, page=None):
+    """Write over one page: noise, zeros, another page or a few bytes."""
+    data = bytearray(path.read_bytes())
+    at = PAGE * (rng.randrange(1, len(data) // PAGE) if page is None else page)
+    kind = rng.choice(["noise", "zeros", "other page", "bytes"])
+    if kind == "noise":
+        data[at : at + PAGE] = rng.randbytes(PAGE)
+    elif kind == "zeros":
+        data[at : at + PAGE] = bytes(PAGE)
+    elif kind == "other page":
+        other = PAGE * rng.randrange(1, len(data) // PAGE)
+        data[at : at + PAGE] = data[other : other + PAGE]
+    else:
+        for _ in range(8):
+            data[at + rng.randrange(PAGE)] ^= rng.randrange(1, 256)
+    path.write_bytes(data)
+
+
+def test_a_loaded_store_is_what_was_loaded(store):
+    steps = []
+    checks = checks_of(store, steps.append)
+    assert [check.what for check in checks] == ["annotations", "intervals", FILE, *SCENE_NODES, *SCENE_RELS]
+    assert not [check for check in checks if check.fault]
+    assert sum(steps) == STEPS
+    # Every part of the scene is there to be compared.
+    rows = store.manifest().graph
+    assert all(check.checked == rows[check.what] > 0 for check in checks[3:])
+
+
+def test_every_overwritten_page_is_found_by_the_checksum(store, tmp_path):
+    place = tmp_path / "graph.kuzu"
+    before = seal_of(store.graph_path)
+    for seed in range(20):
+        shutil.copy(store.graph_path, place)
+        rng = random.Random(seed)
+        overwrite(place, rng)
+        assert (seal_of(place) == before) == (place.read_bytes() == store.graph_path.read_bytes())
+
+
+def damaged(store, copy, seed):
+    """Whether a damage that the checksum is blind to changes an answer, and what is found of it."""
+    shutil.copy(store.graph_path, copy.graph_path)
+    rng = random.Random(seed)
+    for _ in range(40):
+        overwrite(copy.graph_path, rng)
+    seal_path(copy.graph_path).write_text(json.dumps({**as_dict(seal_of(copy.graph_path))}))
+    return dump(copy) != dump(store), faults(copy)
+
+
+def as_dict(seal):
+    return {name: getattr(seal, name) for name in seal.__struct_fields__}
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_every_damage_that_changes_an_answer_is_found_by_the_answers_alone(store, copy, seed):
+    changed, found = damaged(store, copy, seed)
+    assert changed, "this seed shows nothing"
+    assert found
+    assert all("\n" not in fault for fault in found.values())
+
+
+@pytest.mark.slow
+def test_every_damage_that_changes_an_answer_is_found(store, copy):
+    changes = 0
+    for seed in range(100, 200):
+        changed, found = damaged(store, copy, seed)
+        changes += changed
+        assert found or not changed, seed
+    assert changes > 20
+
+
+def test_a_graph_that_crashes_the_engine_is_a_line_each(copy):
+    data = bytearray(copy.graph_path.read_bytes())
+    rng = random.Random(3)
+    data[PAGE:] = rng.randbytes(len(data) - PAGE)
+    copy.graph_path.write_bytes(data)
+    found = faults(copy)
+    assert set(found) == {FILE, *SCENE_NODES, *SCENE_RELS}
+
+
+def test_tables_beside_the_scene_do_no_harm(copy):
+    with Graph.open(copy.graph_path) as graph:
+        graph.execute("CREATE NODE TABLE Later(id INT64 PRIMARY KEY)")
+        graph.copy("Later", pa.table({"id": range(30_000)}))
+    assert seal_of(copy.graph_path).crc32 != check_seal(copy.graph_path).crc32
+    assert not faults(copy)
+
+
+@pytest.mark.parametrize(
+    ("change", "table"),
+    [
+        ("MATCH (p:Person) WHERE p.track >= 0 SET p.age = 'ageless'", "Person"),
+        ("MATCH (:Person)-[r:SeenIn]->(:Frame) WHERE r.frame = 40 SET r.distance = 1.0", "SeenIn"),
+        ("MATCH (:Person)-[r:Interacts]->(:Person) WHERE r.first < 20 DELETE r", "Interacts"),
+        ("CREATE (:Action {name: 'flying', pose: true})", "Action"),
+        ("MATCH (o:Object {id: 'yard-1_0/1:1'}) SET o.last_frame = NULL", "Object"),
+        ("MATCH (g:SocialGroup {id: 'yard-1_0/1'}) SET g.aim = ['none']", "SocialGroup"),
+    ],
+)
+def test_a_changed_row_is_found_in_its_table(copy, change, table):
+    with Graph.open(copy.graph_path) as graph:
+        graph.execute(change)
+        graph.execute("CHECKPOINT")
+        # The file then counts as grown: the answers alone must tell.
+        graph.execute("CREATE NODE TABLE Later(id INT64 PRIMARY KEY)")
+    assert list(faults(copy)) == [table]
+
+
+def test_a_damaged_graph_is_rebuilt_to_the_same_answers(store, copy):
+    rng = random.Random(1)
+    for _ in range(100):
+        overwrite(copy.graph_path, rng)
+    before = dump(store)
+    assert before.count("\n") > 70
+    assert dump(copy) != before
+    command = [sys.executable, "-c", RUN, "load", "--verify", "--store", str(copy.path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.splitlines() == [
+        f"{copy.path} is not what was loaded: run 'jrdb-avr load --rebuild --store {copy.path}'"
+    ]
+    again = done.stderr.partition("jrdb-avr ")[2].strip().strip("'").split()
+    subprocess.run([sys.executable, "-c", RUN, *again], capture_output=True, check=True)
+    assert not faults(copy)
