@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from functools import cache
+from functools import cache, lru_cache
 from string import Formatter
 from typing import Any, Final
 
 from ..errors import PlanError
-from ..plan import Plan, canonical
+from ..plan import Condition, Plan, canonical
 from ..rules import FPS
 from .people import ACTION_OF, describe, in_order, read_description
 from .phrases import ACTION_PHRASES, phrase_of
@@ -23,6 +23,10 @@ _ABOUT: Final = {"At": "At about", "at": "at about", "When": "About when", "How"
 
 _COUNTED: Final = "that person"
 """The described person, where a relation is said of that person alone."""
+
+
+LONGEST: Final = 4000
+"""Characters of a question at most: several times what any question needs, and soon read whatever it says."""
 
 
 def moment(frame: int) -> str:
@@ -52,7 +56,10 @@ def render(template: str, plan: Plan, key: str, about: bool = False) -> str:
         slots = row.slots(plan)
         if slots is not None and canonical(row.build(slots)) == canonical(plan):
             _check(row, slots)
-            return _fill(row, row.paraphrases[int(key[-8:], 16) % len(row.paraphrases)], slots, about)
+            text = _fill(row, row.paraphrases[int(key[-8:], 16) % len(row.paraphrases)], slots, about)
+            if len(text) > LONGEST:
+                raise PlanError("nodes[0].conditions", f"make a text of {len(text)} characters; {LONGEST} are too many")
+            return text
     raise PlanError("plan", f"is no plan of the template {template!r}")
 
 
@@ -133,9 +140,11 @@ def _raised(phrase: str) -> str:
 
 def parse(text: str) -> tuple[str, Plan]:
     """The template and the plan of a question's text. Raises PlanError for a text that `render` cannot have written."""
-    for row in TEMPLATES.values():
+    for row in TEMPLATES.values() if len(text) <= LONGEST else ():
         for paraphrase in row.paraphrases:
             for about in (False, True):
+                if not text.endswith(_pieces(paraphrase, about)[-1][0]):
+                    continue
                 for found in _readings(row, _pieces(paraphrase, about), text):
                     slots = _slots(row, found)
                     # What was read must be what would be written: a list in another order, for one, is not ours.
@@ -187,13 +196,19 @@ def _ends(text: str, literal: str) -> Iterator[int]:
         place = text.find(literal, place + 1) if literal else -1
 
 
+@lru_cache(maxsize=1024)
+def _person(words: str, at: str) -> tuple[Condition, ...] | None:
+    """A description read, or None; remembered, as many paraphrases begin alike."""
+    try:
+        return read_description(words, at)
+    except PlanError:
+        return None
+
+
 def _read(row: Template, slot: str, words: str) -> Any:
     """What a slot's words say, or None where they say nothing."""
     if slot == "who":
-        try:
-            return read_description(words, row.times[0])
-        except PlanError:
-            return None
+        return _person(words, row.times[0])
     if slot in row.times:
         stated = _MOMENT.fullmatch(words)
         return int(stated[1]) if stated and moment(int(stated[1])) == words else None
