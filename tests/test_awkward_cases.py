@@ -243,7 +243,8 @@ def test_case_10_person_zero(tmp_path):
         found = graph.query(
             "MATCH (f)<-[s:SeenIn]-(p:Person {track: 0})-[:Handles]->(o:Object), (p)-[:Interacts]->(q:Person), "
             "(p)-[:MemberOf]->(g:SocialGroup) "
-            "RETURN p.gender, o.track, o.category, q.track, s.pose, s.located, s.face_visible, s.group_size, g.cluster ORDER BY q.track"
+            "RETURN p.gender, o.track, o.category, q.track, s.pose, s.located, s.face_visible, s.group_size, g.cluster "
+            "ORDER BY q.track"
         ).to_pylist()
         assert [tuple(row.values()) for row in found] == [("female", 0, "accessory", 1, "sitting", True, True, 2, 0)]
     assert report.problems == []
