@@ -104,7 +104,9 @@ def test_a_bad_size_is_unknown(tmp_path, size):
     assert [(p.kind, p.field) for p in report.problems] == [("field", "width")]
 
 
-BOMB = "a: &a [x, x]\n" + "".join(f"{chr(98 + i)}: &{chr(98 + i)} [*{chr(97 + i)}, *{chr(97 + i)}]\n" for i in range(24))
+BOMB = "a: &a [x, x]\n" + "".join(
+    f"{chr(98 + i)}: &{chr(98 + i)} [*{chr(97 + i)}, *{chr(97 + i)}]\n" for i in range(24)
+)
 BROKEN = {
     "empty": "",
     "a list": "[]",

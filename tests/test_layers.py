@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 from worlds import coco_file, member, person, person_3d, pose, write_root
 
-from jrdb_avr.engine.cli import main
+from jrdb_avr.engine.commands.load import command
 from jrdb_avr.loaders.layers import LAYER_FILES, find_root
 from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.queries.store import Store
@@ -45,7 +45,7 @@ def files_of(root, **layer_dirs):
 @pytest.mark.parametrize("level", ["labels", ""], ids=["case 34 with labels/", "case 34 without"])
 @pytest.mark.parametrize("layer, folder", [(layer, name) for layer, names in NAMES.items() for name in names])
 def test_case_34_every_folder_name_is_known(tmp_path, layer, folder, level):
-    put(tmp_path, f"{level}/{folder}", NAME)
+    put(tmp_path / level, folder, NAME)
     found = files_of(tmp_path)[NAME]
     assert found[layer] == str(tmp_path / level / folder / f"{NAME}.json")
     # Social and reasoning files stand in for the 2D layer, and no file for any other.
@@ -236,12 +236,15 @@ def test_the_command_takes_folders_and_prints_what_it_found(tmp_path):
     root = write_root(tmp_path / "root", {NAME: {"2d": {f: [person(1, BOX)] for f in range(20)}, "images": [0, 2]}})
     (root / "labels" / "labels_2d_stitched").rename(root / "mine")
     (root / "labels" / "labels_3d").mkdir()
-    arguments = ["load", str(root), "--store", str(tmp_path / "store"), "--layer-dir", "2d=mine"]
-    result = CliRunner().invoke(main, arguments)
+    arguments = [str(root), "--store", str(tmp_path / "store"), "--layer-dir", "2d=mine"]
+    result = CliRunner().invoke(command, arguments)
     assert result.exit_code == 0, result.output
     shown = " ".join(result.output.split())
     assert "0-19" in shown and "0-2" in shown and "off by 2 frames" in shown
     assert "labels/labels_3d holds no label files" in shown
-    assert json.loads(CliRunner().invoke(main, [*arguments, "--json"]).stdout)[0]["files"] == {"2d": f"mine/{NAME}.json"}
-    for text in ("heads=x", "2d"):
-        assert CliRunner().invoke(main, [*arguments, "--layer-dir", text]).exit_code in (1, 2)
+    assert json.loads(CliRunner().invoke(command, [*arguments, "--json"]).stdout)[0]["files"] == {
+        "2d": f"mine/{NAME}.json"
+    }
+    assert CliRunner().invoke(command, [*arguments, "--layer-dir", "2d"]).exit_code == 2
+    with pytest.raises(InputError, match="no layer heads"):
+        CliRunner().invoke(command, [*arguments, "--layer-dir", "heads=mine"], catch_exceptions=False)
