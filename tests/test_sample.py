@@ -46,7 +46,8 @@ def solid(root):
 
 
 def people(objects):
-    return [one for one in objects if one["label_id"].startswith("pedestrian:")]
+    """Records of people, without those that are of nobody: another prefix, or a box of no size."""
+    return [one for one in objects if one["label_id"].startswith("pedestrian:") and min(one["box"][2:]) > 0]
 
 
 def code(value):
@@ -74,9 +75,6 @@ def test_every_record_has_the_format(flat):
                 assert int(one["label_id"].split(":")[1]) >= 0
                 assert one["file_id"].endswith(".jpg")
                 x, y, w, h = one["box"]
-                if one["label_id"] in ("pedestrian:9000", "pedestrian:9001"):
-                    assert w <= 0 or h <= 0
-                    continue
                 assert w > 0
                 assert h > 0
                 assert 0 <= y <= y + h <= 480
@@ -133,67 +131,221 @@ def test_boxes_are_where_the_formulas_put_them(flat, solid):
     assert max(errors) < 2.5
 
 
-def test_awkward_cases_occur(flat, solid):
-    """Each case of the formats that these layers can hold is there, and none swamps the files."""
+CASES = {
+    1: ["file_id differs"],
+    3: ["no occlusion", "no truncated"],
+    4: ["truncated text", "truncated bool", "truncated null", "no truncated"],
+    5: ["difficulty whole", "difficulty float", "difficulty text"],
+    6: ["demographics empty", "interactions empty", "group info empty"],
+    7: ["empty action list", "no action list", "impossible"],
+    8: ["no pose", "two poses"],
+    9: ["other spelling", "unknown label", "standing together together", "something for sth", "underscores"],
+    10: ["person 0"],
+    11: ["foreign id"],
+    12: ["same thing twice"],
+    13: ["2D without 3D", "3D without 2D"],
+    14: ["frame in 2D only", "frame in 3D only", "pose lacks the last frame", "panoptic 1 in 15"],
+    15: ["empty frame 2D", "empty frame 3D", "keyframe without segments"],
+    16: ["x < 0", "past the edge"],
+    17: ["sliver"],
+    18: ["zero width", "negative height"],
+    19: ["fully occluded"],
+    20: ["3D interpolated"],
+    21: ["no points"],
+    22: ["no_eval"],
+    23: ["unwrapped rot_z"],
+    24: ["distance null"],
+    25: ["cluster changes", "cluster reused", "alone in its cluster"],
+    26: ["track with a gap"],
+    27: ["short track"],
+    28: ["group without actions", "actions without group"],
+    29: ["one-directional", "repeated", "partner absent", "interactions missing"],
+    30: ["group info differs"],
+    31: ["width 752"],
+    32: ["image ids from 1", "image ids from 2"],
+    33: ["tracking_id", "attributes.tracking_id", "attributes.floor_id", "other category ids", "same track elsewhere"],
+    36: ["H-interaction", "HHI"],
+    37: ["demographics differ", "impossible demographics"],
+}
+"""What occurs in the files, by number of the awkward case of the formats.
+
+Not in the sample, as a root that holds them does not load as it is, or there is nothing of the kind in label files:
+layers of different numbering (2), other folder names (34), counts of frames published elsewhere (35).
+"""
+
+
+@pytest.fixture(scope="module")
+def seen(root, flat, solid):
+    """How often each thing occurs in the files."""
     seen = Counter()
-    total = 0
     for name, content in flat.items():
-        labels = content["labels"]
-        frames_3d = {key[:6] for key in solid[name]["labels"]}
-        frames_2d = {key[:6] for key in labels}
-        seen["frame in 2D only"] += len(frames_2d - frames_3d)
-        seen["frame in 3D only"] += len(frames_3d - frames_2d)
-        seen["empty frame 2D"] += sum(not objects for objects in labels.values())
-        seen["empty frame 3D"] += sum(not objects for objects in solid[name]["labels"].values())
-        for key, objects in labels.items():
-            ids = {one["label_id"] for one in objects}
-            others = {one["label_id"] for one in solid[name]["labels"].get(key[:6] + ".pcd", [])}
-            seen["2D without 3D"] += len(ids - others)
-            seen["3D without 2D"] += len(others - ids)
-            for one in objects:
-                total += 1
-                attributes, actions = one["attributes"], one.get("action_label")
-                x, _, w, _ = one["box"]
-                poses = [action for action in actions or {} if action in POSES]
-                seen["person 0"] += one["label_id"] == "pedestrian:0"
-                seen["foreign id"] += not one["label_id"].startswith("pedestrian:")
-                seen["file_id differs"] += one["file_id"] != key
-                seen["float box"] += isinstance(x, float)
-                seen["x < 0"] += x < 0
-                seen["past the edge"] += x + w > 3760
-                seen["sliver"] += w <= 10 and (x == 0 or x + w == 3760)
-                seen["no occlusion"] += "occlusion" not in attributes
-                seen["no truncated"] += "truncated" not in attributes
-                seen["truncated null"] += "truncated" in attributes and attributes["truncated"] is None
-                seen["truncated bool"] += isinstance(attributes.get("truncated"), bool)
-                seen["truncated text"] += isinstance(attributes.get("truncated"), str)
-                seen["no_eval"] += attributes["no_eval"]
-                seen["no action list"] += actions is None
-                seen["empty action list"] += actions == {}
-                seen["impossible"] += "impossible" in (actions or {})
-                seen["no pose"] += bool(actions) and not poses and "impossible" not in actions
-                seen["two poses"] += len(poses) == 2
-                seen["other spelling"] += any(normal_action(a) != a for a in actions or {})
-                seen["unknown label"] += "waiting for sth" in (actions or {})
-                seen["difficulty float"] += any(isinstance(d, float) for d in (actions or {}).values())
-                seen["difficulty text"] += any(isinstance(d, str) for d in (actions or {}).values())
-                seen["no group"] += "social_group" not in one
-        for objects in solid[name]["labels"].values():
-            for one in objects:
-                seen["no points"] += one["attributes"]["num_points"] == 0
-                seen["distance null"] += one["attributes"]["distance"] is None
-                seen["unwrapped rot_z"] += abs(one["box"]["rot_z"]) > math.pi
-    assert {case for case, count in seen.items() if count == 0} == set()
-    for case in (
-        "no occlusion",
-        "no action list",
-        "empty action list",
-        "impossible",
-        "no pose",
-        "two poses",
-        "no group",
-    ):
-        assert seen[case] < 0.04 * total, case
+        count_boxes(seen, content["labels"], solid[name]["labels"])
+    social = files(root, "labels_2d_activity_social_stitched")
+    for content in social.values():
+        count_social(seen, content["labels"])
+    for name, content in files(root, "labels_2d_stitched_new_version").items():
+        count_reasoning(seen, content["labels"], social[name]["labels"])
+    ids = set()
+    for content in files(root, "labels_2d_pose_stitched_coco").values():
+        count_poses(seen, content)
+    for content in files(root, "labels_2d_panoptic_stitched_CW").values():
+        count_segments(seen, content)
+        ids.add(tuple(one["id"] for one in content["categories"]))
+    seen["other category ids"] = len(ids) - 1
+    return seen
+
+
+def count_boxes(seen, labels, labels_3d):
+    frames_3d = {key[:6] for key in labels_3d}
+    frames_2d = {key[:6] for key in labels}
+    seen["frame in 2D only"] += len(frames_2d - frames_3d)
+    seen["frame in 3D only"] += len(frames_3d - frames_2d)
+    seen["empty frame 2D"] += sum(not objects for objects in labels.values())
+    seen["empty frame 3D"] += sum(not objects for objects in labels_3d.values())
+    times, clusters, members = defaultdict(list), defaultdict(set), defaultdict(set)
+    for key, objects in labels.items():
+        ids = {one["label_id"] for one in objects}
+        others = {one["label_id"] for one in labels_3d.get(key[:6] + ".pcd", [])}
+        seen["2D without 3D"] += len(ids - others)
+        seen["3D without 2D"] += len(others - ids)
+        sizes = Counter(one["social_group"]["cluster_ID"] for one in people(objects) if "social_group" in one)
+        seen["alone in its cluster"] += sum(size == 1 for size in sizes.values())
+        for one in objects:
+            seen["records"] += 1
+            attributes, actions = one["attributes"], one.get("action_label")
+            x, _, w, h = one["box"]
+            poses = [action for action in actions or {} if action in POSES]
+            seen["person 0"] += one["label_id"] == "pedestrian:0"
+            seen["foreign id"] += not one["label_id"].startswith("pedestrian:")
+            seen["file_id differs"] += one["file_id"] != key
+            seen["zero width"] += w == 0
+            seen["negative height"] += h < 0
+            seen["x < 0"] += x < 0
+            seen["past the edge"] += x + w > 3760
+            seen["sliver"] += 0 < w <= 10 and (x == 0 or x + w == 3760)
+            seen["no occlusion"] += "occlusion" not in attributes
+            seen["fully occluded"] += attributes.get("occlusion") == "Fully_occluded"
+            seen["no truncated"] += "truncated" not in attributes
+            seen["truncated null"] += "truncated" in attributes and attributes["truncated"] is None
+            seen["truncated bool"] += isinstance(attributes.get("truncated"), bool)
+            seen["truncated text"] += isinstance(attributes.get("truncated"), str)
+            seen["no_eval"] += attributes["no_eval"]
+            seen["no action list"] += actions is None
+            seen["empty action list"] += actions == {}
+            seen["impossible"] += "impossible" in (actions or {})
+            seen["no pose"] += bool(actions) and not poses and "impossible" not in actions
+            seen["two poses"] += len(poses) == 2
+            seen["other spelling"] += any(normal_action(a) != a for a in actions or {})
+            seen["unknown label"] += "waiting for sth" in (actions or {})
+            for kind, word in ((int, "whole"), (float, "float"), (str, "text")):
+                seen[f"difficulty {word}"] += any(isinstance(d, kind) for d in (actions or {}).values())
+            seen["no group"] += "social_group" not in one
+            seen["group without actions"] += "social_group" in one and not actions
+            seen["actions without group"] += "social_group" not in one and bool(actions)
+            if "social_group" in one:
+                clusters[one["label_id"]].add(one["social_group"]["cluster_ID"])
+                members[one["social_group"]["cluster_ID"]].add((one["label_id"], key))
+            if w > 0 and h > 0:
+                times[one["label_id"]].append(int(key[:6]))
+    seen["track with a gap"] += sum(any(b - a > 15 for a, b in itertools.pairwise(t)) for t in times.values())
+    seen["short track"] += sum(sum(frame % 15 == 0 for frame in t) <= 2 for t in times.values())
+    seen["cluster changes"] += sum(len(one) > 1 for one in clusters.values())
+    for rows in members.values():
+        # People who share a number and are never there together.
+        who = {label for label, _ in rows}
+        spans = {label: {key for other, key in rows if other == label} for label in who}
+        seen["cluster reused"] += any(not spans[a] & spans[b] for a, b in itertools.combinations(sorted(who), 2))
+    for objects in labels_3d.values():
+        for one in objects:
+            seen["no points"] += one["attributes"]["num_points"] == 0
+            seen["distance null"] += one["attributes"]["distance"] is None
+            seen["unwrapped rot_z"] += abs(one["box"]["rot_z"]) > math.pi
+            seen["3D interpolated"] += one["attributes"]["interpolated"]
+
+
+def count_social(seen, labels):
+    told, group = defaultdict(set), defaultdict(set)
+    for objects in labels.values():
+        ids = {one["label_id"] for one in objects}
+        said = defaultdict(set)
+        for one in people(objects):
+            seen["demographics empty"] += one["demographics_info"] == []
+            seen["group info empty"] += one["group_info"] == []
+            seen["interactions missing"] += "H-interaction" not in one
+            entries = one.get("H-interaction", [])
+            seen["H-interaction"] += bool(entries)
+            seen["interactions empty"] += one.get("H-interaction") == []
+            for entry in entries:
+                (label,) = entry["inter_labels"]
+                seen["standing together together"] += label == "standing together together"
+                seen["something for sth"] += "something" in label
+                seen["underscores"] += "_" in label
+                seen["partner absent"] += entry["pair"] not in ids
+                seen["repeated"] += entries.count(entry) > 1
+                said[one["label_id"]].add((entry["pair"], label))
+            for element in one["demographics_info"]:
+                for attribute, values in element.items():
+                    (value,) = values
+                    seen["impossible demographics"] += value == "impossible"
+                    if value != "impossible":
+                        told[one["label_id"], attribute].add(value)
+            for element in one["group_info"]:
+                group[one["social_group"]["cluster_ID"] if "social_group" in one else None].add(json.dumps(element))
+        # Only between two whose lists are there.
+        listed = {one["label_id"] for one in people(objects) if "H-interaction" in one}
+        for a, pairs in said.items():
+            seen["one-directional"] += sum(b in listed and (a, label) not in said.get(b, ()) for b, label in pairs)
+    seen["demographics differ"] += sum(len(values) > 1 for values in told.values())
+    seen["group info differs"] += sum(len(texts) > 1 for cluster, texts in group.items() if cluster is not None)
+
+
+def count_reasoning(seen, labels, social):
+    assert list(labels) == list(social)
+    for key, objects in labels.items():
+        for one, other in zip(people(objects), people(social[key]), strict=True):
+            assert {k: one[k] for k in ("label_id", "box", "demographics_info", "group_info")} == {
+                k: other[k] for k in ("label_id", "box", "demographics_info", "group_info")
+            }
+            assert one.get("HHI", []) == other.get("H-interaction", one.get("HHI", []))
+            seen["HHI"] += bool(one.get("HHI"))
+            seen["HOI"] += bool(one.get("HOI"))
+
+
+def count_poses(seen, content):
+    names = [one["file_name"][-10:-4] for one in content["images"]]
+    seen["pose lacks the last frame"] += int(names[-1]) < 599
+    seen["width 752"] += {one["width"] for one in content["images"]} == {752}
+    for first in (1, 2):
+        seen[f"image ids from {first}"] += content["images"][0]["id"] == first
+
+
+def count_segments(seen, content):
+    frames = {one["id"]: int(one["file_name"][-10:-4]) for one in content["images"]}
+    seen["panoptic 1 in 15"] += set(frames.values()) == set(range(0, 600, 15))
+    seen["keyframe without segments"] += len(set(frames) - {one["image_id"] for one in content["annotations"]})
+    things, places = Counter(), defaultdict(set)
+    for one in content["annotations"]:
+        track = one.get("tracking_id")
+        seen["tracking_id"] += track is not None
+        for field in ("tracking_id", "floor_id"):
+            inner = one.get("attributes", {}).get(field)
+            seen[f"attributes.{field}"] += inner is not None
+            track = inner if track is None else track
+        if track is not None:
+            things[one["image_id"], track, one["category_id"]] += 1
+            places[track].add(one["category_id"])
+    seen["same thing twice"] += sum(count > 1 for count in things.values())
+    seen["same track elsewhere"] += sum(len(categories) > 1 for categories in places.values())
+
+
+@pytest.mark.parametrize("number", sorted(CASES))
+def test_an_awkward_case_occurs(number, seen):
+    assert [what for what in CASES[number] if seen[what] == 0] == []
+
+
+def test_no_awkward_case_swamps_the_files(seen):
+    rare = ("no occlusion", "no action list", "empty action list", "impossible", "no pose", "two poses", "no group")
+    assert [case for case in rare if seen[case] >= 0.04 * seen["records"]] == []
 
 
 def test_changes_fall_between_keyframes_at_one_phase(flat):

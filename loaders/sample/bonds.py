@@ -69,7 +69,8 @@ def bonds_of(rng: Rng, script: Script) -> Bonds:
             for label, where in _pair(rng, script, party, a, b).items():
                 rows += [(first, last, a, b, label) for first, last in runs_of(where)]
     table = np.array(rows, np.int64).reshape(-1, 5)
-    return Bonds(*table.T, draw=rng.random(len(table)))
+    draw = rng.random(len(table))
+    return Bonds(table[:, 0], table[:, 1], table[:, 2], table[:, 3], table[:, 4], draw)
 
 
 def _pair(rng: Rng, script: Script, party: Party, a: int, b: int) -> dict[int, Bools]:

@@ -184,10 +184,20 @@ def frames_2d(world: World, quirks: Quirks) -> Iterator[LabelFrame]:
 def cluster_names(world: World) -> list[int]:
     """The number that the files give to each cluster of the world.
 
-    Those who stand apart alone take numbers of others again: a number tells a group only together with its members.
+    A party that comes after another one is gone may take its number again: people who never meet share it.
     """
     count = len(world.parties) + len(world.people)
     names: list[int] = rng_of(world.seed, world.name, "clusters").permutation(max(1000, count))[:count].tolist()
+    here = [world.present[:, party.members].any(axis=1) for party in world.parties]
+    gone = [int(np.flatnonzero(one)[-1]) if one.any() else world.frames for one in here]
+    begun = [int(np.argmax(one)) if one.any() else -1 for one in here]
+    free = list(range(len(world.parties)))
+    for late, party in enumerate(world.parties):
+        # Only of parties of one are no facts of a group kept under the number.
+        early = next((k for k in free if gone[k] < begun[late]), None) if len(party.members) == 1 else None
+        if early is not None:
+            names[late] = names[early]
+            free = [k for k in free if k not in (early, late)]
     return names
 
 

@@ -64,7 +64,7 @@ def _robot(rng: Rng, frames: int) -> Floats:
     out = np.zeros((frames, 3))
     if rng.random() < 0.3:
         return out
-    for axis, reach in ((0, 1.6), (1, 1.2), (2, 0.5)):
+    for axis, reach in ((0, 1.6), (1, 1.2), (2, 0.25)):
         period = rng.uniform(40, 80)
         out[:, axis] = reach * np.sin(2 * np.pi * t / period + rng.uniform(0, 2 * np.pi)) * rng.uniform(0.5, 1.0)
     return out

@@ -133,13 +133,27 @@ def write_script(rng: Rng, ticks: int, people: int) -> Script:
         here = _party_presence(rng, ticks, party)
         for member in party.members:
             present[:, member] = here
-            pose[:, member] = _member_poses(rng, move, shared)
+            own = _member_poses(rng, move, shared)
+            # Some do as the first of their party does: they sit and stand together.
+            follows = member != party.members[0] and rng.random() < 0.4
+            pose[:, member] = pose[:, party.members[0]] if follows else own
             actions[:, member, 0] = _member_actions(rng, move)
             actions[:, member, 1] = _long_action(rng, move, actions[:, member, 0])
         if len(party.members) > 1:
             _conversations(rng, party, move, actions)
             _separations(rng, party, ticks, apart)
+    _passers_by(rng, parties, present)
     return Script(persons, parties, present, apart, pose, actions, moving)
+
+
+def _passers_by(rng: Rng, parties: tuple[Party, ...], present: Bools) -> None:
+    """One in eight of the lone people in the crowd is there for a second or two only."""
+    lone = [party.members[0] for party in parties if party.hidden and len(party.members) == 1]
+    ticks = len(present)
+    for person in lone[::8] if len(parties) > 8 else ():
+        start = int(rng.integers(0, max(1, ticks - 2)))
+        present[:, person] = False
+        present[start : start + int(rng.integers(1, 3)), person] = True
 
 
 def _parties(rng: Rng, people: int) -> tuple[Party, ...]:
@@ -152,7 +166,7 @@ def _parties(rng: Rng, people: int) -> tuple[Party, ...]:
     hidden_bearings = rng.permutation(4) * (np.pi / 2) + rng.uniform(-0.35, 0.35, 4)
     while count < total:
         hidden = bool(rng.random() < HIDDEN)
-        size = int(rng.choice([1, 2, 3, 4, 5, 6], p=[0.46, 0.24, 0.13, 0.09, 0.05, 0.03]))
+        size = int(rng.choice([1, 2, 3, 4, 5, 6], p=[0.40, 0.24, 0.14, 0.10, 0.07, 0.05]))
         size = min(size, total - count)
         members = tuple(range(count, count + size))
         count += size

@@ -48,7 +48,6 @@ _AIMS: Final = (
 )
 _BODY_ON: Final = ("floor", "chair", "ground", "pathway", "sidewalk", "bench")
 _NEAR: Final = ("table", "wall", "board", "pillar", "door", "poster", "trolley", "window", "robot", "baggage")
-_WHERE: Final = ("at", "near", "in front of", "around")
 
 _SPELLINGS: Final = {
     "standing together": "standing together together",
@@ -82,6 +81,11 @@ class Social:
         self._words = _words(world, some(rng, count, 0.04))
         self._handled = of_handling(world)
         self._pairs = _thing_texts(rng, world, category_ids)
+
+    @property
+    def interactions(self) -> int:
+        """Entries of `H-interaction` in the whole sequence."""
+        return len(self._bonds.person)
 
     def social(self, one: LabelFrame) -> list[dict[str, Any]]:
         """Records of the social file at a frame of the 2D file."""
@@ -191,7 +195,7 @@ def _group_texts(rng: Rng, world: World) -> list[tuple[msgspec.Raw, msgspec.Raw]
             "inter": {INTERACTIONS[label]: "1" for label, _ in sorted(done.most_common(2))},
             "BPC": {_BODY_ON[int(rng.integers(len(_BODY_ON)))]: "1"},
             "SSC": {_NEAR[near[0]]: "1", **({_NEAR[near[1]]: "2"} if rng.random() < 0.4 else {})},
-            "location_pre": {_WHERE[int(rng.integers(len(_WHERE)))]: "1"},
+            "location_pre": {"at": "1"},
         }
         slip = element | {"aim": {_AIMS[aims[1]]: "2"}, "SSC": {_NEAR[near[2]]: "1"}}
         out.append((msgspec.Raw(msgspec.json.encode([element])), msgspec.Raw(msgspec.json.encode([slip]))))

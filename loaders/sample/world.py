@@ -182,18 +182,19 @@ def body_rows(feet: Floats, distance: Floats, height: Floats) -> Floats:
     """Rows (..., 2) of the top and the bottom of bodies, not cut at the image; `feet` is metres above the floor."""
     low = FLOOR + feet
     rows = [HORIZON_ROW - FOCAL_ROWS * (low + height) / distance, HORIZON_ROW - FOCAL_ROWS * low / distance]
-    return np.stack(rows, axis=-1).astype(np.float64)
+    return np.array(np.stack(rows, axis=-1), np.float64)
 
 
 def turned(motion: Motion) -> tuple[Floats, Floats]:
     """How people face, as the robot sees it: across (-1 left, 1 right) and toward the robot (1, or -1 away)."""
-    off = motion.heading - np.arctan2(motion.y, motion.x)
+    off: Floats = motion.heading - np.arctan2(motion.y, motion.x)
     return -np.sin(off), -np.cos(off)
 
 
 def gait(frames: int, people: int) -> Floats:
     """Phase of each person's stride, radians, (frames, people)."""
-    return np.arange(frames)[:, None] * 0.5 + np.arange(people)
+    phase: Floats = np.arange(frames, dtype=np.float64)[:, None] * 0.5 + np.arange(people)
+    return phase
 
 
 def _bodies(motion: Motion, boxes: Ints, rows: Floats, pose: Ints, actions: Ints) -> npt.NDArray[np.float32]:

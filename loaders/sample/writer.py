@@ -78,6 +78,7 @@ class Written:
     hard_labels: int
     tracks: int
     tracks_with_gaps: int
+    interactions: int
 
 
 def sequence_name(index: int) -> str:
@@ -114,11 +115,11 @@ def write_sequence(order: Order) -> Written:
     for name, layer in _LAYERS.items():
         with _open(root, name, order.name) as file:
             file.writelines(layer(world))
-    _write_boxes(root, world)
+    interactions = _write_boxes(root, world)
     images = image_frames(world, order.images)
     if images:
         write_images(world, images, root / "images" / "image_stitched" / order.name)
-    return _count(world, len(images))
+    return _count(world, len(images), interactions)
 
 
 def _open(root: Path, name: str, sequence: str) -> BinaryIO:
@@ -127,8 +128,8 @@ def _open(root: Path, name: str, sequence: str) -> BinaryIO:
     return path.open("wb")
 
 
-def _write_boxes(root: Path, world: World) -> None:
-    """The files of one list of records per frame. Only one frame of them is in memory at a time."""
+def _write_boxes(root: Path, world: World) -> int:
+    """The files of one list of records per frame, one frame in memory at a time; returns the number of interactions."""
     quirks = Quirks(world)
     social = Social(world, quirks, category_ids(world))
     with ExitStack() as stack:
@@ -144,6 +145,7 @@ def _write_boxes(root: Path, world: World) -> None:
             solid.add(key, rows)
         for file in (flat, more, most, solid):
             file.end()
+    return social.interactions
 
 
 class _FrameFile:
@@ -161,7 +163,7 @@ class _FrameFile:
         self._file.write(self._next.removesuffix(b",") + b"}}")
 
 
-def _count(world: World, images: int) -> Written:
+def _count(world: World, images: int, interactions: int) -> Written:
     here = annotated(world)
     key = np.arange(KEYFRAME_STEP, world.frames, KEYFRAME_STEP)
     level, _ = difficulty(world)
@@ -183,4 +185,5 @@ def _count(world: World, images: int) -> Written:
         hard_labels=int((told & (level == HARD))[key].sum()),
         tracks=int(seen.any(axis=0).sum()),
         tracks_with_gaps=with_gaps,
+        interactions=interactions,
     )
