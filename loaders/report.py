@@ -11,8 +11,8 @@ import numpy.typing as npt
 from .problems import Problem
 
 MIN_MOVES: Final = 100
-MAX_TURN_DEG: Final = 60.0
-"""A median angle between heading and displacement beyond it speaks against the headings."""
+MAX_TURN_DEG: Final = 90.0
+"""A median angle between heading and displacement beyond it speaks against the headings; a driving robot blurs it."""
 
 
 class UnknownLabel(msgspec.Struct):

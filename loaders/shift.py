@@ -88,11 +88,12 @@ class Slope:
 
 
 def tracks_of(layer: str, reading: Reading) -> Tracks | None:
-    """The people of a file, for those layers that place people; None for the others."""
+    """The people of a file, for layers that place them; None for the others.
+
+    Poses are left out: the points that can be seen lead or trail a walking person, which looks like a shift.
+    """
     if layer == "3d":
         return _of_3d(reading.tables["boxes_3d"])
-    if layer == "pose":
-        return _of_poses(reading.tables["poses"])
     table = reading.tables["boxes_2d"] if layer == "2d" else reading.boxes
     return None if table is None else _of_boxes(table)
 
@@ -216,16 +217,6 @@ def _of_boxes(table: pa.Table) -> Tracks:
 def _of_3d(table: pa.Table) -> Tracks:
     x, y = table["cx"].to_numpy(), table["cy"].to_numpy()
     return _sorted(table, column_of_angle(angle_of_azimuth(np.arctan2(y, x))), None, (x != 0) | (y != 0))
-
-
-def _of_poses(table: pa.Table) -> Tracks:
-    points = table["keypoints"].combine_chunks().flatten().to_numpy().reshape(table.num_rows, 17, 3)
-    told = points[:, :, 2] > 0
-    # A mean of directions, as a pose may lie on both sides of the seam.
-    turn = points[:, :, 0] * (2 * np.pi / WIDTH)
-    east, north = (np.where(told, part, 0.0).sum(axis=1) for part in (np.cos(turn), np.sin(turn)))
-    column = np.arctan2(north, east) * (WIDTH / (2 * np.pi)) % WIDTH
-    return _sorted(table, column, None, told.sum(axis=1) >= 5)
 
 
 def _sorted(table: pa.Table, column: Floats, box: Floats | None, usable: Bools) -> Tracks:

@@ -213,7 +213,7 @@ def test_reasoning_serves_social_facts_only_without_a_usable_social_file(tmp_pat
     assert empty == alone
 
 
-BROKEN = {layer: "{" for layer in ("2d", "3d", "social", "reasoning", "pose", "panoptic", "calibration")}
+BROKEN = dict.fromkeys(("2d", "3d", "social", "reasoning", "pose", "panoptic", "calibration"), "{")
 
 
 @pytest.mark.parametrize("layer", BROKEN)

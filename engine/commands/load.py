@@ -25,7 +25,7 @@ from jrdb_avr.schema.rules import LoadRules, Rules, override
 
 if TYPE_CHECKING:
     from jrdb_avr.loaders.problems import Problem
-    from jrdb_avr.loaders.report import FrameRange, SequenceReport, ShiftCheck
+    from jrdb_avr.loaders.report import Cameras, FrameRange, SequenceReport, ShiftCheck
 
 
 @click.command(
@@ -62,7 +62,8 @@ def command(
     """Load the JRDB root ROOT: stitched 2D boxes with actions and groups, 3D boxes, social and reasoning labels, poses,
     panoptic things, timestamps, calibration, panoramas.
 
-    Any of the layers may be missing. A layer whose frame numbers are not those of the 2D boxes is refused. Broken files and records are refused one by one and listed; the rest loads.
+    Any of the layers may be missing. A layer whose frame numbers are not those of the 2D boxes is refused. Broken
+    files and records are refused one by one and listed; the rest loads.
     """
     if (root is not None) + rebuild + verify != 1:
         raise click.UsageError("give one of ROOT, --rebuild and --verify")
@@ -136,7 +137,11 @@ def _print(reports: list[SequenceReport]) -> None:
     """The report for people: a table of sequences, then checks, what was refused, unknown labels and warnings."""
     loaded = [report for report in reports if report.sequence]
     print_rows([_summary(report) for report in loaded], title="Loaded")
-    print_rows([_checks(report) for report in loaded if report.layers], title="Checks")
+    checks = [_checks(report) for report in loaded if report.layers]
+    told = [name for name in (checks[0] if checks else ()) if any(row[name] for row in checks)]
+    print_rows([{name: row[name] for name in told} for row in checks], title="Checks")
+    for cameras in dict.fromkeys(_cameras(report.cameras) for report in loaded if report.cameras):
+        click.echo(cameras)
     problems: dict[tuple[Any, ...], list[str]] = {}
     for report in reports:
         for problem in report.problems:
@@ -177,7 +182,7 @@ def _summary(report: SequenceReport) -> dict[str, Any]:
 
 
 def _checks(report: SequenceReport) -> dict[str, Any]:
-    heading, stamps, cameras = report.heading, report.stamps, report.cameras
+    heading, stamps = report.heading, report.stamps
     return {
         "sequence": report.sequence,
         "label frames": _range(report.label_frames),
@@ -187,10 +192,16 @@ def _checks(report: SequenceReport) -> dict[str, Any]:
         if heading is None or heading.median_deg is None
         else f"{heading.median_deg:.0f}° of {heading.moves}",
         "fps": "" if stamps is None or stamps.fps is None else f"{stamps.fps:.2f}",
-        "fy, cy": "" if cameras is None else f"{cameras.fy:.1f}, {cameras.cy:.1f}",
         "contradictions": len(report.disagreements),
         "absent partners": report.absent_partners,
     }
+
+
+def _cameras(cameras: Cameras) -> str:
+    return (
+        f"Cameras: median fy {cameras.fy:.1f} (rows of the panorama are computed with {cameras.focal_rows}), "
+        f"median cy {cameras.cy:.1f} ({cameras.horizon_row})"
+    )
 
 
 def _range(frames: FrameRange | None) -> str:
