@@ -46,7 +46,7 @@ def make_choices(
     if candidates.template.pose_answer:
         barred = {condition.action for condition in descriptions.of(int(candidates.name[row]))}
         track = tracks_of(scene, candidates, row)[candidates.template.target]
-        barred |= scene.possible_actions(track, int(candidates.frames[candidates.template.read[-1]][row]))
+        barred |= scene.possible_actions(track, int(candidates.frames[candidates.template.decisive[-1]][row]))
         for text in _common_poses(scene, key):
             if text != truth:
                 wrong.setdefault(text, None)
@@ -74,14 +74,14 @@ def _perturbed(
         for perturbed in reversed(candidates.perturbed):
             if perturbed.kind == kind and perturbed.answer[row] != NOBODY:
                 yield VALUES[perturbed.answer[row]], f"{kind}({perturbed.variant})"
-    if candidates.template.pose_answer and len(times) > 1:
+    if candidates.template.pose_answer and candidates.template.read != ("t0",):
         own = _read(scene, candidates, track, [times[0], times[0]], rules)
         if own is not None:
             yield own, "pose at t0"
     for perturbed in candidates.perturbed:
         if perturbed.kind == "time.shift" and perturbed.answer[row] != NOBODY:
             yield VALUES[perturbed.answer[row]], f"time.shift {perturbed.variant}"
-    if candidates.template.edges:
+    if candidates.template.edges or candidates.template.name == "consequence":
         return
     for condition, moments in zip(descriptions.of(name), descriptions.look_alikes(name), strict=True):
         for other in scene.tracks[scene.persons(moments)].tolist():
@@ -93,7 +93,7 @@ def _perturbed(
 def _read(scene: Scene, candidates: Candidates, track: int, times: list[int], rules: Rules) -> str | None:
     """What the template's program reads of a person at t0, t1, ...; None where it is unknown."""
     match candidates.template.name:
-        case "change" | "later_pose":
+        case "change" | "later_pose" | "consequence":
             line = scene.box_of(track, times[1])
             pose = scene.poses[line] if line != NOBODY else NOBODY
             return POSES[pose] if pose != NOBODY else None

@@ -280,7 +280,8 @@ _DDL: Final = (
     "CREATE NODE TABLE Description(id INT64 PRIMARY KEY, conditions STRING)",
     "CREATE NODE TABLE Segment(id INT64 PRIMARY KEY, action STRING, `first` INT64, `last` INT64, start INT64, "
     "`end` INT64, quiet_from INT64, closed BOOLEAN, first_clear BOOLEAN, first_image BOOLEAN, first_ahead BOOLEAN, "
-    "last_clear BOOLEAN, last_image BOOLEAN, last_ahead BOOLEAN, angle DOUBLE)",
+    "last_clear BOOLEAN, last_image BOOLEAN, last_ahead BOOLEAN, "
+    "angle DOUBLE, held_from INT64, held_to INT64)",
     "CREATE REL TABLE `Is`(FROM Person TO Moment)",
     "CREATE REL TABLE Does(FROM Person TO Segment)",
     "CREATE REL TABLE Shift(FROM Moment TO Moment, by INT64)",
@@ -374,4 +375,31 @@ def _segments(scene: Scene, rules: Rules) -> pa.Table:
         times = table[edge].to_numpy().astype(np.int64)
         clear, in_front = _seen(scene, scene.box_rows(persons, times), rules)
         columns |= {f"{edge}_clear": clear, f"{edge}_image": scene.has_image(times), f"{edge}_ahead": in_front}
-    return pa.table({**columns, "angle": angle})
+    held_from, held_to = _held_before(scene)
+    return pa.table({**columns, "angle": angle, "held_from": held_from, "held_to": held_to})
+
+
+def _held_before(scene: Scene) -> tuple[pa.Array, pa.Array]:
+    """Per segment of a pose: the first and last keyframe of the other pose held, known at every keyframe of them, until
+    the keyframe before the segment; null where there is none."""
+    rows, keyframes = len(scene.segments), scene.keyframes
+    if rows == 0 or len(keyframes) == 0:
+        return pa.nulls(rows, pa.int64()), pa.nulls(rows, pa.int64())
+    count, pose = len(keyframes), scene.moment_poses.astype(np.int64)
+    # How many keyframes before each moment hold its pose without a break.
+    moments = np.arange(scene.moment_count)
+    place = moments % count
+    joined = (place > 0) & (np.diff(keyframes, prepend=keyframes[0])[place] == KEYFRAME_STEP)
+    joined &= (pose == np.roll(pose, 1)) & (pose != NOBODY)
+    run = moments - np.maximum.accumulate(np.where(joined, 0, moments))
+    # The keyframe that follows the start of each segment, and the one before it.
+    own = coded(scene.segments["action"], POSES)
+    after = np.searchsorted(keyframes, scene.segments["first"].to_numpy().astype(np.int64))
+    inside = (after > 0) & (after < count) & (own != NOBODY)
+    after = np.clip(after, 1, count - 1) if count > 1 else np.zeros(rows, np.int64)
+    base = scene.person_of(scene.segments["track"].to_numpy()) * count
+    held = pose[base + after - 1]
+    inside &= (keyframes[after] - keyframes[after - 1] == KEYFRAME_STEP) & (held != NOBODY) & (held != own)
+    inside &= pose[base + after] == own
+    since = after - 1 - run[base + after - 1]
+    return pa.array(keyframes[since], mask=~inside), pa.array(keyframes[after - 1], mask=~inside)

@@ -77,7 +77,9 @@ class Template:
         """The plan with marks in place of conditions, relations, actions and frames."""
         times = {name: Time(frame=_FRAME_MARK + i) for i, name in enumerate(self.stated)}
         for name, event, after in self.events:
-            action = None if event in ("leaves", "returns") else _ACTION_MARK
+            # What ends before a consequence is whatever the person did at t0.
+            named = event in ("start", "end") and self.reads[1] != "next_action"
+            action = _ACTION_MARK if named else None
             times[name] = Time(event=event, of=self.target, action=action, after=after)
         mode, read, at = self.reads
         edges = tuple(
@@ -160,6 +162,16 @@ TEMPLATES: Final = (
 )
 
 CHAINS: Final = (
+    Template(
+        "consequence",
+        ("2d", "actions"),
+        ("multiple_choice", "next_action", ("t1",)),
+        "construction",
+        read=("start",),
+        decisive=("first",),
+        events=(("t1", "end", "t0"),),
+        pose_answer=True,
+    ),
     Template(
         "two_hop",
         ("2d", "actions"),

@@ -49,7 +49,7 @@ def run_asking(
         raise click.UsageError("choose one of --csv, --json and --parquet")
     if listing:
         rows = [
-            {"name": known.name, "answers": known.answers, "parameters": ", ".join(known.defaults)}
+            {"name": known.name, "answers": known.answers, "parameters": known.takes}
             for known in named_queries(language).values()
         ]
         print_json(rows) if as_json else print_rows(rows)
