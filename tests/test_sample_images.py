@@ -107,6 +107,48 @@ def test_marks_say_what_certain_labels_say(readings):
     assert others > 100
 
 
+def test_marks_name_partners_and_things_that_the_labels_name(root, readings):
+    """A partner's identity and the label, an object and the verb: each is an entry of the frame's lists."""
+    found, _, _ = readings
+    tracks = {(name, reading.mark.identity): one["label_id"] for one, _, reading, _, name in found}
+    lists, categories = {}, {}
+    for path in (root / "labels" / "labels_2d_stitched_new_version").glob("*.json"):
+        for key, objects in json.loads(path.read_text())["labels"].items():
+            for one in objects:
+                lists[path.stem, key, one["label_id"]] = one
+    for path in (root / "labels" / "labels_2d_panoptic_stitched_CW").glob("*.json"):
+        categories[path.stem] = {one["id"]: one["name"] for one in json.loads(path.read_text())["categories"]}
+    spelled = {"standing together together": "standing together", "walking_together": "walking together"}
+    partners = things = 0
+    for one, _, reading, _, name in found:
+        # File names inside are those of another numbering in these sequences.
+        key = f"{int(one['file_id'][:6]) - 2:06d}.jpg"
+        mine = lists[name, key, one["label_id"]]
+        if reading.mark.partner is not None and (name, reading.mark.partner) in tracks:
+            other = tracks[name, reading.mark.partner]
+            both = [mine, lists[name, key, other]]
+            said = {
+                (entry["pair"], spelled.get(label, label.replace("something", "sth")))
+                for row in both
+                for entry in row.get("HHI", [])
+                for label in entry["inter_labels"]
+            }
+            assert {(other, reading.mark.interaction), (one["label_id"], reading.mark.interaction)} & said
+            partners += 1
+        if reading.mark.object is not None:
+            held = {
+                (categories[name][int(entry["pair"][1])], verb)
+                for entry in mine.get("HOI", [])
+                for verb in entry["inter_labels"]
+            }
+            assert (reading.mark.object, reading.mark.verb) in held
+            things += 1
+        elif reading.complete:
+            assert not mine.get("HOI")
+    assert partners > 50
+    assert things > 100
+
+
 def test_clear_people_are_read_and_covered_ones_are_not(readings):
     found, missed, _ = readings
 
