@@ -5,7 +5,8 @@ from __future__ import annotations
 import functools
 
 import pytest
-from test_social import BOX, NAME, placed, read, reasons, record, rows
+from test_social import BOX, NAME, read, reasons, record, rows
+from test_social_intervals import placed
 from worlds import member, person, thing, write_root
 
 from jrdb_avr.loaders.layers import find_root

@@ -1,0 +1,212 @@
+"""Intervals of social facts: interactions between two people, votes on demographics and on group information."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from worlds import member, person, write_root
+
+from jrdb_avr.loaders.intervals import derive
+from jrdb_avr.loaders.layers import find_root
+from jrdb_avr.loaders.load import Shard, load_shard
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.rules import LoadRules
+
+NAME = "yard-2020-01-01_0"
+BOX = (100, 60, 50, 200)
+
+
+def loaded(tmp_path, social, boxes=None, **rules):
+    """Store and report of a social file beside 2D boxes; by default everybody of the social file has a box."""
+    if boxes is None:
+        boxes = {f: [person(_track(r), r["box"]) for r in records] for f, records in social.items()}
+    (files,) = find_root(write_root(tmp_path / "root", {NAME: {"2d": boxes, "social": social}})).sequences
+    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules(**rules))).report
+    return Store(tmp_path / "store"), report
+
+
+def _track(record):
+    return int(record["label_id"].split(":")[1])
+
+
+def spans(store, kind="interactions"):
+    names = [n for n in store.interval(kind, NAME).column_names if n not in ("sequence", "first_s", "last_s")]
+    return [tuple(row[n] for n in names) for row in store.interval(kind, NAME).to_pylist()]
+
+
+def placed(track):
+    return (100 * track + 10, 60, 50, 200)
+
+
+def scene(*people):
+    """Social records of people 1, 2, ...: each gives its interactions, or None for no list."""
+    return [member(i, placed(i), None, talks) for i, talks in enumerate(people, 1)]
+
+
+def test_case_29_what_one_says_holds_for_both(tmp_path):
+    talking = [(2, {"conversation": "1"})]
+    store, report = loaded(tmp_path, {f: scene(talking, []) for f in range(3)})
+    assert spans(store) == [(1, 2, "conversation", 0, 2, True, False), (2, 1, "conversation", 0, 2, True, False)]
+    assert report.absent_partners == 0
+
+
+def test_case_29_the_easier_of_two_codes_counts(tmp_path):
+    hard, easy = [(2, {"hugging": "3"})], [(1, {"hugging": "2"}), (1, {"hugging": "3"})]
+    store, _ = loaded(tmp_path, {0: scene(hard, easy), 1: scene(hard, []), 2: scene(None, [(1, {"hugging": "?"})])})
+    assert spans(store)[:2] == [(1, 2, "hugging", 0, 0, True, False), (1, 2, "hugging", 1, 2, False, False)]
+
+
+def test_case_29_partners_without_a_box_are_counted(tmp_path):
+    talks = [(2, {"hugging": "1"}), (9, {"hugging": "1", "conversation": "1"})]
+    boxes = {
+        0: [person(1, placed(1)), person(2, placed(2), attributes={"no_eval": True, "occlusion": "Fully_occluded"})]
+    }
+    store, report = loaded(tmp_path, {0: scene(talks, [], [(1, {"hugging": "1"})])}, boxes)
+    # Person 2 has a box of the worst quality; 9 and 3 have none.
+    assert spans(store) == [(1, 2, "hugging", 0, 0, True, False), (2, 1, "hugging", 0, 0, True, False)]
+    assert report.absent_partners == 3
+
+
+@pytest.mark.parametrize(("gap", "closed"), [(7, True), (6, False)])
+def test_gaps_are_closed_by_rows_of_their_own(tmp_path, gap, closed):
+    talking = [(2, {"conversation": "1"})]
+    frames = {f: scene(talking if f < 5 or f > 11 else [], []) for f in range(20)}
+    store, _ = loaded(tmp_path, frames, gap_frames=gap)
+    middle = [(1, 2, "conversation", 5, 11, False, True)] if closed else []
+    one_way = [row for row in spans(store) if row[0] == 1]
+    assert one_way == [(1, 2, "conversation", 0, 4, True, False), *middle, (1, 2, "conversation", 12, 19, True, False)]
+
+
+def test_at_one_frame_per_second_nothing_is_bridged(tmp_path):
+    talking = [(2, {"conversation": "1"})]
+    frames = {f: scene(talking if f != 45 else [], []) for f in range(0, 90, 15)}
+    store, _ = loaded(tmp_path, frames)
+    assert [row for row in spans(store) if row[0] == 1] == [
+        (1, 2, "conversation", 0, 30, True, False),
+        (1, 2, "conversation", 60, 75, True, False),
+    ]
+
+
+def test_whose_lists_were_read_stands_with_the_sightings(tmp_path):
+    broken = [(2, {"hugging": "1"}), ("nobody", {"hugging": "1"})]
+    store, _ = loaded(tmp_path, {0: scene(broken, [], None)})
+    assert store.interval("sightings", NAME)["interactions_listed"].to_pylist() == [False, True, False]
+    assert spans(store)[0] == (1, 2, "hugging", 0, 0, True, False)
+
+
+def test_case_37_the_majority_of_frames_decides(tmp_path):
+    said = {
+        1: ["Male"] * 3 + ["Female"] * 2,
+        2: ["Male"] * 2 + ["Female"] * 2 + ["impossible"],
+        3: ["impossible"] * 4 + ["female"],
+    }
+    frames = {f: [member(t, placed(t), {"gender": {said[t][f]: "1"}}) for t in said] for f in range(5)}
+    store, report = loaded(tmp_path, frames)
+    assert store.interval("persons", NAME)["gender"].to_pylist() == ["male", None, "female"]
+    assert spans(store, "demographics") == [
+        (1, "gender", "female", 2, False),
+        (1, "gender", "male", 3, True),
+        (2, "gender", "female", 2, False),
+        (2, "gender", "male", 2, False),
+        (3, "gender", "female", 1, True),
+    ]
+    assert [(d.subject, d.attribute, d.votes, d.told) for d in report.disagreements] == [
+        ("person 1", "gender", {"female": 2, "male": 3}, 5),
+        ("person 2", "gender", {"female": 2, "male": 2}, 4),
+    ]
+
+
+def test_hard_and_unreadable_values_do_not_vote(tmp_path):
+    codes = ["3", "x", "2"]
+    frames = {
+        f: [member(1, BOX, {"age": {"Childhood" if code != "2" else "elderly": code}})] for f, code in enumerate(codes)
+    }
+    store, report = loaded(tmp_path, frames)
+    assert spans(store, "demographics") == [(1, "age", "late adulthood", 1, True)]
+    assert report.disagreements == []
+
+
+def test_two_spellings_of_a_value_in_a_record_are_one_vote(tmp_path):
+    store, _ = loaded(tmp_path, {0: [member(1, BOX, {"gender": {"Male": "1", "male": "2"}})]})
+    assert spans(store, "demographics") == [(1, "gender", "male", 1, True)]
+
+
+def grouped(track, cluster, info):
+    return member(track, placed(track), info=info, group=(cluster, 1))
+
+
+def in_groups(tmp_path, frames):
+    """`frames`: {frame: [(track, cluster, info)]}."""
+    social = {f: [grouped(*row) for row in found] for f, found in frames.items()}
+    boxes = {f: [person(t, placed(t), group=(c, 1)) for t, c, _ in found] for f, found in frames.items()}
+    return loaded(tmp_path, social, boxes)
+
+
+def test_case_30_members_agree_by_majority(tmp_path):
+    indoors, outdoors = {"venue": {"indoor_street": "1"}}, {"venue": {"outdoor_street": "1"}}
+    told = [(1, 7, indoors), (2, 7, indoors), (3, 7, outdoors), (4, 8, outdoors)]
+    store, report = in_groups(tmp_path, {0: told})
+    assert spans(store, "group_info") == [
+        (7, "venue", "indoor_street", 2, True),
+        (7, "venue", "outdoor_street", 1, False),
+        (8, "venue", "outdoor_street", 1, True),
+    ]
+    assert [(d.subject, d.attribute, d.votes, d.told) for d in report.disagreements] == [
+        ("group 7", "venue", {"indoor_street": 2, "outdoor_street": 1}, 3)
+    ]
+
+
+def test_several_values_of_a_group_may_be_chosen_but_one_venue(tmp_path):
+    info = {
+        "aim": {"socializing&commuting": "1"},
+        "SSC": {"table": "1", "board": "2", "wall": "3"},
+        "venue": {"indoor_street": "1", "outdoor_street": "1"},
+    }
+    store, report = in_groups(tmp_path, {0: [(1, 7, info), (2, 7, info)]})
+    assert spans(store, "group_info") == [
+        (7, "aim", "commuting", 2, True),
+        (7, "aim", "socializing", 2, True),
+        (7, "ssc", "board", 2, True),
+        (7, "ssc", "table", 2, True),
+        (7, "venue", "indoor_street", 2, False),
+        (7, "venue", "outdoor_street", 2, False),
+    ]
+    assert report.disagreements == []
+
+
+def test_the_cluster_is_that_of_the_frame(tmp_path):
+    street, wall = {"SSC": {"table": "1"}}, {"SSC": {"wall": "1"}}
+    store, _ = in_groups(tmp_path, {0: [(1, 7, street)], 1: [(1, 8, wall)], 2: [(1, 7, [])]})
+    assert spans(store, "group_info") == [(7, "ssc", "table", 1, True), (8, "ssc", "wall", 1, True)]
+
+
+def test_votes_are_those_that_counting_finds():
+    """Random tables against plain counting."""
+    rng = np.random.default_rng(7)
+    n = 400
+    frame, track = np.sort(rng.integers(0, 40, n)), rng.integers(0, 5, n)
+    order = np.lexsort((track, frame))
+    table = pa.table(
+        {
+            "sequence": pa.array([NAME] * n),
+            "frame": frame[order],
+            "track": track[order],
+            "attribute": rng.choice(["age", "gender"], n),
+            "value": pa.array([None if v == "?" else v for v in rng.choice(["a", "b", "c", "?"], n)]),
+            "raw": pa.array(["x"] * n),
+            "difficulty": pa.array([None if d == 4 else int(d) for d in rng.integers(1, 5, n)], pa.int8()),
+        }
+    )
+    said = {}
+    for row in table.to_pylist():
+        if row["value"] is not None and row["difficulty"] in (1, 2):
+            said.setdefault((row["track"], row["attribute"]), set()).add((row["frame"], row["value"]))
+    expected = []
+    for (person_, attribute), pairs in sorted(said.items()):
+        for value in sorted({v for _, v in pairs}):
+            votes = sum(v == value for _, v in pairs)
+            expected.append((person_, attribute, value, votes, 2 * votes > len(pairs)))
+    found = derive(NAME, {"demographics": table}, LoadRules())["demographics"]
+    names = ("track", "attribute", "value", "votes", "chosen")
+    assert [tuple(row[n] for n in names) for row in found.to_pylist()] == expected
