@@ -14,7 +14,6 @@ from jrdb_avr.loaders.layers import find_root
 from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.loaders.social import load_social
-from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.social import (
