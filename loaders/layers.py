@@ -170,9 +170,7 @@ class _Search:
         try:
             return safe_sequence(file.stem)
         except InputError:
-            self.problems.add(
-                "file", "file name cannot be a sequence name", field=self._shown(file.parent), value=file.name
-            )
+            self._refuse(file.name, f"in {self._shown(file.parent)}: file name cannot be a sequence name")
             return None
 
     def is_folder(self, path: Path) -> bool:
