@@ -9,6 +9,8 @@ Kùzu needs care that every caller would otherwise have to remember:
   matches a pattern is explained once and refused if its plan holds the operator.
 - *`CASE WHEN x.flag THEN` takes the wrong branch* where the condition is a bare boolean (46,611 true rows counted as
   25); `x.flag = true` is right. The bare form is refused.
+- *An aggregate that follows a DISTINCT one* in the same clause is wrong (`count(DISTINCT a), count(*)` gives 0 for the
+  second); the other order is right. The first is refused.
 - *Row order differs between runs*: a read must be ordered, or return a single row, or say `ordered=False`.
 - *Small integers are bound as INT8*, a list by its first rows, an empty list not at all, and a forgotten parameter is
   NULL: parameters are bound here under 64-bit types, and their names must be the statement's.
@@ -53,6 +55,11 @@ _KEEP_ORDER: Final = frozenset({"RESULT_COLLECTOR", "PROJECTION", "SKIP", "LIMIT
 _BARE_CASE = re.compile(
     r"\bWHEN[\s(]*(?!(?:true|false|null)\b)(?:[A-Za-z_]\w*\s*(?:\.\s*(?:[A-Za-z_]\w*)?\s*)?)?[\s)]*\bTHEN\b",
     re.IGNORECASE,
+)
+_AFTER_DISTINCT = re.compile(
+    r"\(\s*DISTINCT\b(?:(?!\b(?:WITH|RETURN|MATCH|UNION|ORDER|WHERE)\b).)*?"
+    r"\b(?:count|sum|avg|min|max|collect)\s*\((?!\s*DISTINCT\b)",
+    re.IGNORECASE | re.DOTALL,
 )
 _MATCH = re.compile(r"\bMATCH\b", re.IGNORECASE)
 
@@ -303,7 +310,7 @@ class Plan:
 
 
 def _refuse_wrong_answers(plan: Plan, text: str) -> None:
-    """Raise QueryError for the two forms to which the engine is known to answer wrongly."""
+    """Raise QueryError for the three forms to which the engine is known to answer wrongly."""
     if "INTERSECT" in plan.operators:
         raise QueryError(
             "the engine would lose rows on this cyclic pattern (its plan holds INTERSECT): split it by WITH, or "
@@ -313,6 +320,8 @@ def _refuse_wrong_answers(plan: Plan, text: str) -> None:
         raise QueryError(
             f"the engine answers {_short(found[0], 60)!r} wrongly on a bare boolean: write WHEN ... = true"
         )
+    if _AFTER_DISTINCT.search(strip_literals(text)):
+        raise QueryError("the engine loses rows of what is counted after a count(DISTINCT ...): put the DISTINCT last")
 
 
 @contextlib.contextmanager

@@ -1,11 +1,13 @@
 """Named queries: the files of `queries/explore/*.cypher` and `queries/results/*.sql`, asked for by their stem.
 
-The first comment line of a file says what it answers; a line `param NAME = VALUE` in a comment gives a parameter its
-default. Values on the command line are JSON where they can be read as JSON, else text.
+The first comment line of a file says what it answers. A comment line `param NAME: TYPE`, or `param NAME: TYPE = VALUE`
+where there is a default, declares a parameter: text, integer or number. Where a query takes a `frame`, `seconds` may be
+given instead: frame / 15, as in questions.
 """
 
 from __future__ import annotations
 
+import difflib
 import re
 from dataclasses import dataclass
 from importlib.resources import files
@@ -14,22 +16,64 @@ from typing import Any, Final
 import msgspec
 
 from jrdb_avr.schema.errors import QueryError
+from jrdb_avr.schema.rules import FPS
 
 FOLDERS: Final = {"cypher": "explore", "sql": "results"}
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _COMMENT = re.compile(r"^(?://|--)\s?(.*)$")
-_DEFAULT = re.compile(r"^param\s+(\w+)\s*=\s*(.*)$")
+_PARAMETER = re.compile(r"^param\s+(\w+):\s*(text|integer|number)(?:\s*=\s*(.*))?$")
 
 
 @dataclass(frozen=True)
 class NamedQuery:
-    """A query from a file: its text, what it answers, and its parameters' defaults."""
+    """A query from a file: its text, what it answers, the types of its parameters, and the defaults of some."""
 
     name: str
     text: str
     answers: str
+    types: dict[str, str]
     defaults: dict[str, Any]
+
+    @property
+    def takes(self) -> str:
+        """The parameters in words, as in 'sequence (text), frame (integer; or seconds), count (integer, 20)'."""
+        words = []
+        for name, kind in self.types.items():
+            more = "; or seconds" if name == "frame" else f", {self.defaults[name]}" if name in self.defaults else ""
+            words.append(f"{name} ({kind}{more})")
+        return ", ".join(words)
+
+    def values(self, given: dict[str, Any]) -> dict[str, Any]:
+        """Values for every parameter. Raises QueryError, saying what to give, where one is missing, unknown or of
+        another type."""
+        given = dict(given)
+        if "frame" in self.types and "seconds" in given and "frame" not in given:
+            given["frame"] = round(_checked("seconds", "number", given.pop("seconds")) * FPS)
+        if unknown := sorted(given.keys() - self.types.keys()):
+            raise QueryError(f"{self.name} has no parameter {unknown[0]!r}; it takes {self.takes or 'none'}")
+        if missing := [name for name in self.types if name not in given and name not in self.defaults]:
+            asked = " ".join(f"--param {name}={_EXAMPLES[self.types[name]]}" for name in missing)
+            raise QueryError(f"{self.name} needs {asked}; it takes {self.takes}")
+        return {
+            name: _checked(name, kind, given[name]) if name in given else self.defaults[name]
+            for name, kind in self.types.items()
+        }
+
+
+_EXAMPLES: Final = {"text": "TEXT", "integer": "INTEGER", "number": "NUMBER"}
+
+
+def _checked(name: str, kind: str, value: Any) -> Any:
+    """The value, if it is of the type. Raises QueryError."""
+    if kind == "text" and isinstance(value, int | float) and not isinstance(value, bool):
+        return str(value)
+    if hasattr(value, "dtype") and hasattr(value, "item"):
+        value = value.item()
+    fits = {"text": str, "integer": int, "number": (int, float)}[kind]
+    if not isinstance(value, fits) or isinstance(value, bool) or value != value:
+        raise QueryError(f"{name} is {_EXAMPLES[kind].lower()}, not {str(value)[:60]!r}: give {name}={_EXAMPLES[kind]}")
+    return value
 
 
 def named_queries(language: str) -> dict[str, NamedQuery]:
@@ -45,15 +89,18 @@ def named_queries(language: str) -> dict[str, NamedQuery]:
 def find_query(language: str, text: str, given: dict[str, Any]) -> tuple[str, dict[str, Any]]:
     """The statement and parameters meant by `text`: a named query, or the text itself.
 
-    Raises QueryError for a single word that is no query's name.
+    Raises QueryError for a single word that is no query's name (naming the nearest), and for wrong parameters of one.
     """
     if not _NAME.fullmatch(text.strip()):
         return text, given
     known = named_queries(language)
-    query = known.get(text.strip())
+    name = text.strip()
+    query = known.get(name)
     if query is None:
-        raise QueryError(f"no query is named {text.strip()!r}; there are: {', '.join(known) or 'none'}")
-    return query.text, {**query.defaults, **given}
+        near = difflib.get_close_matches(name, known, 1, 0.5)
+        meant = f"did you mean {near[0]}? " if near else ""
+        raise QueryError(f"no query is named {name!r}; {meant}--list shows all: {', '.join(known) or 'none'}")
+    return query.text, query.values(given)
 
 
 def parse_value(text: str) -> Any:
@@ -70,5 +117,7 @@ def parse_value(text: str) -> Any:
 
 def _read(name: str, text: str) -> NamedQuery:
     lines = [match[1].strip() for line in text.splitlines() if (match := _COMMENT.match(line.strip()))]
-    defaults = {match[1]: parse_value(match[2].strip()) for line in lines if (match := _DEFAULT.match(line))}
-    return NamedQuery(name, text, lines[0] if lines else "", defaults)
+    found = [match for line in lines if (match := _PARAMETER.match(line))]
+    types = {match[1]: match[2] for match in found}
+    defaults = {match[1]: parse_value(match[3].strip()) for match in found if match[3] is not None}
+    return NamedQuery(name, text, lines[0] if lines else "", types, defaults)

@@ -10,6 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from jrdb_avr.queries import guard
+from jrdb_avr.queries.binding import parameters
 from jrdb_avr.queries.guard import ask_graph, check_cypher
 from jrdb_avr.queries.handle import Graph, build_graph
 from jrdb_avr.queries.named import find_query, named_queries, parse_value
@@ -359,21 +360,46 @@ def test_sql_needs_a_store(tmp_path):
 def test_every_named_query_runs_on_its_defaults(store, language):
     known = named_queries(language)
     assert known
+    examples = {"sequence": "s", "track": 1, "frame": 15}
     for name, query in known.items():
         assert query.answers.endswith("."), f"{name}: the first comment line says what it answers"
-        table = getattr(store, language)(name)
+        assert sorted(query.types) == parameters(query.text) or language == "sql"
+        given = {key: examples[key] for key in query.types if key not in query.defaults}
+        table = getattr(store, language)(name, **given)
         assert isinstance(table, pa.Table)
         assert len(set(table.column_names)) == table.num_columns
 
 
 def test_named_queries_are_found_by_name():
-    text, params = find_query("cypher", "who_is_where", {"frame": 30})
+    text, params = find_query("cypher", "who_is_where", {"sequence": "s", "frame": 30})
     assert "SeenIn" in text
-    assert params["frame"] == 30
-    assert params["sequence"]
+    assert params == {"sequence": "s", "frame": 30}
+    assert find_query("cypher", "who_is_where", {"sequence": "s", "seconds": 2.0})[1] == params
+    assert find_query("cypher", "who_is_where", {"sequence": 7, "seconds": 2})[1] == {"sequence": "7", "frame": 30}
+    assert find_query("cypher", "busiest_frames", {})[1] == {"count": 20}
     assert find_query("sql", "SELECT 1", {}) == ("SELECT 1", {})
-    with pytest.raises(QueryError, match="who_is_where"):
-        find_query("cypher", "who_is_when", {})
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "words"),
+    [
+        ("who_is_when", {}, "did you mean who_is_where"),
+        ("zzz", {}, "--list shows all"),
+        ("who_is_where", {}, "needs --param sequence=TEXT --param frame=INTEGER; it takes sequence"),
+        ("who_is_where", {"sequence": "s", "fram": 1}, "no parameter 'fram'; it takes sequence"),
+        ("who_is_where", {"sequence": "s", "frame": "x"}, "frame is integer, not 'x': give frame=INTEGER"),
+        ("who_is_where", {"sequence": "s", "frame": 1.5}, "frame is integer"),
+        ("who_is_where", {"sequence": "s", "frame": True}, "frame is integer"),
+        ("who_is_where", {"sequence": "s", "seconds": "soon"}, "seconds is number"),
+        ("who_is_where", {"sequence": "s", "seconds": 1, "frame": 15}, "no parameter 'seconds'"),
+        ("who_is_where", {"sequence": [1], "frame": 1}, "sequence is text"),
+        ("sequences", {"frame": 1}, "it takes none"),
+    ],
+)
+def test_wrong_names_and_parameters_say_what_to_give(name, given, words):
+    with pytest.raises(QueryError, match=words) as error:
+        find_query("cypher", name, given)
+    assert "\n" not in str(error.value)
 
 
 @given(st.one_of(st.integers(), st.booleans(), st.lists(st.integers(), max_size=3), st.none()))

@@ -131,6 +131,18 @@ def test_case_on_a_bare_boolean_is_wrong_in_the_engine_and_is_refused(memory):
     assert memory.query(simple)["n"].to_pylist() == [900]
 
 
+def test_an_aggregate_after_a_distinct_one_is_wrong_in_the_engine_and_is_refused(memory):
+    fill(memory, [(1, 2, k) for k in range(6)])
+    wrong = "MATCH (a:N)-[r:R]->(b:N) RETURN a.id AS i, count(DISTINCT b.id) AS d, count(*) AS n ORDER BY i"
+    assert memory._connection.execute(wrong).get_all() != [[1, 1, 6]], "the engine has learnt it: the guard may go"
+    with pytest.raises(QueryError, match="put the DISTINCT last"):
+        memory.query(wrong)
+    right = "MATCH (a:N)-[r:R]->(b:N) RETURN a.id AS i, count(*) AS n, count(DISTINCT b.id) AS d ORDER BY i"
+    assert memory.query(right).to_pylist() == [{"i": 1, "n": 6, "d": 1}]
+    two = "MATCH (a:N)-[r:R]->(b:N) WITH count(DISTINCT a.id) AS d RETURN count(*) AS n, max(d) AS d"
+    assert memory.query(two).to_pylist() == [{"n": 1, "d": 1}]
+
+
 def test_plans_are_made_anew_when_the_data_changes(memory):
     memory.execute(NODES)
     memory.execute(EDGES)

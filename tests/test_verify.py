@@ -10,12 +10,10 @@ import pyarrow as pa
 import pytest
 from scene_tables import table_store
 
-from jrdb_avr.loaders.load import rebuild
 from jrdb_avr.loaders.verify import FILE, STEPS, checks_of
-from jrdb_avr.queries.handle import Graph, lock_graph
+from jrdb_avr.queries.handle import Graph
 from jrdb_avr.queries.seal import PAGE, check_seal, seal_of, seal_path
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.errors import LockedError, StoreError
 from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
 
 RUN = "import sys; from jrdb_avr.engine.cli import main; sys.argv[0] = 'jrdb-avr'; main()"

@@ -1,8 +1,8 @@
-// The frames with most people in view, over all sequences, with how many are clearly seen.
-// param count = 20
+// The keyframes with most people in view, over all sequences, with how many are clearly seen.
+// param count: integer = 20
 MATCH (:Person)-[seen:SeenIn]->(f:Frame)
 WHERE f.keyframe
-RETURN f.sequence AS sequence, f.frame AS frame, f.seconds AS seconds, count(*) AS people,
+RETURN f.sequence AS sequence, f.frame AS frame, round(f.seconds, 2) AS seconds, count(*) AS people,
        CAST(sum(CASE WHEN seen.clear = true THEN 1 ELSE 0 END) AS INT64) AS clearly_seen
 ORDER BY people DESC, sequence, frame
 LIMIT $count;

@@ -1,8 +1,8 @@
 // Who is where around one person, as that person would say it, and who comes first to its left and right.
-// param sequence = "gates-ai-lab-2019-02-08_0"
-// param track = 1
-// param frame = 15
+// param sequence: text
+// param track: integer
+// param frame: integer
 MATCH (a:Person)-[r:Beside]->(b:Person)
 WHERE r.sequence = $sequence AND a.track = $track AND r.first <= $frame AND r.last >= $frame
 RETURN r.label AS place, b.track AS track, r.first AS first, r.last AS last, r.certain AS certain
-ORDER BY place, track;
+ORDER BY place, track, first, last, certain;

@@ -1,9 +1,8 @@
-// Everybody at one frame: direction, distance, pose and visibility, clockwise from behind the robot.
-// param sequence = "gates-ai-lab-2019-02-08_0"
-// param frame = 15
+// Everybody at one frame: where in the robot's view, how far, doing what, clockwise from behind the robot.
+// param sequence: text
+// param frame: integer
 MATCH (p:Person)-[seen:SeenIn]->(:Frame)
 WHERE seen.sequence = $sequence AND seen.frame = $frame
-RETURN p.track AS track, p.gender AS gender, p.age AS age, seen.pose AS pose, seen.angle AS angle,
-       seen.sector AS sector, seen.distance AS distance, seen.group_size AS group_size, seen.clear AS clear,
-       seen.occlusion AS occlusion
+RETURN p.track AS track, p.gender AS gender, seen.pose AS pose, round(seen.angle, 1) AS angle, seen.sector AS sector,
+       round(seen.distance, 1) AS metres, seen.group_size AS group, seen.clear AS clear
 ORDER BY angle, track;

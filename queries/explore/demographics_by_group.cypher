@@ -1,0 +1,6 @@
+// Who a group is made of: everybody who is ever certainly a member, by gender and age.
+// param sequence: text
+MATCH (p:Person)-[m:MemberOf]->(g:SocialGroup)
+WHERE m.sequence = $sequence AND m.certain
+RETURN g.cluster AS cluster, g.venue AS venue, p.gender AS gender, p.age AS age, count(DISTINCT p.track) AS people
+ORDER BY cluster, venue, gender, age;

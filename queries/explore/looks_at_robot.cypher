@@ -1,0 +1,7 @@
+// Who looks at the robot and for how long, longest first, hard labels do not count.
+// param sequence: text
+MATCH (p:Person)-[r:Performs]->(a:Action)
+WHERE r.sequence = $sequence AND a.name = 'looking at robot' AND r.certain
+RETURN p.track AS track, count(*) AS times, min(r.first) AS first, max(r.last) AS last,
+       round(sum(r.last_s - r.first_s), 1) AS seconds
+ORDER BY seconds DESC, track;

@@ -1,0 +1,157 @@
+"""The kept queries against DuckDB, which computes the same from the interval tables."""
+
+import pytest
+from scene_tables import table_store
+
+from jrdb_avr.queries.handle import Graph
+from jrdb_avr.queries.named import named_queries
+from jrdb_avr.queries.store import Store
+
+RIGHT = "first to the right of (robot view)"
+
+# One statement per kept query, over the views of the interval tables; $s, $f and $t are sequence, frame and track.
+EXPECTED = {
+    "who_is_where": """
+        SELECT g.track, gender, pose, round(angle, 1) AS angle, sector, round(distance, 1) AS metres,
+               group_size AS group, clear
+        FROM intervals_sightings g JOIN intervals_persons p USING (sequence, track) WHERE sequence = $s AND frame = $f""",
+    "busiest_frames": """
+        SELECT sequence, frame, round(f.seconds, 2) AS seconds, count(*) AS people,
+               count(*) FILTER (WHERE clear) AS clearly_seen
+        FROM intervals_sightings JOIN intervals_frames f USING (sequence, frame) WHERE keyframe GROUP BY ALL
+        ORDER BY people DESC, sequence, frame LIMIT 20""",
+    "groups": """
+        SELECT cluster, count(*) AS size, list(track ORDER BY track) AS members
+        FROM intervals_memberships WHERE sequence = $s AND $f BETWEEN first AND last AND certain GROUP BY cluster""",
+    "neighbors": """
+        SELECT label AS place, target AS track, first, last, certain
+        FROM intervals_beside WHERE sequence = $s AND source = $t AND $f BETWEEN first AND last""",
+    "left_to_right": f"""
+        WITH step AS (SELECT source, target FROM intervals_beside WHERE sequence = $s AND label = '{RIGHT}'
+                      AND certain AND $f BETWEEN first AND last)
+        SELECT a.source AS track, a.target AS first_right, b.target AS then_right
+        FROM step a LEFT JOIN step b ON b.source = a.target""",
+    "passes_behind": """
+        SELECT track, min(frame) AS first, max(frame) AS last, count(*) AS frames, round(min(distance), 1) AS nearest_m
+        FROM intervals_sightings WHERE sequence = $s AND sector = 'behind' AND sector_other IS NULL GROUP BY track""",
+    "sequences": """
+        SELECT sequence, frame_count AS frames,
+               (SELECT count(*) FROM intervals_persons p WHERE p.sequence = s.sequence) AS people,
+               (SELECT count(*) FROM (SELECT cluster FROM intervals_memberships m WHERE m.sequence = s.sequence
+                UNION SELECT cluster FROM intervals_group_info i WHERE i.sequence = s.sequence)) AS groups,
+               action_step, layers
+        FROM intervals_sequence s""",
+    "timeline": """
+        SELECT first, last, 'does' AS what, action AS name, '' AS of, certain
+        FROM intervals_actions WHERE sequence = $s AND track = $t
+        UNION ALL SELECT first, last, 'is in', 'group', cluster::VARCHAR, certain
+        FROM intervals_memberships WHERE sequence = $s AND track = $t
+        UNION ALL SELECT first, last, 'with', label, target::VARCHAR, certain
+        FROM intervals_interactions WHERE sequence = $s AND source = $t
+        UNION ALL SELECT first, last, 'handles', verb, coalesce(category, '?') || ' ' || object::VARCHAR, certain
+        FROM (SELECT h.*, o.category FROM intervals_handles h JOIN intervals_objects o USING (sequence, object, category_id))
+        WHERE sequence = $s AND track = $t""",
+    "conversations": """
+        SELECT least(source, target) AS track, greatest(source, target) AS partner,
+               round(sum(last_s - first_s) / 2, 1) AS seconds, count(*) // 2 AS talks, min(first) AS first,
+               max(last) AS last
+        FROM intervals_interactions WHERE sequence = $s AND label = 'conversation' AND certain GROUP BY 1, 2""",
+    "longest_conversations": """
+        SELECT sequence, source AS track, target AS partner, first, last, round(last_s - first_s, 1) AS seconds
+        FROM intervals_interactions WHERE label = 'conversation' AND certain AND source < target
+        ORDER BY seconds DESC, sequence, track, partner, first LIMIT 20""",
+    "group_changes": """
+        SELECT first AS frame, 'joins' AS change, cluster, track
+        FROM intervals_memberships WHERE sequence = $s AND certain
+        UNION ALL SELECT last, 'leaves', cluster, track FROM intervals_memberships WHERE sequence = $s AND certain""",
+    "things_handled": """
+        SELECT track, verb, category, object AS thing, min(h.first) AS first, max(h.last) AS last,
+               round(sum(last_s - first_s), 1) AS seconds
+        FROM intervals_handles h JOIN intervals_objects o USING (sequence, object, category_id)
+        WHERE sequence = $s AND certain GROUP BY track, verb, category, object, category_id""",
+    "looks_at_robot": """
+        SELECT track, count(*) AS times, min(first) AS first, max(last) AS last,
+               round(sum(last_s - first_s), 1) AS seconds
+        FROM intervals_actions WHERE sequence = $s AND action = 'looking at robot' AND certain GROUP BY track""",
+    "seen_together": """
+        WITH here AS (SELECT track, frame FROM intervals_sightings JOIN intervals_frames f USING (sequence, frame)
+                      WHERE sequence = $s AND f.keyframe AND clear)
+        SELECT a.track, b.track AS other, count(*) AS keyframes, min(a.frame) AS first, max(a.frame) AS last
+        FROM here a JOIN here b ON a.frame = b.frame AND a.track < b.track GROUP BY 1, 2
+        ORDER BY keyframes DESC, 1, 2 LIMIT 20""",
+    "unknown_facts": """
+        SELECT action, count(*) AS intervals, sum(last - first + 1)::BIGINT AS frames,
+               count(DISTINCT track) AS people
+        FROM intervals_actions WHERE sequence = $s AND NOT certain AND NOT gap GROUP BY action""",
+    "demographics_by_group": """
+        SELECT cluster, (SELECT any_value(value) FROM intervals_group_info i WHERE i.sequence = m.sequence
+                         AND i.cluster = m.cluster AND attribute = 'venue' AND chosen) AS venue,
+               gender, age, count(DISTINCT track) AS people
+        FROM intervals_memberships m JOIN intervals_persons USING (sequence, track)
+        WHERE sequence = $s AND certain GROUP BY ALL""",
+    "objects": """
+        SELECT category, count(*) AS things, count(*) FILTER (WHERE EXISTS (
+            SELECT 1 FROM intervals_handles h WHERE h.sequence = o.sequence AND h.object = o.object
+            AND h.category_id = o.category_id)) AS handled
+        FROM intervals_objects o WHERE sequence = $s GROUP BY category""",
+}
+
+
+@pytest.fixture(scope="module", params=range(3))
+def store(request, tmp_path_factory):
+    return table_store(tmp_path_factory.mktemp("explore"), seed=request.param)
+
+
+@pytest.fixture(scope="module")
+def graph(store):
+    with Graph.open(store.graph_path, read_only=True) as opened:
+        yield opened
+
+
+def rows(table):
+    return sorted(repr([(name, plain(value)) for name, value in row.items()]) for row in table.to_pylist())
+
+
+def plain(value):
+    return round(value, 6) + 0.0 if isinstance(value, float) else value
+
+
+def test_every_kept_query_is_compared():
+    assert sorted(EXPECTED) == sorted(named_queries("cypher"))
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_kept_queries_agree_with_the_tables(store, graph, name):
+    query = named_queries("cypher")[name]
+    tracks = store.interval("interactions", "yard-1_0")["source"].unique().to_pylist()
+    compared = 0
+    for sequence, frame, track in (("yard-1_0", 60, tracks[0]), ("hall-2_0", 45, 1), ("yard-1_0", 90, tracks[-1])):
+        given = {"sequence": sequence, "frame": frame, "track": track}
+        answer = graph.query(query.text, query.values({k: given[k] for k in query.types if k in given}), ordered=False)
+        values = {"s": sequence, "f": frame, "t": track}
+        expected = store.sql(EXPECTED[name], **{k: v for k, v in values.items() if f"${k}" in EXPECTED[name]})
+        assert answer.column_names == expected.column_names
+        assert rows(answer) == rows(expected)
+        compared += answer.num_rows
+    assert compared
+
+
+def test_answers_come_in_order_and_fit_a_terminal(store, graph, capsys):
+    from jrdb_avr.engine.output import print_rows
+
+    for name, query in named_queries("cypher").items():
+        given = {"sequence": "yard-1_0", "frame": 60, "track": 5}
+        table = graph.query(query.text, query.values({k: given[k] for k in query.types if k in given}), ordered=False)
+        print_rows([{k: v for k, v in row.items() if k != "layers"} for row in table.to_pylist()])
+        assert max(map(len, capsys.readouterr().out.splitlines()), default=0) <= 80, name
+        lines = query.text.splitlines()
+        assert "UNION ALL" in query.text or any(line.startswith("ORDER BY") for line in lines), name
+
+
+def test_the_store_answers_by_name_and_by_statement(store):
+    by_name = Store(store.path).cypher("who_is_where", sequence="yard-1_0", seconds=4.0)
+    assert by_name.num_rows
+    assert by_name.equals(store.cypher("who_is_where", sequence="yard-1_0", frame=60))
+    assert store.cypher("timeline", sequence="yard-1_0", track=5)["first"].to_pylist() == sorted(
+        store.cypher("timeline", sequence="yard-1_0", track=5)["first"].to_pylist()
+    )
