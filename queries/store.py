@@ -180,6 +180,8 @@ class Store:
         """Ask the scene graph: one reading statement, or the name of a query in `queries/explore/`.
 
         Raises QueryError where the statement is refused or fails, StoreError where there is no graph.
+
+            store.cypher("who_is_where", sequence="gates-ai-lab-2019-02-08_0", seconds=10).to_pandas()
         """
         from .guard import ask_graph
         from .named import find_query

@@ -12,8 +12,8 @@ RIGHT = "first to the right of (robot view)"
 # One statement per kept query, over the views of the interval tables; $s, $f and $t are sequence, frame and track.
 EXPECTED = {
     "who_is_where": """
-        SELECT g.track, gender, pose, round(angle, 1) AS angle, sector, round(distance, 1) AS metres,
-               group_size AS group, clear
+        SELECT g.track, gender, pose, round(angle, 1) AS angle, sector, round(distance, 1) AS m,
+               group_size AS group_of, clear
         FROM intervals_sightings g JOIN intervals_persons p USING (sequence, track) WHERE sequence = $s AND frame = $f""",
     "busiest_frames": """
         SELECT sequence, frame, round(f.seconds, 2) AS seconds, count(*) AS people,

@@ -69,3 +69,13 @@ def test_the_scene_names_its_ends():
     assert all(s.startswith("CREATE NODE TABLE") for s in statements[: len(SCENE_NODES)])
     assert person_key("s", 12) == "s/12"
     assert frame_key("s", 12) == "s/000012"
+
+
+def test_the_reference_page_is_current():
+    from pathlib import Path
+
+    from jrdb_avr.queries import tables as reference
+
+    kept = Path(__file__).parent.parent / "docs" / "tables.md"
+    assert kept.read_text("utf-8") == reference.page() + "\n"
+    assert sorted(reference.ABOUT) == sorted(name for name, _, _ in reference.tables())

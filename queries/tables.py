@@ -1,0 +1,155 @@
+"""The reference page of the store's tables, `docs/tables.md`, written from their schemas.
+
+python -m jrdb_avr.queries.tables > docs/tables.md
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import pyarrow as pa
+
+from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, PRIVATE, QUESTIONS, RUNS
+
+ABOUT: Final[dict[str, str]] = {
+    "annotations_frames": "Which frames each layer knows, also where it says that nobody is there.",
+    "annotations_boxes_2d": "Boxes of people in the stitched panorama, with their attributes.",
+    "annotations_actions": "Action labels of people.",
+    "annotations_groups": "Which group a person is said to be in.",
+    "annotations_social_activities": "Shared activities of a person, as written.",
+    "annotations_boxes_3d": "Boxes of people in the robot frame (x forward, y left, z up), metres.",
+    "annotations_demographics": "Gender, age and ethnicity labels, one row per label.",
+    "annotations_interactions": "Interaction labels of a person with a partner, mostly in both directions.",
+    "annotations_group_info": "What a member's record says of its group.",
+    "annotations_handles": "What a person does with which thing.",
+    "annotations_listed": "People whose whole list of a layer could be read: what it does not hold is false.",
+    "annotations_poses": "Key points of people.",
+    "annotations_panoptic": "Segments of things and stuff, with run-length codes.",
+    "annotations_categories": "Names of the panoptic layer's category numbers.",
+    "annotations_timestamps": "When each sensor took each frame.",
+    "annotations_calibration": "Intrinsics of the cameras behind the panorama.",
+    "intervals_sequence": "One row per sequence.",
+    "intervals_frames": "Every frame that anything is known of.",
+    "intervals_persons": "Everybody, with the attributes that the votes chose.",
+    "intervals_demographics": "How many frames say what of a person.",
+    "intervals_sightings": "One row per 2D box: direction, distance, visibility, pose and group at that frame.",
+    "intervals_actions": "From when to when a person does what.",
+    "intervals_memberships": "From when to when a person is in which group.",
+    "intervals_interactions": "From when to when two people share what, both directions.",
+    "intervals_handles": "From when to when a person does what with which thing.",
+    "intervals_objects": "Things with a track, people left out.",
+    "intervals_group_info": "What members' records say of their group, with votes.",
+    "intervals_beside": "Where the target is, seen from the source.",
+    "intervals_segments": "Stable segments of actions, which questions about starts and spans use.",
+    "questions": "The public questions.",
+    "sequences": "The frames that can be looked at.",
+    "answers": "Answer, target, plan and proofs of each question.",
+    "evidence": "Every box of each question's target.",
+    "rejected": "Refused candidates: counts by rule, and examples.",
+    "reviews": "What people decided about questions.",
+    "predictions": "What each run answered.",
+    "steps": "Every turn and look of each run.",
+    "scores": "What each run scored.",
+}
+
+COLUMNS: Final[dict[str, str]] = {
+    "sequence": "name of the sequence",
+    "layer": "layer of labels",
+    "frame": "frame number",
+    "track": "the person, within the sequence",
+    "records": "records of the layer at the frame",
+    "x": "left edge, stitched pixels",
+    "y": "upper edge, stitched pixels",
+    "w": "width",
+    "h": "height",
+    "first": "first frame, inclusive",
+    "last": "last frame, inclusive",
+    "first_s": "seconds of the first frame",
+    "last_s": "seconds of the last frame",
+    "certain": "false: the fact is unknown, it could be so",
+    "gap": "a closed gap between two intervals",
+    "difficulty": "annotators' code: 1 easy, 2 medium, 3 hard, null unreadable",
+    "raw": "the label as written",
+    "cluster": "number of the group",
+    "attribute": "which attribute",
+    "value": "its value, null where annotators could not tell",
+    "votes": "frames that say so",
+    "chosen": "more than half of the votes say so",
+    "source": "the person from whom it is seen or said",
+    "target": "the other person",
+    "partner": "the other person",
+    "label": "the relation",
+    "verb": "what is done with the thing",
+    "object": "track of the thing, within its category",
+    "category_id": "number of the thing's category in its file",
+    "category": "name of the category, null if unknown",
+    "action": "name of the action",
+    "pose": "the one certain pose, null if unknown",
+    "seconds": "time in seconds",
+    "keyframe": "a keyframe of the sequence",
+    "annotated": "the 2D layer knows the frame",
+    "image": "there is a panorama",
+    "angle": "panorama angle, degrees: 180 ahead, 90 left",
+    "sector": "direction as the robot sees it",
+    "sector_other": "the other possible sector near an edge",
+    "distance": "metres from the robot",
+    "distance_word": "the distance in a word",
+    "distance_word_other": "the other possible word near a bound",
+    "clear": "a clear view under the rules",
+    "face_visible": "head or an eye marked visible, null without a pose",
+    "listed": "the person has an action list at the frame",
+    "interactions_listed": "the interaction list was read whole",
+    "handles_listed": "the list of things handled was read whole",
+    "group_size": "people in the group, null if unknown",
+    "located": "3D box with lidar points",
+    "heading": "direction of the person, radians, left is positive",
+    "occlusion": "how far it is hidden",
+    "no_eval": "left out of evaluation by the annotators",
+    "sensor": "camera, or kind of sensor",
+    "timestamp": "seconds since the epoch",
+    "question_id": "id of the question",
+    "run_id": "id of the run",
+    "sector_word": "direction in a word",
+    "segmentation": "run-length code as written",
+    "keypoints": "17 times x, y, visibility",
+    "gender": "by vote, null if unknown",
+    "age": "by vote, null if unknown",
+    "ethnicity": "by vote, null if unknown",
+}
+"""What a column means wherever it stands."""
+
+
+def page() -> str:
+    """The page, in Markdown."""
+    lines = [
+        "# Tables of a store",
+        "",
+        "Every table is a view in `jrdb-avr sql`; `SHOW TABLES` and `DESCRIBE intervals_actions` work there too. A",
+        "table that is not written yet is an empty view. Written by `python -m jrdb_avr.queries.tables`.",
+        "",
+    ]
+    for name, schema, private in tables():
+        secret = " Private: never opened by the process that talks to a model." if private else ""
+        lines += [f"## `{name}`", "", f"{ABOUT[name]}{secret}", "", "| column | type | meaning |", "|--|--|--|"]
+        lines += [
+            f"| `{field.name}` | {_type(field)} | {COLUMNS.get(field.name, field.name.replace('_', ' '))} |"
+            for field in schema
+        ]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def tables() -> Iterator[tuple[str, pa.Schema, bool]]:
+    """Name of the view, schema, and whether it is private."""
+    for prefix, group in (("annotations_", ANNOTATIONS), ("intervals_", INTERVALS), ("", QUESTIONS), ("", RUNS)):
+        for name, schema in group.items():
+            yield f"{prefix}{name}", schema, group is QUESTIONS and name in PRIVATE
+
+
+def _type(field: pa.Field) -> str:
+    return f"{field.type}".replace(" not null", "").replace("item: ", "") + (" or null" if field.nullable else "")
+
+
+if __name__ == "__main__":
+    print(page())
