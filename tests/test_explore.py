@@ -65,7 +65,7 @@ EXPECTED = {
         FROM intervals_memberships WHERE sequence = $s AND certain
         UNION ALL SELECT last, 'leaves', cluster, track FROM intervals_memberships WHERE sequence = $s AND certain""",
     "things_handled": """
-        SELECT track, verb, category, object AS thing, min(h.first) AS first, max(h.last) AS last,
+        SELECT track, verb, category, object AS thing, min(h.first) AS first,
                round(sum(last_s - first_s), 1) AS seconds
         FROM intervals_handles h JOIN intervals_objects o USING (sequence, object, category_id)
         WHERE sequence = $s AND certain GROUP BY track, verb, category, object, category_id""",

@@ -56,6 +56,12 @@ def test_the_tour_runs_as_written(tmp_path, environment):
         assert done.returncode == 0 and "jrdb-avr: " not in done.stdout, f"{command}\n{done.stdout}"
         assert shown and kept(command, shown) == kept(command, done.stdout.splitlines()), command
         ran.append(command.split()[1])
+    snippet = re.findall(r"```python\n(.*?)\n```", README, flags=re.S)[0]
+    done = subprocess.run(
+        [sys.executable, "-c", snippet], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    assert all(int(number) > 0 for number in done.stdout.split())
     assert set(ran) >= {"sample", "load", "cypher", "sql", "observe", "generate", "validate", "evaluate", "report"}
     assert (tmp_path / "tour" / "look.png").stat().st_size > 10_000
 
