@@ -94,7 +94,7 @@ class PersonSocial(Person2D, gc=False):
 
 
 class Thing(msgspec.Struct, gc=False):
-    pair: str | None = None
+    pair: list[int | str] | str | None = None
     box_pair: list[float] | None = None
     inter_labels: Label | None = None
 
@@ -104,6 +104,7 @@ class PersonReasoning(Person2D, gc=False):
     people: list[Interaction] = msgspec.field(default_factory=list, name="HHI")
     things: list[Thing] = msgspec.field(default_factory=list, name="HOI")
     group_info: list[GroupInfo] = []
+    group_size: int | None = None
 
 
 class Box3D(msgspec.Struct, gc=False):
@@ -182,6 +183,8 @@ class Segment(msgspec.Struct, gc=False):
 class Category(msgspec.Struct, gc=False):
     id: int
     name: str
+    isthing: int | bool | None = None
+    supercategory: str | None = None
 
 
 class FilePose(msgspec.Struct, gc=False):
