@@ -21,6 +21,7 @@ from jrdb_avr.loaders.layers import find_root
 from jrdb_avr.queries.handle import Graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError, LockedError, StoreError
+from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
 from jrdb_avr.schema.rules import LoadRules
 
 GOOD = {"2d": {f: [person(1, (100 + f, 60, 50, 200), {"walking": 1}, (5, 1))] for f in range(40)}}
@@ -55,14 +56,14 @@ def answers(store):
     """Everything in the graph, as sorted rows."""
     result = {}
     with Graph.open(store.graph_path, read_only=True) as graph:
-        for table in ("Sequence", "Frame", "Person", "SocialGroup", "Action"):
+        for table in SCENE_NODES:
             rows = graph.query(f"MATCH (n:{table}) RETURN n", ordered=False)["n"].to_pylist()
-            result[table] = sorted(repr({k: v for k, v in row.items() if k != "_id"}) for row in rows)
-        for table in ("SeenIn", "Performs", "MemberOf", "Beside"):
+            result[table] = sorted(repr({k: v for k, v in row.items() if k != "_ID"}) for row in rows)
+        for table in SCENE_RELS:
             query = f"MATCH (a)-[r:{table}]->(b) RETURN a, r, b"
             rows = graph.query(query, ordered=False).to_pylist()
             result[table] = sorted(
-                repr([{k: v for k, v in part.items() if k not in ("_id", "_src", "_dst")} for part in row.values()])
+                repr([{k: v for k, v in part.items() if k not in ("_ID", "_SRC", "_DST")} for part in row.values()])
                 for row in rows
             )
     return result
