@@ -14,6 +14,7 @@ A file is written beside its place, synced and renamed in, so a reader sees the 
 from __future__ import annotations
 
 import contextlib
+import difflib
 import errno
 import fcntl
 import hashlib
@@ -28,7 +29,7 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jrdb_avr.schema.errors import InputError, LockedError, StoreError
+from jrdb_avr.schema.errors import InputError, LockedError, QueryError, StoreError
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, QUESTIONS, RUNS
 
@@ -186,7 +187,16 @@ class Store:
         from .guard import ask_graph
         from .named import find_query
 
-        return ask_graph(self.graph_path, *find_query("cypher", query, params))
+        return ask_graph(self.graph_path, *find_query("cypher", query, self.known(params)))
+
+    def known(self, params: dict[str, Any]) -> dict[str, Any]:
+        """The parameters, if the sequence among them is a loaded one. Raises QueryError, naming the nearest."""
+        name = params.get("sequence")
+        if isinstance(name, str) and (self.path / "store.json").exists() and name not in self.manifest().sequences:
+            loaded = sorted(self.manifest().sequences)
+            near = difflib.get_close_matches(name, loaded, 1) or loaded[:1]
+            raise QueryError(f"no sequence {name[:100]!r} is loaded; is it {near[0]}? the query 'sequences' lists all")
+        return params
 
     def sql(self, query: str, **params: Any) -> pa.Table:
         """Ask the Parquet tables: one SELECT over the views of `queries/sql.py`, or the name of a query in

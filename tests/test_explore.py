@@ -6,6 +6,7 @@ from scene_tables import table_store
 from jrdb_avr.queries.handle import Graph
 from jrdb_avr.queries.named import named_queries
 from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import QueryError
 
 RIGHT = "first to the right of (robot view)"
 
@@ -14,7 +15,8 @@ EXPECTED = {
     "who_is_where": """
         SELECT g.track, gender, pose, round(angle, 1) AS angle, sector, round(distance, 1) AS m,
                group_size AS group_of, clear
-        FROM intervals_sightings g JOIN intervals_persons p USING (sequence, track) WHERE sequence = $s AND frame = $f""",
+        FROM intervals_sightings g JOIN intervals_persons p USING (sequence, track)
+        WHERE sequence = $s AND frame = $f""",
     "busiest_frames": """
         SELECT sequence, frame, round(f.seconds, 2) AS seconds, count(*) AS people,
                count(*) FILTER (WHERE clear) AS clearly_seen
@@ -49,7 +51,8 @@ EXPECTED = {
         UNION ALL SELECT first, last, 'with', label, target::VARCHAR, certain
         FROM intervals_interactions WHERE sequence = $s AND source = $t
         UNION ALL SELECT first, last, 'handles', verb, coalesce(category, '?') || ' ' || object::VARCHAR, certain
-        FROM (SELECT h.*, o.category FROM intervals_handles h JOIN intervals_objects o USING (sequence, object, category_id))
+        FROM (SELECT h.*, o.category
+              FROM intervals_handles h JOIN intervals_objects o USING (sequence, object, category_id))
         WHERE sequence = $s AND track = $t""",
     "conversations": """
         SELECT least(source, target) AS track, greatest(source, target) AS partner,
@@ -155,3 +158,8 @@ def test_the_store_answers_by_name_and_by_statement(store):
     assert store.cypher("timeline", sequence="yard-1_0", track=5)["first"].to_pylist() == sorted(
         store.cypher("timeline", sequence="yard-1_0", track=5)["first"].to_pylist()
     )
+
+
+def test_a_sequence_that_is_not_loaded_names_the_nearest(store):
+    with pytest.raises(QueryError, match="is it yard-1_0"):
+        store.cypher("objects", sequence="yard-1")

@@ -24,6 +24,6 @@ def command(**options: Any) -> None:
 
         opened = Store(store)
         opened.manifest()
-        return ask_graph(opened.graph_path, cypher, params, timeout_s=timeout_s)
+        return ask_graph(opened.graph_path, cypher, opened.known(params), timeout_s=timeout_s)
 
     run_asking("cypher", ask, **options)
