@@ -63,6 +63,10 @@ _WOOD: Final[Color] = (95, 75, 55)
 _PAPER: Final[Color] = (176, 174, 162)
 
 
+_AWAY: Final = -0.25
+"""Turned so far from the robot, a person shows no face, and hides what it holds."""
+
+
 @dataclass(frozen=True)
 class Look:
     """Colours of a person."""
@@ -112,10 +116,18 @@ def draw_figure(image: Image, figure: Figure, pen: Pen) -> None:
     right = figure.across >= 0
     # Facing right, the right side of the body is the nearer one.
     near, far = ((_RIGHT, _LEFT), (_LEFT, _RIGHT))[not right]
+    if figure.toward < _AWAY:
+        _held(image, figure, pen)
     _side(image, figure, pen, far)
     _trunk(image, figure, pen)
     _head(image, figure, pen)
     _side(image, figure, pen, near)
+    if figure.toward >= _AWAY:
+        _held(image, figure, pen)
+
+
+def _held(image: Image, figure: Figure, pen: Pen) -> None:
+    """What is in the hands; behind the body of one who looks away."""
     for hand, category, thing in figure.held:
         _DRAW_HELD.get(category, _block)(image, figure, pen, _joint(figure, (R_WRIST, L_WRIST)[hand]), category, thing)
 
@@ -159,7 +171,7 @@ def _head(image: Image, figure: Figure, pen: Pen) -> None:
     center = _joint(figure, HEAD)
     radius = max(2, round(0.12 * figure.meter))
     _line(image, [center, _joint(figure, NECK)], pen(figure.look.skin, BODY), 0.1 * figure.meter)
-    away = figure.toward < -0.25
+    away = figure.toward < _AWAY
     cv2.circle(image, center, radius, pen(figure.look.hair if away else figure.look.skin, BODY), -1)
     if not away:
         # Hair above and at the back of the head.

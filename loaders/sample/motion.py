@@ -90,7 +90,11 @@ def _party_paths(rng: Rng, script: Script, speed: Floats, robot: Floats) -> tupl
         gap = goal - position
         reached = np.hypot(gap[:, 0], gap[:, 1]) < 0.4
         if reached.any():
-            goal = np.where(reached[:, None], waypoints(), goal)
+            # Of some next places the farthest: people walk straight for seconds, not round in circles.
+            places = np.stack([waypoints() for _ in range(4)])
+            away = np.hypot(*np.moveaxis(places - position, -1, 0))
+            farthest = places[away.argmax(axis=0), np.arange(count)]
+            goal = np.where(reached[:, None], farthest, goal)
             gap = goal - position
         turn = np.arctan2(gap[:, 1], gap[:, 0]) - course
         turn = np.arctan2(np.sin(turn), np.cos(turn))

@@ -148,7 +148,8 @@ class Painter:
         marks = marks_of(self.world, self.labelled, frame)
         for kind, index in self._from_far(frame):
             self._draw(image, frame, kind, index, _as_color)
-            if kind == _PERSON:
+            # Who has no box in the labels carries no mark: nothing could be asked or told of it.
+            if kind == _PERSON and self.labelled[frame, index]:
                 x, y, w, h = self.world.boxes[frame, index].tolist()
                 draw(image, Box(x, y, w, h), marks[index])
         return image
