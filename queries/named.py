@@ -70,7 +70,7 @@ def _checked(name: str, kind: str, value: Any) -> Any:
         return str(value)
     if hasattr(value, "dtype") and hasattr(value, "item"):
         value = value.item()
-    fits = {"text": str, "integer": int, "number": (int, float)}[kind]
+    fits: tuple[type, ...] = {"text": (str,), "integer": (int,), "number": (int, float)}[kind]
     if not isinstance(value, fits) or isinstance(value, bool) or value != value:
         raise QueryError(f"{name} is {_EXAMPLES[kind].lower()}, not {str(value)[:60]!r}: give {name}={_EXAMPLES[kind]}")
     return value

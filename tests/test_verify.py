@@ -176,9 +176,7 @@ def test_a_changed_row_is_found_in_its_table(copy, change, table):
 
 
 def test_a_damaged_graph_is_rebuilt_to_the_same_answers(store, copy):
-    rng = random.Random(1)
-    for _ in range(100):
-        overwrite(copy.graph_path, rng)
+    copy.graph_path.write_bytes(copy.graph_path.read_bytes()[:-PAGE])
     before = dump(store)
     assert before.count("\n") > 70
     assert dump(copy) != before
