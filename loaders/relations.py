@@ -85,6 +85,8 @@ class SocialRecord(Record, gc=False):
 class HandlingRecord(Record, gc=False):
     """A record of a reasoning file of which only the things are wanted."""
 
+    interactions: msgspec.Raw = msgspec.field(default=_NOTHING, name="H-interaction")
+    hhi: msgspec.Raw = msgspec.field(default=_NOTHING, name="HHI")
     handles: list[ThingEntry] | None = msgspec.field(default=None, name="HOI")
 
 
@@ -170,7 +172,13 @@ def _clean_entries(records: list[Any], raw: bytes) -> bool:
     entries = sum(map(len, lists))
     if entries > MAX_ENTRIES and max(map(len, lists)) > MAX_ENTRIES:
         return False
-    return raw.count(b'"pair"') <= entries and raw.count(b'"inter_labels"') <= entries
+    # Entries of lists that are not wanted have the same keys.
+    unread = b"".join(bytes(text) for record in records for text in _unread(record))
+    return all(raw.count(key) - unread.count(key) <= entries for key in (b'"pair"', b'"inter_labels"'))
+
+
+def _unread(record: Record) -> tuple[msgspec.Raw, ...]:
+    return (record.interactions, record.hhi) if isinstance(record, HandlingRecord) else ()
 
 
 def _take(records: list[Any], raws: tuple[str, ...], kinds: tuple[Kind, ...], codes: dict[str, Distinct]) -> Columns:
