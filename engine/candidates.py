@@ -30,6 +30,7 @@ RULES: Final = (
     "image",
     "view.ahead",
     "view.single",
+    "stated",
     "hop.stop",
     "hop.skip",
     "time.shift",

@@ -20,6 +20,7 @@ from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 from .candidates import VALUES, Candidates
 from .descriptions import Descriptions
 from .proofs import condition_text, tracks_of
+from .relations import STATED_POSES
 from .scene import NOBODY, Scene
 
 COUNT: Final = 4
@@ -44,7 +45,7 @@ def make_choices(
         if text != truth:
             wrong.setdefault(text, perturbation)
     if candidates.template.pose_answer:
-        barred = {condition.action for condition in descriptions.of(int(candidates.name[row]))}
+        barred = _stated(descriptions, candidates, row)
         track = tracks_of(scene, candidates, row)[candidates.template.target]
         barred |= scene.possible_actions(track, int(candidates.frames[candidates.template.decisive[-1]][row]))
         for text in _common_poses(scene, key):
@@ -60,6 +61,14 @@ def make_choices(
     chosen = {truth: None, **dict(list(wrong.items())[: COUNT - 1])}
     texts = tuple(sorted(chosen, key=lambda text: hashlib.sha256(f"{key}\n{text}".encode()).hexdigest()))
     return Choices(texts, texts.index(truth) + 1, tuple(chosen[text] for text in texts))
+
+
+def _stated(descriptions: Descriptions, candidates: Candidates, row: int) -> set[str]:
+    """Poses that the question's words name."""
+    stated = descriptions.stated_poses[int(candidates.name[row])]
+    for codes in candidates.relations.values():
+        stated = stated | STATED_POSES[int(codes[row])]
+    return {POSES[code] for code in np.flatnonzero(stated).tolist()}
 
 
 def _perturbed(

@@ -29,6 +29,7 @@ from jrdb_avr.schema.vocabulary import (
     POSES,
     ROBOT_SECTORS,
 )
+from jrdb_avr.schema.wording import actions_of
 
 from .relations import KIND, SOCIAL, Facts, untold_others
 from .scene import NOBODY, Bools, Ints, Scene, coded, spread
@@ -83,6 +84,18 @@ class Conditions:
     def of_kind(self, *kinds: str) -> Bools:
         """Per code, whether it is of one of these kinds."""
         return np.array([kind in kinds for kind in self.kinds], dtype=bool)
+
+    @cached_property
+    def states_pose(self) -> Bools:
+        """Per code, whether its words name a pose."""
+        return np.asarray(self.stated_poses.any(axis=1), dtype=bool)
+
+    @cached_property
+    def stated_poses(self) -> Bools:
+        """(codes, poses): the poses that a condition's words name, as "walking together" names one."""
+        return np.array(
+            [[pose in actions_of(condition) for pose in POSES] for condition in self.vocabulary], dtype=bool
+        ).reshape(-1, len(POSES))
 
     def code(self, uses: Ints) -> Ints:
         """Codes of uses."""

@@ -18,6 +18,7 @@ import pyarrow as pa
 
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.vocabulary import POSES
 from jrdb_avr.schema.wording import in_order
 
 from .conditions import Conditions, Words, find_conditions
@@ -57,6 +58,15 @@ class Descriptions:
             self.conditions.members(keyframe, _could_match(self.conditions, keyframe, [u for u in uses if u != use]))
             for use in uses
         ]
+
+    @cached_property
+    def stated_poses(self) -> Bools:
+        """(names, poses): the poses that a description's words name."""
+        stated = np.zeros((len(self.uses), len(POSES)), dtype=bool)
+        for column in self.uses.T:
+            told = np.flatnonzero(column != NOBODY)
+            stated[told] |= self.conditions.stated_poses[self.conditions.code(column[told])]
+        return stated
 
     @cached_property
     def texts(self) -> tuple[list[str], Ints]:
@@ -119,7 +129,7 @@ def describe_people(scene: Scene, facts: Facts, rules: Rules) -> Descriptions:
     """Choose the descriptions of everybody at every keyframe of a scene; `facts` are its relations."""
     conditions = find_conditions(scene, facts, rules)
     sighting, columns = _subsets(conditions, rules)
-    poseless = ~_any(conditions, conditions.of_kind("pose"), columns)
+    poseless = ~_any(conditions, conditions.states_pose, columns)
     best = _best(scene, conditions, sighting, columns, np.ones(len(sighting), dtype=bool))
     best_poseless = _best(scene, conditions, sighting, columns, poseless)
     chosen = np.union1d(best, best_poseless)
@@ -139,7 +149,7 @@ def _subsets(conditions: Conditions, rules: Rules) -> tuple[Ints, Ints]:
     count, most = conditions.held.shape
     others = conditions.everybody[conditions.keyframe] & ~conditions.alone()
     weak = conditions.of_kind("sector", "distance")
-    is_pose = conditions.of_kind("pose")
+    is_pose = conditions.states_pose
     open_general = np.ones(count, dtype=bool)
     open_poseless = np.ones(count, dtype=bool)
     sightings, columns = [np.zeros(0, dtype=np.int64)], [np.zeros((0, rules.max_conditions), dtype=np.int64)]

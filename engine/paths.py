@@ -114,7 +114,7 @@ def hop_proofs(scene: Scene, graph: Graph, paths: Paths, rules: Rules) -> tuple[
     with _in_graph(graph, paths):
         for skipped in range(1, len(paths.template.edges)):
             found = ask(graph, "necessity", f"{_HOPS[len(nodes) - 1]}_skip", rules, skipped=skipped)
-            stages = [paths.people["a"], *(ints(found, name) for name in nodes[1:-1])]
+            stages = [paths.people["a"], *(_placed(found, node, len(paths)) for node in nodes[1:-1])]
             outcome, answer = _read(scene, watched, paths, stages)
             proofs.append(Perturbed("hop.skip", str(skipped), outcome, answer))
     return tuple(proofs)
@@ -133,9 +133,7 @@ def program_proofs(scene: Scene, graph: Graph, paths: Paths, rules: Rules) -> tu
     with _in_graph(graph, paths):
         for by in (-step, step):
             found = ask(graph, "necessity", f"{name}_shift", rules, by=by)
-            place = np.full(len(paths), NOBODY)
-            place[ints(found, "id")] = np.arange(len(found))
-            stages = [np.where(place == NOBODY, relations.UNKNOWN, ints(found, node)[place]) for node in nodes]
+            stages = [_placed(found, node, len(paths)) for node in nodes]
             outcome, answer = _read(scene, watched, paths, stages)
             moved = paths.frames["t0"] + by
             outside = (moved < scene.keyframes[0]) | (moved > scene.keyframes[-1])
@@ -147,6 +145,13 @@ def program_proofs(scene: Scene, graph: Graph, paths: Paths, rules: Rules) -> tu
         outcome = np.where(answers > 1, DIFFERENT, np.where(defined > 1, SAME, EMPTY)).astype(np.int8)
         proofs.append(Perturbed("time.drop", "all keyframes", outcome, np.full(len(paths), NOBODY, dtype=np.int8)))
     return tuple(proofs)
+
+
+def _placed(found: pa.Table, node: str, count: int) -> Ints:
+    """A column of moments by the path's id; at a time that is no keyframe nothing is known."""
+    moments = np.full(count, relations.UNKNOWN)
+    moments[ints(found, "id")] = ints(found, node)
+    return moments
 
 
 def _read_start(scene: Scene, watched: Watched, paths: Paths, row: int, moment: int) -> int:

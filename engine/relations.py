@@ -22,9 +22,11 @@ from jrdb_avr.schema.vocabulary import (
     FIRST_RIGHT,
     INTERACTIONS,
     PERSON_SECTORS,
+    POSES,
     SAME_GROUP,
     person_frame_label,
 )
+from jrdb_avr.schema.wording import poses_of
 
 from .scene import NOBODY, NOWHERE, Bools, Ints, Scene, coded, spread
 
@@ -42,6 +44,9 @@ KIND: Final = np.array(
 )
 
 LAYER_OF_KIND: Final = {SOCIAL: "interactions", GROUP: "groups", ROBOT_VIEW: "2d", PERSON_VIEW: "3d"}
+
+STATED_POSES: Final = np.array([[pose in poses_of(relation) for pose in POSES] for relation in RELATIONS])
+"""(relations, poses): the poses that a relation's words name."""
 
 EMPTY, SEVERAL, UNKNOWN = NOWHERE
 """Steps that lead to nobody: nobody could match, two or more certainly do, or it cannot be told."""

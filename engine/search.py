@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import pyarrow as pa
 
@@ -15,6 +17,7 @@ from .candidates import (
     SAME,
     UNKNOWN,
     Candidates,
+    Codes,
     Perturbed,
     ask,
     codes,
@@ -24,7 +27,7 @@ from .candidates import (
 )
 from .descriptions import Descriptions
 from .paths import Paths, hop_proofs, program_proofs
-from .relations import RELATIONS
+from .relations import RELATIONS, STATED_POSES
 from .scene import NOBODY, Bools, Ints, Scene, coded
 from .templates import Template
 
@@ -51,6 +54,8 @@ def find_candidates(
             times[name] = scene.segments[name].to_numpy().astype(np.int64)[segment]
     answer = codes(found["answer"]) if template.answer is None else np.full(count, NOBODY, dtype=np.int8)
     holds = _alone(found)
+    if template.pose_answer and count:
+        holds["stated"] = ~_stated(descriptions, ints(found, "name"), relations, answer)
     perturbed: tuple[Perturbed, ...] = ()
     if template.edges and count:
         open_rows = np.flatnonzero(first_refusing(holds, count) == PASSED)
@@ -84,6 +89,15 @@ def _alone(found: pa.Table) -> dict[str, Bools]:
         "image": flags(found, "image"),
         "view.ahead": ~flags(found, "ahead"),
     }
+
+
+def _stated(descriptions: Descriptions, names: Ints, relations: Mapping[str, Ints], answer: Codes) -> Bools:
+    """Where the question's own words name the pose that is asked for."""
+    poses = answer.astype(np.int64)
+    stated = descriptions.stated_poses[names, poses]
+    for codes_of in relations.values():
+        stated = stated | STATED_POSES[codes_of, poses]
+    return np.asarray(stated, dtype=bool)
 
 
 def _needs_turning(scene: Scene, paths: Paths, rows: Ints, count: int, rules: Rules) -> Bools:

@@ -213,6 +213,8 @@ class _Search:
                 return ", ".join(f"{proof.variant}: {OUTCOMES[proof.outcome[row]]}" for proof in found)
             case "time.drop":
                 return "every other keyframe with an answer gives the same"
+            case "stated":
+                return "the question's own words name the answer"
             case "view.single":
                 return "one view shows everybody needed"
             case "view.ahead":
