@@ -254,6 +254,7 @@ def box_of(value):
 # -- spellings -------------------------------------------------------------------------------------------------------
 
 DOORS = {"opening the door", "pushing the door", "holding the door"}
+NOT_TOLD = {"impossible", "unknown"}
 TOLD = {"gender": "gender", "age": "age", "race": "ethnicity"}
 INFO = {"venue": "venue", "aim": "aim", "BPC": "bpc", "SSC": "ssc", "location_pre": "location", "inter": "inter"}
 
@@ -285,6 +286,11 @@ def action_name(label):
 def interaction_name(label):
     label = plain(label).replace(" something", " sth")
     return "standing together" if label == "standing together together" else label
+
+
+def all_told(labels):
+    """Whether every label of a label object is one: then what it lacks is not so."""
+    return len(labels_of(labels)) == len(labels) and "impossible" not in [plain(name) for name, _ in labels_of(labels)]
 
 
 def labels_of(value):
@@ -464,7 +470,7 @@ def told_values(attribute, name):
             "inter": interaction_name(word),
             "venue": re.sub("^(indoor|outdoor) (.*)", lambda m: f"{m[1]}_{_spelled(m[2])}", word),
         }.get(attribute, _spelled(word))
-        values.append(None if word in ("unknown", "impossible") else value)
+        values.append(None if word in NOT_TOLD else value)
     return list(dict.fromkeys(values))
 
 
@@ -484,7 +490,7 @@ def _read_interactions(found, here, record, reasoning):
             partner = partner_of(entry.get("pair")) if isinstance(entry, dict) else None
             labels = entry.get("inter_labels") if isinstance(entry, dict) else None
             usable = partner is not None and partner != here["track"] and isinstance(labels, dict)
-            whole_list &= usable and len(labels_of(labels)) == len(labels)
+            whole_list &= usable and all_told(labels)
             for name, difficulty in labels_of(labels) if usable else ():
                 label = interaction_name(name)
                 if label != "impossible":
@@ -501,8 +507,10 @@ def _read_handles(found, here, record):
         pair = [partner_of(v) for v in pair] if isinstance(pair, list) and len(pair) == 2 else [None]
         labels = entry.get("inter_labels") if isinstance(entry, dict) else None
         usable = None not in pair and isinstance(labels, dict)
-        whole_list &= usable and len(labels_of(labels)) == len(labels)
+        whole_list &= usable and all_told(labels)
         for name, difficulty in labels_of(labels) if usable else ():
+            if plain(name) == "impossible":
+                continue
             verb = {plain(v): v for v in ("finding_something", "putting_something")}.get(plain(name), plain(name))
             found.add(
                 "handles", **here, object=pair[0], category_id=pair[1], verb=verb, raw=name, difficulty=difficulty
