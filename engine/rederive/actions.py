@@ -1,0 +1,153 @@
+"""What people do over time: poses, actions with their closed gaps, and stable segments."""
+
+from __future__ import annotations
+
+import itertools
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, frames
+from jrdb_avr.schema.vocabulary import POSES
+
+from .people import People
+from .terms import FALSE, TRUE, UNKNOWN, in_closed_gap, rows, step_of
+
+States = npt.NDArray[np.int8]
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """A stable stretch of an action: the frames with it, and the start and end as asked for."""
+
+    first: int
+    last: int
+    start: int
+    end: int
+    closed: bool
+
+
+class Actions(People):
+    """Action labels of one sequence beside its boxes."""
+
+    def __init__(self, tables: Mapping[str, pa.Table], rules: Rules) -> None:
+        super().__init__(tables, rules)
+        self._actions: dict[tuple[int, int], dict[str, int]] = defaultdict(dict)
+        self._performed: set[tuple[int, str]] = set()
+        for frame, track, action, difficulty in rows(tables["actions"], "frame", "track", "action", "difficulty"):
+            # An action written twice, as under two spellings, counts by its easier code; an unreadable code is hard.
+            code, listed_actions = 3 if difficulty is None else difficulty, self._actions[frame, track]
+            listed_actions[action] = min(code, listed_actions.get(action, code))
+            self._performed.add((track, action))
+        annotated = sorted(self.layers.get("actions", []))
+        self.step = step_of(annotated)
+        self.grid = range(annotated[0], annotated[-1] + 1, self.step) if annotated else range(0)
+        self._states: dict[tuple[int, str], tuple[States, States]] = {}
+        self._segments: dict[tuple[int, str], tuple[Segment, ...]] = {}
+
+    def pose(self, track: int, frame: int) -> str | None:
+        """The one certain pose, None where it is unknown."""
+        poses = [(action, code) for action, code in self._actions.get((frame, track), {}).items() if action in POSES]
+        if self.box(track, frame) is None or len(poses) != 1 or poses[0][1] > 2:
+            return None
+        return poses[0][0]
+
+    def _raw(self, track: int, frame: int, action: str) -> int:
+        person = self._people.get(frame, {}).get(track)
+        if person is None or not person.listed:
+            return UNKNOWN
+        codes = self._actions.get((frame, track), {})
+        if action in POSES:
+            pose = self.pose(track, frame)
+            return UNKNOWN if pose is None else TRUE if pose == action else FALSE
+        return FALSE if action not in codes else TRUE if codes[action] <= 2 else UNKNOWN
+
+    def states(self, track: int, action: str) -> tuple[States, States]:
+        """Per frame of the action layer's grid: the fact, and 1 inside a closed gap (where the fact is unknown)."""
+        key = (track, action)
+        if key not in self._states:
+            self._states[key] = self._work_out(track, action)
+        return self._states[key]
+
+    def _work_out(self, track: int, action: str) -> tuple[States, States]:
+        states = np.full(len(self.grid), UNKNOWN, np.int8)
+        gaps = np.zeros(len(self.grid), np.int8)
+        named = []
+        for frame in self._tracks.get(track, []):
+            if frame in self.grid:
+                place = self.grid.index(frame)
+                states[place] = self._raw(track, frame, action)
+                if action in self._actions.get((frame, track), {}):
+                    named.append(place)
+        if self.step == 1:
+            for before, after in itertools.pairwise(named):
+                if 0 < after - before - 1 <= self.rules.load.gap_frames:
+                    states[before + 1 : after] = UNKNOWN
+                    gaps[before + 1 : after] = 1
+        return states, gaps
+
+    def state(self, track: int, action: str, frame: int) -> int:
+        """The fact at a frame; unknown off the action layer's grid."""
+        if frame not in self.grid:
+            return UNKNOWN
+        if (track, action) in self._states:
+            return int(self._states[track, action][0][self.grid.index(frame)])
+        # Most facts are asked for at one frame only: working out all of the person's frames would take far longer.
+        return UNKNOWN if self._in_gap(track, action, frame) else self._raw(track, frame, action)
+
+    def _in_gap(self, track: int, action: str, frame: int) -> bool:
+        """Whether a frame that does not name the action lies in a closed gap of it."""
+        longest = self.rules.load.gap_frames
+        if self.step != 1 or (track, action) not in self._performed or self._names(track, action, frame):
+            return False
+        return in_closed_gap(lambda near: self._names(track, action, near), frame, longest)
+
+    def _names(self, track: int, action: str, frame: int) -> bool:
+        """Whether the person has a box at the frame, one of the grid, whose list holds the action."""
+        listed = action in self._actions.get((frame, track), {})
+        return listed and frame in self.grid and self.box(track, frame) is not None
+
+    def segments(self, track: int, action: str) -> tuple[Segment, ...]:
+        """The stable segments of an action, in time."""
+        key = (track, action)
+        if key not in self._segments:
+            self._segments[key] = tuple(self._find_segments(track, action))
+        return self._segments[key]
+
+    def _find_segments(self, track: int, action: str) -> Iterator[Segment]:
+        load, (states, gaps) = self.rules.load, self.states(track, action)
+        least, edge, quiet = (frames(s) for s in (load.segment_min_s, load.segment_edge_s, load.segment_quiet_s))
+        half = 0 if self.step == 1 else KEYFRAME_STEP // 2
+
+        def false(frame: int) -> bool:
+            return bool(states[self.grid.index(frame)] == FALSE)
+
+        def inside(place: int) -> bool:
+            return bool(gaps[place]) or (states[place] == TRUE and self.clear(track, self.grid[place]))
+
+        def quiet_at(low: int, high: int) -> bool:
+            """False at every grid frame in [low, high]; what lies beyond the grid does not count."""
+            return all(false(f) for f in range(low, high + 1) if f in self.grid)
+
+        def edge_at(low: int, high: int) -> bool:
+            """False and clear at every grid frame in [low, high], all of which exist."""
+            steps = [f for f in range(low, high + 1) if (f - self.grid.start) % self.step == 0]
+            return all(f in self.grid and false(f) and self.clear(track, f) for f in steps)
+
+        place = 0
+        while place < len(self.grid):
+            if not inside(place):
+                place += 1
+                continue
+            begin = place
+            while place < len(self.grid) and inside(place):
+                place += 1
+            first, last = self.grid[begin], self.grid[place - 1]
+            if last - first < least or not edge_at(first - edge, first - 1):
+                continue
+            if quiet_at(first - quiet, first - 1) and quiet_at(last + 1, last + quiet):
+                yield Segment(first, last, first - half, last + half, edge_at(last + 1, last + edge))

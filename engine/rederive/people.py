@@ -1,0 +1,96 @@
+"""Who is where in each frame, by the 2D boxes of the annotation tables."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import pyarrow as pa
+
+from jrdb_avr.schema.panorama import HEIGHT, Box, center_angle
+from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules
+from jrdb_avr.schema.vocabulary import CLEAR_OCCLUSIONS
+
+from .terms import rows, step_of
+
+
+@dataclass(frozen=True, slots=True)
+class _Person2D:
+    """One 2D box with what its record says."""
+
+    box: Box
+    occlusion: str | None
+    no_eval: bool
+    listed: bool
+
+
+class People:
+    """Boxes of one sequence, indexed by frame and by person, and the frames that its layers know."""
+
+    def __init__(self, tables: Mapping[str, pa.Table], rules: Rules) -> None:
+        self.rules = rules
+        self.layers: dict[str, list[int]] = defaultdict(list)
+        for layer, frame in rows(tables["frames"], "layer", "frame"):
+            self.layers[layer].append(frame)
+        self._known = {layer: set(numbers) for layer, numbers in self.layers.items()}
+        self.has_attributes = any(tables["boxes_2d"]["has_attributes"].to_pylist())
+        self._people: dict[int, dict[int, _Person2D]] = defaultdict(dict)
+        columns = ("frame", "track", "x", "y", "w", "h", "occlusion", "no_eval", "has_actions")
+        for frame, track, x, y, w, h, occlusion, no_eval, listed in rows(tables["boxes_2d"], *columns):
+            self._people[frame][track] = _Person2D(Box(x, y, w, h), occlusion, bool(no_eval), listed)
+        self._tracks: dict[int, list[int]] = defaultdict(list)
+        for frame in sorted(self._people):
+            for track in self._people[frame]:
+                self._tracks[track].append(frame)
+        self.keyframes = self._find_keyframes()
+
+    def _find_keyframes(self) -> frozenset[int]:
+        leading = next((layer for layer in ("actions", "2d", "3d") if self.layers.get(layer)), "")
+        numbers = sorted(self.layers.get(leading, []))
+        if numbers and step_of(numbers) == 1:
+            numbers = [f for f in range(numbers[0], numbers[-1] + 1) if f % KEYFRAME_STEP == 0]
+        # Boxes in a frame that the 2D layer does not list: somebody else there could not be read.
+        return frozenset(f for f in numbers if self.knows(f) or not self._people.get(f))
+
+    def knows(self, frame: int, layer: str = "2d") -> bool:
+        """Whether a layer knows the frame: what it does not tell there is not so."""
+        return frame in self._known.get(layer, ())
+
+    def boxes(self, track: int) -> dict[int, Box]:
+        """Every 2D box of a person by frame."""
+        return {frame: self._people[frame][track].box for frame in self._tracks.get(track, [])}
+
+    def box(self, track: int, frame: int) -> Box | None:
+        """The person's 2D box, if any."""
+        person = self._people.get(frame, {}).get(track)
+        return None if person is None else person.box
+
+    def angle(self, track: int, frame: int) -> float:
+        """Panorama angle, degrees, of the centre of a person's box, which must be there."""
+        box = self._people[frame][track].box
+        return center_angle(box.x, box.w)
+
+    def people(self, frame: int) -> list[int]:
+        """Everybody with a 2D box at the frame."""
+        return sorted(self._people.get(frame, {}))
+
+    def clear(self, track: int, frame: int) -> bool:
+        """Whether the person is in clear view."""
+        person = self._people.get(frame, {}).get(track)
+        if person is None or person.no_eval:
+            return False
+        if self.has_attributes and person.occlusion not in CLEAR_OCCLUSIONS:
+            return False
+        load, box = self.rules.load, person.box
+        fits = load.clear_min_width <= box.w <= load.clear_max_width and box.h >= load.clear_min_height
+        return fits and box.y >= 0 and box.y + box.h <= HEIGHT
+
+    def absent(self, track: int, frame: int) -> bool:
+        """Whether the person is certainly not there."""
+        near = (frame - KEYFRAME_STEP, frame, frame + KEYFRAME_STEP)
+        return all(self.knows(f) and self.box(track, f) is None for f in near)
+
+    def has_image(self, frame: int) -> bool:
+        """Whether the frame can be looked at; where the sequence has no image at all, nothing is asked of it."""
+        return "images" not in self._known or self.knows(frame, "images")

@@ -1,0 +1,83 @@
+"""Words of the second path: facts of three values, what a plan comes to, and small helpers on frames and tables."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import pyarrow as pa
+
+from jrdb_avr.schema.panorama import Box
+from jrdb_avr.schema.rules import KEYFRAME_STEP
+
+Result = Literal["defined", "ambiguous", "empty", "unknown"]
+
+FALSE, TRUE, UNKNOWN = 0, 1, 2
+"""Values of a fact."""
+
+SLACK: Final = 1e-9
+"""Decimals such as 0.55 lie on the edge they name."""
+
+
+@dataclass(frozen=True, slots=True)
+class NeededBox:
+    """A box that must be seen to answer; `decisive` boxes show the answer itself."""
+
+    node: str
+    track: int
+    frame: int
+    box: Box
+    decisive: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What the second path finds.
+
+    `answer` is a choice's text or another answer's stored JSON, None unless the outcome is "defined". `people` are the
+    tracks of the plan's nodes, `times` the frames of its times (an event's as asked for), `faults` the rules of the
+    template that do not hold.
+    """
+
+    outcome: Result
+    answer: str | None = None
+    target: int | None = None
+    people: tuple[tuple[str, int], ...] = ()
+    times: tuple[tuple[str, int], ...] = ()
+    needed: tuple[NeededBox, ...] = ()
+    faults: tuple[str, ...] = ()
+
+
+class Undefined(Exception):  # noqa: N818 - not an error: the plan's answer is one of these outcomes
+    """The plan has no answer, for the reason given."""
+
+    def __init__(self, outcome: Result, reason: str) -> None:
+        super().__init__(reason)
+        self.outcome: Result = outcome
+
+
+def rows(table: pa.Table, *names: str) -> Iterator[tuple[Any, ...]]:
+    """Rows of a table as tuples of the columns named."""
+    return zip(*(table[name].to_pylist() for name in names), strict=True)
+
+
+def step_of(numbers: list[int]) -> int:
+    """Frames between annotated frames: 15 where all lie whole seconds apart, else 1."""
+    apart = math.gcd(*(b - a for a, b in itertools.pairwise(numbers)))
+    return KEYFRAME_STEP if apart % KEYFRAME_STEP == 0 else 1
+
+
+def in_closed_gap(named: Callable[[int], bool], frame: int, longest: int) -> bool:
+    """Whether a frame at which a fact is not named lies between two at which it is, at most `longest` apart."""
+    before = next((back for back in range(1, longest + 1) if named(frame - back)), None)
+    return before is not None and any(named(frame + on) for on in range(1, longest + 2 - before))
+
+
+def among(wanted: str, possible: list[str]) -> int:
+    """The fact that a word of which one is right is the wanted one."""
+    if wanted not in possible:
+        return FALSE
+    return TRUE if len(possible) == 1 else UNKNOWN
