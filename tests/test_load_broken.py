@@ -443,6 +443,19 @@ def test_a_bad_file_is_refused_as_a_whole(tmp_path, content):
         assert problem.reason.startswith(NAME) and "\n" not in problem.reason
 
 
+@pytest.mark.parametrize("layer", ["3d", "social", "reasoning", "pose", "panoptic", "timestamps", "calibration"])
+@pytest.mark.parametrize("name", ["empty", "truncated", "not UTF-8", "a list", "zeros", "nested deeply", "a picture"])
+def test_a_bad_file_of_another_layer_costs_that_layer_alone(tmp_path, layer, name):
+    content = {"images": BAD_FILES[name]} if layer == "timestamps" else BAD_FILES[name]
+    (files,) = find_root(write_root(tmp_path / "root", {NAME: {"2d": {0: [GOOD]}, layer: content}})).sequences
+    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules())).report
+    assert report.layers == ["2d", "actions", "groups"]
+    assert boxes(Store(tmp_path / "store")) == [(0, 1)]
+    (problem,) = report.problems
+    assert (problem.kind, problem.count) == ("file", 1)
+    assert problem.file and "\n" not in problem.reason
+
+
 def test_the_good_files_beside_bad_ones_load(tmp_path):
     world = {f"bad-{i}": {"2d": content} for i, content in enumerate(BAD_FILES.values())}
     store, reports = load_reported(tmp_path, world | {"good-1": {"2d": {0: [GOOD]}}})
