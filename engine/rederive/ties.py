@@ -42,8 +42,8 @@ class Ties(Actions):
                 _say(self._together[min(track, partner), max(track, partner), label], frame, difficulty)
         names = dict(rows(tables["categories"], "category_id", "category"))
         self._handled: dict[int, dict[tuple[str, int, int], _Said]] = defaultdict(lambda: defaultdict(dict))
-        columns = ("frame", "track", "object", "category_id", "verb", "difficulty")
-        for frame, track, thing, category, verb, difficulty in rows(tables["handles"], *columns):
+        things = rows(tables["handles"], "frame", "track", "object", "category_id", "verb", "difficulty")
+        for frame, track, thing, category, verb, difficulty in things:
             if self.box(track, frame) is not None and names.get(category) not in PERSON_CATEGORIES:
                 _say(self._handled[track][verb, category, thing], frame, difficulty)
         self._categories = {number: name for number, name in names.items() if name in OBJECTS}
