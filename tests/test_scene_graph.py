@@ -1,0 +1,205 @@
+"""The graph holds what the interval tables hold: every table is compared, row by row, with DuckDB over the files."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import duckdb
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from scene_tables import scene_tables, table_store
+
+from jrdb_avr.loaders import scene
+from jrdb_avr.loaders.scene import STAGE, build_scene, scene_rows, stage_scene
+from jrdb_avr.queries.handle import Graph, build_graph
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import InputError, QueryError
+from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
+from jrdb_avr.schema.tables import INTERVALS
+
+PERSON = "sequence || '/' || track"
+FRAME = "sequence || '/' || lpad(frame::VARCHAR, 6, '0')"
+PAIR = "sequence || '/' || source, sequence || '/' || target"
+THING = "sequence || '/' || category_id || ':' || object"
+SPAN = "first, last, first_s, last_s"
+SURE = f"{SPAN}, certain, gap"
+
+# Per table of the graph, its rows as SQL over the interval files, columns in the order of the DDL.
+SQL = {
+    "Sequence": "SELECT sequence, fps, frame_count, layers, action_step FROM sequence",
+    "Frame": f"SELECT {FRAME}, sequence, frame, seconds, keyframe, annotated, image FROM frames",
+    "Person": f"SELECT {PERSON}, sequence, track, gender, age, ethnicity, first_frame, last_frame FROM persons",
+    "Object": f"SELECT {THING}, sequence, object, category_id, category, first_frame, last_frame FROM objects",
+    "SocialGroup": """
+        SELECT sequence || '/' || cluster, sequence, cluster,
+               max(value) FILTER (attribute = 'venue'),
+               list(value ORDER BY value) FILTER (attribute = 'aim'),
+               list(value ORDER BY value) FILTER (attribute = 'bpc'),
+               list(value ORDER BY value) FILTER (attribute = 'ssc'),
+               list(value ORDER BY value) FILTER (attribute = 'location'),
+               list(value ORDER BY value) FILTER (attribute = 'inter')
+        FROM (SELECT DISTINCT sequence, cluster FROM memberships)
+        LEFT JOIN (SELECT * FROM group_info WHERE chosen) USING (sequence, cluster) GROUP BY sequence, cluster""",
+    "SeenIn": f"""
+        SELECT {PERSON}, {FRAME}, sequence, frame, {{'x': x, 'y': y, 'w': w, 'h': h}}, angle, occlusion, no_eval, clear,
+               face_visible, listed, interactions_listed, handles_listed, pose, group_size, sector, sector_other,
+               located, distance, distance_word, distance_word_other, cx, cy, cz, heading FROM sightings""",
+    "Performs": f"SELECT {PERSON}, action, sequence, {SPAN}, difficulty, certain, gap FROM actions",
+    "MemberOf": f"SELECT {PERSON}, sequence || '/' || cluster, sequence, {SURE} FROM memberships",
+    "Interacts": f"SELECT {PAIR}, label, sequence, {SURE} FROM interactions",
+    "Beside": f"SELECT {PAIR}, label, sequence, {SPAN}, certain FROM beside",
+    "Handles": f"SELECT {PERSON}, {THING}, verb, sequence, {SURE} FROM handles",
+}
+
+
+def in_files(store, table):
+    with duckdb.connect() as connection:
+        for kind in INTERVALS:
+            connection.execute(f"CREATE VIEW {kind} AS FROM '{store.path}/intervals/{kind}/*.parquet'")
+        return Counter(repr(row) for row in connection.execute(SQL[table]).fetchall())
+
+
+def in_graph(graph, table):
+    if table in SCENE_NODES:
+        columns = [column.split()[0] for column in SCENE_NODES[table].split(", ")]
+        text = f"MATCH (n:{table}) RETURN {', '.join(f'n.{c}' for c in columns)}"
+    else:
+        source, target, columns = SCENE_RELS[table]
+        keys = {"Person": "id", "Frame": "id", "Object": "id", "SocialGroup": "id", "Action": "name"}
+        columns = [f"a.{keys[source]}", f"b.{keys[target]}", *(f"r.{c.split()[0]}" for c in columns)]
+        text = f"MATCH (a)-[r:{table}]->(b) RETURN {', '.join(columns)}"
+    rows = graph.query(text, ordered=False)
+    return Counter(repr(tuple(column[i].as_py() for column in rows.columns)) for i in range(rows.num_rows))
+
+
+def build(store, sequences):
+    with build_graph(store.graph_path) as graph:
+        return build_scene(graph, store, sequences)
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    return table_store(tmp_path_factory.mktemp("scene"), seed=3)
+
+
+@pytest.mark.parametrize("table", SQL)
+def test_every_table_holds_what_the_files_hold(store, table):
+    expected = in_files(store, table)
+    assert expected
+    with Graph.open(store.graph_path, read_only=True) as graph:
+        assert in_graph(graph, table) == expected
+    assert store.manifest().graph[table] == expected.total()
+
+
+def test_the_tables_are_all_there_are():
+    assert SQL.keys() | {"Action"} == SCENE_NODES.keys() | SCENE_RELS.keys()
+
+
+def test_the_rows_told_are_those_of_the_graph(store):
+    told = Counter()
+    for table, rows in scene_rows(store, ["hall-2_0", "yard-1_0"]):
+        told[table] += rows.num_rows
+    assert told == {table: n for table, n in store.manifest().graph.items() if table != "storage_version"}
+
+
+def test_nothing_staged_is_left(store):
+    assert not (store.path / STAGE).exists()
+
+
+@pytest.mark.parametrize("folder", ["a b", "it's", 'say "x"', "[ab]*?", "back\\slash", "ünï", "{a,b}", "-x", "$HOME"])
+def test_the_folder_may_be_called_anything(tmp_path, folder):
+    store = table_store(tmp_path / folder, frames=31, people=4)
+    with Graph.open(store.graph_path, read_only=True) as graph:
+        found = graph.query("MATCH (p:Person)-[s:SeenIn]->(f:Frame) RETURN count(*) AS n")["n"][0].as_py()
+    assert found == sum(store.interval("sightings", name).num_rows for name in ("yard-1_0", "hall-2_0")) > 0
+
+
+def test_a_relative_store_is_built_where_it_is(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    tables = scene_tables("yard-1_0", np.random.default_rng(0), 31, 4)
+    store = Store("here")
+    for kind, table in tables.items():
+        store.write_interval(kind, "yard-1_0", table)
+    rows = build(store, ["yard-1_0"])
+    assert rows["SeenIn"] == tables["sightings"].num_rows
+    assert (tmp_path / "here" / "graph.kuzu").exists()
+
+
+def test_rows_staged_by_workers_are_the_ones_copied(tmp_path):
+    tables = scene_tables("yard-1_0", np.random.default_rng(0), 31, 4)
+    store = Store(tmp_path)
+    stage_scene(store, "yard-1_0", tables)
+    # There are no interval files: the stage is all that there is to read.
+    assert build(store, ["yard-1_0"])["Beside"] == tables["beside"].num_rows
+
+
+@pytest.mark.parametrize("rows", [1, 40, 10_000])
+def test_batches_of_any_size_give_the_same_graph(tmp_path, monkeypatch, rows):
+    monkeypatch.setattr(scene, "BATCH_ROWS", rows)
+    store = table_store(tmp_path, frames=31, people=4, sequences=("a", "b.c", "d-e_0"))
+    with Graph.open(store.graph_path, read_only=True) as graph:
+        for table in SQL:
+            assert in_graph(graph, table) == in_files(store, table)
+
+
+@pytest.mark.parametrize("word", ["", "it's", "a/b", "ü\u2028", "back\\slash", "null", 'say "x"', "a,b]", "x" * 100])
+def test_words_of_files_are_kept_as_they_are(tmp_path, word):
+    tables = scene_tables("s", np.random.default_rng(1), 31, 4)
+
+    def said(kind, column):
+        rows = tables[kind]
+        place = rows.schema.get_field_index(column)
+        tables[kind] = rows.set_column(place, rows.schema.field(place), pa.array([word] * rows.num_rows))
+
+    for kind, column in (
+        *(("actions", "action"), ("handles", "verb"), ("objects", "category"), ("interactions", "label")),
+        *(("sightings", "occlusion"), ("persons", "gender")),
+    ):
+        said(kind, column)
+    tables["group_info"] = tables["group_info"].slice(0, 1).set_column(3, "value", pa.array([word]))
+    store = Store(tmp_path)
+    for kind, table in tables.items():
+        store.write_interval(kind, "s", table)
+    build(store, ["s"])
+    with Graph.open(store.graph_path, read_only=True) as graph:
+        for table in SQL:
+            assert in_graph(graph, table) == in_files(store, table)
+
+
+def test_columns_without_any_value_and_empty_tables(tmp_path):
+    tables = scene_tables("s", np.random.default_rng(2), 31, 4)
+    for kind in ("group_info", "handles", "interactions", "actions"):
+        tables[kind] = tables[kind].schema.empty_table()
+    rows = tables["sightings"]
+    for name in ("face_visible", "distance", "pose", "group_size"):
+        place = rows.schema.get_field_index(name)
+        rows = rows.set_column(place, rows.schema.field(place), pa.nulls(rows.num_rows, rows.schema.field(place).type))
+    tables["sightings"] = rows
+    store = Store(tmp_path)
+    for kind, table in tables.items():
+        store.write_interval(kind, "s", table)
+    found = build(store, ["s"])
+    assert found["Handles"] == found["Interacts"] == found["Performs"] == 0
+    with Graph.open(store.graph_path, read_only=True) as graph:
+        assert in_graph(graph, "SeenIn") == in_files(store, "SeenIn")
+        groups = graph.query("MATCH (g:SocialGroup) RETURN g.venue AS v, g.aim AS a ORDER BY g.id").to_pylist()
+    assert groups
+    assert all(group == {"v": None, "a": None} for group in groups)
+
+
+def test_a_file_to_copy_from_must_have_a_plain_name(tmp_path):
+    pq.write_table(pa.table({"name": ["x"], "pose": [True]}), tmp_path / "ok.parquet")
+    with Graph.memory() as graph:
+        graph.execute(f"CREATE NODE TABLE Action({SCENE_NODES['Action']})")
+        graph.copy_files("Action", tmp_path, ["ok.parquet"])
+        assert graph.query("MATCH (a:Action) RETURN count(*) AS n")["n"].to_pylist() == [1]
+        for name in ("*.parquet", "../x.parquet", "it's", "a b"):
+            with pytest.raises(QueryError, match="plain name"):
+                graph.copy_files("Action", tmp_path, [name])
+
+
+def test_a_sequence_must_have_a_plain_name(tmp_path):
+    with pytest.raises(InputError, match="cannot be a sequence name"):
+        stage_scene(Store(tmp_path), "../x", scene_tables("s", np.random.default_rng(0), 31, 4))
