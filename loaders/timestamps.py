@@ -278,11 +278,11 @@ def _repaired(parts: dict[str, bytes], sensor: Sensor, place: str, problems: Pro
 
 
 def _loose(raw: bytes | None) -> Any:
-    """A JSON value; what is no JSON stays text, for the field's own check to refuse."""
+    """A JSON value; what is no JSON stays bytes, which every field's check refuses (as text, 01 would be a number)."""
     try:
         return None if raw is None else fields.loose(raw)
     except ValueError:
-        return raw.decode("utf-8", "replace") if raw else None
+        return raw or None
 
 
 def _place(sensor: Sensor, i: int) -> str:

@@ -456,6 +456,18 @@ def test_a_bad_file_of_another_layer_costs_that_layer_alone(tmp_path, layer, nam
     assert problem.file and "\n" not in problem.reason
 
 
+@pytest.mark.parametrize("text", ['"frame_id": 01', '"frame_id": 1, "timestamp": 01549500000.0'])
+def test_a_stamp_that_is_no_json_number_is_refused(tmp_path, text):
+    """Numbers with a leading zero were once read as if they stood in quotes."""
+    entry = f'{{{text}, "timestamp": 1549500000.0}}' if "timestamp" not in text else f"{{{text}}}"
+    stamps = f'{{"data": [{{"frame_id": 0, "timestamp": 1549500000.0}}, {entry}]}}'
+    world = {"2d": {0: [GOOD]}, "timestamps": {"images": stamps}}
+    (files,) = find_root(write_root(tmp_path / "root", {NAME: world})).sequences
+    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules())).report
+    assert Store(tmp_path / "store").annotation("timestamps", NAME)["frame"].to_pylist() == [0]
+    assert [(p.kind, p.count) for p in report.problems] == [("record", 1)]
+
+
 def test_the_good_files_beside_bad_ones_load(tmp_path):
     world = {f"bad-{i}": {"2d": content} for i, content in enumerate(BAD_FILES.values())}
     store, reports = load_reported(tmp_path, world | {"good-1": {"2d": {0: [GOOD]}}})
