@@ -1,18 +1,13 @@
 """The second path on worlds small enough to work out by hand."""
 
-import random
-
 import msgspec
 import pyarrow as pa
 import pytest
-from random_worlds import random_world
-from worlds import load_world
 
 from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN, Annotations, rederive
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.tables import ANNOTATIONS
-from jrdb_avr.schema.vocabulary import DISTANCE_WORDS, POSES, ROBOT_SECTORS
 from jrdb_avr.schema.wording import TEMPLATES, Slots
 
 RULES = Rules()
@@ -414,66 +409,3 @@ def test_plans_that_cannot_be_read():
     plan = TEMPLATES["change"].build(Slots((READING,), {"t0": 15, "t1": 60}))
     plan = msgspec.structs.replace(plan, times={"t0": plan.times["t1"], "t1": plan.times["t0"]})
     assert rederive(world.read(), plan, "change", RULES).outcome != "defined"
-
-
-# -- against the loaders ------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def random_store(tmp_path_factory):
-    world = {}
-    for seed in range(40):
-        world |= random_world(random.Random(seed), f"yard-{seed:02d}")
-    return load_world(tmp_path_factory.mktemp("random"), world)
-
-
-def test_both_paths_see_the_same_facts_in_random_worlds(random_store):
-    """Facts of the per-frame tables and of the interval tables, worked out by programs that share nothing."""
-    seen = 0
-    for sequence in sorted(random_store.manifest().sequences):
-        annotations = Annotations.read(random_store, sequence, RULES)
-        for row in random_store.interval("sightings", sequence).to_pylist():
-            track, frame = row["track"], row["frame"]
-            seen += 1
-            assert annotations.clear(track, frame) == row["clear"]
-            assert annotations.pose(track, frame) == row["pose"]
-            assert annotations.group_size(track, frame) == row["group_size"]
-            assert annotations.distance(track, frame) == (
-                pytest.approx(row["distance"], rel=1e-12) if row["located"] else None
-            )
-            for name, words in (("sector", ROBOT_SECTORS), ("distance", DISTANCE_WORDS)):
-                column = "sector" if name == "sector" else "distance_word"
-                could = {row[column], row[f"{column}_other"]} - {None} or set(words)
-                for word in words:
-                    expected = FALSE if word not in could else TRUE if len(could) == 1 else UNKNOWN
-                    assert annotations.holds(at_t0(attribute=name, value=word), track, frame) == expected
-        head = random_store.interval("sequence", sequence).to_pylist()[0]
-        assert annotations.keyframes == set(head["keyframes"])
-    assert seen > 5000
-
-
-def test_both_paths_see_the_same_actions_in_random_worlds(random_store):
-    segments = 0
-    for sequence in sorted(random_store.manifest().sequences):
-        annotations = Annotations.read(random_store, sequence, RULES)
-        values = {}
-        for row in random_store.interval("actions", sequence).to_pylist():
-            for frame in range(row["first"], row["last"] + 1, annotations.step):
-                values[row["track"], row["action"], frame] = TRUE if row["certain"] else UNKNOWN
-        pairs = {key[:2] for key in values}
-        for row in random_store.interval("sightings", sequence).to_pylist():
-            track, frame = row["track"], row["frame"]
-            for _, action in (pair for pair in pairs if pair[0] == track):
-                known = row["listed"] and (action not in POSES or row["pose"] is not None)
-                expected = values.get((track, action, frame), FALSE if known else UNKNOWN)
-                assert annotations.state(track, action, frame) == expected, (sequence, track, action, frame)
-        found = {
-            (track, action, s.first, s.last, s.start, s.end, s.closed)
-            for track, action in pairs
-            for s in annotations.segments(track, action)
-        }
-        stored = random_store.interval("segments", sequence).to_pylist()
-        names = ("track", "action", "first", "last", "start", "end", "closed")
-        assert found == {tuple(row[name] for name in names) for row in stored}
-        segments += len(found)
-    assert segments > 10

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from jrdb_avr.schema.plan import Condition, Edge, Plan
 from jrdb_avr.schema.rules import Rules, frames
 from jrdb_avr.schema.vocabulary import POSES
+from jrdb_avr.schema.wording import actions_of
 
 from .annotations import Annotations, conjunction, only
 from .terms import FALSE, Undefined
@@ -134,5 +135,5 @@ def _check_description(asked: Asked, conditions: tuple[Condition, ...]) -> None:
         told = annotations.face_visible(asked.people[asked.plan.root], t0)
         asked.check(told, "gender or age is told of somebody whose face is not visible")
     if asked.template in ("change", "consequence"):
-        posed = any(condition.action in POSES for condition in conditions)
+        posed = any(word in POSES for condition in conditions for word in actions_of(condition))
         asked.check(not posed, "the description states a pose, which is what is asked")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from jrdb_avr.schema.answers import Number, encode_answer
 from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, PRESENCE_ANSWERS
+from jrdb_avr.schema.wording import stated_actions
 
 from .asked import Asked
 from .terms import FALSE, TRUE, NeededBox, Undefined
@@ -32,6 +33,7 @@ def read_action(asked: Asked) -> Reading:
     pose = asked.annotations.pose(asked.target, frame)
     if pose is None:
         raise Undefined("unknown", f"the pose at frame {frame} is unknown")
+    asked.check(pose not in stated_actions(asked.plan), "the question's own words name the answer")
     if frame != asked.t0:
         before = asked.annotations.pose(asked.target, asked.t0)
         asked.check(before not in (None, pose), "the pose at t0 is unknown, or the same as the answer")

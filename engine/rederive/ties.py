@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import pyarrow as pa
 
-from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules
 from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES
 from jrdb_avr.schema.vocabulary import AGES, GENDERS, POSES
 
@@ -47,16 +47,22 @@ class Ties(Actions):
             if self.box(track, frame) is not None and names.get(category) not in PERSON_CATEGORIES:
                 _say(self._handled[track][verb, category, thing], frame, difficulty)
         self._categories = {number: name for number, name in names.items() if name in OBJECTS}
-        self._longest = {
-            layer: self.rules.load.gap_frames if step_of(sorted(self.layers.get(layer, []))) == 1 else 0
-            for layer in ("groups", "interactions", "handles")
-        }
+        layers = ("groups", "interactions", "handles")
+        self._steps = {layer: step_of(sorted(self.layers.get(layer, []))) for layer in layers}
 
     def _when(self, said: _Said, frame: int, layer: str) -> bool | None:
-        """Whether something is said for certain at a frame, closed gaps counting as not certain; None: not at all."""
+        """Whether something is said for certain at a frame, closed gaps counting as not certain; None: not at all.
+
+        Of a layer with one frame per second, what two frames in a row say holds between them.
+        """
         if frame in said:
             return said[frame]
-        return False if in_closed_gap(said.__contains__, frame, self._longest[layer]) else None
+        if self._steps[layer] == 1:
+            return False if in_closed_gap(said.__contains__, frame, self.rules.load.gap_frames) else None
+        for before in range(frame - KEYFRAME_STEP + 1, frame):
+            if before in said and said.get(before + KEYFRAME_STEP) == said[before]:
+                return said[before]
+        return None
 
     def tells(self, track: int, frame: int, layer: str) -> bool:
         """Whether the whole list of a person could be read, so that what it lacks is false."""

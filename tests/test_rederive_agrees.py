@@ -1,0 +1,124 @@
+"""The second path against the first: the same facts, relations, conditions and people in random worlds."""
+
+import random
+
+import pytest
+from random_worlds import random_world
+from worlds import load_world
+
+from jrdb_avr.engine.conditions import find_conditions
+from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN, Annotations
+from jrdb_avr.engine.relations import EMPTY, RELATIONS, SEVERAL, find_facts, find_steps
+from jrdb_avr.engine.relations import UNKNOWN as CANNOT_BE_TOLD
+from jrdb_avr.engine.scene import load_scene
+from jrdb_avr.schema.plan import Condition
+from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.vocabulary import DISTANCE_WORDS, POSES, ROBOT_SECTORS
+
+RULES = Rules()
+
+
+def at_t0(**kwargs):
+    return Condition(at="t0", **kwargs)
+
+
+@pytest.fixture(scope="module")
+def random_store(tmp_path_factory):
+    world = {}
+    for seed in range(40):
+        world |= random_world(random.Random(seed), f"yard-{seed:02d}")
+    return load_world(tmp_path_factory.mktemp("random"), world)
+
+
+def test_both_paths_see_the_same_facts_in_random_worlds(random_store):
+    """Facts of the per-frame tables and of the interval tables, worked out by programs that share nothing."""
+    seen = 0
+    for sequence in sorted(random_store.manifest().sequences):
+        annotations = Annotations.read(random_store, sequence, RULES)
+        for row in random_store.interval("sightings", sequence).to_pylist():
+            track, frame = row["track"], row["frame"]
+            seen += 1
+            assert annotations.clear(track, frame) == row["clear"]
+            assert annotations.pose(track, frame) == row["pose"]
+            assert annotations.group_size(track, frame) == row["group_size"]
+            assert annotations.distance(track, frame) == (
+                pytest.approx(row["distance"], rel=1e-12) if row["located"] else None
+            )
+            for name, words in (("sector", ROBOT_SECTORS), ("distance", DISTANCE_WORDS)):
+                column = "sector" if name == "sector" else "distance_word"
+                could = {row[column], row[f"{column}_other"]} - {None} or set(words)
+                for word in words:
+                    expected = FALSE if word not in could else TRUE if len(could) == 1 else UNKNOWN
+                    assert annotations.holds(at_t0(attribute=name, value=word), track, frame) == expected
+        head = random_store.interval("sequence", sequence).to_pylist()[0]
+        assert annotations.keyframes == set(head["keyframes"])
+    assert seen > 5000
+
+
+def test_both_paths_see_the_same_actions_in_random_worlds(random_store):
+    segments = 0
+    for sequence in sorted(random_store.manifest().sequences):
+        annotations = Annotations.read(random_store, sequence, RULES)
+        values = {}
+        for row in random_store.interval("actions", sequence).to_pylist():
+            for frame in range(row["first"], row["last"] + 1, annotations.step):
+                values[row["track"], row["action"], frame] = TRUE if row["certain"] else UNKNOWN
+        pairs = {key[:2] for key in values}
+        for row in random_store.interval("sightings", sequence).to_pylist():
+            track, frame = row["track"], row["frame"]
+            for _, action in (pair for pair in pairs if pair[0] == track):
+                known = row["listed"] and (action not in POSES or row["pose"] is not None)
+                expected = values.get((track, action, frame), FALSE if known else UNKNOWN)
+                assert annotations.state(track, action, frame) == expected, (sequence, track, action, frame)
+        found = {
+            (track, action, s.first, s.last, s.start, s.end, s.closed)
+            for track, action in pairs
+            for s in annotations.segments(track, action)
+        }
+        stored = random_store.interval("segments", sequence).to_pylist()
+        names = ("track", "action", "first", "last", "start", "end", "closed")
+        assert found == {tuple(row[name] for name in names) for row in stored}
+        segments += len(found)
+    assert segments > 10
+
+
+def test_both_paths_see_the_same_relations_in_random_worlds(random_store):
+    """Every relation that leads to somebody anywhere, from everybody at every keyframe."""
+    outcomes = {EMPTY: ("empty", None), SEVERAL: ("ambiguous", None), CANNOT_BE_TOLD: ("unknown", None)}
+    seen = {}
+    for sequence in sorted(random_store.manifest().sequences):
+        annotations = Annotations.read(random_store, sequence, RULES)
+        scene = load_scene(random_store, sequence)
+        steps = find_steps(scene, find_facts(scene))
+        for source, relation, target in zip(
+            steps.source.tolist(), steps.relation.tolist(), steps.target.tolist(), strict=True
+        ):
+            person, place = divmod(source, len(scene.keyframes))
+            frame = int(scene.keyframes[place])
+            if target >= 0:
+                assert target % len(scene.keyframes) == place
+                expected = ("defined", int(scene.tracks[target // len(scene.keyframes)]))
+            else:
+                expected = outcomes[target]
+            found = annotations.step_to(RELATIONS[relation], int(scene.tracks[person]), frame)
+            assert found == expected, (sequence, RELATIONS[relation], int(scene.tracks[person]), frame)
+            seen.setdefault(RELATIONS[relation], set()).add(expected[0])
+    assert sum("defined" in outcomes for outcomes in seen.values()) > 10
+    assert set().union(*seen.values()) == {"defined", "empty", "ambiguous", "unknown"}
+
+
+def test_both_paths_see_the_same_conditions_in_random_worlds(random_store):
+    seen = {}
+    for sequence in sorted(random_store.manifest().sequences):
+        annotations = Annotations.read(random_store, sequence, RULES)
+        scene = load_scene(random_store, sequence)
+        conditions = find_conditions(scene, find_facts(scene), RULES)
+        for code, condition in enumerate(conditions.vocabulary):
+            for sighting, moment in enumerate(conditions.moment.tolist()):
+                person, place = divmod(moment, len(scene.keyframes))
+                track, frame = int(scene.tracks[person]), int(scene.keyframes[place])
+                state = int(conditions.states[sighting, code])
+                assert annotations.holds(condition, track, frame) == state, (sequence, condition, track, frame)
+                seen.setdefault(conditions.kinds[code], set()).add(state)
+    assert set(seen) == set(RULES.condition_order)
+    assert all(states >= {TRUE, UNKNOWN} for states in seen.values())
