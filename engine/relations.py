@@ -24,6 +24,9 @@ from jrdb_avr.schema.vocabulary import (
     PERSON_SECTORS,
     POSES,
     SAME_GROUP,
+    WINDOW_DEGREES,
+    WINDOWS_LEFT,
+    WINDOWS_RIGHT,
     person_frame_label,
 )
 from jrdb_avr.schema.wording import poses_of
@@ -36,11 +39,17 @@ PERSON_FRAME: Final = tuple(person_frame_label(sector, word) for sector in PERSO
 SOCIAL, GROUP, ROBOT_VIEW, PERSON_VIEW = range(4)
 """Kinds of relations: what is unknown of a person is unknown for all relations of a kind."""
 
-RELATIONS: Final = (*INTERACTIONS, SAME_GROUP, FIRST_LEFT, FIRST_RIGHT, *PERSON_FRAME)
-"""Relations of which a question may take a step; coded columns are indices into it."""
+RELATIONS: Final = (*INTERACTIONS, SAME_GROUP, FIRST_LEFT, FIRST_RIGHT, *PERSON_FRAME, *WINDOWS_LEFT, *WINDOWS_RIGHT)
+"""Relations that a question may name; coded columns are indices into it. Of windows, which hold of several, there are no
+facts here and no steps: see `joins`."""
 
 KIND: Final = np.array(
-    [SOCIAL] * len(INTERACTIONS) + [GROUP] + [ROBOT_VIEW] * 2 + [PERSON_VIEW] * len(PERSON_FRAME), np.int64
+    [SOCIAL] * len(INTERACTIONS)
+    + [GROUP]
+    + [ROBOT_VIEW] * 2
+    + [PERSON_VIEW] * len(PERSON_FRAME)
+    + [ROBOT_VIEW] * 2 * len(WINDOW_DEGREES),
+    np.int64,
 )
 
 LAYER_OF_KIND: Final = {SOCIAL: "interactions", GROUP: "groups", ROBOT_VIEW: "2d", PERSON_VIEW: "3d"}

@@ -27,7 +27,7 @@ from .candidates import (
 )
 from .descriptions import Descriptions
 from .paths import Paths, hop_proofs, program_proofs
-from .relations import RELATIONS, STATED_POSES
+from .relations import RELATIONS, STATED_POSES, Facts
 from .scene import NOBODY, Bools, Ints, Scene, coded
 from .templates import Template
 
@@ -36,9 +36,9 @@ EDGES = ("first", "last", "start", "end")
 
 
 def find_candidates(
-    scene: Scene, descriptions: Descriptions, graph: Graph, template: Template, rules: Rules
+    scene: Scene, facts: Facts, descriptions: Descriptions, graph: Graph, template: Template, rules: Rules
 ) -> Candidates:
-    """Search a scene's graph for a template and judge what is found."""
+    """Search a scene's graph for a template and judge what is found; `facts` are the scene's relations."""
     found = ask(graph, "generators", template.name, rules)
     count = len(found)
     people = {node: ints(found, "at0" if node == "a" else node) for node in template.people}

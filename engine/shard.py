@@ -76,7 +76,7 @@ def search_sequence(job: Job) -> Found:
             if missing:
                 search.lacking[template.name] = missing
             else:
-                search.judge(find_candidates(scene, descriptions, graph, template, job.rules))
+                search.judge(find_candidates(scene, facts, descriptions, graph, template, job.rules))
     return search.result()
 
 

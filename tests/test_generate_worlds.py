@@ -82,15 +82,16 @@ def judge(store):
     """({(template, track, seconds, action): (rule or None, answer)}, {(track, second): description})."""
     rules = Rules()
     scene = load_scene(store, SEQUENCE)
-    names = describe_people(scene, find_facts(scene), rules)
+    facts = find_facts(scene)
+    names = describe_people(scene, facts, rules)
     people = len(scene.keyframes)
     found = {}
-    tables = {**names.tables(scene.keyframes), "Step": find_steps(scene, find_facts(scene)).table}
+    tables = {**names.tables(scene.keyframes), "Step": find_steps(scene, facts).table}
     with scene_graph(scene, tables, rules) as graph:
         for template in (*TEMPLATES, *CHAINS):
             if not set(template.layers) <= scene.layers:
                 continue
-            rows = find_candidates(scene, names, graph, template, rules)
+            rows = find_candidates(scene, facts, names, graph, template, rules)
             for i in range(len(rows)):
                 path = walk(scene, rows, i)
                 track = int(path.split()[-1])
