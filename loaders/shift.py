@@ -58,6 +58,8 @@ MIN_TRACKS: Final = 2.0
 CLOCK: Final = 0.7
 """Frames of apparent shift that sensors read at different moments may cause."""
 MAX_SHIFT: Final = 3.0
+MIN_RESPONSE: Final = 0.5
+"""Share of a shift that the slope must show, or agreement is not claimed of it."""
 ERRORS_BEYOND: Final = 3.0
 ERRORS_AWAY: Final = 6.0
 """Standard errors by which a shift must exceed `CLOCK`, and zero."""
@@ -119,7 +121,8 @@ def check_shift(layer: str, tracks: Tracks, reference: Tracks | None) -> ShiftCh
         if size > MAX_SHIFT or nearest * slope.frames <= 0:
             return ShiftCheck(layer, "not tested", FOREIGN, slope.frames, slope.error)
         return _shifted(layer, nearest, slope)
-    if size + ERRORS_BEYOND * slope.error < 1:
+    response = response_of(tracks, reference)
+    if response >= MIN_RESPONSE and size + ERRORS_BEYOND * slope.error < response:
         return _agrees(layer, slope)
     return ShiftCheck(layer, "not tested", STILL, slope.frames, slope.error)
 
@@ -144,12 +147,29 @@ def equal_at(tracks: Tracks, reference: Tracks) -> int | None:
     return found
 
 
-def slope_of(tracks: Tracks, reference: Tracks) -> Slope | None:
-    """The shift by regression on motion; None where too little moves for an estimate with an error."""
+def response_of(tracks: Tracks, reference: Tracks) -> float:
+    """By how many frames the slope changes for a layer that is moved by one frame: 1 where all motion is real.
+
+    Where the boxes of people who stand are only drawn a little elsewhere each time, it is near 0: then a slope of zero
+    says nothing. (Moved by one frame: by `REACH` less a shift, a layer that repeats the reference's errors would meet
+    them in the speed.)
+    """
+    slopes = [slope_of(tracks, reference, moved) for moved in (-1, 1)]
+    if slopes[0] is None or slopes[1] is None:
+        return 0.0
+    return (slopes[0].frames - slopes[1].frames) / 2
+
+
+def slope_of(tracks: Tracks, reference: Tracks, moved: int = 0) -> Slope | None:
+    """The shift by regression on motion; None where too little moves for an estimate with an error.
+
+    `moved`: frames by which the layer is moved before it is compared.
+    """
     look = _Lookup(reference)
-    apart = _wrapped(tracks.column - look.columns(tracks.track, tracks.frame))
-    ahead = look.columns(tracks.track, tracks.frame + REACH)
-    speed = _wrapped(ahead - look.columns(tracks.track, tracks.frame - REACH)) / (2 * REACH)
+    here = tracks.frame + moved
+    apart = _wrapped(tracks.column - look.columns(tracks.track, here))
+    ahead = look.columns(tracks.track, here + REACH)
+    speed = _wrapped(ahead - look.columns(tracks.track, here - REACH)) / (2 * REACH)
     usable = (np.abs(apart) <= MAX_APART) & (np.abs(speed) <= MAX_SPEED)
     track, frame = tracks.track[usable], tracks.frame[usable]
     if not len(track):

@@ -104,6 +104,20 @@ def test_standing_people_and_few_boxes_tell_nothing():
     assert check_shift("3d", nobody, standing).reason == "no person is in both layers"
 
 
+@pytest.mark.parametrize("shift", [0, *SHIFTS])
+@pytest.mark.parametrize("repeats", [True, False], ids=["errors repeated", "errors of its own"])
+def test_boxes_that_only_tremble_are_never_said_to_agree(shift, repeats):
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        standing = places(rng, 20, 600, walking=0, turning=0)
+        reference = seen(rng, standing, 600, noise=2)
+        layer = seen(rng, standing, 600, noise=3)
+        if repeats:
+            columns = reference.column + rng.normal(0, 3, len(reference.column))
+            layer = Tracks(reference.frame - shift, reference.track, columns, None)
+        assert check_shift("3d", layer, reference).result == "not tested", seed
+
+
 def test_people_at_the_seam_do_not_count_as_moving_round():
     rng = np.random.default_rng(2)
     frames = np.arange(300)
