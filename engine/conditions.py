@@ -79,7 +79,7 @@ class Conditions:
         bits = np.zeros((len(self.everybody), len(self.vocabulary), self.slots.shape[1]), dtype=bool)
         sighting, code = np.nonzero(self.states == state)
         bits[self.keyframe[sighting], code, self.slot[sighting]] = True
-        return _packed(bits.reshape(-1, self.slots.shape[1]))
+        return packed(bits.reshape(-1, self.slots.shape[1]))
 
     def of_kind(self, *kinds: str) -> Bools:
         """Per code, whether it is of one of these kinds."""
@@ -162,7 +162,7 @@ def find_conditions(scene: Scene, facts: Facts, rules: Rules) -> Conditions:
         rank=rank,
         states=states,
         held=_held(usable, rank, keyframe),
-        everybody=_packed(slots != NOBODY),
+        everybody=packed(slots != NOBODY),
         slots=slots,
     )
 
@@ -177,7 +177,7 @@ def _held(usable: Bools, rank: Ints, keyframe: Ints) -> Ints:
     return held
 
 
-def _packed(bits: Bools) -> Words:
+def packed(bits: Bools) -> Words:
     """Rows of booleans, a multiple of 64 wide, as rows of 64-bit words."""
     return np.ascontiguousarray(np.packbits(bits, axis=1, bitorder="little")).view(np.uint64)
 
