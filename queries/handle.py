@@ -5,12 +5,8 @@ Kùzu needs care that every caller would otherwise have to remember:
 - *One Database per path per process, one writing process or many reading ones.* The engine's own lock is a POSIX one,
   which a second opening of the file in the same process silently drops. So databases are shared within a process, an
   `flock` on `<path>.lock` keeps processes apart, and nothing else opens the database file while it is in use.
-- *Plans with INTERSECT lose parallel edges* (cyclic patterns: 2 rows for a true 4). Every distinct statement that
-  matches a pattern is explained once and refused if its plan holds the operator.
-- *`CASE WHEN x.flag THEN` takes the wrong branch* where the condition is a bare boolean (46,611 true rows counted as
-  25); `x.flag = true` is right. The bare form is refused.
-- *An aggregate that follows a DISTINCT one* in the same clause is wrong (`count(DISTINCT a), count(*)` gives 0 for the
-  second); the other order is right. The first is refused.
+- *Some forms are answered wrongly without a word* (`traps.py`): every distinct statement that matches a pattern is
+  explained once, and refused if it is one of them.
 - *Row order differs between runs*: a read must be ordered, or return a single row, or say `ordered=False`.
 - *Small integers are bound as INT8*, a list by its first rows, an empty list not at all, and a forgotten parameter is
   NULL: parameters are bound here under 64-bit types, and their names must be the statement's.
@@ -38,6 +34,7 @@ from jrdb_avr.schema.errors import LockedError, QueryError, StoreError
 
 from .binding import bind, strip_literals
 from .seal import check_seal, rebuild_hint, seal_of, seal_path
+from .traps import Plan, refuse_wrong_answers
 
 BUFFER_BYTES: Final = 512 << 20
 """Hard limit of the engine's page cache; 256 MB held every query measured at full size."""
@@ -50,17 +47,6 @@ _MEMORY_BYTES: Final = 1 << 30
 
 _SIDE_FILES: Final = (".wal", ".shadow", ".tmp")
 
-_OPERATOR = re.compile(r"\b([A-Z][A-Z_]*)\[\d+\]")
-_KEEP_ORDER: Final = frozenset({"RESULT_COLLECTOR", "PROJECTION", "SKIP", "LIMIT", "MULTIPLICITY_REDUCER"})
-_BARE_CASE = re.compile(
-    r"\bWHEN[\s(]*(?!(?:true|false|null)\b)(?:[A-Za-z_]\w*\s*(?:\.\s*(?:[A-Za-z_]\w*)?\s*)?)?[\s)]*\bTHEN\b",
-    re.IGNORECASE,
-)
-_AFTER_DISTINCT = re.compile(
-    r"\(\s*DISTINCT\b(?:(?!\b(?:WITH|RETURN|MATCH|UNION|ORDER|WHERE)\b).)*?"
-    r"\b(?:count|sum|avg|min|max|collect)\s*\((?!\s*DISTINCT\b)",
-    re.IGNORECASE | re.DOTALL,
-)
 _MATCH = re.compile(r"\bMATCH\b", re.IGNORECASE)
 
 
@@ -179,7 +165,7 @@ class Graph:
         text, values = bind(cypher, params or {})
         with self._lock:
             plan = self._plan(text, values)
-            _refuse_wrong_answers(plan, text)
+            refuse_wrong_answers(plan, text)
             if plan.writes:
                 raise QueryError(f"this statement writes, use execute(): {_short(cypher)}")
             if ordered and not plan.ordered:
@@ -199,7 +185,7 @@ class Graph:
         text, values = bind(cypher, params or {})
         with self._writing(), self._lock:
             if _MATCH.search(strip_literals(text)):
-                _refuse_wrong_answers(self._plan(text, values), text)
+                refuse_wrong_answers(self._plan(text, values), text)
             else:
                 # A change of tables may change every plan.
                 self._plans.clear()
@@ -277,51 +263,6 @@ class Graph:
                 result.close()
         except RuntimeError as error:
             raise _translated(error, text, timeout_s, self.path) from None
-
-
-class Plan:
-    """The engine's plan of one statement, as far as this module judges it."""
-
-    def __init__(self, text: str) -> None:
-        self.text = text
-        self.operators: tuple[str, ...] = tuple(_OPERATOR.findall(text))
-        self.functions: tuple[str, ...] = tuple(re.findall(r"Function: (\w+)", text))
-
-    @property
-    def writes(self) -> bool:
-        """Whether the statement changes nodes, edges or tables, or moves data in or out."""
-        return any(
-            name in ("SET_PROPERTY", "DELETE", "INSERT", "MERGE", "CREATE_TABLE", "DROP", "ALTER")
-            or name.startswith(("COPY", "INDEX_", "EXPORT", "IMPORT", "BATCH_INSERT"))
-            for name in self.operators
-        )
-
-    @property
-    def ordered(self) -> bool:
-        """Whether the rows come in a stated order, or there is only one."""
-        for name in self.operators:
-            if name in _KEEP_ORDER:
-                continue
-            if name == "AGGREGATE_SCAN":
-                box = self.text.split("AGGREGATE_SCAN[", 1)[1].split("└", 1)[0]
-                return "Group By:" not in box
-            return name in ("ORDER_BY_SCAN", "TOP_K_SCAN")
-        return False
-
-
-def _refuse_wrong_answers(plan: Plan, text: str) -> None:
-    """Raise QueryError for the three forms to which the engine is known to answer wrongly."""
-    if "INTERSECT" in plan.operators:
-        raise QueryError(
-            "the engine would lose rows on this cyclic pattern (its plan holds INTERSECT): split it by WITH, or "
-            f"test one side by EXISTS {{ MATCH ... }}: {_short(text)}"
-        )
-    if found := _BARE_CASE.search(strip_literals(text)):
-        raise QueryError(
-            f"the engine answers {_short(found[0], 60)!r} wrongly on a bare boolean: write WHEN ... = true"
-        )
-    if _AFTER_DISTINCT.search(strip_literals(text)):
-        raise QueryError("the engine loses rows of what is counted after a count(DISTINCT ...): put the DISTINCT last")
 
 
 @contextlib.contextmanager
