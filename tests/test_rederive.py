@@ -1,73 +1,11 @@
 """The second path on worlds small enough to work out by hand."""
 
 import msgspec
-import pyarrow as pa
 import pytest
+from labelled_people import EASY, HARD, MIDDLE, RULES, World, ask, at_t0
 
-from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN, Annotations, rederive
-from jrdb_avr.schema.plan import Condition
-from jrdb_avr.schema.rules import Rules
-from jrdb_avr.schema.tables import ANNOTATIONS
+from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN, rederive
 from jrdb_avr.schema.wording import TEMPLATES, Slots
-
-RULES = Rules()
-SEQUENCE = "world"
-EASY, MIDDLE, HARD = 1, 2, 3
-
-
-class World:
-    """Annotation tables written person by person."""
-
-    def __init__(self, frames, attributes=True, images=None):
-        self.frames = list(frames)
-        self.attributes = attributes
-        self.images = images
-        self.action_frames = set(self.frames)
-        self.rows = {name: [] for name in ANNOTATIONS}
-
-    def see(self, track, frames, actions=("standing",), *, x=1880.0, w=50, h=150, y=100, occlusion="Fully_visible",
-            no_eval=False, group=None, at=None, points=50):  # fmt: skip
-        """The person has this box, these actions (name, or name and difficulty) and this place at the frames."""
-        for frame in frames:
-            where = {"sequence": SEQUENCE, "frame": frame, "track": track}
-            self.rows["boxes_2d"].append(
-                where
-                | {"x": float(x), "y": float(y), "w": float(w), "h": float(h)}
-                | {"has_attributes": self.attributes, "has_actions": actions is not None, "no_eval": no_eval}
-                | {"occlusion": occlusion if self.attributes else None}
-            )
-            for action in actions or ():
-                name, difficulty = action if isinstance(action, tuple) else (action, EASY)
-                self.rows["actions"].append(where | {"action": name, "raw": name, "difficulty": difficulty})
-            if group is not None:
-                cluster, difficulty = group if isinstance(group, tuple) else (group, EASY)
-                self.rows["groups"].append(where | {"cluster": cluster, "difficulty": difficulty})
-            if at is not None:
-                place = {"cx": at[0], "cy": at[1], "cz": 0.0, "l": 1.0, "w": 1.0, "h": 1.8, "rot_z": 0.0}
-                self.rows["boxes_3d"].append(where | place | {"num_points": points})
-        return self
-
-    def read(self, rules=RULES):
-        layers = {"2d": self.frames, "actions": sorted(self.action_frames)}
-        if self.images is not None:
-            layers["images"] = self.images
-        for layer, frames in layers.items():
-            self.rows["frames"] += [
-                {"sequence": SEQUENCE, "layer": layer, "frame": frame, "records": 1} for frame in frames
-            ]
-        tables = {name: pa.Table.from_pylist(self.rows[name], schema) for name, schema in ANNOTATIONS.items()}
-        return Annotations(tables, rules)
-
-
-def at_t0(**kwargs):
-    return Condition(at="t0", **kwargs)
-
-
-def ask(world, template, conditions, frames, action=None, rules=RULES):
-    row = TEMPLATES[template]
-    plan = row.build(Slots(tuple(conditions), dict(zip(row.times, frames, strict=True)), (action,) if action else ()))
-    return rederive(world.read(rules), plan, template, rules)
-
 
 SITTING, STANDING, READING = at_t0(action="sitting"), at_t0(action="standing"), at_t0(action="reading")
 EVERY = range(0, 601)

@@ -103,6 +103,9 @@ def _absence(asked: Asked, leaves: str, returns: str) -> dict[str, int]:
     after = min((frame for frame in boxes if frame > gone), default=None)
     if after is None:
         raise Undefined("empty", "the person does not come back")
+    unread = [frame for frame in annotations.frames_between(before, after) if not annotations.knows(frame)]
+    if unread:
+        raise Undefined("unknown", f"nobody labelled frame {unread[0]}")
     hidden = [frame for frame in later if frame <= before and not annotations.clear(target, frame)]
     if hidden:
         raise Undefined("unknown", f"whether the person is present at frame {hidden[0]} is unknown")

@@ -57,6 +57,11 @@ class People:
         """Whether a layer knows the frame: what it does not tell there is not so."""
         return frame in self._known.get(layer, ())
 
+    def frames_between(self, first: int, last: int) -> range:
+        """The frames strictly between two of the 2D layer's that it should know."""
+        step = step_of(sorted(self.layers.get("2d", [])))
+        return range(first + step, last, step)
+
     def boxes(self, track: int) -> dict[int, Box]:
         """Every 2D box of a person by frame."""
         return {frame: self._people[frame][track].box for frame in self._tracks.get(track, [])}
