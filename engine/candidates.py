@@ -18,9 +18,11 @@ import pyarrow.compute as pc
 
 from jrdb_avr.queries.binding import parameters
 from jrdb_avr.queries.handle import Graph
+from jrdb_avr.schema.panorama import Floats
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 
+from .company import Company
 from .scene import NOBODY, Bools, Ints, coded
 from .templates import Template, query_text, query_values
 
@@ -64,13 +66,22 @@ class Perturbed:
 
 
 @dataclass(frozen=True)
+class Counted:
+    """The companies of a scene, and which of them each candidate counts."""
+
+    company: Company
+    number: Ints
+
+
+@dataclass(frozen=True)
 class Candidates:
     """All candidates of a template, one per entry of each column, in the generator's order.
 
     name: number of the description given; people: by node, the moment at t0; relations: `r1`, ... as indices into
     RELATIONS; frames: by name, `t0`, the stated times and of events `start`, `end`, `first`, `last`; segment: row in
-    the scene's segments or NOBODY; answer: index into VALUES, or NOBODY for events; rule: index into RULES of the
-    first that refuses, else PASSED; perturbed: what was found by the proofs.
+    the scene's segments or NOBODY, segment2: that of the second action; answer: index into VALUES, or NOBODY for
+    events; value: a number's value, else NaN; rule: index into RULES of the first that refuses, else PASSED;
+    perturbed: what was found by the proofs; counted: where people are counted, whom.
     """
 
     template: Template
@@ -78,10 +89,13 @@ class Candidates:
     people: Mapping[str, Ints]
     relations: Mapping[str, Ints]
     segment: Ints
+    segment2: Ints
     frames: Mapping[str, Ints]
     answer: Codes
+    value: Floats
     rule: Codes
     perturbed: tuple[Perturbed, ...] = field(default=())
+    counted: Counted | None = None
 
     def __len__(self) -> int:
         return len(self.name)

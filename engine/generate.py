@@ -23,7 +23,7 @@ from .candidates import RULES
 from .publish import publish, question_tables, read_heads
 from .selection import select
 from .shard import EXAMPLES, Found, Job, search_sequence
-from .templates import TEMPLATES
+from .templates import TEMPLATES, by_name
 
 Advance = Callable[[int], None]
 
@@ -209,16 +209,16 @@ def _template_rows(
             where = (line["template"], line["rule"])
             refused[where] = refused.get(where, 0) + line["candidates"]
     rows = []
-    for template in TEMPLATES:
+    for name, forms in by_name(TEMPLATES).items():
         total = {
-            what: sum(count for (_, name, key), count in counts.items() if (name, key) == (template.name, what))
+            what: sum(count for (_, template, key), count in counts.items() if (template, key) == (name, what))
             for what in ("candidates", "proven")
         }
-        row: dict[str, Any] = {"family": template.family, "template": template.name, "candidates": total["candidates"]}
-        row |= {rule: refused.get((template.name, rule), 0) for rule in RULES}
+        row: dict[str, Any] = {"family": forms[0].family, "template": name, "candidates": total["candidates"]}
+        row |= {rule: refused.get((name, rule), 0) for rule in RULES}
         row["proven"] = total["proven"]
-        row |= {rule: refused.get((template.name, rule), 0) for rule in REFUSALS if rule not in RULES}
-        row["questions"] = accepted.get(template.name, 0)
+        row |= {rule: refused.get((name, rule), 0) for rule in REFUSALS if rule not in RULES}
+        row["questions"] = accepted.get(name, 0)
         rows.append(row)
     return rows
 

@@ -16,6 +16,7 @@ from jrdb_avr.schema.rules import Rules
 
 from . import views
 from .candidates import OUTCOMES, VALUES, Candidates
+from .company import Meeting
 from .descriptions import Descriptions
 from .scene import NOBODY, Scene
 
@@ -60,18 +61,20 @@ def make_record(
     angles = {box.frame: scene.geometry["angle"][scene.box_of(box.track, box.frame)] for box in target}
     t0 = int(candidates.frames["t0"][row])
     turns = angle_error(np.array([angles[box.frame] for box in target if box.decisive]), angles[t0])
-    times = {key: int(values[row]) for key, values in candidates.frames.items() if key.startswith("t")}
-    if candidates.segment[row] != NOBODY:
-        times["t1"] = int(candidates.frames["start"][row])
-        if "end" in candidates.template.read:
-            times["t2"] = int(candidates.frames["end"][row])
+    times = {time: int(candidates.frames[time][row]) for time in template.stated}
+    for (event, _, _), column in zip(template.events, template.read, strict=False):
+        times[event] = int(candidates.frames[column][row])
+    if template.reads[1] == "next_action":
+        # What ends is the pose held until the last keyframe before the next one starts.
+        keyframes = scene.keyframes
+        times["t1"] = int(keyframes[np.searchsorted(keyframes, candidates.frames["first"][row]) - 1])
     keyframe = descriptions.conditions.keyframe[descriptions.sighting[name]]
     return Record(
         proofs=tuple(_proofs(descriptions, candidates, row, answer, needed, rules)),
         needed=needed,
         bindings={**tracks_of(scene, candidates, row), **dict(sorted(times.items()))},
         hops=len(template.edges),
-        time_gap_s=(max(times.values()) - times["t0"]) / scene.fps,
+        time_gap_s=(max(times.values()) - t0) / scene.fps,
         separation_deg=float(np.max(turns)),
         people_in_scene=int(np.count_nonzero(descriptions.conditions.slots[keyframe] != NOBODY)),
     )
@@ -85,20 +88,39 @@ def tracks_of(scene: Scene, candidates: Candidates, row: int) -> dict[str, int]:
 
 
 def needed_boxes(scene: Scene, candidates: Candidates, row: int) -> tuple[NeededBox, ...]:
-    """Everybody's box at t0, and the target's where it is read, by node and frame; where it is absent there is none."""
+    """Everybody's box at t0, and the target's where it is read, by node and frame; where it is absent there is none.
+
+    Whoever is counted is needed once, as nodes b1, b2, ... by track, and the target with them.
+    """
     template = candidates.template
     t0 = int(candidates.frames["t0"][row])
     boxes = []
+    met = _counted(scene, candidates, row)
     for node, track in tracks_of(scene, candidates, row).items():
         decisive: set[int] = set()
+        together: set[int] = set()
         if node == template.target:
             decisive = {int(candidates.frames[name][row]) for name in template.decisive}
             decisive = {frame for frame in decisive if scene.box_of(track, frame) != NOBODY} or {t0}
-        for frame in sorted(decisive | {t0}):
-            line = scene.box_of(track, frame)
-            x, y, w, h = (float(scene.geometry[side][line]) for side in "xywh")
-            boxes.append(NeededBox(node, track, frame, x, y, w, h, frame in decisive))
+            together = {meeting.seen for meeting in met}
+        for frame in sorted(decisive | {t0} | together):
+            boxes.append(_box(scene, node, track, frame, frame in decisive))
+    boxes += [_box(scene, f"b{i}", meeting.track, meeting.seen, False) for i, meeting in enumerate(met, start=1)]
     return tuple(boxes)
+
+
+def _box(scene: Scene, node: str, track: int, frame: int, decisive: bool) -> NeededBox:
+    line = scene.box_of(track, frame)
+    x, y, w, h = (float(scene.geometry[side][line]) for side in "xywh")
+    return NeededBox(node, track, frame, x, y, w, h, decisive)
+
+
+def _counted(scene: Scene, candidates: Candidates, row: int) -> tuple[Meeting, ...]:
+    """Whom a candidate counts, by track."""
+    if candidates.counted is None:
+        return ()
+    number, until = int(candidates.counted.number[row]), int(candidates.frames["t2"][row])
+    return candidates.counted.company.meetings(scene, number, until)
 
 
 def proof(kind: str, variant: str, holds: bool, outcome: str, answer: str | None = None) -> dict[str, Any]:

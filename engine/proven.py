@@ -13,10 +13,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from jrdb_avr.schema.panorama import Floats
 from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.wording import stated_actions
 
 from .candidates import VALUES, Candidates
+from .conditions import ANCHOR_TIME
 from .descriptions import Descriptions
 from .relations import RELATIONS
 from .scene import NOBODY, Ints, Scene
@@ -40,6 +42,8 @@ def candidate_table(
         answer = pc.take(pa.array(VALUES), pa.array(candidates.answer[rows]))
     else:
         columns = {name: pa.array(numbers[rows]) for name, numbers in candidates.frames.items()}
+        if "value" in template.answer:
+            columns["value"] = _json_numbers(candidates.value[rows])
         if "angle" in template.answer:
             columns["angle"] = _angles(scene, candidates.segment[rows])
         answer = joined([columns.get(part, part) for part in template.answer])
@@ -84,13 +88,15 @@ def hashed(texts: pa.Array) -> pa.Array:
 
 def _plans(scene: Scene, descriptions: Descriptions, candidates: Candidates, rows: Ints) -> pa.Array:
     texts, number = descriptions.texts
+    at = f'"at":"{candidates.template.described}"'
+    texts = [text.replace(f'"at":"{ANCHOR_TIME}"', at) for text in texts]
     columns = {"conditions": pc.take(pa.array(texts, pa.string()), pa.array(number[candidates.name[rows]]))}
     columns |= {time: pa.array(candidates.frames[time][rows]) for time in candidates.template.stated}
     for name, codes in candidates.relations.items():
         columns[name] = pc.take(pa.array(RELATIONS), pa.array(codes[rows]))
-    segment = candidates.segment[rows]
     action = scene.segments["action"].combine_chunks()
-    columns["action"] = pc.take(action, pa.array(segment, mask=segment == NOBODY))
+    for name, segments in (("action", candidates.segment), ("action2", candidates.segment2)):
+        columns[name] = pc.take(action, pa.array(segments[rows], mask=segments[rows] == NOBODY))
     return plan_texts(candidates.template, columns)
 
 
@@ -98,7 +104,12 @@ def _angles(scene: Scene, segments: Ints) -> pa.Array:
     """Direction in which a person is seen at the first frame of each segment, as JSON writes it."""
     persons = scene.person_of(scene.segments["track"].to_numpy()[segments])
     rows = scene.box_rows(persons, scene.segments["first"].to_numpy().astype(np.int64)[segments])
-    return pa.array([msgspec.json.encode(angle).decode() for angle in scene.geometry["angle"][rows].tolist()])
+    return _json_numbers(scene.geometry["angle"][rows])
+
+
+def _json_numbers(values: Floats) -> pa.Array:
+    """Numbers as JSON writes them."""
+    return pa.array([msgspec.json.encode(value).decode() for value in values.tolist()], pa.string())
 
 
 def _constant(text: str, count: int) -> pa.Array:

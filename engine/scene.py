@@ -10,6 +10,9 @@ keyframe is a *moment*, numbered `person * len(keyframes) + keyframe`, so moment
     (Moment)-[:Shift {by}]->(Moment)      the same person `by` frames later, for both directions of time.shift
     (Moment)-[:Step {relation}]->(Moment) to the one person who certainly has the relation while nobody else could
     (Description)-[:Fits {t}]->(Moment)   to the one person whom the description fits at keyframe t
+    (Person)-[:Leaves]->(Absence)         between two boxes, with the keyframes before at which the person is present
+    (Moment)-[:Keeps]->(Company)          from then on, as long as it is known who is in a relation with the person
+    (Company)-[:Meets {met}]->(Person)    whom the person is in that relation with, from which keyframe on
 
 Steps and fits that lead to nobody end in one of three moments without a time, whose ids are EMPTY, SEVERAL and UNKNOWN
 of `relations`; their own steps lead back to themselves.
@@ -196,6 +199,13 @@ class Scene:
             gone &= self.box_rows(persons, frames + shift) == NOBODY
         return gone
 
+    @cached_property
+    def present(self) -> Bools:
+        """(persons, keyframes): whether the person is in clear view."""
+        rows = self.moment_rows
+        there = (rows != NOBODY) & (self.clear[rows] if len(self.clear) else False)
+        return np.asarray(there.reshape(len(self.tracks), len(self.keyframes)))
+
     def has_image(self, frames: Ints) -> Bools:
         """Whether each frame has an image; true everywhere where the sequence has none at all."""
         if "images" not in self.layers:
@@ -282,19 +292,26 @@ _DDL: Final = (
     "`end` INT64, quiet_from INT64, closed BOOLEAN, first_clear BOOLEAN, first_image BOOLEAN, first_ahead BOOLEAN, "
     "last_clear BOOLEAN, last_image BOOLEAN, last_ahead BOOLEAN, "
     "angle DOUBLE, held_from INT64, held_to INT64)",
+    "CREATE NODE TABLE Absence(id INT64 PRIMARY KEY, leaves INT64, returns INT64, present_from INT64, clear BOOLEAN, "
+    "image BOOLEAN, ahead BOOLEAN)",
+    "CREATE NODE TABLE Company(id INT64 PRIMARY KEY, relation STRING, until INT64)",
     "CREATE REL TABLE `Is`(FROM Person TO Moment)",
     "CREATE REL TABLE Does(FROM Person TO Segment)",
     "CREATE REL TABLE Shift(FROM Moment TO Moment, by INT64)",
     "CREATE REL TABLE Step(FROM Moment TO Moment, relation STRING)",
     "CREATE REL TABLE Fits(FROM Description TO Moment, t INT64)",
     "CREATE REL TABLE Names(FROM Description TO Moment, id INT64, anchor BOOLEAN, general BOOLEAN, poseless BOOLEAN)",
+    "CREATE REL TABLE Leaves(FROM Person TO Absence)",
+    "CREATE REL TABLE Keeps(FROM Moment TO Company)",
+    "CREATE REL TABLE Meets(FROM Company TO Person, met INT64, seen INT64, image BOOLEAN)",
 )
+_GIVEN: Final = ("Description", "Absence", "Company", "Names", "Fits", "Step", "Leaves", "Keeps", "Meets")
 
 
 def scene_graph(scene: Scene, tables: Mapping[str, pa.Table], rules: Rules) -> Graph:
     """The searchable graph of a sequence, in memory; the caller closes it.
 
-    `tables` hold the columns of `Description`, `Names`, `Fits` and `Step`.
+    `tables` hold the columns of what is not of the scene alone, by the names in `_GIVEN`.
     """
     graph = Graph.memory()
     for statement in _DDL:
@@ -307,14 +324,13 @@ def scene_graph(scene: Scene, tables: Mapping[str, pa.Table], rules: Rules) -> G
     segments = _segments(scene, rules)
     graph.copy("Person", pa.table({"id": persons, "track": scene.tracks}))
     graph.copy("Moment", pa.concat_tables([table, nowhere]))
-    graph.copy("Description", tables["Description"])
     graph.copy("Segment", segments)
     graph.copy("Is", pa.table({"from": scene.persons(moments), "to": moments}))
     doer = scene.person_of(scene.segments["track"].to_numpy())
     graph.copy("Does", pa.table({"from": doer, "to": segments["id"]}))
     for by in (-frames(rules.shift_s), frames(rules.shift_s)):
         graph.copy("Shift", _shift(scene, moments, by))
-    for name in ("Names", "Fits", "Step"):
+    for name in _GIVEN:
         graph.copy(name, tables[name])
     return graph
 

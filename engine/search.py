@@ -8,9 +8,11 @@ import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.queries.handle import Graph
+from jrdb_avr.schema.panorama import Floats
 from jrdb_avr.schema.rules import Rules
 
 from . import views
+from .absences import absence_tables
 from .asked import asked_proofs
 from .candidates import (
     PASSED,
@@ -18,6 +20,7 @@ from .candidates import (
     UNKNOWN,
     Candidates,
     Codes,
+    Counted,
     Perturbed,
     ask,
     codes,
@@ -25,33 +28,44 @@ from .candidates import (
     flags,
     ints,
 )
+from .company import find_company
 from .descriptions import Descriptions
 from .paths import Paths, hop_proofs, program_proofs
-from .relations import RELATIONS, STATED_POSES, Facts
-from .scene import NOBODY, Bools, Ints, Scene, coded
+from .relations import RELATIONS, STATED_POSES, Facts, find_steps
+from .scene import NOBODY, Bools, Ints, Scene, coded, scene_graph
 from .templates import Template
 
 TIMES = ("t0", "t1", "t2")
 EDGES = ("first", "last", "start", "end")
 
 
+def search_graph(scene: Scene, facts: Facts, descriptions: Descriptions, rules: Rules) -> Graph:
+    """A scene's graph with everything that the generators and the proofs walk along; the caller closes it."""
+    tables = descriptions.tables(scene.keyframes) | {"Step": find_steps(scene, facts).table}
+    tables |= absence_tables(scene, rules) | find_company(scene, facts, rules).tables(scene)
+    return scene_graph(scene, tables, rules)
+
+
 def find_candidates(
     scene: Scene, facts: Facts, descriptions: Descriptions, graph: Graph, template: Template, rules: Rules
 ) -> Candidates:
     """Search a scene's graph for a template and judge what is found; `facts` are the scene's relations."""
-    found = ask(graph, "generators", template.name, rules)
+    found = ask(graph, "generators", template.query, rules)
     count = len(found)
     people = {node: ints(found, "at0" if node == "a" else node) for node in template.people}
     relations = {name: coded(found[name], RELATIONS) for name in template.relations}
     # Of the target, whose moment at t0 is named by its node.
     moments = {time: ints(found, f"at{time[1:]}") for time in TIMES[1:] if f"at{time[1:]}" in found.column_names}
-    moments = {"t0": people[template.target], **moments}
+    moments = {"t0": people[template.target], template.described: people[template.target], **moments}
     times = {name: scene.frames(moment) for name, moment in moments.items()}
-    segment = np.full(count, NOBODY)
-    if "segment" in found.column_names:
-        segment = ints(found, "segment")
+    segment, segment2 = (_column(found, name) for name in ("segment", "segment2"))
+    for suffix, rows in (("", segment), ("2", segment2)):
         for name in EDGES:
-            times[name] = scene.segments[name].to_numpy().astype(np.int64)[segment]
+            if f"segment{suffix}" in found.column_names:
+                times[name + suffix] = scene.segments[name].to_numpy().astype(np.int64)[rows]
+    for name in ("leaves", "returns"):
+        if name in found.column_names:
+            times[name] = ints(found, name)
     answer = codes(found["answer"]) if template.answer is None else np.full(count, NOBODY, dtype=np.int8)
     holds = _alone(found)
     if template.pose_answer and count:
@@ -78,7 +92,32 @@ def find_candidates(
         perturbed += asked_proofs(scene, graph, template, rules, moments, answer)
     holds |= _proven(perturbed)
     rule = first_refusing(holds, count)
-    return Candidates(template, ints(found, "name"), people, relations, segment, times, answer, rule, perturbed)
+    return Candidates(
+        template=template,
+        name=ints(found, "name"),
+        people=people,
+        relations=relations,
+        segment=segment,
+        segment2=segment2,
+        frames=times,
+        answer=answer,
+        value=_values(found),
+        rule=rule,
+        perturbed=perturbed,
+        counted=Counted(find_company(scene, facts, rules), ints(found, "company")) if template.counts else None,
+    )
+
+
+def _column(found: pa.Table, name: str) -> Ints:
+    """A column of whole numbers; NOBODY where the query has none of this name."""
+    return ints(found, name) if name in found.column_names else np.full(len(found), NOBODY)
+
+
+def _values(found: pa.Table) -> Floats:
+    """Seconds or people, where a number is asked for; else NaN."""
+    if "value" not in found.column_names:
+        return np.full(len(found), np.nan)
+    return np.asarray(found["value"].to_numpy(), dtype=np.float64)
 
 
 def _alone(found: pa.Table) -> dict[str, Bools]:

@@ -5,6 +5,7 @@ A pure function of the sequence's tables and the rules, so sequences can be shar
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -13,6 +14,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from jrdb_avr.queries.store import Store
@@ -26,11 +28,11 @@ from .descriptions import Descriptions, describe_people
 from .proofs import make_record, needed_boxes, proof
 from .proven import BLOCK, candidate_table, frame_lists, with_selection_columns
 from .rederive import Annotations, rederive
-from .relations import find_facts, find_steps
-from .scene import Bools, Ints, Scene, load_scene, scene_graph
-from .search import find_candidates
+from .relations import find_facts
+from .scene import Bools, Ints, Scene, load_scene
+from .search import find_candidates, search_graph
 from .selection import near_duplicates
-from .templates import TEMPLATES, Template
+from .templates import TEMPLATES, Template, by_name
 
 EXAMPLES: Final = 100
 """Example rows kept per sequence, template and rule."""
@@ -69,14 +71,14 @@ def search_sequence(job: Job) -> Found:
     facts = find_facts(scene)
     descriptions = describe_people(scene, facts, job.rules)
     search = _Search(job, scene, descriptions, Annotations.read(store, job.sequence, job.rules))
-    tables = {**descriptions.tables(scene.keyframes), "Step": find_steps(scene, facts).table}
-    with scene_graph(scene, tables, job.rules) as graph:
-        for template in TEMPLATES:
-            missing = tuple(layer for layer in template.layers if layer not in scene.layers)
-            if missing:
-                search.lacking[template.name] = missing
-            else:
-                search.judge(find_candidates(scene, facts, descriptions, graph, template, job.rules))
+    with search_graph(scene, facts, descriptions, job.rules) as graph:
+        for name, forms in by_name(TEMPLATES).items():
+            missing = [tuple(layer for layer in form.layers if layer not in scene.layers) for form in forms]
+            if least := min(missing, key=len):
+                search.lacking[name] = least
+                continue
+            searched = [form for form, layers in zip(forms, missing, strict=True) if not layers]
+            search.judge([find_candidates(scene, facts, descriptions, graph, form, job.rules) for form in searched])
     return search.result()
 
 
@@ -95,26 +97,34 @@ class _Search:
         self.faults: list[str] = []
         self.writer = pq.ParquetWriter(job.candidates, CANDIDATES) if job.candidates is not None else None
 
-    def judge(self, candidates: Candidates) -> None:
-        template = candidates.template
-        self.counts[template.name, "candidates"] = len(candidates)
-        for rule, count in candidates.refusals().items():
-            self.counts[template.name, rule] = count
-            self._give_examples(candidates, rule)
-        proven = np.flatnonzero(candidates.rule == PASSED)
-        self.counts[template.name, "proven"] = len(proven)
-        if len(proven) == 0:
+    def judge(self, forms: Sequence[Candidates]) -> None:
+        """Judge the candidates of a template, whose forms compete with each other."""
+        name = forms[0].template.name
+        slims = []
+        for form, candidates in enumerate(forms):
+            self._count(name, "candidates", len(candidates))
+            for rule, count in candidates.refusals().items():
+                self._count(name, rule, count)
+                self._give_examples(candidates, rule, EXAMPLES // len(forms))
+            proven = np.flatnonzero(candidates.rule == PASSED)
+            self._count(name, "proven", len(proven))
+            blocks = [self._slim(candidates, proven[i : i + BLOCK]) for i in range(0, len(proven), BLOCK)]
+            slims += [block.append_column("form", pa.repeat(pa.scalar(form), len(block))) for block in blocks]
+        if not slims:
             return
-        slim = pa.concat_tables(
-            [self._slim(candidates, proven[i : i + BLOCK]) for i in range(0, len(proven), BLOCK)]
-        ).combine_chunks()
+        slim = pa.concat_tables(slims).combine_chunks()
         kept, dropped = near_duplicates(slim, self.job.rules)
         for rule, count in dropped.items():
-            self.counts[template.name, rule] = count
-        self._give_dropped_examples(candidates, slim, kept)
-        rows = np.sort(kept["row"].to_numpy())
-        table = candidate_table(self.scene, self.descriptions, candidates, rows)
-        self.kept.append(self._recorded(with_selection_columns(table, candidates), candidates))
+            self._count(name, rule, count)
+        self._give_dropped_examples(forms, slim, kept)
+        for form, candidates in enumerate(forms):
+            rows = np.sort(kept.filter(pc.equal(kept["form"], form))["row"].to_numpy())
+            if len(rows):
+                table = candidate_table(self.scene, self.descriptions, candidates, rows)
+                self.kept.append(self._recorded(with_selection_columns(table, candidates), candidates))
+
+    def _count(self, template: str, what: str, count: int) -> None:
+        self.counts[template, what] = self.counts.get((template, what), 0) + count
 
     def _slim(self, candidates: Candidates, rows: Ints) -> pa.Table:
         """Proven candidates without their plans, which are only hashed (and written out where that is asked for)."""
@@ -183,20 +193,20 @@ class _Search:
     # -- refusals ---------------------------------------------------------------------------------------------
 
     def _refuse(self, candidates: Candidates, rule: str, line: dict[str, Any], detail: str) -> None:
-        where = (candidates.template.name, rule)
-        self.counts[where] = self.counts.get(where, 0) + 1
-        if self.counts[where] <= EXAMPLES:
+        name = candidates.template.name
+        self._count(name, rule, 1)
+        if self.counts[name, rule] <= EXAMPLES:
             self._example(candidates.template, rule, line["target_track"], line["plan"], detail)
 
-    def _give_examples(self, candidates: Candidates, rule: str) -> None:
+    def _give_examples(self, candidates: Candidates, rule: str, most: int) -> None:
         """The first refused candidates by a hash of who and when."""
         refused = np.flatnonzero(candidates.rule == RULES.index(rule))
         columns = [self.descriptions.moment[candidates.name[refused]]]
         columns += [candidates.frames[name][refused] for name in sorted(candidates.frames)]
         columns += [codes[refused] for _, codes in sorted(candidates.relations.items())]
         if candidates.template.time_proof == "construction":
-            columns.append(candidates.segment[refused])
-        order = np.lexsort((refused, mixed(columns)))[:EXAMPLES]
+            columns += [candidates.segment[refused], candidates.segment2[refused]]
+        order = np.lexsort((refused, mixed(columns)))[:most]
         rows = refused[order]
         table = candidate_table(self.scene, self.descriptions, candidates, rows, keyed=False)
         for line in table.select(["row", "target_track", "plan"]).to_pylist():
@@ -224,32 +234,17 @@ class _Search:
             case _:
                 return "a needed frame has no image"
 
-    def _give_dropped_examples(self, candidates: Candidates, slim: pa.Table, kept: pa.Table) -> None:
+    def _give_dropped_examples(self, forms: Sequence[Candidates], slim: pa.Table, kept: pa.Table) -> None:
         """Examples of what near-duplicates and the cap dropped, first by key."""
-        dropped = slim.filter(pa.array(~np.isin(slim["row"].to_numpy(), kept["row"].to_numpy()))).sort_by("key")
-        rows = dropped["row"].to_numpy()
-        near = self._near_kept(candidates, rows, kept["row"].to_numpy())
+        row, stays = (table["row"].to_numpy() * len(forms) + table["form"].to_numpy() for table in (slim, kept))
+        dropped = slim.filter(pa.array(~np.isin(row, stays))).sort_by("key")
+        near = _near_any(dropped, kept, frames(self.job.rules.near_duplicate_s))
         for rule, of_rule in (("near_duplicate", near), ("max_per_person", ~near)):
-            shown = rows[of_rule][:EXAMPLES]
-            table = candidate_table(self.scene, self.descriptions, candidates, shown, keyed=False)
-            for line in table.select(["target_track", "plan"]).to_pylist():
-                self._example(candidates.template, rule, line["target_track"], line["plan"], "")
-
-    def _near_kept(self, candidates: Candidates, rows: Ints, kept: Ints) -> Bools:
-        """Whether each row is a near-duplicate of a kept one."""
-        limit = frames(self.job.rules.near_duplicate_s)
-        person = self.scene.persons(candidates.people[candidates.template.target])
-        order = np.argsort(person[rows], kind="stable")
-        owners = person[rows][order]
-        near = np.zeros(len(rows), dtype=bool)
-        for row in kept.tolist():
-            low, high = np.searchsorted(owners, [person[row], person[row] + 1])
-            rivals = order[low:high]
-            close = np.ones(len(rivals), dtype=bool)
-            for name in candidates.template.read:
-                close &= np.abs(candidates.frames[name][rows[rivals]] - candidates.frames[name][row]) <= limit
-            near[rivals[close]] = True
-        return near
+            for line in dropped.filter(pa.array(of_rule)).slice(0, EXAMPLES).to_pylist():
+                row = np.array([line["row"]])
+                candidates = forms[line["form"]]
+                table = candidate_table(self.scene, self.descriptions, candidates, row, keyed=False)
+                self._example(candidates.template, rule, line["target_track"], table["plan"][0].as_py(), "")
 
     def _example(self, template: Template, rule: str, track: int, plan: str, detail: str) -> None:
         self.examples.append(
@@ -277,6 +272,22 @@ class _Search:
             lacking=self.lacking,
             faults=tuple(self.faults),
         )
+
+
+def _near_any(rows: pa.Table, kept: pa.Table, limit: int) -> Bools:
+    """Whether each row reads the answer of the same person at nearly the same frames as a kept one."""
+    read, read_kept = (
+        pc.list_flatten(table["read_frames"]).to_numpy().reshape(len(table), -1) for table in (rows, kept)
+    )
+    track = rows["target_track"].to_numpy()
+    order = np.argsort(track, kind="stable")
+    owners = track[order]
+    near = np.zeros(len(rows), dtype=bool)
+    for owner, frames_kept in zip(kept["target_track"].to_pylist(), read_kept, strict=True):
+        low, high = np.searchsorted(owners, [owner, owner + 1])
+        rivals = order[low:high]
+        near[rivals[np.all(np.abs(read[rivals] - frames_kept) <= limit, axis=1)]] = True
+    return near
 
 
 def mixed(columns: list[Ints]) -> npt.NDArray[np.uint64]:

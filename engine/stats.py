@@ -14,7 +14,7 @@ from jrdb_avr.schema.answers import Choice
 
 from .blind import Posed, blind_check, posed
 from .selection import GAP_EDGES_S, OFFSET_EDGES_S, answer_bin
-from .templates import TEMPLATES
+from .templates import TEMPLATES, by_name
 
 TITLES: Final = {
     "family": "Questions per family",
@@ -151,10 +151,11 @@ def _lacking(store: Store) -> list[dict[str, Any]]:
     """Templates that some sequences cannot carry, with the layer and how many sequences lack it."""
     sequences = store.manifest().sequences
     rows = []
-    for template in TEMPLATES:
-        for layer in template.layers:
+    for name, forms in by_name(TEMPLATES).items():
+        # What any form can do without, the template can.
+        for layer in min((form.layers for form in forms), key=len):
             without = sum(layer not in entry.layers for entry in sequences.values())
             if without:
-                row = {"family": template.family, "template": template.name, "layer": layer}
+                row = {"family": forms[0].family, "template": name, "layer": layer}
                 rows.append(row | {"sequences without": without, "sequences": len(sequences)})
     return rows

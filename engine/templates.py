@@ -8,9 +8,10 @@ the moments (`at1`, ...) or segments it speaks of. What the perturbed programs a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
+from itertools import groupby
 from typing import Final, Literal
 
 import pyarrow as pa
@@ -18,8 +19,8 @@ import pyarrow.compute as pc
 
 from jrdb_avr.schema.answers import AnswerMode
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Event, Node, Plan, Read, Time, canonical
-from jrdb_avr.schema.rules import Rules, frames
-from jrdb_avr.schema.wording import TEMPLATES as WORDS
+from jrdb_avr.schema.rules import FPS, Rules, frames
+from jrdb_avr.schema.wording import FAMILIES
 
 TimeProof = Literal["asked", "program", "construction"]
 """What time.shift and time.drop move: the asked times, with the person held; the whole program, description and hops
@@ -31,8 +32,9 @@ class Template:
     """A kind of question. Person a is described; `edges` lead from a to b, c, ..., the last being the target.
 
     layers: what the sequence must have. pose_answer: the answer is a pose, so that none may be stated.
-    stated: names of the times that the question states; events: those found in the data, as (name, event, after).
-    actions: how many actions the question names, each of one event.
+    stated: names of the times that the question states, that of the description first; events: those found in the
+    data, as (name, event, after), each bound to the frame in its place of `read`. Every start is of another action.
+    form: of a template with several forms, the row of the words and the query; its forms are judged together.
     read: where the answer is read, as columns of the candidates' frames (see `candidates.Candidates`).
     decisive: the frames whose boxes of the target decide; where it is absent at all of them, the box at t0 does.
     answer: the stored answer's JSON with columns in braces, or None where it is a text of `choices`.
@@ -54,10 +56,26 @@ class Template:
     drop: str = ""
     single_view: bool = True
     """Whether the question may be answered from one fixed view."""
+    form: str = ""
 
     @property
     def family(self) -> str:
-        return WORDS[self.name].family
+        return FAMILIES[self.name]
+
+    @property
+    def query(self) -> str:
+        """Name of the generator."""
+        return self.form or self.name
+
+    @property
+    def described(self) -> str:
+        """Name of the time at which the description holds."""
+        return self.stated[0]
+
+    @property
+    def counts(self) -> bool:
+        """Whether people in a relation with the target are counted."""
+        return self.reads[1] == "count"
 
     @property
     def target(self) -> str:
@@ -70,21 +88,23 @@ class Template:
 
     @property
     def relations(self) -> tuple[str, ...]:
-        """Columns that hold the relations of the edges."""
-        return tuple(f"r{i + 1}" for i in range(len(self.edges)))
+        """Columns that hold the relations of the edges, or that of the people counted."""
+        return tuple(f"r{i + 1}" for i in range(len(self.edges) + self.counts))
 
     def skeleton(self) -> Plan:
         """The plan with marks in place of conditions, relations, actions and frames."""
         times = {name: Time(frame=_FRAME_MARK + i) for i, name in enumerate(self.stated)}
+        starts = 0
         for name, event, after in self.events:
             # What ends before a consequence is whatever the person did at t0.
             named = event in ("start", "end") and self.reads[1] != "next_action"
-            action = _ACTION_MARK if named else None
+            starts += event == "start"
+            action = _ACTION_MARKS[starts - 1] if named else None
             times[name] = Time(event=event, of=self.target, action=action, after=after)
         mode, read, at = self.reads
         edges = tuple(
             Edge(source=source, relation=f"?{name}", target=target, at="t0")
-            for name, (source, target) in zip(self.relations, self.edges, strict=True)
+            for name, (source, target) in zip(self.relations, self.edges, strict=False)
         )
         return Plan(
             root="a",
@@ -92,17 +112,24 @@ class Template:
             times=times,
             nodes=tuple(Node(id=node, conditions=(_CONDITIONS,) if node == "a" else ()) for node in self.people),
             edges=edges,
-            answer=AnswerSpec(mode=mode, read=read, of=self.target, at=at if len(at) > 1 else at[0]),
+            answer=AnswerSpec(
+                mode=mode,
+                read=read,
+                of=self.target,
+                at=at if len(at) > 1 else at[0],
+                relation="?r1" if self.counts else None,
+            ),
         )
 
 
 _CONDITIONS: Final = Condition(action="?conditions", at="t0")
-_ACTION_MARK: Final = "?action"
+_ACTION_MARKS: Final = ("?action", "?action2")
 _FRAME_MARK: Final = 9_000_001
 
 _START: Final[tuple[tuple[str, Event, str], ...]] = (("t1", "start", "t0"),)
 _END: Final[tuple[str, Event, str]] = ("t2", "end", "t1")
 _TWO_HOPS: Final = (("a", "b"), ("b", "c"))
+_VALUE: Final = ('{"value":', "value", "}")
 
 TEMPLATES: Final = (
     Template(
@@ -217,7 +244,45 @@ CHAINS: Final = (
         shift="pose_shift",
         drop="pose_drop",
     ),
+    Template(
+        "gap",
+        ("2d", "actions"),
+        ("number", "seconds_between", ("t1", "t2")),
+        "construction",
+        read=("start", "start2"),
+        decisive=("first", "first2"),
+        answer=_VALUE,
+        events=(*_START, ("t2", "start", "t0")),
+        form="gap_starts",
+    ),
+    Template(
+        "gap",
+        ("2d",),
+        ("number", "seconds_between", ("t1", "t2")),
+        "construction",
+        read=("leaves", "returns"),
+        decisive=("leaves", "returns"),
+        answer=_VALUE,
+        events=(("t1", "leaves", "t0"), ("t2", "returns", "t1")),
+        form="gap_absence",
+    ),
+    Template(
+        "gap",
+        ("2d",),
+        ("number", "count", ("t1", "t2")),
+        "construction",
+        read=("t1", "t2"),
+        decisive=("t1",),
+        answer=_VALUE,
+        stated=("t1", "t2"),
+        form="gap_count",
+    ),
 )
+
+
+def by_name(templates: Sequence[Template]) -> dict[str, tuple[Template, ...]]:
+    """The forms of each template, by its name."""
+    return {name: tuple(forms) for name, forms in groupby(templates, key=lambda template: template.name)}
 
 
 def query_text(folder: str, name: str) -> str:
@@ -232,6 +297,9 @@ def query_values(rules: Rules) -> dict[str, int | float]:
         "later": frames(rules.long_wait_s),
         "search": frames(rules.search_wait_s),
         "turn": rules.turn_deg,
+        "gap": frames(rules.gap_min_s),
+        "least": rules.count_min,
+        "fps": FPS,
         "changed": rules.distance_changed_m,
         "same": rules.distance_same_m,
     }
@@ -241,9 +309,11 @@ def plan_texts(template: Template, columns: Mapping[str, pa.Array]) -> pa.Array:
     """Canonical plans of candidates, set-wise.
 
     `columns` holds `conditions` (as JSON, without brackets), one column of frames per stated time, one of relations
-    per hop, and `action` where the template asks for one.
+    per hop, and `action` and `action2` where the template asks for them.
     """
-    holes = {'{"action":"?conditions","at":"t0"}': "conditions", _ACTION_MARK: "action"}
+    # The longer mark first: it begins like the shorter one.
+    holes = {'{"action":"?conditions","at":"t0"}': "conditions"}
+    holes |= {mark: mark[1:] for mark in reversed(_ACTION_MARKS)}
     holes |= {f"?{name}": name for name in template.relations}
     holes |= {str(_FRAME_MARK + i): name for i, name in enumerate(template.stated)}
     pieces: list[pa.Array | str] = [canonical(template.skeleton())]

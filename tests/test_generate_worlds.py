@@ -9,9 +9,9 @@ from worlds import person, person_3d
 
 from jrdb_avr.engine.candidates import PASSED, RULES, VALUES
 from jrdb_avr.engine.descriptions import describe_people
-from jrdb_avr.engine.relations import RELATIONS, find_facts, find_steps
-from jrdb_avr.engine.scene import load_scene, scene_graph
-from jrdb_avr.engine.search import find_candidates
+from jrdb_avr.engine.relations import RELATIONS, find_facts
+from jrdb_avr.engine.scene import load_scene
+from jrdb_avr.engine.search import find_candidates, search_graph
 from jrdb_avr.engine.templates import CHAINS, TEMPLATES
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.vocabulary import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
@@ -86,8 +86,7 @@ def judge(store):
     names = describe_people(scene, facts, rules)
     people = len(scene.keyframes)
     found = {}
-    tables = {**names.tables(scene.keyframes), "Step": find_steps(scene, facts).table}
-    with scene_graph(scene, tables, rules) as graph:
+    with search_graph(scene, facts, names, rules) as graph:
         for template in (*TEMPLATES, *CHAINS):
             if not set(template.layers) <= scene.layers:
                 continue
