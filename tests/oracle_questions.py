@@ -1,39 +1,19 @@
 """Every proven candidate of a small world, worked out from the raw JSON by brute force.
 
-Plain Python over the facts of `oracle_facts.Oracle`; nothing of the engine is used. `proven(root, sequence)` returns
-{(template, target track, canonical plan, answer)}.
+Plain Python over the facts of `oracle_people.People`; nothing of the engine is used. `proven(root, sequence)` returns
+{(template, target track, canonical plan, answer)} of the templates in `KNOWN`.
 """
 
 from __future__ import annotations
 
-import hashlib
 import itertools
-import json
 import math
 
-from oracle_facts import POSES, Oracle, distance_words, robot_sectors
+from oracle_people import ACTIONS, EMPTY, NO, People, condition_poses, poses_in, text
 
-OTHERS = {
-    "holding sth",
-    "listening to someone",
-    "talking to someone",
-    "looking at robot",
-    "looking into sth",
-    "looking at sth",
-    "typing",
-    "interaction with door",
-    "eating sth",
-    "talking on the phone",
-    "pointing at sth",
-    "reading",
-    "pushing",
-    "greeting gestures",
-    "writing",
-    "pulling",
-}
-RANK = {"pose": 2, "action": 3, "group_size": 6, "sector": 7, "distance": 8}
 WAIT = SHIFT = 45
-YES, NO, MAYBE = "true", "false", "unknown"
+LONG = 150
+SEARCH = 30
 
 
 def proven(root, sequence):
@@ -48,122 +28,38 @@ def proven(root, sequence):
     return found
 
 
-def text(value):
-    return json.dumps(value, sort_keys=True, separators=(",", ":"))
-
-
-class World(Oracle):
+class World(People):
     def __init__(self, root, sequence):
         super().__init__(root, sequence)
-        tables = self.tables()
-        self.layers = set(tables["sequence"][0]["layers"])
-        self.segments = [row for row in tables["segments"] if row["action"] in POSES | OTHERS]
-        self.sizes = {(row["frame"], row["track"]): row["group_size"] for row in tables["sightings"]}
-        self.metres = {(row["frame"], row["track"]): row["distance"] for row in tables["sightings"]}
-
-    # -- descriptions --
-
-    def value(self, condition, frame, track):
-        """Whether a condition, (kind, value), is true, false or unknown of a person with a box."""
-        kind, wanted = condition
-        if kind in ("pose", "action"):
-            return self.state(frame, track, wanted)
-        if kind == "group_size":
-            size = self.sizes[frame, track]
-            return MAYBE if size is None else YES if size == wanted else NO
-        if kind == "sector":
-            could = robot_sectors(self.angle(frame, track))
-        else:
-            metres = self.metres[frame, track]
-            if metres is None:
-                return MAYBE
-            could = distance_words(metres)
-        could = {word for word in could if word is not None}
-        return NO if wanted not in could else YES if could == {wanted} else MAYBE
-
-    def conditions(self, frame, track):
-        """Everything that is certainly true of a person, as (kind, value)."""
-        every = [("pose", pose) for pose in POSES] + [("action", action) for action in OTHERS]
-        every += [("group_size", self.sizes[frame, track])] if self.sizes[frame, track] is not None else []
-        every += [("sector", word) for word in ("ahead", "right", "behind", "left")]
-        every += [("distance", word) for word in ("very close", "close", "moderate", "far", "very far")]
-        return [condition for condition in every if self.value(condition, frame, track) == YES]
-
-    def could_match(self, conditions, frame):
-        return [
-            track
-            for track in self.in_frame(frame)
-            if all(self.value(condition, frame, track) != NO for condition in conditions)
-        ]
-
-    def description(self, frame, track, poseless=False):
-        """The one description of a person, or None."""
-        true = [c for c in self.conditions(frame, track) if not (poseless and c[0] == "pose")]
-        for size in (1, 2, 3):
-            fits = []
-            for conditions in itertools.combinations(true, size):
-                if all(kind in ("sector", "distance") for kind, _ in conditions):
-                    continue
-                if self.could_match(conditions, frame) == [track]:
-                    plain = self.plain(conditions)
-                    digest = hashlib.sha256(
-                        f"{self.sequence}\n{track}\n{frame}\n{text(plain)[1:-1]}".encode()
-                    ).hexdigest()
-                    fits.append((sorted(RANK[kind] for kind, _ in conditions), digest, conditions))
-            if fits:
-                return min(fits)[2]
-        return None
-
-    @staticmethod
-    def plain(conditions):
-        """Conditions as a plan holds them."""
-        rows = []
-        for kind, value in sorted(conditions, key=lambda c: (RANK[c[0]], str(c[1]))):
-            if kind in ("pose", "action"):
-                rows.append({"action": value, "at": "t0"})
-            else:
-                rows.append({"attribute": kind, "value": value, "at": "t0"})
-        return rows
-
-    def anchored(self, track, frame, poseless=False):
-        """The description, if each of its conditions is needed and the person is seen; else None."""
-        conditions = self.description(frame, track, poseless)
-        if conditions is None or not self.clear(frame, track) or not self.shown(frame):
-            return None
-        for dropped in conditions:
-            rest = [condition for condition in conditions if condition != dropped]
-            if len(self.could_match(rest, frame)) < 2:
-                return None
-        return conditions
-
-    # -- what is seen --
-
-    def shown(self, frame):
-        return not self.pictures or frame in self.pictures
-
-    def ahead(self, frame, track):
-        """At least half of the box lies within the 480 columns round the middle of the panorama."""
-        x, _, w, _ = self.people[frame, track]["box"]
-        return any(
-            min(x + turn + w, 2120) - max(x + turn, 1640) >= w / 2 for turn in (-2 * 3760, -3760, 0, 3760, 2 * 3760)
-        )
-
-    def seen(self, frame, track):
-        """True present, False absent, None unknown."""
-        if self.clear(frame, track):
-            return True
-        around = (frame - 15, frame, frame + 15)
-        gone = all(f in self.known_2d and (f, track) not in self.people for f in around)
-        return False if gone else None
+        self.segments = [row for row in self.rows["segments"] if row["action"] in ACTIONS]
+        self.metres = {key: sight["distance"] for key, sight in self.sights.items()}
+        # Whether actions are annotated once a second.
+        steps = {b - a for a, b in itertools.pairwise(self.action_frames)}
+        self.step_frames = 15 if math.gcd(0, *steps) % 15 == 0 else 1
 
     def later(self, frame):
         return [t for t in self.keyframes if t >= frame + WAIT]
 
-    def plan(self, conditions, times, answer):
-        plan = {"root": "a", "target": "a", "edges": [], "answer": {"of": "a", **answer}}
+    def plan(self, conditions, times, answer, labels=()):
+        """The plan's canonical text; `labels` are the relations from a to b, from b to c, ..."""
+        names = "abcd"[: len(labels) + 1]
+        plan = {"root": "a", "target": names[-1], "answer": {"of": names[-1], **answer}}
         plan["times"] = {name: {"frame": t} if isinstance(t, int) else t for name, t in times.items()}
-        plan["nodes"] = [{"id": "a", "conditions": self.plain(conditions)}]
+        plan["nodes"] = [{"id": name, "conditions": []} for name in names]
+        plan["nodes"][0]["conditions"] = self.plain(conditions)
+        hops = zip(names, labels, names[1:], strict=False)
+        plan["edges"] = [{"source": a, "relation": label, "target": b, "at": "t0"} for a, label, b in hops]
         return text(plan)
+
+    @staticmethod
+    def stated(conditions, labels=()):
+        """The poses that a question's words name."""
+        named = [condition_poses(condition) for condition in conditions] + [poses_in(label) for label in labels]
+        return set().union(*named)
+
+    def pose_at(self, frame, track):
+        """The pose read of a person, EMPTY of somebody absent, None where it is unknown."""
+        return EMPTY if self.seen(frame, track) is False else self.pose(frame, track)
 
     # -- templates --
 
@@ -175,8 +71,7 @@ class World(Oracle):
             first, last, action = row["first"], row["last"], row["action"]
             if row["track"] != track or row["start"] < t0 + WAIT:
                 continue
-            grid = range(t0, first, 15 if self.slow else 1)
-            if any(self.state(f, track, action) != NO for f in grid):
+            if not self.quiet(track, action, t0, first):
                 continue
             event = {"event": "start", "of": "a", "action": action, "after": "t0"}
             if self.shown(first) and not self.ahead(first, track):
@@ -190,11 +85,9 @@ class World(Oracle):
                 found.add(("span", track, plan, answer))
         return found
 
-    @property
-    def slow(self):
-        """Whether actions are annotated once a second."""
-        steps = {b - a for a, b in itertools.pairwise(self.action_frames)}
-        return math.gcd(0, *steps) % 15 == 0
+    def quiet(self, track, action, t0, first):
+        """Whether an action is false from t0 until just before a frame."""
+        return all(self.state(f, track, action) == NO for f in range(t0, first, self.step_frames))
 
     def change(self, track, t0):
         found = set()
@@ -204,16 +97,13 @@ class World(Oracle):
         if (conditions := self.anchored(track, t0, poseless=True)) is None:
             return found
 
-        def read(t):
-            if self.seen(t, track) is False:
-                return "empty"
-            return self.pose(t, track)
-
         for t1 in self.later(t0):
             after = self.pose(t1, track)
             if after in (None, before) or not self.clear(t1, track) or not self.shown(t1) or self.ahead(t1, track):
                 continue
-            if self.needs_time(t0, (t1,), after, lambda times: read(times[0])):
+            if after in self.stated(conditions):
+                continue
+            if self.needs_time(t0, (t1,), after, lambda times: self.pose_at(times[0], track)):
                 plan = self.plan(
                     conditions, {"t0": t0, "t1": t1}, {"mode": "multiple_choice", "read": "action", "at": "t1"}
                 )
@@ -277,7 +167,7 @@ class World(Oracle):
         return found
 
     def needs_time(self, t0, times, answer, read):
-        """time.shift and time.drop: `read` gives an answer, None for unknown, or "empty"."""
+        """time.shift and time.drop: `read` gives an answer, None for unknown, or EMPTY."""
 
         def moved(by):
             asked = [t + by for t in times]
@@ -292,5 +182,5 @@ class World(Oracle):
             asked = [t + other - times[0] for other in times]
             if t != times[0] and all(f in self.keyframes for f in asked):
                 elsewhere.append(read(asked))
-        defined = [other for other in elsewhere if other not in (None, "empty")]
+        defined = [other for other in elsewhere if other not in (None, EMPTY)]
         return not defined or any(other != answer for other in defined)
