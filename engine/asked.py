@@ -63,7 +63,7 @@ def _shift(
             outside |= (moved <= times["t0"]) | (moved < scene.keyframes[0]) | (moved > scene.keyframes[-1])
     outcome[outside] = OUTSIDE
     answer[outside] = NOBODY
-    return Perturbed("time.shift", f"{by / FPS:+g} s", outcome, answer)
+    return Perturbed("time.shift", f"{by / FPS:+g} s", outcome, answer, either=True)
 
 
 def _drop(scene: Scene, graph: Graph, template: Template, rules: Rules, moments: Mapping[str, Ints]) -> Perturbed:

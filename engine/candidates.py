@@ -53,12 +53,16 @@ Codes = npt.NDArray[np.int8]
 
 @dataclass(frozen=True)
 class Perturbed:
-    """What a perturbed program answers: per candidate the outcome and, where it is a choice, the answer."""
+    """What a perturbed program answers: per candidate the outcome and, where it is a choice, the answer.
+
+    either: of the programs of a kind that are marked so, one that proves is enough.
+    """
 
     kind: str
     variant: str
     outcome: Codes
     answer: Codes
+    either: bool = False
 
     def proves(self) -> Bools:
         """Where the perturbed program fails to give the answer, and certainly so."""

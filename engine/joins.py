@@ -122,7 +122,7 @@ class Joins:
 
 def count(masks: Words) -> Ints:
     """People in each mask."""
-    return np.bitwise_count(masks).sum(axis=-1, dtype=np.int64)
+    return np.asarray(np.bitwise_count(masks).sum(axis=-1, dtype=np.int64))
 
 
 def find_joins(scene: Scene, facts: Facts, conditions: Conditions, rules: Rules) -> Joins:

@@ -78,7 +78,7 @@ _TABLES: Final = (
 
 
 @contextlib.contextmanager
-def _in_graph(graph: Graph, paths: Paths) -> Iterator[None]:
+def paths_in_graph(graph: Graph, paths: Paths) -> Iterator[None]:
     """The paths as nodes of the scene's graph, for as long as the block lasts."""
     for statement in _TABLES:
         graph.execute(statement)
@@ -111,10 +111,10 @@ def hop_proofs(scene: Scene, graph: Graph, paths: Paths, rules: Rules) -> tuple[
         proofs.append(Perturbed("hop.stop", str(place), outcome, answer))
     if not len(paths):
         return tuple(proofs)
-    with _in_graph(graph, paths):
+    with paths_in_graph(graph, paths):
         for skipped in range(1, len(paths.template.edges)):
             found = ask(graph, "necessity", f"{_HOPS[len(nodes) - 1]}_skip", rules, skipped=skipped)
-            stages = [paths.people["a"], *(_placed(found, node, len(paths)) for node in nodes[1:-1])]
+            stages = [paths.people["a"], *(placed(found, node, len(paths)) for node in nodes[1:-1])]
             outcome, answer = _read(scene, watched, paths, stages)
             proofs.append(Perturbed("hop.skip", str(skipped), outcome, answer))
     return tuple(proofs)
@@ -130,15 +130,15 @@ def program_proofs(scene: Scene, graph: Graph, paths: Paths, rules: Rules) -> tu
         return tuple(Perturbed(kind, "", none, none) for kind in ("time.shift", "time.drop"))
     name, nodes, step = paths.template.name, paths.template.people, frames(rules.shift_s)
     watched, proofs = Watched(scene), []
-    with _in_graph(graph, paths):
+    with paths_in_graph(graph, paths):
         for by in (-step, step):
             found = ask(graph, "necessity", f"{name}_shift", rules, by=by)
-            stages = [_placed(found, node, len(paths)) for node in nodes]
+            stages = [placed(found, node, len(paths)) for node in nodes]
             outcome, answer = _read(scene, watched, paths, stages)
             moved = paths.frames["t0"] + by
             outside = (moved < scene.keyframes[0]) | (moved > scene.keyframes[-1])
             outcome[outside], answer[outside] = OUTSIDE, NOBODY
-            proofs.append(Perturbed("time.shift", f"{by / FPS:+g} s", outcome, answer))
+            proofs.append(Perturbed("time.shift", f"{by / FPS:+g} s", outcome, answer, either=True))
         found = ask(graph, "necessity", f"{name}_drop", rules)
         defined, answers = np.zeros(len(paths), np.int64), np.zeros(len(paths), np.int64)
         defined[ints(found, "id")], answers[ints(found, "id")] = ints(found, "defined"), ints(found, "answers")
@@ -147,7 +147,7 @@ def program_proofs(scene: Scene, graph: Graph, paths: Paths, rules: Rules) -> tu
     return tuple(proofs)
 
 
-def _placed(found: pa.Table, node: str, count: int) -> Ints:
+def placed(found: pa.Table, node: str, count: int) -> Ints:
     """A column of moments by the path's id; at a time that is no keyframe nothing is known."""
     moments = np.full(count, relations.UNKNOWN)
     moments[ints(found, "id")] = ints(found, node)

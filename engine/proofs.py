@@ -145,9 +145,7 @@ def _proofs(
     for perturbed in candidates.perturbed:
         outcome = OUTCOMES[perturbed.outcome[row]]
         answer = VALUES[perturbed.answer[row]] if perturbed.answer[row] != NOBODY else None
-        # One shift may fail; all others have passed the rule of their kind.
-        proves = perturbed.kind != "time.shift" or outcome in ("different", "ambiguous", "empty")
-        found.append(proof(perturbed.kind, perturbed.variant, proves, outcome, answer))
+        found.append(proof(perturbed.kind, perturbed.variant, bool(perturbed.proves()[row]), outcome, answer))
     if candidates.template.time_proof == "construction":
         # Asked is the time itself: at another time another answer would be right.
         found.append(proof("time.drop", "by construction", True, "different"))

@@ -40,8 +40,8 @@ SOCIAL, GROUP, ROBOT_VIEW, PERSON_VIEW = range(4)
 """Kinds of relations: what is unknown of a person is unknown for all relations of a kind."""
 
 RELATIONS: Final = (*INTERACTIONS, SAME_GROUP, FIRST_LEFT, FIRST_RIGHT, *PERSON_FRAME, *WINDOWS_LEFT, *WINDOWS_RIGHT)
-"""Relations that a question may name; coded columns are indices into it. Of windows, which hold of several, there are no
-facts here and no steps: see `joins`."""
+"""Relations that a question may name; coded columns are indices into it. Of windows, which hold of several people,
+there are no facts here and no steps: see `joins`."""
 
 KIND: Final = np.array(
     [SOCIAL] * len(INTERACTIONS)

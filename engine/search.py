@@ -16,7 +16,6 @@ from .absences import absence_tables
 from .asked import asked_proofs
 from .candidates import (
     PASSED,
-    SAME,
     UNKNOWN,
     Candidates,
     Codes,
@@ -30,6 +29,8 @@ from .candidates import (
 )
 from .company import find_company
 from .descriptions import Descriptions
+from .forks import find_forks, fork_proofs
+from .joins import find_joins
 from .paths import Paths, hop_proofs, program_proofs
 from .relations import RELATIONS, STATED_POSES, Facts, find_steps
 from .scene import NOBODY, Bools, Ints, Scene, coded, scene_graph
@@ -50,7 +51,8 @@ def find_candidates(
     scene: Scene, facts: Facts, descriptions: Descriptions, graph: Graph, template: Template, rules: Rules
 ) -> Candidates:
     """Search a scene's graph for a template and judge what is found; `facts` are the scene's relations."""
-    found = ask(graph, "generators", template.query, rules)
+    joins = find_joins(scene, facts, descriptions.conditions, rules) if template.joins else None
+    found = ask(graph, "generators", template.query, rules) if joins is None else find_forks(graph, joins, rules)
     count = len(found)
     people = {node: ints(found, "at0" if node == "a" else node) for node in template.people}
     relations = {name: coded(found[name], RELATIONS) for name in template.relations}
@@ -84,9 +86,12 @@ def find_candidates(
         ).take(open_rows)
         if not template.single_view:
             holds["view.single"] = _needs_turning(scene, paths, open_rows, count, rules)
-        proofs = hop_proofs(scene, graph, paths, rules)
-        if template.time_proof == "program":
-            proofs += program_proofs(scene, graph, paths, rules)
+        if joins is not None:
+            proofs = fork_proofs(scene, graph, joins, paths, rules)
+        else:
+            proofs = hop_proofs(scene, graph, paths, rules)
+            if template.time_proof == "program":
+                proofs += program_proofs(scene, graph, paths, rules)
         perturbed = tuple(_widened(proof, open_rows, count) for proof in proofs)
     if template.time_proof == "asked" and count:
         perturbed += asked_proofs(scene, graph, template, rules, moments, answer)
@@ -153,22 +158,19 @@ def _needs_turning(scene: Scene, paths: Paths, rows: Ints, count: int, rules: Ru
 
 
 def _proven(perturbed: tuple[Perturbed, ...]) -> dict[str, Bools]:
-    """Per rule, where its perturbed programs prove what they must."""
+    """Per rule, where its perturbed programs prove what they must: all of them, of those marked so at least one."""
     holds: dict[str, Bools] = {}
+    enough: dict[str, Bools] = {}
     for proof in perturbed:
-        if proof.kind == "time.shift":
-            # One of the two is enough.
-            holds[proof.kind] = holds.get(proof.kind, np.zeros(len(proof.outcome), dtype=bool)) | proof.proves()
-        elif proof.kind == "time.drop":
-            holds[proof.kind] = proof.outcome != SAME
+        if proof.either:
+            enough[proof.kind] = enough.get(proof.kind, np.zeros(len(proof.outcome), dtype=bool)) | proof.proves()
         else:
-            fails = ~np.isin(proof.outcome, (SAME, UNKNOWN))
-            holds[proof.kind] = holds.get(proof.kind, np.ones(len(proof.outcome), dtype=bool)) & fails
-    return holds
+            holds[proof.kind] = holds.get(proof.kind, np.ones(len(proof.outcome), dtype=bool)) & proof.proves()
+    return holds | {kind: holds.get(kind, True) & proves for kind, proves in enough.items()}
 
 
 def _widened(proof: Perturbed, rows: Ints, count: int) -> Perturbed:
     """The same for all candidates; those that an earlier rule refuses are not looked at, and stay unknown."""
     outcome, answer = np.full(count, UNKNOWN, dtype=np.int8), np.full(count, NOBODY, dtype=np.int8)
     outcome[rows], answer[rows] = proof.outcome, proof.answer
-    return Perturbed(proof.kind, proof.variant, outcome, answer)
+    return Perturbed(proof.kind, proof.variant, outcome, answer, proof.either)

@@ -87,6 +87,11 @@ class Template:
         return tuple(sorted({"a", *(target for _, target in self.edges)}))
 
     @property
+    def joins(self) -> bool:
+        """Whether two relations together lead to the target."""
+        return len(self.edges) >= len(self.people)
+
+    @property
     def relations(self) -> tuple[str, ...]:
         """Columns that hold the relations of the edges, or that of the people counted."""
         return tuple(f"r{i + 1}" for i in range(len(self.edges) + self.counts))
@@ -276,6 +281,16 @@ CHAINS: Final = (
         answer=_VALUE,
         stated=("t1", "t2"),
         form="gap_count",
+    ),
+    Template(
+        "fork_join",
+        ("2d", "actions"),
+        ("multiple_choice", "action", ("t0",)),
+        "program",
+        read=("t0",),
+        decisive=("t0",),
+        edges=(("a", "b"), ("a", "c"), ("b", "d"), ("c", "d")),
+        pose_answer=True,
     ),
 )
 
