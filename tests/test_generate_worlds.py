@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 from quick_store import quick_store
-from worlds import person, person_3d
+from worlds import member, person, person_3d
 
 from jrdb_avr.engine.candidates import PASSED, RULES, VALUES
 from jrdb_avr.engine.descriptions import describe_people
 from jrdb_avr.engine.relations import RELATIONS, find_facts
-from jrdb_avr.engine.scene import load_scene
+from jrdb_avr.engine.scene import NOBODY, load_scene
 from jrdb_avr.engine.search import find_candidates, search_graph
 from jrdb_avr.engine.templates import CHAINS, TEMPLATES
 from jrdb_avr.schema.rules import Rules
@@ -40,11 +40,14 @@ def seconds(text):
 
 
 def build(lines):
-    """The JRDB world of a fixture's lines about people and images."""
+    """The JRDB world of a fixture's lines about people, images and lost seconds."""
     layers = {"2d": {}}
+    lost, met, lists = (), {}, {}
     for line in lines:
         if line.startswith("images "):
             layers["images"] = [15 * second for second in seconds(line.split()[1])]
+        if line.startswith("lost "):
+            lost = seconds(line.split()[1])
         if not re.match(r"\d+ \|", line):
             continue
         track, letters, *facts = (part.strip() for part in line.split("|"))
@@ -61,7 +64,12 @@ def build(lines):
                 tiny = seconds(rest)
             else:
                 action, when = fact.rsplit(" ", 1)
-                more |= {(action, second): 1 for second in seconds(when)}
+                if match := re.fullmatch(r"(hard )?(.+) with (\d+)", action):
+                    for second in seconds(when):
+                        label = {match[2]: 3 if match[1] else 1}
+                        met.setdefault((int(track), second), []).append((int(match[3]), label))
+                else:
+                    more |= {(action, second): 1 for second in seconds(when)}
         for second, letter in enumerate(letters):
             rows = layers["2d"].setdefault(15 * second, [])
             if letter == "-":
@@ -71,10 +79,17 @@ def build(lines):
             column = columns[min(second, len(columns) - 1)]
             box = (column - 25, 100, 50, 20 if second in tiny else 150)
             rows.append(person(int(track), box, actions, group))
+            lists.setdefault(15 * second, []).append(
+                member(int(track), box, interactions=met.get((int(track), second), []))
+            )
             if metres is not None and metres[second] != "x":
                 away = float(metres[second])
                 solid = layers.setdefault("3d", {}).setdefault(15 * second, [])
                 solid.append(person_3d(int(track), away, 0.0, distance=away))
+    if met:
+        layers["social"] = lists
+    for layer in {"2d", "3d", "social"} & layers.keys():
+        layers[layer] = {frame: rows for frame, rows in layers[layer].items() if frame // 15 not in lost}
     return {SEQUENCE: layers}
 
 
@@ -95,12 +110,10 @@ def judge(store):
                 path = walk(scene, rows, i)
                 track = int(path.split()[-1])
                 when = tuple(int(rows.frames[name][i]) // 15 for name in template.stated)
-                action, answer = None, VALUES[rows.answer[i]]
-                if template.answer is not None:
-                    action = scene.segments["action"][int(rows.segment[i])].as_py()
-                    answer = " ".join(str(int(rows.frames[name][i])) for name in template.read)
                 rule = None if rows.rule[i] == PASSED else RULES[rows.rule[i]]
-                found[template.name, track, when, path if template.edges else None, action] = (rule, answer)
+                place = (template.query, track, when, path if template.edges else None, named(scene, rows, i))
+                assert place not in found
+                found[place] = (rule, answer_of(rows, i))
     described = {}
     for name in range(len(names.moment)):
         if names.general[name]:
@@ -108,6 +121,25 @@ def judge(store):
             second = int(scene.frames(names.moment[[name]])[0]) // 15
             described[track, second] = ", ".join(str(c.action or c.value) for c in names.of(name))
     return found, described
+
+
+def answer_of(rows, i):
+    """A candidate's answer as the fixture writes it."""
+    if rows.template.answer is None:
+        return VALUES[rows.answer[i]]
+    if rows.template.reads[0] == "number":
+        return f"{rows.value[i]:g}"
+    return " ".join(str(int(rows.frames[name][i])) for name in rows.template.read)
+
+
+def named(scene, rows, i):
+    """The actions whose start is asked for, or the relation of those counted."""
+    if rows.template.counts:
+        return RELATIONS[rows.relations["r1"][i]]
+    segments = [int(column[i]) for column in (rows.segment, rows.segment2) if column[i] != NOBODY]
+    if not segments or rows.template.answer is None:
+        return None
+    return " then ".join(scene.segments["action"][segment].as_py() for segment in segments)
 
 
 def walk(scene, rows, i):
@@ -132,7 +164,7 @@ def test_world(title, tmp_path):
     found, described = judge(quick_store(tmp_path, build(lines)))
     claims = 0
     for line in lines:
-        if re.match(r"\d+ \||images ", line):
+        if re.match(r"\d+ \||images |lost ", line):
             continue
         claims += 1
         if match := re.fullmatch(r"describes (\d+) at (\d+): (.+)", line):
