@@ -21,7 +21,7 @@ from jrdb_avr.engine.output import json_option, note, print_json, print_rows, pr
     type=click.Choice(("keyframes", "changes", "all")),
     default="changes",
     show_default=True,
-    help="Frames with a panorama; 'changes': keyframes and both frames round each change of what people do.",
+    help="Frames with a panorama; 'changes': keyframes, and once per second both frames round a moment of change.",
 )
 @click.option("--full-scale", is_flag=True, help="27 sequences sized like the JRDB test split, without images.")
 @workers_option

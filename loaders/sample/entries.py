@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from jrdb_avr.schema.rules import KEYFRAME_STEP
-
 from .labels import HARD, annotated, occlusion
 from .script import Rng
 from .world import World
@@ -38,9 +36,8 @@ class Entries:
 
 def _frames_of(world: World, first: Ints, last: Ints) -> tuple[Ints, Ints]:
     """The runs' places repeated once per frame, and those frames."""
-    begin = np.clip(world.phase + (first - 1) * KEYFRAME_STEP, 0, world.frames)
-    end = np.clip(world.phase + last * KEYFRAME_STEP, 0, world.frames)
-    length = end - begin
+    begin = world.starts[first]
+    length = world.starts[last + 1] - begin
     run = np.repeat(np.arange(len(first)), length)
     before = np.cumsum(length) - length
     return run, np.arange(length.sum()) - before[run] + begin[run]

@@ -37,6 +37,8 @@ QUALITY: Final = 92
 """JPEG quality of the panoramas."""
 
 _PERSON, _PANEL, _THING = range(3)
+_Carried = dict[int, list[tuple[int, str, int]]]
+"""Per person, (hand or BELOW, category, thing) of what is drawn with the figure."""
 STEPS: Final = -2
 """The part of a drawing that is the stairs below a person."""
 
@@ -46,16 +48,14 @@ _PANELS: Final[tuple[Color, ...]] = ((96, 84, 70), (70, 84, 100), (84, 96, 80), 
 def image_frames(world: World, which: str) -> list[int]:
     """Frames that get a panorama.
 
-    `none`; `keyframes`; `changes`: keyframes, and the last frame before and the first after each change of state;
-    `all`.
+    `none`; `keyframes`; `changes`: keyframes, and of every tick but the first the first frame and the one before, so
+    that they do not tell at which of them anything changes; `all`.
     """
-    steps = {
-        "none": (),
-        "keyframes": (0,),
-        "changes": (0, world.phase - 1, world.phase),
-        "all": range(KEYFRAME_STEP),
-    }[which]
-    return [frame for frame in range(world.frames) if frame % KEYFRAME_STEP in steps]
+    keyframes = range(0, world.frames, KEYFRAME_STEP)
+    if which == "changes":
+        starts = world.starts[1:-1]
+        return sorted({*keyframes, *starts.tolist(), *(starts - 1).tolist()})
+    return list({"none": range(0), "keyframes": keyframes, "all": range(world.frames)}[which])
 
 
 def marks_of(world: World, labelled: Bools, frame: int) -> dict[int, Mark]:
@@ -146,8 +146,9 @@ class Painter:
         """The panorama (480, 3760, 3), RGB."""
         image: Image = np.roll(self.backdrop.image, self._turn(frame), axis=1)
         marks = marks_of(self.world, self.labelled, frame)
+        carried = self._carried(frame)
         for kind, index in self._from_far(frame):
-            self._draw(image, frame, kind, index, _as_color)
+            self._draw(image, frame, kind, index, _as_color, carried)
             # Who has no box in the labels carries no mark: nothing could be asked or told of it.
             if kind == _PERSON and self.labelled[frame, index]:
                 x, y, w, h = self.world.boxes[frame, index].tolist()
@@ -157,8 +158,9 @@ class Painter:
     def segment(self, frame: int) -> npt.NDArray[np.uint16]:
         """The number of the segment (see `Segments`) at every pixel, (480, 3760)."""
         image = np.roll(self.backdrop.ids, self._turn(frame), axis=1)
+        carried = self._carried(frame)
         for kind, index in self._from_far(frame):
-            self._draw(image, frame, kind, index, self._numbering(kind, index))
+            self._draw(image, frame, kind, index, self._numbering(kind, index), carried)
         return image
 
     def _turn(self, frame: int) -> int:
@@ -182,9 +184,9 @@ class Painter:
         there += [(d, _THING, k) for k, d in enumerate(world.thing_distance[frame].tolist()) if d < FARTHEST]
         return [(kind, index) for _, kind, index in sorted(there, reverse=True)]
 
-    def _draw(self, image: npt.NDArray[Any], frame: int, kind: int, index: int, pen: Pen) -> None:
+    def _draw(self, image: npt.NDArray[Any], frame: int, kind: int, index: int, pen: Pen, carried: _Carried) -> None:
         if kind == _PERSON:
-            self._person(image, frame, index, pen)
+            self._person(image, frame, index, pen, carried.get(index, []))
         elif kind == _PANEL:
             self._panel(image, frame, index, pen)
         else:
@@ -208,7 +210,7 @@ class Painter:
                     image, (at - w // 7, y + h // 6), (at - w // 16, y + h // 2), poster if part % 2 else edge, -1
                 )
 
-    def _person(self, image: npt.NDArray[Any], frame: int, i: int, pen: Pen) -> None:
+    def _person(self, image: npt.NDArray[Any], frame: int, i: int, pen: Pen, mine: list[tuple[int, str, int]]) -> None:
         world = self.world
         x, _, w, _ = world.boxes[frame, i].tolist()
         distance = float(world.distance[frame, i])
@@ -216,7 +218,6 @@ class Painter:
             round(row) for row in body_rows(world.motion.z[frame, i], world.distance[frame, i], world.height[frame, i])
         )
         ground = round(HORIZON_ROW - FOCAL_ROWS * FLOOR / distance)
-        mine = self._carried(frame).get(i, [])
         for left in _copies(x, w):
             if pen is _as_color:
                 _shadow(image, left, ground, w)
@@ -238,9 +239,8 @@ class Painter:
             )
             draw_figure(image, figure, pen)
 
-    def _carried(self, frame: int) -> dict[int, list[tuple[int, str, int]]]:
-        """Per person, (hand or BELOW, category, thing) of what is drawn with the figure."""
-        out: dict[int, list[tuple[int, str, int]]] = {}
+    def _carried(self, frame: int) -> _Carried:
+        out: _Carried = {}
         for person, thing, _, hand in at_tick(self.world.things.handling, int(self.world.tick[frame])):
             one = self.world.things.things[thing]
             if not one.standing:

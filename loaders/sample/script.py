@@ -1,7 +1,7 @@
 """Who is in a sequence of the sample world, and what each does: states that change once per second.
 
-Time runs in *ticks*. Tick k holds one state of every person for 15 frames; the first is shorter, by the sequence's
-`phase`, so that changes fall between keyframes. Arrays have the shape (ticks, people).
+Time runs in *ticks* of about a second. Each holds one state of every person, and begins between two keyframes
+(the first with the sequence). Arrays have the shape (ticks, people).
 """
 
 from __future__ import annotations

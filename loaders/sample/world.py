@@ -62,9 +62,9 @@ class World:
     be negative or reach past 3760, rows cut at the image. `covered`: share of the box behind nearer people and panels.
     `panel_boxes` (frames, panels, 4) and `panel_distance` (frames, panels) likewise. `cluster` numbers groups; people
     who share one are together. `order` (frames, people): places from the nearest to the farthest. `tick` (frames):
-    number of the second whose states hold; `phase`: first frame of tick 1. `thing_boxes` (frames, standing
-    things, 4) and `thing_distance` (frames, standing things; infinite where the thing is not there) by column of
-    `things.stands`.
+    number of the tick whose states hold; `starts` (ticks + 1): first frame of each tick, then `frames`.
+    `thing_boxes` (frames, standing things, 4) and `thing_distance` (frames, standing things; infinite where the thing
+    is not there) by column of `things.stands`.
     `joints` (frames, people, 17, 2): stitched pixels, not cut at the image nor wrapped at the seam; `joint_covered`
     (frames, people, 17): behind something nearer.
     """
@@ -72,7 +72,7 @@ class World:
     name: str
     seed: int
     frames: int
-    phase: int
+    starts: Ints
     people: tuple[Person, ...]
     parties: tuple[Party, ...]
     panels: tuple[Panel, ...]
@@ -107,8 +107,8 @@ def rng_of(seed: int, *names: str) -> Rng:
 
 def build(name: str, seed: int, frames: int, people: int) -> World:
     """Simulate a sequence of `frames` frames with about `people` people in view."""
-    phase = 4 + int(rng_of(seed, name, "phase").integers(0, KEYFRAME_STEP - 6))
-    tick = (np.arange(frames) - phase) // KEYFRAME_STEP + 1
+    starts = _starts(rng_of(seed, name, "starts"), frames)
+    tick = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
     script = write_script(rng_of(seed, name, "script"), int(tick[-1]) + 1, people)
     motion = move(rng_of(seed, name, "motion"), script, tick)
     panels = _panels(rng_of(seed, name, "panels"), script.parties)
@@ -139,7 +139,7 @@ def build(name: str, seed: int, frames: int, people: int) -> World:
         name=name,
         seed=seed,
         frames=frames,
-        phase=phase,
+        starts=starts,
         people=script.people,
         parties=script.parties,
         panels=panels,
@@ -165,6 +165,16 @@ def build(name: str, seed: int, frames: int, people: int) -> World:
         joints=bodies,
         joint_covered=joint_covered,
     )
+
+
+def _starts(rng: Rng, frames: int) -> Ints:
+    """First frame of each tick, then `frames`: one tick begins between any two keyframes, not near either.
+
+    Each at a place of its own: where changes may fall in one second tells nothing of the next.
+    """
+    keyframes = np.arange(0, frames, KEYFRAME_STEP)
+    starts = keyframes + rng.integers(4, KEYFRAME_STEP - 2, len(keyframes))
+    return np.concatenate([[0], starts[starts < frames], [frames]])
 
 
 def person_boxes(motion: Motion, distance: Floats, height: Floats, width: Floats) -> Ints:
