@@ -7,7 +7,7 @@ change. The file's own checksum tells what no scan can see, such as a damaged in
 have been added to the file since, it cannot hold, and every key is looked up instead.
 
 A damaged graph can crash the engine or keep it busy for ever: it is read in a process of its own, which is ended when
-it takes too long or too much memory, and started again for the next table.
+it takes too long or too much memory.
 """
 
 from __future__ import annotations
@@ -175,23 +175,22 @@ def _add(to: Digests, more: Mapping[str, Digest]) -> None:
 
 
 def _read(path: Path, tables: Sequence[str], timeout_s: float) -> Iterator[tuple[str, list[Digests] | str]]:
-    """Each table's digests, one per reading, or what went wrong while it was read."""
-    left = list(tables)
-    while left:
-        with _child(path, left) as answers:
-            for table in tuple(left):
-                left.remove(table)
-                try:
-                    in_time = answers.poll(timeout_s)
-                    answer = answers.recv() if in_time else "reading it does not end"
-                except (EOFError, OSError):
-                    yield table, "the engine crashed while reading it"
-                    break
-                yield table, answer
-                if not in_time:
-                    # One wait is enough: the graph is to be rebuilt anyway.
-                    yield from ((other, f"not read, after {table}") for other in left)
-                    return
+    """Each table's digests, one per reading, or what went wrong while it was read.
+
+    Nothing is read after a crash or an endless wait: whatever the rest holds, the graph is to be rebuilt.
+    """
+    with _child(path, tables) as answers:
+        for at, table in enumerate(tables):
+            fault = "reading it does not end"
+            try:
+                if answers.poll(timeout_s):
+                    yield table, answers.recv()
+                    continue
+            except (EOFError, OSError):
+                fault = "the engine crashed while reading it"
+            yield table, fault
+            yield from ((other, f"not read, after {table}") for other in tables[at + 1 :])
+            return
 
 
 @contextlib.contextmanager

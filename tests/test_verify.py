@@ -1,15 +1,18 @@
 """`load --verify` finds what has happened to a store since it was loaded, and a rebuild mends it."""
 
 import json
+import os
 import random
 import shutil
 import subprocess
 import sys
+import time
 
 import pyarrow as pa
 import pytest
 from scene_tables import table_store
 
+from jrdb_avr.loaders import verify
 from jrdb_avr.loaders.verify import FILE, STEPS, checks_of
 from jrdb_avr.queries.handle import Graph
 from jrdb_avr.queries.seal import PAGE, check_seal, seal_of, seal_path
@@ -52,8 +55,8 @@ def copy(store, tmp_path):
     return Store(tmp_path / "store")
 
 
-def faults(store):
-    return {check.what: check.fault for check in checks_of(store, timeout_s=8) if check.fault}
+def faults(store, timeout_s=60):
+    return {check.what: check.fault for check in checks_of(store, timeout_s=timeout_s) if check.fault}
 
 
 def dump(store):
@@ -113,7 +116,7 @@ def damaged(store, copy, seed):
     for _ in range(40):
         overwrite(copy.graph_path, rng)
     seal_path(copy.graph_path).write_text(json.dumps({**as_dict(seal_of(copy.graph_path))}))
-    return dump(copy) != dump(store), faults(copy)
+    return dump(copy) != dump(store), faults(copy, 8)
 
 
 def as_dict(seal):
@@ -143,8 +146,30 @@ def test_a_graph_that_crashes_the_engine_is_a_line_each(copy):
     rng = random.Random(3)
     data[PAGE:] = rng.randbytes(len(data) - PAGE)
     copy.graph_path.write_bytes(data)
-    found = faults(copy)
+    found = faults(copy, 12)
     assert set(found) == {FILE, *SCENE_NODES, *SCENE_RELS}
+
+
+@pytest.mark.parametrize(("ends", "said"), [("os._exit(1)", "crashed while reading"), ("time.sleep(300)", "not end")])
+def test_an_engine_that_crashes_or_hangs_is_waited_for_once(store, monkeypatch, ends, said):
+    # The child reads one table and then ends so.
+    monkeypatch.setattr(verify, "_serve", {"os._exit(1)": _crash, "time.sleep(300)": _hang}[ends])
+    began = time.monotonic()
+    found = faults(store, 12)
+    assert time.monotonic() - began < 60
+    assert said in found["Sequence"]
+    assert set(found) == {*SCENE_NODES, *SCENE_RELS}
+    assert found["Handles"] == "not read, after Sequence"
+
+
+def _crash(answers, path, tables):
+    answers.send([])
+    os._exit(1)
+
+
+def _hang(answers, path, tables):
+    answers.send([])
+    time.sleep(300)
 
 
 def test_tables_beside_the_scene_do_no_harm(copy):
