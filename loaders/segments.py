@@ -8,7 +8,9 @@ seconds before and after. A grid frame that is not annotated is unknown; frames 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -29,13 +31,16 @@ Bools = npt.NDArray[np.bool_]
 HALF_STEP = KEYFRAME_STEP // 2
 """At one frame per second the truth lies up to half a step outside [first, last]."""
 
+BLOCK: Final = 500_000
+"""Cells looked at in one go; one person's many actions may make more."""
+
 
 def segments_table(line: Timeline, boxes: Boxes, labels: Labels, runs: Runs, rules: LoadRules) -> pa.Table:
     """The interval table `segments`, by track, action and first frame."""
     grid = line.grid("actions")
-    found = _find(grid, boxes, labels, runs, rules) if grid and len(runs.track) else None
-    if grid is None or found is None:
+    if grid is None or not len(runs.track):
         return INTERVALS["segments"].empty_table()
+    found = _find(grid, boxes, labels, runs, rules)
     half = 0 if grid.step == 1 else HALF_STEP
     return pa.table(
         {
@@ -62,51 +67,70 @@ class _Segments:
     closed: Bools
 
 
+class _Facts:
+    """The facts of a sequence, (track, action) that occur, and what is true of them at which frames of the grid."""
+
+    def __init__(self, grid: Grid, boxes: Boxes, labels: Labels, runs: Runs) -> None:
+        self.grid, self.boxes, self.labels, self.runs = grid, boxes, labels, runs
+        self.facts = distinct_of(_fact(runs.track, runs.value))
+        self.of_runs = np.searchsorted(self.facts, _fact(runs.track, runs.value))
+        on_grid = np.flatnonzero(grid.holds(boxes.frame))
+        self.by_track = on_grid[np.argsort(boxes.track[on_grid], kind="stable")]
+        ordered = boxes.track[self.by_track]
+        self.low = np.searchsorted(ordered, self.facts >> 31, "left")
+        self.count = np.searchsorted(ordered, self.facts >> 31, "right") - self.low
+        self.posed = certain_pose(boxes, labels) >= 0
+        # Labels without a box would be of refused boxes; there are none in the tables.
+        has_box = np.flatnonzero(boxes.rows(labels.frame, labels.track) >= 0)
+        of_labels = np.searchsorted(self.facts, _fact(labels.track[has_box], labels.action[has_box]))
+        order = np.argsort(of_labels, kind="stable")
+        self.label_rows, self.of_labels = has_box[order], of_labels[order]
+
+    def blocks(self) -> Iterator[tuple[int, int]]:
+        """First fact, and the one after the last, of blocks of about as many cells as are looked at in one go."""
+        number = np.cumsum(self.count) // BLOCK
+        starts = np.flatnonzero(np.append(True, number[1:] != number[:-1])).tolist()
+        yield from zip(starts, [*starts[1:], len(self.facts)], strict=True)
+
+
 class _Cells:
     """One cell per (fact, grid frame) at which the person has a box or the fact a closed gap; all others are unknown.
 
-    A fact is a (track, action) that occurs. `key` is fact * span + grid number, ascending.
+    Only the facts from `begin` to before `end` are looked at. `key` is fact * span + grid number, ascending.
     """
 
-    def __init__(self, grid: Grid, boxes: Boxes, labels: Labels, runs: Runs, rules: LoadRules) -> None:
-        self.facts = np.unique(_fact(runs.track, runs.value))
+    def __init__(self, known: _Facts, begin: int, end: int) -> None:
+        grid, boxes, labels, runs = known.grid, known.boxes, known.labels, known.runs
         self.span = grid.size + 1
-        fact_of_runs = np.searchsorted(self.facts, _fact(runs.track, runs.value))
-        gap_run, place = ragged(np.where(runs.gap, (runs.last - runs.first) // grid.step + 1, 0))
-        gap_keys = fact_of_runs[gap_run] * self.span + grid.index(runs.first[gap_run]) + place
+        here = slice(*np.searchsorted(known.of_runs, [begin, end]))
+        first, last = runs.first[here], runs.last[here]
+        gap_run, place = ragged(np.where(runs.gap[here], (last - first) // grid.step + 1, 0))
+        gap_keys = known.of_runs[here][gap_run] * self.span + grid.index(first[gap_run]) + place
 
-        on_grid = np.flatnonzero(grid.holds(boxes.frame))
-        by_track = on_grid[np.argsort(boxes.track[on_grid], kind="stable")]
-        ordered = boxes.track[by_track]
-        low = np.searchsorted(ordered, self.facts >> 31, "left")
-        count = np.searchsorted(ordered, self.facts >> 31, "right") - low
-        fact, place = ragged(count)
-        row = by_track[low[fact] + place]
+        fact, place = ragged(known.count[begin:end])
+        row = known.by_track[known.low[begin:end][fact] + place]
+        fact += begin
         box_keys = fact * self.span + grid.index(boxes.frame[row])
 
         # Both are ascending; a stable sort merges two runs in linear time.
         self.key = distinct_of(np.sort(np.concatenate([box_keys, gap_keys]), kind="stable"))
-        action = self.facts & (2**31 - 1)
-        pose = labels.is_pose[action]
-        label_row = boxes.rows(labels.frame, labels.track)
-        has_box = label_row >= 0
-        label_fact = np.searchsorted(self.facts, _fact(labels.track, labels.action))
-        label_keys = label_fact * self.span + grid.index(labels.frame)
+        pose = labels.is_pose[known.facts & (2**31 - 1)]
+        here = slice(*np.searchsorted(known.of_labels, [begin, end]))
+        label = known.label_rows[here]
+        label_keys = known.of_labels[here] * self.span + grid.index(labels.frame[label])
 
-        pose_code = certain_pose(boxes, labels)
         listed = np.zeros(len(self.key), np.bool_)
-        clear, known = listed.copy(), listed.copy()
+        clear, told = listed.copy(), listed.copy()
         at = np.searchsorted(self.key, box_keys)
         listed[at] = boxes.listed[row]
         clear[at] = boxes.clear[row]
-        known[at] = ~pose[fact] | (pose_code[row] >= 0)
+        told[at] = ~pose[fact] | known.posed[row]
         named, true, gap = np.zeros((3, len(self.key)), np.bool_)
-        # Labels without a box would be of refused boxes; there are none in the tables.
-        at = np.searchsorted(self.key, label_keys[has_box])
+        at = np.searchsorted(self.key, label_keys)
         named[at] = True
-        true[at] = labels.certain[has_box]
+        true[at] = labels.certain[label]
         gap[np.searchsorted(self.key, gap_keys)] = True
-        self.false = listed & known & ~named & ~gap
+        self.false = listed & told & ~named & ~gap
         self.false_clear = self.false & clear
         self.inside = (true & clear) | gap
 
@@ -116,7 +140,12 @@ def _fact(track: Ints, action: Ints) -> Ints:
 
 
 def _find(grid: Grid, boxes: Boxes, labels: Labels, runs: Runs, rules: LoadRules) -> _Segments:
-    cells = _Cells(grid, boxes, labels, runs, rules)
+    known = _Facts(grid, boxes, labels, runs)
+    parts = [_find_in(_Cells(known, *block), known.facts, grid, rules) for block in known.blocks()]
+    return _Segments(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(_Segments)))
+
+
+def _find_in(cells: _Cells, facts: Ints, grid: Grid, rules: LoadRules) -> _Segments:
     key, step = cells.key, grid.step
     next_to = np.append(False, key[1:] == key[:-1] + 1)
     begins = np.flatnonzero(cells.inside & ~(next_to & np.append(False, cells.inside[:-1])))
@@ -149,7 +178,7 @@ def _find(grid: Grid, boxes: Boxes, labels: Labels, runs: Runs, rules: LoadRules
     )
     before = np.maximum(begins - 1, 0)
     quiet_from = key[chain[before]] % cells.span
-    pair = cells.facts[fact[stable]]
+    pair = facts[fact[stable]]
     return _Segments(
         pair >> 31,
         pair & (2**31 - 1),
