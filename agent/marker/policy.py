@@ -12,12 +12,14 @@ from typing import Any, Final
 
 from jrdb_avr.schema.panorama import CROP, Box
 from jrdb_avr.schema.plan import Plan
+from jrdb_avr.schema.rules import FPS
 from jrdb_avr.schema.rules import frames as frames_in
 from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 
 from ..decode import write_box
 from .eyes import AROUND, NEARBY, Eyes, Spent, Want
 from .finding import find
+from .hops import look_round, related, walk
 from .reading import Sighting, Task
 
 _STEP: Final = frames_in(2.0)
@@ -25,6 +27,9 @@ _STEP: Final = frames_in(2.0)
 
 _WAIT: Final = frames_in(3.0)
 """What is asked about lies three seconds after the description, or more."""
+
+_LONG: Final = frames_in(10.0)
+"""A posture that a question waits the end of lasts ten seconds at least."""
 
 _CLOSE_FRAMES: Final = 10
 """Closing in ends when the moment is known to this many frames."""
@@ -81,8 +86,13 @@ def _play(game: Game) -> dict[str, Any]:
         person = found.sighting
         if found.missing:
             game.note(found.missing)
+        if person is not None and game.plan.edges:
+            person = walk(game.plan, person, look_round(game.eyes, person.frame))
+            if person is None:
+                game.note("mark unreadable: a hop leads to nobody, or to several")
     except Spent:
         game.note("budget: the person was not found")
+        person = person if person is None or not game.plan.edges else None
     answer = _answer(game, person, t0)
     return {"action": "answer", "answer": answer, "evidence_bboxes": _evidence(game, person)}
 
@@ -101,8 +111,15 @@ def _answer(game: Game, person: Sighting | None, t0: int) -> Any:
         case "span":
             start, end = _span(game, person, t0)
             return {"start_frame": _id(game, start), "end_frame": _id(game, end)}
-        case other:
-            raise NotImplementedError(other)
+        case "start_view":
+            start, _ = _start(game, person, t0)
+            return {"frame_id": _id(game, start), "angle_deg": _angle(game, person, start)}
+        case "next_action":
+            return game.choose(_next_pose(game, person, t0), person.mark.pose if person else None)
+        case "seconds_between":
+            return {"value": f"{_seconds_between(game, person, t0):.1f}"}
+        case "count":
+            return {"value": str(_count(game, person))}
 
 
 def _id(game: Game, frame: float) -> str:
@@ -168,11 +185,14 @@ def _probe(game: Game, person: Sighting, action: str, frame: float) -> bool | No
     return _does(action, seen)
 
 
-def _start(game: Game, person: Sighting | None, t0: int) -> tuple[float, int | None]:
-    """The moment at which the action starts, and a frame at which it was seen after that (None if it never was)."""
+def _start(game: Game, person: Sighting | None, t0: int, event: int = 0) -> tuple[float, int | None]:
+    """The moment at which an action starts, and a frame at which it was seen after that (None if it never was).
+
+    `event` counts the starts that the question names.
+    """
     last = game.eyes.frames[-1]
     guess = (t0 + _WAIT + last) / 2
-    action = next(time.action for time in game.plan.times.values() if time.event == "start")
+    action = [time.action for _, time in sorted(game.plan.times.items()) if time.event == "start"][event]
     if person is None or action is None:
         return guess, None
     before, after = min(t0 + _WAIT, last) - 1, None
@@ -246,6 +266,82 @@ def _span(game: Game, person: Sighting | None, t0: int) -> tuple[float, float]:
     except Spent:
         game.note("budget: the end was not closed in on")
     return start, (during + after) / 2 if after is not None else during
+
+
+def _angle(game: Game, person: Sighting | None, frame: float) -> float:
+    """Where the person was seen nearest to a frame."""
+    if person is None:
+        return 180.0
+    seen = min(game.eyes.sightings(person.mark.identity), key=lambda s: (abs(s.frame - frame), s.frame))
+    return round(seen.angle, 1)
+
+
+def _next_pose(game: Game, person: Sighting | None, t0: int) -> str | None:
+    """The first other pose in which the person is seen after holding that of t0 for a while."""
+    if person is None:
+        return None
+    last, frame = game.eyes.frames[-1], t0 + _LONG
+    step = max(_STEP, -(-(last - frame) // max(game.eyes.spare(), 1)))
+    try:
+        while frame <= last:
+            seen = game.eyes.follow(person.mark.identity, frame, NEARBY)
+            if seen is not None and seen.mark.pose not in (None, person.mark.pose):
+                return seen.mark.pose
+            if seen is None:
+                game.note(f"mark unreadable at frame {game.eyes.legal(frame)}")
+            frame += step
+    except Spent:
+        game.note("budget: no other posture was seen")
+    return None
+
+
+def _seconds_between(game: Game, person: Sighting | None, t0: int) -> float:
+    """Seconds between two starts, or from leaving the view to coming back."""
+    if any(time.event == "start" for time in game.plan.times.values()):
+        first, _ = _start(game, person, t0)
+        second, _ = _start(game, person, t0, event=1)
+        return max((second - first) / FPS, 1.0)
+    return _absence(game, person, t0)
+
+
+def _absence(game: Game, person: Sighting | None, t0: int) -> float:
+    """Length of the first absence after t0: the person is followed until it is gone, and then until it is back."""
+    last = game.eyes.frames[-1]
+    guess = 10.0
+    if person is None:
+        return guess
+    there, gone, frame = t0, None, t0 + _WAIT
+    try:
+        while frame <= last:
+            seen = game.eyes.follow(person.mark.identity, frame, NEARBY)
+            if seen is None:
+                gone = frame if gone is None else gone
+            elif gone is None:
+                there = seen.frame
+            else:
+                return max((seen.frame + frame - _WAIT - there - gone) / 2 / FPS, 1.0)
+            frame += _WAIT
+    except Spent:
+        game.note("budget: the person was not seen coming back")
+    return max((frame - there) / FPS, 1.0) if gone is not None else guess
+
+
+def _count(game: Game, person: Sighting | None) -> int:
+    """How many different people are seen to have the relation between the two stated times."""
+    begin, end = (game.frame_of(name) for name in game.plan.asked())
+    relation = game.plan.answer.relation
+    found: set[int] = set()
+    frame = begin
+    try:
+        while person is not None and relation is not None and frame <= end:
+            own = game.eyes.follow(person.mark.identity, frame, NEARBY)
+            if own is not None:
+                people = look_round(game.eyes, own.frame)
+                found |= {s.mark.identity for s in people if s is not own and related(relation, own, s, people)}
+            frame += max(_STEP, (end - begin) // 2)
+    except Spent:
+        game.note("budget: not all of the time was looked at")
+    return max(len(found), 1)
 
 
 def _performed(game: Game, person: Sighting, action: str, begin: int, *, wanted: bool = True) -> list[int]:
