@@ -1,0 +1,90 @@
+"""The marker model's hops: whom a relation leads to, on people placed by hand."""
+
+import pytest
+
+from jrdb_avr.agent.marker.hops import related, walk
+from jrdb_avr.agent.marker.reading import Sighting
+from jrdb_avr.schema.marks import Mark
+from jrdb_avr.schema.panorama import Box
+from jrdb_avr.schema.plan import AnswerSpec, Edge, Node, Plan, Time
+from jrdb_avr.schema.vocabulary import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
+
+
+def seen(identity, angle, metres=3.0, heading=None, **more):
+    """Somebody at a panorama angle (180 ahead, 90 left of the robot) and distance, heading as marks tell it."""
+    mark = Mark(identity, distance_dm=round(metres * 10), heading_deg=heading, **more)
+    return Sighting(0, mark, Box(100, 100, 50, 200), True, angle)
+
+
+def test_left_is_the_smaller_angle_also_across_the_seam():
+    a, b, c = seen(1, 10.0), seen(2, 350.0), seen(3, 30.0)
+    people = [a, b, c]
+    assert related(FIRST_LEFT, a, b, people) and not related(FIRST_LEFT, a, c, people)
+    assert related(FIRST_RIGHT, a, c, people) and not related(FIRST_RIGHT, a, b, people)
+    assert related(FIRST_LEFT, c, a, people) and not related(FIRST_LEFT, c, b, people), "a stands between"
+
+
+def test_the_first_to_the_left_is_at_most_sixty_degrees_away():
+    a, b = seen(1, 200.0), seen(2, 139.0)
+    assert not related(FIRST_LEFT, a, b, [a, b])
+    assert related("within 90 degrees to the left of (robot view)", a, b, [a, b])
+    assert not related("within 60 degrees to the left of (robot view)", a, b, [a, b])
+    assert not related("within 90 degrees to the right of (robot view)", a, b, [a, b])
+
+
+def test_a_relation_may_stand_on_either_mark():
+    a = seen(1, 180.0, partner=2, interaction="conversation")
+    b, c = seen(2, 190.0), seen(3, 200.0)
+    assert related("conversation", a, b, [a, b, c]) and related("conversation", b, a, [a, b, c])
+    assert not related("conversation", a, c, [a, b, c]) and not related("hugging", a, b, [a, b, c])
+
+
+def test_people_alone_share_no_group():
+    a, b, c, d = seen(1, 180, group=0), seen(2, 190, group=0), seen(3, 200, group=4), seen(4, 210, group=4)
+    assert not related(SAME_GROUP, a, b, [a, b, c, d]) and related(SAME_GROUP, c, d, [a, b, c, d])
+
+
+@pytest.mark.parametrize(
+    ("angle", "metres", "heading", "label"),
+    [
+        # The source stands 3 m ahead of the robot; the target farther ahead, to the robot's left, or on the robot.
+        (180.0, 4.0, 0, "front, close"),
+        (180.0, 4.0, 180, "back, close"),
+        (180.0, 4.0, 90, "right, close"),
+        (180.0, 4.0, 270, "left, close"),
+        (180.0, 5.5, 320, "front left, moderate"),
+        (180.0, 5.5, 40, "front right, moderate"),
+        (180.0, 5.5, 220, "back left, moderate"),
+        (135.0, 4.2426, 0, "left, moderate"),
+        (225.0, 4.2426, 0, "right, moderate"),
+    ],
+)
+def test_places_in_a_persons_own_frame(angle, metres, heading, label):
+    a, b = seen(1, 180.0, 3.0, heading), seen(2, angle, metres)
+    assert related(label, a, b, [a, b])
+
+
+def plan(*edges):
+    ids = sorted({"a", *(target for _, _, target in edges)})
+    return Plan(
+        root="a",
+        target=ids[-1],
+        times={"t0": Time(frame=0)},
+        nodes=tuple(Node(id=node) for node in ids),
+        edges=tuple(Edge(source=s, relation=r, target=t, at="t0") for s, r, t in edges),
+        answer=AnswerSpec(mode="multiple_choice", read="action", of=ids[-1], at="t0"),
+    )
+
+
+def test_a_walk_goes_on_from_everybody_reached_and_never_back():
+    people = [seen(1, 200.0), seen(2, 180.0), seen(3, 150.0), seen(4, 230.0)]
+    there = plan(("a", FIRST_LEFT, "b"), ("b", FIRST_LEFT, "c"))
+    assert walk(there, people[0], people).mark.identity == 3
+    assert walk(plan(("a", FIRST_LEFT, "b"), ("b", FIRST_RIGHT, "c")), people[0], people) is None
+
+
+def test_a_fork_joins_at_the_one_who_fits_both():
+    people = [seen(1, 180.0), seen(2, 160.0), seen(3, 200.0), seen(4, 120.0), seen(5, 140.0), seen(6, 260.0)]
+    left, right = "within 90 degrees to the left of (robot view)", "within 60 degrees to the left of (robot view)"
+    fork = plan(("a", FIRST_LEFT, "b"), ("a", FIRST_RIGHT, "c"), ("b", left, "d"), ("c", right, "d"))
+    assert walk(fork, people[0], people).mark.identity == 5
