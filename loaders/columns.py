@@ -9,12 +9,16 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from jrdb_avr.schema.errors import InputError
+
 from .problems import Problems
 
 Ints = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
 
 TRACK_BITS: Final = 31
+MAX_DISTINCT: Final = 100_000
+"""Different values of one field in a file: labels repeat from frame to frame, ids within a few hundred."""
 
 
 def person_keys(frame: Ints, track: Ints) -> Ints:
@@ -49,9 +53,14 @@ def nullable(values: npt.NDArray[Any], missing: Bools, kind: pa.DataType) -> pa.
 
 
 class Distinct(dict[Any, int]):
-    """Numbers distinct values in the order they come: `codes[value]` is the number, adding it where new."""
+    """Numbers distinct values in the order they come: `codes[value]` is the number, adding it where new.
+
+    Raises InputError beyond MAX_DISTINCT: memory is bounded by it.
+    """
 
     def __missing__(self, value: Any) -> int:
+        if len(self) == MAX_DISTINCT:
+            raise InputError(f"more than {MAX_DISTINCT:,} different values of one field: is it a file of labels?")
         self[value] = code = len(self)
         return code
 

@@ -25,7 +25,7 @@ from jrdb_avr.schema.vocabulary import IMPOSSIBLE
 
 from . import fields
 from .columns import Bools, Distinct, Ints, Refusals, ragged
-from .expand import Decoded, Issue, Value, coded, count_issues, expand, label_pairs
+from .expand import Decoded, Issue, Value, bounded, coded, count_issues, expand, label_pairs
 from .gather import Columns, People, numbered
 from .jsonscan import MalformedError, elements, members
 from .problems import Problems, shorten
@@ -158,6 +158,7 @@ def read_lists(
 ) -> Relations:
     """What the lists of the kept people say; what is refused is counted."""
     size = np.maximum(columns[f"{kind.layer}.size"], 0)
+    bounded(int(size.sum()))
     start = np.cumsum(size) - size
     person, place = ragged(size[people.row])
     entry = start[people.row][person] + place

@@ -15,11 +15,15 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import ANNOTATIONS
 
 from . import fields
 from .columns import Bools, Distinct, Ints, Refusals, constant, ragged
 from .problems import shorten
+
+MAX_FACTS: Final = 2_000_000
+"""Labels of one kind in a file; JRDB's fullest sequence has about 1.5 million of its groups."""
 
 ABSENT: Final = (b"", b"null")
 """Raw values of a key that is not there: a null says no more than a missing key."""
@@ -67,26 +71,38 @@ def expand(
 ) -> Facts:
     """Decode every distinct raw value (`raws[code]`) and spread what it holds over the rows of `codes`.
 
-    What was wrong with a value is counted once per row that has it. `absent` is what a missing value holds.
+    What was wrong with a value is counted once per row that has it. `absent` is what a missing value holds. Raises
+    InputError beyond MAX_FACTS.
     """
     numbers = Distinct()
     held: list[list[int]] = []
     issues: dict[int, list[Issue]] = {}
     whole: list[bool] = []
+    size = 0
     for i, raw in enumerate(raws):
         decoded = absent if raw in ABSENT else decode(raw)
         held.append([numbers[value] for value in decoded.values])
         whole.append(decoded.whole)
+        size += len(decoded.values)
+        bounded(size)
         if decoded.issues:
             issues[i] = decoded.issues
     count_issues(codes, issues, refusals)
     flat = np.array(list(chain.from_iterable(held)), np.int64)
     lengths = np.array([len(values) for values in held], np.int64)
     starts = np.cumsum(lengths) - lengths
-    row, place = ragged(lengths[codes] if len(codes) else codes)
+    counts = lengths[codes] if len(codes) else codes
+    bounded(int(counts.sum()))
+    row, place = ragged(counts)
     taken = flat[starts[codes[row]] + place] if len(row) else row
     every = np.array(whole, np.bool_)[codes] if len(codes) else np.empty(0, np.bool_)
     return Facts(row, taken, list(numbers), every)
+
+
+def bounded(facts: int) -> None:
+    """Raises InputError where a file says more than memory is for."""
+    if facts > MAX_FACTS:
+        raise InputError(f"more than {MAX_FACTS:,} labels of one kind: is it a file of one sequence?")
 
 
 def count_issues(codes: Ints, issues: dict[int, list[Issue]], refusals: Refusals) -> None:

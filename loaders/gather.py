@@ -15,12 +15,16 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from jrdb_avr.schema.errors import InputError
+
 from .columns import Bools, Distinct, Ints, Refusals, first_of_equal, person_keys
 from .labelfile import RecordReader, read_frames
 from .problems import Problems
 from .records import BAD, OTHER, track_codes
 
-CHUNK: Final = 20_000
+MAX_GATHERED: Final = 400_000
+"""Records of one file; twice as many as JRDB's fullest sequence has boxes."""
+CHUNK: Final = 5_000
 """Records whose columns are taken at once."""
 CHUNK_BYTES: Final = 32 << 20
 """As much text as a chunk is made of at most: an adverse record holds thousands of objects."""
@@ -76,10 +80,14 @@ def gather(
 ) -> Gathered[R]:
     """Read a label file. `take` makes columns of records. Raises InputError if the file as a whole cannot be used."""
     gathered = Gathered(take)
+    records = 0
     for frame, key, raw in read_frames(path, suffixes, problems):
         found = reader.read(raw, key, problems)
         if found is not None:
             gathered.add(frame, *found, len(raw))
+            records += len(found[0])
+        if records > MAX_GATHERED:
+            raise InputError(f"{path.name}: more than {MAX_GATHERED:,} records", file=path.name)
     return gathered
 
 

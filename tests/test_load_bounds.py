@@ -1,0 +1,57 @@
+"""Files that say more than any sequence has: they are refused as a whole, with one clear problem, and the rest loads.
+
+The limits bound memory; they are lowered here, so that small files pass them.
+"""
+
+from __future__ import annotations
+
+import pytest
+from worlds import member, person, write_root
+
+from jrdb_avr.loaders import columns, expand, gather
+from jrdb_avr.loaders.layers import find_root
+from jrdb_avr.loaders.load import Shard, load_shard
+from jrdb_avr.schema.rules import LoadRules
+
+NAME = "yard-2020-01-01_0"
+BOX = (100, 60, 50, 200)
+
+
+def report_of(folder, social):
+    """The report of a root with one person in two 2D frames, beside a social layer."""
+    write_root(folder / "root", {NAME: {"2d": {f: [person(1, BOX)] for f in (0, 1)}, "social": social}})
+    (files,) = find_root(folder / "root").sequences
+    return load_shard(Shard(files, str(folder / "store"), LoadRules())).report
+
+
+def different(n):
+    """Demographics of which no two are written alike."""
+    return {0: [member(t, BOX, {"gender": {"Male": "1"}, "note": t}) for t in range(n)]}
+
+
+def talking(n):
+    return {0: [member(0, BOX, interactions=[(t, {"conversation": "1"}) for t in range(1, n + 1)])]}
+
+
+def many_labels(n):
+    return {0: [member(0, BOX, interactions=[(1, {f"label {i}": "1" for i in range(n)})])]}
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "social", "reason"),
+    [
+        (columns, "MAX_DISTINCT", different, "more than 20 different values of one field"),
+        (gather, "MAX_GATHERED", different, "more than 20 records"),
+        (expand, "MAX_FACTS", talking, "more than 20 labels of one kind"),
+        (expand, "MAX_FACTS", many_labels, "more than 20 labels of one kind"),
+    ],
+)
+def test_a_file_that_says_too_much_is_refused_and_the_rest_loads(monkeypatch, tmp_path, module, name, social, reason):
+    monkeypatch.setattr(module, name, 20)
+    full = report_of(tmp_path / "full", social(20))
+    assert full.problems == [] and "2d" in full.layers
+    report = report_of(tmp_path / "more", social(21))
+    (problem,) = report.problems
+    assert (problem.kind, problem.layer, problem.count) == ("file", "social", 1)
+    assert reason in problem.reason
+    assert report.layers == ["2d"] and report.boxes == 2
