@@ -14,9 +14,18 @@ from jrdb_avr.engine.scene import NOBODY, load_scene
 from jrdb_avr.engine.search import find_candidates, search_graph
 from jrdb_avr.engine.templates import CHAINS, TEMPLATES
 from jrdb_avr.schema.rules import Rules
-from jrdb_avr.schema.vocabulary import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
+from jrdb_avr.schema.vocabulary import (
+    FIRST_LEFT,
+    FIRST_RIGHT,
+    SAME_GROUP,
+    WINDOW_DEGREES,
+    WINDOWS_LEFT,
+    WINDOWS_RIGHT,
+)
 
-LETTERS = {FIRST_LEFT: "L", FIRST_RIGHT: "R", SAME_GROUP: "G"}
+LETTERS = {FIRST_LEFT: "L", FIRST_RIGHT: "R", SAME_GROUP: "G", "conversation": "C"}
+LETTERS |= {label: f"L{degrees}" for label, degrees in zip(WINDOWS_LEFT, WINDOW_DEGREES, strict=True)}
+LETTERS |= {label: f"R{degrees}" for label, degrees in zip(WINDOWS_RIGHT, WINDOW_DEGREES, strict=True)}
 SEQUENCE = "yard-2020-01-01_0"
 POSES = {"w": {"walking": 1}, "t": {"standing": 1}, "s": {"sitting": 1}, "?": {"standing": 3}}
 
@@ -143,18 +152,22 @@ def named(scene, rows, i):
 
 
 def walk(scene, rows, i):
-    """The people of a candidate with the letters of the relations between them, as in "1 L 2 G 3"."""
-    words = []
-    for node in rows.template.people:
-        words.append(str(scene.tracks[scene.persons(rows.people[node][[i]])[0]]))
-        if node != rows.template.target:
-            relation = rows.relations[f"r{len(words) // 2 + 1}"][i]
-            words.append(LETTERS.get(RELATIONS[relation], RELATIONS[relation]))
-    return " ".join(words)
+    """The people of a candidate with the letters of the relations between them: "1 L 2 G 3", "1 L 2 L60 4, 1 G 3 G 4"."""
+    edges = dict(zip(rows.template.edges, rows.template.relations, strict=False))
+    tracks = {node: str(scene.tracks[scene.persons(moment[[i]])[0]]) for node, moment in rows.people.items()}
+    roads = []
+    for edge in [edge for edge in edges if edge[0] == "a"]:
+        words = [tracks["a"]]
+        while edge is not None:
+            relation = RELATIONS[rows.relations[edges[edge]][i]]
+            words += [LETTERS.get(relation, relation), tracks[edge[1]]]
+            edge = next((other for other in edges if other[0] == edge[1]), None)
+        roads.append(" ".join(words))
+    return ", ".join(roads) or tracks["a"]
 
 
 CLAIM = re.compile(
-    r"(gives|refuses|lacks) (\w+) (\d+) at ([\d ]+?)(?: by (\d[\d LRG]*\d))?(?: ([a-z][a-z ]*))?(?:: (.+))?"
+    r"(gives|refuses|lacks) (\w+) (\d+) at ([\d ]+?)(?: by (\d[\d LRGC,]*\d))?(?: ([a-z][a-z ]*))?(?:: (.+))?"
 )
 
 
