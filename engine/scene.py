@@ -303,7 +303,7 @@ _DDL: Final = (
     "CREATE REL TABLE Names(FROM Description TO Moment, id INT64, anchor BOOLEAN, general BOOLEAN, poseless BOOLEAN)",
     "CREATE REL TABLE Leaves(FROM Person TO Absence)",
     "CREATE REL TABLE Keeps(FROM Moment TO Company)",
-    "CREATE REL TABLE Meets(FROM Company TO Person, met INT64, seen INT64, image BOOLEAN)",
+    "CREATE REL TABLE Meets(FROM Company TO Person, met INT64, seen INT64, maybe INT64, image BOOLEAN)",
 )
 _GIVEN: Final = ("Description", "Absence", "Company", "Names", "Fits", "Step", "Leaves", "Keeps", "Meets")
 

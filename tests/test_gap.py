@@ -1,0 +1,178 @@
+"""All questions about gaps of busy small worlds: what the search finds is what the second path finds by trying all."""
+
+import itertools
+import random
+import tempfile
+from collections import Counter
+
+import msgspec
+import numpy as np
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from quick_store import quick_store
+from worlds import member, person
+
+from jrdb_avr.engine.candidates import PASSED
+from jrdb_avr.engine.descriptions import describe_people
+from jrdb_avr.engine.proofs import make_record
+from jrdb_avr.engine.proven import candidate_table
+from jrdb_avr.engine.rederive import UNKNOWN, Annotations, rederive
+from jrdb_avr.engine.relations import find_facts
+from jrdb_avr.engine.scene import load_scene
+from jrdb_avr.engine.search import find_candidates, search_graph
+from jrdb_avr.engine.templates import CHAINS, TEMPLATES
+from jrdb_avr.schema.panorama import visible_share
+from jrdb_avr.schema.plan import canonical
+from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.vocabulary import SAME_GROUP
+from jrdb_avr.schema.wording import TEMPLATES as WORDS
+from jrdb_avr.schema.wording import Slots
+
+NAME = "yard-2020-01-01_0"
+FORMS = [template for template in (*TEMPLATES, *CHAINS) if template.name == "gap"]
+RULES = Rules(gap_min_s=2.0, count_min=2, long_wait_s=4.0, min_wait_s=1.0)
+"""Easier than the real ones, so that small worlds hold many questions."""
+
+
+def busy_world(rng):
+    """People who come and go, begin and end things, change groups and talk; once a second, or at every frame."""
+    step, length = rng.choice(((15, 24), (15, 24), (1, 14)))
+    silent = 0.004 if step == 15 else rng.choice((0.0, 0.001))
+    # Between keyframes a hard label of somebody whose own list is missing would be one or the other.
+    hard = 0.0 if step == 1 and silent else 0.02
+    people = {
+        track: {"x": rng.uniform(0, 3760), "pose": "standing", "extra": None, "here": True, "group": 1, "talks": set()}
+        for track in range(1, rng.randrange(4, 8))
+    }
+    layers = {"2d": {}, "social": {}}
+    for second in range(length):
+        for track, life in people.items():
+            life["here"] = life["here"] if rng.random() < 0.9 else not life["here"]
+            if rng.random() < 0.12:
+                life["pose"] = rng.choice(("walking", "standing", "sitting"))
+            if rng.random() < 0.15:
+                life["extra"] = rng.choice((None, "reading", "eating sth"))
+            if rng.random() < 0.04:
+                life["group"] = rng.choice((1, 1, 2))
+            if rng.random() < 0.3:
+                life["talks"] = {rng.choice(sorted(people)) for _ in range(rng.randrange(3))} - {track}
+            life["x"] += rng.uniform(-30, 30)
+        for frame in range(15 * second, 15 * second + 15, step):
+            if rng.random() < (0.02 if step == 15 else 0.004):
+                continue
+            rows, lists = layers["2d"].setdefault(frame, []), layers["social"].setdefault(frame, [])
+            for track, life in people.items():
+                if not life["here"] or (step == 1 and rng.random() < 0.01):
+                    continue
+                actions = {life["pose"]: 3 if rng.random() < 0.01 else 1} | (
+                    {life["extra"]: 1} if life["extra"] else {}
+                )
+                box = (round(life["x"] % 3760, 1), 100, 50, 37 if rng.random() < 0.01 else 150)
+                group = None if rng.random() < silent else (life["group"], 3 if rng.random() < 0.004 else 1)
+                rows.append(person(track, box, actions, group))
+                labels = [(other, {"conversation": 3 if rng.random() < hard else 1}) for other in sorted(life["talks"])]
+                lists.append(member(track, box, interactions=None if rng.random() < silent else labels))
+    if rng.random() < 0.2:
+        frames = sorted(layers["2d"])
+        layers["images"] = sorted(rng.sample(frames, max(1, len(frames) - 2 * 15 // step)))
+    return {NAME: layers}
+
+
+def searched(scene):
+    """{form: {(plan, answer, needed boxes, people and times)}} of the proven candidates."""
+    facts = find_facts(scene)
+    names = describe_people(scene, facts, RULES)
+    found = {}
+    with search_graph(scene, facts, names, RULES) as graph:
+        for form in FORMS:
+            rows = find_candidates(scene, facts, names, graph, form, RULES)
+            proven = np.flatnonzero(rows.rule == PASSED)
+            found[form.form] = set()
+            for line in candidate_table(scene, names, rows, proven, keyed=False).to_pylist():
+                record = make_record(scene, names, rows, line["row"], line["answer"], RULES)
+                needed = frozenset((box.node, box.track, box.frame, box.decisive) for box in record.needed)
+                found[form.form].add((line["plan"], line["answer"], needed, tuple(sorted(record.bindings.items()))))
+    return names, found
+
+
+def settled(annotations, outcome, plan):
+    """Whether it is known at every keyframe, and not only over all of them, who is counted.
+
+    Between two keyframes nothing may be known of somebody; who may be counted for what is said does not matter.
+    """
+    first, last = (plan.times[name].frame for name in ("t1", "t2"))
+    for frame in range(first, last + 1):
+        people = annotations.people(frame)
+        if outcome.target not in people:
+            continue
+        for other in set(people) - {outcome.target}:
+            if frame in annotations.keyframes:
+                if annotations.related(plan.answer.relation, outcome.target, other, frame) == UNKNOWN:
+                    return False
+            elif annotations.related(plan.answer.relation, outcome.target, other, frame) == UNKNOWN and any(
+                unheard(annotations, plan.answer.relation, one, frame) for one in (outcome.target, other)
+            ):
+                return False
+    return True
+
+
+def unheard(annotations, relation, track, frame):
+    """Whether nothing is known of a person's relations of this kind."""
+    if relation == SAME_GROUP:
+        return not annotations._memberships(track, frame)
+    return not annotations.tells(track, frame, "interactions")
+
+
+def tried(scene, store, names):
+    """The same by asking the second path about every plan there could be."""
+    annotations = Annotations.read(store, NAME, RULES)
+    actions = sorted(set(scene.actions["action"].to_pylist()))
+    frames = scene.keyframes.tolist()
+    found = {form.form: set() for form in FORMS}
+    for name in np.flatnonzero(names.general & names.anchor()).tolist():
+        t0 = int(scene.frames(names.moment[[name]])[0])
+        conditions = names.of(name)
+        plans = [("gap_absence", Slots(conditions, {"t0": t0}))]
+        plans += [("gap_starts", Slots(conditions, {"t0": t0}, pair)) for pair in itertools.permutations(actions, 2)]
+        shifted = tuple(c if c.at is None else msgspec.structs.replace(c, at="t1") for c in conditions)
+        for t2, relation in itertools.product(frames, ("conversation", SAME_GROUP)):
+            if t2 > t0:
+                plans.append(("gap_count", Slots(shifted, {"t1": t0, "t2": t2}, relations=(relation,))))
+        for form, slots in plans:
+            row = WORDS[form]
+            plan = row.build(slots)
+            outcome = rederive(annotations, plan, "gap", RULES)
+            if outcome.outcome != "defined" or outcome.faults:
+                continue
+            if all(visible_share(box.box, 180.0) >= 0.5 for box in outcome.needed if box.decisive):
+                continue
+            if form == "gap_count" and not settled(annotations, outcome, plan):
+                continue
+            needed = frozenset((box.node, box.track, box.frame, box.decisive) for box in outcome.needed)
+            bound = tuple(sorted((*outcome.people, *outcome.times)))
+            found[form].add((canonical(plan), outcome.answer, needed, bound))
+    return found
+
+
+def compare(seed):
+    """Check one world; returns how many questions of each form it has."""
+    with tempfile.TemporaryDirectory() as folder:
+        store = quick_store(folder, busy_world(random.Random(seed)))
+        scene = load_scene(store, NAME)
+        names, found = searched(scene)
+        expected = tried(scene, store, names)
+        for form in expected:
+            assert sorted(found[form] - expected[form], key=str)[:2] == []
+            assert sorted(expected[form] - found[form], key=str)[:2] == []
+        return Counter({form: len(rows) for form, rows in expected.items()})
+
+
+def test_every_form_is_found():
+    counts = sum((compare(seed) for seed in range(6)), Counter())
+    assert {form.form for form in FORMS} == set(counts)
+
+
+@settings(max_examples=15, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.integers(0, 2**32 - 1))
+def test_search_agrees_with_trying_all(seed):
+    compare(seed)
