@@ -195,4 +195,6 @@ def _read(scene: Scene, watched: Watched, paths: Paths, stages: Sequence[Ints]) 
     answer[open_rows] = scene.moment_poses[last[open_rows]]
     told = np.where(answer == NOBODY, UNKNOWN, np.where(answer == paths.answer, SAME, DIFFERENT))
     outcome[open_rows] = told[open_rows]
+    # Of somebody who is absent at t1 nothing is read.
+    outcome[open_rows] = np.where(scene.absent[last[open_rows]], EMPTY, outcome[open_rows])
     return outcome, answer

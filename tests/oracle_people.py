@@ -276,18 +276,6 @@ class People(Oracle):
         others = [track for track in self.in_frame(frame) if track != source]
         return self._only({other: [self.related(frame, source, label, other)] for other in others})
 
-    def walk(self, frame, start, labels):
-        """The people along a path, or why it leads nowhere: nobody is met twice."""
-        path = [start]
-        for label in labels:
-            reached = self.step(frame, path[-1], label)
-            if reached in (EMPTY, SEVERAL, MAYBE):
-                return reached
-            if reached in path:
-                return EMPTY
-            path.append(reached)
-        return path
-
     # -- what is seen --
 
     def shown(self, frame):
@@ -303,8 +291,13 @@ class People(Oracle):
         return any(min(x + turn + w, left + 480) - max(x + turn, left) >= w / 2 for turn in turns)
 
     def one_view(self, boxes):
-        """Whether a crop, which begins at a whole column, shows half of each of these (frame, track)."""
-        return any(all(self._in_crop(left, *box) for box in boxes) for left in range(3760))
+        """Whether a crop, which begins at a whole column, shows half of each of these (frame, track).
+
+        Then the last such crop shows no more than half of one of them, so it begins next to its middle.
+        """
+        middles = [round(self.angle(*box) / 360 * 3760) for box in boxes]
+        lefts = [middle + by for middle in middles for by in range(-3, 4)]
+        return any(all(self._in_crop(left % 3760, *box) for box in boxes) for left in lefts)
 
     def seen(self, frame, track):
         """True present, False absent, None unknown."""
