@@ -276,6 +276,8 @@ class _Search:
 
 def _near_any(rows: pa.Table, kept: pa.Table, limit: int) -> Bools:
     """Whether each row reads the answer of the same person at nearly the same frames as a kept one."""
+    if not len(rows):
+        return np.zeros(0, dtype=bool)
     read, read_kept = (
         pc.list_flatten(table["read_frames"]).to_numpy().reshape(len(table), -1) for table in (rows, kept)
     )
