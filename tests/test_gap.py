@@ -7,12 +7,14 @@ from collections import Counter
 
 import msgspec
 import numpy as np
+import pyarrow.parquet as pq
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from quick_store import quick_store
-from worlds import member, person
+from worlds import member, person, person_3d
 
 from jrdb_avr.engine.candidates import PASSED
+from jrdb_avr.engine.candidates import RULES as RULES_OF_CANDIDATES
 from jrdb_avr.engine.descriptions import describe_people
 from jrdb_avr.engine.proofs import make_record
 from jrdb_avr.engine.proven import candidate_table
@@ -20,13 +22,15 @@ from jrdb_avr.engine.rederive import UNKNOWN, Annotations, rederive
 from jrdb_avr.engine.relations import find_facts
 from jrdb_avr.engine.scene import load_scene
 from jrdb_avr.engine.search import find_candidates, search_graph
+from jrdb_avr.engine.shard import Job, search_sequence
 from jrdb_avr.engine.templates import CHAINS, TEMPLATES
+from jrdb_avr.schema.answers import decode_answer, encode_answer
 from jrdb_avr.schema.panorama import visible_share
-from jrdb_avr.schema.plan import canonical
+from jrdb_avr.schema.plan import canonical, parse_plan
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.vocabulary import SAME_GROUP
 from jrdb_avr.schema.wording import TEMPLATES as WORDS
-from jrdb_avr.schema.wording import Slots
+from jrdb_avr.schema.wording import Slots, render
 
 NAME = "yard-2020-01-01_0"
 FORMS = [template for template in (*TEMPLATES, *CHAINS) if template.name == "gap"]
@@ -170,6 +174,49 @@ def compare(seed):
 def test_every_form_is_found():
     counts = sum((compare(seed) for seed in range(6)), Counter())
     assert {form.form for form in FORMS} == set(counts)
+
+
+def test_forms_are_judged_together(tmp_path, monkeypatch):
+    monkeypatch.setattr("jrdb_avr.engine.shard.TEMPLATES", tuple(FORMS))
+    store = quick_store(tmp_path, busy_world(random.Random(9)))
+    file = tmp_path / "candidates.parquet"
+    rules = msgspec.structs.replace(RULES, max_per_person=2)
+    found = search_sequence(Job(store.path, NAME, rules, file))
+    assert found.faults == () and found.lacking == {}
+    counts = {what: count for (template, what), count in found.counts.items() if template == "gap"}
+    assert len(counts) == len(found.counts)
+    assert counts["candidates"] == counts["proven"] + sum(counts.get(rule, 0) for rule in RULES_OF_CANDIDATES)
+    kept = found.kept.to_pylist()
+    assert counts["proven"] == len(kept) + counts["near_duplicate"] + counts["max_per_person"]
+    written = pq.read_table(file).to_pylist()
+    assert len(written) == counts["proven"] and {row["template"] for row in written} == {"gap"}
+    assert {parse_plan(row["plan"]).times["t1"].event for row in written} == {"start", "leaves", None}
+    assert max(Counter(row["target_track"] for row in kept).values()) == 2
+    for first, second in itertools.combinations(kept, 2):
+        if first["target_track"] == second["target_track"]:
+            apart = [abs(a - b) for a, b in zip(first["read_frames"], second["read_frames"], strict=True)]
+            assert max(apart) > 30
+    for row in kept:
+        answer = decode_answer("number", row["answer"])
+        assert encode_answer(answer) == row["answer"]
+        assert render("gap", parse_plan(row["plan"]), row["key"], True)
+
+
+def test_without_actions_absences_and_counts_are_asked_about(tmp_path, monkeypatch):
+    monkeypatch.setattr("jrdb_avr.engine.shard.TEMPLATES", tuple(FORMS))
+    world = busy_world(random.Random(9))
+    for rows in world[NAME]["2d"].values():
+        for row in rows:
+            del row["action_label"]
+    found = search_sequence(Job(quick_store(tmp_path, world).path, NAME, RULES))
+    assert found.lacking == {} and found.counts["gap", "candidates"] > 0
+
+
+def test_without_boxes_there_is_nothing_to_ask(tmp_path, monkeypatch):
+    monkeypatch.setattr("jrdb_avr.engine.shard.TEMPLATES", tuple(FORMS))
+    store = quick_store(tmp_path, {NAME: {"3d": {0: [person_3d(1, 3.0, 0.0)], 15: []}}})
+    found = search_sequence(Job(store.path, NAME, RULES))
+    assert found.lacking == {"gap": ("2d",)} and found.counts == {} and found.kept is None
 
 
 @settings(max_examples=15, deadline=None, suppress_health_check=list(HealthCheck))
