@@ -352,6 +352,66 @@ def test_no_awkward_case_swamps_the_files(seen):
     assert [case for case in rare if seen[case] >= 0.04 * seen["records"]] == []
 
 
+def expected_refusals(root):
+    """What a load refuses, counted in the files: (sequence, layer, a word of the reason) -> count.
+
+    Records of nobody (case 11) and boxes of no size (18) in each file that repeats the boxes, poses without keypoints
+    (section 6), and one thing named twice in a frame (12).
+    """
+    out = Counter()
+    for layer, folder in (
+        ("2d", "labels_2d_stitched"),
+        ("social", "labels_2d_activity_social_stitched"),
+        ("reasoning", "labels_2d_stitched_new_version"),
+    ):
+        for name, content in files(root, folder).items():
+            for one in itertools.chain(*content["labels"].values()):
+                out[name, layer, "label_id"] += not one["label_id"].startswith("pedestrian:")
+                out[name, layer, "width or height"] += min(one["box"][2:]) <= 0
+    for name, content in files(root, "labels_2d_pose_stitched_coco").items():
+        out[name, "pose", "keypoints"] += sum("keypoints" not in one for one in content["annotations"])
+    for name, content in files(root, "labels_2d_panoptic_stitched_CW").items():
+        tracks = [(one, one.get("attributes", {})) for one in content["annotations"]]
+        seen = Counter(
+            (
+                one["image_id"],
+                one["category_id"],
+                one.get("tracking_id"),
+                inner.get("tracking_id"),
+                inner.get("floor_id"),
+            )
+            for one, inner in tracks
+            if "tracking_id" in one or inner
+        )
+        out[name, "panoptic", "twice"] += sum(seen.values()) - len(seen)
+    return +out
+
+
+def test_a_load_refuses_what_is_awkward_and_nothing_else(root, tmp_path):
+    result = CliRunner().invoke(group, ["load", str(root), "--store", str(tmp_path), "--workers", "1", "--json"])
+    assert result.exit_code == 0, result.output
+    reports = json.loads(result.stdout)
+    words = ("label_id", "width or height", "keypoints", "twice")
+    found = Counter()
+    for report in reports:
+        for problem in report["problems"]:
+            (word,) = [word for word in words if word in problem["reason"]]
+            found[report["sequence"], problem["layer"], word] += problem["count"]
+        # Layers fit one another, headings fit the motion, and nothing needs a look.
+        assert {shift["layer"]: shift["result"] for shift in report["shifts"]} == dict.fromkeys(
+            ("3d", "social", "reasoning"), "agrees"
+        )
+        assert report["heading"]["median_deg"] < 35
+        assert report["stamps"]["fps"] == pytest.approx(15, abs=0.1)
+        assert report["warnings"] == []
+        assert {one["label"] for one in report["unknown_labels"]} <= {"waiting for sth"}
+    assert found == expected_refusals(root)
+    assert {word for *_, word in found} == set(words)
+    assert sum(found.values()) < 60
+    assert any(report["disagreements"] for report in reports)
+    assert any(report["absent_partners"] for report in reports)
+
+
 def test_changes_fall_between_keyframes_once_a_second(flat):
     """Poses change at one frame between two keyframes, never near a keyframe; at another place in the next second."""
     for content in flat.values():
