@@ -2,16 +2,25 @@
 
 import random
 
+import numpy as np
 import pytest
+from quick_store import quick_store
 from random_worlds import random_world
+from test_generate_oracle import lively_world
 from worlds import load_world
 
+from jrdb_avr.engine.candidates import PASSED
 from jrdb_avr.engine.conditions import find_conditions
-from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN, Annotations
+from jrdb_avr.engine.descriptions import describe_people
+from jrdb_avr.engine.proofs import make_record
+from jrdb_avr.engine.proven import candidate_table
+from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN, Annotations, rederive
 from jrdb_avr.engine.relations import EMPTY, RELATIONS, SEVERAL, find_facts, find_steps
 from jrdb_avr.engine.relations import UNKNOWN as CANNOT_BE_TOLD
 from jrdb_avr.engine.scene import load_scene
-from jrdb_avr.schema.plan import Condition
+from jrdb_avr.engine.search import find_candidates, search_graph
+from jrdb_avr.engine.templates import CHAINS, TEMPLATES
+from jrdb_avr.schema.plan import Condition, parse_plan
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.vocabulary import DISTANCE_WORDS, POSES, ROBOT_SECTORS
 
@@ -122,3 +131,39 @@ def test_both_paths_see_the_same_conditions_in_random_worlds(random_store):
                 seen.setdefault(conditions.kinds[code], set()).add(state)
     assert set(seen) == set(RULES.condition_order)
     assert all(states >= {TRUE, UNKNOWN} for states in seen.values())
+
+
+def compare(store, sequence, most=60):
+    """Ask the second path for what the first has proven, at most so many of a template; how many were asked for."""
+    scene = load_scene(store, sequence)
+    facts = find_facts(scene)
+    descriptions = describe_people(scene, facts, RULES)
+    annotations = Annotations.read(store, sequence, RULES)
+    counts = {}
+    with search_graph(scene, facts, descriptions, RULES) as graph:
+        for template in (*TEMPLATES, *CHAINS):
+            if not set(template.layers) <= scene.layers:
+                continue
+            found = find_candidates(scene, facts, descriptions, graph, template, RULES)
+            rows = np.flatnonzero(found.rule == PASSED)
+            rows = rows[:: max(1, len(rows) // most)]
+            for line in candidate_table(scene, descriptions, found, rows, keyed=False).to_pylist():
+                second = rederive(annotations, parse_plan(line["plan"]), template.name, RULES)
+                record = make_record(scene, descriptions, found, line["row"], line["answer"], RULES)
+                told = (second.outcome, second.answer, second.target, second.faults)
+                assert told == ("defined", line["answer"], line["target_track"], ()), line["plan"]
+                assert dict(second.people) | dict(second.times) == record.bindings, line["plan"]
+                boxes = {(box.node, box.track, box.frame, *box.box, box.decisive) for box in second.needed}
+                assert boxes == {tuple(box.plain().values()) for box in record.needed}, line["plan"]
+                counts[template.query] = counts.get(template.query, 0) + 1
+    return counts
+
+
+def test_the_second_path_confirms_all_that_is_proven(tmp_path):
+    counts = {}
+    for seed in range(4):
+        sequence = f"yard-{seed:02d}"
+        store = quick_store(tmp_path / sequence, lively_world(random.Random(seed), sequence))
+        for name, count in compare(store, sequence).items():
+            counts[name] = counts.get(name, 0) + count
+    assert {"start", "span", "change", "presence", "distance", "two_hop"} <= set(counts)
