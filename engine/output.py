@@ -67,8 +67,11 @@ def print_json(rows: Sequence[Any]) -> None:
     click.echo(msgspec.json.Encoder(enc_hook=str, decimal_format="number").encode(list(rows)))
 
 
-def print_rows(rows: Sequence[dict[str, Any]], title: str = "", columns: Sequence[str] = ()) -> None:
-    """Print rows as a table for people; `columns` are printed also when there is no row."""
+def print_rows(rows: Sequence[dict[str, Any]], title: str = "", columns: Sequence[str] = (), width: int = 200) -> None:
+    """Print rows as a table for people; `columns` are printed also when there is no row.
+
+    `width`: of the table at most, where the output is no terminal.
+    """
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -80,8 +83,7 @@ def print_rows(rows: Sequence[dict[str, Any]], title: str = "", columns: Sequenc
         table.add_column(Text(clean(name)), justify="right" if numeric else "left", overflow="fold")
     for row in rows:
         table.add_row(*(Text(_cell(row[name])) for name in names))
-    width = None if sys.stdout.isatty() else 200
-    Console(width=width, highlight=False).print(table)
+    Console(width=None if sys.stdout.isatty() else width, highlight=False).print(table)
 
 
 def _cell(value: object) -> str:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -26,6 +27,11 @@ from jrdb_avr.schema.rules import LoadRules, Rules, override
 if TYPE_CHECKING:
     from jrdb_avr.loaders.problems import Problem
     from jrdb_avr.loaders.report import Cameras, FrameRange, SequenceReport, ShiftCheck
+
+WIDTH: Final = 120
+"""Columns of the report where it goes to a file."""
+MAX_ROWS: Final = 50
+"""Rows of a printed table of what a file may hold without end."""
 
 
 @click.command(
@@ -136,33 +142,40 @@ def _rules(texts: tuple[str, ...], start: LoadRules) -> LoadRules:
 def _print(reports: list[SequenceReport]) -> None:
     """The report for people: a table of sequences, then checks, what was refused, unknown labels and warnings."""
     loaded = [report for report in reports if report.sequence]
-    print_rows([_summary(report) for report in loaded], title="Loaded")
+    print_rows([_summary(report) for report in loaded], title="Loaded", width=WIDTH)
+    for layers, names in _shared((_layers(report), report.sequence) for report in loaded):
+        click.echo(clean(f"Layers of {_sequences(names)}: {layers}"))
     checks = [_checks(report) for report in loaded if report.layers]
     told = [name for name in (checks[0] if checks else ()) if any(row[name] for row in checks)]
-    print_rows([{name: row[name] for name in told} for row in checks], title="Checks")
+    print_rows([{name: row[name] for name in told} for row in checks], title="Checks", width=WIDTH)
     for cameras in dict.fromkeys(_cameras(report.cameras) for report in loaded if report.cameras):
         click.echo(cameras)
-    problems: dict[tuple[Any, ...], list[str]] = {}
-    for report in reports:
-        for problem in report.problems:
-            problems.setdefault(tuple(_problem_row(problem).items()), []).append(report.sequence)
-    if problems:
-        rows = [{"sequence": _sequences(names), **dict(row)} for row, names in problems.items()]
-        print_rows(rows, title="Refused or skipped, with the first example of each")
+    _print_some(_problem_rows(reports), "Refused or skipped, with the first example of each")
     unknown: Counter[tuple[str, str]] = Counter()
     for report in reports:
         for label in report.unknown_labels:
             unknown[label.field, label.label] += label.count
-    if unknown:
-        rows = [{"field": field, "label": label, "count": n} for (field, label), n in sorted(unknown.items())]
-        print_rows(rows, title="Labels outside the vocabulary, kept but never asked about")
-    warnings: dict[str, list[str]] = {}
-    for report in reports:
-        for warning in report.warnings:
-            warnings.setdefault(warning, []).append(report.sequence)
-    for warning, names in warnings.items():
+    rows = [{"field": field, "label": label, "count": n} for (field, label), n in sorted(unknown.items())]
+    _print_some(rows, "Labels outside the vocabulary, kept but never asked about")
+    for warning, names in _shared((warning, report.sequence) for report in reports for warning in report.warnings):
         where = _sequences(names)
         click.echo(clean(f"Note: {where}: {warning}" if where else f"Note: {warning}"))
+
+
+def _print_some(rows: list[dict[str, Any]], title: str) -> None:
+    """A table of what may be endless; nothing where there is no row."""
+    if rows:
+        print_rows(rows[:MAX_ROWS], title=title, width=WIDTH)
+    if len(rows) > MAX_ROWS:
+        click.echo(f"... and {len(rows) - MAX_ROWS:,} more: --json lists all")
+
+
+def _shared(told: Iterable[tuple[str, str]]) -> list[tuple[str, list[str]]]:
+    """Each text once, with the sequences that it was told of."""
+    found: dict[str, list[str]] = {}
+    for text, sequence in told:
+        found.setdefault(text, []).append(sequence)
+    return list(found.items())
 
 
 def _sequences(names: list[str]) -> str:
@@ -172,13 +185,22 @@ def _sequences(names: list[str]) -> str:
 def _summary(report: SequenceReport) -> dict[str, Any]:
     return {
         "sequence": report.sequence,
-        "layers (step)": ", ".join(_layer(report, layer) for layer in report.layers) or "none",
         "frames": report.frames,
         "people": report.people,
         "boxes": report.boxes,
-        "3D boxes": report.boxes_3d,
+        "3D": report.boxes_3d,
         "refused": report.refused,
     }
+
+
+def _layers(report: SequenceReport) -> str:
+    """The layers by the step at which they are annotated."""
+    steps: dict[str, list[str]] = {}
+    for layer in report.layers:
+        step = report.steps.get(layer)
+        how = "" if step is None else " at every frame" if step == 1 else f" at every {step}th frame"
+        steps.setdefault(how, []).append(layer)
+    return "; ".join(f"{', '.join(layers)}{how}" for how, layers in steps.items()) or "none"
 
 
 def _checks(report: SequenceReport) -> dict[str, Any]:
@@ -212,19 +234,26 @@ def _shift(check: ShiftCheck) -> str:
     return {"agrees": "yes", "shifted": "NO", "not tested": "cannot tell"}[check.result]
 
 
-def _layer(report: SequenceReport, layer: str) -> str:
-    return f"{layer} ({report.steps[layer]})" if layer in report.steps else layer
+def _problem_rows(reports: list[SequenceReport]) -> list[dict[str, Any]]:
+    """What was refused in one way, in all sequences together: how often, and where first."""
+    found: dict[tuple[str, ...], list[tuple[str, Problem]]] = {}
+    for report in reports:
+        for problem in report.problems:
+            key = (problem.layer, problem.kind, problem.reason, problem.field)
+            found.setdefault(key, []).append((report.sequence, problem))
+    return [
+        {
+            "count": sum(problem.count for _, problem in told),
+            "sequences": len({sequence for sequence, _ in told}),
+            "what": f"{layer} {kind}".strip(),
+            "reason": reason,
+            "first": _place(*told[0]),
+        }
+        for (layer, kind, reason, _), told in found.items()
+    ]
 
 
-def _problem_row(problem: Problem) -> dict[str, Any]:
-    """A problem as a row of the table."""
-    return {
-        "count": problem.count,
-        "layer": problem.layer,
-        "what": problem.kind,
-        "reason": problem.reason,
-        "file": problem.file,
-        "frame": problem.frame,
-        "field": problem.field,
-        "value": problem.detail,
-    }
+def _place(sequence: str, problem: Problem) -> str:
+    """File, frame, field and value of a problem; the sequence where its file does not name it."""
+    file = problem.file if sequence in problem.file else f"{sequence}/{problem.file}"
+    return " ".join(part for part in (file, problem.frame, problem.field, problem.detail) if part)

@@ -1,0 +1,50 @@
+"""The printed report of a load: what a person reads at the usual widths of a page."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from click.testing import CliRunner
+from worlds import member, person, write_root
+
+from jrdb_avr.engine.cli import group
+
+NAMES = [f"hewlett-packard-intersection-2019-01-{day:02d}_0" for day in range(10, 14)]
+BOX = (100, 60, 50, 200)
+
+
+def run(folder, world, *options):
+    write_root(folder / "root", world)
+    result = CliRunner().invoke(
+        group, ["load", str(folder / "root"), "--store", str(folder / "store"), "--workers", "1", *options]
+    )
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+@pytest.fixture
+def world():
+    """Every sequence has a bad box in each of two frames, and the last also a bad social file."""
+    spoiled = {f: [person(1, BOX), person(2, (0, 0, -1, 5))] for f in (0, 1)}
+    layers = {"2d": spoiled | {f: [person(1, BOX)] for f in (2, 3)}, "calibration": "cameras: []"}
+    return {name: dict(layers) for name in NAMES} | {NAMES[-1]: {**layers, "social": "{"}}
+
+
+def test_the_report_fits_a_page_and_says_each_thing_once(tmp_path, world):
+    text = run(tmp_path, world)
+    tables = [line for line in text.splitlines() if line[:1] in "│┃┏└┡"]
+    assert tables and max(map(len, tables)) <= 120
+    assert "Layers of 4 sequences: 2d at every frame\n" in text
+    (row,) = [line for line in tables if "width or height is not positive" in line]
+    cells = [cell.strip() for cell in row.strip("│").split("│")]
+    assert cells[:3] == ["8", "4", "2d record"]
+    problems = [problem for report in json.loads(run(tmp_path, world, "--json")) for problem in report["problems"]]
+    assert sum(problem["count"] for problem in problems) == 8 + 4 + 1
+    assert "13 refused or skipped" in text
+
+
+def test_what_a_file_may_hold_without_end_is_not_printed_without_end(tmp_path):
+    social = {0: [member(1, BOX, interactions=[(2, {f"label {i}": "1" for i in range(300)})])]}
+    text = run(tmp_path, {NAMES[0]: {"2d": {0: [person(1, BOX)]}, "social": social}})
+    assert text.count("H-interaction") == 50 and "... and 250 more: --json lists all" in text
