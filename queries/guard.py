@@ -126,8 +126,12 @@ def ask_graph(
     except subprocess.TimeoutExpired:
         raise QueryError(f"stopped after {timeout_s:g} s: narrow the statement, or raise the timeout") from None
     if done.returncode == 0:
-        with pa.ipc.open_stream(done.stdout) as reader:
-            return reader.read_all()
+        try:
+            with pa.ipc.open_stream(done.stdout) as reader:
+                return reader.read_all()
+        except pa.ArrowException:
+            # The engine gives the keys of maps a type that Arrow does not take back.
+            raise QueryError("the result holds a map: return map_keys(...) and map_values(...) of it") from None
     try:
         kind, message = msgspec.json.decode(done.stderr.splitlines()[-1], type=tuple[str, str])
     except (IndexError, msgspec.DecodeError):

@@ -8,6 +8,7 @@ given instead: frame / 15, as in questions.
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from dataclasses import dataclass
 from importlib.resources import files
@@ -71,7 +72,8 @@ def _checked(name: str, kind: str, value: Any) -> Any:
     if hasattr(value, "dtype") and hasattr(value, "item"):
         value = value.item()
     fits: tuple[type, ...] = {"text": (str,), "integer": (int,), "number": (int, float)}[kind]
-    if not isinstance(value, fits) or isinstance(value, bool) or value != value:
+    endless = isinstance(value, float) and not math.isfinite(value)
+    if not isinstance(value, fits) or isinstance(value, bool) or endless:
         raise QueryError(f"{name} is {_EXAMPLES[kind].lower()}, not {str(value)[:60]!r}: give {name}={_EXAMPLES[kind]}")
     return value
 

@@ -193,6 +193,14 @@ def test_a_time_that_python_cannot_hold_is_one_line(store, form, value):
     assert "cast it to text" in err
 
 
+def test_what_parquet_cannot_hold_is_one_line(store, tmp_path):
+    place = tmp_path / "x.parquet"
+    code, out, err = run("sql", "SELECT INTERVAL 1 DAY AS x", "--store", store.path, "--parquet", place)
+    assert (code, out, len(err.splitlines())) == (1, "", 1)
+    assert "cast the column to text" in err
+    assert not list(tmp_path.glob("*x.parquet*"))
+
+
 @pytest.mark.parametrize("language", ["cypher", "sql"])
 def test_a_statement_that_is_no_text_is_a_wrong_call(store, language):
     code, _, err = run(language, "SELECT '\udcff' AS x", "--store", store.path)

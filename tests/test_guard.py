@@ -232,6 +232,13 @@ def _fuzz_graph():
     return Path(_fuzz[0].name) / "graph.kuzu"
 
 
+def test_a_map_is_an_error_that_says_what_to_return(store):
+    with pytest.raises(QueryError, match=r"map_keys\(...\)"):
+        store.cypher("RETURN map(['k'], [1]) AS m")
+    found = store.cypher("WITH map(['k'], [1]) AS m RETURN map_keys(m) AS k, map_values(m) AS v")
+    assert found.to_pylist() == [{"k": ["k"], "v": [1]}]
+
+
 def test_a_statement_that_runs_on_is_stopped(store):
     # The engine does not look at its clock inside range(); the process is ended.
     with pytest.raises(QueryError, match="stopped after"):
@@ -391,6 +398,8 @@ def test_named_queries_are_found_by_name():
         ("who_is_where", {"sequence": "s", "frame": 1.5}, "frame is integer"),
         ("who_is_where", {"sequence": "s", "frame": True}, "frame is integer"),
         ("who_is_where", {"sequence": "s", "seconds": "soon"}, "seconds is number"),
+        ("who_is_where", {"sequence": "s", "seconds": float("inf")}, "seconds is number"),
+        ("who_is_where", {"sequence": "s", "seconds": float("nan")}, "seconds is number"),
         ("who_is_where", {"sequence": "s", "seconds": 1, "frame": 15}, "no parameter 'seconds'"),
         ("who_is_where", {"sequence": [1], "frame": 1}, "sequence is text"),
         ("sequences", {"frame": 1}, "it takes none"),

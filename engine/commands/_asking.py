@@ -80,11 +80,15 @@ def _parameters(params: tuple[str, ...]) -> dict[str, Any]:
 def _print_table(table: Any, as_csv: bool, as_json: bool, parquet: Path | None) -> None:
     table = _unique_names(table)
     if parquet is not None:
+        import pyarrow as pa
         import pyarrow.parquet as pq
 
         from jrdb_avr.queries.store import write_atomic
 
-        write_atomic(parquet, lambda temporary: pq.write_table(table, temporary))
+        try:
+            write_atomic(parquet, lambda temporary: pq.write_table(table, temporary))
+        except pa.ArrowException as error:
+            raise QueryError(f"Parquet does not hold this result ({error}): cast the column to text") from None
         click.echo(f"{table.num_rows} rows -> {parquet}", err=True)
     elif as_json:
         print_json(_rows(table))

@@ -1,9 +1,16 @@
-// Groups forming and dissolving: who joins and who leaves which group, in order of time.
+// Groups forming and dissolving, in order of time: who joins and who leaves, also by coming into view or going.
 // param sequence: text
+MATCH (s:Sequence)
+WHERE s.sequence = $sequence
+WITH coalesce(s.action_step, 1) AS step
 MATCH (p:Person)-[m:MemberOf]->(g:SocialGroup)
-WHERE m.sequence = $sequence AND m.certain
-RETURN m.first AS frame, 'joins' AS change, g.cluster AS cluster, p.track AS track
-UNION ALL
-MATCH (p:Person)-[m:MemberOf]->(g:SocialGroup)
-WHERE m.sequence = $sequence AND m.certain
-RETURN m.last AS frame, 'leaves' AS change, g.cluster AS cluster, p.track AS track;
+WHERE m.sequence = $sequence
+UNWIND ['joins', 'leaves'] AS change
+WITH p, m, g, change, step
+WHERE NOT EXISTS { MATCH (p)-[n:MemberOf]->(g)
+                   WHERE n.sequence = $sequence
+                         AND (change = 'joins' AND n.last < m.first AND n.last >= m.first - step
+                              OR change = 'leaves' AND n.first > m.last AND n.first <= m.last + step) }
+RETURN CASE change WHEN 'joins' THEN m.first ELSE m.last END AS frame, change, g.cluster AS cluster,
+       p.track AS track, m.certain AS certain
+ORDER BY frame, change, cluster, track;

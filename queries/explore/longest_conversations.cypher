@@ -1,4 +1,4 @@
-// The longest single conversations of all sequences.
+// The longest single conversations of all sequences, hard labels and closed gaps end one.
 // param count: integer = 20
 MATCH (a:Person)-[r:Interacts]->(b:Person)
 WHERE r.label = 'conversation' AND r.certain AND a.track < b.track

@@ -1,9 +1,10 @@
-// Things in a sequence by category, and how many of them somebody handles.
+// Things in a sequence by category: how many somebody handles for certain at some time, and how many only perhaps.
 // param sequence: text
 MATCH (o:Object)
 WHERE o.sequence = $sequence
 OPTIONAL MATCH (:Person)-[r:Handles]->(o)
-WITH o, count(r) AS times
+WITH o, max(CASE r.certain WHEN true THEN 2 WHEN false THEN 1 ELSE 0 END) AS told
 RETURN o.category AS category, count(*) AS things,
-       CAST(sum(CASE WHEN times > 0 THEN 1 ELSE 0 END) AS INT64) AS handled
+       CAST(sum(CASE told WHEN 2 THEN 1 ELSE 0 END) AS INT64) AS handled,
+       CAST(sum(CASE told WHEN 1 THEN 1 ELSE 0 END) AS INT64) AS perhaps
 ORDER BY things DESC, category;
