@@ -1,7 +1,9 @@
 """The sample's panoramas, read back from the JPEG files and compared with the label files, by code of its own."""
 
+import itertools
 import json
 import math
+from collections import Counter, defaultdict
 
 import cv2
 import numpy as np
@@ -147,6 +149,52 @@ def test_marks_name_partners_and_things_that_the_labels_name(root, readings):
             assert not mine.get("HOI")
     assert partners > 50
     assert things > 100
+
+
+def test_marks_say_gender_and_age_as_most_frames_of_the_labels_do(root, readings):
+    found, _, _ = readings
+    votes = defaultdict(Counter)
+    for path in (root / "labels" / "labels_2d_activity_social_stitched").glob("*.json"):
+        for one in itertools.chain(*json.loads(path.read_text())["labels"].values()):
+            for element in one.get("demographics_info", []):
+                for attribute, values in element.items():
+                    ((value, level),) = values.items()
+                    if value != "impossible" and level != "3":
+                        votes[path.stem, one["label_id"], attribute][value.lower().replace("_", " ")] += 1
+    checked = 0
+    for one, _, reading, _, name in found:
+        for attribute in ("gender", "age"):
+            told = votes[name, one["label_id"], attribute]
+            if told:
+                assert told[getattr(reading.mark, attribute)] > sum(told.values()) / 2
+                checked += 1
+    assert checked > 500
+
+
+def test_marks_say_who_is_in_one_group_and_who_is_alone(root, readings):
+    """Against the whole frame's records: a person whom a mark calls alone shares its cluster with nobody there."""
+    found, _, _ = readings
+    labels = {
+        path.stem: json.loads(path.read_text())["labels"]
+        for path in (root / "labels" / "labels_2d_stitched").glob("*.json")
+    }
+    frames = defaultdict(dict)
+    for one, _, reading, _, name in found:
+        if "social_group" in one:
+            # File names inside are those of another numbering in these sequences.
+            key = f"{int(one['file_id'][:6]) - 2:06d}.jpg"
+            frames[name, key][one["label_id"]] = one["social_group"]["cluster_ID"], reading.mark.group
+    groups = pairs = 0
+    for (name, key), told in frames.items():
+        sizes = Counter(one["social_group"]["cluster_ID"] for one in labels[name][key] if "social_group" in one)
+        for cluster, group_ in told.values():
+            assert (sizes[cluster] == 1) == (group_ == 0)
+            groups += group_ > 0
+        for (a, shown_a), (b, shown_b) in itertools.combinations(told.values(), 2):
+            assert (a == b) == (shown_a == shown_b > 0)
+            pairs += a == b
+    assert groups > 100
+    assert pairs > 50
 
 
 def test_clear_people_are_read_and_covered_ones_are_not(readings):

@@ -91,7 +91,9 @@ class Quirks:
         self.no_occlusion = spans(rng, hidden, 0.0002, 1, 3)
         self.no_eval = spans(rng, hidden, 0.0004, 10, 40)
         self.no_eval_3d = spans(rng, hidden, 0.0015, 10, 40)
-        self.no_group = spans(rng, hidden, 0.0003, 5, 30)
+        # Of a group, those left would be told as fewer than they are.
+        single = np.array([len(world.parties[person.party].members) == 1 for person in world.people])
+        self.no_group = spans(rng, hidden, 0.0005, 5, 30) & (world.apart | single)
         # A list without the truth in it would deny what is true: only where there is nothing to deny but the pose.
         self.no_actions = spans(rng, hidden, 0.0004, 5, 20) & bare
         self.empty_actions = spans(rng, hidden, 0.0004, 5, 20) & bare
