@@ -7,7 +7,7 @@ by the first that fails.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -22,7 +22,6 @@ from jrdb_avr.schema.panorama import Floats
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 
-from .company import Company
 from .scene import NOBODY, Bools, Ints, coded
 from .templates import Template, query_text, query_values
 
@@ -71,10 +70,24 @@ class Perturbed:
 
 @dataclass(frozen=True)
 class Counted:
-    """The companies of a scene, and which of them each candidate counts."""
+    """Whom each candidate counts.
 
-    company: Company
+    number: per candidate its company; company, person, met, seen: per person met, by company and person, the frames
+    from which on: at all, and both in clear view.
+    """
+
     number: Ints
+    company: Ints
+    person: Ints
+    met: Ints
+    seen: Ints
+
+    def people(self, row: int, until: int) -> Iterator[tuple[int, int]]:
+        """Everybody whom a candidate counts, by a frame: the person's number and the frame at which to see both."""
+        number = int(self.number[row])
+        for place in range(*np.searchsorted(self.company, [number, number + 1]).tolist()):
+            if self.met[place] <= until:
+                yield int(self.person[place]), int(self.seen[place])
 
 
 @dataclass(frozen=True)

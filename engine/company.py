@@ -21,14 +21,6 @@ from .scene import NOBODY, Bools, Ints, Scene
 
 
 @dataclass(frozen=True)
-class Meeting:
-    """Somebody met: track, and the first keyframe at which both can be seen; NOBODY where there is none."""
-
-    track: int
-    seen: int
-
-
-@dataclass(frozen=True)
 class Company:
     """Companies long and large enough to be asked about, and whom they meet, sorted by company and person.
 
@@ -59,12 +51,6 @@ class Company:
             "Keeps": pa.table({"from": self.moment, "to": number}),
             "Meets": pa.table({"from": self.owner, "to": self.person, **times, "image": scene.has_image(self.seen)}),
         }
-
-    def meetings(self, scene: Scene, company: int, until: int) -> tuple[Meeting, ...]:
-        """Everybody met by a frame, by track."""
-        rows = np.arange(*np.searchsorted(self.owner, [company, company + 1]))
-        rows = rows[(self.met[rows] != NOBODY) & (self.met[rows] <= until)]
-        return tuple(Meeting(int(scene.tracks[self.person[row]]), int(self.seen[row])) for row in rows)
 
 
 def find_company(scene: Scene, facts: Facts, rules: Rules) -> Company:

@@ -16,7 +16,6 @@ from jrdb_avr.schema.rules import Rules
 
 from . import views
 from .candidates import OUTCOMES, VALUES, Candidates
-from .company import Meeting
 from .descriptions import Descriptions
 from .scene import NOBODY, Scene
 
@@ -102,10 +101,10 @@ def needed_boxes(scene: Scene, candidates: Candidates, row: int) -> tuple[Needed
         if node == template.target:
             decisive = {int(candidates.frames[name][row]) for name in template.decisive}
             decisive = {frame for frame in decisive if scene.box_of(track, frame) != NOBODY} or {t0}
-            together = {meeting.seen for meeting in met}
+            together = {frame for _, frame in met}
         for frame in sorted(decisive | {t0} | together):
             boxes.append(_box(scene, node, track, frame, frame in decisive))
-    boxes += [_box(scene, f"b{i}", meeting.track, meeting.seen, False) for i, meeting in enumerate(met, start=1)]
+    boxes += [_box(scene, f"b{i}", track, frame, False) for i, (track, frame) in enumerate(met, start=1)]
     return tuple(boxes)
 
 
@@ -115,12 +114,12 @@ def _box(scene: Scene, node: str, track: int, frame: int, decisive: bool) -> Nee
     return NeededBox(node, track, frame, x, y, w, h, decisive)
 
 
-def _counted(scene: Scene, candidates: Candidates, row: int) -> tuple[Meeting, ...]:
-    """Whom a candidate counts, by track."""
+def _counted(scene: Scene, candidates: Candidates, row: int) -> list[tuple[int, int]]:
+    """Whom a candidate counts, by track, and the frame at which both are to be seen."""
     if candidates.counted is None:
-        return ()
-    number, until = int(candidates.counted.number[row]), int(candidates.frames["t2"][row])
-    return candidates.counted.company.meetings(scene, number, until)
+        return []
+    people = candidates.counted.people(row, int(candidates.frames["t2"][row]))
+    return [(int(scene.tracks[person]), frame) for person, frame in people]
 
 
 def proof(kind: str, variant: str, holds: bool, outcome: str, answer: str | None = None) -> dict[str, Any]:

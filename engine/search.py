@@ -109,13 +109,18 @@ def find_candidates(
         value=_values(found),
         rule=rule,
         perturbed=perturbed,
-        counted=Counted(find_company(scene, facts, rules), ints(found, "company")) if template.counts else None,
+        counted=_counted(graph, ints(found, "company"), rules) if template.counts else None,
     )
 
 
 def _column(found: pa.Table, name: str) -> Ints:
     """A column of whole numbers; NOBODY where the query has none of this name."""
     return ints(found, name) if name in found.column_names else np.full(len(found), NOBODY)
+
+
+def _counted(graph: Graph, number: Ints, rules: Rules) -> Counted:
+    met = ask(graph, "generators", "gap_count_people", rules)
+    return Counted(number, *(ints(met, name) for name in ("company", "person", "met", "seen")))
 
 
 def _values(found: pa.Table) -> Floats:
