@@ -184,4 +184,6 @@ def _add_windows(joins: Joins, scene: Scene, margin: float) -> None:
 
 def _wide(bits: Bools, width: int) -> Words:
     """Rows of bits for the first slots of a keyframe, which are filled without holes, as masks."""
-    return packed(np.pad(bits, ((0, 0), (0, width - bits.shape[1]))))
+    wide = np.zeros((len(bits), width), bool)
+    wide[:, : bits.shape[1]] = bits
+    return packed(wide)
