@@ -191,9 +191,6 @@ TEMPLATES: Final = (
         shift="distance_shift",
         drop="distance_drop",
     ),
-)
-
-CHAINS: Final = (
     Template(
         "consequence",
         ("2d", "actions"),
@@ -249,6 +246,9 @@ CHAINS: Final = (
         shift="pose_shift",
         drop="pose_drop",
     ),
+)
+
+CHAINS: Final[tuple[Template, ...]] = (
     Template(
         "gap",
         ("2d", "actions"),
@@ -293,6 +293,7 @@ CHAINS: Final = (
         pose_answer=True,
     ),
 )
+"""Templates that are searched and proven but not asked yet."""
 
 
 def by_name(templates: Sequence[Template]) -> dict[str, tuple[Template, ...]]:

@@ -26,6 +26,7 @@ from jrdb_avr.schema.wording import FAMILIES, parse, question_id, question_key, 
 
 from .publish import GENERATION_KEY
 from .rederive import Annotations, NeededBox, rederive
+from .templates import TEMPLATES
 
 FILES: Final = ("questions", "sequences", "answers", "evidence", "rejected")
 CHOICE_COUNT: Final = 4
@@ -47,8 +48,17 @@ CHECKS: Final = {
 
 _STATED: Final = re.compile(r"(\S+) s \(frame (\d+)\)")
 
-_PROOFS: Final = {"anchor", "evidence", "time.drop", "view.ahead", "view.single", "rederive"}
-"""Kinds that every question has; `view.single` is recorded, the others must hold."""
+_PROOFS: Final = frozenset({"anchor", "evidence", "time.drop", "view.ahead", "view.single", "rederive"})
+"""Kinds that every question has. `view.single` is recorded and of `time.shift` one is enough; the others must hold."""
+
+
+def _required(name: str) -> tuple[frozenset[str], frozenset[str]]:
+    """Kinds of proofs that a template's questions have, and those of them that must hold in every variant."""
+    template = next((template for template in TEMPLATES if template.name == name), None)
+    hops = {"hop.stop", "hop.skip"} if template is not None and template.edges else set()
+    shifts = {"time.shift"} if template is not None and template.time_proof != "construction" else set()
+    recorded = {"view.single"} if template is None or template.single_view else set()
+    return _PROOFS | hops | shifts, (_PROOFS | hops) - recorded
 
 
 class Report:
@@ -233,6 +243,8 @@ def _check_question(
     )
     report.check("rederive", not found.faults, f"{name}: {'; '.join(found.faults)}")
     report.check("rederive", _needed(own["needed"]) == set(found.needed), f"{name}: other boxes are needed")
+    bound = _decoded(own["bindings"]) == dict(found.people) | dict(found.times)
+    report.check("rederive", bound, f"{name}: bindings {own['bindings']} are others")
 
 
 def _inside(answer: Answer, choices: int, frame_count: int) -> bool:
@@ -282,9 +294,10 @@ def _check_private(report: Report, row: dict[str, Any], own: dict[str, Any], pla
     by_kind: dict[str, list[bool]] = defaultdict(list)
     for proof in proofs:
         by_kind[str(proof.get("kind"))].append(proof.get("holds") is True)
-    missing = sorted(_PROOFS - set(by_kind))
+    kinds, holding = _required(row["template"])
+    missing = sorted(kinds - set(by_kind))
     report.check("proofs", not missing, f"{name}: no proof {', '.join(missing)}")
-    failed = [kind for kind in sorted(_PROOFS - {"view.single"}) if not all(by_kind[kind])]
+    failed = [kind for kind in sorted(holding) if not all(by_kind[kind])]
     if "time.shift" in by_kind and not any(by_kind["time.shift"]):
         failed.append("time.shift")
     report.check("proofs", not failed, f"{name}: {', '.join(failed)} do not hold")
@@ -295,6 +308,13 @@ def _check_private(report: Report, row: dict[str, Any], own: dict[str, Any], pla
     expected = {node.id for node in plan.nodes} | set(plan.times)
     bound = set(bindings) == expected and bindings.get(plan.target) == own["target_track"]
     report.check("proofs", bound, f"{name}: bindings {own['bindings']} do not fit the plan")
+
+
+def _decoded(text: str) -> dict[str, int] | None:
+    try:
+        return msgspec.json.decode(text, type=dict[str, int])
+    except msgspec.DecodeError:
+        return None
 
 
 class _Needed(msgspec.Struct, forbid_unknown_fields=True):

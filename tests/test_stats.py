@@ -49,11 +49,11 @@ def test_answers_and_positions(tables, ask):
     )
     assert [(r["template"], r["position"], r["n"]) for r in tables["position"]] == places
     offsets = ask(
-        """SELECT template, CASE WHEN wait < 6 THEN '[3, 6)' WHEN wait < 10 THEN '[6, 10)'
+        """SELECT template, CASE WHEN wait < 3 THEN '[0, 3)' WHEN wait < 6 THEN '[3, 6)' WHEN wait < 10 THEN '[6, 10)'
         WHEN wait < 15 THEN '[10, 15)' WHEN wait < 21 THEN '[15, 21)' ELSE '[21, inf)' END AS bin, count(*) FROM (
             SELECT template, (coalesce(answer->>'frame', answer->>'start_frame')::int
                 - regexp_extract(question, 'frame (\\d+)', 1)::int) / 15 AS wait
-            FROM questions JOIN answers USING (question_id) WHERE answer_mode IN ('frame', 'span')
+            FROM questions JOIN answers USING (question_id) WHERE answer_mode IN ('frame', 'span', 'frame_viewpoint')
         ) GROUP BY ALL ORDER BY ALL"""
     )
     printed = [(r["template"], r["answer"], r["n"]) for r in tables["answer"] if r["answer"].startswith("[")]

@@ -36,7 +36,9 @@ def few(benchmark_copy):
     kept = set(chosen.values())
     for name in ("questions", "answers", "evidence"):
         keep_only(benchmark_copy, name, kept)
-    assert set(chosen) == {template.name for template in TEMPLATES} and faulty(benchmark_copy) <= {"selection"}
+    # In half a minute hardly anybody keeps a posture for ten seconds and then changes it.
+    assert set(chosen) >= {template.name for template in TEMPLATES} - {"consequence"}
+    assert faulty(benchmark_copy) <= {"selection"}
     return benchmark_copy
 
 
@@ -55,7 +57,7 @@ def test_a_fresh_benchmark_is_sound(sample_benchmark):
     report = validate(sample_benchmark, RULES)
     assert report.sound, report.faults
     questions = sample_benchmark.questions("questions").num_rows
-    assert report.checked["rederive"] == 3 * questions > 300
+    assert report.checked["rederive"] == 4 * questions > 300
     assert [row["check"] for row in report.rows()] == list(CHECKS)
     assert set(report.checked) == set(CHECKS)
     assert all(row["faults"] == 0 for row in report.rows())
@@ -146,7 +148,7 @@ def test_a_spoiled_answer_is_found(few, change, check):
 
 def test_a_spoiled_time_is_found(few):
     def change(rows):
-        row = next(row for row in rows if row["answer"].startswith('{"frame"'))
+        row = next(row for row in rows if row["answer"].startswith('{"frame"') and "angle" not in row["answer"])
         row["answer"] = json.dumps({"frame": json.loads(row["answer"])["frame"] + 1})
 
     rewrite(few, "answers", change)
