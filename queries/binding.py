@@ -65,6 +65,11 @@ def strip_literals(cypher: str) -> str:
     return _TOKEN.sub(lambda match: match[0] if match["name"] else " ", cypher)
 
 
+def scalar(value: Any) -> Any:
+    """A numpy scalar, such as a cell of a data frame, as Python's own number or text; anything else as it is."""
+    return value.item() if hasattr(value, "dtype") and getattr(value, "ndim", 1) == 0 else value
+
+
 def _plain(name: str, value: Any) -> Any:
     if value is None or isinstance(value, bool | str | float) or type(value).__module__.startswith("pyarrow"):
         return value
@@ -76,8 +81,8 @@ def _plain(name: str, value: Any) -> Any:
         return [_plain(name, item) for item in value]
     if isinstance(value, dict):
         return {key: _plain(name, item) for key, item in value.items()}
-    if hasattr(value, "item") and hasattr(value, "dtype") and getattr(value, "ndim", 1) == 0:
-        return _plain(name, value.item())
+    if value is not (number := scalar(value)):
+        return _plain(name, number)
     raise QueryError(f"${name}: a {type(value).__name__} cannot be bound")
 
 

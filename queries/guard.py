@@ -27,7 +27,7 @@ import pyarrow as pa
 from jrdb_avr.schema import errors
 from jrdb_avr.schema.errors import QueryError, StoreError
 
-from .binding import strip_literals
+from .binding import bind, strip_literals
 
 TIMEOUT_S: Final = 60.0
 BUFFER_BYTES: Final = 256 << 20
@@ -111,14 +111,18 @@ def ask_graph(
     Raises QueryError (refused, failed, too slow, crashed), StoreError and LockedError (no graph to read).
     """
     check_cypher(cypher)
-    request = json.dumps(
-        {"path": str(path.resolve()), "cypher": cypher, "params": dict(params or {}), "timeout_s": timeout_s}
-    )
+    values = bind(cypher, params or {})[1]
+    given = {"path": str(path.resolve()), "cypher": cypher, "params": values, "timeout_s": timeout_s}
+    try:
+        # By json, which unlike msgspec writes and reads NaN and infinity.
+        request = json.dumps(given, ensure_ascii=False).encode()
+    except (TypeError, UnicodeEncodeError):
+        raise QueryError("parameters are numbers, UTF-8 text, and lists and dicts of these") from None
     try:
         # -P: modules that happen to lie in the current folder are not imported.
         done = subprocess.run(
             [sys.executable, "-P", "-c", "from jrdb_avr.queries.guard import serve; serve()"],
-            input=request.encode(),
+            input=request,
             capture_output=True,
             timeout=timeout_s + 10.0,
             check=False,
@@ -144,7 +148,7 @@ def ask_graph(
 
 def serve() -> None:
     """The child: one request on stdin, an Arrow stream on stdout or an error as JSON on stderr."""
-    request = msgspec.json.decode(sys.stdin.buffer.read(), type=_Request)
+    request = _Request(**json.loads(sys.stdin.buffer.read()))
     threading.Thread(target=end_beyond_memory, args=(_too_much,), daemon=True).start()
     try:
         table = _ask(request)

@@ -19,6 +19,8 @@ import msgspec
 from jrdb_avr.schema.errors import QueryError
 from jrdb_avr.schema.rules import FPS
 
+from .binding import scalar
+
 FOLDERS: Final = {"cypher": "explore", "sql": "results"}
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
@@ -69,8 +71,7 @@ def _checked(name: str, kind: str, value: Any) -> Any:
     """The value, if it is of the type. Raises QueryError."""
     if kind == "text" and isinstance(value, int | float) and not isinstance(value, bool):
         return str(value)
-    if hasattr(value, "dtype") and hasattr(value, "item"):
-        value = value.item()
+    value = scalar(value)
     fits: tuple[type, ...] = {"text": (str,), "integer": (int,), "number": (int, float)}[kind]
     endless = isinstance(value, float) and not math.isfinite(value)
     if not isinstance(value, fits) or isinstance(value, bool) or endless:

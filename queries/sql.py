@@ -16,6 +16,7 @@ import pyarrow as pa
 from jrdb_avr.schema.errors import QueryError, StoreError
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, QUESTIONS, RUNS
 
+from .binding import scalar
 from .store import Store
 
 TIMEOUT_S: Final = 60.0
@@ -61,7 +62,8 @@ def ask_tables(
             if [statement.type for statement in statements] != [duckdb.StatementType.SELECT]:
                 raise QueryError("one SELECT statement is allowed, and nothing that writes, loads or attaches")
             # As a relation, so that the rows are not copied once more on their way to Arrow.
-            return connection.sql(sql, params=dict(params) if params else None).to_arrow_table()
+            values = {name: scalar(value) for name, value in (params or {}).items()}
+            return connection.sql(sql, params=values or None).to_arrow_table()
         except duckdb.Error as error:
             if stopped.is_set():
                 raise QueryError(f"stopped after {timeout_s:g} s: narrow the statement, or raise the timeout") from None

@@ -1,9 +1,11 @@
 """Ad-hoc Cypher and SQL read the store and nothing else, whatever is asked."""
 
 import json
+import math
 import re
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pytest
 from hypothesis import example, given, settings
@@ -230,6 +232,28 @@ def _fuzz_graph():
         with build_graph(Path(_fuzz[0].name) / "graph.kuzu") as graph:
             graph.execute("CREATE NODE TABLE Person(id STRING PRIMARY KEY)")
     return Path(_fuzz[0].name) / "graph.kuzu"
+
+
+@pytest.mark.parametrize(
+    "value", [np.int64(3), np.float64(0.5), np.str_("x"), np.bool_(True), float("inf"), [np.int8(1)]]
+)
+def test_cells_of_data_frames_are_parameters(store, value):
+    plain = [1] if isinstance(value, list) else value
+    assert store.cypher("RETURN $x AS x", x=value)["x"].to_pylist() == [plain]
+    if not isinstance(value, list):
+        assert store.sql("SELECT $x AS x", x=value)["x"].to_pylist() == [plain]
+
+
+def test_no_number_is_a_parameter(store):
+    assert math.isnan(store.cypher("RETURN $x AS x", x=float("nan"))["x"][0].as_py())
+
+
+@pytest.mark.parametrize("value", [object(), {1}, b"x", "\ud800", ["\ud800"], pa.table({"a": [1]}), 1 << 70])
+def test_what_cannot_be_a_parameter_is_one_line(store, value):
+    with pytest.raises(QueryError) as error:
+        store.cypher("RETURN $x AS x", x=value)
+    assert "\n" not in str(error.value)
+    assert "crashed" not in str(error.value)
 
 
 def test_a_map_is_an_error_that_says_what_to_return(store):
