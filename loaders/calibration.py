@@ -67,10 +67,11 @@ def cameras_check(table: pa.Table) -> Cameras | None:
 def _cameras(path: Path, problems: Problems) -> dict[str, yaml.Node]:
     """The nodes under `cameras` by name. Only the tree of the text is built, and no value of it: aliases are not
     followed, and tags make nothing."""
-    if path.stat().st_size > MAX_BYTES if path.is_file() else False:
+    text = read_file(path)
+    if len(text) > MAX_BYTES:
         raise InputError(f"{path.name}: larger than the limit of {MAX_BYTES >> 10} kB", file=path.name)
     try:
-        top = yaml.compose(read_file(path).decode(), yaml.SafeLoader)
+        top = yaml.compose(text.decode(), yaml.SafeLoader)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f" in line {mark.line + 1}" if mark else ""

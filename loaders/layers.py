@@ -182,11 +182,14 @@ class _Search:
             return False
 
     def exists(self, path: Path) -> bool:
-        """Whether there is anything of that name; what cannot be seen is left to whoever reads it."""
+        """Whether there is anything of that name, be it a link to nothing; what cannot be seen is left to the reader."""
         try:
-            return path.exists()
+            path.lstat()
+        except (FileNotFoundError, NotADirectoryError):
+            return False
         except OSError:
-            return True
+            pass
+        return True
 
     def _listing(self, folder: Path) -> frozenset[str] | None:
         """The names in a folder, none if it is missing; None, with the reason counted, if it cannot be read."""

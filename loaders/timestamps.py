@@ -8,6 +8,7 @@ itself or the order of the others is refused.
 from __future__ import annotations
 
 import codecs
+import os
 import re
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
@@ -82,7 +83,7 @@ def load_timestamps(folder: Path, sequence: str, problems: Problems) -> Reading:
     for sensor in SENSORS:
         path = folder / sensor.file
         try:
-            if path.exists():
+            if os.path.lexists(path):
                 found[sensor.name] = _increasing(_stamps(path, sensor, problems), sensor, problems)
         except InputError as error:
             errors.append(error)

@@ -1,9 +1,12 @@
-"""Files that say more than any sequence has: they are refused as a whole, with one clear problem, and the rest loads.
+"""Files that cannot be taken at all are refused with one clear problem, and the rest loads.
 
-The limits bound memory; they are lowered here, so that small files pass them.
+Either they say more than any sequence has (the limits bound memory; they are lowered here, so that small files pass
+them), or what stands in their place is no file that can be reached.
 """
 
 from __future__ import annotations
+
+import os
 
 import pytest
 from worlds import member, person, write_root
@@ -55,3 +58,30 @@ def test_a_file_that_says_too_much_is_refused_and_the_rest_loads(monkeypatch, tm
     assert (problem.kind, problem.layer, problem.count) == ("file", "social", 1)
     assert reason in problem.reason
     assert report.layers == ["2d"] and report.boxes == 2
+
+
+@pytest.mark.parametrize("kind", ["a link to itself", "a link to nothing", "a folder without rights"])
+@pytest.mark.parametrize("layer", ["calibration", "timestamps"])
+def test_what_cannot_be_followed_is_said_and_costs_its_layer_alone(tmp_path, monkeypatch, layer, kind):
+    root = write_root(tmp_path / "root", {NAME: {"2d": {0: [person(1, BOX)]}}})
+    place = root / layer / ("cameras.yaml" if layer == "calibration" else NAME)
+    place.parent.mkdir()
+    if kind == "a folder without rights":
+        # The tests may run as a user whom no right stops.
+        denied = PermissionError(13, "Permission denied", str(place))
+        for name in ("stat", "lstat"):
+            look = getattr(os, name)
+
+            def refuse(path, *args, look=look, **more):
+                if str(path).startswith(str(place)):
+                    raise denied
+                return look(path, *args, **more)
+
+            monkeypatch.setattr(os, name, refuse)
+    else:
+        place.symlink_to(place.name if kind == "a link to itself" else "gone")
+    (files,) = find_root(root).sequences
+    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules())).report
+    (problem,) = report.problems
+    assert (problem.kind, problem.layer, problem.count) == ("file", layer, 1)
+    assert report.layers == ["2d"] and report.boxes == 1
