@@ -93,7 +93,7 @@ def _read_joined(
     d = np.where(a < 0, a, relations.UNKNOWN)
     for why in (relations.SEVERAL, relations.EMPTY):
         d = np.where((a >= 0) & ((b == why) | (c == why)), why, d)
-    d = np.where((a >= 0) & (b == c), relations.EMPTY, d)
+    d = np.where((a >= 0) & (b >= 0) & (b == c), relations.EMPTY, d)
     open_rows = np.flatnonzero((a >= 0) & (b >= 0) & (c >= 0) & (b != c))
     r3, r4 = (paths.relations[name][open_rows] for name in ("r3", "r4"))
     left_out = [moments[open_rows] for moments in apart]
