@@ -22,7 +22,7 @@ from jrdb_avr.schema.tables import ANNOTATIONS
 from jrdb_avr.schema.vocabulary import ACTIONS, IMPOSSIBLE, OCCLUSIONS, normal_action
 
 from . import fields
-from .columns import Bools, Distinct, Ints, Refusals, constant, distinct_of, known_frames
+from .columns import Bools, Distinct, Ints, Refusals, constant, distinct_of, encoded, known_frames
 from .expand import Decoded, Issue, Value, coded, expand, facts_table, label_pairs
 from .gather import Columns, People, gather, keep_people, numbered
 from .labelfile import RecordReader
@@ -244,7 +244,7 @@ def _box_table(
         "has_actions": listed,
         "file_id": _file_ids(list(codes["file_id"]), columns["file_id"]),
     }
-    return pa.table(values).cast(ANNOTATIONS["boxes_2d"])
+    return encoded(pa.table(values), ANNOTATIONS["boxes_2d"])
 
 
 def _truncated(known: list[Attributes], code: Ints, refusals: Refusals) -> pa.Array:

@@ -19,7 +19,7 @@ from jrdb_avr.schema.rules import FPS, frames
 from jrdb_avr.schema.tables import ANNOTATIONS
 
 from . import fields
-from .columns import Distinct, Refusals, constant, known_frames, nullable, person_keys
+from .columns import Distinct, Refusals, constant, encoded, known_frames, nullable, person_keys
 from .gather import Columns, People, gather, keep_people, numbered
 from .labelfile import RecordReader
 from .problems import Problems
@@ -177,7 +177,7 @@ def _table(
     odd = ~np.isnan(points) & ~((points >= 0) & (points < 2**31) & (points == np.floor(points)))
     refusals.count(odd, "field", "not a count", "attributes.num_points", lambda row: float(points[row]))
     flag_code = pa.array(columns["flags"])
-    return pa.table(
+    table = pa.table(
         {
             "sequence": constant(sequence, len(people.row)),
             "frame": people.frame,
@@ -188,4 +188,5 @@ def _table(
             "interpolated": pa.array([flag[0] for flag in flags], pa.bool_()).take(flag_code),
             "no_eval": pa.array([flag[1] for flag in flags], pa.bool_()).take(flag_code),
         }
-    ).cast(ANNOTATIONS["boxes_3d"])
+    )
+    return encoded(table, ANNOTATIONS["boxes_3d"])

@@ -43,8 +43,18 @@ def ranked(column: pa.ChunkedArray) -> tuple[list[str], Ints]:
 
 
 def constant(value: str, n: int) -> pa.Array:
-    """A column of `n` equal strings."""
-    return pa.repeat(pa.scalar(value, pa.string()), n)
+    """A column of `n` equal strings, numbered."""
+    return pa.DictionaryArray.from_arrays(np.zeros(n, np.int32), pa.array([value], pa.string()))
+
+
+def encoded(table: pa.Table, schema: pa.Schema) -> pa.Table:
+    """A table under a schema, texts that are numbered staying so: few of them differ, and written out they would be
+    most of the memory of a load."""
+    fields = [
+        schema.field(name).with_type(column.type) if pa.types.is_dictionary(column.type) else schema.field(name)
+        for name, column in zip(table.column_names, table.columns, strict=True)
+    ]
+    return table.cast(pa.schema(fields))
 
 
 def nullable(values: npt.NDArray[Any], missing: Bools, kind: pa.DataType) -> pa.Array:

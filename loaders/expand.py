@@ -19,7 +19,7 @@ from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import ANNOTATIONS
 
 from . import fields
-from .columns import Bools, Distinct, Ints, Refusals, constant, ragged
+from .columns import Bools, Distinct, Ints, Refusals, constant, encoded, ragged
 from .problems import shorten
 
 MAX_FACTS: Final = 2_000_000
@@ -27,6 +27,8 @@ MAX_FACTS: Final = 2_000_000
 
 ABSENT: Final = (b"", b"null")
 """Raw values of a key that is not there: a null says no more than a missing key."""
+
+KEY_BITS: Final = 63
 
 Issue = tuple[str, str, object]
 """Reason, field and offending value."""
@@ -127,20 +129,37 @@ def facts_table(
 ) -> pa.Table:
     """The annotation table of a layer, sorted by `rows` (frame, track, ...: numbers per fact), then by value.
 
-    `names` are the columns that the value tuples fill.
+    `names` are the columns that the value tuples fill. Texts are numbered (dictionaries).
     """
     rank = np.empty(len(values), np.int64)
     rank[sorted(range(len(values)), key=lambda i: tuple((v is None, v or 0) for v in values[i]))] = np.arange(
         len(values)
     )
-    order = np.lexsort((rank[code] if len(values) else code, *reversed(rows.values())))
+    order = _order((*rows.values(), rank[code] if len(values) else code))
     schema = ANNOTATIONS[layer]
     columns: dict[str, Any] = {"sequence": constant(sequence, len(order))}
     columns |= {name: column[order] for name, column in rows.items()}
     taken = pa.array(code[order])
     for i, name in enumerate(names):
-        columns[name] = pa.array([value[i] for value in values], schema.field(name).type).take(taken)
-    return pa.table(columns).cast(schema)
+        column = pa.array([value[i] for value in values], schema.field(name).type)
+        if pa.types.is_string(column.type):
+            column = column.dictionary_encode()
+            columns[name] = pa.DictionaryArray.from_arrays(column.indices.take(taken), column.dictionary)
+        else:
+            columns[name] = column.take(taken)
+    return encoded(pa.table(columns), schema)
+
+
+def _order(columns: tuple[Ints, ...]) -> Ints:
+    """A stable ascending order by the first column, then the next, ...; all are of numbers from 0."""
+    bits = [int(column.max(initial=0)).bit_length() for column in columns]
+    if sum(bits) > KEY_BITS:
+        return np.lexsort(columns[::-1])
+    # As one number, facts that come sorted by person are nearly in order, which a stable sort is fast for.
+    key = np.zeros(len(columns[0]), np.int64)
+    for column, width in zip(columns, bits, strict=True):
+        key = (key << width) | column
+    return np.argsort(key, kind="stable")
 
 
 def label_pairs(raw: bytes, field: str) -> tuple[list[tuple[str, Any]], list[Issue], bool]:

@@ -22,6 +22,7 @@ MAX_METRE: Final = 1e4
 MAX_TEXT: Final = 100
 
 _PERSON: Final = re.compile(r"pedestrian:([0-9]{1,10})")
+_WHOLE: Final = re.compile(r"-?[0-9]{1,19}")
 _PREFIXED: Final = re.compile(r"([A-Za-z_ ]+):(-?[0-9]+)")
 
 
@@ -56,7 +57,9 @@ def number(value: object) -> float:
 
 def whole(value: object, low: int, high: int) -> int:
     """A whole number in [low, high], also as 7.0 or "7"."""
-    if isinstance(value, str) and re.fullmatch(r"-?[0-9]{1,19}", value):
+    if type(value) is int and low <= value <= high:
+        return value
+    if isinstance(value, str) and _WHOLE.fullmatch(value):
         value = int(value)
     result = number(value)
     if result != math.floor(result):

@@ -24,7 +24,7 @@ from .records import BAD, OTHER, track_codes
 
 MAX_GATHERED: Final = 400_000
 """Records of one file; twice as many as JRDB's fullest sequence has boxes."""
-CHUNK: Final = 5_000
+CHUNK: Final = 20_000
 """Records whose columns are taken at once."""
 CHUNK_BYTES: Final = 32 << 20
 """As much text as a chunk is made of at most: an adverse record holds thousands of objects."""

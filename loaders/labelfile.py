@@ -105,7 +105,9 @@ class RecordReader(Generic[R]):
             sum(raw.count(key) for key, _ in group) <= sum(_having(records, field) for _, field in group)
             for group in self._once
         )
-        return once and b"\\u" not in raw and self._clean(records, raw)
+        # Looking for one byte is many times as fast as for two.
+        escaped = b"\\" in raw and b"\\u" in raw
+        return once and not escaped and self._clean(records, raw)
 
 
 def _having(records: list[R], field: msgspec.structs.FieldInfo) -> int:

@@ -100,7 +100,13 @@ def _usable(frame: Ints, track: Ints, raws: Sequence[msgspec.Raw], problems: Pro
 
 def _decoded(rows: Ints, raws: Sequence[msgspec.Raw], refusals: Refusals) -> tuple[Ints, Floats]:
     """Those of the rows that have 51 finite numbers, and the numbers."""
-    here = rows.tolist()
+    here = []
+    for row in rows.tolist():
+        raw = bytes(raws[row])
+        if raw in _ABSENT:
+            refusals.add("record", "keypoints: missing", "keypoints", row, raw, 1)
+        else:
+            here.append(row)
     found: Sequence[Sequence[float]]
     try:
         found = _ROWS.decode(b"[" + b",".join([raws[row] for row in here]) + b"]")
@@ -123,8 +129,6 @@ def _decoded(rows: Ints, raws: Sequence[msgspec.Raw], refusals: Refusals) -> tup
 
 def _numbers(raw: bytes) -> Sequence[float]:
     """The keypoints of a record. Raises ValueError where they are not 51 finite numbers."""
-    if raw in _ABSENT:
-        raise ValueError("missing")
     try:
         return _ROW.decode(raw)  # type: ignore[no-any-return]
     except (msgspec.DecodeError, RecursionError):

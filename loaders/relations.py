@@ -34,7 +34,7 @@ from jrdb_avr.schema.vocabulary import INTERACTIONS
 
 from . import fields
 from .boxes2d import SUFFIXES, box_faults, frames_of, take_boxes
-from .columns import Bools, Distinct, Refusals, constant
+from .columns import Bools, Distinct, Refusals, constant, encoded
 from .entries import (
     MAX_ENTRIES,
     Entry,
@@ -82,11 +82,18 @@ class SocialRecord(Record, gc=False):
     hhi: list[Entry] | None = msgspec.field(default=None, name="HHI")
 
 
+class UnreadEntry(msgspec.Struct, gc=False):
+    """An entry of a list that is not wanted: it is only counted, as its keys are those of the others."""
+
+    pair: msgspec.Raw
+    inter_labels: msgspec.Raw
+
+
 class HandlingRecord(Record, gc=False):
     """A record of a reasoning file of which only the things are wanted."""
 
-    interactions: msgspec.Raw = msgspec.field(default=_NOTHING, name="H-interaction")
-    hhi: msgspec.Raw = msgspec.field(default=_NOTHING, name="HHI")
+    interactions: list[UnreadEntry] | None = msgspec.field(default=None, name="H-interaction")
+    hhi: list[UnreadEntry] | None = msgspec.field(default=None, name="HHI")
     handles: list[ThingEntry] | None = msgspec.field(default=None, name="HOI")
 
 
@@ -172,13 +179,9 @@ def _clean_entries(records: list[Any], raw: bytes) -> bool:
     entries = sum(map(len, lists))
     if entries > MAX_ENTRIES and max(map(len, lists)) > MAX_ENTRIES:
         return False
-    # Entries of lists that are not wanted have the same keys.
-    unread = b"".join(bytes(text) for record in records for text in _unread(record))
-    return all(raw.count(key) - unread.count(key) <= entries for key in (b'"pair"', b'"inter_labels"'))
-
-
-def _unread(record: Record) -> tuple[msgspec.Raw, ...]:
-    return (record.interactions, record.hhi) if isinstance(record, HandlingRecord) else ()
+    if records and isinstance(records[0], HandlingRecord):
+        entries += sum(len(listed) for record in records for listed in (record.interactions, record.hhi) if listed)
+    return all(raw.count(key) <= entries for key in (b'"pair"', b'"inter_labels"'))
 
 
 def _take(records: list[Any], raws: tuple[str, ...], kinds: tuple[Kind, ...], codes: dict[str, Distinct]) -> Columns:
@@ -286,7 +289,7 @@ def _listed_table(told: Bools, kind: Kind, sequence: str, people: People) -> pa.
     n = int(told.sum())
     columns = {"sequence": constant(sequence, n), "layer": constant(kind.layer, n)}
     columns |= {"frame": pa.array(people.frame[told]), "track": pa.array(people.track[told])}
-    return pa.table(columns).cast(ANNOTATIONS["listed"])
+    return encoded(pa.table(columns), ANNOTATIONS["listed"])
 
 
 def _among(rows: Any, people: People) -> Bools:

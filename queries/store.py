@@ -34,6 +34,7 @@ from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, QUESTIONS, RUNS
 
 MANIFEST_VERSION: Final = 1
+ROW_GROUP: Final = 1 << 18
 
 _PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
@@ -235,9 +236,15 @@ class Store:
 
 def write_table(path: Path, table: pa.Table, schema: pa.Schema, metadata: dict[str, str] | None = None) -> str:
     """Write a table under a schema, atomically; equal tables give equal bytes. Returns the sha256 of the file."""
-    table = table.select(schema.names).cast(schema)
-    table = table.replace_schema_metadata(metadata or None)
-    write_atomic(path, lambda temporary: pq.write_table(table, temporary, compression="zstd"))
+    table = table.select(schema.names)
+
+    def write(temporary: Path) -> None:
+        # Numbered texts are written out a row group at a time: all at once they would take many times the memory.
+        with pq.ParquetWriter(temporary, schema.with_metadata(metadata or None), compression="zstd") as writer:
+            for start in range(0, table.num_rows, ROW_GROUP):
+                writer.write_table(table.slice(start, ROW_GROUP).cast(schema).replace_schema_metadata(metadata or None))
+
+    write_atomic(path, write)
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
