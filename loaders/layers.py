@@ -182,7 +182,7 @@ class _Search:
             return False
 
     def exists(self, path: Path) -> bool:
-        """Whether there is anything of that name, be it a link to nothing; what cannot be seen is left to the reader."""
+        """Whether there is anything of that name, a link to nothing too; what cannot be seen is left to the reader."""
         try:
             path.lstat()
         except (FileNotFoundError, NotADirectoryError):
