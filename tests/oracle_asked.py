@@ -29,12 +29,16 @@ class Asked(People):
     def plan(self, conditions, times, answer, labels=()):
         """The plan's canonical text; `labels` are the relations from a to b, from b to c, ..."""
         names = "abcd"[: len(labels) + 1]
-        plan = {"root": "a", "target": names[-1], "answer": {"of": names[-1], **answer}}
+        return self.graph_plan(conditions, times, answer, zip(names, labels, names[1:], strict=False))
+
+    def graph_plan(self, conditions, times, answer, edges=()):
+        """As `plan`, with edges as (source, relation, target)."""
+        edges = [{"source": a, "relation": label, "target": b, "at": "t0"} for a, label, b in edges]
+        names = ["a", *sorted({edge["target"] for edge in edges})]
+        plan = {"root": "a", "target": names[-1], "answer": {"of": names[-1], **answer}, "edges": edges}
         plan["times"] = {name: {"frame": t} if isinstance(t, int) else t for name, t in times.items()}
         plan["nodes"] = [{"id": name, "conditions": []} for name in names]
-        plan["nodes"][0]["conditions"] = self.plain(conditions)
-        hops = zip(names, labels, names[1:], strict=False)
-        plan["edges"] = [{"source": a, "relation": label, "target": b, "at": "t0"} for a, label, b in hops]
+        plan["nodes"][0]["conditions"] = self.plain(conditions, next(iter(times)))
         return text(plan)
 
     @staticmethod

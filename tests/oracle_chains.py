@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 
 from oracle_asked import LONG, SHIFT, Asked
-from oracle_people import EMPTY, MAYBE, NO, RELATIONS, SEVERAL, YES
+from oracle_people import EMPTY, FIRST, MAYBE, NO, RELATIONS, SEVERAL, WINDOWS, YES
 
 SEARCH = 30
 NOWHERE = (EMPTY, SEVERAL, MAYBE)
@@ -46,13 +47,15 @@ class Chains(Asked):
     def program(self, conditions, labels, t):
         """The pose at the end of a path from whom the conditions fit at t; None where it is unknown."""
         start = self.fits(conditions, t)
-        end = start if start in NOWHERE else self.walk(t, start, labels)
-        return None if end == MAYBE else end if end in NOWHERE else self.pose(t, end)
+        return self.pose_there(t, start if start in NOWHERE else self.walk(t, start, labels))
 
     def program_needs_time(self, conditions, labels, t0, answer):
         """time.shift and time.drop of the whole program."""
-        shifted = [self.program(conditions, labels, t0 + by) for by in (-SHIFT, SHIFT) if t0 + by in self.keyframes]
-        elsewhere = [self.program(conditions, labels, t) for t in self.keyframes if t != t0]
+        return self.program_moves(lambda t: self.program(conditions, labels, t), t0, answer)
+
+    def program_moves(self, program, t0, answer):
+        shifted = [program(t0 + by) for by in (-SHIFT, SHIFT) if t0 + by in self.keyframes]
+        elsewhere = [program(t) for t in self.keyframes if t != t0]
         defined = [other for other in elsewhere if other is not None and other not in NOWHERE]
         moves = any(other not in (None, answer) for other in shifted)
         return moves and (not defined or any(other != answer for other in defined))
@@ -79,6 +82,63 @@ class Chains(Asked):
                     plan = self.plan(conditions, {"t0": t0}, {**CHOICE, "at": "t0"}, labels)
                     found.add((template, last, plan, answer))
         return found
+
+    def joined(self, frame, b, r3, c, r4, apart):
+        """The one person, but for those apart, who is in r3 with b and in r4 with c."""
+        others = [track for track in self.in_frame(frame) if track not in apart]
+        both = {d: [self.related(frame, b, r3, d), self.related(frame, c, r4, d)] for d in others}
+        return self.only(both)
+
+    def fork_program(self, conditions, labels, t):
+        r1, r2, r3, r4 = labels
+        a = self.fits(conditions, t)
+        if a in NOWHERE:
+            return None if a == MAYBE else a
+        b, c = self.step(t, a, r1), self.step(t, a, r2)
+        if {b, c} & {EMPTY, SEVERAL} or b == c != MAYBE:
+            return EMPTY
+        if MAYBE in (b, c):
+            return None
+        return self.pose_there(t, self.joined(t, b, r3, c, r4, (a, b, c)))
+
+    def pose_there(self, t, end):
+        """The pose of whoever stands at an end, if anybody does; None where it is unknown."""
+        return None if end == MAYBE else end if end in NOWHERE else self.pose(t, end)
+
+    def fork_join(self, track, t0):
+        found = set()
+        if (conditions := self.anchors(track, t0)) is None:
+            return found
+        reached = {label: self.step(t0, track, label) for label in RELATIONS}
+        reached = {label: other for label, other in reached.items() if other not in NOWHERE}
+        for r1, r2 in itertools.product(reached, repeat=2):
+            b, c = reached[r1], reached[r2]
+            if r1 >= r2 or b == c or not all(self.clear(t0, person) for person in (b, c)):
+                continue
+            read = [self.pose(t0, person) for person in (track, b, c)]
+            rest = [person for person in self.in_frame(t0) if person not in (track, b, c)]
+            for r3, r4 in itertools.product(self.several(t0, b, rest), self.several(t0, c, rest)):
+                d = self.joined(t0, b, r3, c, r4, (track, b, c))
+                if d in NOWHERE or not self.clear(t0, d) or self.ahead(t0, d):
+                    continue
+                answer, labels = self.pose(t0, d), (r1, r2, r3, r4)
+                if answer is None or answer in self.stated(conditions, labels):
+                    continue
+                without_b = self.pose_there(t0, self.joined(t0, track, r3, c, r4, (track, c)))
+                without_c = self.pose_there(t0, self.joined(t0, b, r3, track, r4, (track, b)))
+                if {read[0], without_b, without_c} & {None, answer} or not {*read[1:]} - {None, answer}:
+                    continue
+                if self.program_moves(lambda t, labels=labels: self.fork_program(conditions, labels, t), t0, answer):
+                    edges = (("a", r1, "b"), ("a", r2, "c"), ("b", r3, "d"), ("c", r4, "d"))
+                    plan = self.graph_plan(conditions, {"t0": t0}, {**CHOICE, "at": "t0"}, edges)
+                    found.add(("fork_join", d, plan, answer))
+        return found
+
+    def several(self, t0, source, rest):
+        """The relations that certainly hold of two or more of the rest; who is first is one person only."""
+        for label in (*RELATIONS, *WINDOWS):
+            if label not in FIRST and [self.related(t0, source, label, d) for d in rest].count(YES) >= 2:
+                yield label
 
     def later_pose(self, track, t0):
         found = set()

@@ -60,6 +60,11 @@ PLACES = tuple(
     for sector in ("front", "front left", "left", "back left", "back", "back right", "right", "front right")
     for word in ("very close", "close", "moderate")
 )
+WINDOWS = {
+    f"within {degrees} degrees to the {side} of (robot view)": (degrees, side)
+    for degrees in (30, 45, 60, 90)
+    for side in ("left", "right")
+}
 RELATIONS = (*TOGETHER, GROUP, *FIRST, *PLACES)
 KINDS = ("gender", "age", "pose", "action", "object", "interaction", "group_size", "sector", "distance")
 YES, NO, MAYBE = "true", "false", "unknown"
@@ -72,7 +77,7 @@ def text(value):
 
 def poses_in(words):
     """The poses that somebody who reads these words of a relation or of handling a thing takes for granted."""
-    if words in FIRST or words in PLACES or words == GROUP:
+    if words in FIRST or words in PLACES or words in WINDOWS or words == GROUP:
         return set()
     first = words.split()[0]
     named = {"walking", "standing", "sitting", "bending", "cycling", "running"} & {first}
@@ -178,10 +183,10 @@ class People(Oracle):
 
     def _fits(self, conditions, frame):
         """The one person who certainly matches while nobody else could, or EMPTY, SEVERAL or MAYBE."""
-        return self._only({t: [self.value(c, frame, t) for c in conditions] for t in self.in_frame(frame)})
+        return self.only({t: [self.value(c, frame, t) for c in conditions] for t in self.in_frame(frame)})
 
     @staticmethod
-    def _only(values):
+    def only(values):
         """{track: values that must all hold} -> who it is."""
         could = [track for track, all_of in values.items() if NO not in all_of]
         sure = [track for track in could if set(values[track]) <= {YES}]
@@ -206,7 +211,7 @@ class People(Oracle):
         return None
 
     @staticmethod
-    def plain(conditions):
+    def plain(conditions, at="t0"):
         """Conditions as a plan holds them: by kind, then by their text."""
         rows = []
         for kind, value in conditions:
@@ -218,7 +223,7 @@ class People(Oracle):
                 row = {"interaction": value}
             else:
                 row = {"attribute": kind, "value": value}
-            rows.append((KINDS.index(kind), row if kind in ("gender", "age") else row | {"at": "t0"}))
+            rows.append((KINDS.index(kind), row if kind in ("gender", "age") else row | {"at": at}))
         return [row for _, row in sorted(rows, key=lambda ranked: (ranked[0], json.dumps(ranked[1])))]
 
     def anchored(self, track, frame, poseless=False):
@@ -235,46 +240,60 @@ class People(Oracle):
     # -- relations --
 
     @cached_property
-    def facts(self):
-        """{(frame, source, label, target): true or unknown} at every keyframe."""
+    def spans(self):
+        """{(source, label, target): [(first, last, certain)]}; of members of groups {(track, cluster): ...}."""
         found = {}
-        for table in ("interactions", "beside"):
+        for table in ("interactions", "beside", "memberships"):
             for row in self.rows[table]:
-                for frame in self.keyframes:
-                    if row["first"] <= frame <= row["last"]:
-                        key = (frame, row["source"], row["label"], row["target"])
-                        found[key] = YES if row["certain"] else found.get(key, MAYBE)
+                key = (
+                    (row["track"], row["cluster"]) if "cluster" in row else (row["source"], row["label"], row["target"])
+                )
+                found.setdefault(key, []).append((row["first"], row["last"], row["certain"]))
         return found
 
-    @cached_property
-    def member_rows(self):
-        """{(frame, track): {cluster: certain}} at every keyframe."""
-        found = {}
-        for row in self.rows["memberships"]:
-            for frame in self.keyframes:
-                if row["first"] <= frame <= row["last"]:
-                    groups = found.setdefault((frame, row["track"]), {})
-                    groups[row["cluster"]] = row["certain"] or groups.get(row["cluster"], False)
-        return found
+    def _stands(self, frame, key):
+        """True, unknown, or None where nothing says so."""
+        certain = [sure for first, last, sure in self.spans.get(key, ()) if first <= frame <= last]
+        return None if not certain else YES if any(certain) else MAYBE
+
+    def groups_of(self, frame, track):
+        clusters = [key[1] for key in self.spans if len(key) == 2 and key[0] == track]
+        stands = {cluster: self._stands(frame, (track, cluster)) for cluster in clusters}
+        return {cluster: state for cluster, state in stands.items() if state is not None}
+
+    def tells(self, frame, track, label):
+        """Whether all of a person's relations of this kind are known."""
+        if label == GROUP:
+            return bool(self.groups_of(frame, track))
+        column = "interactions_listed" if label in TOGETHER else "located" if label in PLACES else None
+        return column is None or self.sights[frame, track][column]
 
     def _related(self, frame, source, label, target):
-        """Whether a relation, at a keyframe, between two different people with a box there holds."""
+        """Whether a relation between two different people with a box in the frame holds."""
+        if label in WINDOWS:
+            return self._in_window(frame, source, label, target)
         if label == GROUP:
-            mine, theirs = (self.member_rows.get((frame, track), {}) for track in (source, target))
-            shared = set(mine) & set(theirs)
-            if shared:
-                return YES if any(mine[cluster] and theirs[cluster] for cluster in shared) else MAYBE
-            return NO if mine and theirs else MAYBE
-        if (frame, source, label, target) in self.facts:
-            return self.facts[frame, source, label, target]
-        column = "interactions_listed" if label in TOGETHER else "located" if label in PLACES else None
-        told = column is None or all(self.sights[frame, track][column] for track in (source, target))
-        return NO if told else MAYBE
+            mine, theirs = self.groups_of(frame, source), self.groups_of(frame, target)
+            found = [{mine[cluster], theirs[cluster]} for cluster in set(mine) & set(theirs)]
+            stands = None if not found else YES if {YES} in found else MAYBE
+        else:
+            stands = self._stands(frame, (source, label, target))
+        if stands is not None:
+            return stands
+        return NO if self.tells(frame, source, label) and self.tells(frame, target, label) else MAYBE
+
+    def _in_window(self, frame, source, label, target):
+        degrees, side = WINDOWS[label]
+        here, there = self.angle(frame, source), self.angle(frame, target)
+        turn = (here - there if side == "left" else there - here) % 360
+        if min(turn, 360 - turn) <= 1 or abs(turn - degrees) <= 1:
+            return MAYBE
+        return YES if turn < degrees else NO
 
     def _step(self, frame, source, label):
         """The one person to whom a relation leads, or EMPTY, SEVERAL or MAYBE."""
         others = [track for track in self.in_frame(frame) if track != source]
-        return self._only({other: [self.related(frame, source, label, other)] for other in others})
+        return self.only({other: [self.related(frame, source, label, other)] for other in others})
 
     # -- what is seen --
 

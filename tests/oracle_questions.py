@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from oracle_alone import Alone
 from oracle_chains import Chains
+from oracle_gaps import Gaps
 
 
-class World(Alone, Chains):
+class World(Alone, Chains, Gaps):
     def of(self, track, t0):
         """Every proven candidate that begins with this person described at this keyframe."""
         templates = (
@@ -22,6 +23,10 @@ class World(Alone, Chains):
             self.poses_of_chains,
             self.later_pose,
             self.action_search,
+            self.fork_join,
+            self.gap_starts,
+            self.gap_absence,
+            self.gap_count,
         )
         return set().union(*(template(track, t0) for template in templates))
 
