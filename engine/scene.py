@@ -12,7 +12,7 @@ keyframe is a *moment*, numbered `person * len(keyframes) + keyframe`, so moment
     (Description)-[:Fits {t}]->(Moment)   to the one person whom the description fits at keyframe t
     (Person)-[:Leaves]->(Absence)         between two boxes, with the keyframes before at which the person is present
     (Moment)-[:Keeps]->(Company)          from then on, as long as it is known who is in a relation with the person
-    (Company)-[:Meets {met}]->(Person)    whom the person is in that relation with, from which keyframe on
+    (Company)-[:Meets {met}]->(Person)    who is in that relation with the person, from which keyframe on
 
 Steps and fits that lead to nobody end in one of three moments without a time, whose ids are EMPTY, SEVERAL and UNKNOWN
 of `relations`; their own steps lead back to themselves.
