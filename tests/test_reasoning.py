@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import functools
+import json
 
 import pytest
 from test_social import BOX, NAME, read, reasons, record, rows
 from test_social_intervals import placed
 from worlds import member, person, thing, write_root
 
+from jrdb_avr.loaders import relations
 from jrdb_avr.loaders.layers import find_root
 from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.reasoning import load_reasoning
@@ -53,6 +55,34 @@ def test_beside_a_social_file_only_things_are_read(tmp_path):
     assert rows(reading, "handles") == [(0, 1, 0, 0, "holding", 1)]
     # What is wrong with the social part is not of interest here.
     assert problems == []
+
+
+@pytest.mark.parametrize("alias", ["HHI", "H-interaction"])
+@pytest.mark.parametrize("loader", [whole, things_alone])
+def test_clean_records_are_never_repaired(tmp_path, monkeypatch, loader, alias):
+    """Entries of the list that is not read have the same keys as those of the one that is."""
+    repaired = []
+    repair = relations._repair
+    monkeypatch.setattr(relations, "_repair", lambda raw, *rest: repaired.append(raw) or repair(raw, *rest))
+    friends = [(2, {"hugging": "1"}), (3, {"moving together": "2"})]
+    things = [((4, 17), {"holding": "1"})]
+    people = [
+        member(1, BOX, None, friends, None, things, alias=alias),
+        member(2, BOX, None, friends[1:], None, [], alias=alias),
+        member(3, BOX, None, [], None, things, alias=alias),
+    ]
+    reading, problems = read(tmp_path, people, loader)
+    assert rows(reading, "handles") == [(0, track, 4, 17, "holding", 1) for track in (1, 3)]
+    assert repaired == problems == []
+    # A key that is repeated is found all the same, even where an entry that is not read lacks it.
+    people[0][alias].append({"inter_labels": {}})
+    text = json.dumps({"labels": {"000000.jpg": people}})
+    last = text.rindex('"pair"')
+    text = text[:last] + '"pair": [5, 17], ' + text[last:]
+    reading, problems = read(tmp_path, text, loader)
+    assert len(repaired) == 2
+    assert rows(reading, "handles") == [(0, 1, 4, 17, "holding", 1), (0, 3, 5, 17, "holding", 1)]
+    assert ("key twice, the first is kept", "HOI.pair", "000000.jpg", 1) in reasons(problems)
 
 
 @pytest.mark.parametrize("loader", [whole, things_alone])
