@@ -98,6 +98,8 @@ def condition_poses(condition):
 class People(Oracle):
     def __init__(self, root, sequence):
         super().__init__(read_root(root, sequence), sequence)
+        self.state = cache(self.state)
+        self.clear = cache(self.clear)
         self.rows = self.tables()
         self.layers = set(self.rows["sequence"][0]["layers"])
         self.sights = {(row["frame"], row["track"]): row for row in self.rows["sightings"]}

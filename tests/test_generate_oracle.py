@@ -23,8 +23,12 @@ from jrdb_avr.engine.relations import find_facts
 from jrdb_avr.engine.scene import load_scene
 from jrdb_avr.engine.search import find_candidates, search_graph
 from jrdb_avr.engine.templates import CHAINS, TEMPLATES
+from jrdb_avr.loaders.layers import find_root
+from jrdb_avr.loaders.load import Shard, load_shard
+from jrdb_avr.loaders.sample.writer import plan, write
+from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.rules import LoadRules, Rules
 
 SIMPLE = {"start", "span", "change", "presence", "distance"}
 CHAINED = {"consequence", "two_hop", "three_hop", "later_pose", "action_search", "fork_join", "gap"}
@@ -143,13 +147,13 @@ def compare(seed, make=random_world):
         found = rounded(candidates(store, name))
         assert sorted(found - expected)[:3] == []
         assert sorted(expected - found)[:3] == []
-        return Counter(form(template, plan) for template, _, plan, _ in found)
+        return Counter(form(template, program) for template, _, program, _ in found)
 
 
-def form(template, plan):
+def form(template, program):
     """The template, with the form where it has several."""
     forms = {'"read":"count"': "gap_count", '"event":"leaves"': "gap_absence"}
-    return next((name for mark, name in forms.items() if template == "gap" and mark in plan), template)
+    return next((name for mark, name in forms.items() if template == "gap" and mark in program), template)
 
 
 @settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -163,6 +167,18 @@ def test_lively_and_sociable_worlds_give_exactly_the_proven_candidates_of_every_
     assert set(lively) >= SIMPLE
     sociable = sum((compare(seed, sociable_world) for seed in range(6)), Counter())
     assert min(sociable[chain] for chain in CHAINED | FORMS) >= 10
+
+
+def test_a_sample_gives_exactly_the_proven_candidates(tmp_path):
+    list(write(plan(tmp_path / "root", [(225, 8)], 0, "none"), 1))
+    store = Store(tmp_path / "store")
+    [files] = find_root(tmp_path / "root").sequences
+    load_shard(Shard(files, str(store.path), LoadRules()))
+    expected = rounded(proven(tmp_path / "root", files.sequence))
+    found = rounded(candidates(store, files.sequence))
+    assert sorted(found - expected)[:3] == []
+    assert sorted(expected - found)[:3] == []
+    assert len(found) > 100
 
 
 @pytest.mark.slow
