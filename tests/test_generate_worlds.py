@@ -152,7 +152,7 @@ def named(scene, rows, i):
 
 
 def walk(scene, rows, i):
-    """The people of a candidate with the letters of the relations between them: "1 L 2 G 3", "1 L 2 L60 4, 1 G 3 G 4"."""
+    """The people of a candidate with the letters of relations between them: "1 L 2 G 3", "1 L 2 L60 4, 1 G 3 G 4"."""
     edges = dict(zip(rows.template.edges, rows.template.relations, strict=False))
     tracks = {node: str(scene.tracks[scene.persons(moment[[i]])[0]]) for node, moment in rows.people.items()}
     roads = []
