@@ -232,7 +232,9 @@ def test_parameters_and_names(store):
     ask = ("sql", "SELECT $a + 1 AS x, $b AS y", "--store", store.path, "--json")
     assert json.loads(run(*ask, "--param", "a=5", "--param", "b=some=text")[1]) == [{"x": 6, "y": "some=text"}]
     assert run(*ask, "--param", "a")[0] == 2
-    found = run("cypher", "who_is_where", "--store", store.path, "--param", "frame=3", "--json")
+    found = run(
+        "cypher", "who_is_where", "--store", store.path, "--param", "sequence=s", "--param", "frame=3", "--json"
+    )
     assert (found[0], json.loads(found[1])) == (0, [])
     code, out, _ = run("cypher", "--list", "--json")
     assert code == 0
