@@ -83,5 +83,9 @@ def test_every_loss_is_explained(store):
             assert len(readable) < sum(row["frame"] == frame for row in people), (question, reasons)
             continue
         marks = [reading for reading in readable if iou(reading.box, truth[name][frame]) > 0.7]
-        assert not marks, (question, reasons, marks)
+        # A mark has room for one relation and one thing: what a description says may be another.
+        told = {(c.get("interaction"), c.get("object"), c.get("verb")) for c in plan["nodes"][0]["conditions"]}
+        shown = {(mark.interaction, None, None) for mark, _, _ in marks} | {(None, None, None)}
+        shown |= {(None, mark.object, mark.verb) for mark, _, _ in marks}
+        assert not marks or not told <= shown, (question, reasons, marks)
     assert found > len(scores) / 2

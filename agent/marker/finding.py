@@ -106,9 +106,10 @@ def holds(condition: Condition, person: Sighting, people: Sequence[Sighting]) ->
         # A mark shows one interaction, and a person may be in several.
         return False if person.complete and mark.interaction is None else None
     if condition.object is not None:
-        if not person.complete:
-            return None
-        return (mark.object, mark.verb) == (condition.object, condition.verb)
+        if (mark.object, mark.verb) == (condition.object, condition.verb):
+            return True
+        # A mark shows one thing, and a person may handle several.
+        return False if person.complete and mark.object is None else None
     match condition.attribute:
         case "gender":
             return None if mark.gender is None else mark.gender == condition.value
