@@ -246,9 +246,6 @@ TEMPLATES: Final = (
         shift="pose_shift",
         drop="pose_drop",
     ),
-)
-
-CHAINS: Final[tuple[Template, ...]] = (
     Template(
         "gap",
         ("2d", "actions"),
@@ -293,7 +290,7 @@ CHAINS: Final[tuple[Template, ...]] = (
         pose_answer=True,
     ),
 )
-"""Templates that are searched and proven but not asked yet."""
+"""The forms of all templates, in the order in which they are searched; a template's forms stand together."""
 
 
 def by_name(templates: Sequence[Template]) -> dict[str, tuple[Template, ...]]:

@@ -16,7 +16,7 @@ from jrdb_avr.engine.descriptions import describe_people
 from jrdb_avr.engine.relations import RELATIONS, find_facts, find_steps
 from jrdb_avr.engine.scene import load_scene
 from jrdb_avr.engine.search import find_candidates, search_graph
-from jrdb_avr.engine.templates import CHAINS, TEMPLATES
+from jrdb_avr.engine.templates import TEMPLATES
 from jrdb_avr.schema.rules import Rules
 
 SEQUENCE = "yard-2020-01-01_0"
@@ -145,7 +145,7 @@ def compare(seed, folder):
     scene = load_scene(quick_store(folder, root_of(seconds)), SEQUENCE)
     facts = find_facts(scene)
     names, steps = describe_people(scene, facts, rules), find_steps(scene, facts)
-    template = next(t for t in (*TEMPLATES, *CHAINS) if t.name == "fork_join")
+    template = next(t for t in TEMPLATES if t.name == "fork_join")
     with search_graph(scene, facts, names, rules) as graph:
         rows = find_candidates(scene, facts, names, graph, template, rules)
 

@@ -23,7 +23,7 @@ from jrdb_avr.engine.relations import find_facts
 from jrdb_avr.engine.scene import load_scene
 from jrdb_avr.engine.search import find_candidates, search_graph
 from jrdb_avr.engine.shard import Job, search_sequence
-from jrdb_avr.engine.templates import CHAINS, TEMPLATES
+from jrdb_avr.engine.templates import TEMPLATES
 from jrdb_avr.schema.answers import decode_answer, encode_answer
 from jrdb_avr.schema.panorama import visible_share
 from jrdb_avr.schema.plan import canonical, parse_plan
@@ -33,7 +33,7 @@ from jrdb_avr.schema.wording import TEMPLATES as WORDS
 from jrdb_avr.schema.wording import Slots, render
 
 NAME = "yard-2020-01-01_0"
-FORMS = [template for template in (*TEMPLATES, *CHAINS) if template.name == "gap"]
+FORMS = [template for template in TEMPLATES if template.name == "gap"]
 RULES = Rules(gap_min_s=2.0, count_min=2, long_wait_s=4.0, min_wait_s=1.0)
 """Easier than the real ones, so that small worlds hold many questions."""
 

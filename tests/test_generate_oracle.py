@@ -22,7 +22,7 @@ from jrdb_avr.engine.proven import candidate_table
 from jrdb_avr.engine.relations import find_facts
 from jrdb_avr.engine.scene import load_scene
 from jrdb_avr.engine.search import find_candidates, search_graph
-from jrdb_avr.engine.templates import CHAINS, TEMPLATES
+from jrdb_avr.engine.templates import TEMPLATES
 from jrdb_avr.loaders.layers import find_root
 from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.sample.writer import plan, write
@@ -42,7 +42,7 @@ def candidates(store, sequence):
     descriptions = describe_people(scene, facts, rules)
     result = []
     with search_graph(scene, facts, descriptions, rules) as graph:
-        for template in (*TEMPLATES, *CHAINS):
+        for template in TEMPLATES:
             if set(template.layers) <= scene.layers:
                 found = find_candidates(scene, facts, descriptions, graph, template, rules)
                 rows = np.flatnonzero(found.rule == PASSED)

@@ -12,7 +12,7 @@ from jrdb_avr.engine.descriptions import describe_people
 from jrdb_avr.engine.relations import RELATIONS, find_facts
 from jrdb_avr.engine.scene import NOBODY, load_scene
 from jrdb_avr.engine.search import find_candidates, search_graph
-from jrdb_avr.engine.templates import CHAINS, TEMPLATES
+from jrdb_avr.engine.templates import TEMPLATES
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.vocabulary import (
     FIRST_LEFT,
@@ -111,7 +111,7 @@ def judge(store):
     people = len(scene.keyframes)
     found = {}
     with search_graph(scene, facts, names, rules) as graph:
-        for template in (*TEMPLATES, *CHAINS):
+        for template in TEMPLATES:
             if not set(template.layers) <= scene.layers:
                 continue
             rows = find_candidates(scene, facts, names, graph, template, rules)

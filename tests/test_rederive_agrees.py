@@ -19,7 +19,7 @@ from jrdb_avr.engine.relations import EMPTY, RELATIONS, SEVERAL, find_facts, fin
 from jrdb_avr.engine.relations import UNKNOWN as CANNOT_BE_TOLD
 from jrdb_avr.engine.scene import load_scene
 from jrdb_avr.engine.search import find_candidates, search_graph
-from jrdb_avr.engine.templates import CHAINS, TEMPLATES
+from jrdb_avr.engine.templates import TEMPLATES
 from jrdb_avr.schema.plan import Condition, parse_plan
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.vocabulary import DISTANCE_WORDS, POSES, ROBOT_SECTORS
@@ -141,7 +141,7 @@ def compare(store, sequence, most=60):
     annotations = Annotations.read(store, sequence, RULES)
     counts = {}
     with search_graph(scene, facts, descriptions, RULES) as graph:
-        for template in (*TEMPLATES, *CHAINS):
+        for template in TEMPLATES:
             if not set(template.layers) <= scene.layers:
                 continue
             found = find_candidates(scene, facts, descriptions, graph, template, RULES)
