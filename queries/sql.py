@@ -1,13 +1,15 @@
 """SQL over the store's Parquet files, by DuckDB: one view per table, reading only.
 
-Views: `annotations_<layer>`, `intervals_<kind>`, the tables of `questions/`, and `predictions`, `steps` and `scores` of
-all runs. A table that has not been written yet is an empty view. Nothing but the views' own files can be opened.
+Views: `annotations_<layer>`, `intervals_<kind>`, the tables of `questions/`, `predictions`, `steps` and `scores` of all
+runs, and what joins them (`JOINED`). A table that has not been written yet is an empty view. Nothing but the views' own
+files can be opened.
 """
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,6 +22,15 @@ from .binding import scalar
 from .store import Store
 
 TIMEOUT_S: Final = 60.0
+
+JOINED: Final[dict[str, str]] = {
+    "sightings_keypoints": (
+        "SELECT s.*, p.keypoints FROM intervals_sightings s"
+        " LEFT JOIN annotations_poses p USING (sequence, frame, track)"
+    ),
+}
+"""Views over the tables' views. Key points are read with their sighting here: 51 numbers per person and frame, written
+once; beside every sighting of the graph they would be two thirds of its file."""
 
 
 def views(store: Store) -> Iterator[tuple[str, pa.Schema, list[Path]]]:
@@ -93,6 +104,9 @@ def _make_views(connection: Any, store: Store) -> dict[str, str]:
             connection.execute(f"CREATE VIEW {name} AS SELECT * FROM read_parquet([{listed}])")  # noqa: S608
         except duckdb.Error as error:
             broken[name] = f"cannot read the files of {name}: {' '.join(str(error).split())}"
+    for name, query in JOINED.items():
+        with suppress(duckdb.CatalogException):  # A table under it is broken; asking for that one says why.
+            connection.execute(f"CREATE VIEW {name} AS {query}")
     connection.execute(f"SET allowed_paths = [{', '.join(_quoted(path) for path in allowed)}]")
     return broken
 

@@ -212,6 +212,9 @@ def page() -> str:
         "Every table is a view in `jrdb-avr sql`; `SHOW TABLES` and `DESCRIBE intervals_actions` work there too. A",
         "table that is not written yet is an empty view. Written by `python -m jrdb_avr.queries.tables`.",
         "",
+        "`sightings_keypoints` is `intervals_sightings` with one column more: `keypoints`, those of",
+        "`annotations_poses` at the same frame, or null.",
+        "",
     ]
     for name, schema, private in tables():
         secret = " Private: never opened by the process that talks to a model." if private else ""

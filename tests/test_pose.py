@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pycocotools.coco import COCO
-from worlds import coco_file, person, pose
+from worlds import coco_file, load_world, person, pose
 
 from jrdb_avr.loaders import coco, labelfile
 from jrdb_avr.loaders.boxes2d import load_2d
@@ -416,3 +416,15 @@ def test_a_pose_of_a_person_without_a_box_makes_no_person(tmp_path):
     assert tables["sightings"]["track"].to_pylist() == [1]
     # Both layers know frames; only the boxes know who is there.
     assert [(row["frame"], row["annotated"]) for row in tables["frames"].to_pylist()] == [(0, True), (15, False)]
+
+
+def test_keypoints_are_read_with_their_sighting(tmp_path):
+    people = {0: [1, 2], 15: [1]}
+    world = {f: [person(t, (100 * t, 60, 50, 200)) for t in tracks] for f, tracks in people.items()}
+    poses = coco_file({0: [pose(1, visibility=[2] * 17), pose(3)]}, "pose")
+    store = load_world(tmp_path, {NAME: {"2d": world, "pose": poses}})
+    rows = store.sql("SELECT * FROM sightings_keypoints ORDER BY frame, track").to_pylist()
+    (kept,) = [a["keypoints"] for a in poses["annotations"] if a["track_id"] == 1]
+    # Each sighting once: a pose without a box is none, a box without a pose has no key points.
+    assert [(r["frame"], r["track"], r["keypoints"]) for r in rows] == [(0, 1, kept), (0, 2, None), (15, 1, None)]
+    assert [r["face_visible"] for r in rows] == [True, None, None]
