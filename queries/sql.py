@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -105,7 +104,10 @@ def _make_views(connection: Any, store: Store) -> dict[str, str]:
         except duckdb.Error as error:
             broken[name] = f"cannot read the files of {name}: {' '.join(str(error).split())}"
     for name, query in JOINED.items():
-        with suppress(duckdb.CatalogException):  # A table under it is broken; asking for that one says why.
+        reason = next((reason for table, reason in broken.items() if table in query), None)
+        if reason is not None:
+            broken[name] = reason
+        else:
             connection.execute(f"CREATE VIEW {name} AS {query}")
     connection.execute(f"SET allowed_paths = [{', '.join(_quoted(path) for path in allowed)}]")
     return broken

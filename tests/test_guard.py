@@ -377,6 +377,11 @@ def test_a_broken_file_spoils_its_own_view_only(store, tmp_path):
     assert place.sql("SELECT count(*) AS n FROM questions").to_pylist() == [{"n": 0}]
     with pytest.raises(QueryError, match="cannot read the files of predictions"):
         place.sql("SELECT * FROM predictions")
+    poses = place.path / "annotations" / "poses" / "a.parquet"
+    poses.parent.mkdir(parents=True)
+    poses.write_bytes(b"no parquet")
+    with pytest.raises(QueryError, match="cannot read the files of annotations_poses"):
+        place.sql("SELECT * FROM sightings_keypoints")
 
 
 def test_sql_needs_a_store(tmp_path):
