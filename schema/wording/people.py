@@ -15,7 +15,7 @@ import msgspec
 from ..errors import PlanError
 from ..plan import Condition
 from ..vocabulary import POSES
-from .phrases import ACTION_PHRASES, INTERACTION_PHRASES, handled, handling, phrase_of
+from .phrases import ACTION_PHRASES, FAR_AWAY, INTERACTION_PHRASES, handled, handling, phrase_of
 
 _HEADS: Final[dict[tuple[str | None, str | None], str]] = {
     (None, None): "person",
@@ -45,16 +45,10 @@ _SECTORS: Final = {
     "behind": "behind {robot}",
     "left": "to {robot's} left",
 }
-_DISTANCES: Final = {
-    "very close": "very close to {robot}",
-    "close": "close to {robot}",
-    "moderate": "at a moderate distance from {robot}",
-    "far": "far from {robot}",
-    "very far": "very far from {robot}",
-}
+_DISTANCES: Final = {word: phrase.replace("{x}", "{robot}") for word, phrase in FAR_AWAY.items()}
 
 _NUMBERS: Final = ("two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
-_ALONE: Final = "in no group"
+_ALONE: Final = "not in any group"
 _GROUP: Final = "in a group of "
 
 

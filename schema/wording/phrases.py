@@ -10,6 +10,7 @@ from functools import cache
 from typing import Final
 
 from ..errors import PlanError
+from ..vocabulary import DISTANCE_BOUNDS_M
 from .things import THINGS
 
 ACTION_PHRASES: Final[dict[str, str]] = {
@@ -42,8 +43,6 @@ ACTION_PHRASES: Final[dict[str, str]] = {
     "pulling": "pulling something",
 }
 """Each action as an -ing phrase: fits after "is" and after "starts"."""
-
-SOMEONE: Final = "{someone}"
 
 TOGETHER: Final[dict[str, str]] = {
     "walking together": "walking together with {someone}",
@@ -192,6 +191,18 @@ POSES_OF_VERBS: Final[dict[str, tuple[str, ...]]] = {
     "going down": ("going downstairs",),
 }
 """The poses that handling a thing gives away; riding may be any of three."""
+
+
+_BOUNDS: Final = tuple(f"{bound:g}" for bound in DISTANCE_BOUNDS_M)
+
+FAR_AWAY: Final[dict[str, str]] = {
+    "very close": f"very close to {{x}} (under {_BOUNDS[0]} m)",
+    "close": f"close to {{x}} ({_BOUNDS[0]} to {_BOUNDS[1]} m)",
+    "moderate": f"at a moderate distance from {{x}} ({_BOUNDS[1]} to {_BOUNDS[2]} m)",
+    "far": f"far from {{x}} ({_BOUNDS[2]} to {_BOUNDS[3]} m)",
+    "very far": f"very far from {{x}} (over {_BOUNDS[3]} m)",
+}
+"""Each distance word, seen from `{x}`, with its metres: what is close to one reader is far for another."""
 
 
 def phrase_of(table: dict[str, str], name: str, kind: str) -> str:

@@ -2,7 +2,7 @@
 
 A hop is certain and single, so it introduces its target: as a sentence of two named people (`says`), or as the only
 person who fits (`the`). Where several may fit, `holds` says what is true of the target, after "is". Left and right
-always say whose they are: a person's own, or as the robot sees it. Nobody is ever "next to" anybody: the order of
+always say whose they are: a person's own, or as seen from the robot. Nobody is ever "next to" anybody: the order of
 angles says nothing about depth.
 """
 
@@ -24,17 +24,13 @@ from ..vocabulary import (
     WINDOWS_RIGHT,
     person_frame_label,
 )
-from .phrases import TOGETHER
+from .phrases import FAR_AWAY, TOGETHER
 
 Style = Literal["says", "the", "holds"]
 Use = Literal["hop", "join", "count"]
 """hop: single; join: one of the two relations that together single a person out; count: whose people are counted."""
 
-_NEAR: Final = {
-    "very close": "very close to {x}",
-    "close": "close to {x}",
-    "moderate": "at a moderate distance from {x}",
-}
+_NEAR: Final = ("very close", "close", "moderate")
 """The distance words of person-frame relations that a question may use."""
 
 
@@ -69,7 +65,7 @@ def _social(label: str) -> Words:
 
 def _person_frame(sector: str, word: str) -> Words:
     place = {"front": "in front of {x}", "back": "behind {x}"}.get(sector, f"to {{x}}'s {sector}")
-    both = f"{_NEAR[word]} and {place}"
+    both = f"{FAR_AWAY[word]} and {place}"
     whose = "from {x}'s own point of view"
     return Words(
         f"{{y}} is the only person who is {both}, {whose}",
@@ -79,12 +75,12 @@ def _person_frame(sector: str, word: str) -> Words:
 
 
 def _first(side: str) -> Words:
-    first = f"the first person to the {side} of {{x}}, turning from {{x}} as the robot sees it"
-    return Words(f"{first}, is {{y}}", first)
+    first = f"the first person to the {side} of {{x}} as seen from the robot"
+    return Words(f"{{y}} is {first}", first)
 
 
 def _window(degrees: int, side: str) -> Words:
-    return Words(holds=f"within {degrees} degrees to the {side} of {{x}} as the robot sees it")
+    return Words(holds=f"within {degrees} degrees to the {side} of {{x}} as seen from the robot")
 
 
 RELATIONS: Final[dict[str, Words]] = {

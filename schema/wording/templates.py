@@ -26,7 +26,7 @@ _THREE_HOPS: Final = (*_TWO_HOPS, ("c", "d"))
 _FORK: Final = (("a", "b"), ("a", "c"), ("b", "d"), ("c", "d"))
 
 _FIND: Final = "Find {who} at {t0}; call that person A. At that moment, {says1}. {Says2}. "
-_LET: Final = "Look at the scene at {t0}. Let A be {who}. {Says1}. {Says2}. "
+_SCENE: Final = "In the scene at {t0}, A is {who}. {Says1}. {Says2}. "
 _STEPS: Final = "At {t0}, find A, {who}; then B, {the1}; and then C, {the2}. "
 _ANGLES: Final = (
     "Panorama angles are in degrees: 0 is behind the robot, 90 is to the robot's left, 180 is straight ahead of the "
@@ -41,10 +41,9 @@ TEMPLATES: Final[dict[str, Template]] = {
         AnswerSpec(mode="frame", read="start", of="a", at="t1"),
         (
             "Find {who} at {t0}. {At} which frame does that person start {action1} for the first time after that?",
-            "At {t0}, find {who}. Keep your eyes on that person: {at} which frame is the first time after that "
-            "moment that the person starts {action1}?",
-            "Consider {who} at {t0}. {When}, for the first time after that moment, does that person start {action1}? "
-            "Give the frame.",
+            "At {t0}, find {who}. Keep your eyes on that person from then on: {at} which frame does the person first "
+            "start {action1}?",
+            "Consider {who} at {t0}. {When} does that person first start {action1} after that moment? Give the frame.",
         ),
         events={"t1": _start("a")},
     ),
@@ -54,12 +53,12 @@ TEMPLATES: Final[dict[str, Template]] = {
         ("t0",),
         AnswerSpec(mode="span", read="span", of="a", at=("t1", "t2")),
         (
-            "Find {who} at {t0}. The first time after that moment that this person starts {action1}: {at} which frame "
-            "does it begin, and {at} which frame does it end?",
-            "At {t0}, find {who}. Some time after that, this person starts {action1} for the first time. {At} which "
-            "frame does that begin, and {at} which frame does it end?",
-            "Consider {who} at {t0}. From {about}which frame to {about}which frame does the first stretch of "
-            "{action1} that this person begins after that moment last?",
+            "Find {who} at {t0}. {At} which frame does this person start {action1} for the first time after that, and "
+            "{at} which frame does the person stop again?",
+            "At {t0}, find {who}. Keep your eyes on that person from then on: {at} which frame does the person's first "
+            "spell of {action1} begin, and {at} which frame does it end?",
+            "Consider {who} at {t0}. From {about}which frame to {about}which frame is that person {action1} for the "
+            "first time after that moment?",
         ),
         events={"t1": _start("a"), "t2": Time(event="end", of="a", action="{1}", after="t1")},
     ),
@@ -80,10 +79,12 @@ TEMPLATES: Final[dict[str, Template]] = {
         ("t0", "t1", "t2"),
         AnswerSpec(mode="multiple_choice", read="presence", of="a", at=("t1", "t2")),
         (
-            "Find {who} at {t0}. At which of two later times is that person visible, if at any: the first is "
-            "{t1}, the second is {t2}?",
-            "At {t0}, find {who}. Can this person be seen at {t1}, at {t2}, at both times or at neither?",
-            "Consider {who} at {t0}. Of the two moments {t1} and {t2}, at which, if any, is that person visible?",
+            "Find {who} at {t0}. Look again at {t1} and at {t2}: at which of these two times, if at either, can that "
+            "person be seen?",
+            "At {t0}, find {who}. Can this person be seen later only at {t1}, only at {t2}, at both times or at "
+            "neither?",
+            "Consider {who} at {t0}. Of the two later moments {t1} and {t2}, at which is that person visible, if at "
+            "either?",
         ),
     ),
     "distance": Template(
@@ -92,12 +93,12 @@ TEMPLATES: Final[dict[str, Template]] = {
         ("t0", "t1"),
         AnswerSpec(mode="multiple_choice", read="distance_change", of="a", at=("t0", "t1")),
         (
-            "Find {who} at {t0}. Compared with then, is that person at {t1} closer to the robot, farther from it, at "
-            "about the same distance, or not in view?",
+            "Find {who} at {t0}. At {t1}, is that person closer to the robot than at that first moment, farther from "
+            "it, at about the same distance, or not in view?",
             "At {t0}, find {who}. How far from the robot is this person at {t1}, compared with that first moment: "
             "closer, farther, about the same, or not in view?",
-            "Consider {who} at {t0}. Has that person's distance from the robot become smaller or larger at {t1}, is "
-            "it about the same, or is the person not in view?",
+            "Consider {who} at {t0}. At {t1}, is that person's distance from the robot smaller than then, larger or "
+            "about the same, or is the person not in view?",
         ),
     ),
     "two_hop": Template(
@@ -107,7 +108,7 @@ TEMPLATES: Final[dict[str, Template]] = {
         AnswerSpec(mode="multiple_choice", read="action", of="c", at="t0"),
         (
             _FIND + "What is C's posture or movement then?",
-            _LET + "What is C's posture or movement?",
+            _SCENE + "What is C's posture or movement?",
             _STEPS + "What is C's posture or movement at that moment?",
         ),
         path=_TWO_HOPS,
@@ -120,7 +121,7 @@ TEMPLATES: Final[dict[str, Template]] = {
         AnswerSpec(mode="multiple_choice", read="action", of="d", at="t0"),
         (
             _FIND + "{Says3}. What is D's posture or movement then?",
-            _LET + "{Says3}. What is D's posture or movement?",
+            _SCENE + "{Says3}. What is D's posture or movement?",
             "At {t0}, find A, {who}; then B, {the1}; then C, {the2}; and then D, {the3}. What is D's posture or "
             "movement at that moment?",
         ),
@@ -135,10 +136,10 @@ TEMPLATES: Final[dict[str, Template]] = {
         (
             _FIND + "Leaving A, B and C aside, D is the only person who is {holds3} and who is also {holds4}. "
             "What is D's posture or movement then?",
-            _LET + "Apart from A, B and C there is only one person, D, who is {holds3} and also {holds4}. "
+            _SCENE + "Apart from A, B and C there is only one person, D, who is {holds3} and also {holds4}. "
             "What is D's posture or movement?",
             "At {t0}, find A, {who}; then B, {the1}; and C, {the2}. Not counting these three, only one person is "
-            "{holds3} and at the same time {holds4}. What is that person's posture or movement?",
+            "{holds3} and also {holds4}. What is that person's posture or movement?",
         ),
         path=_FORK,
         uses=("hop", "hop", "join", "join"),
@@ -151,11 +152,11 @@ TEMPLATES: Final[dict[str, Template]] = {
         (
             _FIND + "{At} which frame does C start {action1} for the first time after that, and at which panorama "
             f"angle is C then? {_ANGLES}",
-            _LET
-            + "{When} does C start {action1} for the first time after that moment, and in which direction from the "
-            f"robot is C then? Give the frame and the panorama angle. {_ANGLES}",
-            _STEPS + "Keep your eyes on C: {at} which frame is the first time after that moment that C starts "
-            f"{{action1}}, and at which panorama angle is C at that frame? {_ANGLES}",
+            _SCENE
+            + "{When} does C first start {action1} after that moment, and in which direction from the robot is C "
+            f"then? Give the frame and the panorama angle. {_ANGLES}",
+            _STEPS + "Keep your eyes on C from then on: {at} which frame does C first start {action1}, and at which "
+            f"panorama angle is C at that frame? {_ANGLES}",
         ),
         events={"t1": _start("c")},
         path=_TWO_HOPS,
@@ -168,7 +169,7 @@ TEMPLATES: Final[dict[str, Template]] = {
         AnswerSpec(mode="multiple_choice", read="action", of="c", at="t1"),
         (
             _FIND + "What is C's posture or movement later, at {t1}?",
-            _LET + "When the video has reached {t1}, what is C's posture or movement?",
+            _SCENE + "When the video has reached {t1}, what is C's posture or movement?",
             _STEPS + "Keep your eyes on C: what is C's posture or movement at {t1}?",
         ),
         path=_TWO_HOPS,
@@ -183,9 +184,9 @@ TEMPLATES: Final[dict[str, Template]] = {
             "Find {who} at {t0}. For some time after that, this person's posture or movement stays what it is at that "
             "moment. When it changes for the first time, what does it change to?",
             "At {t0}, find {who}. This person keeps the posture or movement of that moment for some time. Which "
-            "posture or movement follows it?",
-            "Consider {who} at {t0}. When that person's posture or movement of that moment comes to an end, what is "
-            "the next one?",
+            "posture or movement comes next?",
+            "Consider {who} at {t0}. When that person's posture or movement at that moment comes to an end, which one "
+            "follows it?",
         ),
         events={"t1": Time(event="end", of="a", after="t0")},
     ),
@@ -196,12 +197,12 @@ TEMPLATES: Final[dict[str, Template]] = {
         AnswerSpec(mode="number", read="seconds_between", of="a", at=("t1", "t2")),
         (
             "Find {who} at {t0}. After that moment, {about}how many seconds pass between the first time that this "
-            "person starts {action1} and the first time that this person starts {action2}?",
-            "At {t0}, find {who}. Keep your eyes on that person: after that moment there is a first time that the "
-            "person starts {action1}, and later a first time that the person starts {action2}. {How} many seconds lie "
-            "between the two?",
-            "Consider {who} at {t0}, and only what starts after that moment. {How} many seconds after that person "
-            "first starts {action1} does the same person first start {action2}?",
+            "person starts {action1} and the first time that the person starts {action2}?",
+            "At {t0}, find {who}. Keep your eyes on that person from then on: the person starts {action1}, and later "
+            "starts {action2}, each for the first time since that moment. {How} many seconds lie between the two "
+            "starts?",
+            "Consider {who} at {t0}, and only what begins after that moment. {How} many seconds pass from when that "
+            "person first starts {action1} until the same person first starts {action2}?",
         ),
         events={"t1": _start("a"), "t2": _start("a", action="{2}")},
     ),
@@ -211,12 +212,13 @@ TEMPLATES: Final[dict[str, Template]] = {
         ("t0",),
         AnswerSpec(mode="number", read="seconds_between", of="a", at=("t1", "t2")),
         (
-            "Find {who} at {t0}. Later this person disappears from view for the first time, and comes back after a "
-            "while. {How} many seconds lie between the moment of last being seen and the moment of being seen again?",
+            "Find {who} at {t0}. Later, this person goes out of view for the first time after that, and comes back "
+            "after a while. {How} many seconds pass from when the person is last seen until the person is seen again?",
             "At {t0}, find {who}. Keep your eyes on that person: {about}how many seconds does the first absence from "
             "view after that moment last, from when the person is last seen to when the person is seen again?",
-            "Consider {who} at {t0}. After that moment, that person is at first always in view, then out of view, then "
-            "in view again. {How} many seconds pass from the last moment in view to the first one after the absence?",
+            "Consider {who} at {t0}. That person stays in view for some time, is then out of view, and is later in "
+            "view again. {How} many seconds pass from the last moment in view before this first absence to the first "
+            "moment in view after it?",
         ),
         events={
             "t1": Time(event="leaves", of="a", after="t0"),
@@ -233,7 +235,7 @@ TEMPLATES: Final[dict[str, Template]] = {
             "At {t1}, find {who}. Count all the other people who are {holds1} at any moment from then until {t2}. How "
             "many are there?",
             "Consider {who} at {t1}, and all the time from then until {t2}. How many different people, not counting "
-            "that person, are at some moment {holds1}?",
+            "the one described, are at some moment {holds1}?",
         ),
         uses=("count",),
     ),
