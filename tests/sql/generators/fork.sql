@@ -1,0 +1,1 @@
+SELECT t, a, b, c FROM forks

@@ -1,0 +1,8 @@
+SELECT n.text, n.t, n.track, one.label, b.track, two.label, c.track, c.pose AS answer,
+    n.anchor, a.clear AND b.clear AND c.clear AS evidence, a.image, c.ahead
+FROM names n JOIN people a USING (t, track)
+JOIN hops one ON one.t = n.t AND one.source = n.track
+JOIN hops two ON two.t = n.t AND two.source = one.target AND two.target <> n.track
+JOIN people b ON b.t = n.t AND b.track = one.target
+JOIN people c ON c.t = n.t AND c.track = two.target AND c.pose IS NOT NULL
+WHERE n.general

@@ -1,0 +1,5 @@
+SELECT p.text, p.t, p.a, p.r1, p.r2, p.r3, p.r4,
+    f.track AS a, coalesce(one.target, f.track) AS b, coalesce(two.target, f.track) AS c
+FROM paths p JOIN fits f ON f.text = p.text AND f.t = p.t + moved_by()
+LEFT JOIN steps one ON one.t = f.t AND one.source = f.track AND one.label = p.r1
+LEFT JOIN steps two ON two.t = f.t AND two.source = f.track AND two.label = p.r2
