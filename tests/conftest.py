@@ -1,13 +1,70 @@
-"""One small synthetic benchmark, made once per test process; tests that alter it copy it first."""
+"""What the tests share: worlds made once per run, and the two costs of a load that few tests are about."""
 
+import fcntl
+import os
 import shutil
+import sys
 
 import pytest
 
+# pyarrow looks for this optional package anew at every scalar, which is a good part of the time of a small world.
+sys.modules.setdefault("dateutil", None)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def cheap_loads():
+    """Graphs are built in the tests' own process, and nothing waits for the disk.
+
+    A load starts a process for the graph, so that a full disk ends that one alone, and syncs each file, so that it
+    outlives a power cut. Commands that the tests run as processes do both.
+    """
+    from jrdb_avr.loaders import load
+
+    def build(function, index):
+        # It silences its process's stderr, which here is that of the tests.
+        stderr = os.dup(2)
+        try:
+            function(index)
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(load, "_in_child", build)
+        patch.setattr(os, "fsync", lambda file: None)
+        yield
+
 
 @pytest.fixture(scope="session")
-def sample_benchmark(tmp_path_factory):
+def once(tmp_path_factory):
+    """`once(name, make)`: the folder that `make(folder)` has filled, by whichever worker of the run came first."""
+    base = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        base = base.parent
+
+    def made(name, make):
+        folder, done = base / f"shared-{name}", base / f"shared-{name}.done"
+        with (base / f"shared-{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not done.exists():
+                shutil.rmtree(folder, ignore_errors=True)
+                folder.mkdir()
+                make(folder)
+                done.touch()
+        return folder
+
+    return made
+
+
+@pytest.fixture(scope="session")
+def sample_benchmark(once):
     """A store with questions of every template, of a sample world without images. Not to be written to."""
+    from jrdb_avr.queries.store import Store
+
+    return Store(once("benchmark", make_benchmark) / "store")
+
+
+def make_benchmark(folder):
     from jrdb_avr.engine.generate import generate
     from jrdb_avr.loaders.layers import find_root
     from jrdb_avr.loaders.load import load
@@ -15,12 +72,10 @@ def sample_benchmark(tmp_path_factory):
     from jrdb_avr.queries.store import Store
     from jrdb_avr.schema.rules import LoadRules, Rules
 
-    folder = tmp_path_factory.mktemp("sample")
     list(write(plan(folder / "root", [(450, 15)] * 3, 0, "none"), 1))
     store = Store(folder / "store")
     load(find_root(folder / "root"), store, LoadRules(), 1)
     generate(store, Rules(), workers=1)
-    return store
 
 
 @pytest.fixture

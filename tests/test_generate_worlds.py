@@ -102,8 +102,11 @@ def build(lines):
     return {SEQUENCE: layers}
 
 
-def judge(store):
-    """({(template, track, seconds, action): (rule or None, answer)}, {(track, second): description})."""
+def judge(store, claimed):
+    """({(template, track, seconds, action): (rule or None, answer)}, {(track, second): description}).
+
+    Only the templates of these names are searched for: those that the world claims something of.
+    """
     rules = Rules()
     scene = load_scene(store, SEQUENCE)
     facts = find_facts(scene)
@@ -112,7 +115,7 @@ def judge(store):
     found = {}
     with search_graph(scene, facts, names, rules) as graph:
         for template in TEMPLATES:
-            if not set(template.layers) <= scene.layers:
+            if template.query not in claimed or not set(template.layers) <= scene.layers:
                 continue
             rows = find_candidates(scene, facts, names, graph, template, rules)
             for i in range(len(rows)):
@@ -174,7 +177,9 @@ CLAIM = re.compile(
 @pytest.mark.parametrize("title", read_worlds())
 def test_world(title, tmp_path):
     lines = read_worlds()[title]
-    found, described = judge(quick_store(tmp_path, build(lines)))
+    claimed = {match[2] for line in lines if (match := CLAIM.fullmatch(line))}
+    assert claimed <= {template.query for template in TEMPLATES}
+    found, described = judge(quick_store(tmp_path, build(lines)), claimed)
     claims = 0
     for line in lines:
         if re.match(r"\d+ \||images |lost ", line):
