@@ -69,6 +69,11 @@ class Descriptions:
         return stated
 
     @cached_property
+    def stated_sizes(self) -> Bools:
+        """Per name, whether the description says how large the person's group is."""
+        return _any(self.conditions, self.conditions.of_kind("group_size"), self.uses)
+
+    @cached_property
     def texts(self) -> tuple[list[str], Ints]:
         """Distinct sets of conditions, as they stand in a plan's JSON, sorted; and each name's place among them."""
         texts = [conditions_json(self.of(name)) for name in range(len(self.moment))]

@@ -62,6 +62,8 @@ class Gaps(Asked):
         if "2d" not in self.layers or (conditions := self.anchored(track, t1)) is None or self.ahead(t1, track):
             return found
         for label in (*TOGETHER, GROUP):
+            if label == GROUP and any(kind == "group_size" for kind, _ in conditions):
+                continue
             met, between = {}, set()  # track -> the keyframes at which it is certain
             for frame in range(t1, self.keyframes[-1] + 1):
                 facts = self.company(frame, track, label)

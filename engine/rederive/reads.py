@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from jrdb_avr.schema.answers import Number, encode_answer
-from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, PRESENCE_ANSWERS
+from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, PRESENCE_ANSWERS, SAME_GROUP
 from jrdb_avr.schema.wording import stated_actions
 
 from .asked import Asked
@@ -90,6 +90,8 @@ def read_count(asked: Asked) -> Reading:
     annotations, target = asked.annotations, asked.target
     first, last, relation = asked.frame(0), asked.frame(1), asked.plan.answer.relation or ""
     asked.wait(first, last, asked.rules.long_wait_s)
+    sized = any(condition.attribute == "group_size" for node in asked.plan.nodes for condition in node.conditions)
+    asked.check(relation != SAME_GROUP or not sized, "the question's own words tell how large the group is")
     could: set[int] = set()
     does: dict[int, list[int]] = {}
     for frame in range(first, last + 1):
