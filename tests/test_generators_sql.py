@@ -17,14 +17,14 @@ import pyarrow as pa
 import pytest
 
 import jrdb_avr
-from jrdb_avr.engine.candidates import ask, codes, ints
+from jrdb_avr.engine.candidates import RULES, VALUES, ask, codes, ints
 from jrdb_avr.engine.descriptions import describe_people
 from jrdb_avr.engine.forks import find_forks
 from jrdb_avr.engine.joins import find_joins
 from jrdb_avr.engine.paths import Paths, paths_in_graph
 from jrdb_avr.engine.relations import RELATIONS, find_facts
 from jrdb_avr.engine.scene import coded, load_scene
-from jrdb_avr.engine.search import search_graph
+from jrdb_avr.engine.search import find_candidates, search_graph
 from jrdb_avr.engine.templates import TEMPLATES
 from jrdb_avr.schema import vocabulary as words
 from jrdb_avr.schema.rules import Rules
@@ -80,6 +80,8 @@ SHIFT = 45
 
 GENERATORS = sorted(path.stem for path in (SQL / "generators").glob("*.sql"))
 NECESSITY = sorted(path.stem for path in (SQL / "necessity").glob("*.sql"))
+JUDGED = {"presence": ("presence", "described", "presence_shift", "presence_drop")}
+"""Templates whose candidates are put together from several queries: the rows compared are those of the whole search."""
 HOPS = {"two_hop": 2, "three_hop": 3}
 OF_PATHS = {
     "two_hop": ("text", "t", "a", "r1", "b", "r2", "c"),
@@ -133,7 +135,17 @@ class Search:
     # -- the generators' side -------------------------------------------------------------------------------------
 
     def generated(self, name):
-        return self._plain(self._found(name))
+        return self._judged(name) if name in JUDGED else self._plain(self._found(name))
+
+    def _judged(self, name):
+        """Candidates that no one query lists, with the rule that refuses each."""
+        template = next(template for template in TEMPLATES if template.name == name)
+        found = find_candidates(self.scene, self.facts, self.descriptions, self.graph, template, self.rules)
+        texts, number = self.descriptions.texts
+        rules, answers = pa.array([*RULES, None]), pa.array(VALUES)
+        columns = [pa.array(texts, pa.string()).take(pa.array(number[found.name])), found.frames["t0"]]
+        columns += [self._tracks(found.people["a"]), found.frames["t1"], found.frames["t2"]]
+        return _table([*columns, answers.take(pa.array(found.answer)), rules.take(pa.array(found.rule))])
 
     def _found(self, name):
         """What a generator finds, searched once."""
@@ -210,14 +222,18 @@ class Search:
                 columns += [self.scene.segments[key].take(column) for key in ("action", "start")]
             elif name != "company":
                 columns.append(column)
-        columns = [pa.array(c) if isinstance(c, np.ndarray) else c for c in columns]
-        return pa.table(columns, names=[str(i) for i in range(len(columns))])
+        return _table(columns)
 
     def _tracks(self, moments):
         """Tracks of moments; reasons for nobody stay as they are."""
         if not len(moments):
             return moments
         return np.where(moments < 0, moments, self.scene.tracks[self.scene.persons(np.maximum(moments, 0))])
+
+
+def _table(columns):
+    columns = [pa.array(column) if isinstance(column, np.ndarray) else column for column in columns]
+    return pa.table(columns, names=[str(i) for i in range(len(columns))])
 
 
 @pytest.fixture(scope="module")
