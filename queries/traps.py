@@ -37,9 +37,10 @@ class Plan:
     """The engine's plan of one statement, as far as this module judges it."""
 
     def __init__(self, text: str) -> None:
-        self.text = text
-        self.operators: tuple[str, ...] = tuple(_OPERATOR.findall(text))
-        self.functions: tuple[str, ...] = tuple(re.findall(r"Function: (\w+)", text))
+        # A plan is drawn as a tree of boxes: of a long statement's, megabytes are blanks and lines.
+        self.text = " ".join(text.replace("─", "").split())
+        self.operators: tuple[str, ...] = tuple(_OPERATOR.findall(self.text))
+        self.functions: tuple[str, ...] = tuple(re.findall(r"Function: (\w+)", self.text))
 
     @property
     def writes(self) -> bool:
