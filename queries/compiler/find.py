@@ -1,0 +1,137 @@
+"""The statement that finds the people of a plan: its conditions and edges as one Cypher pattern.
+
+Every row is a binding of the plan's nodes to different people whom no condition and no edge excludes; `certain` says
+whether all of them certainly hold. The text depends on the plan's shape alone, so plans of one text are asked together:
+their times and values are rows of the parameter `$plans`. Names in the statement are the compiler's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from jrdb_avr.schema.errors import PlanError
+from jrdb_avr.schema.plan import Edge, Plan, validate
+
+from .clauses import Variables
+from .names import Names, condition_kind, condition_values, edge_kind, edge_values
+
+
+@dataclass(frozen=True)
+class Find:
+    """A plan's statement.
+
+    cypher: gives columns id, who0, who1, ... and certain, ordered; nodes: the plan's nodes in the order of `who`;
+    row: what the plan puts into `$plans`, but for `id` and `scope`.
+    """
+
+    cypher: str
+    nodes: tuple[str, ...]
+    row: dict[str, Any]
+
+
+def compile_find(plan: Plan, names: Names) -> Find:
+    """Compile a plan's conditions and edges. Raises PlanError where the plan is invalid or not of stated times."""
+    validate(plan)
+    return _Pattern(plan, names).compiled()
+
+
+class _Pattern:
+    """Puts the statement together, a person at a time, in the order in which edges reach them."""
+
+    def __init__(self, plan: Plan, names: Names) -> None:
+        self.plan = plan
+        self.names = names
+        self.nodes: list[str] = []
+        self.row: dict[str, Any] = {}
+        self.clauses: list[str] = []
+        self.times = {name: f"t{i}" for i, name in enumerate(sorted(plan.times))}
+        self.used: dict[str, None] = {}
+
+    def compiled(self) -> Find:
+        sure: list[str] = []
+        self.carried = ["id", "scope"]
+        bodies = [self._person(node, edges) for node, edges in self._order()]
+        columns = [f"q.{name} AS {name}" for name in ("id", "scope", *self.row)]
+        lines = ["UNWIND $plans AS q", f"WITH {', '.join(columns)}"]
+        kept = ["id", "scope", *self.row]
+        for place, (match, where, holds, sightings) in enumerate(bodies):
+            lines += [f"MATCH {match}", f"WHERE {' AND '.join(where)}"]
+            kept += [f"n{place}", *sightings]
+            lines.append(f"WITH {', '.join(kept)}")
+            for name, text in holds.items():
+                # One at a time: beside an EXISTS the engine fails on other expressions.
+                lines.append(f"WITH {', '.join(kept)}, {text} AS {name}")
+                kept.append(name)
+            sure += holds
+        who = [f"{self.names.who.format(n=f'n{i}')} AS who{i}" for i in range(len(self.nodes))]
+        # Each by itself: the engine cannot put the results of several EXISTS together.
+        certain = [f"{name} AS sure{i}" for i, name in enumerate(sure)]
+        order = ", ".join(f"who{i}" for i in range(len(self.nodes)))
+        lines += [f"RETURN id, {', '.join([*who, *certain])}", f"ORDER BY id, {order}"]
+        return Find("\n".join(lines), tuple(self.nodes), self.row)
+
+    def _order(self) -> list[tuple[str, list[tuple[int, Edge]]]]:
+        """Nodes from the root on, each with the edges that join it to those before."""
+        known = [self.plan.root]
+        while len(known) < len(self.plan.nodes):
+            known.append(next(e.target for e in self.plan.edges if e.source in known and e.target not in known))
+        edges = list(enumerate(self.plan.edges))
+        return [
+            (node, [(i, e) for i, e in edges if node in (e.source, e.target) and {e.source, e.target} <= {*known[: k + 1]}])
+            for k, node in enumerate(known)
+        ]
+
+    def _person(self, node: str, edges: list[tuple[int, Edge]]) -> tuple[str, list[str], dict[str, str], list[str]]:
+        """What to match, what may not be false, what holds for certain by name, and the sightings bound."""
+        self.nodes.append(node)
+        place = len(self.nodes) - 1
+        sightings = {time: f"s{place}_{self._time(time)}" for time in self._times_of(node)}
+        match, where = [], [f"n{place}.id <> n{other}.id" for other in range(place)]
+        for time, sighting in sightings.items():
+            at = {"n": f"n{place}", "s": sighting, "t": self._time(time), "scope": "scope"}
+            match.append(self.names.pattern.format(**at))
+            where.insert(0, self.names.there.format(**at))
+        holds: dict[str, str] = {}
+        described = next(iter(sightings))
+        for i, condition in enumerate(next(n for n in self.plan.nodes if n.id == node).conditions):
+            clause = self.names.conditions[condition_kind(condition)]
+            at = self._at(node, condition.at or described) | self._values(f"c{place}_{i}", condition_values(condition))
+            where.append(clause.could(at))
+            holds[f"c{place}_{i}_sure"] = clause.sure(at)
+        for i, edge in edges:
+            clause = self.names.edges[edge_kind(edge.relation)]
+            to = self._at(edge.target, edge.at)
+            at = self._at(edge.source, edge.at) | {"m": to["n"], "z": to["s"]}
+            at |= self._values(f"e{i}", edge_values(edge.relation))
+            where.append(clause.could(at))
+            holds[f"e{i}_sure"] = clause.sure(at)
+        return ", ".join(match), where, holds, list(sightings.values())
+
+    def _at(self, node: str, time: str) -> Variables:
+        place = self.nodes.index(node)
+        t = self._time(time)
+        return {"n": f"n{place}", "s": f"s{place}_{t}", "t": t, "scope": "scope"}
+
+    def _values(self, prefix: str, values: dict[str, Any]) -> dict[str, str]:
+        names = {variable: f"{prefix}_{variable}" for variable in values}
+        self.row |= {names[variable]: value for variable, value in values.items()}
+        return names
+
+    def _times_of(self, node: str) -> list[str]:
+        """Names of the times at which something holds of a person; where nothing does, the first stated one."""
+        described = next(n for n in self.plan.nodes if n.id == node)
+        times = [condition.at for condition in described.conditions if condition.at is not None]
+        times += [edge.at for edge in self.plan.edges if node in (edge.source, edge.target)]
+        stated = sorted(name for name, time in self.plan.times.items() if time.frame is not None)
+        if not times and not stated:
+            raise PlanError("times", "a stated frame is needed, at which people are looked for")
+        return list(dict.fromkeys(times)) or stated[:1]
+
+    def _time(self, name: str) -> str:
+        """The variable of a stated time."""
+        frame = self.plan.times[name].frame
+        if frame is None:
+            raise PlanError(f"times.{name}", "conditions and edges hold at stated frames; an event is only read")
+        self.row[self.times[name]] = frame
+        return self.times[name]
