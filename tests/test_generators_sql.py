@@ -1,65 +1,23 @@
 """The candidates of every template, and what the perturbed programs read, joined by DuckDB over the interval tables.
 
-`sql/*.sql` derive from the tables alone what the generators search: people at keyframes, certain and possible
-relations, descriptions, what begins and ends, companies, joins. `sql/generators` and `sql/necessity` hold one SELECT
-for every Cypher file of these names. Both must give the same rows: people, times, relations, answers, and what each
-candidate says of itself. They share the interval tables, the vocabulary, and nothing else.
+The generators' Cypher and the SQL beside it (see `sql_search`) must give the same rows: descriptions, people, times,
+relations, answers, and what each candidate says of itself.
 
     $ pytest tests/test_generators_sql.py -k three_hop
 """
 
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from pathlib import Path
 
-import duckdb
-import numpy as np
-import pyarrow as pa
 import pytest
+from sql_search import JUDGED, OF_PATHS, SQL, Search
 
 import jrdb_avr
-from jrdb_avr.engine.candidates import RULES, VALUES, ask, codes, ints
-from jrdb_avr.engine.descriptions import describe_people
-from jrdb_avr.engine.forks import find_forks
-from jrdb_avr.engine.joins import find_joins
-from jrdb_avr.engine.paths import Paths, paths_in_graph
-from jrdb_avr.engine.relations import RELATIONS, find_facts
-from jrdb_avr.engine.scene import coded, load_scene
-from jrdb_avr.engine.search import find_candidates, search_graph
-from jrdb_avr.engine.templates import TEMPLATES
-from jrdb_avr.schema import vocabulary as words
 from jrdb_avr.schema.rules import Rules
-from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES, VERBS
-from jrdb_avr.schema.wording.phrases import POSES_OF_INTERACTIONS, POSES_OF_VERBS
 
-SQL = Path(__file__).parent / "sql"
 CYPHER = Path(jrdb_avr.__file__).parent / "queries"
-SCRIPTS = ("people", "relations", "descriptions", "events", "company", "joins")
-TABLES = (
-    "sequence",
-    "frames",
-    "persons",
-    "sightings",
-    "actions",
-    "memberships",
-    "interactions",
-    "beside",
-    "handles",
-    "objects",
-    "segments",
-)
-VOCABULARY = {
-    "pose": words.POSES,
-    "action": words.OTHER_ACTIONS,
-    "interaction": words.INTERACTIONS,
-    "gender": words.GENDERS,
-    "age": words.AGES,
-    "sector": words.ROBOT_SECTORS,
-    "distance": words.DISTANCE_WORDS,
-    "verb": VERBS,
-    "thing": OBJECTS,
-    "person category": sorted(PERSON_CATEGORIES),
-}
-NAMES_POSE = {"interaction": POSES_OF_INTERACTIONS, "object": POSES_OF_VERBS}
+GENERATORS = sorted(path.stem for path in (SQL / "generators").glob("*.sql"))
+NECESSITY = sorted(path.stem for path in (SQL / "necessity").glob("*.sql"))
 STRICT = {
     "wait": 45,
     "long_wait": 150,
@@ -71,169 +29,11 @@ STRICT = {
     "same": 0.5,
 }
 """The rules as they stand in the specification: frames, degrees, people and metres."""
-LAX = STRICT | {"wait": 30, "long_wait": 60, "search_wait": 15, "turn_degrees": 8.5, "least_gap": 30, "least_people": 2}
-LAX_RULES = Rules(
-    min_wait_s=2.0, long_wait_s=4.0, search_wait_s=1.0, turn_deg=8.5, gap_min_s=2.0, count_min=2, shift_s=3.0
-)
+LAX = STRICT | {"wait": 30, "long_wait": 60, "search_wait": 15, "turn_degrees": 8.5, "least_gap": 45, "least_people": 2}
+LAX_RULES = Rules(min_wait_s=2.0, long_wait_s=4.0, search_wait_s=1.0, turn_deg=8.5, gap_min_s=3.0, count_min=2)
 """Under which half a minute of the sample holds candidates of every template."""
 SHIFT = 45
-
-GENERATORS = sorted(path.stem for path in (SQL / "generators").glob("*.sql"))
-NECESSITY = sorted(path.stem for path in (SQL / "necessity").glob("*.sql"))
-JUDGED = {"presence": ("presence", "described", "presence_shift", "presence_drop")}
-"""Templates whose candidates are put together from several queries: the rows compared are those of the whole search."""
 HOPS = {"two_hop": 2, "three_hop": 3}
-OF_PATHS = {
-    "two_hop": ("text", "t", "a", "r1", "b", "r2", "c"),
-    "three_hop": ("text", "t", "a", "r1", "b", "r2", "c", "r3", "d"),
-    "fork_join": ("text", "t", "a", "r1", "b", "r2", "c", "r3", "r4", "d"),
-}
-
-
-class Search:
-    """A sequence searched both ways: `cypher` and `sql` give the rows of a query as tables of the same columns."""
-
-    def __init__(self, store, sequence, rules, values):
-        self.rules, self.found = rules, {}
-        self.scene = load_scene(store, sequence)
-        self.facts = find_facts(self.scene)
-        self.descriptions = describe_people(self.scene, self.facts, rules)
-        self.graph = search_graph(self.scene, self.facts, self.descriptions, rules)
-        self.database = duckdb.connect(config={"threads": 1})
-        for table in TABLES:
-            self.database.read_parquet(str(store.interval_path(table, sequence))).create(table)
-        self._give("vocabulary", ("list", "word"), [(name, word) for name, all_ in VOCABULARY.items() for word in all_])
-        self._give("names_pose", ("list", "word"), [(name, word) for name, all_ in NAMES_POSE.items() for word in all_])
-        for name, value in values.items():
-            self.database.execute(f"CREATE MACRO {name}() AS {value}::{'DOUBLE' if value != int(value) else 'INTEGER'}")
-        for script in SCRIPTS:
-            self.database.execute((SQL / f"{script}.sql").read_text())
-
-    def close(self):
-        self.graph.close()
-        self.database.close()
-
-    def _give(self, table, names, rows):
-        rows = pa.table([pa.array(column) for column in zip(*rows, strict=True)], names=list(names))
-        self.database.register("given", rows)
-        self.database.execute(f"CREATE TABLE {table} AS FROM given")
-
-    def differences(self, folder, name, found, **values):
-        """How many rows both ways give, and examples of what only the SQL and only the Cypher gives."""
-        query = (SQL / folder / f"{name}.sql").read_text()
-        for macro, value in values.items():
-            self.database.execute(f"CREATE OR REPLACE MACRO {macro}() AS {value}")
-        self.database.register("cypher", found)
-        self.database.execute(f"CREATE OR REPLACE TEMP TABLE joined_rows AS {query}")
-        number = self.database.execute("SELECT count(*) FROM joined_rows").fetchone()[0]
-        only = [
-            self.database.execute(f"FROM {a} EXCEPT ALL FROM {b} LIMIT 3").fetchall()
-            for a, b in (("joined_rows", "cypher"), ("cypher", "joined_rows"))
-        ]
-        return number, *only
-
-    # -- the generators' side -------------------------------------------------------------------------------------
-
-    def generated(self, name):
-        return self._judged(name) if name in JUDGED else self._plain(self._found(name))
-
-    def _judged(self, name):
-        """Candidates that no one query lists, with the rule that refuses each."""
-        template = next(template for template in TEMPLATES if template.name == name)
-        found = find_candidates(self.scene, self.facts, self.descriptions, self.graph, template, self.rules)
-        texts, number = self.descriptions.texts
-        rules, answers = pa.array([*RULES, None]), pa.array(VALUES)
-        columns = [pa.array(texts, pa.string()).take(pa.array(number[found.name])), found.frames["t0"]]
-        columns += [self._tracks(found.people["a"]), found.frames["t1"], found.frames["t2"]]
-        return _table([*columns, answers.take(pa.array(found.answer)), rules.take(pa.array(found.rule))])
-
-    def _found(self, name):
-        """What a generator finds, searched once."""
-        if name not in self.found:
-            self.found[name] = self._search(name)
-        return self.found[name]
-
-    def _search(self, name):
-        if name == "fork_join":
-            joins = find_joins(self.scene, self.facts, self.descriptions.conditions, self.rules)
-            return find_forks(self.graph, joins, self.rules)
-        if name == "gap_count_people":
-            return self._people_counted()
-        found = ask(self.graph, "generators", name, self.rules)
-        return found.rename_columns(["at0", "b", "c"]) if name == "fork" else found
-
-    def _people_counted(self):
-        """Whom companies meet, the company being told by where it begins and its relation."""
-        text = "MATCH (m:Moment)-[:Keeps]->(c:Company) RETURN c.id AS id, m.id AS at0, c.relation AS r1 ORDER BY id"
-        companies, met = self.graph.query(text), ask(self.graph, "generators", "gap_count_people", self.rules)
-        rows = met["company"].to_numpy()
-        return pa.table(
-            {
-                "at0": companies["at0"].take(rows),
-                "r1": companies["r1"].take(rows),
-                "person": pa.array(self.scene.tracks[met["person"].to_numpy()]),
-                "met": met["met"],
-                "seen": met["seen"],
-            }
-        )
-
-    @contextmanager
-    def paths(self, name):
-        """The paths of a template's candidates, put into both databases."""
-        found = self._found(name)
-        template = next(template for template in TEMPLATES if template.name == name)
-        people = {node: ints(found, "at0" if node == "a" else node) for node in template.people}
-        relations = {relation: coded(found[relation], RELATIONS) for relation in template.relations}
-        description = self.descriptions.texts[1][ints(found, "name")]
-        times = {"t0": self.scene.frames(people["a"])}
-        segments = np.full(len(found), -1)
-        paths = Paths(template, description, people, relations, times, segments, codes(found["answer"]))
-        self.database.execute(
-            "CREATE OR REPLACE TEMP TABLE paths AS"
-            f" SELECT * FROM ({(SQL / 'generators' / f'{name}.sql').read_text()}) found({', '.join(OF_PATHS[name])})"
-        )
-        with paths_in_graph(self.graph, paths):
-            yield found
-
-    def perturbed(self, name, found=None, **values):
-        """The rows of a necessity query; `found` are the candidates whose paths are in the graph."""
-        rows = ask(self.graph, "necessity", name, self.rules, **values)
-        if found is not None:
-            paths = found.select(["name", "at0", *(n for n in ("r1", "r2", "r3", "r4") if n in found.column_names)])
-            columns = paths.take(rows["id"])
-            for column in rows.column_names[1:]:
-                columns = columns.append_column(column, rows[column])
-            rows = columns
-        return self._plain(rows)
-
-    def _plain(self, found):
-        """Numbers of the scene's graph as what they stand for: tracks, frames, texts."""
-        columns = []
-        for name in found.column_names:
-            column = found[name]
-            if name == "name":
-                texts, number = self.descriptions.texts
-                columns.append(pa.array(texts, pa.string()).take(pa.array(number[ints(found, name)])))
-            elif name.startswith("at"):
-                columns += [self.scene.frames(ints(found, name)), self._tracks(ints(found, name))]
-            elif name in ("a", "b", "c", "d"):
-                columns.append(self._tracks(ints(found, name)))
-            elif name.startswith("segment"):
-                columns += [self.scene.segments[key].take(column) for key in ("action", "start")]
-            elif name != "company":
-                columns.append(column)
-        return _table(columns)
-
-    def _tracks(self, moments):
-        """Tracks of moments; reasons for nobody stay as they are."""
-        if not len(moments):
-            return moments
-        return np.where(moments < 0, moments, self.scene.tracks[self.scene.persons(np.maximum(moments, 0))])
-
-
-def _table(columns):
-    columns = [pa.array(column) if isinstance(column, np.ndarray) else column for column in columns]
-    return pa.table(columns, names=[str(i) for i in range(len(columns))])
 
 
 @pytest.fixture(scope="module")
@@ -249,8 +49,10 @@ def searches(sample_benchmark):
 
 
 def test_there_is_sql_for_every_query():
-    assert sorted(path.stem for path in (CYPHER / "generators").glob("*.cypher")) == GENERATORS
-    assert sorted(path.stem for path in (CYPHER / "necessity").glob("*.cypher")) == NECESSITY
+    judged = {query for queries in JUDGED.values() for query in queries}
+    for folder, written in (("generators", GENERATORS), ("necessity", NECESSITY)):
+        queries = {path.stem for path in (CYPHER / folder).glob("*.cypher")}
+        assert queries - judged == set(written) - set(JUDGED)
 
 
 @pytest.mark.parametrize("name", GENERATORS)
