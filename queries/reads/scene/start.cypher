@@ -1,0 +1,55 @@
+// start, span, start_view, seconds_between: the first time after a frame that somebody starts an action.
+// It is the first stable segment of the action, from `first` to `last`, with nothing but false before it since `after`;
+// `start` and `end` are what is asked for. `closed`: it is known to end there. `angle` is the direction at `first`.
+// The frames that tell of actions are low, low + step, ..., high; what lies beyond them does not exist.
+UNWIND $plans AS q
+WITH q.id AS id, q.scope AS scope, q.who AS who, q.action AS action, q.posture AS posture, q.after AS after,
+     q.low AS low, q.high AS high, q.step AS step
+WHERE after >= low AND (after - low) % step = 0
+MATCH (p:Person)-[r:Performs]->(x:Action)
+WHERE p.sequence = scope AND p.track = who AND x.name = action AND r.last >= after
+WITH id, action, posture, after, low, high, step, p, min(r.first) AS first
+WHERE first > after
+// Intervals that follow each other without a gap: the first of them that nothing follows is the last.
+MATCH (p)-[r:Performs]->(x:Action)
+WHERE x.name = action AND r.first >= first
+  AND NOT EXISTS { MATCH (p)-[n:Performs]->(y:Action) WHERE y.name = action AND n.first = r.last + step }
+WITH id, action, posture, after, low, high, step, p, first, min(r.last) AS last
+WHERE last - first >= $least
+MATCH (p)-[r:Performs]->(x:Action)
+WHERE x.name = action
+WITH id, action, posture, after, low, high, step, p, first, last,
+     max(CASE WHEN r.last < first THEN r.last END) AS before,
+     min(CASE WHEN r.first > last THEN r.first END) AS next,
+     sum(CASE WHEN r.first >= first AND r.last <= last AND r.certain = false AND r.gap = false THEN 1 ELSE 0 END) AS unsure,
+     sum(CASE WHEN r.first >= first AND r.last <= last AND r.certain = true THEN (r.last - r.first) / step + 1 ELSE 0 END)
+         AS named,
+     $edge / step * step AS edge, $quiet / step * step AS quiet
+WHERE unsure = 0 AND first - edge >= low
+  AND (before IS NULL OR (before < first - edge AND before < first - quiet))
+  AND (next IS NULL OR next > last + quiet)
+// In clear view wherever the action is named.
+MATCH (x:Action)<-[r:Performs]-(p)-[s:SeenIn]->(:Frame)
+WHERE x.name = action AND r.certain AND r.first >= first AND r.last <= last
+  AND s.frame >= r.first AND s.frame <= r.last AND (s.frame - low) % step = 0 AND s.clear
+WITH id, posture, after, low, high, step, p, first, last, next, edge, quiet, named, count(*) AS clear
+WHERE clear = named
+// Frames before and after that tell of the action, where no interval does: it is false there.
+MATCH (p)-[s:SeenIn]->(:Frame)
+WHERE (s.frame - low) % step = 0
+WITH id, after, low, high, step, first, last, next, edge, quiet, s.frame AS t, s.angle AS angle, s.clear AS clear,
+     CASE WHEN posture = true THEN s.pose IS NOT NULL ELSE s.listed END AS told
+WITH id, after, low, high, step, first, last, next, edge, quiet,
+     max(CASE WHEN t = first THEN angle END) AS angle,
+     sum(CASE WHEN told = true AND t >= after AND t < first THEN 1 ELSE 0 END) AS since,
+     sum(CASE WHEN told = true AND clear = true AND t >= first - edge AND t < first THEN 1 ELSE 0 END) AS edge_before,
+     sum(CASE WHEN told = true AND t >= first - quiet AND t < first THEN 1 ELSE 0 END) AS quiet_before,
+     sum(CASE WHEN told = true AND t > last AND t <= last + quiet AND t <= high THEN 1 ELSE 0 END) AS quiet_after,
+     sum(CASE WHEN told = true AND clear = true AND t > last AND t <= last + edge THEN 1 ELSE 0 END) AS edge_after
+WHERE since = (first - after) / step AND edge_before = edge / step
+  AND quiet_before = CASE WHEN first - quiet < low THEN (first - low) / step ELSE quiet / step END
+  AND quiet_after = CASE WHEN last + quiet > high THEN (high - last) / step ELSE quiet / step END
+RETURN id, first, last, first - CASE WHEN step = 1 THEN 0 ELSE step / 2 END AS start,
+       last + CASE WHEN step = 1 THEN 0 ELSE step / 2 END AS `end`,
+       edge_after = edge / step AND last + edge <= high AND (next IS NULL OR next > last + edge) AS closed, angle
+ORDER BY id
