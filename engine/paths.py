@@ -8,8 +8,8 @@ who can be meant, or to one of the nodes that say why there is none.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -96,6 +96,24 @@ def paths_in_graph(graph: Graph, paths: Paths) -> Iterator[None]:
     finally:
         for table in ("From", "Of", "Path"):
             graph.execute(f"DROP TABLE `{table}`")
+
+
+BLOCK: Final = 20_000
+"""Paths whose perturbed programs are run at once: at every keyframe of a crowded scene they are millions."""
+
+
+def in_blocks(paths: Paths, prove: Callable[[Paths], tuple[Perturbed, ...]]) -> tuple[Perturbed, ...]:
+    """The proofs of all paths, made block by block."""
+    starts = range(0, max(len(paths), 1), BLOCK)
+    blocks = [prove(paths.take(np.arange(start, min(start + BLOCK, len(paths))))) for start in starts]
+    return tuple(
+        replace(
+            same[0],
+            outcome=np.concatenate([proof.outcome for proof in same]),
+            answer=np.concatenate([proof.answer for proof in same]),
+        )
+        for same in zip(*blocks, strict=True)
+    )
 
 
 def hop_proofs(scene: Scene, graph: Graph, paths: Paths, rules: Rules) -> tuple[Perturbed, ...]:

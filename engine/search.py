@@ -31,8 +31,8 @@ from .candidates import (
 from .company import find_company
 from .descriptions import Descriptions
 from .forks import find_forks, fork_proofs
-from .joins import find_joins
-from .paths import Paths, hop_proofs, program_proofs
+from .joins import Joins, find_joins
+from .paths import Paths, hop_proofs, in_blocks, program_proofs
 from .relations import RELATIONS, STATED_POSES, Facts, find_steps
 from .scene import NOBODY, Bools, Ints, Scene, coded, scene_graph
 from .templates import Template
@@ -91,12 +91,7 @@ def find_candidates(
         ).take(open_rows)
         if not template.single_view:
             holds["view.single"] = _needs_turning(scene, paths, open_rows, count, rules)
-        if joins is not None:
-            proofs = fork_proofs(scene, graph, joins, paths, rules)
-        else:
-            proofs = hop_proofs(scene, graph, paths, rules)
-            if template.time_proof == "program":
-                proofs += program_proofs(scene, graph, paths, rules)
+        proofs = in_blocks(paths, lambda some: _path_proofs(scene, graph, joins, some, rules))
         perturbed = tuple(_widened(proof, open_rows, count) for proof in proofs)
     if template.time_proof == "asked" and count:
         perturbed += asked_proofs(scene, graph, template, rules, moments, answer)
@@ -152,6 +147,13 @@ def _stated(descriptions: Descriptions, names: Ints, relations: Mapping[str, Int
     for codes_of in relations.values():
         stated = stated | STATED_POSES[codes_of, poses]
     return np.asarray(stated, dtype=bool)
+
+
+def _path_proofs(scene: Scene, graph: Graph, joins: Joins | None, paths: Paths, rules: Rules) -> tuple[Perturbed, ...]:
+    if joins is not None:
+        return fork_proofs(scene, graph, joins, paths, rules)
+    proofs = hop_proofs(scene, graph, paths, rules)
+    return proofs + program_proofs(scene, graph, paths, rules) if paths.template.time_proof == "program" else proofs
 
 
 def _needs_turning(scene: Scene, paths: Paths, rows: Ints, count: int, rules: Rules) -> Bools:
