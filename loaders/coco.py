@@ -24,6 +24,7 @@ from jrdb_avr.schema.errors import InputError
 from . import fields
 from .columns import Bools, Ints, Refusals
 from .jsonscan import MalformedError, elements, end_of_text, members
+from .keys import WrittenKeys
 from .labelfile import BROKEN, MAX_RECORDS, SCAN_FROM, RecordReader, key_text, read_file
 from .problems import Problems, shorten
 from .records import record_parts
@@ -136,7 +137,7 @@ class ListReader(Generic[R]):
         record: type[R],
         repair: Callable[[bytes, str, Problems], R | None],
         once: tuple[str, ...],
-        clean: Callable[[list[R], bytes], bool] = lambda records, raw: True,
+        clean: Callable[[list[R], WrittenKeys], bool] = lambda records, written: True,
     ) -> None:
         self._all = msgspec.json.Decoder(list[record])  # type: ignore[valid-type]
         self._batch = RecordReader(record, repair, once, clean)

@@ -6,7 +6,7 @@ Decoded records are the largest thing in memory, so they live for a chunk only. 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Generic, TypeVar
@@ -18,7 +18,7 @@ import numpy.typing as npt
 from jrdb_avr.schema.errors import InputError
 
 from .columns import Bools, Distinct, Ints, Refusals, first_of_equal, person_keys
-from .labelfile import RecordReader, read_frames
+from .labelfile import Frame, RecordReader, read_frames
 from .problems import Problems
 from .records import BAD, OTHER, track_codes
 
@@ -28,6 +28,9 @@ CHUNK: Final = 20_000
 """Records whose columns are taken at once."""
 CHUNK_BYTES: Final = 32 << 20
 """As much text as a chunk is made of at most: an adverse record holds thousands of objects."""
+
+BATCH_BYTES: Final = 1 << 19
+"""Text of the frames that are looked at together."""
 
 Columns = dict[str, npt.NDArray[Any]]
 R = TypeVar("R", bound=msgspec.Struct)
@@ -81,14 +84,27 @@ def gather(
     """Read a label file. `take` makes columns of records. Raises InputError if the file as a whole cannot be used."""
     gathered = Gathered(take)
     records = 0
-    for frame, key, raw in read_frames(path, suffixes, problems):
-        found = reader.read(raw, key, problems)
-        if found is not None:
-            gathered.add(frame, *found, len(raw))
-            records += len(found[0])
+    for frames in _batches(read_frames(path, suffixes, reader.decode, problems)):
+        for frame, found in reader.read_frames(frames, problems):
+            if found is not None:
+                gathered.add(frame.number, *found, len(frame.raw))
+                records += len(found[0])
         if records > MAX_GATHERED:
             raise InputError(f"{path.name}: more than {MAX_GATHERED:,} records", file=path.name)
     return gathered
+
+
+def _batches(frames: Iterable[Frame]) -> Iterator[list[Frame]]:
+    """Frames in batches of about BATCH_BYTES, in order."""
+    batch: list[Frame] = []
+    size = 0
+    for frame in frames:
+        batch.append(frame)
+        size += len(frame.raw)
+        if size >= BATCH_BYTES:
+            yield batch
+            batch, size = [], 0
+    yield batch
 
 
 def numbered(codes: Distinct, values: Iterable[Any], n: int) -> Ints:

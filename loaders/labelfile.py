@@ -11,19 +11,20 @@ import errno
 import os
 import re
 import stat
-from collections.abc import Callable, Iterator
-from itertools import repeat
+from collections.abc import Callable, Iterator, Sequence
+from itertools import chain, islice, repeat
 from operator import attrgetter, is_not
 from pathlib import Path
-from typing import Final, Generic, TypeVar
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 import msgspec
 
 from jrdb_avr.schema.errors import InputError
 
 from .jsonscan import MalformedError, elements, end_of_text, members
+from .keys import WrittenKeys
 from .problems import Problems, shorten
-from .spans import frame_spans
+from .spans import OtherLayoutError, frame_texts
 
 MAX_FILE: Final = 160 << 20
 """Bytes of the largest file that is read into memory as a whole."""
@@ -47,7 +48,7 @@ class RecordReader(Generic[R]):
     `repair` gets the bytes of a record that is not clean, the frame key and the problems, and returns what can be used
     of it or None. `once` names the fields that a record has at most once, fields of one meaning together: where a frame
     holds their keys more often than decoded records have them, a record repeats one (JSON leaves open which of the two
-    counts), and the frame is taken record by record. `clean` looks deeper into decoded records and their bytes.
+    counts), and the frame is taken record by record. `clean` looks deeper into decoded records and their keys.
     """
 
     def __init__(
@@ -55,24 +56,42 @@ class RecordReader(Generic[R]):
         record: type[R],
         repair: Callable[[bytes, str, Problems], R | None],
         once: tuple[str | tuple[str, ...], ...],
-        clean: Callable[[list[R], bytes], bool] = lambda records, raw: True,
+        clean: Callable[[list[R], WrittenKeys], bool] = lambda records, written: True,
     ) -> None:
         self._frame = msgspec.json.Decoder(list[record])  # type: ignore[valid-type]
         self._record = msgspec.json.Decoder(record)
         self._repair = repair
         info = {field.name: field for field in msgspec.structs.fields(record)}
         groups = [[info[name] for name in ((group,) if isinstance(group, str) else group)] for group in once]
-        self._once = [[(f'"{field.encode_name}"'.encode(), field) for field in group] for group in groups]
+        self._once = [([f'"{field.encode_name}"'.encode() for field in group], group) for group in groups]
         self._clean = clean
+
+    def decode(self, raw: bytes) -> list[R] | None:
+        """The records of a frame, if all are of the form expected. Decoding may have lost repeated keys."""
+        try:
+            return self._frame.decode(raw)
+        except BROKEN:
+            return None
+
+    def read_frames(
+        self, frames: Sequence[Frame], problems: Problems
+    ) -> Iterator[tuple[Frame, tuple[list[R], bool] | None]]:
+        """As `read`, of frames as `read_frames` cuts them by means of `decode`: beside each what is read of it."""
+        # Looking for repeated keys in few long texts takes half the time of looking in many short ones.
+        decoded = [frame for frame in frames if frame.records is not None and len(frame.records) <= MAX_RECORDS]
+        records = list(chain.from_iterable(frame.records or () for frame in decoded))
+        plain = {frame.number for frame in decoded} if self.plain(records, b",".join(f.raw for f in decoded)) else ()
+        for frame in frames:
+            if frame.number in plain:
+                yield frame, (frame.records or [], True)
+            else:
+                yield frame, self.read(frame.raw, frame.key, problems)
 
     def read(self, raw: bytes, frame: str, problems: Problems) -> tuple[list[R], bool] | None:
         """The usable records of a frame, and whether every record was; None where the frame is no list."""
-        try:
-            records = self._frame.decode(raw)
-            if len(records) <= MAX_RECORDS and self.plain(records, raw):
-                return records, True
-        except BROKEN:
-            pass
+        found = self.decode(raw)
+        if found is not None and len(found) <= MAX_RECORDS and self.plain(found, raw):
+            return found, True
         records = []
         try:
             spans = []
@@ -101,13 +120,14 @@ class RecordReader(Generic[R]):
 
     def plain(self, records: list[R], raw: bytes) -> bool:
         """Whether no key is repeated, none being written with escapes, so that decoding lost nothing."""
-        once = all(
-            sum(raw.count(key) for key, _ in group) <= sum(_having(records, field) for _, field in group)
-            for group in self._once
-        )
         # Looking for one byte is many times as fast as for two.
-        escaped = b"\\" in raw and b"\\u" in raw
-        return once and not escaped and self._clean(records, raw)
+        if b"\\" in raw and b"\\u" in raw:
+            return False
+        written = WrittenKeys(raw)
+        for keys, fields in self._once:
+            if written.exceed(sum(_having(records, field) for field in fields), *keys):
+                return False
+        return self._clean(records, written)
 
 
 def _having(records: list[R], field: msgspec.structs.FieldInfo) -> int:
@@ -117,15 +137,28 @@ def _having(records: list[R], field: msgspec.structs.FieldInfo) -> int:
     return sum(map(is_not, map(attrgetter(field.name), records), repeat(field.default)))
 
 
-def read_frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> Iterator[tuple[int, str, bytes]]:
-    """Frame number, frame key and raw list of each frame of a label file; the first of equal keys.
+class Frame(NamedTuple):
+    """One frame of a label file."""
+
+    number: int
+    key: str
+    raw: bytes
+    """Its value."""
+    records: list[Any] | None
+    """What decoding made of it, if that was tried and succeeded."""
+
+
+def read_frames(
+    path: Path, suffixes: tuple[str, ...], decode: Callable[[bytes], list[Any] | None], problems: Problems
+) -> Iterator[Frame]:
+    """The frames of a label file; the first of equal keys. `decode` reads clean frames, as `RecordReader.decode`.
 
     Raises InputError, naming the file, if the file cannot be read as a whole. That may happen after frames were
     yielded: whoever reads keeps nothing of such a file.
     """
     key_form = re.compile(r"([0-9]{6})\.(?:" + "|".join(suffixes) + ")")
     seen: set[int] = set()
-    for key, raw in _cut(path, problems):
+    for key, raw, records in _cut(path, lambda raw: decode(raw) if len(raw) <= MAX_FRAME else None, problems):
         match = key_form.fullmatch(key)
         if match is None:
             problems.add("frame", "frame key is not six digits and " + "/".join(suffixes), frame=shorten(key))
@@ -135,7 +168,7 @@ def read_frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> It
             problems.add("frame", f"frame larger than {MAX_FRAME >> 20} MB", frame=key)
         else:
             seen.add(int(match[1]))
-            yield int(match[1]), key, raw
+            yield Frame(int(match[1]), key, raw, records)
 
 
 def read_file(path: Path) -> bytes:
@@ -174,24 +207,27 @@ def _unreadable(name: str, error: OSError) -> InputError:
     return InputError(f"{name}: cannot be read: {os.strerror(error.errno or errno.EIO)}", file=name)
 
 
-def _cut(path: Path, problems: Problems) -> Iterator[tuple[str, bytes]]:
-    """Frame keys and raw frames, in the order of the file, repeated keys included."""
+def _cut(
+    path: Path, decode: Callable[[bytes], list[Any] | None], problems: Problems
+) -> Iterator[tuple[str, bytes, list[Any] | None]]:
+    """Keys, texts and decoded records of frames, in the order of the file, repeated keys included."""
     name = path.name
+    found = 0
     try:
         _check(path, MAX_FRAMED)
         with path.open("rb") as file:
-            spans = frame_spans(file)
-            for key, begin, end in spans or ():
-                raw = os.pread(file.fileno(), end - begin, begin)
-                if len(raw) < end - begin:
-                    raise InputError(f"{name}: it became shorter while it was read", file=name)
-                yield key, raw
-        if spans is None:
-            _check(path, MAX_FILE, " of files not laid out as usual (is it whole?)")
+            try:
+                for frame in frame_texts(file, decode):
+                    yield frame
+                    found += 1
+                return
+            except OtherLayoutError:
+                pass
+        _check(path, MAX_FILE, " of files not laid out as usual (is it whole?)")
     except OSError as error:
         raise _unreadable(name, error) from None
-    if spans is None:
-        yield from _scan(read_file(path).removeprefix(codecs.BOM_UTF8), name, problems)
+    for key, raw in islice(_scan(read_file(path).removeprefix(codecs.BOM_UTF8), name, problems), found, None):
+        yield key, raw, None
 
 
 def _scan(data: bytes, name: str, problems: Problems) -> Iterator[tuple[str, bytes]]:

@@ -25,6 +25,7 @@ from . import fields
 from .categories import MAX_CATEGORY, categories_table, read_categories
 from .coco import ListReader, Number, crowded, known_images, open_coco, place_of, read_images, repaired_number
 from .columns import Bools, Ints, Refusals, constant, known_frames, mask_of, nullable
+from .keys import WrittenKeys
 from .problems import Problems
 from .reading import Reading
 from .records import record_parts, unpacked
@@ -269,12 +270,14 @@ def _area(raw: bytes, where: str, problems: Problems) -> float | None:
         return None
 
 
-def _tracks_once(records: list[Annotation], raw: bytes) -> bool:
+def _tracks_once(records: list[Annotation], written: WrittenKeys) -> bool:
     """Whether no name of a track is written more often than was decoded."""
-    written = raw.count(b'"tracking_id"') + raw.count(b'"floor_id"')
+    keys = (b'"tracking_id"', b'"floor_id"')
     outer = sum(map(is_not, map(attrgetter("tracking_id"), records), repeat(msgspec.UNSET)))
     # Only a file whose tracks stand inside is looked at record by record.
-    return written <= outer or written <= sum(n is not msgspec.UNSET for record in records for n in record.tracks)
+    return not written.exceed(outer, *keys) or not written.exceed(
+        sum(n is not msgspec.UNSET for record in records for n in record.tracks), *keys
+    )
 
 
 _ANNOTATIONS: Final = ListReader(Annotation, _repair, ("image_id", "category_id", "bbox"), _tracks_once)

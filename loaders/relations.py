@@ -49,6 +49,7 @@ from .entries import (
 )
 from .expand import Decoded, Facts, Issue, Value, clean_pairs, coded, expand, facts_table
 from .gather import Columns, People, gather, keep_people, numbered
+from .keys import WrittenKeys
 from .labelfile import RecordReader
 from .problems import Problems, shorten
 from .reading import Reading
@@ -171,7 +172,7 @@ def _lists(records: list[Any], kind: Kind) -> list[list[Any] | None]:
     return [record.hhi if record.interactions is None else record.interactions for record in records]
 
 
-def _clean_entries(records: list[Any], raw: bytes) -> bool:
+def _clean_entries(records: list[Any], written: WrittenKeys) -> bool:
     """Whether no list is too long, and no entry repeats a key."""
     lists = (
         [listed for kind in _kinds(type(records[0])) for listed in _lists(records, kind) if listed] if records else []
@@ -181,7 +182,7 @@ def _clean_entries(records: list[Any], raw: bytes) -> bool:
         return False
     if records and isinstance(records[0], HandlingRecord):
         entries += sum(len(listed) for record in records for listed in (record.interactions, record.hhi) if listed)
-    return all(raw.count(key) <= entries for key in (b'"pair"', b'"inter_labels"'))
+    return not any(written.exceed(entries, key) for key in (b'"pair"', b'"inter_labels"'))
 
 
 def _take(records: list[Any], raws: tuple[str, ...], kinds: tuple[Kind, ...], codes: dict[str, Distinct]) -> Columns:

@@ -1,14 +1,16 @@
-"""Where the frames of a label file lie that is laid out as such files are, found without holding the file in memory.
+"""The frames of a label file that is laid out as such files are, one after another, without the file in memory.
 
 A file is read window by window. What stands between two frame keys is taken for a frame's value if it is one whole
 JSON value by msgspec's own reading and a comma follows: a text has no two readings, so nothing else can begin there.
-Any other layout (a bare NaN, a second `labels`, keys of another form) is left to the scanner in `jsonscan`.
+Any other layout (a bare NaN, a second `labels`, keys of another form) is left to the scanner in `jsonscan`: the frames
+found until then are those that the scanner finds first.
 """
 
 from __future__ import annotations
 
 import re
-from typing import BinaryIO, Final
+from collections.abc import Callable, Iterator
+from typing import BinaryIO, Final, TypeVar
 
 import msgspec
 
@@ -23,29 +25,32 @@ _NUMBER: Final = '"000000'
 _LONGEST: Final = 64
 """Bytes of a key with its colon that may be cut by the end of a window; with more blanks it is not found."""
 _BLANKS: Final = b" \t\r\n"
+_ANYTHING: Final = msgspec.json.Decoder(msgspec.Raw)
 _BROKEN: Final = (msgspec.DecodeError, RecursionError, UnicodeError)
 
-Span = tuple[str, int, int]
-"""Frame key, and where its value begins and ends in the file."""
+T = TypeVar("T")
 
 
-def frame_spans(file: BinaryIO) -> list[Span] | None:
-    """All frames of a file at its beginning, in its order; None for another layout, or text that is not UTF-8 or JSON.
+class OtherLayoutError(ValueError):
+    """The rest of a file is not laid out as usual, or is not UTF-8 or JSON."""
 
-    Raises OSError where the file cannot be read.
+
+def frame_texts(file: BinaryIO, decode: Callable[[bytes], T | None]) -> Iterator[tuple[str, bytes, T | None]]:
+    """Key and text of each frame of a file at its beginning, and what `decode` makes of the text: None where it is not
+    one JSON value of the form expected, which is then looked at more loosely.
+
+    Raises OtherLayoutError where the layout is another, possibly after frames were yielded, and OSError where the file
+    cannot be read.
     """
-    whole = msgspec.json.Decoder(msgspec.Raw)
     text = file.read(WINDOW)
     opening = _OPENING.match(text)
     key = _KEY.match(text, opening.end()) if opening else None
     if key is None:
-        return None
+        raise OtherLayoutError
     # Keys are looked for by the suffix of the first: a literal beginning makes the search many times as fast.
     suffix = re.escape(key[1])
     later = re.compile(suffix + rb'(?<="[0-9]{6}' + suffix + rb')"[ \t\r\n]*:')
     name = _name(text, key.start(1), key.end(1))
-    spans: list[Span] = []
-    base = 0  # where `text` begins in the file
     begin = search = key.end()
     while True:
         following = later.search(text, search)
@@ -53,26 +58,39 @@ def frame_spans(file: BinaryIO) -> list[Span] | None:
             more = file.read(WINDOW)
             if more:
                 if len(text) - begin > MAX_VALUE:
-                    return None
-                text, base, search = text[begin:] + more, base + begin, max(0, len(text) - begin - _LONGEST)
+                    raise OtherLayoutError
+                text, search = text[begin:] + more, max(0, len(text) - begin - _LONGEST)
                 begin = 0
                 continue
-        value = (
-            _last(text[begin:]) if following is None else _before(text[begin : following.start() - len(_NUMBER)], b",")
-        )
-        if value is None:
-            return None
-        try:
-            whole.decode(value)
-            if not value.isascii():
-                value.decode()
-        except _BROKEN:
-            return None
-        spans.append((name, base + begin, base + begin + len(value)))
+            value = _last(text[begin:])
+        else:
+            value = _before(text[begin : following.start() - len(_NUMBER)], b",")
+        if value is None or not _is_utf8(value):
+            raise OtherLayoutError
+        decoded = decode(value)
+        if decoded is None and not _is_json(value):
+            raise OtherLayoutError
+        yield name, value, decoded
         if following is None:
-            return spans
+            return
         name = _name(text, following.start(), following.start() + len(key[1]))
         begin = search = following.end()
+
+
+def _is_utf8(value: bytes) -> bool:
+    try:
+        return value.isascii() or bool(value.decode())
+    except UnicodeError:
+        return False
+
+
+def _is_json(value: bytes) -> bool:
+    """Whether a text is one whole JSON value."""
+    try:
+        _ANYTHING.decode(value)
+    except _BROKEN:
+        return False
+    return True
 
 
 def _name(text: bytes, start: int, end: int) -> str:

@@ -5,7 +5,9 @@ Each case is one record or file put beside good ones. Nothing gives a traceback,
 
 from __future__ import annotations
 
+import contextlib
 import io
+import itertools
 import json
 import os
 import time
@@ -174,9 +176,9 @@ def test_a_repeated_frame_key_is_found_whatever_the_layout(tmp_path, frames, col
     text = f'{{"labels":{{"000000.jpg"{colon}[{json.dumps(GOOD)}],{",".join([*members, ""])}"{again}"{colon}[]}}}}'
     problems = Problems("x.json")
     (tmp_path / "x.json").write_text(text)
-    read = list(labelfile.read_frames(tmp_path / "x.json", ("jpg",), problems))
-    assert [frame for frame, _, _ in read] == list(range(frames))
-    assert json.loads(read[0][2]) == [GOOD]
+    read = list(labelfile.read_frames(tmp_path / "x.json", ("jpg",), undecided, problems))
+    assert [frame.number for frame in read] == list(range(frames))
+    assert json.loads(read[0].raw) == [GOOD]
     assert [(p.kind, p.reason, p.frame) for p in problems.listed()] == [
         ("frame", "frame key twice, the first is kept", "000000.jpg")
     ]
@@ -546,9 +548,21 @@ def test_spans_are_those_of_the_text_whatever_the_window(tmp_path, monkeypatch, 
         f'"{i:06d}.jpg"{pad}:{pad}{json.dumps(v, ensure_ascii=False)}' for i, v in enumerate(values)
     )
     data = (text + f"{pad}}}{pad}}}\n").encode()
-    found = spans.frame_spans(io.BytesIO(data))
+    found = list(spans.frame_texts(io.BytesIO(data), undecided))
     assert [key for key, _, _ in found] == [f"{i:06d}.jpg" for i in range(len(values))]
-    assert [json.loads(data[begin:end]) for _, begin, end in found] == values
+    assert [json.loads(value) for _, value, _ in found] == values
+
+
+def undecided(value):
+    return None
+
+
+def strict(value):
+    """Frames by Python's reading of strict JSON."""
+    try:
+        return json.loads(value, parse_constant=int)
+    except ValueError:
+        return None
 
 
 SHORT = '{"labels": {"000000.jpg": [], "000001.jpg": [{"a": [1, 2]}]}}'
@@ -568,22 +582,40 @@ ODD = (
 
 
 @pytest.mark.parametrize("text", ODD)
-def test_no_spans_are_found_in_any_other_text(text):
-    assert spans.frame_spans(io.BytesIO(text.encode())) is None
+@pytest.mark.parametrize("decode", [undecided, strict])
+def test_any_other_text_is_left_to_the_scanner(text, decode):
+    found = []
+    with pytest.raises(spans.OtherLayoutError):
+        for key, value, _ in spans.frame_texts(io.BytesIO(text.encode()), decode):
+            found.append((key, value.strip()))
+    # The scanner goes on after what was found.
+    with contextlib.suppress(InputError):
+        scanned = []
+        for frame in labelfile._scan(text.encode(), "x.json", Problems("x.json")):
+            scanned.append(frame)
+        assert scanned[: len(found)] == found
 
 
 def test_no_spans_are_found_in_what_is_not_utf_8():
     good = SHORT.replace("1, 2", '"\u00e9"')
-    assert spans.frame_spans(io.BytesIO(good.encode())) is not None
-    assert spans.frame_spans(io.BytesIO(good.encode("latin-1"))) is None
+    assert len(list(spans.frame_texts(io.BytesIO(good.encode()), undecided))) == 2
+    with pytest.raises(spans.OtherLayoutError):
+        list(spans.frame_texts(io.BytesIO(good.encode("latin-1")), undecided))
 
 
 def test_the_scanner_cuts_files_to_the_same_tables(tmp_path, monkeypatch):
     plain, _ = loaded(tmp_path / "plain", WHOLE)
-    monkeypatch.setattr(labelfile, "frame_spans", lambda file: None)
-    scanned, _ = loaded(tmp_path / "scanned", WHOLE)
-    for layer in ANNOTATIONS:
-        assert plain.annotation(layer, NAME).equals(scanned.annotation(layer, NAME))
+    usual = labelfile.frame_texts
+    for kept in range(3):
+
+        def given_up(file, decode, kept=kept):
+            yield from itertools.islice(usual(file, decode), kept)
+            raise spans.OtherLayoutError
+
+        monkeypatch.setattr(labelfile, "frame_texts", given_up)
+        scanned, _ = loaded(tmp_path / f"scanned{kept}", WHOLE)
+        for layer in ANNOTATIONS:
+            assert plain.annotation(layer, NAME).equals(scanned.annotation(layer, NAME))
 
 
 def test_the_first_byte_that_is_not_utf_8_is_named(tmp_path, monkeypatch):

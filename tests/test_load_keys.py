@@ -1,0 +1,42 @@
+"""Keys counted in JSON texts, against Python's own reading of the text."""
+
+from __future__ import annotations
+
+import json
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jrdb_avr.loaders.keys import WrittenKeys
+
+KEYS = ("id", "box", "pair", "box_pair", "label_id", "demographics_info", "group_info", "keypoints", "num_keypoints")
+words = st.sampled_from([*KEYS, "", ":", '"box":', "a :b", "pedestrian:1", "\u00e9"])
+blanks = st.text(" \t\r\n", max_size=2)
+
+
+@st.composite
+def values(draw, depth=3):
+    """A JSON value as text, keys repeated and blanks anywhere."""
+    if depth == 0 or draw(st.integers(0, 3)) == 0:
+        return json.dumps(draw(st.one_of(words, st.integers(0, 99), st.none())), ensure_ascii=False)
+    space = draw(blanks)
+    inner = [draw(values(depth=depth - 1)) for _ in range(draw(st.integers(0, 4)))]
+    if draw(st.booleans()):
+        return f"[{space}{f'{space},'.join(inner)}{space}]"
+    members = (f"{json.dumps(draw(words), ensure_ascii=False)}{space}:{draw(blanks)}{value}" for value in inner)
+    return f"{{{draw(blanks)}{f',{space}'.join(members)}}}"
+
+
+@given(values(), st.lists(st.sampled_from(KEYS), min_size=1, max_size=3, unique=True), st.integers(0, 3))
+def test_keys_that_stand_more_often_than_allowed_are_noticed(text, keys, limit):
+    found = []
+
+    def members(pairs):
+        found.extend(key for key, _ in pairs)
+
+    json.loads(text, object_pairs_hook=members)
+    exceed = WrittenKeys(text.encode()).exceed(limit, *(f'"{key}"'.encode() for key in keys))
+    if sum(map(found.count, keys)) > limit:
+        assert exceed
+    if sum(text.count(f'"{key}"') for key in keys) <= limit:
+        assert not exceed
