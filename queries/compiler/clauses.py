@@ -28,12 +28,14 @@ class Clause(Protocol):
 class Rows:
     """Facts kept as rows over intervals of frames, inclusive; a row that is not certain says that it could be so.
 
-    pattern: what to match; equal: columns of it with the variables they must equal, a null among them could be
-    anything; spans: the variables of the rows, each with columns `first`, `last` and `certain`.
+    pattern: what to match; equal: columns of it with the variables they must equal; guessed: the same of columns that
+    may be null, which could be anything then; spans: the variables of the rows, each with columns `first`, `last` and
+    `certain`.
     """
 
     pattern: str
     equal: tuple[tuple[str, str], ...] = ()
+    guessed: tuple[tuple[str, str], ...] = ()
     spans: tuple[str, ...] = ("r",)
     first: str = "first"
     last: str = "last"
@@ -41,17 +43,19 @@ class Rows:
 
     def sure(self, at: Variables) -> str:
         """Whether a row says so for certain."""
-        parts = [f"{column} = {{{variable}}}" for column, variable in self.equal]
+        # The engine loses rows of a subquery where a column that is compared with a variable holds nulls.
+        parts = [f"{column} IS NOT NULL AND {column} = {{{variable}}}" for column, variable in self.guessed]
         parts += [f"{span}.{self.certain}" for span in self.spans]
         return self._exists(parts, at)
 
     def could(self, at: Variables) -> str:
         """Whether a row says so, or may."""
-        return self._exists([f"({c} = {{{v}}} OR {c} IS NULL)" for c, v in self.equal], at)
+        return self._exists([f"({c} = {{{v}}} OR {c} IS NULL)" for c, v in self.guessed], at)
 
     def _exists(self, parts: list[str], at: Variables) -> str:
+        same = [f"{column} = {{{variable}}}" for column, variable in self.equal]
         covers = [f"{span}.{self.first} <= {{t}} AND {span}.{self.last} >= {{t}}" for span in self.spans]
-        return f"EXISTS {{{{ MATCH {self.pattern} WHERE {' AND '.join([*parts, *covers])} }}}}".format(**at)
+        return f"EXISTS {{{{ MATCH {self.pattern} WHERE {' AND '.join([*same, *parts, *covers])} }}}}".format(**at)
 
 
 @dataclass(frozen=True)

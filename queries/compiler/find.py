@@ -78,7 +78,14 @@ class _Pattern:
             known.append(next(e.target for e in self.plan.edges if e.source in known and e.target not in known))
         edges = list(enumerate(self.plan.edges))
         return [
-            (node, [(i, e) for i, e in edges if node in (e.source, e.target) and {e.source, e.target} <= {*known[: k + 1]}])
+            (
+                node,
+                [
+                    (i, e)
+                    for i, e in edges
+                    if node in (e.source, e.target) and {e.source, e.target} <= {*known[: k + 1]}
+                ],
+            )
             for k, node in enumerate(known)
         ]
 

@@ -84,7 +84,7 @@ _PATTERN: Final = "({n}:Person)-[{s}:SeenIn]->(:Frame)"
 _THERE: Final = "{s}.sequence = {scope} AND {s}.frame = {t}"
 
 _PERFORMS: Final = Rows("({n})-[r:Performs]->(x:Action)", (("x.name", "v"),))
-_HANDLES: Final = Rows("({n})-[r:Handles]->(x:Object)", (("x.category", "v"), ("r.verb", "w")))
+_HANDLES: Final = Rows("({n})-[r:Handles]->(x:Object)", (("r.verb", "w"),), (("x.category", "v"),))
 _INTERACTS: Final = Rows("({n})-[r:Interacts]->({m})", (("r.label", "v"),))
 _BESIDE: Final = Rows("({n})-[r:Beside]->({m})", (("r.label", "v"),))
 _GROUPED: Final = Rows("({n})-[r:MemberOf]->(:SocialGroup)<-[o:MemberOf]-({m})", spans=("r", "o"))

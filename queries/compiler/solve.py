@@ -19,7 +19,7 @@ from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 
 from .find import Find, compile_find
 from .names import Names
-from .reads import Person, Reader, Segment, Seen, events_of
+from .reads import Person, Reader, Seen, Segment, events_of
 
 Outcome = Literal["defined", "ambiguous", "empty", "unknown"]
 

@@ -1,5 +1,5 @@
 // next_action: the posture that follows the one held at a frame, and the keyframe `until` at which it is seen first.
-// The one before is seen at every keyframe until then.
+// The one before is seen at every keyframe until then. (Without IS NOT NULL the engine loses rows of the optional match.)
 UNWIND $plans AS q
 WITH q.id AS id, q.scope AS scope, q.who AS who, q.after AS after
 MATCH (p:Person)-[s:SeenIn]->(:Frame)
@@ -9,7 +9,7 @@ MATCH (f:Frame)
 WHERE f.sequence = scope AND f.keyframe AND f.frame > after
 WITH id, scope, after, p, held, f
 OPTIONAL MATCH (p)-[s:SeenIn]->(f)
-WHERE s.pose = held
+WHERE s.pose IS NOT NULL AND s.pose = held
 WITH id, scope, after, p, f.frame AS k, count(s) AS holds
 WITH id, scope, after, p, min(CASE WHEN holds = 0 THEN k END) AS until
 MATCH (f:Frame)
