@@ -8,11 +8,10 @@ or episode, and `v`, `w` the wanted values. Values are variables, never text: no
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-Variables = Mapping[str, str]
+Variables = dict[str, str]
 """Names of bound variables by the letters above."""
 
 

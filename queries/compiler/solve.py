@@ -246,8 +246,8 @@ def _view(one: _Found, frames: list[int]) -> Answer:
 
 
 def _read_count(reader: Reader, found: Sequence[_Found], rules: Rules) -> _Answers:
-    asked = [(one.target, one.plan.answer.relation or "", *frames) for one, frames in _stated(found)]
-    counted = reader.counts([(person, relation, first, last) for person, relation, first, last in asked])
+    stated = [(one, one.plan.answer.relation or "", frames) for one, frames in _stated(found)]
+    counted = reader.counts([(one.target, relation, first, last) for one, relation, (first, last) in stated])
     return {i: encode_answer(Number(float(count))) for i, count in counted.items()}
 
 
