@@ -27,12 +27,13 @@ from jrdb_avr.schema.answers import (
     Number,
     Span,
     decode_answer,
+    encode_answer,
     same_answer,
 )
 from jrdb_avr.schema.rules import FPS
 from jrdb_avr.schema.wording import parse, stated_actions, stated_frames
 
-from .selection import wait_bin
+from .selection import answer_bin, bin_name, wait_bin
 
 AIMS: Final = {"multiple_choice": 0.35, "frame": 0.25, "span": 0.25, "frame_viewpoint": 0.25, "number": 0.58}
 """The most that a blind guesser should score, by answer mode; counts have no aim."""
@@ -59,9 +60,26 @@ class Posed:
         return tuple(wait_bin(time - self.times[0]) for time in self.times[1:])
 
     @property
-    def group(self) -> str:
-        """What is reported apart: the template; a count is judged unlike seconds."""
-        return f"{self.template} (count)" if self.read == "count" else self.template
+    def asks(self) -> str:
+        """What kind of answer is asked for; of a template's forms a count is judged unlike seconds."""
+        return asked_for(self.mode, self.read)
+
+    @property
+    def bin(self) -> str:
+        """The bin of the answer; what is levelled in selection."""
+        answer = encode_answer(self.answer)
+        return bin_name(self.mode, self.read, answer_bin(self.mode, answer, self.times, self.read))
+
+
+def asked_for(mode: str, read: str) -> str:
+    """The kind of answer in a word or two.
+
+    >>> asked_for("number", "seconds_between")
+    'seconds'
+    """
+    if mode == "number":
+        return "count" if read == "count" else "seconds"
+    return {"multiple_choice": "choice", "frame_viewpoint": "frame and angle"}.get(mode, mode)
 
 
 def posed(questions: pa.Table, answers: pa.Table) -> list[Posed]:
@@ -86,14 +104,17 @@ def posed(questions: pa.Table, answers: pa.Table) -> list[Posed]:
 
 
 def blind_check(questions: Sequence[Posed]) -> list[dict[str, Any]]:
-    """One row per template: n, each guesser's share of right answers (None where it does not apply), and the aim."""
-    groups: dict[str, list[Posed]] = defaultdict(list)
+    """One row per template and kind of answer: n, each guesser's share of right answers, the aim, and why it is missed.
+
+    A guesser that does not apply has None; so have counts as aim, and `reason` where nothing is above the aim.
+    """
+    groups: dict[tuple[str, str], list[Posed]] = defaultdict(list)
     for question in questions:
-        groups[question.group].append(question)
-    return [_check(name, group) for name, group in sorted(groups.items())]
+        groups[question.template, question.asks].append(question)
+    return [{"template": template, "asks": asks, **_check(group)} for (template, asks), group in sorted(groups.items())]
 
 
-def _check(name: str, group: list[Posed]) -> dict[str, Any]:
+def _check(group: list[Posed]) -> dict[str, Any]:
     mode = group[0].mode
     choice = mode == "multiple_choice"
     scores = {
@@ -104,14 +125,33 @@ def _check(name: str, group: list[Posed]) -> dict[str, Any]:
         "text_only": _text_only(group),
     }
     aim = None if group[0].read == "count" else AIMS[mode]
-    worst = max(score for score in scores.values() if score is not None)
+    above = [name for name, score in scores.items() if score is not None and aim is not None and score > aim]
     return {
-        "template": name,
         "n": len(group),
         **scores,
         "aim": aim,
-        "within_aim": None if aim is None else worst <= aim,
+        "within_aim": None if aim is None else not above,
+        "reason": _reason(group, above) if above else None,
     }
+
+
+FEW: Final = 30
+"""Fewer questions than this are too few to tell a share of right answers."""
+
+
+def _reason(group: Sequence[Posed], above: Sequence[str]) -> str:
+    """Why some guessers score above the aim: what of the answers is too much alike."""
+    n = len(group)
+    parts = [f"only {n} question{'s' * (n > 1)}, one is {100 / n:.0f} %"] if n < FEW else []
+    if above != ["text_only"]:
+        choice = group[0].mode == "multiple_choice"
+        commonest = Counter(_chosen(question) if choice else question.bin for question in group)
+        name, count = min(commonest.items(), key=lambda item: (-item[1], item[0]))
+        what = f"are {name!r}" if choice else f"lie in {name} s"
+        parts.append(f"{count} of {n} answers {what}, and the data holds too few others to level them")
+    if "text_only" in above:
+        parts.append("questions with the same words and waits have the same answers in other sequences")
+    return "; ".join(parts)
 
 
 def _chosen(question: Posed) -> str:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from jrdb_avr.loaders.shards import map_shards
@@ -17,33 +17,33 @@ from jrdb_avr.queries.store import Manifest, Store, write_atomic
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.rules import Rules, rules_hash
 from jrdb_avr.schema.tables import CANDIDATES, QUESTIONS
+from jrdb_avr.schema.wording import FAMILIES
 
 from .blind import blind_check, posed
-from .candidates import RULES
 from .publish import publish, question_tables, read_heads
-from .selection import select
+from .selection import CANDIDATE_COLUMNS, select
 from .shard import EXAMPLES, Found, Job, search_sequence
-from .templates import TEMPLATES, by_name
+from .shortfalls import REFUSALS, shortfalls, tallies
 
 Advance = Callable[[int], None]
 
-REFUSALS: Final = (*RULES, "rederive", "choices", "near_duplicate", "max_per_person", "balance")
-"""Every rule that refuses a candidate, in the order in which they are tried."""
-
 _NOT_SELECTED: Final = "balance"
+
+_NOTHING: Final = pa.schema([(name, pa.string()) for name in CANDIDATE_COLUMNS]).empty_table()
+"""No candidate at all."""
 
 
 @dataclass(frozen=True)
 class Report:
     """What a generation did.
 
-    templates: a row per template: candidates, refusals by rule, questions. lacking: (template, layer) -> sequences
-    without it. blind: the blind check. faults: candidates on which the second path disagreed.
+    templates: a row per template: candidates, refusals by rule, questions; shortfalls: likewise, why they are so few.
+    selection: likewise, how many were aimed at and kept. blind: the blind check. faults: candidates on which the second
+    path disagreed.
     """
 
     templates: tuple[dict[str, Any], ...]
-    lacking: Mapping[tuple[str, str], int]
-    sequences: int
+    shortfalls: tuple[dict[str, Any], ...]
     selection: tuple[dict[str, Any], ...]
     blind: tuple[dict[str, Any], ...]
     faults: tuple[str, ...]
@@ -121,18 +121,11 @@ def _gather(parts: Sequence[Path], place: Path) -> None:
 def _publish(store: Store, found: Sequence[Found], rules: Rules, profile: str, seed: int) -> Report:
     heads = read_heads(store, [one.sequence for one in found])
     kept = [one.kept for one in found if one.kept is not None]
-    counts = _counts(found)
-    selection: tuple[dict[str, Any], ...] = ()
-    if kept:
-        pool = pa.concat_tables(kept)
-        result = select(pool, rules, profile, seed)
-        selected, selection = result.table, result.report
-        questions, answers = question_tables(selected, heads, rules)
-        unselected = pool.filter(pa.array(~np.isin(pool["key"].to_pylist(), selected["key"].to_pylist())))
-    else:
-        questions, answers = QUESTIONS["questions"].empty_table(), QUESTIONS["answers"].empty_table()
-        unselected = None
-    rejected = _rejected(found, counts, unselected)
+    pool = pa.concat_tables(kept) if kept else _NOTHING
+    selection = select(pool, rules, profile, seed)
+    questions, answers = question_tables(selection.table, heads, rules)
+    unselected = pool.filter(pc.invert(pc.is_in(pool["key"], value_set=selection.table["key"].combine_chunks())))
+    rejected = _rejected(found, _counts(found), unselected)
     tables = {
         "questions": questions,
         "answers": answers,
@@ -140,14 +133,12 @@ def _publish(store: Store, found: Sequence[Found], rules: Rules, profile: str, s
         "sequences": pa.Table.from_pylist(list(heads.rows), schema=QUESTIONS["sequences"]),
     }
     publish(store, tables)
-    accepted: dict[str, int] = {}
-    for name in questions["template"].to_pylist():
-        accepted[name] = accepted.get(name, 0) + 1
+    rows = tallies(rejected, questions)
+    aims = {row["template"]: row["aim"] for row in selection.report}
     return Report(
-        templates=tuple(_template_rows(rejected, counts, accepted)),
-        lacking=_lacking(found),
-        sequences=len(found),
-        selection=selection,
+        templates=tuple(rows),
+        shortfalls=tuple(shortfalls(rows, _lacking(found), len(found), aims)),
+        selection=selection.report,
         blind=tuple(blind_check(posed(questions, answers))),
         faults=tuple(fault for one in found for fault in one.faults),
     )
@@ -158,28 +149,24 @@ def _counts(found: Sequence[Found]) -> dict[tuple[str, str, str], int]:
     return {(one.sequence, *where): count for one in found for where, count in one.counts.items()}
 
 
-def _rejected(
-    found: Sequence[Found], counts: Mapping[tuple[str, str, str], int], unselected: pa.Table | None
-) -> pa.Table:
+def _rejected(found: Sequence[Found], counts: Mapping[tuple[str, str, str], int], unselected: pa.Table) -> pa.Table:
     """Refusals per sequence, template and rule, each with its examples."""
-    family = {template.name: template.family for template in TEMPLATES}
     rows: list[dict[str, Any]] = [
-        _count_row(sequence, family[template], template, rule, count)
+        _count_row(sequence, FAMILIES[template], template, rule, count)
         for (sequence, template, rule), count in counts.items()
         if rule in REFUSALS and count
     ]
-    if unselected is not None and len(unselected):
-        dropped: dict[tuple[str, str], int] = {}
-        for line in unselected.sort_by("key").select(["sequence", "template", "target_track", "plan"]).to_pylist():
-            where = (line["sequence"], line["template"])
-            dropped[where] = dropped.get(where, 0) + 1
-            if dropped[where] <= EXAMPLES:
-                example = _count_row(line["sequence"], family[line["template"]], line["template"], _NOT_SELECTED, 1)
-                rows.append(example | {"kind": "example", "target_track": line["target_track"], "plan": line["plan"]})
-        rows += [
-            _count_row(sequence, family[template], template, _NOT_SELECTED, count)
-            for (sequence, template), count in dropped.items()
-        ]
+    dropped: dict[tuple[str, str], int] = {}
+    for line in unselected.sort_by("key").select(["sequence", "template", "target_track", "plan"]).to_pylist():
+        where = (line["sequence"], line["template"])
+        dropped[where] = dropped.get(where, 0) + 1
+        if dropped[where] <= EXAMPLES:
+            example = _count_row(line["sequence"], FAMILIES[line["template"]], line["template"], _NOT_SELECTED, 1)
+            rows.append(example | {"kind": "example", "target_track": line["target_track"], "plan": line["plan"]})
+    rows += [
+        _count_row(sequence, FAMILIES[template], template, _NOT_SELECTED, count)
+        for (sequence, template), count in dropped.items()
+    ]
     schema = QUESTIONS["rejected"]
     table = pa.concat_tables([pa.Table.from_pylist(rows, schema=schema), *(one.rejected.cast(schema) for one in found)])
     return table.sort_by([(name, "ascending") for name in ("kind", "sequence", "template", "rule", "plan")])
@@ -197,30 +184,6 @@ def _count_row(sequence: str, family: str, template: str, rule: str, count: int)
         "plan": None,
         "detail": None,
     }
-
-
-def _template_rows(
-    rejected: pa.Table, counts: Mapping[tuple[str, str, str], int], accepted: Mapping[str, int]
-) -> list[dict[str, Any]]:
-    """Per template: candidates, how many each rule refused, and the questions that came of them."""
-    refused: dict[tuple[str, str], int] = {}
-    for line in rejected.to_pylist():
-        if line["kind"] == "count":
-            where = (line["template"], line["rule"])
-            refused[where] = refused.get(where, 0) + line["candidates"]
-    rows = []
-    for name, forms in by_name(TEMPLATES).items():
-        total = {
-            what: sum(count for (_, template, key), count in counts.items() if (template, key) == (name, what))
-            for what in ("candidates", "proven")
-        }
-        row: dict[str, Any] = {"family": forms[0].family, "template": name, "candidates": total["candidates"]}
-        row |= {rule: refused.get((name, rule), 0) for rule in RULES}
-        row["proven"] = total["proven"]
-        row |= {rule: refused.get((name, rule), 0) for rule in REFUSALS if rule not in RULES}
-        row["questions"] = accepted.get(name, 0)
-        rows.append(row)
-    return rows
 
 
 def _lacking(found: Sequence[Found]) -> dict[tuple[str, str], int]:

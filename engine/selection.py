@@ -8,9 +8,10 @@ their order: whatever is kept is decided by `key` (sha256 hex of sequence, targe
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from bisect import bisect_left
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import msgspec
 import numpy as np
@@ -19,8 +20,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.schema.answers import FrameAnswer, FrameViewpoint, Number, Span, decode_answer
-from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import FPS, Rules, frames
+from jrdb_avr.schema.wording import FAMILIES
 
 CANDIDATE_COLUMNS: Final = (
     "sequence",
@@ -49,20 +50,44 @@ PROFILES: Final[dict[str, dict[str, int]]] = {
         "unique_anchor": 1620,
     },
 }
-"""Questions per family; a family that is not named keeps all that balance leaves."""
+"""Questions per family, in the order of the paper's table; a family not named keeps all that balance leaves."""
 
 OFFSET_EDGES_S: Final = (3.0, 6.0, 10.0, 15.0, 21.0)
 GAP_EDGES_S: Final = (5.0, 10.0, 20.0, 40.0)
 
-_TIME_SHARES: Final = {"frame": 0.25, "span": 0.25, "frame_viewpoint": 0.25, "number": 0.29}
-"""The most that one bin of offsets or gaps should take: a guess of one offset can win a bin of the near ones whole, and
-a guess of one length, right within a factor of two, wins two bins."""
+
+@dataclass(frozen=True, slots=True)
+class _Limit:
+    """The most that one answer should take of the questions of a template and read.
+
+    strict: a rule; else an aim: where too few could be kept under it, all stay. neighbors: what is limited is two bins
+    next to each other.
+    """
+
+    share: float
+    strict: bool = False
+    neighbors: bool = False
+
+
+_LIMITS: Final = {
+    # A guess of one offset can win a bin of the near ones whole.
+    **dict.fromkeys(("start", "span", "start_view"), _Limit(0.25)),
+    # A guess of one length, right within a factor of two, wins two bins, or parts of three.
+    "seconds_between": _Limit(0.55, neighbors=True),
+    "count": _Limit(0.34),
+}
+"""By read; all others are choices, under `max_answer_share`."""
+
+_WORTH: Final = 0.1
+"""Pairs of bins are limited where that keeps at least this share of the candidates."""
 
 _LEVELS: Final = (("stated", "waits"), ("stated",), ("waits",), ())
 """What a reader of the text alone could go by, finest first: a cell with too few different answers to be balanced by
 itself is joined with others that look alike in less."""
 
 Ints = npt.NDArray[np.int64]
+
+K = TypeVar("K", bound=Hashable)
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,57 +164,122 @@ def _joined(*codes: npt.NDArray[Any]) -> Ints:
 # -- all sequences ----------------------------------------------------------------------------------------------
 
 
+class _Read(msgspec.Struct):
+    mode: str
+    read: str
+
+
+class _Asked(msgspec.Struct):
+    """What selection has to know of a plan."""
+
+    answer: _Read
+
+
+@dataclass(frozen=True)
+class _Order:
+    """The candidates of one template and read, in an order of which every beginning is balanced like the whole.
+
+    answers: of every row of `rows` the number of its answer, or of the bin that holds it. share: the most that one
+    answer may take, None where that is an aim and no rule.
+    """
+
+    rows: pa.Table
+    order: Ints
+    answers: Ints
+    share: float | None
+
+    def give(self, wanted: int | None) -> Ints:
+        """The first so many rows (or all), or as few less as it takes that no answer has more than its share."""
+        size = len(self.order) if wanted is None else min(wanted, len(self.order))
+        if self.share is None:
+            return self.order[:size]
+        place = _ranks(self.answers[self.order], np.arange(len(self.order)))
+        while True:
+            stays = np.flatnonzero(place < int(self.share * size + 1e-9))
+            if len(stays) >= size:
+                return self.order[stays[:size]]
+            # Fewer rows leave each answer less room, so there are no more than these.
+            size = len(stays)
+
+
 def select(table: pa.Table, rules: Rules, profile: str, seed: int) -> Selection:
     """Balance the candidates of all sequences and, under a profile, keep its number per family.
 
     Within cells of questions that read alike (stated action words, stated waits in doubling bins) answers are
-    levelled; event offsets and gaps are levelled by their bins. No answer takes more than `max_answer_share` of a
-    choice template. What one template of a family cannot give, the others give. `profile` is a name of PROFILES.
+    levelled; event offsets are levelled by their bins, counts by themselves, gaps by pairs of bins. No answer takes
+    more than `max_answer_share` of a choice template. What one template of a family cannot give, the others give; what
+    one form of a template cannot give, its others give. `profile` is a name of PROFILES.
+
+    The report has a row for every template: family, template, candidates (given), balanced (could be kept), aim (its
+    even part of the family's number, None where there is none) and kept.
     """
+    orders = _orders(table, rules, seed)
     parts: list[pa.Table] = []
     report: list[dict[str, Any]] = []
-    wanted = PROFILES[profile]
-    for family in sorted(set(table["family"].to_pylist())):
-        of_family = table.filter(pc.equal(table["family"], family))
-        names = sorted(set(of_family["template"].to_pylist()))
-        templates = {name: of_family.filter(pc.equal(of_family["template"], name)) for name in names}
-        balanced = {name: _balance(rows, rules, seed) for name, rows in templates.items()}
-        quotas = _share_out({name: len(order) for name, order in balanced.items()}, wanted.get(family))
-        for name, rows in templates.items():
-            keep = balanced[name][: quotas[name]]
-            if _mode(rows) == "multiple_choice":
-                keep = _trim(keep, _answer_codes(rows), rules.max_answer_share)
-            parts.append(rows.take(pa.array(keep)))
+    for family in dict.fromkeys(FAMILIES.values()):
+        names = [name for name in sorted(FAMILIES) if FAMILIES[name] == family]
+        forms = {name: [order for key, order in orders.items() if key[0] == name] for name in names}
+        wanted = PROFILES[profile].get(family)
+        kept = _kept(forms, wanted)
+        aims = _share_out(dict.fromkeys(names, wanted), wanted) if wanted is not None else {}
+        for name in names:
+            parts += [form.rows.take(pa.array(rows)) for form, rows in zip(forms[name], kept[name], strict=True)]
             report.append(
                 {
                     "family": family,
                     "template": name,
-                    "candidates": rows.num_rows,
-                    "balanced": len(balanced[name]),
-                    "kept": len(keep),
+                    "candidates": sum(form.rows.num_rows for form in forms[name]),
+                    "balanced": sum(len(form.give(None)) for form in forms[name]),
+                    "aim": aims.get(name),
+                    "kept": sum(map(len, kept[name])),
                 }
             )
-        kept = sum(row["kept"] for row in report if row["family"] == family)
-        for row in report:
-            if row["family"] == family:
-                row["family_wanted"] = wanted.get(family)
-                row["family_short"] = max(0, wanted.get(family, 0) - kept)
-    for family, number in sorted(wanted.items()):
-        if family not in {row["family"] for row in report}:
-            none = {"candidates": 0, "balanced": 0, "kept": 0}
-            report.append({"family": family, "template": "-", **none, "family_wanted": number, "family_short": number})
     result = pa.concat_tables(parts) if parts else table
     order = [(name, "ascending") for name in ("sequence", "template", "key", "plan")]
     return Selection(result.take(pc.sort_indices(result, sort_keys=order)), tuple(report))
 
 
-def _share_out(available: Mapping[str, int], wanted: int | None) -> dict[str, int]:
-    """Even shares of `wanted`; what one cannot give is shared among the others."""
+def _orders(table: pa.Table, rules: Rules, seed: int) -> dict[tuple[str, str], _Order]:
+    """The balanced candidates by template and by what is read: a template may be asked in several ways."""
+    asked = [msgspec.json.decode(plan, type=_Asked).answer for plan in table["plan"].to_pylist()]
+    keys = list(zip(table["template"].to_pylist(), (one.read for one in asked), strict=True))
+    modes = {key: one.mode for key, one in zip(keys, asked, strict=True)}
+    rows: dict[tuple[str, str], list[int]] = {}
+    for row, key in enumerate(keys):
+        rows.setdefault(key, []).append(row)
+    found = {}
+    for key in sorted(rows):
+        own, read = table.take(pa.array(rows[key])), key[1]
+        answers = _answer_codes(own, modes[key], read)
+        limit = _LIMITS.get(read) or _Limit(rules.max_answer_share, strict=True)
+        order = _balance(own, answers, limit, seed)
+        found[key] = _Order(own, order, answers, limit.share if limit.strict else None)
+    return found
+
+
+def _kept(forms: Mapping[str, Sequence[_Order]], wanted: int | None) -> dict[str, list[Ints]]:
+    """Rows of every form of every template of a family, `wanted` in all if they have so many."""
+    able = {name: [len(form.give(None)) for form in some] for name, some in forms.items()}
+    quotas = _share_out({name: sum(some) for name, some in able.items()}, wanted)
+    shares = {name: _share_out(dict(enumerate(able[name])), quotas[name]) for name in forms}
+    kept = {name: [form.give(shares[name][place]) for place, form in enumerate(some)] for name, some in forms.items()}
+    # Not every number can be had with no answer above its share: what is missing, whoever can give it gives.
+    left = sum(quotas.values()) - sum(len(rows) for some in kept.values() for rows in some)
+    for name, some in forms.items():
+        for place, form in enumerate(some):
+            more = form.give(len(kept[name][place]) + left)
+            left -= len(more) - len(kept[name][place])
+            kept[name][place] = more
+    return kept
+
+
+def _share_out(available: Mapping[K, int], wanted: int | None) -> dict[K, int]:
+    """Even shares of `wanted`, in the order of names; what one cannot give is shared among the others."""
     if wanted is None:
         return dict(available)
     quotas = dict.fromkeys(available, 0)
     left = wanted
-    while left > 0 and (open_names := [name for name in sorted(available) if quotas[name] < available[name]]):
+    while left > 0 and (open_names := [name for name in available if quotas[name] < available[name]]):
         share, extra = divmod(left, len(open_names))
         for position, name in enumerate(open_names):
             step = min(share + (position < extra), available[name] - quotas[name])
@@ -198,10 +288,8 @@ def _share_out(available: Mapping[str, int], wanted: int | None) -> dict[str, in
     return quotas
 
 
-def _balance(rows: pa.Table, rules: Rules, seed: int) -> Ints:
+def _balance(rows: pa.Table, answers: Ints, limit: _Limit, seed: int) -> Ints:
     """Row numbers that can stay, in an order of which every beginning is balanced nearly as well as the whole."""
-    answers, mode = _answer_codes(rows), _mode(rows)
-    share = _TIME_SHARES.get(mode, rules.max_answer_share)
     features = {
         "stated": _joined(_text_codes([" | ".join(words) for words in rows["stated"].to_pylist()])),
         "waits": _joined(_text_codes([_waits(times) for times in rows["times"].to_pylist()])),
@@ -211,15 +299,16 @@ def _balance(rows: pa.Table, rules: Rules, seed: int) -> Ints:
     left = np.ones(rows.num_rows, bool)
     chosen: list[Ints] = []
     places: list[npt.NDArray[np.float64]] = []
-    for level in _LEVELS:
+    # Lengths are levelled as a whole: of few candidates small cells would keep next to none.
+    for level in _LEVELS[-1:] if limit.neighbors else _LEVELS:
         cells = _joined(np.zeros(rows.num_rows), *(features[name] for name in level))
         for cell in np.unique(cells[left]):
             members = np.flatnonzero(left & (cells == cell))
-            height = _level(np.bincount(answers[members]), share)
-            if not height and not level and mode in _TIME_SHARES:
-                # For times the share is an aim, not a rule: with too few bins to level, all stay.
-                height = len(members)
-            if not height:
+            counts = np.bincount(answers[members])
+            heights = _level(counts, limit)
+            if not heights.any() and not level and not limit.strict:
+                heights = counts
+            if not heights.any():
                 continue
             left[members] = False
             # Within an answer, questions of all waits and all words take turns.
@@ -228,36 +317,50 @@ def _balance(rows: pa.Table, rules: Rules, seed: int) -> Ints:
                 _joined(answers[members], features["stated"][members]), turn * len(shuffle) + shuffle[members]
             )
             rank = _ranks(answers[members], turn * len(shuffle) + shuffle[members])
-            stays = rank < height
+            most = heights[answers[members]]
+            stays = rank < most
             chosen.append(members[stays])
-            places.append((rank[stays] + 0.5) / height)
+            places.append((rank[stays] + 0.5) / most[stays])
     if not chosen:
         return np.zeros(0, np.int64)
     row, place = np.concatenate(chosen), np.concatenate(places)
     return row[np.lexsort((shuffle[row], place))]
 
 
-def _level(counts: Ints, share: float) -> int:
-    """The most rows per answer so that no answer takes more than `share`; 0 where there are too few answers."""
-    counts = counts[counts > 0]
+def _level(counts: Ints, limit: _Limit) -> Ints:
+    """The most rows to keep of each answer under a limit; all 0 where there are too few answers."""
+    if limit.neighbors:
+        return _level_pairs(counts, limit.share)
     for height in range(int(counts.max(initial=0)), 0, -1):
-        if height <= share * np.minimum(counts, height).sum():
-            return height
-    return 0
+        if height <= limit.share * np.minimum(counts, height).sum():
+            return np.full_like(counts, height)
+    return np.zeros_like(counts)
 
 
-def _trim(keep: Ints, answers: Ints, share: float) -> Ints:
-    """Drop the last rows of answers that take more than `share`, until none does."""
-    while len(keep):
-        counts = np.bincount(answers[keep])
-        top = int(counts.argmax())
-        # Without some of its own rows the whole shrinks too: the top may have share * rest / (1 - share).
-        if counts[top] <= share * len(keep):
-            break
-        limit = int(share * (len(keep) - counts[top]) / (1 - share) + 1e-9)
-        own = np.flatnonzero(answers[keep] == top)
-        keep = np.delete(keep, own[limit:])
-    return keep
+def _level_pairs(counts: Ints, share: float) -> Ints:
+    """The most rows to keep of each bin so that no two bins next to each other hold more than `share`, as even as can
+    be; all 0 where that would keep too few."""
+    for total in range(int(counts.sum()), int(np.ceil(_WORTH * counts.sum())) - 1, -1):
+        most = int(share * total + 1e-9)
+        if _under_pairs(counts, most).sum() >= total:
+            heights = range(int(counts.max(initial=0)) + 1)
+            height = bisect_left(
+                heights, total, key=lambda height: _under_pairs(np.minimum(counts, height), most).sum()
+            )
+            return _under_pairs(np.minimum(counts, height), most)
+    return np.zeros_like(counts)
+
+
+def _under_pairs(counts: Ints, most: int) -> Ints:
+    """The most rows of each bin with no more than `most` in two bins next to each other.
+
+    Whatever a bin leaves, only the next one could take, so every bin takes what it can.
+    """
+    kept = np.zeros_like(counts)
+    before = 0
+    for number, count in enumerate(counts.tolist()):
+        before = kept[number] = min(count, most - before)
+    return kept
 
 
 def _ranks(group: Ints, order: Ints) -> Ints:
@@ -286,26 +389,35 @@ def wait_bin(wait: int) -> int:
     return int(np.floor(np.log2(wait / frames(3.0)))) + 1 if wait >= frames(3.0) else 0
 
 
-def _mode(rows: pa.Table) -> str:
-    return msgspec.json.decode(rows["plan"][0].as_py(), type=Plan).answer.mode
-
-
-def _answer_codes(rows: pa.Table) -> Ints:
-    """What is levelled: the answer's text, or the bin of an event's offset, or the bin of a gap."""
-    mode = _mode(rows)
+def _answer_codes(rows: pa.Table, mode: str, read: str) -> Ints:
+    """What is levelled: the answer's text, or the bin of an event's offset or of a gap, or how many are counted."""
     texts = rows["answer"].to_pylist()
     if mode == "multiple_choice":
         return _text_codes(texts)
-    return np.array(
-        [answer_bin(mode, text, times) for text, times in zip(texts, rows["times"].to_pylist(), strict=True)], np.int64
-    )
+    times = rows["times"].to_pylist()
+    bins = [answer_bin(mode, text, stated, read) for text, stated in zip(texts, times, strict=True)]
+    return np.array(bins, np.int64)
 
 
-def answer_bin(mode: str, answer: str, times: Sequence[int]) -> int:
-    """Bin of a stored answer: an event's offset from the first stated time, or a gap's seconds."""
+def answer_bin(mode: str, answer: str, times: Sequence[int], read: str) -> int:
+    """Bin of a stored answer: of an event's offset from the first stated time, or of a gap's seconds; a count is its
+    own."""
     match decode_answer(mode, answer):
         case FrameAnswer(frame) | FrameViewpoint(frame) | Span(frame):
             return int(np.searchsorted(OFFSET_EDGES_S, (frame - times[0]) / FPS, side="right"))
         case Number(value):
-            return int(np.searchsorted(GAP_EDGES_S, value, side="right"))
+            return int(value) if read == "count" else int(np.searchsorted(GAP_EDGES_S, value, side="right"))
     return 0
+
+
+def bin_name(mode: str, read: str, number: int) -> str:
+    """What a bin of `answer_bin` holds: a range of seconds, or a count.
+
+    >>> bin_name("frame", "start", 2)
+    '[6, 10)'
+    """
+    if read == "count":
+        return str(number)
+    edges = (0.0, *(GAP_EDGES_S if mode == "number" else OFFSET_EDGES_S))
+    above = f"{edges[number + 1]:g}" if number + 1 < len(edges) else "inf"
+    return f"[{edges[number]:g}, {above})"

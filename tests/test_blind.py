@@ -78,10 +78,24 @@ def test_each_stated_time_is_tried():
 def test_seconds_and_counts_are_judged_apart():
     rows = [Posed("a", "gap", "seconds_between", "number", (), (), (0,), Number(v)) for v in (5.0, 20.0, 21.0, 40.0)]
     rows += [Posed("a", "gap", "count", "number", (), (), (0, 300), Number(v)) for v in (4.0, 5.0, 6.0)]
-    seconds, counts = sorted(blind_check(rows), key=lambda row: row["template"])
-    assert (seconds["template"], seconds["n"], seconds["constant"], seconds["aim"]) == ("gap", 4, 0.75, 0.58)
-    assert (counts["template"], counts["n"], counts["constant"], counts["aim"]) == ("gap (count)", 3, 1.0, None)
-    assert counts["within_aim"] is None
+    counts, seconds = blind_check(rows)
+    assert [row["template"] for row in (counts, seconds)] == ["gap", "gap"]
+    assert (seconds["asks"], seconds["n"], seconds["constant"], seconds["aim"]) == ("seconds", 4, 0.75, 0.58)
+    assert (counts["asks"], counts["n"], counts["constant"], counts["aim"]) == ("count", 3, 1.0, None)
+    assert counts["within_aim"] is None and counts["reason"] is None
+    assert seconds["reason"].startswith("only 4 questions, one is 25 %; 2 of 4 answers lie in [20, 40) s")
+
+
+def test_what_is_above_its_aim_says_why():
+    rows = [start("a", 0, 60 + i % 20) for i in range(40)] + [start("b", 0, 200 + 100 * i) for i in range(40)]
+    (row,) = blind_check(rows)
+    assert row["within_aim"] is False and row["constant"] == 0.5 and row["text_only"] == 0
+    assert row["reason"] == "40 of 80 answers lie in [3, 6) s, and the data holds too few others to level them"
+    apart = [choice(f"s{i}", POSES[i % 4], (POSES[i % 4],)) for i in range(40)]
+    (row,) = blind_check(apart)
+    assert row["text_only"] == 1.0
+    assert row["reason"] == "questions with the same words and waits have the same answers in other sequences"
+    assert blind_check([choice(f"s{i}", POSES[i % 4], ()) for i in range(40)])[0]["reason"] is None
 
 
 FRAMES = st.lists(st.integers(0, 300), min_size=1, max_size=12)

@@ -3,6 +3,7 @@
 import hashlib
 import random
 from collections import Counter
+from itertools import pairwise, product
 
 import pyarrow as pa
 import pytest
@@ -13,7 +14,7 @@ from jrdb_avr.engine.selection import PROFILES, answer_bin, near_duplicates, sel
 from jrdb_avr.schema.plan import Condition, canonical
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.tables import CANDIDATES
-from jrdb_avr.schema.wording import TEMPLATES, Slots
+from jrdb_avr.schema.wording import FAMILIES, TEMPLATES, Slots
 
 RULES = Rules()
 
@@ -37,13 +38,13 @@ PLANS = {
 }
 
 
-def candidate(i, template, answer, *, sequence="s", track=1, read=(0,), stated=(), times=(0,), key=None):
+def candidate(i, template, answer, *, sequence="s", track=1, read=(0,), stated=(), times=(0,), key=None, plan=None):
     return {
         "sequence": sequence,
-        "family": TEMPLATES[template].family,
+        "family": FAMILIES[template],
         "template": template,
         "target_track": track,
-        "plan": PLANS[template],
+        "plan": plan or PLANS[template],
         "answer": answer,
         "key": key or hashlib.sha256(str(i).encode()).hexdigest(),
         "read_frames": list(read),
@@ -123,7 +124,9 @@ def test_the_cap_is_per_person_and_template():
 def test_no_rows():
     result, dropped = near_duplicates(table([]), RULES)
     assert result.num_rows == 0 and dropped == {}
-    assert select(table([]), RULES, "all", 0).report == ()
+    report = select(table([]), RULES, "all", 0).report
+    assert len({row["template"] for row in report}) == len(report) == 12
+    assert {(row["candidates"], row["balanced"], row["aim"], row["kept"]) for row in report} == {(0, 0, None, 0)}
 
 
 # -- balance ------------------------------------------------------------------------------------------------------
@@ -205,7 +208,11 @@ def test_waits_are_levelled_within_an_answer():
 def test_two_answers_only_cannot_be_balanced():
     selection = select(table(choices({"w": 50, "x": 50})), RULES, "all", 0)
     assert selection.table.num_rows == 0
-    assert selection.report[0]["candidates"] == 100 and selection.report[0]["kept"] == 0
+    assert reported(selection)["change"] == (100, 0, None, 0)
+
+
+def reported(selection):
+    return {row["template"]: (row["candidates"], row["balanced"], row["aim"], row["kept"]) for row in selection.report}
 
 
 def starts(offsets, action="walking"):
@@ -219,7 +226,7 @@ def test_event_offsets_are_levelled():
     generator = random.Random(5)
     rows = starts([generator.uniform(3, 6) for _ in range(300)] + [generator.uniform(6, 40) for _ in range(100)])
     kept = select(table(rows), RULES, "all", 0).table.to_pylist()
-    bins = Counter(answer_bin("frame", row["answer"], row["times"]) for row in kept)
+    bins = Counter(answer_bin("frame", row["answer"], row["times"], "start") for row in kept)
     assert max(bins.values()) <= 0.25 * len(kept)
     assert len(kept) >= 60
 
@@ -234,13 +241,15 @@ def test_few_offsets_stay_as_they_are():
     [(3, 1), (5.9, 1), (6, 2), (9.9, 2), (10, 3), (14.9, 3), (15, 4), (20.9, 4), (21, 5), (99, 5)],
 )
 def test_offset_bins(seconds, number):
-    assert answer_bin("frame", f'{{"frame":{round(150 + seconds * 15)}}}', [150]) == number
+    assert answer_bin("frame", f'{{"frame":{round(150 + seconds * 15)}}}', [150], "start") == number
     span = f'{{"start_frame":{round(150 + seconds * 15)},"end_frame":9999}}'
-    assert answer_bin("span", span, [150]) == number
+    assert answer_bin("span", span, [150], "span") == number
 
 
 def test_gap_and_wait_bins():
-    assert [answer_bin("number", f'{{"value":{v}}}', [0]) for v in (5, 9.9, 10, 20, 39.9, 40, 400)] == [
+    assert [
+        answer_bin("number", f'{{"value":{v}}}', [0], "seconds_between") for v in (5, 9.9, 10, 20, 39.9, 40, 400)
+    ] == [
         1,
         1,
         2,
@@ -261,14 +270,101 @@ def test_the_paper_profile():
     answers = {"w": 900, "x": 900, "y": 900}
     rows = choices(answers) + choices({"w": 40, "x": 40, "y": 40}, "presence")
     selection = select(table(rows), RULES, "paper", 0)
-    counts = Counter(row["template"] for row in selection.table.to_pylist())
-    # What presence cannot give, change gives.
-    assert counts["presence"] == 120 and 1620 - 3 <= sum(counts.values()) <= 1620
-    short = {row["family"]: row["family_short"] for row in selection.report}
-    assert short["action_boundary"] == 67 and short["long_range"] == 30 and short["unique_anchor"] <= 3
+    # What presence and distance cannot give, change gives.
+    assert Counter(row["template"] for row in selection.table.to_pylist()) == {"presence": 120, "change": 1500}
+    report = reported(selection)
+    assert report["presence"] == (120, 120, 540, 120) and report["change"] == (2700, 2700, 540, 1500)
+    assert report["distance"] == (0, 0, 540, 0) and report["two_hop"] == (0, 0, 76, 0)
+    for family, number in PROFILES["paper"].items():
+        assert sum(row["aim"] for row in selection.report if row["family"] == family) == number
+
+
+@given(
+    st.dictionaries(st.sampled_from(["change", "presence", "distance"]), st.lists(st.integers(0, 60), max_size=5)),
+    st.integers(0, 130),
+)
+@settings(deadline=None)
+def test_a_family_gets_its_number_where_its_answers_allow(counts, wanted):
+    """No answer above 34 %, and no selection of this kind could hold one question more."""
+    rows = [row for name, some in counts.items() for row in choices(dict(zip("vwxyz", some, strict=False)), name)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(PROFILES, "paper", {"unique_anchor": wanted})
+        selection = select(table(rows), RULES, "paper", 0)
+    kept = {name: sorted(Counter(answers).values()) for name, answers in kept_answers(selection).items()}
+    for answers in kept.values():
+        assert max(answers) <= 0.34 * sum(answers)
+    total = sum(map(sum, kept.values()))
+    assert total <= wanted
+    # What each template could hold by itself, in every size: min(count, floor(0.34 size)) summed reaches the size.
+    sizes = {
+        name: [k for k in range(sum(some) + 1) if sum(min(n, int(0.34 * k)) for n in some) >= k]
+        for name, some in counts.items()
+    }
+    for name in counts:
+        rest = total - sum(kept.get(name, []))
+        # A larger size of this template alone, the others left as they are, would be too many.
+        assert all(size + rest > wanted for size in sizes[name] if size > sum(kept.get(name, [])))
+
+
+def kept_answers(selection):
+    found = {}
+    for row in selection.table.to_pylist():
+        found.setdefault(row["template"], []).append(row["answer"])
+    return found
+
+
+GAPS = {
+    "seconds_between": PLANS["gap_starts"],
+    "count": canonical(
+        TEMPLATES["gap_count"].build(
+            Slots((Condition(action="sitting", at="t1"),), {"t1": 0, "t2": 300}, (), ("conversation",))
+        )
+    ),
+}
+
+
+def gaps(values, read="seconds_between"):
+    times = (0, 300) if read == "count" else (0,)
+    return [
+        candidate(f"{read} {i}", "gap", f'{{"value":{value}}}', times=times, plan=GAPS[read])
+        for i, value in enumerate(values)
+    ]
+
+
+def test_counts_and_seconds_are_levelled_apart():
+    seconds = gaps([6.0] * 50 + [12.0] * 50 + [25.0] * 50 + [50.0] * 50)
+    kept = select(table(seconds + gaps([5] * 300, "count")), RULES, "all", 0).table.to_pylist()
+    # One count alone cannot be levelled: all stay, and they leave the seconds as they are.
+    assert len(kept) == 500
+    alone = select(table(gaps([4, 5, 6] * 30 + [5] * 300, "count")), RULES, "all", 0).table.to_pylist()
+    assert Counter(row["answer"] for row in alone) == {f'{{"value":{n}}}': 30 for n in (4, 5, 6)}
+
+
+def test_the_forms_of_a_template_share_its_number():
+    rows = gaps([6.0, 12.0, 25.0, 50.0] * 2) + gaps([4, 5, 6] * 40, "count")
+    selection = select(table(rows), RULES, "paper", 0)
+    reads = Counter(row["plan"] == GAPS["count"] for row in selection.table.to_pylist())
+    assert reads == {False: 8, True: 22} and reported(selection)["gap"][2:] == (10, 30)
 
 
 def test_the_seed_changes_which_are_kept_and_nothing_else_does():
     rows = choices({"w": 90, "x": 30, "y": 30, "z": 30})
     one, two = (select(table(rows), RULES, "all", seed).table for seed in (0, 1))
     assert one.num_rows == two.num_rows and not one.equals(two)
+
+
+@given(st.lists(st.integers(0, 12), min_size=4, max_size=4))
+@settings(deadline=None, max_examples=40)
+def test_no_two_bins_of_gaps_hold_more_and_no_more_gaps_could_stay(counts):
+    lengths = (6.0, 12.0, 25.0, 50.0)
+    rows = gaps([length for length, count in zip(lengths, counts, strict=True) for _ in range(count)])
+    kept = Counter(row["answer"] for row in select(table(rows), RULES, "all", 0).table.to_pylist())
+    sizes = [kept[f'{{"value":{length}}}'] for length in lengths]
+
+    def within(sizes):
+        return all(100 * (a + b) <= 55 * sum(sizes) for a, b in pairwise(sizes))
+
+    best = max(sum(some) for some in product(*(range(count + 1) for count in counts)) if within(some))
+    # Where next to none could stay, all do.
+    assert sum(sizes) == (best if best >= sum(counts) / 10 else sum(counts))
+    assert within(sizes) or sizes == counts

@@ -1,13 +1,24 @@
 """`stats` against DuckDB over the same files."""
 
 import json
+from itertools import combinations
 
+import cv2
 import duckdb
+import msgspec
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from jrdb_avr.engine.commands.stats import command
+from jrdb_avr.engine.portrait import draw
 from jrdb_avr.engine.stats import TITLES, statistics
+from jrdb_avr.schema.wording import FAMILIES
+
+JOINED = "questions JOIN answers USING (question_id)"
+ASKS = """CASE answer_mode WHEN 'multiple_choice' THEN 'choice' WHEN 'frame_viewpoint' THEN 'frame and angle'
+    WHEN 'number' THEN if(json_extract_string(plan, '$.answer.read') = 'count', 'count', 'seconds')
+    ELSE answer_mode END"""
 
 
 @pytest.fixture(scope="module")
@@ -23,83 +34,181 @@ def ask(sample_benchmark):
     return lambda text: connection.sql(text).fetchall()
 
 
+def columns(rows, *names):
+    return [tuple(row[name] for name in names) for row in rows]
+
+
 def test_counts(tables, ask):
     assert list(tables) == list(TITLES)
-    for name, columns in (("family", "family"), ("template", "family, template, answer_mode")):
-        counted = [tuple(row.values())[:-1] for row in tables[name]]
-        assert counted == ask(f"SELECT {columns}, count(*) FROM questions GROUP BY ALL ORDER BY ALL")
-        assert sum(row["share"] for row in tables[name]) == pytest.approx(1)
-    people = ask(
-        "SELECT sequence, count(*), count(DISTINCT target_track) FROM questions JOIN answers USING (question_id) "
-        "GROUP BY ALL ORDER BY ALL"
+    counted = dict(ask("SELECT family, count(*) FROM questions GROUP BY ALL"))
+    assert dict(columns(tables["family"], "family", "n")) == dict.fromkeys(FAMILIES.values(), 0) | counted
+    assert columns(tables["template"], "family", "template", "asks", "mode", "n") == ask(
+        f"SELECT family, template, {ASKS} AS asks, answer_mode, count(*) FROM {JOINED} GROUP BY ALL ORDER BY ALL"
     )
-    assert [(row["sequence"], row["n"], row["people asked about"]) for row in tables["sequence"]] == people
+    assert columns(tables["mode"], "mode", "n") == ask(
+        "SELECT answer_mode, count(*) FROM questions GROUP BY ALL ORDER BY ALL"
+    )
+    assert columns(tables["sequence"], "sequence", "n", "people") == ask(
+        f"SELECT sequence, count(*), count(DISTINCT target_track) FROM {JOINED} GROUP BY ALL ORDER BY ALL"
+    )
+    for name in ("family", "template", "mode", "sequence"):
+        assert sum(row["share"] for row in tables[name]) == pytest.approx(1)
+    assert sum(row["paper"] for row in tables["family"]) == 2098
 
 
 def test_answers_and_positions(tables, ask):
     chosen = ask(
-        "SELECT template, choices[(answer->>'choice')::int] AS text, count(*) FROM questions JOIN answers "
-        "USING (question_id) WHERE answer_mode = 'multiple_choice' GROUP BY ALL ORDER BY ALL"
-    )
-    printed = [(r["template"], r["answer"], r["n"]) for r in tables["answer"] if not r["answer"].startswith("[")]
-    assert sorted(printed) == chosen
-    places = ask(
-        "SELECT template, (answer->>'choice')::int AS place, count(*) FROM questions JOIN answers USING (question_id) "
+        f"SELECT template, choices[(answer->>'choice')::int] AS text, count(*) FROM {JOINED} "
         "WHERE answer_mode = 'multiple_choice' GROUP BY ALL ORDER BY ALL"
     )
-    assert [(r["template"], r["position"], r["n"]) for r in tables["position"]] == places
-    offsets = ask(
-        """SELECT template, CASE WHEN wait < 3 THEN '[0, 3)' WHEN wait < 6 THEN '[3, 6)' WHEN wait < 10 THEN '[6, 10)'
+    choices = [row for row in tables["answer"] if row["asks"] == "choice"]
+    assert columns(choices, "template", "answer", "n") == chosen
+    counts = [row for row in tables["answer"] if row["asks"] == "count"]
+    assert columns(counts, "answer", "n") == ask(
+        f"SELECT people::varchar, count(*) FROM (SELECT (answer->>'value')::double::int AS people FROM {JOINED} "
+        f"WHERE {ASKS} = 'count') GROUP BY people ORDER BY people"
+    )
+    times = ask(
+        f"""SELECT template, CASE WHEN wait < 3 THEN '[0, 3)' WHEN wait < 6 THEN '[3, 6)' WHEN wait < 10 THEN '[6, 10)'
         WHEN wait < 15 THEN '[10, 15)' WHEN wait < 21 THEN '[15, 21)' ELSE '[21, inf)' END AS bin, count(*) FROM (
             SELECT template, (coalesce(answer->>'frame', answer->>'start_frame')::int
                 - regexp_extract(question, 'frame (\\d+)', 1)::int) / 15 AS wait
-            FROM questions JOIN answers USING (question_id) WHERE answer_mode IN ('frame', 'span', 'frame_viewpoint')
-        ) GROUP BY ALL ORDER BY ALL"""
+            FROM {JOINED} WHERE answer_mode IN ('frame', 'span', 'frame_viewpoint')
+        ) GROUP BY ALL UNION ALL
+        SELECT template, CASE WHEN gap < 5 THEN '[0, 5)' WHEN gap < 10 THEN '[5, 10)' WHEN gap < 20 THEN '[10, 20)'
+        WHEN gap < 40 THEN '[20, 40)' ELSE '[40, inf)' END AS bin, count(*) FROM (
+            SELECT template, (answer->>'value')::double AS gap FROM {JOINED} WHERE {ASKS} = 'seconds'
+        ) GROUP BY ALL"""
     )
-    printed = [(r["template"], r["answer"], r["n"]) for r in tables["answer"] if r["answer"].startswith("[")]
-    assert sorted(printed) == offsets
+    timed = [row for row in tables["answer"] if row["asks"] not in ("choice", "count")]
+    assert sorted(columns(timed, "template", "answer", "n")) == sorted(times)
+    places = ask(
+        f"SELECT template, (answer->>'choice')::int AS place, count(*) FROM {JOINED} "
+        "WHERE answer_mode = 'multiple_choice' GROUP BY ALL ORDER BY ALL"
+    )
+    assert columns(tables["position"], "template", "position", "n") == places
+    for table in ("answer", "position", "distractor"):
+        whole = {(row["template"], row.get("asks")) for row in tables[table]}
+        assert sum(row["share"] for row in tables[table]) == pytest.approx(len(whole))
 
 
-def test_spread_and_refusals(tables, ask):
-    for name in ("time_gap_s", "separation_deg", "people_in_scene"):
-        expected = ask(
-            f"SELECT template, min({name}), median({name}), max({name}) "
-            "FROM questions JOIN answers USING (question_id) GROUP BY ALL ORDER BY ALL"
-        )
-        printed = [(r["template"], r["min"], r["median"], r["max"]) for r in tables["spread"] if r["what"] == name]
-        assert printed == expected
+def test_wrong_choices_by_what_yields_them(tables, ask):
+    rows = ask(
+        f"""SELECT template, regexp_replace(coalesce(name, 'none'), ' without .*', '') AS kind, count(*) FROM (
+            SELECT template, (answer->>'choice')::int AS truth, generate_subscripts(names, 1) AS place,
+                unnest(names) AS name
+            FROM (SELECT *, from_json(distractors, '["VARCHAR"]') AS names FROM {JOINED} WHERE len(choices) = 4)
+        ) WHERE place <> truth GROUP BY ALL ORDER BY ALL"""
+    )
+    assert columns(tables["distractor"], "template", "yielded_by", "n") == rows
+    wrong = dict(ask("SELECT template, 3 * count(*) FROM questions WHERE len(choices) = 4 GROUP BY ALL"))
+    assert wrong == {name: sum(n for template, _, n in rows if template == name) for name in wrong}
+
+
+@pytest.fixture(scope="module")
+def looks(ask):
+    """Fewest crops per question: sets of columns at which a crop may begin, smallest first."""
+    boxes = {}
+    for question, frame, center in ask(
+        """SELECT question_id, (box->>'frame')::int, ((box->>'x')::double + (box->>'w')::double / 2 + 3760) % 3760
+        FROM (SELECT question_id, unnest(from_json(needed, '["JSON"]')) AS box FROM answers)"""
+    ):
+        boxes.setdefault((question, frame), set()).add(center)
+    found = {}
+    for (question, _), centers in boxes.items():
+        shown = [{c for c in centers if (c - int(first)) % 3760 <= 480} for first in centers]
+        sizes = (size for size in range(1, 9) if any(set().union(*s) == centers for s in combinations(shown, size)))
+        found[question] = found.get(question, 0) + next(sizes)
+    return found
+
+
+EDGES = {
+    "time_gap_s": "['0', '(0, 5)', '[5, 10)', '[10, 20)', '[20, 40)', '[40, 80)', '80+']"
+    "[1 + (v > 0)::int + (v >= 5)::int + (v >= 10)::int + (v >= 20)::int + (v >= 40)::int + (v >= 80)::int]",
+    "separation_deg": "['[0, 10)', '[10, 20)', '[20, 45)', '[45, 90)', '[90, 135)', '135+']"
+    "[1 + (v >= 10)::int + (v >= 20)::int + (v >= 45)::int + (v >= 90)::int + (v >= 135)::int]",
+    "hops": "if(v >= 4, '4+', v::int::varchar)",
+    "people_in_scene": "['0-9', '10-19', '20-29', '30-39', '40-59', '60-79', '80+']"
+    "[1 + (v >= 10)::int + (v >= 20)::int + (v >= 30)::int + (v >= 40)::int + (v >= 60)::int + (v >= 80)::int]",
+}
+
+
+def test_measures(tables, ask, looks):
+    measured = {name: ask(f"SELECT template, question_id, {name}::double FROM {JOINED} ORDER BY ALL") for name in EDGES}
+    measured["crops"] = [(template, one, looks[one]) for template, one, _ in measured["hops"]]
+    for name, rows in measured.items():
+        values = {}
+        for template, _, value in rows:
+            values.setdefault(template, []).append(value)
+        printed = [row for row in tables["spread"] if row["what"] == name]
+        assert [row["template"] for row in printed] == sorted(values)
+        for row in printed:
+            own = np.array(values[row["template"]])
+            assert (row["n"], row["min"], row["max"]) == (len(own), own.min(), own.max())
+            assert (row["median"], row["mean"]) == pytest.approx((np.median(own), own.mean()))
+    for name, bins in EDGES.items():
+        printed = {row["bin"]: row["n"] for row in tables["distribution"] if row["what"] == name}
+        counted = dict(ask(f"SELECT {bins} AS bin, count(*) FROM (SELECT {name} AS v FROM answers) GROUP BY ALL"))
+        assert printed == dict.fromkeys(printed, 0) | counted
+    printed = {row["bin"]: row["n"] for row in tables["distribution"] if row["what"] == "crops"}
+    for crops in range(6):
+        assert printed[str(crops)] == sum(count == crops for count in looks.values())
+    assert printed["6-7"] == sum(count in (6, 7) for count in looks.values())
+    assert printed["12+"] == sum(count >= 12 for count in looks.values())
+
+
+def test_what_became_of_the_candidates(tables, ask):
     refused = ask(
         "SELECT family, template, rule, sum(candidates)::int FROM rejected WHERE kind = 'count' "
         "GROUP BY ALL ORDER BY ALL"
     )
     assert [tuple(row.values()) for row in tables["refusal"]] == refused
-
-
-def test_distractors_are_the_wrong_choices(tables, ask):
-    wrong = ask("SELECT template, 3 * count(*) FROM questions WHERE len(choices) = 4 GROUP BY ALL ORDER BY ALL")
-    found = {}
-    for row in tables["distractor"]:
-        found[row["template"]] = found.get(row["template"], 0) + row["n"]
-    assert sorted(found.items()) == wrong
+    rows = ask(
+        """SELECT template, sum(n)::int, (sum(n) FILTER (WHERE late))::int, (sum(n) FILTER (WHERE asked))::int FROM (
+            SELECT template, count(*) AS n, true AS late, true AS asked FROM questions GROUP BY ALL UNION ALL
+            SELECT template, candidates, rule IN
+                ('rederive', 'choices', 'near_duplicate', 'max_per_person', 'balance'), false
+            FROM rejected WHERE kind = 'count'
+        ) GROUP BY ALL"""
+    )
+    counted = {template: tuple(n or 0 for n in numbers) for template, *numbers in rows}
+    assert {
+        row["template"]: (row["candidates"], row["proven"], row["questions"]) for row in tables["shortfall"]
+    } == dict.fromkeys(FAMILIES, (0, 0, 0)) | counted
+    most = {}
+    for _, template, rule, count in refused:
+        most[template] = max(most.get(template, (0, "")), (count, rule))
+    for row in tables["shortfall"]:
+        if row["candidates"] > row["questions"]:
+            count, _ = most[row["template"]]
+            named, percent, _ = row["refused_most"].split(",")[0].rsplit(" ", 2)
+            assert (count, named) in [(n, rule) for _, name, rule, n in refused if name == row["template"]]
+            assert int(percent) == round(100 * count / row["candidates"])
 
 
 def test_the_blind_check_covers_every_template(tables, ask):
-    counts = dict(ask("SELECT template, count(*) FROM questions GROUP BY ALL"))
-    assert {row["template"]: row["n"] for row in tables["blind"]} == counts
+    counts = {
+        (name, asks): n
+        for name, asks, n in ask(f"SELECT template, {ASKS} AS asks, count(*) FROM {JOINED} GROUP BY ALL")
+    }
+    assert {(row["template"], row["asks"]): row["n"] for row in tables["blind"]} == counts
     assert tables["lacking"] == []
 
 
 def test_a_missing_layer_is_named(benchmark_copy):
-    import msgspec
-
     manifest = benchmark_copy.manifest()
     name = min(manifest.sequences)
     entry = manifest.sequences[name]
     entry = msgspec.structs.replace(entry, layers=tuple(layer for layer in entry.layers if layer != "3d"))
     benchmark_copy.write_manifest(msgspec.structs.replace(manifest, sequences=manifest.sequences | {name: entry}))
-    assert statistics(benchmark_copy)["lacking"] == [
-        {"family": "unique_anchor", "template": "distance", "layer": "3d", "sequences without": 1, "sequences": 3}
+    tables = statistics(benchmark_copy)
+    assert tables["lacking"] == [
+        {"family": "unique_anchor", "template": "distance", "layer": "3d", "sequences_without": 1, "sequences": 3}
     ]
+    (row,) = (row for row in tables["layer"] if row["layer"] == "3d")
+    assert row == {"layer": "3d", "sequences_with": 2, "sequences": 3}
+    (row,) = (row for row in tables["shortfall"] if row["template"] == "distance")
+    assert row["skipped"] == "the layer 3d is missing in 1 of 3 sequences"
 
 
 def test_json_is_one_array_of_rows(sample_benchmark, tables):
@@ -114,3 +223,30 @@ def test_json_is_one_array_of_rows(sample_benchmark, tables):
 def test_tables_for_people(sample_benchmark):
     result = CliRunner().invoke(command, ["--store", str(sample_benchmark.path)])
     assert result.exit_code == 0 and "Answering without looking" in result.output
+
+
+def test_the_picture(sample_benchmark, tables, tmp_path):
+    path = tmp_path / "stats.png"
+    result = CliRunner().invoke(command, ["--store", str(sample_benchmark.path), "--picture", str(path), "--json"])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)
+    picture = cv2.imread(str(path))[:, :, ::-1]
+    assert np.array_equal(picture, draw(tables))
+    # A bar grows with its number: the family's color covers more where there are more questions.
+    twice = [row | ({"n": 2 * row["n"]} if row["family"] == "long_range" else {}) for row in tables["family"]]
+    purple = (118, 98, 160)
+    assert np.all(draw(tables | {"family": twice}) == purple, axis=2).sum() > np.all(picture == purple, axis=2).sum()
+
+
+def test_a_picture_of_nothing(tables):
+    empty = {name: [] for name in tables}
+    empty["family"] = [row | {"n": 0} for row in tables["family"]]
+    empty["shortfall"] = [row | dict.fromkeys(("candidates", "proven", "questions"), 0) for row in tables["shortfall"]]
+    assert draw(empty).shape[1] == 1920
+
+
+def test_a_picture_that_cannot_be_written(sample_benchmark, tmp_path):
+    (tmp_path / "file").write_text("")
+    place = str(tmp_path / "file" / "stats.png")
+    result = CliRunner().invoke(command, ["--store", str(sample_benchmark.path), "--picture", place])
+    assert result.exit_code != 0 and "cannot write" in str(result.exception)

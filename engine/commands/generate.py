@@ -54,12 +54,16 @@ def command(
 ) -> None:
     """Search every sequence of STORE for questions, keep those whose proofs hold, and write them to STORE/questions.
 
-    Prints per template the candidates, how many each rule refused, the questions, and what a blind guesser scores.
-    The result is the same for any number of workers.
+    Prints per template the candidates, how many each rule refused, the questions, why there are few, and what a blind
+    guesser scores; with --profile paper also how many of each family were reached. The result is the same for any
+    number of workers.
     """
     from jrdb_avr.engine.generate import generate
+    from jrdb_avr.engine.shortfalls import fillings
     from jrdb_avr.queries.store import Store
     from jrdb_avr.schema.rules import Rules, override
+
+    from ._figures import print_blind, print_shortfalls
 
     place = Store(store)
     rules = override(Rules(), pairs("--rule", rule_texts))
@@ -67,28 +71,20 @@ def command(
         report = generate(
             place, rules, profile=profile, seed=seed, workers=workers, candidates=candidates, advance=advance
         )
-    missing: dict[str, list[str]] = {}
-    for (template, layer), count in report.lacking.items():
-        where = "" if count == report.sequences else f" in {count} of {report.sequences} sequences"
-        missing.setdefault(template, []).append(f"the layer {layer} is missing{where}")
     if as_json:
-        blind = {row["template"]: row for row in report.blind}
+        aims = {row["template"]: row["aim"] for row in report.selection}
         print_json(
             [
-                row
-                | {"skipped": "; ".join(missing.get(row["template"], [])) or None, "blind": blind.get(row["template"])}
-                for row in report.templates
+                {**row, **short, "aim": aims[row["template"]], "blind": _of(row["template"], report.blind)}
+                for row, short in zip(report.templates, report.shortfalls, strict=True)
             ]
         )
     else:
         print_rows(_columns(report.templates), title="Candidates, refusals by rule, and questions")
-        for template, reasons in missing.items():
-            click.echo(f"{template}: skipped, {'; '.join(reasons)}")
-        print_rows(report.blind, title="Answering without looking: shares of right answers")
-        for row in report.selection:
-            if row["family_short"]:
-                wanted = f"{row['family_wanted']} were asked for, {row['family_short']} are missing"
-                click.echo(f"{row['family']} ({row['template']}): {wanted}")
+        print_shortfalls(report.shortfalls)
+        if families := fillings(report.selection):
+            print_rows(families, title="Questions aimed at and reached, and which template fills for which")
+        print_blind(report.blind, "Answering without looking: shares of right answers")
     for fault in report.faults[:10]:
         note(f"fault: the second path disagrees: {clean(fault)}")
     if report.faults:
@@ -96,7 +92,11 @@ def command(
         sys.exit(1)
 
 
+def _of(template: str, rows: tuple[dict[str, Any], ...]) -> list[dict[str, Any]]:
+    return [row for row in rows if row["template"] == template]
+
+
 def _columns(rows: tuple[dict[str, Any], ...]) -> list[dict[str, Any]]:
     """The rows turned round, a column per template: there are more rules than fit on a line."""
-    names = [name for name in rows[0] if name != "template"]
+    names = [name for name in rows[0] if name not in ("family", "template")]
     return [{"": name, **{row["template"]: row[name] for row in rows}} for name in names]

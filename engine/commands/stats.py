@@ -6,27 +6,49 @@ from pathlib import Path
 
 import click
 
-from jrdb_avr.engine.output import json_option, print_json, print_rows, store_option
+from jrdb_avr.engine.output import json_option, note, print_json, print_rows, store_option
 
 
 @click.command(
     short_help="Count questions; show what a blind guesser scores.",
-    epilog="Example: jrdb-avr stats --store store --json",
+    epilog="Example: jrdb-avr stats --store store --picture stats.png",
 )
 @store_option
+@click.option(
+    "--picture",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Also draw the distributions into this PNG file.",
+)
 @json_option
-def command(store: Path, as_json: bool) -> None:
+def command(store: Path, picture: Path | None, as_json: bool) -> None:
     """Count the questions of STORE by family, template, sequence, answer; score guessers that see no image.
 
-    With --json each row object names its table under "table".
+    Says for each template what became of its candidates and, where there are few questions, why. With --json each row
+    object names its table under "table".
     """
     from jrdb_avr.engine.stats import TITLES, statistics
     from jrdb_avr.queries.store import Store
 
+    from ._figures import print_blind, print_shortfalls, rounded
+
     tables = statistics(Store(store))
+    if picture is not None:
+        from jrdb_avr.engine.portrait import write_portrait
+
+        write_portrait(picture, tables)
+        note(f"picture: {picture}")
     if as_json:
         print_json([{"table": name, **row} for name, rows in tables.items() for row in rows])
         return
     for name, rows in tables.items():
-        if rows:
-            print_rows(rows, title=TITLES[name])
+        if name == "blind":
+            print_blind(rows, TITLES[name])
+        elif rows:
+            print_rows([_short(row) for row in rounded(rows)], title=TITLES[name])
+        if name == "shortfall":
+            print_shortfalls(rows)
+
+
+def _short(row: dict[str, object]) -> dict[str, object]:
+    """Without what is printed below the table."""
+    return {name: value for name, value in row.items() if name not in ("why", "skipped")}

@@ -1,0 +1,101 @@
+"""What is said of templates with few questions, on tables written by hand."""
+
+import pyarrow as pa
+
+from jrdb_avr.engine.candidates import RULES
+from jrdb_avr.engine.shortfalls import MEANINGS, REFUSALS, SOUGHT, fillings, shortfalls, tallies
+from jrdb_avr.schema.tables import QUESTIONS
+from jrdb_avr.schema.wording import FAMILIES
+
+
+def rejected(counts):
+    rows = [
+        {"kind": kind, "sequence": "s", "family": FAMILIES[template], "template": template, "rule": rule}
+        | {"candidates": count, "target_track": None, "plan": None, "detail": None}
+        for kind, template, rule, count in counts
+    ]
+    return pa.Table.from_pylist(rows, schema=QUESTIONS["rejected"])
+
+
+def asked(**counts):
+    names = [name for name, count in counts.items() for _ in range(count)]
+    row = {"question_id": "", "sequence": "s", "question": "", "choices": [], "answer_mode": ""}
+    rows = [row | {"template": name, "family": FAMILIES[name]} for name in names]
+    return pa.Table.from_pylist(rows, schema=QUESTIONS["questions"])
+
+
+def told(counts, questions, lacking=None, sequences=3, aims=None):
+    rows = shortfalls(tallies(rejected(counts), questions), lacking or {}, sequences, aims)
+    assert [row["template"] for row in rows] == list(FAMILIES)
+    return {row["template"]: row for row in rows}
+
+
+COUNTS = [
+    ("count", "two_hop", "evidence", 60),
+    ("count", "two_hop", "evidence", 40),
+    ("count", "two_hop", "hop.stop", 70),
+    ("count", "two_hop", "time.shift", 20),
+    ("count", "two_hop", "balance", 5),
+    ("example", "two_hop", "anchor", 1),
+]
+
+
+def test_candidates_are_what_was_refused_and_what_was_kept():
+    (row,) = (row for row in tallies(rejected(COUNTS), asked(two_hop=5)) if row["template"] == "two_hop")
+    assert row == {
+        **{"family": "chain_2hop", "template": "two_hop", "candidates": 200, "proven": 10, "questions": 5},
+        **dict.fromkeys(REFUSALS, 0),
+        **{"evidence": 100, "hop.stop": 70, "time.shift": 20, "balance": 5},
+    }
+
+
+def test_few_questions_are_explained_by_the_rules_that_refused_most():
+    row = told(COUNTS, asked(two_hop=5))["two_hop"]
+    assert row["refused_most"] == "evidence 50 %, hop.stop 35 %"
+    assert row["why"] == (
+        "5 questions of 200 candidates, 10 proven; "
+        f"evidence refused 50 %: {MEANINGS['evidence']}; hop.stop refused 35 %: {MEANINGS['hop.stop']}"
+    )
+    # One question fewer than balance dropped: that is a reason too.
+    assert told(COUNTS, asked(two_hop=4))["two_hop"]["why"].endswith(f"balance refused 3 %: {MEANINGS['balance']}")
+
+
+def test_enough_questions_or_as_many_as_were_asked_for_need_no_reason():
+    assert told(COUNTS, asked(two_hop=30))["two_hop"]["why"] is None
+    assert told(COUNTS, asked(two_hop=29))["two_hop"]["why"] is not None
+    assert told(COUNTS, asked(two_hop=10), aims={"two_hop": 10})["two_hop"]["why"] is None
+    assert told(COUNTS, asked(two_hop=9), aims={"two_hop": 10})["two_hop"]["why"] is not None
+
+
+def test_no_candidate_says_what_the_scenes_do_not_hold():
+    row = told([], asked())["consequence"]
+    assert row["why"] == f"no candidate, nowhere is it certain that {SOUGHT['consequence']}"
+    assert row["refused_most"] is None and row["skipped"] is None
+
+
+def test_a_missing_layer_is_the_reason():
+    row = told([], asked(), {("distance", "3d"): 3})["distance"]
+    assert row["why"] == "skipped, the layer 3d is missing" and row["skipped"] == "the layer 3d is missing"
+    row = told([("count", "distance", "evidence", 4)], asked(distance=1), {("distance", "3d"): 2})["distance"]
+    assert row["skipped"] == "the layer 3d is missing in 2 of 3 sequences"
+    assert row["why"].startswith("skipped, the layer 3d is missing in 2 of 3 sequences; 1 question of 5 candidates")
+
+
+def test_every_rule_and_template_has_its_words():
+    assert tuple(MEANINGS) == REFUSALS and REFUSALS[: len(RULES)] == RULES
+    assert set(SOUGHT) == set(FAMILIES)
+
+
+def test_who_fills_for_whom():
+    rows = [
+        {"family": "long_range", "template": "gap", "aim": 10, "kept": 15},
+        {"family": "long_range", "template": "consequence", "aim": 10, "kept": 4},
+        {"family": "long_range", "template": "later_pose", "aim": 10, "kept": 10},
+        {"family": "chain_2hop", "template": "two_hop", "aim": 76, "kept": 76},
+        {"family": "unique_anchor", "template": "change", "aim": None, "kept": 700},
+    ]
+    assert fillings(rows) == [
+        {"family": "long_range", "aimed": 30, "reached": 29, "missing": 1}
+        | {"short": "consequence 4 of 10", "filled_by": "gap +5"},
+        {"family": "chain_2hop", "aimed": 76, "reached": 76, "missing": 0, "short": None, "filled_by": None},
+    ]
