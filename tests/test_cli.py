@@ -12,9 +12,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
+from entry import run
 from worlds import person, write_root
 
-from jrdb_avr.engine.cli import COMMANDS, group, main
+from jrdb_avr.engine.cli import COMMANDS, group
 from jrdb_avr.queries.handle import build_graph
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Manifest, SequenceEntry, Store
@@ -24,21 +25,6 @@ from jrdb_avr.schema.rules import LoadRules, rules_hash
 from jrdb_avr.schema.tables import INTERVALS, QUESTIONS, RUNS
 
 COMMAND = Path(sys.executable).with_name("jrdb-avr")
-
-
-def run(*arguments):
-    """The command's entry point in this process: exit code, stdout, stderr."""
-    out, err = (io.TextIOWrapper(io.BytesIO(), "utf-8", write_through=True) for _ in range(2))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["jrdb-avr", *map(str, arguments)])
-        patch.setattr(sys, "stdout", out)
-        patch.setattr(sys, "stderr", err)
-        try:
-            main()
-            code = 0
-        except SystemExit as exit_:
-            code = exit_.code
-    return code, *(stream.buffer.getvalue().decode() for stream in (out, err))
 
 
 def invoke(*arguments):

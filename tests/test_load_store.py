@@ -7,12 +7,14 @@ import json
 import os
 import random
 import resource
+import shutil
 import signal
 import subprocess
 import sys
 import time
 
 import pytest
+from entry import run
 from random_worlds import random_world
 from worlds import load_reported, load_world, person, person_3d, write_root
 
@@ -40,6 +42,29 @@ def command(*arguments, **more):
     return subprocess.run(
         [sys.executable, "-c", RUN, *map(str, arguments)], capture_output=True, text=True, timeout=300, **more
     )
+
+
+@pytest.fixture(scope="module")
+def loaded_world(tmp_path_factory, world):
+    """The store of `world`, loaded by one worker from the root beside it. Not to be written to."""
+    return load_world(tmp_path_factory.mktemp("world"), world)
+
+
+@pytest.fixture(scope="module")
+def loaded_one(tmp_path_factory):
+    """The store of one short sequence. Not to be written to."""
+    return load_world(tmp_path_factory.mktemp("one"), {"yard-1": GOOD})
+
+
+@pytest.fixture(scope="module")
+def loaded_two(tmp_path_factory):
+    """The store of two short sequences. Not to be written to."""
+    return load_world(tmp_path_factory.mktemp("two"), {"yard-1": GOOD, "yard-2": GOOD})
+
+
+def copied(store, place):
+    """A store of the same, to be written to."""
+    return Store(shutil.copytree(store.path, place))
 
 
 def files(store):
@@ -74,37 +99,35 @@ def same(a, b):
     assert answers(a) == answers(b)
 
 
-def test_the_number_of_workers_does_not_show(tmp_path, world):
-    root = find_root(write_root(tmp_path / "root", world))
-    stores = [Store(tmp_path / f"store{workers}") for workers in (1, 2)]
-    for store, workers in zip(stores, (1, 2), strict=True):
-        loading.load(root, store, LoadRules(), workers)
-    same(*stores)
+def test_the_number_of_workers_does_not_show(tmp_path, loaded_world):
+    store = Store(tmp_path / "store")
+    loading.load(find_root(loaded_world.path.parent / "root"), store, LoadRules(), 2)
+    same(store, loaded_world)
 
 
-def test_rebuild_gives_the_same_tables_and_graph_without_the_root(tmp_path, world):
-    store = load_world(tmp_path, world)
+def test_rebuild_gives_the_same_tables_and_graph_without_the_root(tmp_path, loaded_world):
+    # The root was never beside this copy.
+    store = copied(loaded_world, tmp_path / "store")
     before = files(store), answers(store)
-    (tmp_path / "root").rename(tmp_path / "gone")
     store.graph_path.unlink()
     for path in (store.path / "intervals").rglob("*.parquet"):
         path.unlink()
-    loading.rebuild(store, LoadRules())
+    loading.rebuild(store, LoadRules(), 1)
     assert (files(store), answers(store)) == before
 
 
-def test_rebuild_under_other_rules_and_back(tmp_path, world):
-    store = load_world(tmp_path, world)
+def test_rebuild_under_other_rules_and_back(tmp_path, world, loaded_world):
+    store = copied(loaded_world, tmp_path / "store")
     before = files(store)
-    loading.rebuild(store, LoadRules(gap_frames=0))
+    loading.rebuild(store, LoadRules(gap_frames=0), 1)
     assert store.manifest().load_rules == LoadRules(gap_frames=0)
     assert not any(any(store.interval("actions", name)["gap"].to_pylist()) for name in world)
-    loading.rebuild(store, LoadRules())
+    loading.rebuild(store, LoadRules(), 1)
     assert files(store) == before
 
 
-def test_rebuild_names_a_broken_annotation_file(tmp_path):
-    store = load_world(tmp_path, {"yard-1": GOOD})
+def test_rebuild_names_a_broken_annotation_file(tmp_path, loaded_one):
+    store = copied(loaded_one, tmp_path / "store")
     store.annotation_path("boxes_2d", "yard-1").write_bytes(b"PAR1 no more")
     before = files(store)
     with pytest.raises(StoreError, match="boxes_2d/yard-1"):
@@ -112,23 +135,19 @@ def test_rebuild_names_a_broken_annotation_file(tmp_path):
     assert files(store) == before
 
 
-def test_rebuild_refuses_an_annotation_file_that_is_not_the_one_loaded(tmp_path):
-    store = load_world(tmp_path, {"yard-1": GOOD, "yard-2": GOOD})
+def test_rebuild_refuses_an_annotation_file_that_is_not_the_one_loaded(tmp_path, loaded_two):
+    store = copied(loaded_two, tmp_path / "store")
     other = store.annotation_path("boxes_2d", "yard-2")
     store.annotation_path("boxes_2d", "yard-1").write_bytes(other.read_bytes())
     with pytest.raises(StoreError, match="boxes_2d/yard-1"):
-        loading.rebuild(store, LoadRules())
+        loading.rebuild(store, LoadRules(), 1)
 
 
-def test_sequences_and_layers_that_are_gone_do_not_linger(tmp_path):
+def test_sequences_and_layers_that_are_gone_do_not_linger(tmp_path, loaded_one):
     first = {"yard-1": GOOD | {"3d": {0: [person_3d(1, 3, 0)]}}, "yard-2": GOOD}
-    load_world(tmp_path / "a", first)
-    store = Store(tmp_path / "a" / "store")
-    second = write_root(tmp_path / "b" / "root", {"yard-1": GOOD})
-    loading.load(find_root(second), store, LoadRules(), 1)
-    fresh = Store(tmp_path / "b" / "store")
-    loading.load(find_root(second), fresh, LoadRules(), 1)
-    same(store, fresh)
+    store = load_world(tmp_path, first)
+    loading.load(find_root(write_root(tmp_path / "second", {"yard-1": GOOD})), store, LoadRules(), 1)
+    same(store, loaded_one)
     assert list(store.manifest().sequences) == ["yard-1"]
     assert "3d" not in store.manifest().sequences["yard-1"].layers
 
@@ -161,13 +180,13 @@ def test_a_killed_load_is_repaired_by_running_it_again(tmp_path, world):
     root = write_root(tmp_path / "root", world)
     whole = Store(tmp_path / "whole")
     started = time.monotonic()
-    assert command("load", root, "--store", whole.path).returncode == 0
+    assert command("load", root, "--store", whole.path, "--workers", 1).returncode == 0
     duration = time.monotonic() - started
     store = Store(tmp_path / "store")
     rng = random.Random(5)
     for share in (0.5, 0.9, rng.random()):
         process = subprocess.Popen(
-            [sys.executable, "-c", RUN, "load", str(root), "--store", str(store.path)],
+            [sys.executable, "-c", RUN, "load", str(root), "--store", str(store.path), "--workers", "1"],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
@@ -175,7 +194,7 @@ def test_a_killed_load_is_repaired_by_running_it_again(tmp_path, world):
         time.sleep(duration * share)
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
-    assert command("load", root, "--store", store.path).returncode == 0
+    assert run("load", root, "--store", store.path, "--workers", 1)[0] == 0
     assert store.manifest() == whole.manifest()
     same(store, whole)
     assert not [path for path in store.path.rglob("*") if ".tmp" in path.name or "building" in path.name]
@@ -186,12 +205,10 @@ class Killed(BaseException):
 
 
 @pytest.mark.parametrize("call", range(3))
-def test_killed_between_any_two_moves_a_rerun_repairs(tmp_path, monkeypatch, call):
+def test_killed_between_any_two_moves_a_rerun_repairs(tmp_path, monkeypatch, loaded_one, loaded_two, call):
     """The moment when the new parts are moved in is too short to hit by chance."""
-    old = load_world(tmp_path / "old", {"yard-1": GOOD, "yard-2": GOOD})
+    old = copied(loaded_two, tmp_path / "old")
     root = find_root(write_root(tmp_path / "new", {"yard-1": GOOD}))
-    fresh = Store(tmp_path / "fresh")
-    loading.load(root, fresh, LoadRules(), 1)
     swap, calls = loading._swap, []
 
     def dying(place, new, gone):
@@ -211,21 +228,19 @@ def test_killed_between_any_two_moves_a_rerun_repairs(tmp_path, monkeypatch, cal
     with pytest.raises(StoreError, match="load"):
         old.manifest()
     loading.load(root, old, LoadRules(), 1)
-    same(old, fresh)
+    same(old, loaded_one)
 
 
 @pytest.mark.parametrize("again", ["load", "rebuild"])
 @pytest.mark.parametrize("first", ["load", "rebuild"])
 @pytest.mark.parametrize("call", range(2))
-def test_killed_between_any_two_moves_no_table_is_lost(tmp_path, monkeypatch, call, first, again):
+def test_killed_between_any_two_moves_no_table_is_lost(
+    tmp_path, monkeypatch, loaded_one, loaded_two, call, first, again
+):
     """Also without the label files: they may be gone by then."""
-    store = load_world(tmp_path / "old", {"yard-1": GOOD, "yard-2": GOOD})
+    store = copied(loaded_two, tmp_path / "old")
     root = find_root(write_root(tmp_path / "new", {"yard-1": GOOD}))
-    expected = Store(tmp_path / "expected")
-    if first == "load":
-        loading.load(root, expected, LoadRules(), 1)
-    else:
-        expected = load_world(tmp_path / "same", {"yard-1": GOOD, "yard-2": GOOD})
+    expected = loaded_one if first == "load" else loaded_two
     swap, calls = loading._swap, []
 
     def dying(place, new, gone):
@@ -248,7 +263,7 @@ def test_killed_between_any_two_moves_no_table_is_lost(tmp_path, monkeypatch, ca
     if again == "load":
         with pytest.raises(AvrError):
             loading.load(find_root(write_root(tmp_path / "bad", {"yard-1": {"2d": b"x"}})), store, LoadRules(), 1)
-    assert command("load", "--rebuild", "--store", store.path).returncode == 0
+    assert run("load", "--rebuild", "--store", store.path, "--workers", 1)[0] == 0
     same(store, expected)
 
 
@@ -256,7 +271,7 @@ def test_killed_between_any_two_moves_no_table_is_lost(tmp_path, monkeypatch, ca
 def test_a_full_disk_is_one_line_and_leaves_the_old_store(tmp_path, limit_kb):
     small = write_root(tmp_path / "small", {"yard-1": GOOD})
     store = Store(tmp_path / "store")
-    assert command("load", small, "--store", store.path).returncode == 0
+    assert run("load", small, "--store", store.path)[0] == 0
     before = files(store), answers(store)
     large = {f"yard-{i}": {"2d": {f: crowd(f) for f in range(120)}} for i in range(2)}
     root = write_root(tmp_path / "large", large)
@@ -271,7 +286,7 @@ def test_a_full_disk_is_one_line_and_leaves_the_old_store(tmp_path, limit_kb):
     assert len(result.stderr.strip().splitlines()) == 1 and result.stderr.startswith("jrdb-avr: ")
     assert "Traceback" not in result.stderr
     assert (files(store), answers(store)) == before
-    assert command("load", root, "--store", store.path).returncode == 0
+    assert run("load", root, "--store", store.path, "--workers", 1)[0] == 0
     assert list(store.manifest().sequences) == ["yard-0", "yard-1"]
 
 
@@ -289,11 +304,12 @@ def test_a_second_writer_is_refused_and_told_who_writes(tmp_path):
     assert f"process {os.getpid()}" in result.stderr and len(result.stderr.strip().splitlines()) == 1
 
 
-def test_an_open_graph_is_not_replaced_under_its_reader(tmp_path):
-    store = load_world(tmp_path, {"yard-1": GOOD})
+def test_an_open_graph_is_not_replaced_under_its_reader(tmp_path, loaded_one):
+    store = copied(loaded_one, tmp_path / "store")
     before = files(store)
+    root = write_root(tmp_path / "root", {"yard-1": GOOD})
     with Graph.open(store.graph_path, read_only=True), pytest.raises(LockedError):
-        loading.load(find_root(tmp_path / "root"), store, LoadRules(), 1)
+        loading.load(find_root(root), store, LoadRules(), 1)
     assert files(store) == before
 
 
@@ -306,9 +322,9 @@ def test_a_store_that_cannot_be_written_is_one_line(tmp_path, place):
         if os.geteuid() == 0:
             pytest.skip("the superuser may write everywhere")
         store.mkdir(mode=0o500)
-    result = command("load", root, "--store", store)
-    assert result.returncode in (1, 2)
-    assert "Traceback" not in result.stderr and result.stderr.strip()
+    code, _, err = run("load", root, "--store", store)
+    assert code in (1, 2)
+    assert "Traceback" not in err and err.strip()
     assert (tmp_path / "file").read_text() == "x"
 
 
@@ -318,9 +334,9 @@ def test_a_store_that_cannot_be_written_is_one_line(tmp_path, place):
 def test_json_is_one_array_of_rows_and_strict_fails_on_a_bad_record(tmp_path):
     bad = {"2d": {0: [person(1, (1, 1, 0, 0))], 15: [person(1, (1, 1, 20, 50))]}}
     root = write_root(tmp_path / "root", {"yard-1": GOOD, "yard-2": bad})
-    result = command("load", root, "--store", tmp_path / "store", "--json")
-    assert result.returncode == 0, result.stderr
-    rows = json.loads(result.stdout)
+    code, out, err = run("load", root, "--store", tmp_path / "store", "--workers", 1, "--json")
+    assert code == 0, err
+    rows = json.loads(out)
     assert [row["sequence"] for row in rows] == ["yard-1", "yard-2"]
     expected = {
         "sequence": "yard-1",
@@ -342,6 +358,7 @@ def test_json_is_one_array_of_rows_and_strict_fails_on_a_bad_record(tmp_path):
     (problem,) = rows[1]["problems"]
     assert (problem["kind"], problem["count"], problem["file"]) == ("record", 1, "yard-2.json")
     assert (problem["frame"], problem["field"], problem["detail"]) == ("000000.jpg", "box", "[1.0, 1.0, 0.0, 0.0]")
+    # A process of its own, as the users' shells see it.
     strict = command("load", root, "--store", tmp_path / "store", "--strict")
     assert strict.returncode == 1
     assert "yard-2" in strict.stdout and "2 sequences" in strict.stdout
@@ -352,28 +369,28 @@ def test_json_is_one_array_of_rows_and_strict_fails_on_a_bad_record(tmp_path):
 def test_rules_are_overridden_by_name(tmp_path):
     root = write_root(tmp_path / "root", {"yard-1": GOOD})
     store = Store(tmp_path / "store")
-    assert command("load", root, "--store", store.path, "--rule", "gap_frames=3").returncode == 0
+    assert run("load", root, "--store", store.path, "--rule", "gap_frames=3")[0] == 0
     assert store.manifest().load_rules == LoadRules(gap_frames=3)
-    rebuilt = command("load", "--rebuild", "--store", store.path, "--json")
-    assert json.loads(rebuilt.stdout)[0]["sequence"] == "yard-1"
+    _, rebuilt, _ = run("load", "--rebuild", "--store", store.path, "--json")
+    assert json.loads(rebuilt)[0]["sequence"] == "yard-1"
     assert store.manifest().load_rules == LoadRules(gap_frames=3)
-    wrong = command("load", root, "--store", store.path, "--rule", "no_such_rule=3")
-    assert wrong.returncode == 1 and "no_such_rule" in wrong.stderr
+    code, _, err = run("load", root, "--store", store.path, "--rule", "no_such_rule=3")
+    assert code == 1 and "no_such_rule" in err
 
 
 @pytest.mark.parametrize("arguments", [(), ("root", "--rebuild"), ("root", "--rule", "x")])
-def test_wrong_calls_are_usage_errors(tmp_path, arguments):
+def test_wrong_calls_are_usage_errors(tmp_path, monkeypatch, arguments):
     write_root(tmp_path / "root", {"yard-1": GOOD})
-    result = command("load", *arguments, "--store", "store", cwd=tmp_path)
-    assert result.returncode == 2
+    monkeypatch.chdir(tmp_path)
+    assert run("load", *arguments, "--store", "store")[0] == 2
 
 
 def test_missing_and_empty_roots_are_one_line(tmp_path):
     (tmp_path / "empty").mkdir()
     for root in (tmp_path / "empty", tmp_path / "missing"):
-        result = command("load", root, "--store", tmp_path / "store")
-        assert result.returncode == 1
-        assert len(result.stderr.strip().splitlines()) == 1
+        code, _, err = run("load", root, "--store", tmp_path / "store")
+        assert code == 1
+        assert len(err.strip().splitlines()) == 1
     assert not (tmp_path / "store").exists()
 
 
@@ -385,8 +402,8 @@ def test_rebuild_of_nothing_is_an_error(tmp_path):
 def test_terminal_escapes_of_a_file_are_not_printed(tmp_path):
     odd = {"2d": {0: [person(1, (1, 1, 20, 50), {"\x1b[31mred": 1})], "\x1b[2J.jpg": []}}
     root = write_root(tmp_path / "root", {"yard-1": odd})
-    result = command("load", root, "--store", tmp_path / "store")
-    assert result.returncode == 0 and "\x1b" not in result.stdout
+    code, out, _ = run("load", root, "--store", tmp_path / "store")
+    assert code == 0 and "red" in out and "\x1b" not in out
 
 
 def test_reports_of_nothing_loadable_name_the_reason(tmp_path):
