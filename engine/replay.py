@@ -1,0 +1,330 @@
+"""Proofs run again: every stored plan is searched for once more, and all that is stored of it is compared.
+
+Nothing of the stored record is taken over. A plan's own description, found once more among everybody with a box, takes
+the place of those that generation chooses; from there the same queries search and prove, set-wise per sequence. Beside
+that the plans are compiled to Cypher and asked of the graph file: they must find the stored people, times and answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+import pyarrow.parquet as pq
+
+from jrdb_avr.loaders.shards import map_shards
+from jrdb_avr.queries.compiler import SCENE, Asked, solve
+from jrdb_avr.queries.handle import Graph
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import AvrError, PlanError
+from jrdb_avr.schema.plan import Plan, parse_plan
+from jrdb_avr.schema.rules import Rules
+
+from .candidates import PASSED, RULES, Candidates
+from .choices import make_choices
+from .conditions import find_conditions
+from .described import describe_given
+from .descriptions import Descriptions
+from .proofs import make_record, proof
+from .proven import candidate_table
+from .rederive import Annotations, rederive
+from .relations import RELATIONS, find_facts
+from .scene import Ints, Scene, load_scene
+from .search import find_candidates, search_graph
+from .templates import TEMPLATES, Template
+
+_TOLERANCE: Final = 1e-9
+"""Seconds and degrees that differ by no more are the same."""
+
+
+@dataclass(frozen=True)
+class Stored:
+    """A question as it is stored; `said` is the true choice's text or the answer's JSON, `row` its row of answers."""
+
+    question_id: str
+    sequence: str
+    template: str
+    choices: tuple[str, ...]
+    said: str
+    row: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """What comes out otherwise than it is stored; `where` names the proof, or the column."""
+
+    question_id: str
+    where: str
+    what: str
+
+    def __str__(self) -> str:
+        return f"{self.question_id}: {self.where}: {self.what}"
+
+
+@dataclass(frozen=True)
+class Job:
+    """A sequence whose questions' proofs are to be run again."""
+
+    store: Path
+    sequence: str
+    rules: Rules
+    questions: tuple[Stored, ...]
+
+
+def replay(
+    store: Store,
+    questions: Sequence[Stored],
+    rules: Rules,
+    workers: int,
+    advance: Callable[[int], None] = lambda steps: None,
+) -> list[Difference]:
+    """Run the proofs of questions again; differences in the questions' order. `advance` is told how many are done.
+
+    Raises StoreError where the store lacks a sequence's tables.
+    """
+    by_sequence: dict[str, list[Stored]] = {}
+    for question in questions:
+        by_sequence.setdefault(question.sequence, []).append(question)
+    jobs = [Job(store.path, name, rules, tuple(members)) for name, members in sorted(by_sequence.items())]
+    found: dict[str, list[Difference]] = {}
+    for index, differences in map_shards(replay_sequence, jobs, workers, lambda job: _weight(store, job.sequence)):
+        for difference in differences:
+            found.setdefault(difference.question_id, []).append(difference)
+        advance(len(jobs[index].questions))
+    return [difference for question in questions for difference in found.pop(question.question_id, [])]
+
+
+def _weight(store: Store, sequence: str) -> float:
+    return float(pq.read_metadata(store.interval_path("sightings", sequence)).num_rows)
+
+
+def replay_sequence(job: Job) -> list[Difference]:
+    """Run the proofs of one sequence's questions again."""
+    store = Store(job.store)
+    scene = load_scene(store, job.sequence)
+    facts = find_facts(scene)
+    given, differences = _plans(job.questions)
+    conditions = find_conditions(scene, facts, job.rules)
+    stated = [(_root(plan), _frame(plan)) for _, plan, _ in given]
+    descriptions, names = describe_given(scene, conditions, stated, job.rules)
+    searched: dict[str, list[tuple[Stored, Plan, int]]] = {}
+    forms: dict[str, Template] = {}
+    for (question, plan, form), name in zip(given, names, strict=True):
+        if name < 0:
+            differences.append(Difference(question.question_id, "anchor match", "its description fits nobody alone"))
+            continue
+        forms[form.query] = form
+        searched.setdefault(form.query, []).append((question, plan, name))
+    annotations = Annotations.read(store, job.sequence, job.rules)
+    with search_graph(scene, facts, descriptions, job.rules) as graph:
+        for query, members in searched.items():
+            candidates = find_candidates(scene, facts, descriptions, graph, forms[query], job.rules)
+            place = _Places(scene, descriptions, candidates)
+            for question, plan, name in members:
+                row = place.of(plan, name)
+                if row is None:
+                    what = "the stored plan finds no candidate"
+                    differences.append(Difference(question.question_id, "plan", what))
+                    continue
+                again = _Again(scene, descriptions, candidates, row, annotations, job.rules)
+                differences += again.compared(question, plan)
+    return differences
+
+
+def _plans(questions: Sequence[Stored]) -> tuple[list[tuple[Stored, Plan, Template]], list[Difference]]:
+    """Plans with the forms of template that they are of; those that cannot be read are differences."""
+    read, differences = [], []
+    for question in questions:
+        try:
+            plan = parse_plan(question.row["plan"])
+            read.append((question, plan, _form(question.template, plan)))
+        except AvrError as error:
+            differences.append(Difference(question.question_id, "plan", str(error)))
+    return read, differences
+
+
+def _form(name: str, plan: Plan) -> Template:
+    """The form of a template whose plans are like this one. Raises PlanError where there is none."""
+    for template in TEMPLATES:
+        like = template.skeleton()
+        alike = (like.root, like.target, set(like.times)) == (plan.root, plan.target, set(plan.times))
+        events = [like.times[time].event == plan.times[time].event for time in like.times if alike]
+        edges = [[(edge.source, edge.target) for edge in one.edges] for one in (like, plan)]
+        if (
+            template.name == name
+            and alike
+            and all(events)
+            and edges[0] == edges[1]
+            and like.answer.read == plan.answer.read
+        ):
+            return template
+    raise PlanError("plan", f"it is no plan of the template {name!r}")
+
+
+def _root(plan: Plan) -> tuple[Any, ...]:
+    return next(node.conditions for node in plan.nodes if node.id == plan.root)
+
+
+def _frame(plan: Plan) -> int:
+    """The frame at which the description holds: the first stated one."""
+    return next(time.frame for _, time in sorted(plan.times.items()) if time.frame is not None)
+
+
+class _Places:
+    """Where plans lie among candidates."""
+
+    def __init__(self, scene: Scene, descriptions: Descriptions, candidates: Candidates) -> None:
+        self.scene, self.descriptions, self.candidates = scene, descriptions, candidates
+        self.order = np.argsort(candidates.name, kind="stable")
+        self.names = candidates.name[self.order]
+
+    def of(self, plan: Plan, name: int) -> int | None:
+        """The row of the candidate with this plan and description, None where there is none."""
+        low, high = np.searchsorted(self.names, [name, name + 1])
+        rows: Ints = self.order[low:high].astype(np.int64)
+        for time in self.candidates.template.stated:
+            rows = rows[self.candidates.frames[time][rows] == plan.times[time].frame]
+        for relation, codes in self.candidates.relations.items():
+            rows = rows[np.array([RELATIONS[code] == _relation(plan, relation) for code in codes[rows]], dtype=bool)]
+        if not len(rows):
+            return None
+        table = candidate_table(self.scene, self.descriptions, self.candidates, rows, keyed=False)
+        text = _canonical(plan)
+        return next(
+            (int(row) for row, found in zip(rows, table["plan"].to_pylist(), strict=True) if found == text), None
+        )
+
+
+def _relation(plan: Plan, name: str) -> str | None:
+    """The relation of an edge by its column, r1, r2, ...; without edges, that which is counted."""
+    return plan.edges[int(name[1:]) - 1].relation if plan.edges else plan.answer.relation
+
+
+def _canonical(plan: Plan) -> str:
+    return msgspec.json.encode(plan, order="sorted").decode()
+
+
+@dataclass(frozen=True)
+class _Again:
+    """One candidate, found and proven again."""
+
+    scene: Scene
+    descriptions: Descriptions
+    candidates: Candidates
+    row: int
+    annotations: Annotations
+    rules: Rules
+
+    def compared(self, question: Stored, plan: Plan) -> Iterator[Difference]:
+        """What differs from what is stored."""
+        refusing = int(self.candidates.rule[self.row])
+        if refusing != PASSED:
+            yield Difference(question.question_id, RULES[refusing], "refuses the candidate, run again")
+            return
+        table = candidate_table(self.scene, self.descriptions, self.candidates, np.array([self.row]))
+        [line] = table.to_pylist()
+        answer, stored = line["answer"], question.row
+        record = make_record(self.scene, self.descriptions, self.candidates, self.row, answer, self.rules)
+        second = rederive(self.annotations, plan, question.template, self.rules)
+        agrees = second.outcome == "defined" and second.answer == answer and not second.faults
+        outcome = "same" if agrees else "different" if second.outcome == "defined" else second.outcome
+        proofs = [*record.proofs, proof("rederive", "annotations", agrees, outcome, second.answer)]
+        yield from _proofs_differ(question, proofs)
+        columns = {
+            "answer": (question.said, answer),
+            "target_track": (stored["target_track"], line["target_track"]),
+            "bindings": (_decoded(stored["bindings"]), record.bindings),
+            "needed": (_decoded(stored["needed"]), [box.plain() for box in record.needed]),
+        }
+        columns |= {
+            name: (stored[name], getattr(record, name))
+            for name in ("hops", "time_gap_s", "separation_deg", "people_in_scene")
+        }
+        if self.candidates.template.answer is None:
+            key = line["key"]
+            choices = make_choices(self.scene, self.descriptions, self.candidates, self.row, key, self.rules)
+            columns["choices"] = (list(question.choices), list(choices.texts) if choices else None)
+            told = list(choices.perturbations) if choices else None
+            columns["distractors"] = (_decoded(stored["distractors"]), told)
+        for name, (before, now) in columns.items():
+            if not _same(before, now):
+                yield Difference(question.question_id, name, f"stored {_short(before)}, now {_short(now)}")
+
+
+def _proofs_differ(question: Stored, again: Sequence[Mapping[str, Any]]) -> Iterator[Difference]:
+    """Proofs that are missing, too many, or come out otherwise."""
+    stored = _decoded(question.row["proofs"])
+    if not isinstance(stored, list) or not all(isinstance(one, dict) for one in stored):
+        yield Difference(question.question_id, "proofs", "no list of proofs")
+        return
+    named = [{(one.get("kind"), one.get("variant")): one for one in proofs} for proofs in (stored, again)]
+    for key in dict.fromkeys([*named[1], *named[0]]):
+        before, now = (proofs.get(key) for proofs in named)
+        if before != now:
+            where = f"{key[0]} {key[1]}"
+            yield Difference(question.question_id, where, f"stored {_outcome(before)}, now {_outcome(now)}")
+    if len(stored) != len(again) and set(named[0]) == set(named[1]):
+        yield Difference(question.question_id, "proofs", f"{len(stored)} are stored, {len(again)} are run")
+
+
+def _outcome(one: Mapping[str, Any] | None) -> str:
+    if one is None:
+        return "nothing"
+    answer = f" ({_short(one['answer'])})" if one.get("answer") is not None else ""
+    rest = "".join(f", {name} {_short(one[name])}" for name in sorted(one.keys() - _PROOF_FIELDS))
+    return f"{one.get('outcome')}{answer}, {'holds' if one.get('holds') is True else 'does not hold'}{rest}"
+
+
+_PROOF_FIELDS: Final = {"kind", "variant", "holds", "outcome", "answer"}
+
+
+def _decoded(text: str) -> Any:
+    try:
+        return msgspec.json.decode(text)
+    except msgspec.DecodeError:
+        return text
+
+
+def _same(before: Any, now: Any) -> bool:
+    if isinstance(now, float) and isinstance(before, float):
+        return abs(before - now) <= _TOLERANCE
+    return bool(before == now)
+
+
+def _short(value: Any) -> str:
+    text = value if isinstance(value, str) else msgspec.json.encode(value).decode()
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+# -- the compiled plans ------------------------------------------------------------------------------------------------
+
+
+def ask_compiled(
+    store: Store, questions: Sequence[Stored], rules: Rules, advance: Callable[[int], None] = lambda steps: None
+) -> list[Difference]:
+    """Compile the stored plans and ask the store's graph; `advance` is told how many are looked for.
+
+    Raises StoreError where there is no sound graph, LockedError while it is written.
+    """
+    read, differences = _plans(questions)
+    with Graph.open(store.graph_path, read_only=True) as graph:
+        asked = [Asked(plan, question.sequence) for question, plan, _ in read]
+        solutions = solve(graph, SCENE, asked, rules, advance=advance)
+    for (question, plan, _), solution in zip(read, solutions, strict=True):
+        bound = _decoded(question.row["bindings"])
+        if solution.outcome != "defined":
+            found = f"{solution.outcome}, and not {_short(question.said)}"
+        elif solution.answer != question.said:
+            found = f"answers {_short(solution.answer)}, and not {_short(question.said)}"
+        elif solution.people[plan.target] != question.row["target_track"]:
+            found = f"finds person {solution.people[plan.target]}, and not {question.row['target_track']}"
+        elif dict(solution.people) | dict(solution.times) != bound:
+            found = f"binds {_short(dict(solution.people) | dict(solution.times))}, and not {_short(bound)}"
+        else:
+            continue
+        differences.append(Difference(question.question_id, "compiled", found))
+    return differences
