@@ -44,6 +44,11 @@ PASSED: Final = len(RULES)
 OUTCOMES: Final = ("same", "different", "ambiguous", "empty", "unknown", "outside")
 SAME, DIFFERENT, AMBIGUOUS, EMPTY, UNKNOWN, OUTSIDE = range(len(OUTCOMES))
 
+PROVING: Final = (DIFFERENT, AMBIGUOUS, EMPTY)
+"""Outcomes of a perturbed program that fails to give the answer, and certainly so."""
+
+_PROVES: Final = np.isin(np.arange(len(OUTCOMES)), PROVING)
+
 VALUES: Final = POSES + PRESENCE_ANSWERS + DISTANCE_ANSWERS
 """Every choice answer; coded columns are indices into it, NOBODY for none."""
 
@@ -65,7 +70,7 @@ class Perturbed:
 
     def proves(self) -> Bools:
         """Where the perturbed program fails to give the answer, and certainly so."""
-        return np.isin(self.outcome, (DIFFERENT, AMBIGUOUS, EMPTY))
+        return _PROVES[self.outcome]
 
 
 @dataclass(frozen=True)
@@ -137,6 +142,18 @@ def first_refusing(holds: Mapping[str, Bools], count: int) -> Codes:
         if RULES[number] in holds:
             rule[~holds[RULES[number]]] = number
     return rule
+
+
+def proven_rules(perturbed: tuple[Perturbed, ...]) -> dict[str, Bools]:
+    """Per rule, where its perturbed programs prove what they must: all of them, of those marked so at least one."""
+    holds: dict[str, Bools] = {}
+    enough: dict[str, Bools] = {}
+    for proof in perturbed:
+        if proof.either:
+            enough[proof.kind] = enough.get(proof.kind, np.zeros(len(proof.outcome), dtype=bool)) | proof.proves()
+        else:
+            holds[proof.kind] = holds.get(proof.kind, np.ones(len(proof.outcome), dtype=bool)) & proof.proves()
+    return holds | {kind: holds.get(kind, True) & proves for kind, proves in enough.items()}
 
 
 def rows_of(read: pa.Table, keys: Mapping[str, Ints], limit: int) -> Ints:

@@ -157,7 +157,8 @@ def _subsets(conditions: Conditions, rules: Rules) -> tuple[Ints, Ints]:
     is_pose = conditions.states_pose
     open_general = np.ones(count, dtype=bool)
     open_poseless = np.ones(count, dtype=bool)
-    sightings, columns = [np.zeros(0, dtype=np.int64)], [np.zeros((0, rules.max_conditions), dtype=np.int64)]
+    sightings: list[Ints] = [np.zeros(0, dtype=np.int64)]
+    columns: list[Ints] = [np.zeros((0, rules.max_conditions), dtype=np.int64)]
     for size in range(1, rules.max_conditions + 1):
         searched = np.flatnonzero(open_general | open_poseless)
         for places in itertools.combinations(range(most), size):

@@ -18,7 +18,7 @@ from jrdb_avr.schema.rules import FPS, Rules, frames
 from . import relations
 from .candidates import AMBIGUOUS, DIFFERENT, EMPTY, OUTSIDE, SAME, UNKNOWN, Codes, Perturbed, ask, ints
 from .joins import Joins, count
-from .paths import Paths, paths_in_graph, placed
+from .paths import Paths, placed
 from .scene import NOBODY, Bools, Ints, Scene
 
 
@@ -37,7 +37,7 @@ def find_forks(graph: Graph, joins: Joins, rules: Rules) -> pa.Table:
 
 
 def fork_proofs(scene: Scene, graph: Graph, joins: Joins, paths: Paths, rules: Rules) -> tuple[Perturbed, ...]:
-    """hop.stop at a, b and c, hop.skip of every hop, and time.shift and time.drop of the whole program.
+    """hop.stop at a, b and c, hop.skip of every hop, and time.shift and time.drop of the program of paths in the graph.
 
     It is enough that one of b and c has another pose: the two branches have no order.
     """
@@ -58,19 +58,16 @@ def fork_proofs(scene: Scene, graph: Graph, joins: Joins, paths: Paths, rules: R
 
 def _program_proofs(scene: Scene, graph: Graph, joins: Joins, paths: Paths, rules: Rules) -> list[Perturbed]:
     none = np.full(len(paths), NOBODY, np.int8)
-    if not len(paths):
-        return [Perturbed(kind, "", none, none) for kind in ("time.shift", "time.drop")]
     proofs, step = [], frames(rules.shift_s)
-    with paths_in_graph(graph, paths):
-        for by in (-step, step):
-            found = ask(graph, "necessity", "fork_join_shift", rules, by=by)
-            a, b, c = (placed(found, node, len(paths)) for node in "abc")
-            outcome, answer = _read_joined(scene, joins, paths, (a, b, c), (a, b, c))
-            moved = paths.frames["t0"] + by
-            outside = (moved < scene.keyframes[0]) | (moved > scene.keyframes[-1])
-            outcome[outside], answer[outside] = OUTSIDE, NOBODY
-            proofs.append(Perturbed("time.shift", f"{by / FPS:+g} s", outcome, answer, either=True))
-        found = ask(graph, "necessity", "fork_join_drop", rules)
+    for by in (-step, step):
+        found = ask(graph, "necessity", "fork_join_shift", rules, by=by)
+        a, b, c = (placed(found, node, len(paths)) for node in "abc")
+        outcome, answer = _read_joined(scene, joins, paths, (a, b, c), (a, b, c))
+        moved = paths.frames["t0"] + by
+        outside = (moved < scene.keyframes[0]) | (moved > scene.keyframes[-1])
+        outcome[outside], answer[outside] = OUTSIDE, NOBODY
+        proofs.append(Perturbed("time.shift", f"{by / FPS:+g} s", outcome, answer, either=True))
+    found = ask(graph, "necessity", "fork_join_drop", rules)
     number = ints(found, "id")
     a, b, c = (ints(found, node) for node in "abc")
     _, answer = _read_joined(scene, joins, paths.take(number), (a, b, c), (a, b, c))

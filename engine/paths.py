@@ -104,7 +104,7 @@ BLOCK: Final = 20_000
 
 def in_blocks(paths: Paths, prove: Callable[[Paths], tuple[Perturbed, ...]]) -> tuple[Perturbed, ...]:
     """The proofs of all paths, made block by block."""
-    starts = range(0, max(len(paths), 1), BLOCK)
+    starts = range(0, len(paths), BLOCK)
     blocks = [prove(paths.take(np.arange(start, min(start + BLOCK, len(paths))))) for start in starts]
     return tuple(
         replace(
@@ -117,7 +117,7 @@ def in_blocks(paths: Paths, prove: Callable[[Paths], tuple[Perturbed, ...]]) -> 
 
 
 def hop_proofs(scene: Scene, graph: Graph, paths: Paths, rules: Rules) -> tuple[Perturbed, ...]:
-    """hop.stop for every earlier person of the path, hop.skip for every hop but the last.
+    """hop.stop for every earlier person of the path, hop.skip for every hop but the last; the paths are in the graph.
 
     To leave out the last hop is to stop one person early.
     """
@@ -127,14 +127,11 @@ def hop_proofs(scene: Scene, graph: Graph, paths: Paths, rules: Rules) -> tuple[
     for place, node in enumerate(nodes[:-1]):
         outcome, answer = _read(scene, watched, paths, [paths.people[node]])
         proofs.append(Perturbed("hop.stop", str(place), outcome, answer))
-    if not len(paths):
-        return tuple(proofs)
-    with paths_in_graph(graph, paths):
-        for skipped in range(1, len(paths.template.edges)):
-            found = ask(graph, "necessity", f"{_HOPS[len(nodes) - 1]}_skip", rules, skipped=skipped)
-            stages = [paths.people["a"], *(placed(found, node, len(paths)) for node in nodes[1:-1])]
-            outcome, answer = _read(scene, watched, paths, stages)
-            proofs.append(Perturbed("hop.skip", str(skipped), outcome, answer))
+    for skipped in range(1, len(paths.template.edges)):
+        found = ask(graph, "necessity", f"{_HOPS[len(nodes) - 1]}_skip", rules, skipped=skipped)
+        stages = [paths.people["a"], *(placed(found, node, len(paths)) for node in nodes[1:-1])]
+        outcome, answer = _read(scene, watched, paths, stages)
+        proofs.append(Perturbed("hop.skip", str(skipped), outcome, answer))
     return tuple(proofs)
 
 
@@ -142,26 +139,25 @@ _HOPS: Final = {2: "two_hop", 3: "three_hop"}
 
 
 def program_proofs(scene: Scene, graph: Graph, paths: Paths, rules: Rules) -> tuple[Perturbed, ...]:
-    """time.shift and time.drop of the whole program: description and hops are read anew at other keyframes."""
-    if not len(paths):
-        none = np.zeros(0, dtype=np.int8)
-        return tuple(Perturbed(kind, "", none, none) for kind in ("time.shift", "time.drop"))
+    """time.shift and time.drop of the whole program: description and hops are read anew at other keyframes.
+
+    The paths are in the graph.
+    """
     name, nodes, step = paths.template.name, paths.template.people, frames(rules.shift_s)
     watched, proofs = Watched(scene), []
-    with paths_in_graph(graph, paths):
-        for by in (-step, step):
-            found = ask(graph, "necessity", f"{name}_shift", rules, by=by)
-            stages = [placed(found, node, len(paths)) for node in nodes]
-            outcome, answer = _read(scene, watched, paths, stages)
-            moved = paths.frames["t0"] + by
-            outside = (moved < scene.keyframes[0]) | (moved > scene.keyframes[-1])
-            outcome[outside], answer[outside] = OUTSIDE, NOBODY
-            proofs.append(Perturbed("time.shift", f"{by / FPS:+g} s", outcome, answer, either=True))
-        found = ask(graph, "necessity", f"{name}_drop", rules)
-        defined, answers = np.zeros(len(paths), np.int64), np.zeros(len(paths), np.int64)
-        defined[ints(found, "id")], answers[ints(found, "id")] = ints(found, "defined"), ints(found, "answers")
-        outcome = np.where(answers > 1, DIFFERENT, np.where(defined > 1, SAME, EMPTY)).astype(np.int8)
-        proofs.append(Perturbed("time.drop", "all keyframes", outcome, np.full(len(paths), NOBODY, dtype=np.int8)))
+    for by in (-step, step):
+        found = ask(graph, "necessity", f"{name}_shift", rules, by=by)
+        stages = [placed(found, node, len(paths)) for node in nodes]
+        outcome, answer = _read(scene, watched, paths, stages)
+        moved = paths.frames["t0"] + by
+        outside = (moved < scene.keyframes[0]) | (moved > scene.keyframes[-1])
+        outcome[outside], answer[outside] = OUTSIDE, NOBODY
+        proofs.append(Perturbed("time.shift", f"{by / FPS:+g} s", outcome, answer, either=True))
+    found = ask(graph, "necessity", f"{name}_drop", rules)
+    defined, answers = np.zeros(len(paths), np.int64), np.zeros(len(paths), np.int64)
+    defined[ints(found, "id")], answers[ints(found, "id")] = ints(found, "defined"), ints(found, "answers")
+    outcome = np.where(answers > 1, DIFFERENT, np.where(defined > 1, SAME, EMPTY)).astype(np.int8)
+    proofs.append(Perturbed("time.drop", "all keyframes", outcome, np.full(len(paths), NOBODY, dtype=np.int8)))
     return tuple(proofs)
 
 

@@ -15,7 +15,7 @@ from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.rules import Rules
 
 from . import views
-from .candidates import OUTCOMES, VALUES, Candidates
+from .candidates import OUTCOMES, PROVING, VALUES, Candidates
 from .descriptions import Descriptions
 from .scene import NOBODY, Scene
 
@@ -144,7 +144,7 @@ def _proofs(
     for perturbed in candidates.perturbed:
         outcome = OUTCOMES[perturbed.outcome[row]]
         answer = VALUES[perturbed.answer[row]] if perturbed.answer[row] != NOBODY else None
-        found.append(proof(perturbed.kind, perturbed.variant, bool(perturbed.proves()[row]), outcome, answer))
+        found.append(proof(perturbed.kind, perturbed.variant, perturbed.outcome[row] in PROVING, outcome, answer))
     if candidates.template.time_proof == "construction":
         # Asked is the time itself: at another time another answer would be right.
         found.append(proof("time.drop", "by construction", True, "different"))

@@ -89,8 +89,9 @@ def hashed(texts: pa.Array) -> pa.Array:
 def _plans(scene: Scene, descriptions: Descriptions, candidates: Candidates, rows: Ints) -> pa.Array:
     texts, number = descriptions.texts
     at = f'"at":"{candidates.template.described}"'
-    texts = [text.replace(f'"at":"{ANCHOR_TIME}"', at) for text in texts]
-    columns = {"conditions": pc.take(pa.array(texts, pa.string()), pa.array(number[candidates.name[rows]]))}
+    used, place = np.unique(number[candidates.name[rows]], return_inverse=True)
+    texts = [texts[i].replace(f'"at":"{ANCHOR_TIME}"', at) for i in used.tolist()]
+    columns = {"conditions": pc.take(pa.array(texts, pa.string()), pa.array(place))}
     columns |= {time: pa.array(candidates.frames[time][rows]) for time in candidates.template.stated}
     for name, codes in candidates.relations.items():
         columns[name] = pc.take(pa.array(RELATIONS), pa.array(codes[rows]))

@@ -27,12 +27,14 @@ from .candidates import (
     first_refusing,
     flags,
     ints,
+    proven_rules,
 )
 from .company import find_company
 from .descriptions import Descriptions
 from .forks import find_forks, fork_proofs
 from .joins import Joins, find_joins
-from .paths import Paths, hop_proofs, in_blocks, program_proofs
+from .paths import Paths, hop_proofs, in_blocks, paths_in_graph, program_proofs
+from .presence import find_presence
 from .relations import RELATIONS, STATED_POSES, Facts, find_steps
 from .scene import NOBODY, Bools, Ints, Scene, coded, scene_graph
 from .templates import Template
@@ -52,6 +54,8 @@ def find_candidates(
     scene: Scene, facts: Facts, descriptions: Descriptions, graph: Graph, template: Template, rules: Rules
 ) -> Candidates:
     """Search a scene's graph for a template and judge what is found; `facts` are the scene's relations."""
+    if template.reads[1] == "presence":
+        return find_presence(scene, graph, template, rules)
     joins = find_joins(scene, facts, descriptions.conditions, rules) if template.joins else None
     found = ask(graph, "generators", template.query, rules) if joins is None else find_forks(graph, joins, rules)
     count = len(found)
@@ -95,7 +99,7 @@ def find_candidates(
         perturbed = tuple(_widened(proof, open_rows, count) for proof in proofs)
     if template.time_proof == "asked" and count:
         perturbed += asked_proofs(scene, graph, template, rules, moments, answer)
-    holds |= _proven(perturbed)
+    holds |= proven_rules(perturbed)
     rule = first_refusing(holds, count)
     return Candidates(
         template=template,
@@ -111,6 +115,17 @@ def find_candidates(
         perturbed=perturbed,
         counted=_counted(graph, ints(found, "company"), rules) if template.counts else None,
     )
+
+
+def _path_proofs(scene: Scene, graph: Graph, joins: Joins | None, paths: Paths, rules: Rules) -> tuple[Perturbed, ...]:
+    """Everything that perturbed programs read of candidates with hops."""
+    with paths_in_graph(graph, paths):
+        if joins is not None:
+            return fork_proofs(scene, graph, joins, paths, rules)
+        proofs = hop_proofs(scene, graph, paths, rules)
+        if paths.template.time_proof == "program":
+            proofs += program_proofs(scene, graph, paths, rules)
+        return proofs
 
 
 def _column(found: pa.Table, name: str) -> Ints:
@@ -149,13 +164,6 @@ def _stated(descriptions: Descriptions, names: Ints, relations: Mapping[str, Int
     return np.asarray(stated, dtype=bool)
 
 
-def _path_proofs(scene: Scene, graph: Graph, joins: Joins | None, paths: Paths, rules: Rules) -> tuple[Perturbed, ...]:
-    if joins is not None:
-        return fork_proofs(scene, graph, joins, paths, rules)
-    proofs = hop_proofs(scene, graph, paths, rules)
-    return proofs + program_proofs(scene, graph, paths, rules) if paths.template.time_proof == "program" else proofs
-
-
 def _needs_turning(scene: Scene, paths: Paths, rows: Ints, count: int, rules: Rules) -> Bools:
     """Where no one view shows everybody at t0 and the target when it is read; true of those not looked at."""
     needed = [scene.moment_rows[moments] for moments in paths.people.values()]
@@ -167,18 +175,6 @@ def _needs_turning(scene: Scene, paths: Paths, rows: Ints, count: int, rules: Ru
         x, w = scene.geometry["x"][lines], scene.geometry["w"][lines]
         turns[row] = not views.single_view(x, w, rules.visible_share)
     return turns
-
-
-def _proven(perturbed: tuple[Perturbed, ...]) -> dict[str, Bools]:
-    """Per rule, where its perturbed programs prove what they must: all of them, of those marked so at least one."""
-    holds: dict[str, Bools] = {}
-    enough: dict[str, Bools] = {}
-    for proof in perturbed:
-        if proof.either:
-            enough[proof.kind] = enough.get(proof.kind, np.zeros(len(proof.outcome), dtype=bool)) | proof.proves()
-        else:
-            holds[proof.kind] = holds.get(proof.kind, np.ones(len(proof.outcome), dtype=bool)) & proof.proves()
-    return holds | {kind: holds.get(kind, True) & proves for kind, proves in enough.items()}
 
 
 def _widened(proof: Perturbed, rows: Ints, count: int) -> Perturbed:

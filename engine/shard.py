@@ -206,8 +206,11 @@ class _Search:
         columns += [codes[refused] for _, codes in sorted(candidates.relations.items())]
         if candidates.template.time_proof == "construction":
             columns += [candidates.segment[refused], candidates.segment2[refused]]
-        order = np.lexsort((refused, mixed(columns)))[:most]
-        rows = refused[order]
+        hashes = mixed(columns)
+        if len(hashes) > most:
+            near = np.flatnonzero(hashes <= np.partition(hashes, most)[most])
+            refused, hashes = refused[near], hashes[near]
+        rows = refused[np.lexsort((refused, hashes))[:most]]
         table = candidate_table(self.scene, self.descriptions, candidates, rows, keyed=False)
         for line in table.select(["row", "target_track", "plan"]).to_pylist():
             detail = self._detail(candidates, rule, line["row"])
@@ -237,14 +240,16 @@ class _Search:
     def _give_dropped_examples(self, forms: Sequence[Candidates], slim: pa.Table, kept: pa.Table) -> None:
         """Examples of what near-duplicates and the cap dropped, first by key."""
         row, stays = (table["row"].to_numpy() * len(forms) + table["form"].to_numpy() for table in (slim, kept))
-        dropped = slim.filter(pa.array(~np.isin(row, stays))).sort_by("key")
+        dropped = slim.filter(pa.array(~np.isin(row, stays)))
         near = _near_any(dropped, kept, frames(self.job.rules.near_duplicate_s))
         for rule, of_rule in (("near_duplicate", near), ("max_per_person", ~near)):
-            for line in dropped.filter(pa.array(of_rule)).slice(0, EXAMPLES).to_pylist():
-                row = np.array([line["row"]])
-                candidates = forms[line["form"]]
-                table = candidate_table(self.scene, self.descriptions, candidates, row, keyed=False)
-                self._example(candidates.template, rule, line["target_track"], table["plan"][0].as_py(), "")
+            refused = dropped.filter(pa.array(of_rule))
+            first = refused.take(pc.select_k_unstable(refused, EXAMPLES, [("key", "ascending")]))
+            for form, candidates in enumerate(forms):
+                rows = first.filter(pc.equal(first["form"], form))["row"].to_numpy()
+                table = candidate_table(self.scene, self.descriptions, candidates, rows, keyed=False)
+                for line in table.select(["target_track", "plan"]).to_pylist():
+                    self._example(candidates.template, rule, line["target_track"], line["plan"], "")
 
     def _example(self, template: Template, rule: str, track: int, plan: str, detail: str) -> None:
         self.examples.append(

@@ -177,8 +177,6 @@ TEMPLATES: Final = (
         read=("t1", "t2"),
         decisive=("t1", "t2"),
         stated=("t0", "t1", "t2"),
-        shift="presence_shift",
-        drop="presence_drop",
     ),
     Template(
         "distance",
