@@ -79,7 +79,8 @@ def print_rows(rows: Sequence[dict[str, Any]], title: str = "", columns: Sequenc
     names = list(rows[0]) if rows else list(columns)
     table = Table(title=title or None, title_justify="left")
     for name in names:
-        numeric = bool(rows) and all(isinstance(row[name], int | float) for row in rows)
+        values = [row[name] for row in rows if row[name] is not None]
+        numeric = bool(values) and all(isinstance(value, int | float) for value in values)
         table.add_column(Text(clean(name)), justify="right" if numeric else "left", overflow="fold")
     for row in rows:
         table.add_row(*(Text(_cell(row[name])) for name in names))
