@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -26,6 +28,7 @@ def command(store: Path, picture: Path | None, as_json: bool) -> None:
     Says for each template what became of its candidates and, where there are few questions, why. With --json each row
     object names its table under "table".
     """
+    from jrdb_avr.engine.shortfalls import REFUSALS
     from jrdb_avr.engine.stats import TITLES, statistics
     from jrdb_avr.queries.store import Store
 
@@ -43,10 +46,23 @@ def command(store: Path, picture: Path | None, as_json: bool) -> None:
     for name, rows in tables.items():
         if name == "blind":
             print_blind(rows, TITLES[name])
+        elif name == "refusal":
+            print_rows(_crossed(rows, REFUSALS), title=TITLES[name])
         elif rows:
             print_rows([_short(row) for row in rounded(rows)], title=TITLES[name])
         if name == "shortfall":
             print_shortfalls(rows)
+
+
+def _crossed(rows: Sequence[Mapping[str, Any]], rules: Sequence[str]) -> list[dict[str, Any]]:
+    """A row per rule and a column per template: a row for each pair would be a long table."""
+    counts = {(row["rule"], row["template"]): row["candidates"] for row in rows}
+    templates = sorted({template for _, template in counts})
+    return [
+        {"": rule, **{name: counts.get((rule, name), 0) for name in templates}}
+        for rule in rules
+        if any(refused == rule for refused, _ in counts)
+    ]
 
 
 def _short(row: dict[str, object]) -> dict[str, object]:
