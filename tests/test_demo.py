@@ -10,7 +10,7 @@ from jrdb_avr.schema.errors import InputError
 def test_the_whole_system_runs_once(tmp_path):
     said = []
     folder = tmp_path / "demo"
-    size = Size(sequences=1, frames=450, people=14, asked=6)
+    size = Size(sequences=1, frames=300, people=12, asked=6)
     run_demo(folder, size, said.append)
     for arguments in steps(folder, size):
         assert any(line.startswith(f"\n$ jrdb-avr {arguments[0]} ") for line in said)

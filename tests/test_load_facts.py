@@ -141,7 +141,7 @@ def check_tables(world):
         return expected
 
 
-@settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=10, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.integers(0, 2**32))
 def test_random_worlds_have_the_facts_of_the_oracle(seed):
     check_tables(random_world(random.Random(seed)))
@@ -163,7 +163,7 @@ def test_a_pose_file_without_poses_has_its_frames():
 def test_random_worlds_are_not_empty_of_facts():
     """The comparison is worth something only if every kind of fact occurs in it."""
     seen = Counter()
-    for seed in range(30):
+    for seed in range(20):
         expected = check_tables(random_world(random.Random(seed)))
         seen.update(("gap", row["gap"], row["certain"]) for row in expected["actions"])
         seen.update(("member", row["gap"], row["certain"]) for row in expected["memberships"])
@@ -182,7 +182,7 @@ def test_random_worlds_are_not_empty_of_facts():
         seen.update(("gender", row["gender"]) for row in expected["persons"])
         seen.update(("clock", row["seconds"] == row["frame"] / 15) for row in expected["frames"])
     assert len(seen) == 3 + 3 + 4 + 2 + 2 + 2 + 3 + 2 + 2 + 3 + 3 + 2 + 2 + 2 + 3 + 2, seen
-    assert min(seen.values()) >= 5, seen
+    assert min(seen.values()) >= 3, seen
 
 
 @pytest.mark.parametrize("seed", range(3))
