@@ -24,7 +24,7 @@ def describe_given(
     Conditions stand in the order in which generation chooses them.
     """
     code = {condition: place for place, condition in enumerate(conditions.vocabulary)}
-    found: dict[tuple[int, ...], tuple[int, list[int]]] = {}
+    found: dict[tuple[int, ...], int] = {}
     numbers = []
     for stated, frame in given:
         codes = [code.get(_at_anchor(condition), NOBODY) for condition in stated]
@@ -40,11 +40,8 @@ def describe_given(
         if sighting == NOBODY:
             numbers.append(NOBODY)
             continue
-        key = (sighting, *uses)
-        if key not in found:
-            found[key] = (sighting, uses)
-        numbers.append(list(found).index(key))
-    return _descriptions(conditions, list(found.values()), rules), numbers
+        numbers.append(found.setdefault((sighting, *uses), len(found)))
+    return _descriptions(conditions, [(sighting, list(uses)) for sighting, *uses in found], rules), numbers
 
 
 def _at_anchor(condition: Condition) -> Condition:
@@ -66,7 +63,7 @@ def _only(conditions: Conditions, keyframe: int, uses: Sequence[int]) -> int:
 
 def _could_match(conditions: Conditions, keyframe: int, uses: Sequence[int]) -> Words:
     """Mask of the people at a keyframe whom none of these uses excludes."""
-    mask = conditions.everybody[keyframe].copy()
+    mask: Words = conditions.everybody[keyframe].copy()
     for use in uses:
         mask &= ~conditions.masks[use]
     return mask

@@ -21,7 +21,7 @@ from jrdb_avr.queries.compiler import SCENE, Asked, solve
 from jrdb_avr.queries.handle import Graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError, PlanError
-from jrdb_avr.schema.plan import Plan, parse_plan
+from jrdb_avr.schema.plan import Plan, canonical, parse_plan
 from jrdb_avr.schema.rules import Rules
 
 from .candidates import PASSED, RULES, Candidates
@@ -33,7 +33,7 @@ from .proofs import make_record, proof
 from .proven import candidate_table
 from .rederive import Annotations, rederive
 from .relations import RELATIONS, find_facts
-from .scene import Ints, Scene, load_scene
+from .scene import NOBODY, Ints, Scene, load_scene
 from .search import find_candidates, search_graph
 from .templates import TEMPLATES, Template
 
@@ -123,15 +123,9 @@ def replay_sequence(job: Job) -> list[Difference]:
     with search_graph(scene, facts, descriptions, job.rules) as graph:
         for query, members in searched.items():
             candidates = find_candidates(scene, facts, descriptions, graph, forms[query], job.rules)
-            place = _Places(scene, descriptions, candidates)
-            for question, plan, name in members:
-                row = place.of(plan, name)
-                if row is None:
-                    what = "the stored plan finds no candidate"
-                    differences.append(Difference(question.question_id, "plan", what))
-                    continue
-                again = _Again(scene, descriptions, candidates, row, annotations, job.rules)
-                differences += again.compared(question, plan)
+            again = _Again(scene, descriptions, candidates, annotations, job.rules)
+            for (question, plan, _), line in zip(members, _lines(again, members), strict=True):
+                differences += again.compared(question, plan, line)
     return differences
 
 
@@ -174,29 +168,33 @@ def _frame(plan: Plan) -> int:
     return next(time.frame for _, time in sorted(plan.times.items()) if time.frame is not None)
 
 
-class _Places:
-    """Where plans lie among candidates."""
+_Line = Mapping[str, Any]
+"""A candidate as `candidate_table` tells of it."""
 
-    def __init__(self, scene: Scene, descriptions: Descriptions, candidates: Candidates) -> None:
-        self.scene, self.descriptions, self.candidates = scene, descriptions, candidates
-        self.order = np.argsort(candidates.name, kind="stable")
-        self.names = candidates.name[self.order]
 
-    def of(self, plan: Plan, name: int) -> int | None:
-        """The row of the candidate with this plan and description, None where there is none."""
-        low, high = np.searchsorted(self.names, [name, name + 1])
-        rows: Ints = self.order[low:high].astype(np.int64)
-        for time in self.candidates.template.stated:
-            rows = rows[self.candidates.frames[time][rows] == plan.times[time].frame]
-        for relation, codes in self.candidates.relations.items():
-            rows = rows[np.array([RELATIONS[code] == _relation(plan, relation) for code in codes[rows]], dtype=bool)]
-        if not len(rows):
-            return None
-        table = candidate_table(self.scene, self.descriptions, self.candidates, rows, keyed=False)
-        text = _canonical(plan)
-        return next(
-            (int(row) for row, found in zip(rows, table["plan"].to_pylist(), strict=True) if found == text), None
-        )
+def _lines(again: _Again, members: Sequence[tuple[Stored, Plan, int]]) -> list[_Line | None]:
+    """For each plan with the number of its description, the candidate that has this plan, None where there is none."""
+    candidates = again.candidates
+    order = np.argsort(candidates.name, kind="stable")
+    names = candidates.name[order]
+    likely: list[Ints] = []
+    for _, plan, name in members:
+        low, high = np.searchsorted(names, [name, name + 1])
+        rows: Ints = order[low:high].astype(np.int64)
+        for time in candidates.template.stated:
+            rows = rows[candidates.frames[time][rows] == plan.times[time].frame]
+        for column, codes in candidates.relations.items():
+            relation = _relation(plan, column)
+            rows = rows[codes[rows] == (RELATIONS.index(relation) if relation in RELATIONS else NOBODY)]
+        likely.append(rows)
+    every = np.unique(np.concatenate(likely)) if likely else np.zeros(0, np.int64)
+    table = candidate_table(again.scene, again.descriptions, candidates, every)
+    lines = {line["row"]: line for line in table.to_pylist()}
+    texts = [canonical(plan) for _, plan, _ in members]
+    return [
+        next((lines[row] for row in rows.tolist() if lines[row]["plan"] == text), None)
+        for rows, text in zip(likely, texts, strict=True)
+    ]
 
 
 def _relation(plan: Plan, name: str) -> str | None:
@@ -204,31 +202,27 @@ def _relation(plan: Plan, name: str) -> str | None:
     return plan.edges[int(name[1:]) - 1].relation if plan.edges else plan.answer.relation
 
 
-def _canonical(plan: Plan) -> str:
-    return msgspec.json.encode(plan, order="sorted").decode()
-
-
 @dataclass(frozen=True)
 class _Again:
-    """One candidate, found and proven again."""
+    """Candidates of a template, found and proven again."""
 
     scene: Scene
     descriptions: Descriptions
     candidates: Candidates
-    row: int
     annotations: Annotations
     rules: Rules
 
-    def compared(self, question: Stored, plan: Plan) -> Iterator[Difference]:
-        """What differs from what is stored."""
-        refusing = int(self.candidates.rule[self.row])
+    def compared(self, question: Stored, plan: Plan, line: _Line | None) -> Iterator[Difference]:
+        """What differs from what is stored; `line` is the candidate with the question's plan."""
+        if line is None:
+            yield Difference(question.question_id, "plan", "the stored plan finds no candidate")
+            return
+        row, answer, stored = line["row"], line["answer"], question.row
+        refusing = int(self.candidates.rule[row])
         if refusing != PASSED:
             yield Difference(question.question_id, RULES[refusing], "refuses the candidate, run again")
             return
-        table = candidate_table(self.scene, self.descriptions, self.candidates, np.array([self.row]))
-        [line] = table.to_pylist()
-        answer, stored = line["answer"], question.row
-        record = make_record(self.scene, self.descriptions, self.candidates, self.row, answer, self.rules)
+        record = make_record(self.scene, self.descriptions, self.candidates, row, answer, self.rules)
         second = rederive(self.annotations, plan, question.template, self.rules)
         agrees = second.outcome == "defined" and second.answer == answer and not second.faults
         outcome = "same" if agrees else "different" if second.outcome == "defined" else second.outcome
@@ -245,8 +239,7 @@ class _Again:
             for name in ("hops", "time_gap_s", "separation_deg", "people_in_scene")
         }
         if self.candidates.template.answer is None:
-            key = line["key"]
-            choices = make_choices(self.scene, self.descriptions, self.candidates, self.row, key, self.rules)
+            choices = make_choices(self.scene, self.descriptions, self.candidates, row, line["key"], self.rules)
             columns["choices"] = (list(question.choices), list(choices.texts) if choices else None)
             told = list(choices.perturbations) if choices else None
             columns["distractors"] = (_decoded(stored["distractors"]), told)
