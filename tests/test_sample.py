@@ -3,6 +3,7 @@
 The files are read as plain JSON; geometry and shares are computed here again.
 """
 
+import gc
 import hashlib
 import itertools
 import json
@@ -10,13 +11,13 @@ import math
 from collections import Counter, defaultdict
 from pathlib import Path
 
+import msgspec
 import pytest
 from click.testing import CliRunner
 
 from jrdb_avr.engine.cli import group
 from jrdb_avr.schema.vocabulary import ACTIONS, POSES, normal_action
 
-FRAMES = 1050
 KNOWN = {*ACTIONS, "impossible", "waiting for sth"}
 
 
@@ -24,18 +25,36 @@ def run(*arguments):
     return CliRunner().invoke(group, ["sample", *map(str, arguments)])
 
 
+@pytest.fixture(scope="module", params=[600, pytest.param(1050, marks=pytest.mark.slow)])
+def frames(request):
+    """Frames of each sequence; those of the default are dear."""
+    return request.param
+
+
 @pytest.fixture(scope="module")
-def root(tmp_path_factory):
-    """The default sample; what the command printed lies beside it."""
-    folder = tmp_path_factory.mktemp("sample") / "root"
-    result = run(folder, "--no-images", "--workers", 1, "--json")
-    assert result.exit_code == 0, result.output
-    folder.with_suffix(".json").write_text(result.stdout)
-    return folder
+def root(once, frames):
+    """The default sample but for its length; what the command printed lies beside it."""
+
+    def make(folder):
+        result = run(folder / "root", "--frames", frames, "--no-images", "--workers", 1, "--json")
+        assert result.exit_code == 0, result.output
+        (folder / "root.json").write_text(result.stdout)
+
+    return once(f"sample-{frames}", make) / "root"
 
 
 def files(root, layer):
-    return {path.stem: json.loads(path.read_text()) for path in sorted((root / "labels" / layer).glob("*.json"))}
+    return {path.stem: as_json(path) for path in sorted((root / "labels" / layer).glob("*.json"))}
+
+
+def as_json(path):
+    """Plain JSON of a file. Nothing looks for cycles among its millions of objects, neither now nor later."""
+    gc.disable()
+    try:
+        return msgspec.json.decode(path.read_bytes())
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.fixture(scope="module")
@@ -65,13 +84,13 @@ def digest(folder):
     }
 
 
-def test_every_record_has_the_format(flat):
+def test_every_record_has_the_format(flat, frames):
     for content in flat.values():
         assert list(content) == ["labels"]
         for key, objects in content["labels"].items():
             assert len(key) == 10
             assert key.endswith(".jpg")
-            assert int(key[:6]) < FRAMES
+            assert int(key[:6]) < frames
             ids = [one["label_id"] for one in people(objects)]
             assert len(set(ids)) == len(ids)
             for one in people(objects):
@@ -178,7 +197,7 @@ layers of different numbering (2), other folder names (34), counts of frames pub
 
 
 @pytest.fixture(scope="module")
-def seen(root, flat, solid):
+def seen(root, flat, solid, frames):
     """How often each thing occurs in the files."""
     seen = Counter()
     for name, content in flat.items():
@@ -190,9 +209,9 @@ def seen(root, flat, solid):
         count_reasoning(seen, content["labels"], social[name]["labels"])
     ids = set()
     for content in files(root, "labels_2d_pose_stitched_coco").values():
-        count_poses(seen, content)
+        count_poses(seen, content, frames)
     for content in files(root, "labels_2d_panoptic_stitched_CW").values():
-        count_segments(seen, content)
+        count_segments(seen, content, frames)
         ids.add(tuple(one["id"] for one in content["categories"]))
     seen["other category ids"] = len(ids) - 1
     return seen
@@ -315,18 +334,18 @@ def count_reasoning(seen, labels, social):
             seen["HOI"] += bool(one.get("HOI"))
 
 
-def count_poses(seen, content):
+def count_poses(seen, content, frames):
     names = [one["file_name"][-10:-4] for one in content["images"]]
-    seen["pose lacks the last frame"] += int(names[-1]) < FRAMES - 1
+    seen["pose lacks the last frame"] += int(names[-1]) < frames - 1
     seen["width 752"] += {one["width"] for one in content["images"]} == {752}
     for first in (1, 2):
         seen[f"image ids from {first}"] += content["images"][0]["id"] == first
 
 
-def count_segments(seen, content):
-    frames = {one["id"]: int(one["file_name"][-10:-4]) for one in content["images"]}
-    seen["panoptic 1 in 15"] += set(frames.values()) == set(range(0, FRAMES, 15))
-    seen["keyframe without segments"] += len(set(frames) - {one["image_id"] for one in content["annotations"]})
+def count_segments(seen, content, frames):
+    images = {one["id"]: int(one["file_name"][-10:-4]) for one in content["images"]}
+    seen["panoptic 1 in 15"] += set(images.values()) == set(range(0, frames, 15))
+    seen["keyframe without segments"] += len(set(images) - {one["image_id"] for one in content["annotations"]})
     things, places = Counter(), defaultdict(set)
     for one in content["annotations"]:
         track = one.get("tracking_id")
@@ -401,7 +420,7 @@ def test_a_load_refuses_what_is_awkward_and_nothing_else(root, tmp_path):
         assert {shift["layer"]: shift["result"] for shift in report["shifts"]} == dict.fromkeys(
             ("3d", "social", "reasoning"), "agrees"
         )
-        assert report["heading"]["median_deg"] < 35
+        assert report["heading"]["median_deg"] < 40
         assert report["stamps"]["fps"] == pytest.approx(15, abs=0.1)
         assert report["warnings"] == []
         assert {one["label"] for one in report["unknown_labels"]} <= {"waiting for sth"}
@@ -433,13 +452,13 @@ def test_changes_fall_between_keyframes_once_a_second(flat):
         assert len(found) > 5
 
 
-def test_shares_lie_near_those_of_jrdb(root, flat, seen):
-    """Counted from the JSON, beside 56 %, 26-42 %, 30 %, 34 and 1.7; and the command prints the same."""
+def test_shares_lie_near_those_of_jrdb(root, flat, solid, seen, frames):
+    """Counted from the JSON, beside 56 %, 26-42 %, 30 %, 34, 3 % and 1.7; and the command prints the same."""
     printed = [float(row["here"].split()[0]) for row in json.loads(root.with_suffix(".json").read_text())]
-    boxes = occluded = labels = hard = frames = with_gap = tracks = 0
+    boxes = occluded = labels = hard = shown = with_gap = tracks = 0
     for content in flat.values():
         times = defaultdict(list)
-        frames += len(content["labels"])
+        shown += len(content["labels"])
         for key, objects in content["labels"].items():
             frame = int(key[:6])
             for one in people(objects):
@@ -452,27 +471,30 @@ def test_shares_lie_near_those_of_jrdb(root, flat, seen):
                         hard += code(difficulty) == 3
         tracks += len(times)
         with_gap += sum(any(b - a > 15 for a, b in itertools.pairwise(t)) for t in times.values())
-    shares = [100 * occluded / boxes, 100 * hard / labels, 100 * with_gap / tracks, boxes / frames]
+    shares = [100 * occluded / boxes, 100 * hard / labels, 100 * with_gap / tracks, boxes / shown]
+    shares.append(100 * seen["no points"] / sum(len(o) for c in solid.values() for o in c["labels"].values()))
     shares.append(seen["entries"] / boxes)
-    for share, low, high in zip(shares, (56, 26, 30, 34, 1.7), (56, 42, 30, 34, 1.7), strict=True):
-        assert low / 1.5 < share < high * 1.5
+    # Where a sequence is shorter, more tracks are cut before they have a gap.
+    near = 1.5 if frames == 1050 else 1.8
+    for share, low, high in zip(shares, (56, 26, 30, 34, 3, 1.7), (56, 42, 30, 34, 3, 1.7), strict=True):
+        assert low / near < share < high * near
     for ours, theirs in zip(shares, printed, strict=True):
         assert ours == pytest.approx(theirs, abs=1.0 if theirs > 2 else 0.1)
 
 
 def test_same_seed_same_bytes_whatever_the_workers(tmp_path):
-    sizes = ("--frames", 150, "--no-images")
+    sizes = ("--frames", 90, "--people", 15, "--no-images")
     assert run(tmp_path / "one", *sizes, "--sequences", 4, "--workers", 1).exit_code == 0
     assert run(tmp_path / "two", *sizes, "--sequences", 4, "--workers", 2).exit_code == 0
     whole = digest(tmp_path / "one")
     assert digest(tmp_path / "two") == whole
     # A sequence depends on no other one.
-    assert run(tmp_path / "few", *sizes, "--sequences", 2).exit_code == 0
+    assert run(tmp_path / "few", *sizes, "--sequences", 2, "--workers", 1).exit_code == 0
     few = digest(tmp_path / "few")
     assert few == {path: whole[path] for path in few}
     assert len(few) == 19
     # Another seed, another world.
-    assert run(tmp_path / "other", *sizes, "--sequences", 4, "--seed", 5).exit_code == 0
+    assert run(tmp_path / "other", *sizes, "--sequences", 4, "--seed", 5, "--workers", 1).exit_code == 0
     other = digest(tmp_path / "other")
     assert set(other) == set(whole)
     assert not any(other[path] == whole[path] for path in whole if not path.startswith("calibration"))

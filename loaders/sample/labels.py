@@ -102,7 +102,7 @@ class Quirks:
         self.two_poses = (world.pose == POSE["bending"]) & (rng.random((shape[1],)) < 0.06)
         self.spelling = spans(rng, everywhere, 0.0005, 5, 60)
         self.unknown_word = spans(rng, hidden, 0.0001, 5, 30)
-        self.no_points = spans(rng, hidden, 0.0016, 5, 30)
+        self.no_points = spans(rng, hidden, 0.003, 5, 30)
         self.no_distance = spans(rng, everywhere, 0.0003, 1, 10)
         self.no_3d = spans(rng, hidden, 0.0008, 5, 30)
         self.turns = rng.choice([-1, 0, 1], size=shape, p=[0.1, 0.8, 0.1])
@@ -267,16 +267,22 @@ def _coded(level: int, form: int) -> int | float | str:
     return (level, float(level), str(level))[form]
 
 
+def lidar_points(world: World, quirks: Quirks) -> Ints:
+    """Lidar points on each body, (frames, people)."""
+    # A box holds some points even of those whom no camera sees: the lidars stand elsewhere.
+    visible = np.maximum(1.0 - world.covered, 0.02)
+    # They thin out with the square of the distance.
+    points = np.round(9000 * world.height * world.width * visible / world.distance**2 * quirks.points_noise)
+    return np.where(quirks.no_points, 0, np.maximum(points, 1)).astype(np.int64)
+
+
 def frames_3d(world: World, quirks: Quirks) -> Iterator[tuple[str, list[dict[str, Any]]]]:
     """Keys and records of `labels_3d/<sequence>.json`, in order."""
     motion = world.motion
     file_shift = FILE_ID_SHIFT if quirks.old_numbering else 0
     turned = np.pi - motion.heading + 2 * np.pi * quirks.turns
     cz = FLOOR + motion.z + world.height / 2
-    visible = 1.0 - world.covered
-    # Lidar points on a body thin out with the square of its distance.
-    points = np.round(9000 * world.height * world.width * visible / world.distance**2 * quirks.points_noise)
-    points = np.where(quirks.no_points | (visible <= 0), 0, np.maximum(points, 1)).astype(np.int64)
+    points = lidar_points(world, quirks)
     keep = world.present & ~quirks.no_3d
     columns = np.stack([motion.x, motion.y, cz, world.width, world.height, turned, world.distance], axis=-1)
     columns = np.round(columns, 3)

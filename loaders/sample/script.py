@@ -43,6 +43,9 @@ SPEED: Final = {
 }
 """Metres per second; all other poses stand still."""
 
+PATIENT: Final = 0.65
+"""Share of the parties of one or two in the open that stay: they hold a pose for thirteen seconds or longer, change to
+another for a moment, and hold one again."""
 HIDDEN: Final = 0.29
 """Share of the parties that stay behind the partitions."""
 SPREAD: Final = 0.4
@@ -93,10 +96,11 @@ class Person:
 @dataclass(frozen=True)
 class Party:
     """People who come and move together. Polar zone, in metres and radians, where they stay; `hidden` ones are the
-    crowd behind the partitions."""
+    crowd behind the partitions, `patient` ones stay and hold their poses for long."""
 
     members: tuple[int, ...]
     hidden: bool
+    patient: bool
     near: float
     far: float
     bearing: float
@@ -133,7 +137,7 @@ def write_script(rng: Rng, ticks: int, people: int) -> Script:
         here = _party_presence(rng, ticks, party)
         for member in party.members:
             present[:, member] = here
-            own = _member_poses(rng, move, shared)
+            own = _member_poses(rng, move, shared, party.patient)
             # Some do as the first of their party does: they sit and stand together.
             follows = member != party.members[0] and rng.random() < 0.4
             pose[:, member] = pose[:, party.members[0]] if follows else own
@@ -161,7 +165,7 @@ def _parties(rng: Rng, people: int) -> tuple[Party, ...]:
     parties: list[Party] = []
     count = 0
     # People come and go: about three in four of those in the script are in view at a time.
-    total = max(2, round(people / 0.70))
+    total = max(2, round(people / 0.77))
     first_bearing = float(rng.uniform(-np.pi, np.pi))
     hidden_bearings = rng.permutation(4) * (np.pi / 2) + rng.uniform(-0.35, 0.35, 4)
     while count < total:
@@ -172,12 +176,13 @@ def _parties(rng: Rng, people: int) -> tuple[Party, ...]:
         count += size
         if hidden:
             bearing = float(hidden_bearings[rng.integers(4)])
-            parties.append(Party(members, True, 8.5, 12.5, bearing, 0.33))
+            parties.append(Party(members, True, False, 8.5, 12.5, bearing, 0.33))
         else:
+            patient = bool(size <= 2 and rng.random() < PATIENT)
             near, far = [(2.6, 6.0), (3.5, 9.0), (6.0, 14.0)][int(rng.choice(3, p=[0.4, 0.4, 0.2]))]
             # Spread round the robot by the golden angle: neighbours in time are far apart, and all are covered evenly.
             bearing = (first_bearing + 2.39996 * sum(not one.hidden for one in parties) + np.pi) % (2 * np.pi) - np.pi
-            parties.append(Party(members, False, near, far, float(bearing), SPREAD))
+            parties.append(Party(members, False, patient, near, far, float(bearing), SPREAD))
     return tuple(parties)
 
 
@@ -232,14 +237,20 @@ def _party_moves(rng: Rng, ticks: int, party: Party) -> tuple[Bools, Ints]:
             # Now and then the gait changes on the way.
             moves = bool(not upstairs and rng.random() < 0.3)
         else:
-            length = int(rng.integers(8, 30) if party.hidden else rng.integers(4, 15))
+            length = int(rng.integers(*_RESTS[party.hidden, party.patient]))
             moves = True
         tick += length
     return move, shared
 
 
+_RESTS: Final = {(True, False): (8, 30), (False, False): (4, 15), (False, True): (14, 42)}
+"""Seconds that parties rest, hidden ones and patient ones apart; the upper bound is not reached."""
+
+
 def _party_presence(rng: Rng, ticks: int, party: Party) -> Bools:
     here = np.ones(ticks, bool)
+    if party.patient:
+        return here
     chance = rng.random()
     if chance < 0.35:
         here[: int(rng.integers(2, max(3, 2 * ticks // 3)))] = False
@@ -253,8 +264,9 @@ def _party_presence(rng: Rng, ticks: int, party: Party) -> Bools:
     return here
 
 
-def _member_poses(rng: Rng, move: Bools, shared: Ints) -> Ints:
-    """The party's gait while it moves; at rest each member's own poses, three seconds or longer each."""
+def _member_poses(rng: Rng, move: Bools, shared: Ints, patient: bool) -> Ints:
+    """The party's gait while it moves; at rest each member's own poses, three seconds or longer each. The patient hold
+    one for long, then another for a moment."""
     pose = shared.copy()
     ticks = len(move)
     tick = 0
@@ -266,8 +278,10 @@ def _member_poses(rng: Rng, move: Bools, shared: Ints) -> Ints:
         end = tick
         while end < ticks and not move[end]:
             end += 1
+        held = False
         while tick < end:
-            length = min(int(rng.integers(3, 11)), end - tick)
+            held = patient and not held
+            length = min(int(rng.integers(*((13, 22) if held else (3, 7) if patient else (3, 11)))), end - tick)
             if end - tick - length < 3:
                 length = end - tick
             name = _pick(rng, {key: share for key, share in STILL.items() if key != last})

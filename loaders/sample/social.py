@@ -52,6 +52,8 @@ _NEAR: Final = ("table", "wall", "board", "pillar", "door", "poster", "trolley",
 _SPELLINGS: Final = {
     "standing together": "standing together together",
     "looking at sth together": "looking at something together",
+    "looking into sth together": "looking into something together",
+    "pointing at sth together": "pointing at something together",
     "holding sth together": "holding something together",
     "walking together": "walking_together",
 }
@@ -78,7 +80,7 @@ class Social:
         count = len(world.bonds.first)
         self._bonds = of_bonds(world, rng.choice(3, size=count, p=[0.93, 0.04, 0.03]))
         self._twice = some(rng, count, 0.02).tolist()
-        self._words = _words(world, some(rng, count, 0.04))
+        self._words = _words(world, rng.random(count))
         self._handled = of_handling(world)
         self._pairs = _thing_texts(rng, world, category_ids)
 
@@ -208,10 +210,11 @@ def _venue(sequence: str, party: int) -> str:
     return venue.replace("_", ":", 1) if party % 5 == 4 else venue
 
 
-def _words(world: World, odd: Any) -> list[str]:
-    """The label of each run, a few of them in another spelling."""
+def _words(world: World, draw: Any) -> list[str]:
+    """The label of each run, a few of them in another spelling; more of those that are rare."""
     labels = [INTERACTIONS[label] for label in world.bonds.label.tolist()]
-    return [_SPELLINGS.get(label, label) if other else label for label, other in zip(labels, odd.tolist(), strict=True)]
+    odd = [one < (0.4 if "sth" in label else 0.04) for label, one in zip(labels, draw.tolist(), strict=True)]
+    return [_SPELLINGS.get(label, label) if other else label for label, other in zip(labels, odd, strict=True)]
 
 
 def _thing_texts(rng: Rng, world: World, category_ids: list[int]) -> list[str]:

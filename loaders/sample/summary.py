@@ -41,6 +41,11 @@ def rows(written: Sequence[Written]) -> list[dict[str, Any]]:
             "JRDB": "34",
         },
         {
+            "what": "3D boxes without lidar points",
+            "here": share(total("without_points"), total("solid")),
+            "JRDB": "3 %",
+        },
+        {
             "what": "interactions per person and frame",
             "here": f"{total('interactions') / total('boxes'):.2f}" if total("boxes") else "n/a",
             "JRDB": "1.7",

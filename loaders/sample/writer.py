@@ -20,7 +20,7 @@ from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
 from .clocks import calibration_files, frames_img, frames_pc
-from .labels import HARD, Quirks, annotated, difficulty, frames_2d, frames_3d, occlusion
+from .labels import HARD, Quirks, annotated, difficulty, frames_2d, frames_3d, lidar_points, occlusion
 from .panoptic import category_ids, panoptic_file
 from .poses import pose_file
 from .render import image_frames, write_images
@@ -66,7 +66,7 @@ class Order:
 @dataclass(frozen=True)
 class Written:
     """What one sequence holds, for the summary. Shares are counted over 2D boxes (hard labels: over labels at
-    keyframes; gaps: over people, at keyframes)."""
+    keyframes; gaps: over people, at keyframes; points: over people in view)."""
 
     name: str
     frames: int
@@ -78,6 +78,8 @@ class Written:
     hard_labels: int
     tracks: int
     tracks_with_gaps: int
+    solid: int
+    without_points: int
     interactions: int
 
 
@@ -115,11 +117,12 @@ def write_sequence(order: Order) -> Written:
     for name, layer in _LAYERS.items():
         with _open(root, name, order.name) as file:
             file.writelines(layer(world))
-    interactions = _write_boxes(root, world)
+    quirks = Quirks(world)
+    interactions = _write_boxes(root, world, quirks)
     images = image_frames(world, order.images)
     if images:
         write_images(world, images, root / "images" / "image_stitched" / order.name)
-    return _count(world, len(images), interactions)
+    return _count(world, quirks, len(images), interactions)
 
 
 def _open(root: Path, name: str, sequence: str) -> BinaryIO:
@@ -128,9 +131,8 @@ def _open(root: Path, name: str, sequence: str) -> BinaryIO:
     return path.open("wb")
 
 
-def _write_boxes(root: Path, world: World) -> int:
+def _write_boxes(root: Path, world: World, quirks: Quirks) -> int:
     """The files of one list of records per frame, one frame in memory at a time; returns the number of interactions."""
-    quirks = Quirks(world)
     social = Social(world, quirks, category_ids(world))
     with ExitStack() as stack:
         flat, more, most, solid = (
@@ -163,7 +165,7 @@ class _FrameFile:
         self._file.write(self._next.removesuffix(b",") + b"}}")
 
 
-def _count(world: World, images: int, interactions: int) -> Written:
+def _count(world: World, quirks: Quirks, images: int, interactions: int) -> Written:
     here = annotated(world)
     key = np.arange(KEYFRAME_STEP, world.frames, KEYFRAME_STEP)
     level, _ = difficulty(world)
@@ -185,5 +187,7 @@ def _count(world: World, images: int, interactions: int) -> Written:
         hard_labels=int((told & (level == HARD))[key].sum()),
         tracks=int(seen.any(axis=0).sum()),
         tracks_with_gaps=with_gaps,
+        solid=int(world.present.sum()),
+        without_points=int((world.present & (lidar_points(world, quirks) == 0)).sum()),
         interactions=interactions,
     )
