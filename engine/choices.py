@@ -84,13 +84,13 @@ def _perturbed(
             if perturbed.kind == kind and perturbed.answer[row] != NOBODY:
                 yield VALUES[perturbed.answer[row]], f"{kind}({perturbed.variant})"
     if candidates.template.pose_answer and candidates.template.read != ("t0",):
-        own = _read(scene, candidates, track, [times[0], times[0]], rules)
+        own = _pose(scene, track, times[0])
         if own is not None:
             yield own, "pose at t0"
     for perturbed in candidates.perturbed:
         if perturbed.kind == "time.shift" and perturbed.answer[row] != NOBODY:
             yield VALUES[perturbed.answer[row]], f"time.shift {perturbed.variant}"
-    if candidates.template.edges or candidates.template.name == "consequence":
+    if candidates.template.edges:
         return
     for condition, moments in zip(descriptions.of(name), descriptions.look_alikes(name), strict=True):
         for other in scene.tracks[scene.persons(moments)].tolist():
@@ -102,10 +102,10 @@ def _perturbed(
 def _read(scene: Scene, candidates: Candidates, track: int, times: list[int], rules: Rules) -> str | None:
     """What the template's program reads of a person at t0, t1, ...; None where it is unknown."""
     match candidates.template.name:
-        case "change" | "later_pose" | "consequence":
-            line = scene.box_of(track, times[1])
-            pose = scene.poses[line] if line != NOBODY else NOBODY
-            return POSES[pose] if pose != NOBODY else None
+        case "change":
+            return _pose(scene, track, times[1])
+        case "consequence":
+            return _next_pose(scene, track, times[0])
         case "presence":
             first, second = (_present(scene, track, time) for time in times[1:])
             if first is None or second is None:
@@ -113,6 +113,21 @@ def _read(scene: Scene, candidates: Candidates, track: int, times: list[int], ru
             return PRESENCE_ANSWERS[(0 if second else 1) if first else (2 if second else 3)]
         case _:
             return _distance_change(scene, track, times, rules)
+
+
+def _pose(scene: Scene, track: int, frame: int) -> str | None:
+    line = scene.box_of(track, frame)
+    pose = scene.poses[line] if line != NOBODY else NOBODY
+    return POSES[pose] if pose != NOBODY else None
+
+
+def _next_pose(scene: Scene, track: int, frame: int) -> str | None:
+    """The pose at the first keyframe at which a person no longer has that of `frame`."""
+    held = _pose(scene, track, frame)
+    if held is None:
+        return None
+    later = scene.keyframes[np.searchsorted(scene.keyframes, frame, side="right") :].tolist()
+    return next((pose for pose in (_pose(scene, track, one) for one in later) if pose != held), None)
 
 
 def _present(scene: Scene, track: int, frame: int) -> bool | None:

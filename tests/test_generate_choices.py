@@ -53,6 +53,23 @@ def test_the_look_alike_is_a_mistake_too(tmp_path):
     assert told(row)["standing"].startswith("look-alike without action ")
 
 
+def test_the_look_alike_goes_on_in_another_way(tmp_path):
+    world = build(
+        [
+            "1 | sssssssssssswwwwwwww | column 400 | reading 0-0 | talking to someone 0-0",
+            "2 | wwwwwwtttttttttttttt | column 410 | reading 0-0",
+            "3 | tttttttttttttttttttt | column 420 | talking to someone 0-0",
+        ]
+    )
+    row = kept(tmp_path, world, "consequence")[0,]
+    assert row["answer"] == "walking"
+    found = told(row)
+    assert found["sitting"] == "pose at t0"
+    # The one stands up from walking; the other stands from beginning to end, which is no next pose.
+    assert found["standing"] == "look-alike without action talking to someone"
+    assert list(found.values()).count(None) == 1
+
+
 def test_presence_offers_all_four_answers(tmp_path):
     world = build(["1 | sssssssss--------- | column 400", "2 | tttttttttttttttttt | column 900"])
     # Of the same two times after different descriptions only one question is kept.
