@@ -240,13 +240,24 @@ def write_table(path: Path, table: pa.Table, schema: pa.Schema, metadata: dict[s
 
     def write(temporary: Path) -> None:
         # Numbered texts are written out a row group at a time: all at once they would take many times the memory.
-        with pq.ParquetWriter(temporary, schema.with_metadata(metadata or None), compression="zstd") as writer:
+        with pq.ParquetWriter(temporary, schema.with_metadata(metadata or None), **_written(schema)) as writer:
             for start in range(0, table.num_rows, ROW_GROUP):
                 writer.write_table(table.slice(start, ROW_GROUP).cast(schema).replace_schema_metadata(metadata or None))
 
     write_atomic(path, write)
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _written(schema: pa.Schema) -> dict[str, Any]:
+    """How columns are written. Few measurements are alike, and nobody looks for the least of all texts: numbering the
+    ones and comparing the others took a fifth of the writing."""
+    measured = [field.name for field in schema if pa.types.is_floating(field.type) or pa.types.is_nested(field.type)]
+    return {
+        "compression": "zstd",
+        "use_dictionary": [name for name in schema.names if name not in measured],
+        "write_statistics": [field.name for field in schema if pa.types.is_integer(field.type)],
+    }
 
 
 def read_table(path: Path) -> pa.Table:
