@@ -14,6 +14,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import chain
 from operator import attrgetter
 from typing import Any, Final
 
@@ -130,7 +131,7 @@ def _unusable(reason: str, value: bytes) -> Any:
 def take_lists(lists: list[list[Any] | None], kind: Kind, codes: dict[str, Distinct]) -> Columns:
     """Columns of the lists of records: the size of each list (-1: there is none), and numbers per entry."""
     pair, labels = f"{kind.layer}.pair", f"{kind.layer}.labels"
-    entries = [entry for listed in lists if listed for entry in listed]
+    entries = list(chain.from_iterable(filter(None, lists)))
     return {
         f"{kind.layer}.size": np.array([-1 if listed is None else len(listed) for listed in lists], np.int64),
         pair: numbered(codes[pair], map(attrgetter("pair"), entries), len(entries)),

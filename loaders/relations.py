@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
+from itertools import chain
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
@@ -168,20 +169,21 @@ def _kinds(record: type[Record]) -> tuple[Kind, ...]:
 
 def _lists(records: list[Any], kind: Kind) -> list[list[Any] | None]:
     if kind is HANDLING:
-        return [record.handles for record in records]
+        return list(map(attrgetter("handles"), records))
     return [record.hhi if record.interactions is None else record.interactions for record in records]
 
 
 def _clean_entries(records: list[Any], written: WrittenKeys) -> bool:
     """Whether no list is too long, and no entry repeats a key."""
-    lists = (
-        [listed for kind in _kinds(type(records[0])) for listed in _lists(records, kind) if listed] if records else []
-    )
+    if not records:
+        return True
+    lists = list(chain.from_iterable(filter(None, _lists(records, kind)) for kind in _kinds(type(records[0]))))
     entries = sum(map(len, lists))
     if entries > MAX_ENTRIES and max(map(len, lists)) > MAX_ENTRIES:
         return False
-    if records and isinstance(records[0], HandlingRecord):
-        entries += sum(len(listed) for record in records for listed in (record.interactions, record.hhi) if listed)
+    if isinstance(records[0], HandlingRecord):
+        unread = chain.from_iterable(map(attrgetter(name), records) for name in ("interactions", "hhi"))
+        entries += sum(map(len, filter(None, unread)))
     return not any(written.exceed(entries, key) for key in (b'"pair"', b'"inter_labels"'))
 
 
