@@ -1,6 +1,7 @@
 """Whether the question files hold what they promise: every check counted, every fault told with its question.
 
-Reads the files of `questions/` and, for what they claim of the scene, the annotation tables; the graph is not asked.
+Reads the files of `questions/` and, for what they claim of the scene, the annotation tables. Where the proofs are to be
+run again, the interval tables are searched and the graph is asked too.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from jrdb_avr.schema.wording import FAMILIES, parse, question_id, question_key, 
 
 from .publish import GENERATION_KEY
 from .rederive import Annotations, NeededBox, rederive
+from .replay import Stored, ask_compiled, replay
 from .templates import TEMPLATES
 
 FILES: Final = ("questions", "sequences", "answers", "evidence", "rejected")
@@ -45,6 +47,12 @@ CHECKS: Final = {
     "rederive": "the second path finds the same person, answer and needed boxes",
 }
 """What is checked, in the order in which it is reported."""
+
+REPLAY_CHECKS: Final = {
+    "replay": "every proof, run again from the stored plan, comes out as it is stored",
+    "compiled": "the plan, compiled to Cypher, finds the stored people and answer in the graph",
+}
+"""What is checked besides where the proofs are run again."""
 
 _STATED: Final = re.compile(r"(\S+) s \(frame (\d+)\)")
 
@@ -88,6 +96,7 @@ class Report:
 
     def rows(self) -> list[dict[str, Any]]:
         """One row per check, for printing."""
+        replayed = REPLAY_CHECKS if REPLAY_CHECKS.keys() & self.checked.keys() else {}
         return [
             {
                 "check": name,
@@ -96,7 +105,7 @@ class Report:
                 "first fault": self.faults[name][0] if name in self.faults else "",
                 "what holds": what,
             }
-            for name, what in CHECKS.items()
+            for name, what in (CHECKS | replayed).items()
         ]
 
 
@@ -137,6 +146,41 @@ def validate(store: Store, rules: Rules, advance: Callable[[int], None] = lambda
             advance(1)
     _check_selection(report, questions, private, rules)
     return report
+
+
+def check_replay(
+    report: Report, store: Store, rules: Rules, workers: int, advance: Callable[[int], None] = lambda steps: None
+) -> None:
+    """Add to the report what comes of running every proof again, and of the compiled plans; `advance` is told how many
+    questions are done, of each twice as many as there are.
+
+    Raises StoreError for a missing file, and LockedError while the graph is written.
+    """
+    private = {row["question_id"]: row for row in store.questions("answers").to_pylist()}
+    questions = []
+    for row in store.questions("questions").to_pylist():
+        own = private.get(row["question_id"])
+        try:
+            questions.append(_stored(row, own) if own is not None else None)
+        except AvrError as error:
+            report.check("replay", False, f"{row['question_id']}: {error}")
+    known = [question for question in questions if question is not None]
+    for name, differences in (
+        ("replay", replay(store, known, rules, workers, advance)),
+        ("compiled", ask_compiled(store, known, rules, advance)),
+    ):
+        report.checked[name] += len(known)
+        report.faults[name] += [str(difference) for difference in differences]
+        if not report.faults[name]:
+            del report.faults[name]
+
+
+def _stored(row: dict[str, Any], own: dict[str, Any]) -> Stored:
+    """A question as replay takes it. Raises DecodeError where its answer cannot be read."""
+    answer, said = decode_answer(row["answer_mode"], own["answer"]), own["answer"]
+    if isinstance(answer, Choice):
+        said = row["choices"][answer.choice - 1] if answer.choice <= len(row["choices"]) else ""
+    return Stored(row["question_id"], row["sequence"], row["template"], tuple(row["choices"]), said, own)
 
 
 # -- files --------------------------------------------------------------------------------------------------------
