@@ -26,7 +26,7 @@ RED: Final[Color] = (200, 70, 60)
 
 TITLE, BODY, SMALL = 17, 13, 12
 _REGULAR, _BOLD = 400, 600
-_ROW, _TIGHT = 30.0, 20.0
+_ROW, _TIGHT = 34.0, 20.0
 """Height of a line of bars at most, and the height from which on its words are as large as others."""
 
 
@@ -134,7 +134,8 @@ class Panel:
         size = SMALL if step < _TIGHT else BODY
         middles = [self.top + step * (i + 0.5) for i in range(len(names))]
         for name, middle in zip(names, middles, strict=True):
-            self.canvas.text((self.left + room - 10, middle + 4), name, INK, size, align="right")
+            words = self.canvas.fitted(name, room - 10, size)
+            self.canvas.text((self.left + room - 10, middle + 4), words, INK, size, align="right")
         return middles
 
 
@@ -153,7 +154,7 @@ def bars(
 ) -> None:
     """Lying bars with their numbers; `aims` are numbers to compare with, as upright strokes."""
     canvas = panel.canvas
-    room = names_width(canvas, names, panel.width / 2)
+    room = names_width(canvas, names, panel.width * 0.6)
     middles = panel.rows(names, room)
     thick = thickness(middles, 14)
     start = panel.left + room

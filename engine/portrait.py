@@ -89,7 +89,7 @@ def draw(tables: Tables) -> Image:
         15,
     )
     rows: tuple[Sequence[tuple[Callable[[Panel, Tables], None], float]], ...] = (
-        ((_families, 1.0), (_templates, 1.0), (_funnel, 1.2), (_sequences, 1.0)),
+        ((_families, 1.0), (_templates, 1.0), (_funnel, 1.15), (_sequences, 1.25)),
         (
             _measured("time_gap_s"),
             _measured("separation_deg"),
@@ -165,7 +165,7 @@ def _funnel(panel: Panel, tables: Tables) -> None:
         if not row["questions"]:
             canvas.text((panel.right, middle + 4), "none", FAINT, SMALL, align="right")
     entries = [("candidates", _NONE), ("proven", _lighter(INK)), ("questions", INK)]
-    legend(panel, entries, panel.bottom + 4)
+    legend(panel, entries, floor + 38)
 
 
 def _measured(what: str) -> tuple[Callable[[Panel, Tables], None], float]:
@@ -245,13 +245,13 @@ def _blind(panel: Panel, tables: Tables) -> None:
         canvas.text((x, floor + 14), f"{25 * step} %", FAINT, SMALL, align="center")
     hue = dict(zip(("uniform", "most_frequent", "constant", "offset", "text_only"), _PALE, strict=False))
     for middle, row in zip(middles, rows, strict=True):
-        if row["aim"] is not None:
-            canvas.box(start + (end - start) * row["aim"] - 1, middle - 8, 2, 16, INK)
         for guesser, color in hue.items():
             if row[guesser] is not None:
                 canvas.dot(start + (end - start) * row[guesser], middle, 4.5, color)
+        if row["aim"] is not None:
+            canvas.box(start + (end - start) * row["aim"] - 1, middle - 8, 2, 16, INK)
         canvas.text((end + 8, middle + 4), f"n {row['n']:,}", RED if row["within_aim"] is False else FAINT, SMALL)
-    legend(panel, [(name.replace("_", " "), color) for name, color in hue.items()], panel.bottom + 4)
+    legend(panel, [(name.replace("_", " "), color) for name, color in hue.items()], floor + 38)
 
 
 def _positions(panel: Panel, tables: Tables) -> None:
@@ -287,7 +287,8 @@ def _sum(rows: Sequence[Mapping[str, Any]]) -> int:
 
 
 def _ten(step: int) -> str:
-    return ("1", "10", "100", "1,000", "10,000", "100,000", "1 million", "10 million", "100 million")[step]
+    """A power of ten in few letters."""
+    return f"{10 ** (step % 3)}{('', 'k', 'M', 'G', 'T')[step // 3]}"
 
 
 def _lighter(color: Color) -> Color:
