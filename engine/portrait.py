@@ -92,7 +92,7 @@ def draw(tables: Tables) -> Image:
         ((_families, 1.0), (_templates, 1.0), (_funnel, 1.15), (_sequences, 1.25)),
         (
             _measured("time_gap_s"),
-            _measured("separation_deg"),
+            _measured("apart_deg"),
             _measured("hops"),
             _measured("people_in_scene"),
             _measured("crops"),
@@ -171,7 +171,7 @@ def _funnel(panel: Panel, tables: Tables) -> None:
 def _measured(what: str) -> tuple[Callable[[Panel, Tables], None], float]:
     titles = {
         "time_gap_s": ("Time", "seconds from description to answer"),
-        "separation_deg": ("Turn", "largest angle between needed boxes, degrees"),
+        "apart_deg": ("Turn", "largest angle between needed boxes, degrees"),
         "hops": ("Hops", "relations to follow"),
         "people_in_scene": ("People", "in the scene that is described"),
         "crops": ("Looks", "fewest crops that show all needed boxes"),
@@ -185,7 +185,7 @@ def _measured(what: str) -> tuple[Callable[[Panel, Tables], None], float]:
             panel, [row["bin"].strip("[)(").replace(", ", "-") for row in rows], [row["share"] for row in rows], BLUE
         )
 
-    return draw_panel, {"hops": 0.6, "separation_deg": 1.1, "time_gap_s": 1.0}.get(what, 1.0)
+    return draw_panel, {"hops": 0.6, "apart_deg": 1.1, "time_gap_s": 1.0}.get(what, 1.0)
 
 
 def _answers(panel: Panel, tables: Tables) -> None:

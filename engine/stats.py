@@ -13,6 +13,7 @@ import numpy as np
 
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice
+from jrdb_avr.schema.panorama import angle_error, center_angle
 from jrdb_avr.schema.tables import LAYERS
 from jrdb_avr.schema.wording import FAMILIES
 
@@ -43,15 +44,17 @@ TITLES: Final = {
 MEASURES: Final = {
     "time_gap_s": (0.0, 0.001, 5.0, 10.0, 20.0, 40.0, 80.0),
     "separation_deg": (0.0, 10.0, 20.0, 45.0, 90.0, 135.0),
+    "apart_deg": (0.0, 10.0, 20.0, 45.0, 90.0, 135.0),
     "hops": tuple(float(edge) for edge in range(5)),
     "people_in_scene": (0.0, 10.0, 20.0, 30.0, 40.0, 60.0, 80.0),
     "crops": (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 12.0),
 }
 """What is measured of each question, with the lower edges of the bins in which it is counted; the last has no end.
 
-time_gap_s: seconds from the description to the last time asked about; separation_deg: the largest turn between needed
-boxes; hops: relations to go by; people_in_scene: people with a box at the description's time; crops: the fewest looks
-that show every needed box (`covering`)."""
+time_gap_s: seconds from the description to the last time asked about; separation_deg: how far the person asked
+about turns from the description to what decides, as the robot sees it; apart_deg: the largest turn between any two
+needed boxes, at whatever times; hops: relations to go by; people_in_scene: people with a box at the description's time;
+crops: the fewest looks that show every needed box (`covering`)."""
 
 
 class _Needed(msgspec.Struct):
@@ -103,12 +106,15 @@ def statistics(store: Store) -> dict[str, list[dict[str, Any]]]:
 def _asked(question: Posed, own: Mapping[str, Any]) -> Asked:
     needed = msgspec.json.decode(own["needed"], type=list[_Needed])
     measures = {name: float(own[name]) for name in MEASURES if name in own}
+    angles = np.array([center_angle(box.x, box.w) for box in needed])
+    measures["apart_deg"] = float(angle_error(angles[:, None], angles).max())
+    measures["crops"] = float(crops_needed((box.frame, box.x, box.w) for box in needed))
     return Asked(
         posed=question,
         family=FAMILIES[question.template],
         target=own["target_track"],
         distractors=tuple(msgspec.json.decode(own["distractors"], type=list[str | None])),
-        measures=measures | {"crops": float(crops_needed((box.frame, box.x, box.w) for box in needed))},
+        measures=measures,
     )
 
 
@@ -210,7 +216,7 @@ def _bin_name(what: str, edges: Sequence[float], number: int) -> str:
     high = edges[number + 1]
     if what == "time_gap_s" and number < 2:
         return ("0", f"(0, {high:g})")[number]
-    if what in ("time_gap_s", "separation_deg"):
+    if what in ("time_gap_s", "separation_deg", "apart_deg"):
         return f"[{low:g}, {high:g})"
     return f"{low:g}" if high == low + 1 else f"{low:g}-{high - 1:g}"
 

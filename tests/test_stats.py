@@ -135,6 +135,16 @@ EDGES = {
 
 def test_measures(tables, ask, looks):
     measured = {name: ask(f"SELECT template, question_id, {name}::double FROM {JOINED} ORDER BY ALL") for name in EDGES}
+    # The largest of all angles between two needed boxes, by the cosine of their difference.
+    measured["apart_deg"] = ask(
+        f"""WITH boxes AS (
+            SELECT question_id, ((box->>'x')::double + (box->>'w')::double / 2) / 3760 * 2 * pi() AS angle
+            FROM (SELECT question_id, unnest(from_json(needed, '["JSON"]')) AS box FROM answers)
+        ), apart AS (
+            SELECT a.question_id, degrees(acos(least(1, min(cos(a.angle - b.angle))))) AS v
+            FROM boxes a JOIN boxes b USING (question_id) GROUP BY ALL
+        ) SELECT template, question_id, v FROM {JOINED} JOIN apart USING (question_id) ORDER BY ALL"""
+    )
     measured["crops"] = [(template, one, looks[one]) for template, one, _ in measured["hops"]]
     for name, rows in measured.items():
         values = {}
@@ -144,12 +154,16 @@ def test_measures(tables, ask, looks):
         assert [row["template"] for row in printed] == sorted(values)
         for row in printed:
             own = np.array(values[row["template"]])
-            assert (row["n"], row["min"], row["max"]) == (len(own), own.min(), own.max())
-            assert (row["median"], row["mean"]) == pytest.approx((np.median(own), own.mean()))
+            expected = (len(own), own.min(), np.median(own), own.mean(), own.max())
+            # Near 0 the cosine tells angles no finer than this.
+            assert [row[key] for key in ("n", "min", "median", "mean", "max")] == pytest.approx(expected, abs=1e-5)
     for name, bins in EDGES.items():
         printed = {row["bin"]: row["n"] for row in tables["distribution"] if row["what"] == name}
         counted = dict(ask(f"SELECT {bins} AS bin, count(*) FROM (SELECT {name} AS v FROM answers) GROUP BY ALL"))
         assert printed == dict.fromkeys(printed, 0) | counted
+    printed = [row["n"] for row in tables["distribution"] if row["what"] == "apart_deg"]
+    turns = [turn for _, _, turn in measured["apart_deg"]]
+    assert printed == np.histogram(turns, [0, 10, 20, 45, 90, 135, 181])[0].tolist()
     printed = {row["bin"]: row["n"] for row in tables["distribution"] if row["what"] == "crops"}
     for crops in range(6):
         assert printed[str(crops)] == sum(count == crops for count in looks.values())
