@@ -157,7 +157,7 @@ COLUMNS: Final[dict[str, str]] = {
     "rules": "hash of the rules it was made under",
     "hops": "relations that the question goes by",
     "time_gap_s": "seconds from the description to the last time that it takes",
-    "separation_deg": "largest turn between the directions that it takes, degrees",
+    "separation_deg": "turn of the person asked about, from the description to what decides, degrees",
     "people_in_scene": "people with a box at the time of the description",
     "bindings": "who and when the names of the plan stand for, as JSON",
     "needed": "boxes that have to be seen, as JSON",
