@@ -142,7 +142,7 @@ def _without(layer: str, count: int, sequences: int) -> str:
 
 
 def _percent(part: int, whole: int) -> str:
-    return f"{100 * part / whole:.0f} %"
+    return "<1 %" if 200 * part < whole else f"{100 * part / whole:.0f} %"
 
 
 def fillings(selection: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

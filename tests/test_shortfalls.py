@@ -60,6 +60,11 @@ def test_few_questions_are_explained_by_the_rules_that_refused_most():
     assert told(COUNTS, asked(two_hop=4))["two_hop"]["why"].endswith(f"balance refused 3 %: {MEANINGS['balance']}")
 
 
+def test_shares_too_small_for_a_percent_are_not_called_none():
+    counts = [("count", "two_hop", "evidence", 980), ("count", "two_hop", "hop.stop", 4)]
+    assert told(counts, asked(two_hop=16))["two_hop"]["refused_most"] == "evidence 98 %, hop.stop <1 %"
+
+
 def test_enough_questions_or_as_many_as_were_asked_for_need_no_reason():
     assert told(COUNTS, asked(two_hop=30))["two_hop"]["why"] is None
     assert told(COUNTS, asked(two_hop=29))["two_hop"]["why"] is not None
