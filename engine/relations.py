@@ -84,19 +84,22 @@ class Steps:
     relation: Ints
     target: Ints
 
-    @property
-    def table(self) -> pa.Table:
-        """The graph's table `Step`; where a step leads to nobody, all further steps do."""
+    def tables(self) -> dict[str, pa.Table]:
+        """The graph's tables `Step` and, of those that lead to somebody, `Leads`.
+
+        Where a step leads to nobody, all further steps do.
+        """
         leading = np.unique(self.relation)
         ends = np.repeat(np.array(NOWHERE), len(leading))
         relation = np.concatenate([self.relation, np.tile(leading, len(NOWHERE))])
-        return pa.table(
+        steps = pa.table(
             {
                 "from": np.concatenate([self.source, ends]),
                 "to": np.concatenate([self.target, ends]),
                 "relation": pc.take(pa.array(RELATIONS), pa.array(relation)),
             }
         )
+        return {"Step": steps, "Leads": steps.filter(pc.greater_equal(steps["to"], 0))}
 
 
 def find_facts(scene: Scene) -> Facts:

@@ -9,6 +9,7 @@ keyframe is a *moment*, numbered `person * len(keyframes) + keyframe`, so moment
     (Person)-[:Does]->(Segment)           stable segments of actions
     (Moment)-[:Shift {by}]->(Moment)      the same person `by` frames later, for both directions of time.shift
     (Moment)-[:Step {relation}]->(Moment) to the one person who certainly has the relation while nobody else could
+    (Moment)-[:Leads {relation}]->(Moment) the steps that lead to somebody
     (Description)-[:Fits {t}]->(Moment)   to the one person whom the description fits at keyframe t
     (Person)-[:Leaves]->(Absence)         between two boxes, with the keyframes before at which the person is present
     (Moment)-[:Keeps]->(Company)          from then on, as long as it is known who is in a relation with the person
@@ -307,13 +308,14 @@ _DDL: Final = (
     "CREATE REL TABLE Does(FROM Person TO Segment)",
     "CREATE REL TABLE Shift(FROM Moment TO Moment, by INT64)",
     "CREATE REL TABLE Step(FROM Moment TO Moment, relation STRING)",
+    "CREATE REL TABLE Leads(FROM Moment TO Moment, relation STRING)",
     "CREATE REL TABLE Fits(FROM Description TO Moment, t INT64)",
     "CREATE REL TABLE Names(FROM Description TO Moment, id INT64, anchor BOOLEAN, general BOOLEAN, poseless BOOLEAN)",
     "CREATE REL TABLE Leaves(FROM Person TO Absence)",
     "CREATE REL TABLE Keeps(FROM Moment TO Company)",
     "CREATE REL TABLE Meets(FROM Company TO Person, met INT64, seen INT64, maybe INT64, image BOOLEAN)",
 )
-_GIVEN: Final = ("Description", "Absence", "Company", "Names", "Fits", "Step", "Leaves", "Keeps", "Meets")
+_GIVEN: Final = ("Description", "Absence", "Company", "Names", "Fits", "Step", "Leads", "Leaves", "Keeps", "Meets")
 
 
 def scene_graph(scene: Scene, tables: Mapping[str, pa.Table], rules: Rules) -> Graph:

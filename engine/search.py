@@ -45,7 +45,7 @@ EDGES = ("first", "last", "start", "end")
 
 def search_graph(scene: Scene, facts: Facts, descriptions: Descriptions, rules: Rules) -> Graph:
     """A scene's graph with everything that the generators and the proofs walk along; the caller closes it."""
-    tables = descriptions.tables(scene.keyframes) | {"Step": find_steps(scene, facts).table}
+    tables = descriptions.tables(scene.keyframes) | find_steps(scene, facts).tables()
     tables |= absence_tables(scene, rules) | find_company(scene, facts, rules).tables(scene)
     return scene_graph(scene, tables, rules)
 

@@ -1,7 +1,6 @@
 // three_hop: as two_hop, one step farther; the four are different people.
-MATCH (:Description)-[n:Names]->(a:Moment)-[s1:Step]->(b:Moment)-[s2:Step]->(c:Moment)-[s3:Step]->(d:Moment)
-WHERE n.general AND b.t IS NOT NULL AND c.t IS NOT NULL AND d.t IS NOT NULL
-  AND c.id <> a.id AND d.id <> a.id AND d.id <> b.id AND d.pose IS NOT NULL
+MATCH (:Description)-[n:Names]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)-[s3:Leads]->(d:Moment)
+WHERE n.general AND c.id <> a.id AND d.id <> a.id AND d.id <> b.id AND d.pose IS NOT NULL
 RETURN n.id AS name, a.id AS at0, s1.relation AS r1, b.id AS b, s2.relation AS r2, c.id AS c, s3.relation AS r3,
        d.id AS d,
        d.pose AS answer,
