@@ -28,33 +28,37 @@ class Rows:
     """Facts kept as rows over intervals of frames, inclusive; a row that is not certain says that it could be so.
 
     pattern: what to match; equal: columns of it with the variables they must equal; guessed: the same of columns that
-    may be null, which could be anything then; spans: the variables of the rows, each with columns `first`, `last` and
-    `certain`.
+    may be null, which could be anything then; span: the row's variable, with columns `first`, `last` and `certain`;
+    then: a row that must lead on from this one, whose clauses hold as well. (As one pattern the two would close a
+    circle, on which the engine loses rows.)
     """
 
     pattern: str
     equal: tuple[tuple[str, str], ...] = ()
     guessed: tuple[tuple[str, str], ...] = ()
-    spans: tuple[str, ...] = ("r",)
+    span: str = "r"
     first: str = "first"
     last: str = "last"
     certain: str = "certain"
+    then: Rows | None = None
 
     def sure(self, at: Variables) -> str:
         """Whether a row says so for certain."""
         # The engine loses rows of a subquery where a column that is compared with a variable holds nulls.
         parts = [f"{column} IS NOT NULL AND {column} = {{{variable}}}" for column, variable in self.guessed]
-        parts += [f"{span}.{self.certain}" for span in self.spans]
-        return self._exists(parts, at)
+        parts.append(f"{self.span}.{self.certain}")
+        return self._exists(parts, at, [] if self.then is None else [self.then.sure(at)])
 
     def could(self, at: Variables) -> str:
         """Whether a row says so, or may."""
-        return self._exists([f"({c} = {{{v}}} OR {c} IS NULL)" for c, v in self.guessed], at)
+        parts = [f"({column} = {{{variable}}} OR {column} IS NULL)" for column, variable in self.guessed]
+        return self._exists(parts, at, [] if self.then is None else [self.then.could(at)])
 
-    def _exists(self, parts: list[str], at: Variables) -> str:
+    def _exists(self, parts: list[str], at: Variables, then: list[str]) -> str:
         same = [f"{column} = {{{variable}}}" for column, variable in self.equal]
-        covers = [f"{span}.{self.first} <= {{t}} AND {span}.{self.last} >= {{t}}" for span in self.spans]
-        return f"EXISTS {{{{ MATCH {self.pattern} WHERE {' AND '.join([*same, *parts, *covers])} }}}}".format(**at)
+        covers = f"{self.span}.{self.first} <= {{t}} AND {self.span}.{self.last} >= {{t}}"
+        holds = [part.format(**at) for part in (*same, *parts, covers)] + then
+        return f"EXISTS {{ MATCH {self.pattern.format(**at)} WHERE {' AND '.join(holds)} }}"
 
 
 @dataclass(frozen=True)

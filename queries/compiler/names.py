@@ -87,7 +87,7 @@ _PERFORMS: Final = Rows("({n})-[r:Performs]->(x:Action)", (("x.name", "v"),))
 _HANDLES: Final = Rows("({n})-[r:Handles]->(x:Object)", (("r.verb", "w"),), (("x.category", "v"),))
 _INTERACTS: Final = Rows("({n})-[r:Interacts]->({m})", (("r.label", "v"),))
 _BESIDE: Final = Rows("({n})-[r:Beside]->({m})", (("r.label", "v"),))
-_GROUPED: Final = Rows("({n})-[r:MemberOf]->(:SocialGroup)<-[o:MemberOf]-({m})", spans=("r", "o"))
+_GROUPED: Final = Rows("({n})-[r:MemberOf]->(g:SocialGroup)", then=Rows("(g)<-[o:MemberOf]-({m})", span="o"))
 _MEMBER: Final = "EXISTS {{ MATCH ({n})-[r:MemberOf]->(:SocialGroup) WHERE r.first <= {t} AND r.last >= {t} }}"
 _SOCIAL: Final = Tie(_INTERACTS, "{s}.interactions_listed")
 

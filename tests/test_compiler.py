@@ -1,0 +1,385 @@
+"""Compiled plans find in the graph what brute force over the raw labels finds: people, unknowns and answers."""
+
+import itertools
+import json
+import random
+import re
+from collections import Counter, defaultdict
+
+import pyarrow as pa
+import pytest
+from oracle_people import EMPTY, FIRST, GROUP, MAYBE, NO, PLACES, SEVERAL, TOGETHER, WINDOWS, YES
+from oracle_questions import World
+from quick_store import quick_store
+from random_worlds import random_world
+from test_generate_oracle import form, lively_world, sociable_world
+
+from jrdb_avr.loaders.scene import build_scene
+from jrdb_avr.queries.compiler import SCENE, Asked, Names, compile_find, solve
+from jrdb_avr.queries.compiler.clauses import Known, Listed, Rows, Tie
+from jrdb_avr.queries.handle import Graph
+from jrdb_avr.schema.errors import PlanError, QueryError
+from jrdb_avr.schema.plan import Plan, parse_plan
+from jrdb_avr.schema.rules import Rules
+
+NAME = "yard-2020-01-01_0"
+READ = {"mode": "multiple_choice", "read": "action", "of": "a", "at": "t0"}
+
+
+class Site:
+    """A world, its brute-force oracle and its graph."""
+
+    def __init__(self, folder, make, seed):
+        store = quick_store(folder, make(random.Random(seed), NAME))
+        self.world = World(folder / "root", NAME)
+        self.graph = Graph.memory()
+        build_scene(self.graph, store, [NAME])
+
+    def solve(self, plans):
+        asked = [Asked(plan if isinstance(plan, Plan) else parse_plan(plan), NAME) for plan in plans]
+        return solve(self.graph, SCENE, asked, Rules())
+
+    def moments(self, step=1):
+        """Frames with somebody, and who."""
+        frames = sorted({frame for frame, _ in self.world.people})[::step]
+        return [(frame, track) for frame in frames for track in self.world.in_frame(frame)]
+
+
+@pytest.fixture(scope="module")
+def sites(tmp_path_factory):
+    worlds = ((sociable_world, 2), (sociable_world, 4), (random_world, 26), (random_world, 48), (lively_world, 1))
+    made = [Site(tmp_path_factory.mktemp("site"), make, seed) for make, seed in worlds]
+    yield made
+    for site in made:
+        site.graph.close()
+
+
+def planned(site, conditions, times, answer, edges=()):
+    return parse_plan(site.world.graph_plan(conditions, times, answer, edges))
+
+
+def found(solution, node="a"):
+    """Who is found, as the oracle says it."""
+    if solution.people:
+        return solution.people[node]
+    return {"empty": EMPTY, "ambiguous": SEVERAL, "unknown": MAYBE}[solution.outcome]
+
+
+def kind_of_result(who):
+    return "one" if isinstance(who, int) else who
+
+
+# -- conditions and edges -----------------------------------------------------------------------------------------
+
+
+def test_conditions_of_every_kind_hold_fail_or_are_unknown_as_by_brute_force(sites):
+    seen = Counter()
+    for site in sites:
+        world = site.world
+        cases = set()
+        frames = sorted({frame for frame, _ in world.people})
+        # A value of each kind that somebody has somewhere is asked everywhere, alone and with others.
+        values = {condition for frame, track in site.moments(7) for condition in world.conditions(frame, track)}
+        for condition in sorted(values, key=str):
+            cases |= {((condition,), frame) for frame in frames[:: max(1, len(frames) // 30)]}
+        plans = [planned(site, conditions, {"t0": frame}, READ_A) for conditions, frame in sorted(cases, key=str)]
+        for (conditions, frame), solution in zip(sorted(cases, key=str), site.solve(plans), strict=True):
+            expected = world.fits(conditions, frame)
+            assert found(solution) == expected, (conditions, frame)
+            seen[conditions[0][0], kind_of_result(expected)] += 1
+    for kind in ("gender", "age", "pose", "action", "object", "interaction", "group_size", "sector", "distance"):
+        # An interaction is of two people at least.
+        assert seen[kind, SEVERAL if kind == "interaction" else "one"] and seen[kind, MAYBE], (kind, seen)
+        assert seen[kind, EMPTY] + seen[kind, SEVERAL], (kind, seen)
+
+
+READ_A = {"mode": "multiple_choice", "read": "action", "at": "t0"}
+
+
+def test_descriptions_of_several_conditions_are_found(sites):
+    for site in sites[:2]:
+        cases = [
+            (conditions, frame)
+            for frame, track in site.moments()
+            if frame % 15 == 0 and (conditions := site.world.description(frame, track)) and len(conditions) > 1
+        ][:60]
+        plans = [planned(site, conditions, {"t0": frame}, READ_A) for conditions, frame in cases]
+        for (conditions, frame), solution in zip(cases, site.solve(plans), strict=True):
+            assert found(solution) == site.world.fits(conditions, frame)
+
+
+def test_edges_of_every_kind_lead_where_brute_force_says(sites):
+    seen = Counter()
+    kinds = {"social": TOGETHER, "group": (GROUP,), "first": FIRST, "person": PLACES, "window": tuple(WINDOWS)}
+    for site in sites:
+        world, cases = site.world, []
+        for frame, track in site.moments():
+            # Of one kind, so that few statements are needed.
+            unique = [("action", "reading"), ("pose", "walking"), ("pose", "sitting"), ("pose", "standing")]
+            root = next(((c,) for c in unique if world.fits((c,), frame) == track), None)
+            if root is None or frame % 15:
+                continue
+            for kind, labels in kinds.items():
+                # Of those that lead nowhere, one of each sort.
+                of_result = {world.step(frame, track, label): label for label in labels}
+                cases += [(root, frame, track, kind, label) for label in of_result.values()]
+        plans = [planned(site, root, {"t0": frame}, READ_A, [("a", label, "b")]) for root, frame, _, _, label in cases]
+        for (_, frame, track, kind, label), solution in zip(cases, site.solve(plans), strict=True):
+            expected = world.step(frame, track, label)
+            assert found(solution, "b") == expected, (frame, track, label)
+            seen[kind, kind_of_result(expected)] += 1
+    for kind in kinds:
+        assert seen[kind, "one"] and seen[kind, MAYBE] and seen[kind, EMPTY], seen
+        assert kind == "first" or seen[kind, SEVERAL], seen
+
+
+# -- reads --------------------------------------------------------------------------------------------------------
+
+
+def described(site, step=15):
+    """(track, frame, conditions) of people whom one condition singles out at a keyframe."""
+    for frame, track in site.moments():
+        if frame % step == 0:
+            for condition in sorted(site.world.conditions(frame, track), key=str):
+                if condition[0] in ("pose", "action") and site.world.fits((condition,), frame) == track:
+                    yield track, frame, (condition,)
+                    break
+
+
+def test_postures_presence_and_distance_are_read_or_unknown(sites):
+    seen = Counter()
+    names = {(True, True): "both times", (True, False): "only at the first time"}
+    for site in sites:
+        world, plans, expected = site.world, [], []
+        frames = sorted({frame for frame, _ in world.people} | set(world.keyframes))
+        for track, t0, conditions in itertools.islice(described(site), 30):
+            for t1 in [frame for frame in frames if frame > t0][:: max(1, len(frames) // 12)]:
+                times = {"t0": t0, "t1": t1}
+                plans.append(planned(site, conditions, times, READ_A | {"at": "t1"}))
+                expected.append(world.pose(t1, track) if (t1, track) in world.people else None)
+                both = {"mode": "multiple_choice", "at": ["t0", "t1"]}
+                plans.append(planned(site, conditions, times, both | {"read": "presence"}))
+                pair = (world.seen(t0, track), world.seen(t1, track))
+                expected.append(names.get(pair))
+                plans.append(planned(site, conditions, times, both | {"read": "distance_change"}))
+                expected.append(change_of_distance(world, track, t0, t1))
+        for plan, solution, answer in zip(plans, site.solve(plans), expected, strict=True):
+            assert (solution.outcome, solution.answer) == ("defined" if answer else "unknown", answer), plan
+            seen[plan.answer.read, answer] += 1
+    wanted = {("presence", "only at the first time"), ("distance_change", "not in view"), ("action", None)}
+    wanted |= {("presence", None), ("distance_change", None), ("distance_change", "closer to the robot")}
+    assert wanted <= seen.keys(), seen
+
+
+def change_of_distance(world, track, t0, t1):
+    here, there = world.metres[t0, track], world.metres.get((t1, track))
+    if here is None or world.seen(t1, track) is None or (world.seen(t1, track) and there is None):
+        return None
+    if world.seen(t1, track) is False:
+        return "not in view"
+    if abs(here - there) >= 1.5:
+        return "closer to the robot" if there < here else "farther from the robot"
+    return "about the same distance" if abs(here - there) < 0.5 else None
+
+
+def test_starts_are_found_exactly_where_they_are_stable_and_nothing_is_unknown_before(sites):
+    seen = Counter()
+    for site in sites:
+        world, plans, expected = site.world, [], []
+        acts = sorted({row["action"] for row in world.rows["actions"]})
+        for track, t0, conditions in itertools.islice(described(site), 60):
+            for action in acts:
+                event = {"event": "start", "of": "a", "action": action, "after": "t0"}
+                ends = {"event": "end", "of": "a", "action": action, "after": "t1"}
+                how = {"mode": "span", "read": "span", "at": ["t1", "t2"]}
+                plans.append(planned(site, conditions, {"t0": t0, "t1": event}, {**STARTS, "at": "t1"}))
+                plans.append(planned(site, conditions, {"t0": t0, "t1": event, "t2": ends}, how))
+                rows = [row for row in world.segments if (row["track"], row["action"]) == (track, action)]
+                after = [row for row in rows if row["first"] > t0 and world.quiet(track, action, t0, row["first"])]
+                start = f'{{"frame":{after[0]["start"]}}}' if after and t0 in world.action_frames else None
+                closed = start and after[0]["closed"]
+                span = f'{{"start_frame":{after[0]["start"]},"end_frame":{after[0]["end"]}}}' if closed else None
+                expected += [start, span]
+        for plan, solution, answer in zip(plans, site.solve(plans), expected, strict=True):
+            assert solution.answer == answer, plan
+            seen[plan.answer.read, answer is None] += 1
+    assert min(seen[read, known] for read in ("start", "span") for known in (True, False)) >= 10, seen
+
+
+STARTS = {"mode": "frame", "read": "start"}
+
+
+def compare_proven(site, most):
+    """Solve up to `most` proven candidates of each form; returns how many there were of each."""
+    world, by_form = site.world, defaultdict(list)
+    every = {found for t0 in world.keyframes for track in world.in_frame(t0) for found in world.of(track, t0)}
+    for template, track, program, answer in sorted(every):
+        by_form[form(template, program)].append((track, program, answer))
+    chosen = [one for rows in by_form.values() for one in rows[:: -(-len(rows) // most)]]
+    for (track, program, answer), solution in zip(chosen, site.solve(one[1] for one in chosen), strict=True):
+        plan = parse_plan(program)
+        assert solution.outcome == "defined", program
+        assert solution.people[plan.target] == track, program
+        assert rounded(solution.answer) == rounded(answer), program
+    return Counter({name: len(rows) for name, rows in by_form.items()})
+
+
+def rounded(answer):
+    """Numbers in answers that do not hang on the last bit of a float."""
+    return re.sub(r"\d+\.\d+", lambda number: f"{float(number[0]):.6f}", answer)
+
+
+def test_proven_candidates_of_every_template_find_the_oracles_target_and_answer(sites):
+    counts = sum((compare_proven(site, 4) for site in sites[:2]), Counter())
+    assert len(counts) == 14 and min(counts.values()) >= 2, counts
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [random_world, lively_world, sociable_world])
+@pytest.mark.parametrize("seed", range(2000, 2020))
+def test_all_proven_candidates_of_many_worlds(tmp_path, make, seed):
+    site = Site(tmp_path, make, seed)
+    compare_proven(site, 10**9)
+    site.graph.close()
+
+
+# -- what a statement holds ---------------------------------------------------------------------------------------
+
+
+def two_nodes(**changes):
+    plan = {
+        "root": "a",
+        "target": "b",
+        "times": {"t0": {"frame": 15}},
+        "nodes": [{"id": "a", "conditions": [{"action": "reading", "at": "t0"}]}, {"id": "b", "conditions": []}],
+        "edges": [{"source": "a", "relation": "conversation", "target": "b", "at": "t0"}],
+        "answer": {"mode": "multiple_choice", "read": "action", "of": "b", "at": "t0"},
+    }
+    return parse_plan(json.dumps(plan | changes))
+
+
+def test_nothing_of_a_plan_stands_in_the_statement(sites):
+    plain = compile_find(two_nodes(), SCENE)
+    text = json.dumps(
+        {
+            "root": "match",
+            "target": "scope",
+            "times": {"where": {"frame": 30}},
+            "nodes": [
+                {"id": "match", "conditions": [{"action": "x' OR true //", "at": "where"}]},
+                {"id": "scope", "conditions": []},
+            ],
+            "edges": [{"source": "match", "relation": "hugging", "target": "scope", "at": "where"}],
+            "answer": {"mode": "multiple_choice", "read": "action", "of": "scope", "at": "where"},
+        }
+    )
+    strange = compile_find(parse_plan(text), SCENE)
+    assert strange.cypher == plain.cypher
+    assert set(strange.row.values()) == {30, "x' OR true //", "hugging"}
+    assert sites[0].solve([text])[0].outcome in ("empty", "unknown")
+
+
+def test_all_nodes_are_different_people(sites):
+    """A way there and back would bind a to itself."""
+    edges = [{"source": a, "relation": FIRST[0], "target": b, "at": "t0"} for a, b in ("ab", "bc")]
+    nodes = [{"id": node, "conditions": []} for node in "abc"]
+    answer = {"mode": "multiple_choice", "read": "action", "of": "c", "at": "t0"}
+    find = compile_find(two_nodes(nodes=nodes, edges=edges, target="c", answer=answer), SCENE)
+    site = sites[0]
+    rows = site.graph.query(find.cypher, {"plans": [{"id": 0, "scope": NAME, **find.row}]}).to_pylist()
+    assert rows and all(len({row["who0"], row["who1"], row["who2"]}) == 3 for row in rows)
+
+
+def test_a_condition_at_an_event_is_refused_by_name():
+    event = {"event": "start", "of": "b", "action": "walking", "after": "t0"}
+    edges = [{"source": "a", "relation": "conversation", "target": "b", "at": "t1"}]
+    with pytest.raises(PlanError, match=r"times.t1"):
+        compile_find(two_nodes(times={"t0": {"frame": 15}, "t1": event}, edges=edges), SCENE)
+
+
+def test_statements_stop_in_time(sites):
+    with pytest.raises(QueryError, match="stopped after"):
+        nodes = [{"id": f"n{i}", "conditions": []} for i in range(8)]
+        edges = [{"source": "n0", "relation": WIDE, "target": f"n{i}", "at": "t0"} for i in range(1, 8)]
+        answer = {"mode": "multiple_choice", "read": "action", "of": "n7", "at": "t0"}
+        frame = Counter(frame for frame, _ in sites[0].world.people).most_common(1)[0][0]
+        plan = two_nodes(
+            root="n0", target="n7", nodes=nodes, edges=edges, answer=answer, times={"t0": {"frame": frame}}
+        )
+        solve(sites[0].graph, SCENE, [Asked(plan, NAME)] * 400, Rules(), timeout_s=0.05)
+
+
+WIDE = "within 90 degrees to the left of (robot view)"
+
+
+def test_another_namespace_is_another_table_of_names():
+    """Beliefs are rows of one frame; what was not seen is never false."""
+
+    def belief(name):
+        rows = Rows(
+            f"({{n}})-[r:Has {{{{name: '{name}'}}}}]->(x:Attribute)", (("x.value", "v"),), first="at", last="at"
+        )
+        return Listed(rows, "false")
+
+    beliefs = Names(
+        pattern="({n}:Entity)-[{s}:Sighted]->(:Look)",
+        there="{n}.episode = {scope} AND {s}.at = {t}",
+        who="{n}.id",
+        conditions={"pose": belief("pose"), "gender": Known("{n}.gender")},
+        edges={"social": Tie(Rows("({n})-[r:Related]->({m})", (("r.label", "v"),), first="at", last="at"), "false")},
+        reads="scene",
+    )
+    with Graph.memory() as graph:
+        for statement in (
+            "CREATE NODE TABLE Entity(id INT64 PRIMARY KEY, episode STRING, gender STRING)",
+            "CREATE NODE TABLE Look(id INT64 PRIMARY KEY)",
+            "CREATE NODE TABLE Attribute(id INT64 PRIMARY KEY, value STRING)",
+            "CREATE REL TABLE Sighted(FROM Entity TO Look, at INT64)",
+            "CREATE REL TABLE Has(FROM Entity TO Attribute, name STRING, at INT64, certain BOOLEAN)",
+            "CREATE REL TABLE Related(FROM Entity TO Entity, label STRING, at INT64, certain BOOLEAN)",
+        ):
+            graph.execute(statement)
+        graph.copy("Entity", pa.table({"id": [1, 2, 3], "episode": ["e", "e", "other"], "gender": ["male"] * 3}))
+        graph.copy("Look", pa.table({"id": [0]}))
+        graph.copy("Attribute", pa.table({"id": [0], "value": ["sitting"]}))
+        graph.copy("Sighted", pa.table({"from": [1, 2, 3], "to": [0, 0, 0], "at": [15, 15, 15]}))
+        graph.copy("Has", pa.table({"from": [1], "to": [0], "name": ["pose"], "at": [15], "certain": [True]}))
+        related = {"from": [1], "to": [2], "label": ["conversation"], "at": [15], "certain": [True]}
+        graph.copy("Related", pa.table(related))
+        nodes = [{"id": "a", "conditions": [{"action": "sitting", "at": "t0"}]}, {"id": "b", "conditions": []}]
+        find = compile_find(two_nodes(nodes=nodes), beliefs)
+        assert find.cypher.count("MATCH (n0:Entity)") == 1
+        rows = graph.query(find.cypher, {"plans": [{"id": 0, "scope": "e", **find.row}]}).to_pylist()
+    sure = {name for name in rows[0] if name.startswith("sure")}
+    certain = [(row["who0"], row["who1"]) for row in rows if all(row[name] for name in sure)]
+    # The other way round is not known to be false.
+    assert certain == [(1, 2)] and len(rows) == 2
+
+
+def test_the_engine_still_loses_rows_where_a_nullable_column_is_compared_in_a_subquery():
+    """Why compiled subqueries say IS NOT NULL first; when this fails, the engine has learnt better."""
+    rng = random.Random(0)
+    seen = [(person, frame, rng.choice((None, "walking", "standing"))) for person in range(40) for frame in range(60)]
+    asked = [{"id": i, "who": person, "t": frame, "v": "walking"} for i, (person, frame, _) in enumerate(seen)]
+    truth = [pose == "walking" for _, _, pose in seen]
+    with Graph.memory() as graph:
+        graph.execute("CREATE NODE TABLE P(id INT64 PRIMARY KEY)")
+        graph.execute("CREATE NODE TABLE F(id INT64 PRIMARY KEY)")
+        graph.execute("CREATE REL TABLE S(FROM P TO F, frame INT64, pose STRING)")
+        graph.copy("P", pa.table({"id": range(40)}))
+        graph.copy("F", pa.table({"id": range(60)}))
+        person, frame, pose = zip(*seen, strict=True)
+        graph.copy("S", pa.table({"from": person, "to": frame, "frame": frame, "pose": pose}))
+
+        def holds(more):
+            text = f"""UNWIND $plans AS q WITH q.id AS id, q.who AS who, q.t AS t, q.v AS v
+                       MATCH (p:P) WHERE p.id = who WITH id, t, v, p
+                       WITH id, EXISTS {{ MATCH (p)-[s:S]->(:F) WHERE {more} s.frame = t AND s.pose = v }} AS e
+                       RETURN id, e ORDER BY id"""
+            return [row["e"] for row in graph.query(text, {"plans": asked}).to_pylist()]
+
+        assert holds("s.pose IS NOT NULL AND") == truth
+        assert holds("") != truth
+
+
+assert {YES, NO, MAYBE} == {"true", "false", "unknown"}
