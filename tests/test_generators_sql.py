@@ -9,10 +9,13 @@ relations, answers, and what each candidate says of itself.
 from contextlib import nullcontext
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scene_tables import scene_tables
 from sql_search import JUDGED, OF_PATHS, SQL, Search
 
 import jrdb_avr
+from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import Rules
 
 CYPHER = Path(jrdb_avr.__file__).parent / "queries"
@@ -29,20 +32,24 @@ STRICT = {
     "same": 0.5,
 }
 """The rules as they stand in the specification: frames, degrees, people and metres."""
-LAX = STRICT | {"wait": 30, "long_wait": 60, "search_wait": 15, "turn_degrees": 8.5, "least_gap": 45, "least_people": 2}
-LAX_RULES = Rules(min_wait_s=2.0, long_wait_s=4.0, search_wait_s=1.0, turn_deg=8.5, gap_min_s=3.0, count_min=2)
+LAX = STRICT | {"wait": 30, "long_wait": 60, "search_wait": 15, "turn_degrees": 8.5, "least_gap": 15, "least_people": 2}
+LAX_RULES = Rules(min_wait_s=2.0, long_wait_s=4.0, search_wait_s=1.0, turn_deg=8.5, gap_min_s=1.0, count_min=2)
 """Under which half a minute of the sample holds candidates of every template."""
 SHIFT = 45
 HOPS = {"two_hop": 2, "three_hop": 3}
 
 
 @pytest.fixture(scope="module")
-def searches(sample_benchmark):
-    """One sequence of the sample under the rules, the others under the laxer ones."""
-    store = sample_benchmark
+def searches(sample_benchmark, tmp_path_factory):
+    """One sequence of the sample under the rules, the others under the laxer ones, and one of made-up tables, in which
+    facts of every kind are uncertain everywhere."""
+    store, made_up = sample_benchmark, Store(tmp_path_factory.mktemp("made-up"))
+    for kind, table in scene_tables("yard-1_0", np.random.default_rng(1), frames=241, people=10).items():
+        made_up.write_interval(kind, "yard-1_0", table)
     first, *others = sorted(path.stem for path in (store.path / "intervals" / "sightings").glob("*.parquet"))
     made = [Search(store, first, Rules(), STRICT)]
     made += [Search(store, sequence, LAX_RULES, LAX) for sequence in others]
+    made.append(Search(made_up, "yard-1_0", LAX_RULES, LAX))
     yield made
     for search in made:
         search.close()
