@@ -127,7 +127,8 @@ def _shift(
     outcome = np.where(known, np.where(read == pairs.answer, SAME, DIFFERENT), UNKNOWN).astype(np.int8)
     for at in (pairs.at1, pairs.at2):
         moved = scene.frames(at) + by
-        beyond = (moved < scene.keyframes[0]) | (moved > scene.keyframes[-1])
+        # As slices: a sequence without keyframes has none to compare with, and nothing to compare.
+        beyond = (moved < scene.keyframes[:1]) | (moved > scene.keyframes[-1:])
         outcome[beyond], read[beyond] = OUTSIDE, NOBODY
     outcome, read = outcome[pair], read[pair]
     before = times["t1"] + by <= times["t0"]
