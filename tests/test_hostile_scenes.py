@@ -17,6 +17,7 @@ from worlds import member, person, person_3d, write_root
 from jrdb_avr.engine import paths
 from jrdb_avr.engine.descriptions import describe_people
 from jrdb_avr.engine.generate import generate
+from jrdb_avr.engine.rederive import Annotations, rederive
 from jrdb_avr.engine.relations import find_facts
 from jrdb_avr.engine.scene import load_scene
 from jrdb_avr.engine.search import find_candidates, search_graph
@@ -26,6 +27,7 @@ from jrdb_avr.engine.validate import validate
 from jrdb_avr.loaders.layers import find_root
 from jrdb_avr.loaders.load import load
 from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.rules import LoadRules, Rules
 
 RULES = Rules(max_answer_share=1.0)
@@ -225,6 +227,15 @@ def test_nothing_is_asked_where_nobody_can_be_told_or_nothing_happens(made, scen
 
 def test_a_group_of_22_gives_21_to_count_and_no_hop(made):
     assert asked(made[3]["group"]) == {"gap": {(5, '{"value":21.000000}')}}
+
+
+def test_the_second_path_counts_no_group_whose_size_is_said(made):
+    _, store, questions, _ = made
+    annotations = Annotations.read(store, sequence_of("group"), RULES)
+    plan = json.loads(questions["group"][0]["plan"])
+    plan["nodes"][0]["conditions"].append({"attribute": "group_size", "value": 22, "at": "t1"})
+    found = rederive(annotations, parse_plan(json.dumps(plan).encode()), "gap", RULES)
+    assert "the question's own words tell how large the group is" in found.faults
 
 
 def test_directions_go_on_across_the_seam(made):
