@@ -230,7 +230,7 @@ def rounded(answer):
 
 
 def test_proven_candidates_of_every_template_find_the_oracles_target_and_answer(sites):
-    counts = sum((compare_proven(site, 4) for site in sites[:2]), Counter())
+    counts = compare_proven(sites[0], 5)
     assert len(counts) == 14 and min(counts.values()) >= 2, counts
 
 
