@@ -41,7 +41,7 @@ class Company:
     def tables(self, scene: Scene) -> dict[str, pa.Table]:
         """The graph's tables `Company`, `Keeps` and `Meets`."""
         number = np.arange(len(self.moment))
-        relation = pc.take(pa.array(RELATIONS), pa.array(self.relation))
+        relation = pc.take(pa.array(RELATIONS, pa.string()), pa.array(self.relation))
         times = {
             name: pa.array(column, mask=column == NOBODY)
             for name, column in (("met", self.met), ("seen", self.seen), ("maybe", self.maybe))

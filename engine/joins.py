@@ -104,7 +104,7 @@ class Joins:
             parts.append(tuple(column[single] for column in (of_b, d, of_a, of_c, r3, r4)))
         none = (np.zeros(0, np.int64),) * 6
         columns = [np.concatenate(column) for column in zip(none, *parts, strict=True)]
-        words = pa.array(RELATIONS)
+        words = pa.array(RELATIONS, pa.string())
         named = [pc.take(words, pa.array(column)) for column in columns[4:]]
         return pa.table([*map(pa.array, columns[:4]), *named], names=["from", "to", "a", "c", "r3", "r4"])
 

@@ -87,7 +87,7 @@ def paths_in_graph(graph: Graph, paths: Paths) -> Iterator[None]:
     for name in ("r1", "r2", "r3"):
         told = paths.relations.get(name)
         none = pa.nulls(len(paths), pa.string())
-        columns[name] = none if told is None else pc.take(pa.array(RELATIONS), pa.array(told))
+        columns[name] = none if told is None else pc.take(pa.array(RELATIONS, pa.string()), pa.array(told))
     graph.copy("Path", pa.table(columns))
     graph.copy("From", pa.table({"from": number, "to": paths.people["a"]}))
     graph.copy("Of", pa.table({"from": number, "to": paths.description}))

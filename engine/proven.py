@@ -5,9 +5,9 @@ A presence template has millions of proven candidates, so plans are made from co
 
 from __future__ import annotations
 
+import hashlib
 from typing import Final
 
-import duckdb
 import msgspec
 import numpy as np
 import pyarrow as pa
@@ -39,7 +39,7 @@ def candidate_table(
     track = pa.array(scene.tracks[scene.persons(candidates.people[template.target][rows])], pa.int32())
     plan = _plans(scene, descriptions, candidates, rows)
     if template.answer is None:
-        answer = pc.take(pa.array(VALUES), pa.array(candidates.answer[rows]))
+        answer = pc.take(pa.array(VALUES, pa.string()), pa.array(candidates.answer[rows]))
     else:
         columns = {name: pa.array(numbers[rows]) for name, numbers in candidates.frames.items()}
         if "value" in template.answer:
@@ -80,10 +80,7 @@ def frame_lists(candidates: Candidates, names: tuple[str, ...], rows: Ints) -> p
 
 def hashed(texts: pa.Array) -> pa.Array:
     """sha256 of each text, in hex."""
-    with duckdb.connect(config={"threads": 1}) as connection:
-        connection.register("given", pa.table({"text": texts}))
-        result = connection.sql("SELECT sha256(text) AS key FROM given").to_arrow_table()
-    return result["key"].combine_chunks()
+    return pa.array([hashlib.sha256(text.encode()).hexdigest() for text in texts.to_pylist()], pa.string())
 
 
 def _plans(scene: Scene, descriptions: Descriptions, candidates: Candidates, rows: Ints) -> pa.Array:
@@ -94,7 +91,7 @@ def _plans(scene: Scene, descriptions: Descriptions, candidates: Candidates, row
     columns = {"conditions": pc.take(pa.array(texts, pa.string()), pa.array(place))}
     columns |= {time: pa.array(candidates.frames[time][rows]) for time in candidates.template.stated}
     for name, codes in candidates.relations.items():
-        columns[name] = pc.take(pa.array(RELATIONS), pa.array(codes[rows]))
+        columns[name] = pc.take(pa.array(RELATIONS, pa.string()), pa.array(codes[rows]))
     action = scene.segments["action"].combine_chunks()
     for name, segments in (("action", candidates.segment), ("action2", candidates.segment2)):
         columns[name] = pc.take(action, pa.array(segments[rows], mask=segments[rows] == NOBODY))
@@ -114,4 +111,4 @@ def _json_numbers(values: Floats) -> pa.Array:
 
 
 def _constant(text: str, count: int) -> pa.Array:
-    return pa.repeat(pa.scalar(text), count)
+    return pa.repeat(pa.scalar(text, pa.string()), count)

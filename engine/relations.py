@@ -96,7 +96,7 @@ class Steps:
             {
                 "from": np.concatenate([self.source, ends]),
                 "to": np.concatenate([self.target, ends]),
-                "relation": pc.take(pa.array(RELATIONS), pa.array(relation)),
+                "relation": pc.take(pa.array(RELATIONS, pa.string()), pa.array(relation)),
             }
         )
         return {"Step": steps, "Leads": steps.filter(pc.greater_equal(steps["to"], 0))}

@@ -245,7 +245,7 @@ _SPREAD: Final = 1 << 32
 
 def coded(column: pa.ChunkedArray, words: tuple[str, ...]) -> Ints:
     """Texts as indices into `words`; null and other words are NOBODY."""
-    found = pc.index_in(column, value_set=pa.array(words))
+    found = pc.index_in(column, value_set=pa.array(words, pa.string()))
     return np.asarray(pc.fill_null(found, NOBODY).to_numpy(), dtype=np.int64)
 
 
@@ -267,8 +267,8 @@ def make_scene(tables: dict[str, pa.Table]) -> Scene:
     """A scene from the interval tables of one sequence, by kind, in any row order."""
     head = tables["sequence"].to_pylist()[0]
     grid = tables["frames"].sort_by("frame")
-    known = pc.is_in(tables["actions"]["action"], value_set=pa.array(ACTIONS))
-    named = pc.is_in(tables["segments"]["action"], value_set=pa.array(ACTIONS))
+    known = pc.is_in(tables["actions"]["action"], value_set=pa.array(ACTIONS, pa.string()))
+    named = pc.is_in(tables["segments"]["action"], value_set=pa.array(ACTIONS, pa.string()))
     order = [("track", "ascending"), ("action", "ascending"), ("first", "ascending"), ("last", "ascending")]
     return Scene(
         sequence=head["sequence"],
@@ -381,7 +381,9 @@ def _moments(scene: Scene, rules: Rules) -> tuple[Ints, pa.Table]:
             "clear": clear,
             "image": scene.has_image(times),
             "ahead": in_front,
-            "pose": pc.take(pa.array(POSES), pc.take(pa.array(scene.poses, mask=scene.poses == NOBODY), there)),
+            "pose": pc.take(
+                pa.array(POSES, pa.string()), pc.take(pa.array(scene.poses, mask=scene.poses == NOBODY), there)
+            ),
             "distance": distance,
             "angle": pc.take(pa.array(scene.geometry["angle"]), there),
         }

@@ -342,5 +342,8 @@ def plan_texts(template: Template, columns: Mapping[str, pa.Array]) -> pa.Array:
 
 def joined(pieces: list[pa.Array | str]) -> pa.Array:
     """Texts put together from columns and constants; numbers are written as they are."""
-    parts = [pa.scalar(piece) if isinstance(piece, str) else pc.cast(piece, pa.string()) for piece in pieces]
-    return pc.binary_join_element_wise(*parts, "")
+    # Of a text whose type is not told, Arrow looks for packages that know of dates, every time.
+    parts = [
+        pa.scalar(piece, pa.string()) if isinstance(piece, str) else pc.cast(piece, pa.string()) for piece in pieces
+    ]
+    return pc.binary_join_element_wise(*parts, pa.scalar("", pa.string()))
