@@ -1,0 +1,362 @@
+"""How long generation takes and what memory it holds, whether its time grows with the boxes alone, and how the search
+for chains compares with networkx.
+
+    python tests/benchmarks/bench_generate.py [--store STORE] [--workers 2] [--scale 0.25] [--only generate|networkx]
+
+STORE is a loaded store, which is only read; without it a synthetic one of every layer is made (scale 1: 27 sequences,
+about 957,000 boxes). Printed, all of it measured in one run:
+
+- `generate` of all sequences, of a third and of a ninth of them (every third and every ninth by size): seconds,
+  seconds per million boxes, the highest resident memory of all processes together, sampled fifty times a second;
+- where the time goes, one process: by step, and by template with everything that is done for it;
+- two_hop and three_hop from the same described people, in networkx and here, in processor seconds; both must find the
+  same chains. networkx holds the same relations twice: as one MultiDiGraph of a sequence with timed edges, as the
+  annotations tell them (and as the scene's graph stores them), and as a MultiDiGraph per keyframe. Either is built
+  beforehand, and a person's steps at a keyframe are worked out once. Here it is the query alone, and the query with
+  all that it needs of the relations worked out: their facts, the steps, and the edges copied into the graph.
+
+On a machine that is busy with other things processor seconds hold better than wall seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import tempfile
+import time
+from collections import defaultdict
+from pathlib import Path
+from unittest import mock
+
+import msgspec
+import networkx as nx
+import numpy as np
+import pyarrow.parquet as pq
+from bench_load import Clock, Memory, sample
+
+from jrdb_avr.engine import search, shard
+from jrdb_avr.engine.candidates import ask, ints
+from jrdb_avr.engine.descriptions import describe_people
+from jrdb_avr.engine.generate import generate
+from jrdb_avr.engine.relations import KIND, RELATIONS, find_facts, find_steps
+from jrdb_avr.engine.scene import NOBODY, coded, load_scene
+from jrdb_avr.loaders.layers import find_root
+from jrdb_avr.loaders.load import load
+from jrdb_avr.queries.handle import Graph
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.rules import LoadRules, Rules
+from jrdb_avr.schema.vocabulary import SAME_GROUP
+
+RULES = Rules()
+CODE = {relation: code for code, relation in enumerate(RELATIONS)}
+KINDS = KIND.tolist()
+
+
+# -- generation -------------------------------------------------------------------------------------------------
+
+
+def part_of(store, names, folder):
+    """A store of some of the sequences whose tables are those of another one."""
+    folder.mkdir()
+    for name in ("annotations", "intervals"):
+        (folder / name).symlink_to((store.path / name).resolve())
+    part = Store(folder)
+    whole = store.manifest()
+    part.write_manifest(msgspec.structs.replace(whole, sequences={name: whole.sequences[name] for name in names}))
+    return part
+
+
+def boxes(store, sequence):
+    return pq.read_metadata(store.interval_path("sightings", sequence)).num_rows
+
+
+def measure_generate(store, workers, folder):
+    """Whole generations of all sequences, of a third and of a ninth of them."""
+    by_size = sorted(store.manifest().sequences, key=lambda name: (boxes(store, name), name))
+    print(
+        f"{'sequences':>9}{'boxes':>11}{'wall s':>9}{'cpu s':>9}{'cpu s / million':>17}{'peak MB':>9}{'questions':>11}"
+    )
+    for step in (1, 3, 9):
+        names = by_size[step // 2 :: step]
+        part = part_of(store, names, folder / f"every-{step}")
+        clock = Clock()
+        with Memory() as memory, clock("all"):
+            report = generate(part, RULES, workers=workers)
+        wall, busy = clock.seconds["all"]
+        number = sum(boxes(store, name) for name in names)
+        questions = sum(row["questions"] for row in report.templates)
+        line = f"{len(names):9}{number:11,}{wall:9.1f}{busy:9.1f}{busy / number * 1e6:17.1f}"
+        print(f"{line}{memory.all:9.0f}{questions:11,}")
+        assert not report.faults, report.faults[0]
+
+
+def measure_steps(store):
+    """Every step of every sequence, one after another in this process; a step's seconds are its own alone."""
+    steps, templates = Exclusive(), Exclusive()
+    rows = defaultdict(int)
+
+    def found(scene, facts, descriptions, graph, template, rules):
+        with templates(template.name), steps("search and proofs"):
+            result = search.find_candidates(scene, facts, descriptions, graph, template, rules)
+        rows[template.name] += len(result)
+        return result
+
+    def judged(self, forms, judge=shard._Search.judge):
+        with templates(forms[0].template.name), steps("examples, thinning out, the rest"):
+            judge(self, forms)
+
+    named = {
+        "load_scene": "tables of the sequence",
+        "find_facts": "relations and descriptions",
+        "describe_people": "relations and descriptions",
+        "search_graph": "graph of the sequence",
+        "candidate_table": "plans and keys",
+        "rederive": "second path",
+        "make_record": "records and choices",
+        "make_choices": "records and choices",
+    }
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(mock.patch.object(shard, "find_candidates", found))
+        stack.enter_context(mock.patch.object(shard._Search, "judge", judged))
+        read = steps.timed("second path: its tables", shard.Annotations.read)
+        stack.enter_context(mock.patch.object(shard.Annotations, "read", read))
+        for name, step in named.items():
+            stack.enter_context(mock.patch.object(shard, name, steps.timed(step, getattr(shard, name))))
+        for sequence in sorted(store.manifest().sequences):
+            with templates("(for all)"), steps("examples, thinning out, the rest"):
+                shard.search_sequence(shard.Job(store.path, sequence, RULES))
+    for title, clock in (("step", steps), ("template", templates)):
+        whole = sum(clock.seconds.values())
+        print(f"\n{title:36}{'cpu s':>9}{'share':>9}" + ("" if clock is steps else f"{'candidates':>13}"))
+        order = sorted(clock.seconds, key=lambda name: -clock.seconds[name]) if clock is steps else clock.seconds
+        for name in order:
+            more = f"{rows[name]:13,}" if rows.get(name) else ""
+            print(f"{name:36}{clock.seconds[name]:9.2f}{clock.seconds[name] / whole:9.1%}{more}")
+
+
+class Exclusive:
+    """Processor seconds of this process by name, without those of what is timed inside."""
+
+    def __init__(self):
+        self.seconds = defaultdict(float)
+        self._inside = [0.0]
+
+    @contextlib.contextmanager
+    def __call__(self, name):
+        begin = time.process_time()
+        self._inside.append(0.0)
+        yield
+        spent = time.process_time() - begin
+        self.seconds[name] += spent - self._inside.pop()
+        self._inside[-1] += spent
+
+    def timed(self, name, function):
+        def call(*arguments, **more):
+            with self(name):
+                return function(*arguments, **more)
+
+        return call
+
+
+# -- chains -----------------------------------------------------------------------------------------------------
+
+
+class Timed:
+    """A sequence's people in one MultiDiGraph whose edges hold from one frame to another."""
+
+    def __init__(self, scene, facts):
+        self.frames, self.there = scene.keyframes.tolist(), people_there(scene, facts)
+        self.silent = [silent_of(there) for there in self.there]
+        self.graph = nx.MultiDiGraph()
+        number = {track: person for person, track in enumerate(scene.tracks.tolist())}
+        self.graph.add_nodes_from(number.values())
+        columns = ("source", "target", "label", "first", "last", "certain")
+        for table in (scene.interactions, scene.beside):
+            for a, b, label, first, last, sure in zip(*(table[name].to_pylist() for name in columns), strict=True):
+                if label in CODE:
+                    self._add(number[a], number[b], CODE[label], first, last, sure)
+        clusters = defaultdict(list)
+        columns = ("cluster", "track", "first", "last", "certain")
+        rows = zip(*(scene.memberships[name].to_pylist() for name in columns), strict=True)
+        for cluster, track, first, last, sure in rows:
+            clusters[cluster].append((number[track], first, last, sure))
+        for members in clusters.values():
+            for a, *span in members:
+                for b, *other in members:
+                    first, last = max(span[0], other[0]), min(span[1], other[1])
+                    if a != b and first <= last:
+                        self._add(a, b, CODE[SAME_GROUP], first, last, span[2] and other[2])
+
+    def _add(self, a, b, relation, first, last, sure):
+        self.graph.add_edge(a, b, relation=relation, first=first, last=last, sure=sure)
+
+    def edges(self, person, keyframe):
+        frame, there = self.frames[keyframe], self.there[keyframe]
+        for _, other, edge in self.graph.out_edges(person, data=True):
+            if edge["first"] <= frame <= edge["last"] and other in there:
+                yield other, edge
+
+
+class PerKeyframe:
+    """A MultiDiGraph of the people of every keyframe."""
+
+    def __init__(self, scene, facts):
+        self.there = people_there(scene, facts)
+        self.silent = [silent_of(there) for there in self.there]
+        self.graphs = [nx.MultiDiGraph() for _ in self.there]
+        count = len(self.there)
+        for graph, there in zip(self.graphs, self.there, strict=True):
+            graph.add_nodes_from(there)
+        columns = (facts.source, facts.target, facts.relation, facts.certain)
+        for source, target, relation, sure in zip(*(column.tolist() for column in columns), strict=True):
+            graph = self.graphs[source % count]
+            graph.add_edge(source // count, target // count, relation=relation, sure=sure)
+
+    def edges(self, person, keyframe):
+        for _, other, edge in self.graphs[keyframe].out_edges(person, data=True):
+            yield other, edge
+
+
+def people_there(scene, facts):
+    """Per keyframe, of everybody with a box: the pose, and of which kinds of relations it is told."""
+    count = len(scene.keyframes)
+    there = [{} for _ in range(count)]
+    for moment in np.flatnonzero(scene.moment_rows != NOBODY).tolist():
+        told = facts.told[:, moment].tolist()
+        there[moment % count][moment // count] = int(scene.moment_poses[moment]), told
+    return there
+
+
+def silent_of(there):
+    """By kind of relation, everybody of whom it is not told."""
+    return [{person for person, (_, told) in there.items() if not told[kind]} for kind in range(max(KINDS) + 1)]
+
+
+def steps_of(graph, person, keyframe):
+    """(relation, other) for every relation that one other person certainly has and nobody else could."""
+    partners = defaultdict(dict)
+    for other, edge in graph.edges(person, keyframe):
+        of_relation = partners[edge["relation"]]
+        of_relation[other] = of_relation.get(other, False) or edge["sure"]
+    there, found = graph.there[keyframe], []
+    for relation, others in partners.items():
+        (other, sure), *more = others.items()
+        if more or not sure:
+            continue
+        kind = KINDS[relation]
+        told = there[person][1][kind]
+        if not (graph.silent[keyframe][kind] - {person, other} if told else len(there) > 2):
+            found.append((relation, other))
+    return found
+
+
+def chains(graph, starts, count, hops):
+    """Every chain of so many steps from the people described: (name, relation, moment, relation, moment, ...)."""
+    known, found = {}, []
+
+    def steps(person, keyframe):
+        place = person, keyframe
+        if place not in known:
+            known[place] = steps_of(graph, person, keyframe)
+        return known[place]
+
+    def walk(chain, people, keyframe):
+        for relation, other in steps(people[-1], keyframe):
+            if other in people:
+                continue
+            longer = (*chain, relation, other * count + keyframe)
+            if len(people) < hops:
+                walk(longer, (*people, other), keyframe)
+            elif graph.there[keyframe][other][0] != NOBODY:
+                found.append(longer)
+
+    for name, moment in starts:
+        walk((name,), (moment // count,), moment % count)
+    return found
+
+
+CHAINS = {"two_hop": ("r1", "b", "r2", "c"), "three_hop": ("r1", "b", "r2", "c", "r3", "d")}
+
+
+def measure_chains(store):
+    seconds, rows, edges = defaultdict(float), defaultdict(int), defaultdict(int)
+
+    @contextlib.contextmanager
+    def clock(*name):
+        begin = time.process_time()
+        yield
+        seconds[name] += time.process_time() - begin
+
+    for sequence in sorted(store.manifest().sequences):
+        scene = load_scene(store, sequence)
+        facts = find_facts(scene)
+        names = describe_people(scene, facts, RULES)
+        starts = [(name, int(names.moment[name])) for name in np.flatnonzero(names.general).tolist()]
+        with clock("built"):
+            graphs = {"timed edges": Timed(scene, facts), "a graph per keyframe": PerKeyframe(scene, facts)}
+        edges["timed edges"] += graphs["timed edges"].graph.number_of_edges()
+        edges["a graph per keyframe"] += len(facts.source)
+        with search.search_graph(scene, facts, names, RULES) as graph:
+            with clock("relations"):
+                leads = find_steps(scene, find_facts(scene)).tables()["Leads"]
+                with Graph.memory() as other:
+                    other.execute("CREATE NODE TABLE Moment(id INT64 PRIMARY KEY)")
+                    other.copy("Moment", graph.query("MATCH (m:Moment) RETURN m.id AS id", ordered=False))
+                    other.execute("CREATE REL TABLE Leads(FROM Moment TO Moment, relation STRING)")
+                    other.copy("Leads", leads)
+            for template, columns in CHAINS.items():
+                with clock("here", template):
+                    table = ask(graph, "generators", template, RULES)
+                numbers = [
+                    coded(table[column], RELATIONS) if column[0] == "r" else ints(table, column) for column in columns
+                ]
+                here = sorted(map(tuple, np.stack([ints(table, "name"), *numbers], axis=1).tolist()))
+                rows[template] += len(here)
+                for kind, there in graphs.items():
+                    with clock(kind, template):
+                        found = chains(there, starts, len(scene.keyframes), len(columns) // 2)
+                    assert sorted(found) == here, f"{sequence}: networkx finds other chains"
+        rows["starts"] += len(starts)
+    print(f"\n{rows['starts']:,} people described; networkx graphs built in {seconds['built',]:.1f} s")
+    print(
+        f"{'cpu s':12}{'chains':>8}{'query':>8}{'+ relations':>13}"
+        + "".join(f"{kind:>24}{'ratios':>14}" for kind in graphs)
+    )
+    for template in CHAINS:
+        own = seconds["here", template], seconds["here", template] + seconds["relations",]
+        line = f"{template:12}{rows[template]:8,}{own[0]:8.2f}{own[1]:13.2f}"
+        for kind in graphs:
+            other = seconds[kind, template]
+            line += f"{other:24.2f}{other / own[0]:8.1f}{other / own[1]:6.1f}"
+        print(line)
+    print("edges: " + ", ".join(f"{kind} {number:,}" for kind, number in edges.items()))
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--store", type=Path)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--scale", type=float, default=0.25)
+    parser.add_argument("--only", choices=("generate", "steps", "networkx"))
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        store = Store(options.store) if options.store else sampled(folder, options.scale, options.workers)
+        if options.only in (None, "generate"):
+            measure_generate(store, options.workers, folder)
+        if options.only in (None, "steps"):
+            measure_steps(store)
+        if options.only in (None, "networkx"):
+            measure_chains(store)
+
+
+def sampled(folder, scale, workers):
+    """A loaded store of a synthetic root."""
+    sample(folder / "root", scale, workers)
+    store = Store(folder / "store")
+    load(find_root(folder / "root"), store, LoadRules(), workers)
+    return store
+
+
+if __name__ == "__main__":
+    main()
