@@ -1,13 +1,13 @@
 """`validate` finds every way of spoiling a benchmark that the tests could think of, and nothing in a sound one."""
 
 import json
-import subprocess
-import sys
+import shutil
 
 import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from entry import run
 
 from jrdb_avr.engine.templates import TEMPLATES
 from jrdb_avr.engine.validate import CHECKS, validate
@@ -28,18 +28,25 @@ def rewrite(store, name, change, schema=None):
     pq.write_table(pa.Table.from_pylist(rows, schema=schema or table.schema), path)
 
 
-@pytest.fixture
-def few(benchmark_copy):
-    """A question of each template, to be spoiled. Shares of answers no longer mean anything."""
-    rows = benchmark_copy.questions("questions").sort_by([("sequence", "descending")]).to_pylist()
+@pytest.fixture(scope="module")
+def one_of_each(sample_benchmark, tmp_path_factory):
+    """A question of each template. Shares of answers no longer mean anything."""
+    store = Store(shutil.copytree(sample_benchmark.path, tmp_path_factory.mktemp("few") / "store"))
+    rows = store.questions("questions").sort_by([("sequence", "descending")]).to_pylist()
     chosen = {row["template"]: row["question_id"] for row in rows}
     kept = set(chosen.values())
     for name in ("questions", "answers", "evidence"):
-        keep_only(benchmark_copy, name, kept)
+        keep_only(store, name, kept)
     # In half a minute hardly anybody keeps a posture for ten seconds and then changes it.
     assert set(chosen) >= {template.name for template in TEMPLATES} - {"consequence"}
-    assert faulty(benchmark_copy) <= {"selection"}
-    return benchmark_copy
+    assert faulty(store) <= {"selection"}
+    return store
+
+
+@pytest.fixture
+def few(one_of_each, tmp_path):
+    """The same, to be spoiled."""
+    return Store(shutil.copytree(one_of_each.path, tmp_path / "store"))
 
 
 def keep_only(store, name, ids):
@@ -208,21 +215,16 @@ def test_metadata_is_looked_at(few):
 
 
 def test_missing_and_broken_files_are_one_line(few, tmp_path):
-    def run(store):
-        program = "from jrdb_avr.engine.cli import main; main()"
-        command = [sys.executable, "-c", program, "validate", "--store", str(store)]
-        return subprocess.run(command, capture_output=True, text=True, timeout=120)
-
     with pytest.raises(StoreError, match="no questions yet"):
         Store(tmp_path / "nothing").questions("questions")
     few.question_path("evidence").write_bytes(b"PAR1 nothing")
-    missing = run(tmp_path / "nothing")
-    broken = run(few.path)
+    missing = run("validate", "--store", tmp_path / "nothing")
+    broken = run("validate", "--store", few.path)
     few.question_path("evidence").unlink()
-    gone = run(few.path)
-    for result in (missing, broken, gone):
-        assert result.returncode == 1 and len(result.stderr.splitlines()) == 1, result.stderr
-        assert result.stderr.startswith("jrdb-avr: ") and not result.stdout
+    gone = run("validate", "--store", few.path)
+    for code, out, err in (missing, broken, gone):
+        assert code == 1 and len(err.splitlines()) == 1, err
+        assert err.startswith("jrdb-avr: ") and not out
 
 
 def test_questions_of_other_rules_are_refused(sample_benchmark):
