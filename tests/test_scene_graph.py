@@ -108,7 +108,7 @@ def test_nothing_staged_is_left(store):
     assert not (store.path / STAGE).exists()
 
 
-@pytest.mark.parametrize("folder", ["a b", "it's", 'say "x"', "[ab]*?", "back\\slash", "ünï", "{a,b}", "-x", "$HOME"])
+@pytest.mark.parametrize("folder", ["a b", "it's", 'say "x" {a,b}', "[ab]*?", "back\\slash ünï", "-x $HOME"])
 def test_the_folder_may_be_called_anything(tmp_path, folder):
     store = table_store(tmp_path / folder, frames=31, people=4)
     with Graph.open(store.graph_path, read_only=True) as graph:
@@ -138,27 +138,33 @@ def test_rows_staged_by_workers_are_the_ones_copied(tmp_path):
 @pytest.mark.parametrize("rows", [1, 40, 10_000])
 def test_batches_of_any_size_give_the_same_graph(tmp_path, monkeypatch, rows):
     monkeypatch.setattr(scene, "BATCH_ROWS", rows)
-    store = table_store(tmp_path, frames=31, people=4, sequences=("a", "b.c", "d-e_0"))
+    store = table_store(tmp_path, frames=16, people=3, sequences=("a", "b.c", "d-e_0"))
     with Graph.open(store.graph_path, read_only=True) as graph:
         for table in SQL:
             assert in_graph(graph, table) == in_files(store, table)
 
 
-@pytest.mark.parametrize("word", ["", "it's", "a/b", "ü\u2028", "back\\slash", "null", 'say "x"', "a,b]", "x" * 100])
-def test_words_of_files_are_kept_as_they_are(tmp_path, word):
+@pytest.mark.parametrize(
+    "words",
+    [("", "it's", "a/b"), ("ü\u2028", "back\\slash", "null"), ('say "x"', "a,b]", "x" * 100)],
+    ids=["short", "odd", "long"],
+)
+def test_words_of_files_are_kept_as_they_are(tmp_path, words):
     tables = scene_tables("s", np.random.default_rng(1), 31, 4)
 
     def said(kind, column):
         rows = tables[kind]
         place = rows.schema.get_field_index(column)
-        tables[kind] = rows.set_column(place, rows.schema.field(place), pa.array([word] * rows.num_rows))
+        texts = pa.array([words[i % 3] for i in range(rows.num_rows)])
+        tables[kind] = rows.set_column(place, rows.schema.field(place), texts)
 
     for kind, column in (
         *(("actions", "action"), ("handles", "verb"), ("objects", "category"), ("interactions", "label")),
         *(("sightings", "occlusion"), ("persons", "gender")),
     ):
         said(kind, column)
-    tables["group_info"] = tables["group_info"].slice(0, 1).set_column(3, "value", pa.array([word]))
+    # Of three attributes.
+    tables["group_info"] = tables["group_info"].take([0, 2, 4]).set_column(3, "value", pa.array(words))
     store = Store(tmp_path)
     for kind, table in tables.items():
         store.write_interval(kind, "s", table)
