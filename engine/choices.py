@@ -20,7 +20,7 @@ from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 from .candidates import VALUES, Candidates
 from .descriptions import Descriptions
 from .proofs import condition_text, tracks_of
-from .relations import STATED_POSES
+from .relations import STATED_POSES, Steps
 from .scene import NOBODY, Scene
 
 COUNT: Final = 4
@@ -36,12 +36,12 @@ class Choices:
 
 
 def make_choices(
-    scene: Scene, descriptions: Descriptions, candidates: Candidates, row: int, key: str, rules: Rules
+    scene: Scene, steps: Steps, descriptions: Descriptions, candidates: Candidates, row: int, key: str, rules: Rules
 ) -> Choices | None:
-    """The choices of one candidate; None where there are not enough wrong answers."""
+    """The choices of one candidate; None where there are not enough wrong answers. `steps` are those of the scene."""
     truth = VALUES[candidates.answer[row]]
     wrong: dict[str, str | None] = {}
-    for text, perturbation in _perturbed(scene, descriptions, candidates, row, rules):
+    for text, perturbation in _perturbed(scene, steps, descriptions, candidates, row, rules):
         if text != truth:
             wrong.setdefault(text, perturbation)
     if candidates.template.pose_answer:
@@ -72,7 +72,7 @@ def _stated(descriptions: Descriptions, candidates: Candidates, row: int) -> set
 
 
 def _perturbed(
-    scene: Scene, descriptions: Descriptions, candidates: Candidates, row: int, rules: Rules
+    scene: Scene, steps: Steps, descriptions: Descriptions, candidates: Candidates, row: int, rules: Rules
 ) -> Iterator[tuple[str, str]]:
     """(answer, perturbation) of every perturbed program that has an answer, the most telling first."""
     name = int(candidates.name[row])
@@ -90,20 +90,35 @@ def _perturbed(
     for perturbed in candidates.perturbed:
         if perturbed.kind == "time.shift" and perturbed.answer[row] != NOBODY:
             yield VALUES[perturbed.answer[row]], f"time.shift {perturbed.variant}"
-    if candidates.template.edges:
+    if candidates.template.joins:
         return
+    described = scene.persons(candidates.people["a"][row : row + 1])
     for condition, moments in zip(descriptions.of(name), descriptions.look_alikes(name), strict=True):
-        for other in scene.tracks[scene.persons(moments)].tolist():
-            answer = _read(scene, candidates, other, times, rules) if other != track else None
+        for moment in moments[scene.persons(moments) != described].tolist():
+            found = _followed(scene, steps, candidates, row, moment)
+            answer = _read(scene, candidates, found, times, rules) if found is not None else None
             if answer is not None:
                 yield answer, f"look-alike without {condition_text(condition)}"
+
+
+def _followed(scene: Scene, steps: Steps, candidates: Candidates, row: int, moment: int) -> int | None:
+    """Track of whoever a candidate's relations lead to from somebody else's moment; None where that is not certain."""
+    path = [moment]
+    for name in candidates.template.relations:
+        low, high = np.searchsorted(steps.source, [path[-1], path[-1] + 1])
+        relation = int(candidates.relations[name][row])
+        place = low + int(np.searchsorted(steps.relation[low:high], relation))
+        if place == high or steps.relation[place] != relation or steps.target[place] < 0 or steps.target[place] in path:
+            return None
+        path.append(int(steps.target[place]))
+    return int(scene.tracks[scene.persons(np.array(path[-1:]))[0]])
 
 
 def _read(scene: Scene, candidates: Candidates, track: int, times: list[int], rules: Rules) -> str | None:
     """What the template's program reads of a person at t0, t1, ...; None where it is unknown."""
     match candidates.template.name:
-        case "change":
-            return _pose(scene, track, times[1])
+        case "change" | "two_hop" | "three_hop" | "later_pose":
+            return _pose(scene, track, times[-1])
         case "consequence":
             return _next_pose(scene, track, times[0])
         case "presence":

@@ -32,7 +32,7 @@ from .descriptions import Descriptions
 from .proofs import make_record, proof
 from .proven import candidate_table
 from .rederive import Annotations, rederive
-from .relations import RELATIONS, find_facts
+from .relations import RELATIONS, Steps, find_facts, find_steps
 from .scene import NOBODY, Ints, Scene, load_scene
 from .search import find_candidates, search_graph
 from .templates import TEMPLATES, Template
@@ -120,10 +120,11 @@ def replay_sequence(job: Job) -> list[Difference]:
         forms[form.query] = form
         searched.setdefault(form.query, []).append((question, plan, name))
     annotations = Annotations.read(store, job.sequence, job.rules)
+    steps = find_steps(scene, facts)
     with search_graph(scene, facts, descriptions, job.rules) as graph:
         for query, members in searched.items():
             candidates = find_candidates(scene, facts, descriptions, graph, forms[query], job.rules)
-            again = _Again(scene, descriptions, candidates, annotations, job.rules)
+            again = _Again(scene, steps, descriptions, candidates, annotations, job.rules)
             for (question, plan, _), line in zip(members, _lines(again, members), strict=True):
                 differences += again.compared(question, plan, line)
     return differences
@@ -207,6 +208,7 @@ class _Again:
     """Candidates of a template, found and proven again."""
 
     scene: Scene
+    steps: Steps
     descriptions: Descriptions
     candidates: Candidates
     annotations: Annotations
@@ -239,7 +241,9 @@ class _Again:
             for name in ("hops", "time_gap_s", "separation_deg", "people_in_scene")
         }
         if self.candidates.template.answer is None:
-            choices = make_choices(self.scene, self.descriptions, self.candidates, row, line["key"], self.rules)
+            choices = make_choices(
+                self.scene, self.steps, self.descriptions, self.candidates, row, line["key"], self.rules
+            )
             columns["choices"] = (list(question.choices), list(choices.texts) if choices else None)
             told = list(choices.perturbations) if choices else None
             columns["distractors"] = (_decoded(stored["distractors"]), told)

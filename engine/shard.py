@@ -30,7 +30,7 @@ from .descriptions import Descriptions, describe_people
 from .proofs import make_record, needed_boxes, proof
 from .proven import BLOCK, candidate_table, frame_lists, with_selection_columns
 from .rederive import Annotations, rederive
-from .relations import find_facts
+from .relations import Steps, find_facts, find_steps
 from .scene import Bools, Ints, Scene, load_scene
 from .search import find_candidates, search_graph
 from .selection import near_duplicates
@@ -90,7 +90,8 @@ def _search(job: Job) -> Found:
     scene = load_scene(store, job.sequence)
     facts = find_facts(scene)
     descriptions = describe_people(scene, facts, job.rules)
-    search = _Search(job, scene, descriptions, Annotations.read(store, job.sequence, job.rules))
+    annotations = Annotations.read(store, job.sequence, job.rules)
+    search = _Search(job, scene, find_steps(scene, facts), descriptions, annotations)
     with search_graph(scene, facts, descriptions, job.rules) as graph:
         for name, forms in by_name(TEMPLATES).items():
             missing = [tuple(layer for layer in form.layers if layer not in scene.layers) for form in forms]
@@ -105,9 +106,12 @@ def _search(job: Job) -> Found:
 class _Search:
     """Collects what the templates give, one after the other."""
 
-    def __init__(self, job: Job, scene: Scene, descriptions: Descriptions, annotations: Annotations) -> None:
+    def __init__(
+        self, job: Job, scene: Scene, steps: Steps, descriptions: Descriptions, annotations: Annotations
+    ) -> None:
         self.job = job
         self.scene = scene
+        self.steps = steps
         self.descriptions = descriptions
         self.annotations = annotations
         self.lacking: dict[str, tuple[str, ...]] = {}
@@ -168,7 +172,7 @@ class _Search:
                 self.faults.append(f"{self.scene.sequence} {line['plan']}: {fault}")
             elif candidates.template.answer is None:
                 choices = make_choices(
-                    self.scene, self.descriptions, candidates, line["row"], line["key"], self.job.rules
+                    self.scene, self.steps, self.descriptions, candidates, line["row"], line["key"], self.job.rules
                 )
                 if choices is None:
                     self._refuse(candidates, "choices", line, "fewer than three wrong answers")

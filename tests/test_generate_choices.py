@@ -70,6 +70,26 @@ def test_the_look_alike_goes_on_in_another_way(tmp_path):
     assert list(found.values()).count(None) == 1
 
 
+def test_the_look_alike_leads_somewhere_else(tmp_path):
+    world = build(
+        [
+            "1 | tttttttt | column 400 | reading 2-2 | talking to someone 2-2",
+            "2 | tttttttt | column 300",
+            "3 | ssssssss | column 200",
+            "4 | tttttttt | column 2000 | reading 2-2",
+            "5 | tttttttt | column 1900",
+            "6 | wwwwwwww | column 1800",
+            "7 | tttttttt | column 2600 | talking to someone 2-2",
+        ]
+    )
+    row = kept(tmp_path, world, "two_hop")[2,]
+    assert (row["target_track"], row["answer"]) == (3, "sitting")
+    found = told(row)
+    assert found["standing"] == "hop.stop(1)"
+    # The same two steps from 4, who reads too, lead to 6; those from 7 to 5 and on to 4, who stands.
+    assert found["walking"] == "look-alike without action talking to someone"
+
+
 def test_presence_offers_all_four_answers(tmp_path):
     world = build(["1 | sssssssss--------- | column 400", "2 | tttttttttttttttttt | column 900"])
     # Of the same two times after different descriptions only one question is kept.
