@@ -53,7 +53,7 @@ VOCABULARY = {
     "person category": sorted(PERSON_CATEGORIES),
 }
 NAMES_POSE = {"interaction": POSES_OF_INTERACTIONS, "object": POSES_OF_VERBS}
-JUDGED = {"presence": ("presence", "described", "presence_shift", "presence_drop")}
+JUDGED = {"presence": ("presence", "described", "presence_shift")}
 """Templates whose candidates are put together from several queries: the rows compared are those of the whole search."""
 OF_PATHS = {
     "two_hop": ("text", "t", "a", "r1", "b", "r2", "c"),
