@@ -298,13 +298,13 @@ def test_resume_after_kill_equals_an_undisturbed_run(store):
             self.server.server_close()
 
     with Counting() as url:
-        arguments = ["--store", str(store.path), "--method", "react", "--model", "marker", "--base-url", url]
-        arguments += ["--run-id", "killed", "--concurrency", "2"]
-        whole = [sys.executable, "-c", "from jrdb_avr.engine.cli import main; main()", "evaluate", *arguments]
+        again = ["--base-url", url, "--run-id", "killed", "--concurrency", "2", "--resume"]
+        whole = [sys.executable, "-c", "from jrdb_avr.engine.cli import main; main()", "evaluate"]
+        whole += ["--store", str(store.path), "--method", "react", "--model", "marker", *again]
         journal = store.run_path("killed") / "journal.jsonl"
         for _ in range(KILLS):
             before = journal.read_bytes().count(b"\n") if journal.exists() else 0
-            with subprocess.Popen([*whole, "--resume"], stderr=subprocess.DEVNULL) as process:
+            with subprocess.Popen(whole, stderr=subprocess.DEVNULL) as process:
                 deadline = time.monotonic() + 30
                 while time.monotonic() < deadline and process.poll() is None:
                     if journal.exists() and journal.read_bytes().count(b"\n") >= before + 2:
@@ -315,9 +315,9 @@ def test_resume_after_kill_equals_an_undisturbed_run(store):
         # A line that the crash cut short.
         with journal.open("ab") as file:
             file.write(b'{"question_id": "half')
-        subprocess.run([*whole, "--resume"], check=True, capture_output=True)
+        evaluate(store, *again)
         served = dict(calls)
-        subprocess.run([*whole, "--resume"], check=True, capture_output=True)
+        evaluate(store, *again)
         assert calls == served
     assert lasting(predictions(store, "killed")) == lasting(predictions(store, "whole"))
     # A call in flight when the process was killed is asked again; one that finished is not.
