@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import msgspec
@@ -25,6 +25,7 @@ from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, rules_hash
 from jrdb_avr.schema.tables import CANARY, QUESTIONS
 from jrdb_avr.schema.wording import FAMILIES, parse, question_id, question_key, render
 
+from .proofs import condition_text
 from .publish import GENERATION_KEY
 from .rederive import Annotations, NeededBox, rederive
 from .replay import Stored, ask_compiled, replay
@@ -56,23 +57,46 @@ REPLAY_CHECKS: Final = {
 
 _STATED: Final = re.compile(r"(\S+) s \(frame (\d+)\)")
 
-_PROOFS: Final = frozenset({"anchor", "evidence", "time.drop", "view.ahead", "view.single", "rederive"})
-"""Kinds that every question has. `view.single` is recorded and of `time.shift` one is enough; the others must hold."""
+_ALWAYS: Final = (
+    ("anchor", "match"),
+    ("evidence", "clear views"),
+    ("view.ahead", "180"),
+    ("view.single", "any angle"),
+    ("rederive", "annotations"),
+)
+"""Proofs that every question has, as kind and variant."""
 
 
-def _required(name: str) -> tuple[frozenset[str], frozenset[str]]:
-    """Kinds of proofs that a template's questions have, and those of them that must hold in every variant."""
+def _expected(name: str, plan: Plan, rules: Rules) -> set[tuple[str, str]]:
+    """Kind and variant of every proof that a question has."""
+    expected = set(_ALWAYS)
+    for node in plan.nodes:
+        expected |= {("anchor", f"without {condition_text(condition)}") for condition in node.conditions}
     template = next((template for template in TEMPLATES if template.name == name), None)
-    hops = {"hop.stop", "hop.skip"} if template is not None and template.edges else set()
-    shifts = {"time.shift"} if template is not None and template.time_proof != "construction" else set()
-    recorded = {"view.single"} if template is None or template.single_view else set()
-    return _PROOFS | hops | shifts, (_PROOFS | hops) - recorded
+    if template is None:
+        return expected
+    if template.edges:
+        expected |= {("hop.stop", str(place)) for place in range(len(template.people) - 1)}
+        # To leave out the last hop of a path is to stop one person early; of a fork each can be left out.
+        expected |= {("hop.skip", str(hop)) for hop in range(1, len(template.edges) + template.joins)}
+    if template.time_proof == "construction":
+        return expected | {("time.drop", "by construction")}
+    shifts = {("time.shift", f"{sign * rules.shift_s:+g} s") for sign in (-1, 1)}
+    return expected | shifts | {("time.drop", "all keyframes")}
 
 
-def _one_is_enough(name: str, kind: str, variant: object) -> bool:
-    """Whether it is enough that one of a kind's proofs holds: of both shifts, and of a fork read at b and at c."""
-    joins = any(template.joins for template in TEMPLATES if template.name == name)
-    return kind == "time.shift" or (joins and kind == "hop.stop" and variant != "0")
+def _failing(name: str, holds: Mapping[tuple[str, str], bool]) -> list[str]:
+    """What does not hold though it must: of both shifts one is enough, and of a fork read at b and at c."""
+    template = next((template for template in TEMPLATES if template.name == name), None)
+    joins, single = template is not None and template.joins, template is None or template.single_view
+    either: dict[str, bool] = {}
+    failing = []
+    for (kind, variant), held in holds.items():
+        if kind == "time.shift" or (joins and kind == "hop.stop" and variant != "0"):
+            either[kind] = either.get(kind, False) or held
+        elif not held and not (kind == "view.single" and single):
+            failing.append(f"{kind} {variant}")
+    return failing + [kind for kind, held in either.items() if not held]
 
 
 class Report:
@@ -281,7 +305,7 @@ def _check_question(
     report.check("plans", plan.answer.mode == mode, f"{name}: the plan's answer is of mode {plan.answer.mode}")
     report.check("plans", family == row["family"], f"{name}: template {row['template']!r} is of family {family!r}")
     _check_text(report, row, own, plan, info, annotations)
-    _check_private(report, row, own, plan, answer)
+    _check_private(report, row, own, plan, answer, rules)
     found = rederive(annotations, plan, row["template"], rules)
     shown = choices[answer.choice - 1] if isinstance(answer, Choice) and answer.choice <= len(choices) else None
     said = shown if isinstance(answer, Choice) else encode_answer(answer)
@@ -331,7 +355,9 @@ def _check_text(
     report.check("text", bool(stated) and seconds, f"{name}: stated seconds are not frame / fps")
 
 
-def _check_private(report: Report, row: dict[str, Any], own: dict[str, Any], plan: Plan, answer: Answer) -> None:
+def _check_private(
+    report: Report, row: dict[str, Any], own: dict[str, Any], plan: Plan, answer: Answer, rules: Rules
+) -> None:
     name = row["question_id"]
     try:
         proofs = msgspec.json.decode(own["proofs"], type=list[dict[str, Any]])
@@ -341,24 +367,20 @@ def _check_private(report: Report, row: dict[str, Any], own: dict[str, Any], pla
     except msgspec.DecodeError as error:
         report.check("proofs", False, f"{name}: {error}")
         return
-    by_kind: dict[str, list[bool]] = defaultdict(list)
-    either: dict[str, list[bool]] = defaultdict(list)
-    for proof in proofs:
-        kind = str(proof.get("kind"))
-        found = either if _one_is_enough(row["template"], kind, proof.get("variant")) else by_kind
-        found[kind].append(proof.get("holds") is True)
-    kinds, holding = _required(row["template"])
-    missing = sorted(kinds - by_kind.keys() - either.keys())
-    report.check("proofs", not missing, f"{name}: no proof {', '.join(missing)}")
-    failed = [kind for kind in sorted(holding) if not all(by_kind[kind])]
-    failed += [kind for kind, held in either.items() if not any(held)]
-    report.check("proofs", not failed, f"{name}: {', '.join(failed)} do not hold")
+    named = [(str(one.get("kind")), str(one.get("variant"))) for one in proofs]
+    expected = _expected(row["template"], plan, rules)
+    known = sorted(named) == sorted(expected)
+    odd = sorted(expected.symmetric_difference(named)) or sorted(named)
+    report.check("proofs", known, f"{name}: proofs missing, or not expected: {', '.join(map(' '.join, odd))}")
+    holds = {key: one.get("holds") is True for key, one in zip(named, proofs, strict=True)}
+    failing = _failing(row["template"], holds)
+    report.check("proofs", not failing, f"{name}: {', '.join(failing)} do not hold")
     fitting = len(distractors) == len(row["choices"])
     if fitting and isinstance(answer, Choice) and answer.choice <= len(distractors):
         fitting = distractors[answer.choice - 1] is None
     report.check("proofs", fitting, f"{name}: distractors {own['distractors']} do not fit the choices")
-    expected = {node.id for node in plan.nodes} | set(plan.times)
-    bound = set(bindings) == expected and bindings.get(plan.target) == own["target_track"]
+    names = {node.id for node in plan.nodes} | set(plan.times)
+    bound = set(bindings) == names and bindings.get(plan.target) == own["target_track"]
     report.check("proofs", bound, f"{name}: bindings {own['bindings']} do not fit the plan")
 
 

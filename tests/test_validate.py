@@ -111,6 +111,16 @@ def needed(row, **changes):
     row["needed"] = json.dumps(boxes)
 
 
+def proofs(row, change):
+    found = json.loads(row["proofs"])
+    change(found)
+    row["proofs"] = json.dumps(found)
+
+
+def shift(found):
+    return next(proof for proof in found if proof["kind"] == "time.shift")
+
+
 PRIVATE = {
     "another choice": (
         lambda row: row.update(answer=json.dumps({"choice": json.loads(row["answer"])["choice"] % 4 + 1})),
@@ -125,6 +135,12 @@ PRIVATE = {
     "a plan of other nodes": (lambda row: spoiled_plan(row, root="b"), "plans"),
     "other proofs": (lambda row: row.update(proofs="[]"), "proofs"),
     "proofs that are no list": (lambda row: row.update(proofs="3"), "proofs"),
+    "a proof left out": (lambda row: proofs(row, lambda found: found.remove(shift(found))), "proofs"),
+    "a proof twice": (lambda row: proofs(row, lambda found: found.append(shift(found))), "proofs"),
+    "a proof of another variant": (
+        lambda row: proofs(row, lambda found: shift(found).update(variant="+1 s")),
+        "proofs",
+    ),
     "a proof that fails": (
         lambda row: row.update(proofs=row["proofs"].replace('"holds":true', '"holds":false')),
         "proofs",
