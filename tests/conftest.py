@@ -6,12 +6,12 @@ import shutil
 import sys
 
 import pytest
+from effort import examples
 from hypothesis import settings
 
-# A busy machine is no fault of the code. `HYPOTHESIS_PROFILE=deep pytest` looks for longer.
-settings.register_profile("gate", deadline=None, max_examples=60)
-settings.register_profile("deep", deadline=None, max_examples=1000)
-settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "gate"))
+# A busy machine is no fault of the code, so there is no deadline.
+settings.register_profile("tests", deadline=None, max_examples=examples(60))
+settings.load_profile("tests")
 
 # pyarrow looks for this optional package anew at every scalar, which is a good part of the time of a small world.
 sys.modules.setdefault("dateutil", None)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from effort import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from oracle_questions import proven
@@ -156,7 +157,7 @@ def form(template, program):
     return next((name for mark, name in forms.items() if template == "gap" and mark in program), template)
 
 
-@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=examples(6), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.integers(0, 10**9))
 def test_awkward_worlds_give_exactly_the_proven_candidates(seed):
     compare(seed)
