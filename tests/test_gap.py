@@ -103,8 +103,8 @@ def searched(scene):
 def settled(annotations, outcome, plan):
     """Whether it is known at every keyframe, and not only over all of them, who is counted.
 
-    Between two keyframes nothing may be known of somebody; who may be counted for what is said, be it on both sides of a
-    closed gap, does not matter.
+    Between two keyframes nothing may be known of somebody; who may be counted for what is said, on both sides of a
+    closed gap too, does not matter.
     """
     first, last = (plan.times[name].frame for name in ("t1", "t2"))
     for frame in range(first, last + 1):
