@@ -66,12 +66,6 @@ class Found:
     faults: tuple[str, ...]
 
 
-def search_sequence(job: Job) -> Found:
-    """Find, prove and thin out the candidates of one sequence."""
-    with _no_collector():
-        return _search(job)
-
-
 @contextlib.contextmanager
 def _no_collector() -> Iterator[None]:
     """Python's collector of cycles switched off: the second path holds millions of small objects, none of them in a
@@ -85,7 +79,9 @@ def _no_collector() -> Iterator[None]:
             gc.enable()
 
 
-def _search(job: Job) -> Found:
+@_no_collector()
+def search_sequence(job: Job) -> Found:
+    """Find, prove and thin out the candidates of one sequence."""
     store = Store(job.store)
     scene = load_scene(store, job.sequence)
     facts = find_facts(scene)
@@ -133,7 +129,9 @@ class _Search:
             proven = np.flatnonzero(candidates.rule == PASSED)
             self._count(name, "proven", len(proven))
             blocks = [self._slim(candidates, proven[i : i + BLOCK]) for i in range(0, len(proven), BLOCK)]
-            slims += [block.append_column("form", pa.repeat(pa.scalar(form), len(block))) for block in blocks]
+            slims += [
+                block.append_column("form", pa.repeat(pa.scalar(form, pa.int64()), len(block))) for block in blocks
+            ]
         if not slims:
             return
         slim = pa.concat_tables(slims).combine_chunks()
@@ -155,7 +153,7 @@ class _Search:
         table = candidate_table(self.scene, self.descriptions, candidates, rows)
         if self.writer is not None:
             self.writer.write_table(table.select(CANDIDATES.names).cast(CANDIDATES))
-        empty = pa.repeat(pa.scalar(""), len(rows))
+        empty = pa.repeat(pa.scalar("", pa.string()), len(rows))
         table = table.set_column(table.schema.get_field_index("plan"), "plan", empty)
         return table.append_column("read_frames", frame_lists(candidates, candidates.template.read, rows))
 
