@@ -1,7 +1,7 @@
 """The statement that finds the people of a plan: its conditions and edges as one Cypher pattern.
 
-Every row is a binding of the plan's nodes to different people whom no condition and no edge excludes; `certain` says
-whether all of them certainly hold. The text depends on the plan's shape alone, so plans of one text are asked together:
+Every row is a binding of the plan's nodes to different people whom no condition and no edge excludes; `sure0`, `sure1`,
+... say of each condition and edge whether it certainly holds. The text depends on the plan's shape alone, so plans of one text are asked together:
 their times and values are rows of the parameter `$plans`. Names in the statement are the compiler's own.
 """
 
@@ -21,8 +21,8 @@ from .names import Names, condition_kind, condition_values, edge_kind, edge_valu
 class Find:
     """A plan's statement.
 
-    cypher: gives columns id, who0, who1, ... and certain, ordered; nodes: the plan's nodes in the order of `who`;
-    row: what the plan puts into `$plans`, but for `id` and `scope`.
+    cypher: gives columns id, who0, who1, ... and sure0, sure1, ..., ordered; nodes: the plan's nodes in the order of
+    `who`; row: what the plan puts into `$plans`, but for `id` and `scope`.
     """
 
     cypher: str
@@ -44,31 +44,24 @@ class _Pattern:
         self.names = names
         self.nodes: list[str] = []
         self.row: dict[str, Any] = {}
-        self.clauses: list[str] = []
         self.times = {name: f"t{i}" for i, name in enumerate(sorted(plan.times))}
-        self.used: dict[str, None] = {}
 
     def compiled(self) -> Find:
-        sure: list[str] = []
-        self.carried = ["id", "scope"]
-        bodies = [self._person(node, edges) for node, edges in self._order()]
-        columns = [f"q.{name} AS {name}" for name in ("id", "scope", *self.row)]
-        lines = ["UNWIND $plans AS q", f"WITH {', '.join(columns)}"]
+        people = [self._person(node, edges) for node, edges in self._order()]
         kept = ["id", "scope", *self.row]
-        for place, (match, where, holds, sightings) in enumerate(bodies):
-            lines += [f"MATCH {match}", f"WHERE {' AND '.join(where)}"]
+        lines = ["UNWIND $plans AS q", f"WITH {', '.join(f'q.{name} AS {name}' for name in kept)}"]
+        sure: list[str] = []
+        for place, (match, where, holds, sightings) in enumerate(people):
             kept += [f"n{place}", *sightings]
-            lines.append(f"WITH {', '.join(kept)}")
-            for name, text in holds.items():
-                # One at a time: beside an EXISTS the engine fails on other expressions.
-                lines.append(f"WITH {', '.join(kept)}, {text} AS {name}")
-                kept.append(name)
+            certain = [f"{text} AS {name}" for name, text in holds.items()]
+            lines += [f"MATCH {match}", f"WHERE {' AND '.join(where)}", f"WITH {', '.join([*kept, *certain])}"]
+            kept += holds
             sure += holds
         who = [f"{self.names.who.format(n=f'n{i}')} AS who{i}" for i in range(len(self.nodes))]
         # Each by itself: the engine cannot put the results of several EXISTS together.
         certain = [f"{name} AS sure{i}" for i, name in enumerate(sure)]
-        order = ", ".join(f"who{i}" for i in range(len(self.nodes)))
-        lines += [f"RETURN id, {', '.join([*who, *certain])}", f"ORDER BY id, {order}"]
+        lines.append(f"RETURN {', '.join(['id', *who, *certain])}")
+        lines.append(f"ORDER BY {', '.join(['id', *(f'who{i}' for i in range(len(self.nodes)))])}")
         return Find("\n".join(lines), tuple(self.nodes), self.row)
 
     def _order(self) -> list[tuple[str, list[tuple[int, Edge]]]]:
