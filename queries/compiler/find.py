@@ -1,8 +1,9 @@
 """The statement that finds the people of a plan: its conditions and edges as one Cypher pattern.
 
 Every row is a binding of the plan's nodes to different people whom no condition and no edge excludes; `sure0`, `sure1`,
-... say of each condition and edge whether it certainly holds. The text depends on the plan's shape alone, so plans of one text are asked together:
-their times and values are rows of the parameter `$plans`. Names in the statement are the compiler's own.
+... say of each condition and edge whether it certainly holds. The text depends on the plan's shape alone, so plans of
+one text are asked together: their times and values are rows of the parameter `$plans`. Names in the statement are the
+compiler's own.
 """
 
 from __future__ import annotations

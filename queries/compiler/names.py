@@ -29,7 +29,7 @@ _DEGREES: Final = dict(zip((*WINDOWS_LEFT, *WINDOWS_RIGHT), WINDOW_DEGREES * 2, 
 
 @dataclass(frozen=True)
 class Names:
-    """A namespace's names.
+    """A namespace's names. People are told apart by their property `id`.
 
     pattern, there: a person `n` with a sighting `s`, and what makes it one at frame `t` of `scope`; who: the person's
     number in its scope; conditions, edges: clauses by kind, see `condition_kind` and `edge_kind`; reads: folder of the
