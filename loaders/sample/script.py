@@ -31,6 +31,8 @@ MOVING: Final = {
     "going upstairs": 0.12,
 }
 """Shares of what people do when they move; stairs are gone down again by those who went up."""
+PATIENT_REST: Final = 0.55
+"""Share of the rests of patient parties that are one held pose; the others are two with a moment between them."""
 STILL: Final = {"standing": 0.46, "sitting": 0.36, "bending": 0.13, "lying": 0.05}
 SPEED: Final = {
     "walking": 1.1,
@@ -46,6 +48,8 @@ SPEED: Final = {
 PATIENT: Final = 0.65
 """Share of the parties of one or two in the open that stay: they hold a pose for thirteen seconds or longer, change to
 another for a moment, and hold one again."""
+HELD: Final = (13, 22)
+"""Seconds that the patient hold a pose; the upper bound is not reached."""
 HIDDEN: Final = 0.29
 """Share of the parties that stay behind the partitions."""
 SPREAD: Final = 0.4
@@ -228,6 +232,7 @@ def _party_moves(rng: Rng, ticks: int, party: Party) -> tuple[Bools, Ints]:
         if moves:
             # Stairs stand a little away from the robot.
             ways = MOVING if party.near > 3 else {key: MOVING[key] for key in MOVING if key != "going upstairs"}
+            ways = dict.fromkeys(ways, 1.0) if party.patient else ways
             name = "going downstairs" if upstairs else _pick(rng, ways)
             # What went up for so many seconds comes down for as many.
             length = 4 if "stairs" in name else int(rng.integers(3, 8))
@@ -237,19 +242,20 @@ def _party_moves(rng: Rng, ticks: int, party: Party) -> tuple[Bools, Ints]:
             # Now and then the gait changes on the way.
             moves = bool(not upstairs and rng.random() < 0.3)
         else:
-            length = int(rng.integers(*_RESTS[party.hidden, party.patient]))
+            once = party.patient and rng.random() < PATIENT_REST
+            length = int(rng.integers(*HELD if once else _RESTS[party.hidden, party.patient]))
             moves = True
         tick += length
     return move, shared
 
 
-_RESTS: Final = {(True, False): (8, 30), (False, False): (4, 15), (False, True): (14, 42)}
+_RESTS: Final = {(True, False): (8, 30), (False, False): (4, 15), (False, True): (30, 46)}
 """Seconds that parties rest, hidden ones and patient ones apart; the upper bound is not reached."""
 
 
 def _party_presence(rng: Rng, ticks: int, party: Party) -> Bools:
     here = np.ones(ticks, bool)
-    if party.patient:
+    if party.patient and rng.random() < 0.5:
         return here
     chance = rng.random()
     if chance < 0.35:
@@ -281,10 +287,11 @@ def _member_poses(rng: Rng, move: Bools, shared: Ints, patient: bool) -> Ints:
         held = False
         while tick < end:
             held = patient and not held
-            length = min(int(rng.integers(*((13, 22) if held else (3, 7) if patient else (3, 11)))), end - tick)
-            if end - tick - length < 3:
+            length = min(int(rng.integers(*(HELD if held else (3, 7) if patient else (3, 11)))), end - tick)
+            if end - tick - length < 3 or (held and end - tick < HELD[1]):
                 length = end - tick
-            name = _pick(rng, {key: share for key, share in STILL.items() if key != last})
+            brief = patient and not held
+            name = _pick(rng, {key: 1.0 if brief else share for key, share in STILL.items() if key != last})
             pose[tick : tick + length] = POSE[name]
             last = name
             tick += length
