@@ -40,6 +40,7 @@ DEAREST = (
     "test_shift",
     "test_fuzz_load",
     "test_explore",
+    "test_hostile_scenes",
     "test_generators_sql",
 )
 """Files of ten seconds and more: begun first, so that the workers, who take a file at a time, end together."""
