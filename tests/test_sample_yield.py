@@ -8,9 +8,10 @@ from click.testing import CliRunner
 
 from jrdb_avr.engine.cli import group
 
-NAMES = (
-    ["start", "span", "two_hop", "three_hop", "fork_join", "action_search", "later_pose", "consequence", "gap", "change", "presence", "distance"]
-)
+NAMES = {
+    *("start", "span", "change", "presence", "distance", "gap", "consequence"),
+    *("two_hop", "three_hop", "fork_join", "action_search", "later_pose"),
+}
 LEAST = 30
 
 
@@ -26,5 +27,5 @@ def test_the_default_sample_yields_candidates_of_every_template(tmp_path):
     run("load", root, "--store", store)
     run("generate", "--store", store, "--candidates", found)
     count = Counter(pq.read_table(found, columns=["template"])["template"].to_pylist())
-    assert {name: count[name] for name in NAMES if count[name] < LEAST} == {}
-    assert set(count) == set(NAMES)
+    assert {name: count[name] for name in sorted(NAMES) if count[name] < LEAST} == {}
+    assert set(count) == NAMES
