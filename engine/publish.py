@@ -115,7 +115,7 @@ def evidence_blocks(store: Store, questions: pa.Table, answers: pa.Table) -> Ite
             tracks, table = boxes[line["sequence"]]
             low, high = np.searchsorted(tracks, [track_of[line["question_id"]], track_of[line["question_id"]] + 1])
             part = table.slice(low, high - low)
-            owner = pa.repeat(pa.scalar(line["question_id"]), len(part))
+            owner = pa.repeat(pa.scalar(line["question_id"], pa.string()), len(part))
             parts.append(part.add_column(0, "question_id", owner))
         yield pa.concat_tables(parts).cast(QUESTIONS["evidence"]).combine_chunks()
 
