@@ -1,8 +1,7 @@
 """Proofs run again: every stored plan is searched for once more, and all that is stored of it is compared.
 
 Nothing of the stored record is taken over. A plan's own description, found once more among everybody with a box, takes
-the place of those that generation chooses; from there the same queries search and prove, set-wise per sequence. Beside
-that the plans are compiled to Cypher and asked of the graph file: they must find the stored people, times and answer.
+the place of those that generation chooses; from there the same queries search and prove, set-wise per sequence.
 """
 
 from __future__ import annotations
@@ -12,16 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import msgspec
 import numpy as np
 import pyarrow.parquet as pq
 
 from jrdb_avr.loaders.shards import map_shards
-from jrdb_avr.queries.compiler import SCENE, Asked, solve
-from jrdb_avr.queries.handle import Graph
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.errors import AvrError, PlanError
-from jrdb_avr.schema.plan import Plan, canonical, parse_plan
+from jrdb_avr.schema.plan import Plan, canonical
 from jrdb_avr.schema.rules import Rules
 
 from .candidates import PASSED, RULES, Candidates
@@ -35,34 +30,11 @@ from .rederive import Annotations, rederive
 from .relations import RELATIONS, Steps, find_facts, find_steps
 from .scene import NOBODY, Ints, Scene, load_scene
 from .search import find_candidates, search_graph
-from .templates import TEMPLATES, Template
+from .stored import Difference, Stored, decoded, read_plans, short
+from .templates import Template
 
 _TOLERANCE: Final = 1e-9
 """Seconds and degrees that differ by no more are the same."""
-
-
-@dataclass(frozen=True)
-class Stored:
-    """A question as it is stored; `said` is the true choice's text or the answer's JSON, `row` its row of answers."""
-
-    question_id: str
-    sequence: str
-    template: str
-    choices: tuple[str, ...]
-    said: str
-    row: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class Difference:
-    """What comes out otherwise than it is stored; `where` names the proof, or the column."""
-
-    question_id: str
-    where: str
-    what: str
-
-    def __str__(self) -> str:
-        return f"{self.question_id}: {self.where}: {self.what}"
 
 
 @dataclass(frozen=True)
@@ -107,7 +79,7 @@ def replay_sequence(job: Job) -> list[Difference]:
     store = Store(job.store)
     scene = load_scene(store, job.sequence)
     facts = find_facts(scene)
-    given, differences = _plans(job.questions)
+    given, differences = read_plans(job.questions)
     conditions = find_conditions(scene, facts, job.rules)
     stated = [(_root(plan), _frame(plan)) for _, plan, _ in given]
     descriptions, names = describe_given(scene, conditions, stated, job.rules)
@@ -128,36 +100,6 @@ def replay_sequence(job: Job) -> list[Difference]:
             for (question, plan, _), line in zip(members, _lines(again, members), strict=True):
                 differences += again.compared(question, plan, line)
     return differences
-
-
-def _plans(questions: Sequence[Stored]) -> tuple[list[tuple[Stored, Plan, Template]], list[Difference]]:
-    """Plans with the forms of template that they are of; those that cannot be read are differences."""
-    read, differences = [], []
-    for question in questions:
-        try:
-            plan = parse_plan(question.row["plan"])
-            read.append((question, plan, _form(question.template, plan)))
-        except AvrError as error:
-            differences.append(Difference(question.question_id, "plan", str(error)))
-    return read, differences
-
-
-def _form(name: str, plan: Plan) -> Template:
-    """The form of a template whose plans are like this one. Raises PlanError where there is none."""
-    for template in TEMPLATES:
-        like = template.skeleton()
-        alike = (like.root, like.target, set(like.times)) == (plan.root, plan.target, set(plan.times))
-        events = [like.times[time].event == plan.times[time].event for time in like.times if alike]
-        edges = [[(edge.source, edge.target) for edge in one.edges] for one in (like, plan)]
-        if (
-            template.name == name
-            and alike
-            and all(events)
-            and edges[0] == edges[1]
-            and like.answer.read == plan.answer.read
-        ):
-            return template
-    raise PlanError("plan", f"it is no plan of the template {name!r}")
 
 
 def _root(plan: Plan) -> tuple[Any, ...]:
@@ -233,8 +175,8 @@ class _Again:
         columns = {
             "answer": (question.said, answer),
             "target_track": (stored["target_track"], line["target_track"]),
-            "bindings": (_decoded(stored["bindings"]), record.bindings),
-            "needed": (_decoded(stored["needed"]), [box.plain() for box in record.needed]),
+            "bindings": (decoded(stored["bindings"]), record.bindings),
+            "needed": (decoded(stored["needed"]), [box.plain() for box in record.needed]),
         }
         columns |= {
             name: (stored[name], getattr(record, name))
@@ -246,15 +188,15 @@ class _Again:
             )
             columns["choices"] = (list(question.choices), list(choices.texts) if choices else None)
             told = list(choices.perturbations) if choices else None
-            columns["distractors"] = (_decoded(stored["distractors"]), told)
+            columns["distractors"] = (decoded(stored["distractors"]), told)
         for name, (before, now) in columns.items():
             if not _same(before, now):
-                yield Difference(question.question_id, name, f"stored {_short(before)}, now {_short(now)}")
+                yield Difference(question.question_id, name, f"stored {short(before)}, now {short(now)}")
 
 
 def _proofs_differ(question: Stored, again: Sequence[Mapping[str, Any]]) -> Iterator[Difference]:
     """Proofs that are missing, too many, or come out otherwise."""
-    stored = _decoded(question.row["proofs"])
+    stored = decoded(question.row["proofs"])
     if not isinstance(stored, list) or not all(isinstance(one, dict) for one in stored):
         yield Difference(question.question_id, "proofs", "no list of proofs")
         return
@@ -271,57 +213,15 @@ def _proofs_differ(question: Stored, again: Sequence[Mapping[str, Any]]) -> Iter
 def _outcome(one: Mapping[str, Any] | None) -> str:
     if one is None:
         return "nothing"
-    answer = f" ({_short(one['answer'])})" if one.get("answer") is not None else ""
-    rest = "".join(f", {name} {_short(one[name])}" for name in sorted(one.keys() - _PROOF_FIELDS))
+    answer = f" ({short(one['answer'])})" if one.get("answer") is not None else ""
+    rest = "".join(f", {name} {short(one[name])}" for name in sorted(one.keys() - _PROOF_FIELDS))
     return f"{one.get('outcome')}{answer}, {'holds' if one.get('holds') is True else 'does not hold'}{rest}"
 
 
 _PROOF_FIELDS: Final = {"kind", "variant", "holds", "outcome", "answer"}
 
 
-def _decoded(text: str) -> Any:
-    try:
-        return msgspec.json.decode(text)
-    except msgspec.DecodeError:
-        return text
-
-
 def _same(before: Any, now: Any) -> bool:
     if isinstance(now, float) and isinstance(before, float):
         return abs(before - now) <= _TOLERANCE
     return bool(before == now)
-
-
-def _short(value: Any) -> str:
-    text = value if isinstance(value, str) else msgspec.json.encode(value).decode()
-    return text if len(text) <= 80 else f"{text[:77]}..."
-
-
-# -- the compiled plans ------------------------------------------------------------------------------------------------
-
-
-def ask_compiled(
-    store: Store, questions: Sequence[Stored], rules: Rules, advance: Callable[[int], None] = lambda steps: None
-) -> list[Difference]:
-    """Compile the stored plans and ask the store's graph; `advance` is told how many are looked for.
-
-    Raises StoreError where there is no sound graph, LockedError while it is written.
-    """
-    read, differences = _plans(questions)
-    with Graph.open(store.graph_path, read_only=True) as graph:
-        asked = [Asked(plan, question.sequence) for question, plan, _ in read]
-        solutions = solve(graph, SCENE, asked, rules, advance=advance)
-    for (question, plan, _), solution in zip(read, solutions, strict=True):
-        bound = _decoded(question.row["bindings"])
-        if solution.outcome != "defined":
-            found = f"{solution.outcome}, and not {_short(question.said)}"
-        elif solution.answer != question.said:
-            found = f"answers {_short(solution.answer)}, and not {_short(question.said)}"
-        elif solution.people[plan.target] != question.row["target_track"]:
-            found = f"finds person {solution.people[plan.target]}, and not {question.row['target_track']}"
-        elif dict(solution.people) | dict(solution.times) != bound:
-            found = f"binds {_short(dict(solution.people) | dict(solution.times))}, and not {_short(bound)}"
-        else:
-            continue
-        differences.append(Difference(question.question_id, "compiled", found))
-    return differences

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, Final
 
 import msgspec
@@ -25,11 +25,12 @@ from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, rules_hash
 from jrdb_avr.schema.tables import CANARY, QUESTIONS
 from jrdb_avr.schema.wording import FAMILIES, parse, question_id, question_key, render
 
-from .proofs import condition_text
+from .compiled import ask_compiled
 from .publish import GENERATION_KEY
 from .rederive import Annotations, NeededBox, rederive
-from .replay import Stored, ask_compiled, replay
-from .templates import TEMPLATES
+from .replay import replay
+from .required import expected_proofs, failing_proofs
+from .stored import stored_question
 
 FILES: Final = ("questions", "sequences", "answers", "evidence", "rejected")
 CHOICE_COUNT: Final = 4
@@ -56,47 +57,6 @@ REPLAY_CHECKS: Final = {
 """What is checked besides where the proofs are run again."""
 
 _STATED: Final = re.compile(r"(\S+) s \(frame (\d+)\)")
-
-_ALWAYS: Final = (
-    ("anchor", "match"),
-    ("evidence", "clear views"),
-    ("view.ahead", "180"),
-    ("view.single", "any angle"),
-    ("rederive", "annotations"),
-)
-"""Proofs that every question has, as kind and variant."""
-
-
-def _expected(name: str, plan: Plan, rules: Rules) -> set[tuple[str, str]]:
-    """Kind and variant of every proof that a question has."""
-    expected = set(_ALWAYS)
-    for node in plan.nodes:
-        expected |= {("anchor", f"without {condition_text(condition)}") for condition in node.conditions}
-    template = next((template for template in TEMPLATES if template.name == name), None)
-    if template is None:
-        return expected
-    if template.edges:
-        expected |= {("hop.stop", str(place)) for place in range(len(template.people) - 1)}
-        # To leave out the last hop of a path is to stop one person early; of a fork each can be left out.
-        expected |= {("hop.skip", str(hop)) for hop in range(1, len(template.edges) + template.joins)}
-    if template.time_proof == "construction":
-        return expected | {("time.drop", "by construction")}
-    shifts = {("time.shift", f"{sign * rules.shift_s:+g} s") for sign in (-1, 1)}
-    return expected | shifts | {("time.drop", "all keyframes")}
-
-
-def _failing(name: str, holds: Mapping[tuple[str, str], bool]) -> list[str]:
-    """What does not hold though it must: of both shifts one is enough, and of a fork read at b and at c."""
-    template = next((template for template in TEMPLATES if template.name == name), None)
-    joins, single = template is not None and template.joins, template is None or template.single_view
-    either: dict[str, bool] = {}
-    failing = []
-    for (kind, variant), held in holds.items():
-        if kind == "time.shift" or (joins and kind == "hop.stop" and variant != "0"):
-            either[kind] = either.get(kind, False) or held
-        elif not held and not (kind == "view.single" and single):
-            failing.append(f"{kind} {variant}")
-    return failing + [kind for kind, held in either.items() if not held]
 
 
 class Report:
@@ -185,7 +145,7 @@ def check_replay(
     for row in store.questions("questions").to_pylist():
         own = private.get(row["question_id"])
         try:
-            questions.append(_stored(row, own) if own is not None else None)
+            questions.append(stored_question(row, own) if own is not None else None)
         except AvrError as error:
             report.check("replay", False, f"{row['question_id']}: {error}")
     known = [question for question in questions if question is not None]
@@ -197,14 +157,6 @@ def check_replay(
         report.faults[name] += [str(difference) for difference in differences]
         if not report.faults[name]:
             del report.faults[name]
-
-
-def _stored(row: dict[str, Any], own: dict[str, Any]) -> Stored:
-    """A question as replay takes it. Raises DecodeError where its answer cannot be read."""
-    answer, said = decode_answer(row["answer_mode"], own["answer"]), own["answer"]
-    if isinstance(answer, Choice):
-        said = row["choices"][answer.choice - 1] if answer.choice <= len(row["choices"]) else ""
-    return Stored(row["question_id"], row["sequence"], row["template"], tuple(row["choices"]), said, own)
 
 
 # -- files --------------------------------------------------------------------------------------------------------
@@ -368,12 +320,12 @@ def _check_private(
         report.check("proofs", False, f"{name}: {error}")
         return
     named = [(str(one.get("kind")), str(one.get("variant"))) for one in proofs]
-    expected = _expected(row["template"], plan, rules)
+    expected = expected_proofs(row["template"], plan, rules)
     known = sorted(named) == sorted(expected)
     odd = sorted(expected.symmetric_difference(named)) or sorted(named)
     report.check("proofs", known, f"{name}: proofs missing, or not expected: {', '.join(map(' '.join, odd))}")
     holds = {key: one.get("holds") is True for key, one in zip(named, proofs, strict=True)}
-    failing = _failing(row["template"], holds)
+    failing = failing_proofs(row["template"], holds)
     report.check("proofs", not failing, f"{name}: {', '.join(failing)} do not hold")
     fitting = len(distractors) == len(row["choices"])
     if fitting and isinstance(answer, Choice) and answer.choice <= len(distractors):
