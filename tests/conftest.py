@@ -6,7 +6,7 @@ import shutil
 import sys
 
 import pytest
-from effort import examples
+from effort import DEEP, examples
 from hypothesis import settings
 
 # A busy machine is no fault of the code, so there is no deadline.
@@ -72,6 +72,28 @@ def cheap_loads():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(load, "_in_child", build)
         patch.setattr(os, "fsync", lambda file: None)
+        yield
+
+
+@pytest.fixture(scope="module")
+def known_plans():
+    """A statement's plan is looked at in the first of a module's graphs, and taken as known in the others.
+
+    For tests that hold what many small graphs answer against brute force or what is written by hand: looking at a plan
+    takes as long as the answer. `HYPOTHESIS_PROFILE=deep` looks at all of them.
+    """
+    from jrdb_avr.queries.handle import Graph
+
+    plans, look = {}, Graph._plan
+
+    def remembered(graph, text, values):
+        if text not in plans:
+            plans[text] = look(graph, text, values)
+        return plans[text]
+
+    with pytest.MonkeyPatch.context() as patch:
+        if not DEEP:
+            patch.setattr(Graph, "_plan", remembered)
         yield
 
 

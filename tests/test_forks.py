@@ -8,6 +8,7 @@ import itertools
 import random
 from collections import Counter
 
+import pytest
 from quick_store import quick_store
 from worlds import person
 
@@ -18,6 +19,8 @@ from jrdb_avr.engine.scene import load_scene
 from jrdb_avr.engine.search import find_candidates, search_graph
 from jrdb_avr.engine.templates import TEMPLATES
 from jrdb_avr.schema.rules import Rules
+
+pytestmark = pytest.mark.usefixtures("known_plans")
 
 SEQUENCE = "yard-2020-01-01_0"
 GROUP = "in the same group as"

@@ -8,6 +8,7 @@ from collections import Counter
 import msgspec
 import numpy as np
 import pyarrow.parquet as pq
+import pytest
 from effort import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -32,6 +33,8 @@ from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.vocabulary import SAME_GROUP
 from jrdb_avr.schema.wording import TEMPLATES as WORDS
 from jrdb_avr.schema.wording import Slots, render
+
+pytestmark = pytest.mark.usefixtures("known_plans")
 
 NAME = "yard-2020-01-01_0"
 FORMS = [template for template in TEMPLATES if template.name == "gap"]

@@ -31,6 +31,8 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.rules import LoadRules, Rules
 
+pytestmark = pytest.mark.usefixtures("known_plans")
+
 SIMPLE = {"start", "span", "change", "presence", "distance"}
 CHAINED = {"consequence", "two_hop", "three_hop", "later_pose", "action_search", "fork_join", "gap"}
 FORMS = {"gap_count", "gap_absence"}

@@ -26,6 +26,8 @@ from jrdb_avr.schema.vocabulary import (
     WINDOWS_RIGHT,
 )
 
+pytestmark = pytest.mark.usefixtures("known_plans")
+
 LETTERS = {FIRST_LEFT: "L", FIRST_RIGHT: "R", SAME_GROUP: "G", "conversation": "C"}
 LETTERS |= {label: f"L{degrees}" for label, degrees in zip(WINDOWS_LEFT, WINDOW_DEGREES, strict=True)}
 LETTERS |= {label: f"R{degrees}" for label, degrees in zip(WINDOWS_RIGHT, WINDOW_DEGREES, strict=True)}
