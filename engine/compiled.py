@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from jrdb_avr.queries.compiler import SCENE, Asked, solve
+from jrdb_avr.queries.compiler import SCENE, Asked, compile_find, solve
 from jrdb_avr.queries.handle import Graph
 from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import PlanError
+from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import Rules
 
 from .stored import Difference, Stored, decoded, read_plans, short
@@ -19,11 +21,18 @@ def ask_compiled(
 
     Raises StoreError where there is no sound graph, LockedError while it is written.
     """
-    read, differences = read_plans(questions)
+    plans, differences = read_plans(questions)
+    asked: list[tuple[Stored, Plan]] = []
+    for question, plan, _ in plans:
+        try:
+            compile_find(plan, SCENE)
+            asked.append((question, plan))
+        except PlanError as error:
+            differences.append(Difference(question.question_id, "compiled", str(error)))
     with Graph.open(store.graph_path, read_only=True) as graph:
-        asked = [Asked(plan, question.sequence) for question, plan, _ in read]
-        solutions = solve(graph, SCENE, asked, rules, advance=advance)
-    for (question, plan, _), solution in zip(read, solutions, strict=True):
+        scoped = [Asked(plan, question.sequence) for question, plan in asked]
+        solutions = solve(graph, SCENE, scoped, rules, advance=advance)
+    for (question, plan), solution in zip(asked, solutions, strict=True):
         bound = decoded(question.row["bindings"])
         if solution.outcome != "defined":
             found = f"{solution.outcome}, and not {short(question.said)}"

@@ -200,7 +200,7 @@ def _proofs_differ(question: Stored, again: Sequence[Mapping[str, Any]]) -> Iter
     if not isinstance(stored, list) or not all(isinstance(one, dict) for one in stored):
         yield Difference(question.question_id, "proofs", "no list of proofs")
         return
-    named = [{(one.get("kind"), one.get("variant")): one for one in proofs} for proofs in (stored, again)]
+    named = [{(str(one.get("kind")), str(one.get("variant"))): one for one in proofs} for proofs in (stored, again)]
     for key in dict.fromkeys([*named[1], *named[0]]):
         before, now = (proofs.get(key) for proofs in named)
         if before != now:

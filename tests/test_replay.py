@@ -86,6 +86,10 @@ def moved_plan(row):
     row["plan"] = json.dumps(plan, sort_keys=True, separators=(",", ":"))
 
 
+def described_at_the_event(row):
+    row["plan"] = row["plan"].replace('"at":"t0"', '"at":"t1"')
+
+
 def other_condition(row):
     plan = json.loads(row["plan"])
     plan["nodes"][0]["conditions"] = [{"action": "skating", "at": "t0"}]
@@ -102,6 +106,7 @@ TAMPERED = {
     "a proof of another kind": ("start", proofs(lambda f: f.append({**f[0], "kind": "hunch"})), "hunch match"),
     "a word more": ("span", proofs(lambda f: f[0].update(note="x")), "anchor match"),
     "a dropped condition": ("distance", proofs(lambda f: f[1].update(holds=False)), "anchor without"),
+    "a strange proof": ("span", proofs(lambda f: f.append({"kind": [1], "variant": {}})), "[1] {}"),
     "no proofs": ("fork_join", put("proofs", lambda text: "3"), "proofs"),
     "the second path": ("gap", proofs(lambda f: proof_of(f, "rederive").update(outcome="unknown")), "rederive"),
     "needed boxes": ("start", needed, "needed"),
@@ -127,6 +132,7 @@ NOTICED_BY_BOTH = {
         put("plan", lambda text: text.replace("distance_change", "presence")),
         "",
     ),
+    "a description at the event": ("start", described_at_the_event, "plan"),
     "no plan": ("action_search", put("plan", lambda text: "[]"), "plan"),
 }
 
