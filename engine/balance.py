@@ -40,7 +40,7 @@ _LIMITS: Final = {
     # A guess of one offset can win a bin of the near ones whole.
     **dict.fromkeys(("start", "span", "start_view"), _Limit(0.25)),
     # A guess of one length, right within a factor of two, wins two bins, or parts of three.
-    "seconds_between": _Limit(0.55, neighbors=True),
+    "seconds_between": _Limit(0.5, neighbors=True),
     "count": _Limit(0.34),
 }
 """By read; all others are choices, under `max_answer_share`."""
