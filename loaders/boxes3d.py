@@ -47,7 +47,7 @@ class Attributes(msgspec.Struct, gc=False, frozen=True):
     """The `attributes` object; null where missing."""
 
     distance: float | None = None
-    num_points: int | float | None = None
+    num_points: float | None = None
     interpolated: bool | None = None
     no_eval: bool | None = None
 

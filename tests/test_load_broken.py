@@ -378,6 +378,7 @@ def test_a_bad_3d_box_costs_its_own_record(tmp_path, changes):
         ("distance", float("nan")),
         ("num_points", -1),
         ("num_points", 1.5),
+        ("num_points", 10**400),
         ("no_eval", 3),
     ],
 )
