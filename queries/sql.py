@@ -105,10 +105,13 @@ def _make_views(connection: Any, store: Store) -> dict[str, str]:
             broken[name] = f"cannot read the files of {name}: {' '.join(str(error).split())}"
     for name, query in JOINED.items():
         reason = next((reason for table, reason in broken.items() if table in query), None)
+        try:
+            if reason is None:
+                connection.execute(f"CREATE VIEW {name} AS {query}")
+        except duckdb.Error as error:  # files that are Parquet, of another form
+            reason = f"cannot make {name}: {' '.join(str(error).split())}"
         if reason is not None:
             broken[name] = reason
-        else:
-            connection.execute(f"CREATE VIEW {name} AS {query}")
     connection.execute(f"SET allowed_paths = [{', '.join(_quoted(path) for path in allowed)}]")
     return broken
 

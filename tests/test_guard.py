@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -382,6 +383,10 @@ def test_a_broken_file_spoils_its_own_view_only(store, tmp_path):
     poses.write_bytes(b"no parquet")
     with pytest.raises(QueryError, match="cannot read the files of annotations_poses"):
         place.sql("SELECT * FROM sightings_keypoints")
+    pq.write_table(pa.table({"x": [1]}), poses)
+    with pytest.raises(QueryError, match=r"cannot make sightings_keypoints: .*sequence"):
+        place.sql("SELECT * FROM sightings_keypoints")
+    assert place.sql("SELECT count(*) AS n FROM questions").to_pylist() == [{"n": 0}]
 
 
 def test_sql_needs_a_store(tmp_path):
