@@ -14,6 +14,9 @@ import numpy.typing as npt
 
 _WIDTH: Final = 8
 _COLON: Final = ord(":")
+_SHORTEST: Final = 5
+"""Bytes of the shortest member of an object, `"":1,`. Where there are more colons, strings are full of them: an ending
+of each would take many times the memory of the text."""
 _FIRST_INK: Final = np.uint64((ord(" ") + 1) << 56)
 """Endings from here on have no blank for their last byte."""
 
@@ -49,7 +52,10 @@ def _endings(text: bytes) -> npt.NDArray[np.uint64] | None:
     """The eight bytes before each colon as a number, its last byte the highest; None where that tells no keys."""
     if len(text) <= 2 * _WIDTH:
         return None
-    colons = np.flatnonzero(np.frombuffer(text, np.uint8) == _COLON)
+    found = np.frombuffer(text, np.uint8) == _COLON
+    if np.count_nonzero(found) > len(text) // _SHORTEST:
+        return None
+    colons = np.flatnonzero(found)
     colons = colons[np.searchsorted(colons, _WIDTH) :]
     before: npt.NDArray[np.uint64] = np.ndarray((len(text) - _WIDTH + 1,), "<u8", text, 0, (1,))
     endings = before[colons - _WIDTH]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -40,3 +41,14 @@ def test_keys_that_stand_more_often_than_allowed_are_noticed(text, keys, limit):
         assert exceed
     if sum(text.count(f'"{key}"') for key in keys) <= limit:
         assert not exceed
+
+
+def test_strings_full_of_colons_cost_no_memory():
+    text = b'[{"image_id": 1, "note": "%b", "image_id": 2}]' % (b":" * (4 << 20))
+    tracemalloc.start()
+    try:
+        written = WrittenKeys(text)
+        assert written.exceed(1, b'"image_id"') and not written.exceed(2, b'"image_id"')
+        assert tracemalloc.get_traced_memory()[1] < 2 * len(text)
+    finally:
+        tracemalloc.stop()
