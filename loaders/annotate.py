@@ -107,6 +107,8 @@ def annotate(files: SequenceFiles) -> Annotated:
         try:
             reading = _read(layer, path, files.sequence, readings, problems[-1])
         except InputError as error:
+            # What was said of its frames and records until then is no news: nothing of them was kept.
+            problems[-1] = Problems(path.name, layer)
             problems[-1].add("file", str(error))
             continue
         check = None if files.labels.get("2d") == str(path) else _check(layer, reading, readings)

@@ -17,7 +17,7 @@ import pyarrow.compute as pc
 import pytest
 from worlds import load_reported, person, person_3d, write_root
 
-from jrdb_avr.loaders import labelfile, spans
+from jrdb_avr.loaders import gather, labelfile, spans
 from jrdb_avr.loaders.layers import find_root
 from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.problems import Problems
@@ -658,3 +658,15 @@ def test_only_bad_files_is_an_error_and_leaves_no_store(tmp_path):
         load_reported(tmp_path, {NAME: {"2d": b"x"}})
     with pytest.raises(AvrError):
         Store(tmp_path / "store").manifest()
+
+
+def test_of_a_file_that_is_refused_nothing_else_is_said(tmp_path, monkeypatch):
+    """Its frames are read before its end is seen: what was wrong in them is no news, and no record was 'kept'."""
+    twice = json.dumps(person_3d(2, 3.0, 1.0)).replace('"label_id"', '"label_id": "pedestrian:1", "label_id"')
+    whole = f'{{"labels": {{"000000.pcd": [{twice}], "000000.pcd": [], "000015.pcd": []}}}}'
+    monkeypatch.setattr(gather, "BATCH_BYTES", 1)
+    _, report = loaded(tmp_path / "whole", whole, "3d")
+    assert [p.kind for p in report.problems] == ["field", "frame"]
+    for name, cut in (("cut", whole[:-2]), ("longer", whole + "]")):
+        _, report = loaded(tmp_path / name, cut, "3d")
+        assert [(p.kind, p.count, p.layer) for p in report.problems] == [("file", 1, "3d")]
