@@ -151,7 +151,8 @@ def seen_by_brute_force(layer, data):
                 frames.setdefault(name, set()).update(known)
             if not every:
                 plain.append({table: {key_of(table, row) for row in rows} for table, rows in found.tables.items()})
-    return seen, frames, {table: plain[0][table] & plain[1].get(table, set()) for table in plain[0]} if plain else {}
+    sure = {table: plain[0][table] & plain[1].get(table, set()) for table in plain[0]} if len(plain) == 2 else {}
+    return seen, frames, sure
 
 
 def check_calibration(reading, data):
