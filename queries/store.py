@@ -152,8 +152,10 @@ class Store:
         return read_table(self.interval_path(kind, sequence))
 
     def questions(self, name: str) -> pa.Table:
+        """A question file. Raises StoreError where there is none yet, or nothing is loaded at all."""
         path = self.question_path(name)
         if not path.exists():
+            self.manifest()  # A folder that is no store lacks more than questions.
             raise StoreError(f"{self.path} has no questions yet: run 'jrdb-avr generate --store {self.path}'")
         return read_table(path)
 

@@ -119,6 +119,11 @@ def test_no_manifest_says_what_to_run(tmp_path):
         Store(tmp_path).manifest()
 
 
+def test_questions_of_no_store_at_all_are_not_called_missing(tmp_path):
+    with pytest.raises(StoreError, match="is no store: run 'jrdb-avr load"):
+        Store(tmp_path / "nowhere").questions("questions")
+
+
 def test_a_broken_parquet_file_is_one_error(tmp_path):
     path = tmp_path / "t.parquet"
     write_table(path, TABLE, SCHEMA)
