@@ -148,7 +148,7 @@ def _reason(group: Sequence[Posed], above: Sequence[str]) -> str:
         commonest = Counter(_chosen(question) if choice else question.bin for question in group)
         name, count = min(commonest.items(), key=lambda item: (-item[1], item[0]))
         what = f"are {name!r}" if choice else f"lie in {name} s"
-        parts.append(f"{count} of {n} answers {what}, and the data holds too few others to level them")
+        parts.append(f"{count} of {n} answers {what}, and too few others are left to level them")
     if "text_only" in above:
         parts.append("questions with the same words and waits have the same answers in other sequences")
     return "; ".join(parts)

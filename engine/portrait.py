@@ -231,7 +231,7 @@ def _blind(panel: Panel, tables: Tables) -> None:
     """Guessers' scores as dots, the aim as a stroke."""
     rows = tables["blind"]
     panel.head(
-        "Answering without looking", "right answers of blind guessers; red where above the aim, the upright stroke"
+        "Answering without looking", "right answers of blind guessers; upright stroke: the aim; n is red where above it"
     )
     canvas = panel.canvas
     names = [row["template"] + ("" if row["asks"] != "count" else " (count)") for row in rows]

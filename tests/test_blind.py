@@ -90,7 +90,7 @@ def test_what_is_above_its_aim_says_why():
     rows = [start("a", 0, 60 + i % 20) for i in range(40)] + [start("b", 0, 200 + 100 * i) for i in range(40)]
     (row,) = blind_check(rows)
     assert row["within_aim"] is False and row["constant"] == 0.5 and row["text_only"] == 0
-    assert row["reason"] == "40 of 80 answers lie in [3, 6) s, and the data holds too few others to level them"
+    assert row["reason"] == "40 of 80 answers lie in [3, 6) s, and too few others are left to level them"
     apart = [choice(f"s{i}", POSES[i % 4], (POSES[i % 4],)) for i in range(40)]
     (row,) = blind_check(apart)
     assert row["text_only"] == 1.0
