@@ -12,6 +12,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+SHORT: Final = 4096
+"""Bytes below which a text, of one record say, is searched for every key in less time than its colons take."""
 _WIDTH: Final = 8
 _COLON: Final = ord(":")
 _SHORTEST: Final = 5
@@ -50,7 +52,7 @@ class WrittenKeys:
 
 def _endings(text: bytes) -> npt.NDArray[np.uint64] | None:
     """The eight bytes before each colon as a number, its last byte the highest; None where that tells no keys."""
-    if len(text) <= 2 * _WIDTH:
+    if len(text) < SHORT:
         return None
     found = np.frombuffer(text, np.uint8) == _COLON
     if np.count_nonzero(found) > len(text) // _SHORTEST:

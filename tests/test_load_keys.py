@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tracemalloc
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -28,15 +29,22 @@ def values(draw, depth=3):
     return f"{{{draw(blanks)}{f',{space}'.join(members)}}}"
 
 
-@given(values(), st.lists(st.sampled_from(KEYS), min_size=1, max_size=3, unique=True), st.integers(0, 3))
-def test_keys_that_stand_more_often_than_allowed_are_noticed(text, keys, limit):
+@given(
+    values(),
+    st.lists(st.sampled_from(KEYS), min_size=1, max_size=3, unique=True),
+    st.integers(0, 3),
+    st.sampled_from((17, 17, 4096)),
+)
+def test_keys_that_stand_more_often_than_allowed_are_noticed(text, keys, limit, short):
     found = []
 
     def members(pairs):
         found.extend(key for key, _ in pairs)
 
     json.loads(text, object_pairs_hook=members)
-    exceed = WrittenKeys(text.encode()).exceed(limit, *(f'"{key}"'.encode() for key in keys))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("jrdb_avr.loaders.keys.SHORT", short)
+        exceed = WrittenKeys(text.encode()).exceed(limit, *(f'"{key}"'.encode() for key in keys))
     if sum(map(found.count, keys)) > limit:
         assert exceed
     if sum(text.count(f'"{key}"') for key in keys) <= limit:
