@@ -153,7 +153,8 @@ def test_postures_presence_and_distance_are_read_or_unknown(sites):
         world, plans, expected = site.world, [], []
         frames = sorted({frame for frame, _ in world.people} | set(world.keyframes))
         for track, t0, conditions in itertools.islice(described(site), 30):
-            for t1 in [frame for frame in frames if frame > t0][:: max(1, len(frames) // 12)]:
+            # Beyond the last frame nobody is known to be absent.
+            for t1 in [*[frame for frame in frames if frame > t0][:: max(1, len(frames) // 12)], frames[-1] + 30]:
                 times = {"t0": t0, "t1": t1}
                 plans.append(planned(site, conditions, times, READ_A | {"at": "t1"}))
                 expected.append(world.pose(t1, track) if (t1, track) in world.people else None)
@@ -207,6 +208,27 @@ def test_starts_are_found_exactly_where_they_are_stable_and_nothing_is_unknown_b
 
 
 STARTS = {"mode": "frame", "read": "start"}
+
+
+def test_people_are_counted_where_everybody_who_could_be_met_certainly_is(sites):
+    seen = Counter()
+    for site in sites:
+        world, plans, expected = site.world, [], []
+        for track, t1, conditions in itertools.islice(described(site), 12):
+            for t2, label in itertools.product([t for t in world.keyframes if t > t1][:9:4], (GROUP, *TOGETHER[:2])):
+                how = {"mode": "number", "read": "count", "at": ["t1", "t2"], "relation": label}
+                plans.append(planned(site, conditions, {"t1": t1, "t2": t2}, how))
+                between = [world.company(frame, track, label) or {} for frame in range(t1, t2 + 1)]
+                met, could = (
+                    {other for facts in between for other, fact in facts.items() if fact in kinds}
+                    for kinds in ((YES,), (YES, MAYBE))
+                )
+                there = all((t, track) in world.people for t in world.keyframes if t1 <= t <= t2)
+                expected.append(f'{{"value":{float(len(met))}}}' if there and met == could else None)
+                seen["nobody" if not could else "unsure" if met != could else "gone" if not there else "known"] += 1
+        for plan, solution, answer in zip(plans, site.solve(plans), expected, strict=True):
+            assert solution.answer == answer, plan
+    assert min(seen[kind] for kind in ("nobody", "unsure", "gone", "known")) >= 3, seen
 
 
 def compare_proven(site, most):
