@@ -210,6 +210,26 @@ def test_starts_are_found_exactly_where_they_are_stable_and_nothing_is_unknown_b
 STARTS = {"mode": "frame", "read": "start"}
 
 
+def test_the_next_posture_follows_at_once_and_lasts_or_is_unknown(sites):
+    seen = Counter()
+    for site in sites:
+        world, plans, expected = site.world, [], []
+        for track, t0, conditions in described(site):
+            event = {"event": "end", "of": "a", "after": "t0"}
+            how = {"mode": "multiple_choice", "read": "next_action", "at": "t1"}
+            plans.append(planned(site, conditions, {"t0": t0, "t1": event}, how))
+            poses = [world.pose(t, track) if (t, track) in world.people else None for t in world.keyframes if t >= t0]
+            held = next((i for i, pose in enumerate(poses) if pose != poses[0]), None)
+            pose, last = (poses[held], t0 + 15 * held - 15) if poses[0] and held else (None, 0)
+            rows = [row for row in world.segments if (row["track"], row["action"]) == (track, pose)]
+            lasts = any(last < row["first"] <= last + 15 for row in rows)
+            expected.append(pose if lasts else None)
+            seen["follows" if lasts else "passes" if pose else "nothing"] += 1
+        for plan, solution, answer in zip(plans, site.solve(plans), expected, strict=True):
+            assert solution.answer == answer, plan
+    assert min(seen[kind] for kind in ("follows", "passes", "nothing")) >= 3, seen
+
+
 def test_people_are_counted_where_everybody_who_could_be_met_certainly_is(sites):
     seen = Counter()
     for site in sites:
