@@ -80,8 +80,12 @@ class StructureError(Exception):
     """Brackets, commas or quotes are not where they must be."""
 
 
-def parse(data, last=False):
-    """The value of a JSON text, BROKEN where a part of it is none. RefusedError where nothing can be told."""
+def parse(data, carrying, last=False):
+    """The value of a JSON text, BROKEN where a part of it is none. RefusedError where nothing can be told.
+
+    `carrying` are the members of the outermost object that the facts are in: their structure must be whole. Of others
+    only the end must be found.
+    """
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -91,7 +95,7 @@ def parse(data, last=False):
     except (ValueError, RecursionError):
         pass
     try:
-        value, end = _value(text, _skip(text, 0), last, 0)
+        value, end = _value(text, _skip(text, 0), last, 0, carrying)
     except StructureError as error:
         raise RefusedError(str(error)) from None
     if _skip(text, end) != len(text):
@@ -109,7 +113,7 @@ def _skip(text, at):
     return _BLANK.match(text, at).end()
 
 
-def _value(text, at, last, depth):
+def _value(text, at, last, depth, carrying=()):
     first = text[at : at + 1]
     if first not in ("[", "{"):
         match = (_STRING if first == '"' else _SCALAR).match(text, at)
@@ -124,14 +128,14 @@ def _value(text, at, last, depth):
     if depth > 60:
         return BROKEN, end
     try:
-        return _container(text, at, last, depth)
+        return _container(text, at, last, depth, carrying)
     except StructureError:
         if depth < 2:
             raise
         return BROKEN, end
 
 
-def _container(text, at, last, depth):
+def _container(text, at, last, depth, carrying):
     opening, closing = text[at], "]" if text[at] == "[" else "}"
     found, at = [], _skip(text, at + 1)
     if text[at : at + 1] == closing:
@@ -146,11 +150,12 @@ def _container(text, at, last, depth):
             if text[at : at + 1] != ":":
                 raise StructureError("a colon is missing")
             at = _skip(text, at + 1)
-        value, at = _value(text, at, last, depth + 1)
         try:
-            found.append(value if key is None else (json.loads(key[0], strict=False), value))
+            name = None if key is None else json.loads(key[0], strict=False)
         except ValueError:
-            found.append((key[0], value))
+            name = key[0]
+        value, at = _value(text, at, last, depth + (1 if depth or name is None or name in carrying else 2))
+        found.append(value if key is None else (name, value))
         at = _skip(text, at)
         mark = text[at : at + 1]
         if mark == closing:
@@ -648,9 +653,17 @@ READ = {
 }
 
 
+CARRYING = {
+    "pose": ("images", "annotations"),
+    "panoptic": ("images", "annotations", "categories"),
+    "images": ("data",),
+    "clouds": ("data",),
+}
+
+
 def read(layer, data, last=False, every=False):
     """The facts of one file. RefusedError where it cannot be used at all."""
-    return READ[layer](parse(data, last), every=every)
+    return READ[layer](parse(data, CARRYING.get(layer, ("labels",)), last), every=every)
 
 
 def read_root(root, sequence):
