@@ -231,7 +231,7 @@ def test_metadata_is_looked_at(few):
 
 
 def test_missing_and_broken_files_are_one_line(few, tmp_path):
-    with pytest.raises(StoreError, match="no questions yet"):
+    with pytest.raises(StoreError, match="is no store: run 'jrdb-avr load"):
         Store(tmp_path / "nothing").questions("questions")
     few.question_path("evidence").write_bytes(b"PAR1 nothing")
     missing = run("validate", "--store", tmp_path / "nothing")
