@@ -242,6 +242,10 @@ class Solver:
                         return frame, then
                 return key, seen
             before = key
+        # Who comes back after the last keyframe is seen at a frame between.
+        for frame, then in self.eyes.track(who.name, self.eyes.between(before, math.inf), who.angle):
+            if then is not None:
+                return frame, then
         raise LostError("never returns")
 
     # -- reads --
