@@ -22,11 +22,14 @@ import numpy as np
 
 from jrdb_avr.queries.store import safe_sequence
 from jrdb_avr.schema.errors import ObserveError
-from jrdb_avr.schema.method import Image, Observation, SequenceInfo
+from jrdb_avr.schema.method import Image, Observation, Panorama, SequenceInfo
 from jrdb_avr.schema.panorama import CROP, FOV_DEG, HEIGHT, WIDTH, crop_left
 
 CACHED_PANORAMAS: Final = 16
 """Decoded panoramas kept by default, 5.4 MB each."""
+
+CACHED_FILES: Final = 128
+"""Files of panoramas kept as they are, about half a megabyte each."""
 
 _TILE: Final = 235
 """Columns of a tile; sixteen of them are the panorama."""
@@ -39,8 +42,8 @@ _SIZE_MARKERS: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 class Observer:
     """Serves observations of `sequences`, whose panoramas lie in `image_root/<sequence>/<six digits>.jpg`.
 
-    May be called from several threads. Memory stays bounded: at most `cached` decoded panoramas are kept, the least
-    recently used goes first.
+    May be called from several threads. Memory stays bounded: at most `cached` decoded panoramas and `CACHED_FILES`
+    files are kept, the least recently used goes first.
     """
 
     def __init__(
@@ -51,6 +54,7 @@ class Observer:
         self._frames = {name: frozenset(info.frames) for name, info in self._sequences.items()}
         self._cached = max(1, cached)
         self._panoramas: OrderedDict[tuple[str, int], Future[_Strip]] = OrderedDict()
+        self._files: OrderedDict[tuple[str, int], bytes] = OrderedDict()
         self._lock = threading.Lock()
 
     def __call__(self, sequence: str, frame_index: int, angle_deg: float) -> Observation:
@@ -76,6 +80,23 @@ class Observer:
     def panorama(self, sequence: str, frame_index: int) -> Image:
         """The whole panorama, 480 x 3760 x 3 RGB, read-only. Raises ObserveError as a call does."""
         return self._strip(sequence, self._check(sequence, frame_index)).whole()
+
+    def stored(self, sequence: str, frame_index: int) -> Panorama:
+        """The whole panorama as its file's bytes, which are found to be a whole picture. Raises ObserveError."""
+        frame = self._check(sequence, frame_index)
+        key = (sequence, frame)
+        with self._lock:
+            data = self._files.get(key)
+            if data is not None:
+                self._files.move_to_end(key)
+        if data is None:
+            data, path = self._read(sequence, frame)
+            decode_panorama(data, path)
+            with self._lock:
+                self._files[key] = data
+                while len(self._files) > CACHED_FILES:
+                    self._files.popitem(last=False)
+        return Panorama(sequence, frame, f"{frame:06d}", frame / self._sequences[sequence].fps, data)
 
     def _check(self, sequence: str, frame_index: int) -> int:
         if not isinstance(sequence, str) or sequence not in self._sequences:
@@ -107,7 +128,7 @@ class Observer:
                 self._panoramas.popitem(last=False)
         if future is mine:
             try:
-                mine.set_result(_Strip(self._decode(sequence, frame)))
+                mine.set_result(_Strip(decode_panorama(*self._read(sequence, frame))))
             except BaseException as error:
                 # A failure is not remembered: the file may be there on the next call.
                 with self._lock:
@@ -116,7 +137,8 @@ class Observer:
                 mine.set_exception(error)
         return future.result()
 
-    def _decode(self, sequence: str, frame: int) -> Image:
+    def _read(self, sequence: str, frame: int) -> tuple[bytes, str]:
+        """A panorama's file, and its name for messages."""
         if self._root is None:
             raise ObserveError("there are no images: load a root that holds images/image_stitched")
         path = self._root / sequence / f"{frame:06d}.jpg"
@@ -125,7 +147,7 @@ class Observer:
             data = path.read_bytes() if path.is_file() or not path.exists() else b""
         except OSError as error:
             raise ObserveError(f"cannot read {path}: {os.strerror(error.errno or 0)}") from None
-        return decode_panorama(data, str(path))
+        return data, str(path)
 
 
 class _Strip:

@@ -3,7 +3,7 @@
     runs/<run_id>/run.json            what was asked, of whom, how; written first
     runs/<run_id>/journal.jsonl       one line per finished question, synced as it finishes
     runs/<run_id>/calls/              model calls that finished cleanly
-    runs/<run_id>/predictions.parquet, steps.parquet   written from the journal at the end
+    runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from the journal at the end
 
 A run killed at any point loses nothing that is in the journal; resumed, it asks what is not, and what ended in an
 error. Only the public question tables and images are read here.
@@ -27,19 +27,32 @@ import pyarrow as pa
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import ANSWER_TYPES, encode_answer
 from jrdb_avr.schema.errors import AvrError, InputError, LockedError, StoreError
-from jrdb_avr.schema.method import Method, Observation, Observe, Prediction, Question, SequenceInfo, Step, Task
+from jrdb_avr.schema.method import (
+    Method,
+    Observation,
+    Observe,
+    Panorama,
+    Prediction,
+    Question,
+    SequenceInfo,
+    Show,
+    Step,
+    Task,
+)
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
+from jrdb_avr.schema.world import Write
 
 _STOP_S: Final = 1.0
 """Longest wait for the threads of a run that ends early."""
 
 
 class Finished(msgspec.Struct, frozen=True):
-    """A line of the journal: a question's row of `predictions` and its rows of `steps`, without the run's id."""
+    """A line of the journal: a question's row of `predictions`, its rows of `steps` and of `world`, without run id."""
 
     question_id: str
     prediction: dict[str, Any]
     steps: list[dict[str, Any]]
+    world: list[dict[str, Any]] = []
 
     @property
     def failed(self) -> bool:
@@ -191,31 +204,45 @@ def ask(
     method: Method,
     question: Question,
     sequence: SequenceInfo,
-    observe: Observe,
+    look: Observe,
+    show: Show,
     stopped: Callable[[], bool] = lambda: False,
 ) -> Finished:
     """Ask one question. Whatever the method raises, or returns that is no prediction, becomes an `error` with the
     reason.
     """
     steps: list[Step] = []
+    writes: list[Write] = []
     looks: list[None] = []
 
-    def counted(sequence: str, frame_index: int, angle_deg: float) -> Observation:
-        if stopped():
-            raise _Stopped
-        observation = observe(sequence, frame_index, angle_deg)
+    def observe(sequence: str, frame_index: int, angle_deg: float) -> Observation:
+        go_on()
+        observation = look(sequence, frame_index, angle_deg)
         looks.append(None)
         return observation
 
+    def panorama(sequence: str, frame_index: int) -> Panorama:
+        go_on()
+        shown = show(sequence, frame_index)
+        looks.append(None)
+        return shown
+
     def record(step: Step) -> None:
+        go_on()
+        steps.append(step)
+
+    def keep(write: Write) -> None:
+        go_on()
+        writes.append(write)
+
+    def go_on() -> None:
         if stopped():
             raise _Stopped
-        steps.append(step)
 
     started = time.perf_counter()
     try:
-        prediction = method.answer(Task(question, sequence, counted, record))
-        finished = _finished(question.question_id, prediction, steps, time.perf_counter() - started)
+        prediction = method.answer(Task(question, sequence, observe, panorama, record, keep))
+        finished = _finished(question.question_id, prediction, steps, writes, time.perf_counter() - started)
         _tables("", [finished])
     except Exception as error:
         reason = " ".join(str(error).split())
@@ -225,11 +252,13 @@ def ask(
             n_observations=len(looks),
             n_model_calls=sum(step.kind == "model" for step in steps),
         )
-        finished = _finished(question.question_id, prediction, steps, time.perf_counter() - started)
+        finished = _finished(question.question_id, prediction, steps, writes, time.perf_counter() - started)
     return finished
 
 
-def _finished(question_id: str, prediction: Prediction, steps: Sequence[Step], seconds: float) -> Finished:
+def _finished(
+    question_id: str, prediction: Prediction, steps: Sequence[Step], writes: Sequence[Write], seconds: float
+) -> Finished:
     evidence = prediction.evidence
     box: Sequence[float | None] = (None,) * 4 if evidence is None else evidence.box
     row = {
@@ -257,7 +286,20 @@ def _finished(question_id: str, prediction: Prediction, steps: Sequence[Step], s
         }
         for number, step in enumerate(steps)
     ]
-    return Finished(question_id, row, transcript)
+    world = [
+        {
+            "question_id": question_id,
+            "number": write.number,
+            "step": write.step,
+            "tool": write.tool,
+            "arguments": _storable(write.arguments),
+            "accepted": write.accepted,
+            "reason": _storable(write.reason),
+            "fact": _storable(write.fact),
+        }
+        for write in writes
+    ]
+    return Finished(question_id, row, transcript, world)
 
 
 def _storable(text: str) -> str:
@@ -270,6 +312,7 @@ def ask_all(
     questions: Sequence[Question],
     sequences: Mapping[str, SequenceInfo],
     observe: Observe,
+    panorama: Show,
     journal: Journal,
     concurrency: int,
     advance: Callable[[int], None] = lambda steps: None,
@@ -293,7 +336,7 @@ def ask_all(
         try:
             while not stop.is_set():
                 question = waiting.get_nowait()
-                done.put(ask(method, question, sequences[question.sequence], observe, stop.is_set))
+                done.put(ask(method, question, sequences[question.sequence], observe, panorama, stop.is_set))
         except (queue.Empty, _Stopped):
             return
         except BaseException as error:
@@ -319,16 +362,22 @@ def ask_all(
 
 
 def write_tables(store: Store, run_id: str, entries: Iterable[Finished]) -> None:
-    """Write a run's `predictions` and `steps`, sorted by question and step."""
-    predictions, steps = _tables(run_id, sorted(entries, key=lambda entry: entry.question_id))
-    store.write_run(run_id, "steps", steps)
-    store.write_run(run_id, "predictions", predictions)
+    """Write a run's `predictions`, `steps` and `world`, sorted by question and step."""
+    tables = _tables(run_id, sorted(entries, key=lambda entry: entry.question_id))
+    # Predictions come last: where they are, the run is whole.
+    for name in ("world", "steps", "predictions"):
+        store.write_run(run_id, name, tables[name])
 
 
-def _tables(run_id: str, entries: Sequence[Finished]) -> tuple[pa.Table, pa.Table]:
-    """The `predictions` and `steps` of entries. pyarrow's errors, ValueError and the like where one does not fit."""
-    predictions = [{"run_id": run_id, **entry.prediction} for entry in entries]
-    steps = [{"run_id": run_id, **step} for entry in entries for step in entry.steps]
+def _tables(run_id: str, entries: Sequence[Finished]) -> dict[str, pa.Table]:
+    """The tables of entries. pyarrow's errors, ValueError and the like where one does not fit."""
+    rows = {
+        "predictions": [entry.prediction for entry in entries],
+        "steps": [step for entry in entries for step in entry.steps],
+        "world": [write for entry in entries for write in entry.world],
+    }
     # The cast finds what the making of a table lets pass: a null where none may be.
-    first = pa.Table.from_pylist(predictions, RUNS["predictions"]).cast(RUNS["predictions"])
-    return first, pa.Table.from_pylist(steps, RUNS["steps"]).cast(RUNS["steps"])
+    return {
+        name: pa.Table.from_pylist([{"run_id": run_id, **row} for row in found], RUNS[name]).cast(RUNS[name])
+        for name, found in rows.items()
+    }

@@ -50,6 +50,7 @@ ABOUT: Final[dict[str, str]] = {
     "reviews": "What people decided about questions.",
     "predictions": "What each run answered.",
     "steps": "Every turn and look of each run.",
+    "world": "Every write of an agent into its world model, accepted or refused, in order.",
     "scores": "What each run scored.",
 }
 
@@ -179,6 +180,10 @@ COLUMNS: Final[dict[str, str]] = {
     "prompt_tokens": "tokens sent to the model",
     "completion_tokens": "tokens that the model wrote",
     "step": "number of the turn",
+    "tool": "which tool wrote",
+    "arguments": "what the tool was given, JSON",
+    "accepted": "false: refused, the world model is unchanged",
+    "fact": "what went into the world model, JSON",
     "request": "what was asked, without image bytes",
     "response": "what came back",
     "answer_score": "1 for a right answer",
@@ -200,6 +205,9 @@ SPECIAL: Final[dict[tuple[str, str], str]] = {
     ("predictions", "raw"): "the model's last words",
     ("predictions", "seconds"): "how long it took",
     ("steps", "seconds"): "how long it took",
+    ("world", "number"): "number of the write, from 0",
+    ("world", "step"): "number of the model call that it came with",
+    ("world", "reason"): "why it was refused",
 }
 """What it means in one table."""
 

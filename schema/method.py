@@ -1,18 +1,20 @@
 """What a method of the benchmark sees and returns: the public interface of method authors.
 
-A method gets one `Task` at a time: the public columns of a question, the frames it may look at, an `observe` function
-and a `record` function for its transcript. It returns a `Prediction`. Nothing else of the store is in its reach.
+A method gets one `Task` at a time: the public columns of a question, the frames it may look at, the functions
+`observe` and `panorama` to look with, and `record` and `keep` for its transcript and its world model's writes. It
+returns a `Prediction`. Nothing else of the store is in its reach.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from .answers import Answer, AnswerMode, Evidence
+from .world import Write
 
 Image = npt.NDArray[np.uint8]
 
@@ -62,6 +64,17 @@ class Observation:
 
 
 @dataclass(frozen=True, slots=True)
+class Panorama:
+    """A whole stitched panorama as its stored JPEG bytes, 3760 x 480; `timestamp` is in seconds from frame 0."""
+
+    sequence: str
+    frame_index: int
+    frame_id: str
+    timestamp: float
+    jpeg: bytes = field(repr=False, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
 class Step:
     """One line of a transcript; images are named by sequence, frame and angle, their bytes are left out."""
 
@@ -75,8 +88,8 @@ class Step:
 class Prediction:
     """What a method says of one question.
 
-    `answer` and `evidence` are judged apart, either may be missing; `status` is invalid when either is unreadable, and
-    `reason` then says why. `raw` is the model's last text.
+    `n_observations` counts crops and panoramas. `answer` and `evidence` are judged apart, either may be missing;
+    `status` is invalid when either is unreadable, and `reason` then says why. `raw` is the model's last text.
     """
 
     status: Status
@@ -96,10 +109,22 @@ class Observe(Protocol):
     def __call__(self, sequence: str, frame_index: int, angle_deg: float) -> Observation: ...
 
 
+class Show(Protocol):
+    """`panorama(sequence, frame_index)`: a whole panorama; raises ObserveError for what is not allowed."""
+
+    def __call__(self, sequence: str, frame_index: int) -> Panorama: ...
+
+
 class Record(Protocol):
     """Appends a step to the transcript of the question at hand."""
 
     def __call__(self, step: Step) -> None: ...
+
+
+class Keep(Protocol):
+    """Appends a write, accepted or refused, to the record of the world model of the question at hand."""
+
+    def __call__(self, write: Write) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +134,9 @@ class Task:
     question: Question
     sequence: SequenceInfo
     observe: Observe
+    panorama: Show
     record: Record
+    keep: Keep
 
 
 class Method(Protocol):
@@ -121,3 +148,9 @@ class Method(Protocol):
     def answer(self, task: Task) -> Prediction:
         """Answer one question. An exception becomes an `error` prediction; it never ends the run."""
         ...
+
+
+class Settled(Method, Protocol):
+    """A method whose settings a run's manifest keeps: what is not equal in them does not resume the run."""
+
+    def settings(self) -> dict[str, Any]: ...

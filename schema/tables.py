@@ -380,6 +380,17 @@ RUNS: Final[dict[str, pa.Schema]] = {
         ("response", _S),
         ("seconds", _F),
     ),
+    "world": _schema(
+        ("run_id", _S),
+        ("question_id", _S),
+        ("number", _I),
+        ("step", _I),
+        ("tool", _S),
+        ("arguments", _S),
+        ("accepted", _B),
+        ("reason", _S),
+        ("fact", _S),
+    ),
     "scores": _schema(
         ("run_id", _S),
         ("question_id", _S),

@@ -40,14 +40,15 @@ class World:
         self.info = SequenceInfo(SEQUENCE, self.fps, self.frames[-1] + 1, tuple(self.frames))
         observer = Observer(self.root, [self.info])
 
-        def observe(sequence, frame_index, angle_deg):
-            # Painted when first looked at: worlds of many frames cost only what is seen.
-            if frame_index not in self.painted:
-                self.painted.add(frame_index)
-                self.paint(folder / f"{frame_index:06d}.jpg", frame_index)
-            return observer(sequence, frame_index, angle_deg)
+        def painted(frame):
+            # When first looked at: worlds of many frames cost only what is seen.
+            if frame not in self.painted:
+                self.painted.add(frame)
+                self.paint(folder / f"{frame:06d}.jpg", frame)
+            return frame
 
-        self.observe = observe
+        self.observe = lambda sequence, frame_index, angle_deg: observer(sequence, painted(frame_index), angle_deg)
+        self.panorama = lambda sequence, frame_index: observer.stored(sequence, painted(frame_index))
 
     def paint(self, path, frame):
         image = np.full((HEIGHT, WIDTH, 3), 96, np.uint8)
@@ -57,6 +58,7 @@ class World:
                 draw(image, box, actor.mark(frame))
         cv2.imwrite(str(path), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])
 
-    def task(self, question, mode, choices=(), steps=None):
+    def task(self, question, mode, choices=(), steps=None, writes=None):
         row = Question("0" * 16, SEQUENCE, "family", "template", question, tuple(choices), mode)
-        return Task(row, self.info, self.observe, (steps if steps is not None else []).append)
+        record = (steps if steps is not None else []).append
+        return Task(row, self.info, self.observe, self.panorama, record, ([] if writes is None else writes).append)

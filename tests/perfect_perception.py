@@ -349,10 +349,16 @@ def beside(source, target):
     return f"{sectors[0]}, {word}" if len(sectors) == 1 and other is None else None
 
 
+def no_panorama(sequence, frame):
+    raise AssertionError("perfect perception looks at crops")
+
+
 def take(store, teller, questions, sequences, observe):
     """Ask the questions, and judge them as the engine does: rows of dicts, in the questions' order."""
     method = PerfectPerception(teller)
-    done = [ask(method, question, sequences[question.sequence], observe).prediction for question in questions]
+    done = [
+        ask(method, question, sequences[question.sequence], observe, no_panorama).prediction for question in questions
+    ]
     table = pa.Table.from_pylist([{"run_id": "perfect", **row} for row in done], schema=RUNS["predictions"])
     asked = [question.question_id for question in questions]
     scores = score_predictions(read_truth(store), "perfect", asked, table)

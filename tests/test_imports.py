@@ -19,7 +19,7 @@ MAY_IMPORT = {
     "engine": {"schema", "queries", "loaders", "engine"},
 }
 # The run and command-line edge: only here a method is picked and handed its questions.
-AGENT_USERS = {"engine/commands/evaluate.py", "engine/commands/demo.py"}
+AGENT_USERS = {"engine/methods.py", "engine/commands/evaluate.py", "engine/commands/demo.py"}
 
 
 def modules():

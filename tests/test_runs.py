@@ -517,7 +517,7 @@ def test_whatever_a_method_raises_is_an_error_row(error):
         task.record(Step("model", "{}", "{}", 0.1))
         raise error
 
-    finished = runs.ask(Scripted(behave), QUESTIONS_ASKED[0], INFO, no_look)
+    finished = runs.ask(Scripted(behave), QUESTIONS_ASKED[0], INFO, no_look, no_look)
     assert finished.failed
     assert "\n" not in finished.prediction["reason"]
     assert finished.prediction["n_model_calls"] == 1
@@ -530,7 +530,7 @@ def test_whatever_a_method_raises_is_an_error_row(error):
     ids=["nothing", "a text", "a large number", "a huge number"],
 )
 def test_what_is_no_prediction_is_an_error_row(tmp_path, returned):
-    finished = runs.ask(Scripted(lambda task: returned), QUESTIONS_ASKED[0], INFO, no_look)
+    finished = runs.ask(Scripted(lambda task: returned), QUESTIONS_ASKED[0], INFO, no_look, no_look)
     assert finished.failed
     runs.write_tables(Store(tmp_path), "r", [finished])
 
@@ -555,7 +555,7 @@ def test_a_run_that_ends_early_leaves_no_question_at_work(tmp_path):
             raise KeyboardInterrupt
 
     with runs.Journal(tmp_path / "journal.jsonl") as journal, pytest.raises(KeyboardInterrupt):
-        runs.ask_all(Scripted(once), QUESTIONS_ASKED, {SEQUENCE: INFO}, no_look, journal, 4, fail)
+        runs.ask_all(Scripted(once), QUESTIONS_ASKED, {SEQUENCE: INFO}, no_look, no_look, journal, 4, fail)
     assert 3 <= len(ended) <= 4
 
 
@@ -564,7 +564,7 @@ def test_what_utf8_cannot_hold_is_written_out(tmp_path):
         task.record(Step("model", "\ud800", "\udfff", 0.0))
         return Prediction("invalid", raw="\ud800", reason="\ud800")
 
-    finished = runs.ask(Scripted(behave), QUESTIONS_ASKED[0], INFO, no_look)
+    finished = runs.ask(Scripted(behave), QUESTIONS_ASKED[0], INFO, no_look, no_look)
     store = Store(tmp_path)
     runs.write_tables(store, "r", [finished])
     assert predictions(store, "r")["raw"].to_pylist() == ["\\ud800"]
@@ -586,7 +586,7 @@ def test_many_questions_in_flight(tmp_path):
     asked = [question(0, 15 * i) for i in range(3, 67)]
     with runs.Journal(tmp_path / "journal.jsonl") as journal:
         started = time.monotonic()
-        runs.ask_all(Scripted(behave), asked, {SEQUENCE: INFO}, no_look, journal, 64)
+        runs.ask_all(Scripted(behave), asked, {SEQUENCE: INFO}, no_look, no_look, journal, 64)
         assert time.monotonic() - started < 3
     assert len(journal.finished) == 64
     assert most > 32

@@ -20,6 +20,7 @@ CONTRACTS = {
     "predictions": "run_id question_id status answer evidence_frame evidence_x evidence_y evidence_w evidence_h raw "
     "reason n_observations n_model_calls prompt_tokens completion_tokens seconds",
     "steps": "run_id question_id step kind request response seconds",
+    "world": "run_id question_id number step tool arguments accepted reason fact",
     "scores": "run_id question_id answer_score evidence_score combined_score invalid",
     "candidates": "sequence family template target_track plan answer",
 }

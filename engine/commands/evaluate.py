@@ -12,16 +12,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
+from jrdb_avr.engine.methods import METHODS
 from jrdb_avr.engine.output import json_option, note, print_json, print_rows, progress, store_option
 
 if TYPE_CHECKING:
-    from jrdb_avr.agent.react import ReAct
     from jrdb_avr.engine.runs import Finished
     from jrdb_avr.queries.store import Store
-    from jrdb_avr.schema.method import Question
+    from jrdb_avr.schema.method import Question, Settled
 
 MARKER: Final = "marker"
-METHODS: Final = ("react",)
 
 _EXAMPLE: Final = """\b
 Examples:
@@ -75,7 +74,7 @@ def command(
     questions = _questions(place, run_id, picked, limit, resume, image_root)
     sequences = runs.read_sequences(place)
     asked = {question.sequence for question in questions}
-    observe = Observer(image_root, [info for name, info in sequences.items() if name in asked])
+    observer = Observer(image_root, [info for name, info in sequences.items() if name in asked])
     with contextlib.ExitStack() as stack:
         journal = stack.enter_context(runs.Journal(folder / "journal.jsonl"))
         if journal.finished and not (folder / "run.json").exists():
@@ -84,7 +83,7 @@ def command(
         url = base_url or stack.enter_context(_marker(folder))
         method = _method(method_name, url, model, place, run_id, questions)
         advance = stack.enter_context(progress(f"{method_name}, {model}", len(questions)))
-        runs.ask_all(method, questions, sequences, observe, journal, concurrency, advance)
+        runs.ask_all(method, questions, sequences, observer, observer.stored, journal, concurrency, advance)
         entries = [journal.finished[question.question_id] for question in questions]
         runs.write_tables(place, run_id, entries)
     rows = [_summary(run_id, entries)]
@@ -162,20 +161,19 @@ def _marker(folder: Path) -> Iterator[str]:
         yield url
 
 
-def _method(name: str, url: str, model: str, place: Store, run_id: str, questions: list[Question]) -> ReAct:
+def _method(name: str, url: str, model: str, place: Store, run_id: str, questions: list[Question]) -> Settled:
     """The method, its server found to be there, and its settings in the run's manifest (or found equal to them)."""
     from jrdb_avr.agent.client import Client
     from jrdb_avr.agent.decode import convention_of
-    from jrdb_avr.agent.react import ReAct
+    from jrdb_avr.engine.methods import make_method
     from jrdb_avr.engine.runs import is_of_sample
     from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, write_run_manifest
     from jrdb_avr.schema.errors import StoreError
 
-    assert name in METHODS, "the option allows no other"
     folder = place.run_path(run_id)
     client = Client(url, model, cache=folder / "calls")
     served = client.probe()
-    method = ReAct(client, convention_of(model))
+    method = make_method(name, client, convention_of(model))
     settings = {"method": method.settings(), "endpoint": client.settings(), "served_model": served}
     if (folder / "run.json").exists():
         before = read_run_manifest(place, run_id)

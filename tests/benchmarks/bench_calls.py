@@ -84,6 +84,9 @@ def measure(looks):
     def observe(sequence, frame, angle):
         return Observation(sequence, frame, f"{frame:06d}", frame / 15, angle, FOV_DEG, int(crop_left(angle)), image)
 
+    def panorama(sequence, frame):
+        raise AssertionError("no panorama is asked for")
+
     # Different texts: equal requests would be answered from the cache.
     shape = ("a", "b"), "multiple_choice"
     asked = [Question(f"{i:016x}", "s", "f", "t", f"Question {i}?", *shape) for i in range(QUESTIONS)]
@@ -93,7 +96,7 @@ def measure(looks):
         sizes.value = 0
         with Journal(Path(folder) / "journal.jsonl") as journal:
             started = time.perf_counter()
-            ask_all(ReAct(client), asked, {"s": info}, observe, journal, IN_FLIGHT)
+            ask_all(ReAct(client), asked, {"s": info}, observe, panorama, journal, IN_FLIGHT)
             seconds = time.perf_counter() - started
             assert all(entry.prediction["status"] == "answered" for entry in journal.finished.values())
     server.terminate()
