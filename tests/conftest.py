@@ -3,7 +3,6 @@
 import fcntl
 import os
 import shutil
-import sys
 
 import pytest
 from effort import DEEP, examples
@@ -12,9 +11,6 @@ from hypothesis import settings
 # A busy machine is no fault of the code, so there is no deadline.
 settings.register_profile("tests", deadline=None, max_examples=examples(60))
 settings.load_profile("tests")
-
-# pyarrow looks for this optional package anew at every scalar, which is a good part of the time of a small world.
-sys.modules.setdefault("dateutil", None)
 
 
 DEAREST = (
