@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
+import msgspec
+
 from jrdb_avr.schema.errors import ObserveError
 from jrdb_avr.schema.method import Observation
 
@@ -51,6 +53,22 @@ def crop_picture(observation: Observation) -> Picture:
     if not done:
         raise ObserveError(f"the crop of frame {observation.frame_id} cannot be written as JPEG")
     return Picture(f"{observation.sequence} {observation.frame_id} {observation.angle_deg:.12g}", data.tobytes())
+
+
+def crop_metadata(observation: Observation) -> dict[str, Any]:
+    """What a model is told of a crop: where and when it was taken, nothing of what it shows."""
+    return {
+        "frame_id": observation.frame_id,
+        "timestamp": round(observation.timestamp, 3),
+        "angle_deg": observation.angle_deg,
+        "fov_deg": round(observation.fov_deg, 2),
+        "left": observation.left,
+    }
+
+
+def crop_line(observation: Observation) -> str:
+    """`crop_metadata` as JSON on one line."""
+    return msgspec.json.encode(crop_metadata(observation)).decode()
 
 
 def wire(messages: Sequence[Message]) -> list[dict[str, Any]]:

@@ -8,23 +8,21 @@ but its own request: servers may be stateless, and a finished call can be replay
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-import msgspec
-
-from jrdb_avr.schema.answers import TIE, Answer, Evidence, encode_answer
+from jrdb_avr.schema.answers import TIE
 from jrdb_avr.schema.errors import DecodeError
-from jrdb_avr.schema.method import Observation, Prediction, Step, Task
-from jrdb_avr.schema.panorama import CROP, angle_error, from_crop
+from jrdb_avr.schema.method import Observation, Prediction, Task
+from jrdb_avr.schema.panorama import angle_error
 
 from . import decode
+from .attempt import Attempt, Verdict, final_parts, heading, on_crop, shared_settings
 from .client import Chat
 from .decode import Convention
-from .messages import Message, Part, Picture, crop_picture, transcript
-from .prompt import choice_lines, frame_ranges, mode_text, render
+from .messages import Message, Part, Picture, crop_line, crop_picture
+from .prompt import frame_ranges, mode_text, render
 
 BUDGET: Final = 24
 DUPLICATE_DEG: Final = 1.0
@@ -52,17 +50,17 @@ class ReAct:
             "budget": self.budget,
             "most_calls": self.most_calls,
             "duplicate_deg": DUPLICATE_DEG,
-            "convention": {"name": self.convention.name, "boxes": self.convention.boxes},
+            **shared_settings(self.convention),
         }
 
     def answer(self, task: Task) -> Prediction:
         """Play one question to its answer, to the second malformed turn, or to the last allowed call."""
         episode = _Episode(task, self)
-        while episode.calls < self.most_calls:
+        while episode.attempt.calls < self.most_calls:
             prediction = episode.turn()
             if prediction is not None:
                 return prediction
-        return episode.ended(f"no answer within {self.most_calls} turns")
+        return episode.attempt.invalid(f"no answer within {self.most_calls} turns")
 
 
 @dataclass(frozen=True)
@@ -81,18 +79,14 @@ class _Episode:
     method: ReAct
     looks: list[_Look] = field(default_factory=list)
     steps: list[str] = field(default_factory=list)
-    calls: int = 0
     error: str = ""
     strikes: int = 0
-    raw: str = ""
-    prompt_tokens: int = 0
-    completion_tokens: int = 0
 
     def __post_init__(self) -> None:
         question, sequence = self.task.question, self.task.sequence
+        self.attempt = Attempt(self.task, self.method.chat, self.method.convention)
         self.legal = frozenset(sequence.frames)
         text = mode_text(question.answer_mode, sequence.frame_count)
-        choices = choice_lines(question.choices)
         self.system = render(
             "react_system",
             fps=f"{sequence.fps:g}",
@@ -103,9 +97,7 @@ class _Episode:
         )
         self.heading = render(
             "react_task",
-            question=question.question,
-            mode=question.answer_mode,
-            choices=f"Choices:\n{choices}" if choices else "No choices.",
+            heading=heading(question),
             frames=frame_ranges(sequence.frames),
             advice=text.advice,
         )
@@ -115,14 +107,7 @@ class _Episode:
 
     def turn(self) -> Prediction | None:
         """One model call and what follows from it; a prediction when the question has ended."""
-        messages = self.messages()
-        started = time.perf_counter()
-        reply = self.method.chat.complete(messages, self.schema)
-        self.calls += 1
-        self.prompt_tokens += reply.prompt_tokens
-        self.completion_tokens += reply.completion_tokens
-        self.raw = reply.content or reply.reasoning
-        self._record("model", transcript(messages), reply, started)
+        reply = self.attempt.ask(self.messages(), self.schema)
         self.error = ""
         try:
             move = decode.reply_object(reply, self.method.convention)
@@ -135,15 +120,15 @@ class _Episode:
                 case _:
                     raise DecodeError('"action" must be "observe" or "answer"')
         except DecodeError as error:
-            return self._strike(str(error))
+            return self._strike(Verdict(faults=(str(error),)))
 
-    def _strike(self, reason: str, answer: Answer | None = None, evidence: Evidence | None = None) -> Prediction | None:
+    def _strike(self, verdict: Verdict) -> Prediction | None:
         """Show a malformed turn its error, or end the question at the second one."""
         self.strikes += 1
         if self.strikes > 1:
-            return self.ended(reason, answer, evidence)
-        self.error = reason
-        self.steps.append(f"malformed: {reason}")
+            return self.attempt.ended(verdict)
+        self.error = "; ".join(verdict.faults)
+        self.steps.append(f"malformed: {self.error}")
         return None
 
     def _observe(self, move: Mapping[str, Any]) -> None:
@@ -153,49 +138,23 @@ class _Episode:
             raise DecodeError(f"frame_id {frame:06d} is none of the legal frames")
         if len(self.looks) >= self.method.budget:
             raise DecodeError("no looks are left: answer now")
-        asked: dict[str, Any] = {"sequence": self.task.question.sequence, "frame_index": frame, "angle_deg": angle}
-        started = time.perf_counter()
         for look in self.looks:
             seen = look.observation
             if seen.frame_index == frame and float(angle_error(seen.angle_deg, angle)) <= DUPLICATE_DEG + TIE:
                 reason = f"within {DUPLICATE_DEG:g} degree of the earlier look at angle {seen.angle_deg:g}"
                 self.steps.append(f"look at frame {frame:06d}, angle {angle:g}: refused, {reason}")
-                self._record("observe", asked, {"refused": reason}, started)
+                self.attempt.refuse_look(frame, angle, reason)
                 return
-        observation = self.task.observe(**asked)
-        look = _Look(observation, crop_picture(observation))
-        self.looks.append(look)
+        observation = self.attempt.look(frame, angle)
+        self.looks.append(_Look(observation, crop_picture(observation)))
         self.steps.append(f"look at frame {frame:06d}, angle {angle:g}: picture {len(self.looks)}")
-        self._record("observe", asked, _metadata(observation), started)
 
-    def _answer(self, move: Mapping[str, Any]) -> Prediction | None:
+    def _answer(self, move: dict[str, Any]) -> Prediction | None:
         if not self.looks:
             raise DecodeError("the first turn must look")
-        decode.only_keys(move, ("action", "answer", "evidence_bboxes"), "an answer turn")
-        question, newest = self.task.question, self.looks[-1].observation
-        started = time.perf_counter()
-        answer: Answer | None = None
-        evidence: Evidence | None = None
-        reasons = []
-        try:
-            answer = decode.read_answer(
-                move["answer"], question.answer_mode, len(question.choices), self.task.sequence.frame_count
-            )
-        except DecodeError as error:
-            reasons.append(str(error))
-        decoded: dict[str, Any] = {"answer": None if answer is None else msgspec.Raw(encode_answer(answer).encode())}
-        try:
-            seen = decode.read_evidence(
-                move["evidence_bboxes"], {newest.frame_index}, CROP, CROP, self.method.convention
-            )
-            evidence = Evidence(seen.frame, from_crop(seen.box, newest.left))
-            decoded |= {"crop_box": seen.box, "stitched_box": evidence.box, "box_key": seen.key}
-        except DecodeError as error:
-            reasons.append(str(error))
-        self._record("solve", {"crop": newest.frame_id, "left": newest.left}, decoded | {"faults": reasons}, started)
-        if reasons:
-            return self._strike("; ".join(reasons), answer, evidence)
-        return self._prediction("answered", "", answer, evidence)
+        del move["action"]
+        verdict = self.attempt.judge(move, on_crop(self.looks[-1].observation))
+        return self._strike(verdict) if verdict.faults else self.attempt.ended(verdict)
 
     # -- what the model is shown --------------------------------------------------------------------------------------
 
@@ -207,7 +166,7 @@ class _Episode:
         parts: list[Part] = [self.heading]
         for number, look in enumerate(self.looks, 1):
             newest = ", the newest" if number == len(self.looks) else ""
-            parts += [f"Picture {number}{newest}: {picture_line(look.observation)}", look.picture]
+            parts += [f"Picture {number}{newest}: {crop_line(look.observation)}", look.picture]
         parts.append(
             render(
                 "react_state",
@@ -216,7 +175,7 @@ class _Episode:
                 or "none",
                 used=len(self.looks),
                 left=self.method.budget - len(self.looks),
-                turns=self.method.most_calls - self.calls,
+                turns=self.method.most_calls - self.attempt.calls,
                 error=f"Your last turn was malformed, and a second such turn ends the question: {self.error}"
                 if self.error
                 else "",
@@ -238,53 +197,8 @@ class _Episode:
                 decode.closed_object(
                     {
                         "action": {"type": "string", "enum": ["answer"]},
-                        "answer": decode.answer_schema(question.answer_mode, question.choices),
-                        "evidence_bboxes": decode.EVIDENCE_SCHEMA,
+                        **final_parts(question),
                     }
                 ),
             ]
         }
-
-    # -- what is kept -------------------------------------------------------------------------------------------------
-
-    def ended(self, reason: str, answer: Answer | None = None, evidence: Evidence | None = None) -> Prediction:
-        """The question as invalid; what could be read still counts."""
-        return self._prediction("invalid", reason, answer, evidence)
-
-    def _prediction(self, status: Any, reason: str, answer: Answer | None, evidence: Evidence | None) -> Prediction:
-        return Prediction(
-            status=status,
-            answer=answer,
-            evidence=evidence,
-            raw=self.raw,
-            reason=reason,
-            n_observations=len(self.looks),
-            n_model_calls=self.calls,
-            prompt_tokens=self.prompt_tokens,
-            completion_tokens=self.completion_tokens,
-        )
-
-    def _record(self, kind: Any, request: object, response: object, started: float) -> None:
-        self.task.record(
-            Step(
-                kind=kind,
-                request=msgspec.json.encode(request).decode(),
-                response=msgspec.json.encode(response).decode(),
-                seconds=time.perf_counter() - started,
-            )
-        )
-
-
-def _metadata(observation: Observation) -> dict[str, Any]:
-    return {
-        "frame_id": observation.frame_id,
-        "timestamp": round(observation.timestamp, 3),
-        "angle_deg": observation.angle_deg,
-        "fov_deg": round(observation.fov_deg, 2),
-        "left": observation.left,
-    }
-
-
-def picture_line(observation: Observation) -> str:
-    """One line that says where a picture was taken: what `observe` returned beside it, as JSON."""
-    return msgspec.json.encode(_metadata(observation)).decode()

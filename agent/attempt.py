@@ -1,0 +1,224 @@
+"""One question being answered by a model: its calls and looks, what they cost, and how its last reply is judged.
+
+What every method shares. Each call, each look and the reading of the final reply is a step of the transcript; tokens
+and looks are counted where they happen; the prediction is made of these counts.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import msgspec
+
+from jrdb_avr.schema.answers import Answer, Evidence, encode_answer
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.method import Observation, Panorama, Prediction, Question, Step, StepKind, Task
+from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, from_crop
+
+from . import decode
+from .client import Chat, Reply
+from .decode import Convention
+from .messages import Message, crop_metadata, transcript
+from .panoramas import panorama_metadata, uniform_frames
+from .prompt import choice_lines, render
+
+IMAGE_SIZES: Final = {"panorama": [WIDTH, HEIGHT], "crop": [CROP, CROP]}
+"""Width and height in pixels of the pictures that a model is sent."""
+
+
+def heading(question: Question) -> str:
+    """The lines that open every task: question, mode, and the choices numbered from 1."""
+    choices = choice_lines(question.choices)
+    return render(
+        "heading",
+        question=question.question,
+        mode=question.answer_mode,
+        choices=f"Choices:\n{choices}" if choices else "No choices.",
+    )
+
+
+def final_parts(question: Question) -> dict[str, Any]:
+    """The JSON Schemas of a final reply's keys."""
+    return {
+        "answer": decode.answer_schema(question.answer_mode, question.choices),
+        "evidence_bboxes": decode.EVIDENCE_SCHEMA,
+    }
+
+
+def shared_settings(convention: Convention) -> dict[str, Any]:
+    """What a run's manifest says of every method."""
+    return {"convention": {"name": convention.name, "boxes": convention.boxes}, "image_sizes": IMAGE_SIZES}
+
+
+FINAL: Final = ("answer", "evidence_bboxes")
+"""The keys of a reply that answers."""
+
+
+class Ground(NamedTuple):
+    """The pictures that a box may lie in: their frames, size in pixels, and left column in the panorama."""
+
+    frames: frozenset[int]
+    width: int
+    height: int
+    left: int
+
+
+def on_panoramas(panoramas: Sequence[Panorama]) -> Ground:
+    """A box lies in one of these panoramas."""
+    return Ground(frozenset(panorama.frame_index for panorama in panoramas), WIDTH, HEIGHT, 0)
+
+
+def on_crop(observation: Observation) -> Ground:
+    """A box lies in this crop."""
+    return Ground(frozenset((observation.frame_index,)), CROP, CROP, observation.left)
+
+
+def _told(ground: Ground) -> dict[str, Any]:
+    return {"frames": sorted(ground.frames), "width": ground.width, "height": ground.height, "left": ground.left}
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a final reply holds, answer and evidence judged apart; `faults` say what could not be read."""
+
+    answer: Answer | None = None
+    evidence: Evidence | None = None
+    faults: tuple[str, ...] = ()
+
+
+@dataclass
+class Attempt:
+    """One question; used by one thread."""
+
+    task: Task
+    chat: Chat
+    convention: Convention
+    looks: int = 0
+    calls: int = 0
+    prompt_tokens: int = 0
+    completion_tokens: int = 0
+    raw: str = ""
+
+    # -- calls and looks ----------------------------------------------------------------------------------------------
+
+    def ask(self, messages: Sequence[Message], schema: Mapping[str, Any]) -> Reply:
+        """One model call. What the server refuses is the client's EndpointError."""
+        started = time.perf_counter()
+        reply = self.chat.complete(messages, schema)
+        self.calls += 1
+        self.prompt_tokens += reply.prompt_tokens
+        self.completion_tokens += reply.completion_tokens
+        self.raw = reply.content or reply.reasoning
+        self.record("model", transcript(messages), reply, started)
+        return reply
+
+    def ask_object(self, messages: Sequence[Message], schema: Mapping[str, Any]) -> dict[str, Any]:
+        """One model call, its reply as one JSON object. Raises DecodeError."""
+        return decode.reply_object(self.ask(messages, schema), self.convention)
+
+    def look(self, frame: int, angle: float) -> Observation:
+        """A crop, counted as a look. Raises ObserveError."""
+        started = time.perf_counter()
+        asked = self._asked_for(frame, angle)
+        observation = self.task.observe(**asked)
+        self.looks += 1
+        self.record("observe", asked, crop_metadata(observation), started)
+        return observation
+
+    def refuse_look(self, frame: int, angle: float, reason: str) -> None:
+        """A look that is not made, in the transcript."""
+        self.record("observe", self._asked_for(frame, angle), {"refused": reason}, time.perf_counter())
+
+    def _asked_for(self, frame: int, angle: float) -> dict[str, Any]:
+        return {"sequence": self.task.question.sequence, "frame_index": frame, "angle_deg": angle}
+
+    def panoramas(self, n: int) -> tuple[Panorama, ...]:
+        """The `n` panoramas of a fixed context, each counted as a look. Raises ObserveError."""
+        shown = []
+        for frame in uniform_frames(self.task.sequence.frames, n):
+            asked: dict[str, Any] = {"sequence": self.task.question.sequence, "frame_index": frame}
+            started = time.perf_counter()
+            panorama = self.task.panorama(**asked)
+            self.looks += 1
+            self.record("observe", asked, panorama_metadata(panorama), started)
+            shown.append(panorama)
+        return tuple(shown)
+
+    def record(self, kind: StepKind, request: object, response: object, started: float) -> None:
+        """Append a step to the transcript; `started` is what `time.perf_counter` said before it."""
+        self.task.record(
+            Step(
+                kind=kind,
+                request=msgspec.json.encode(request).decode(),
+                response=msgspec.json.encode(response).decode(),
+                seconds=time.perf_counter() - started,
+            )
+        )
+
+    # -- reading what the model returned ------------------------------------------------------------------------------
+
+    def read_answer(self, value: object) -> Answer:
+        """The `answer` part of a reply, in the question's mode. Raises DecodeError."""
+        question = self.task.question
+        return decode.read_answer(value, question.answer_mode, len(question.choices), self.task.sequence.frame_count)
+
+    def read_evidence(self, value: object, ground: Ground) -> Evidence:
+        """The `evidence_bboxes` part of a reply that is not final. Raises DecodeError."""
+        started = time.perf_counter()
+        evidence, told = self._place(value, ground)
+        self.record("solve", _told(ground), told, started)
+        return evidence
+
+    def judge(self, reply: Mapping[str, Any], ground: Ground) -> Verdict:
+        """The two parts of a final reply, `answer` and `evidence_bboxes`, each of which may stand without the other.
+
+        Raises DecodeError for other keys: then nothing of the reply is the contract's.
+        """
+        parts = decode.only_keys({"answer": None, "evidence_bboxes": None, **reply}, FINAL, "the reply")
+        started = time.perf_counter()
+        told: dict[str, Any] = {"answer": None}
+        faults = []
+        answer: Answer | None = None
+        evidence: Evidence | None = None
+        try:
+            answer = self.read_answer(parts["answer"])
+            told["answer"] = msgspec.Raw(encode_answer(answer).encode())
+        except DecodeError as error:
+            faults.append(str(error))
+        try:
+            evidence, place = self._place(parts["evidence_bboxes"], ground)
+            told |= place
+        except DecodeError as error:
+            faults.append(str(error))
+        self.record("solve", _told(ground), told | {"faults": faults}, started)
+        return Verdict(answer, evidence, tuple(faults))
+
+    def _place(self, value: object, ground: Ground) -> tuple[Evidence, dict[str, Any]]:
+        """The one box in stitched pixels, x in [0, 3760), and what the transcript says of it."""
+        seen = decode.read_evidence(value, ground.frames, ground.width, ground.height, self.convention)
+        x, y, w, h = from_crop(seen.box, ground.left)
+        evidence = Evidence(seen.frame, (x % WIDTH, y, w, h))
+        return evidence, {"image_box": seen.box, "stitched_box": evidence.box, "box_key": seen.key}
+
+    # -- the end ------------------------------------------------------------------------------------------------------
+
+    def ended(self, verdict: Verdict) -> Prediction:
+        """The prediction: invalid where anything could not be read, and what could be read still counts."""
+        return Prediction(
+            status="invalid" if verdict.faults else "answered",
+            answer=verdict.answer,
+            evidence=verdict.evidence,
+            raw=self.raw,
+            reason="; ".join(verdict.faults),
+            n_observations=self.looks,
+            n_model_calls=self.calls,
+            prompt_tokens=self.prompt_tokens,
+            completion_tokens=self.completion_tokens,
+        )
+
+    def invalid(self, reason: str) -> Prediction:
+        """The question ended with nothing to score."""
+        return self.ended(Verdict(faults=(reason,)))
