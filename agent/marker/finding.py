@@ -50,34 +50,45 @@ def find(conditions: Sequence[Condition], frame: int, eyes: Eyes) -> Found:
         eyes.look(frame, angle % 360.0)
         if not sized and (match := _only(conditions, eyes.at(frame), ())):
             return Found(match)
-    if sized and (found := _count(conditions, frame, eyes)):
-        return found
-    possible = _possible(conditions, eyes.at(frame))
-    if len(possible) == 1:
-        return Found(possible[0], "mark unreadable: not every condition could be read")
-    what = "several could fit, as not every condition could be read" if possible else "nobody who was read fits"
+    return _count(conditions, frame, eyes) if sized else among(conditions, eyes.at(frame))
+
+
+def among(conditions: Sequence[Condition], people: Sequence[Sighting]) -> Found:
+    """The one of everybody who was read at a frame; where not every condition could be read, the one who is left."""
+    if match := _only(conditions, people, ()):
+        return Found(match)
+    fitting = possible(conditions, people)
+    if len(fitting) == 1:
+        return Found(fitting[0], "mark unreadable: not every condition could be read")
+    return _nobody(fitting)
+
+
+def _nobody(fitting: Sequence[Sighting]) -> Found:
+    what = "several could fit, as not every condition could be read" if fitting else "nobody who was read fits"
     return Found(None, f"mark unreadable: {what}")
 
 
-def _count(conditions: Sequence[Condition], frame: int, eyes: Eyes) -> Found | None:
+def _count(conditions: Sequence[Condition], frame: int, eyes: Eyes) -> Found:
     """The person in a group of the right size; where several could be, those hidden are sought a second away.
 
     Somebody who was read and is in the group asked for is always among those who could be: hidden people make a group
     look smaller, never larger.
     """
     people = eyes.at(frame)
-    possible = _possible(conditions, people)
+    fitting = possible(conditions, people)
     match = _only(conditions, people, ())
-    if len(possible) == 1:
-        return Found(possible[0], "" if match else "mark unreadable: not all of the group was read")
+    if len(fitting) == 1:
+        return Found(fitting[0], "" if match else "mark unreadable: not all of the group was read")
     others: list[Sighting] = []
     for offset in (KEYFRAME_STEP, -KEYFRAME_STEP):
         then = eyes.legal(frame + offset)
-        for person in possible:
+        for person in fitting:
             eyes.look(then, person.angle)
         others += eyes.at(then)
     match = _only(conditions, people, others)
-    return Found(match, "mark unreadable: a group may be larger than what was read") if match else None
+    if match is None:
+        return _nobody(fitting)
+    return Found(match, "mark unreadable: a group may be larger than what was read")
 
 
 def _only(conditions: Sequence[Condition], people: Sequence[Sighting], others: Sequence[Sighting]) -> Sighting | None:
@@ -86,7 +97,7 @@ def _only(conditions: Sequence[Condition], people: Sequence[Sighting], others: S
     return certain[0] if len(certain) == 1 else None
 
 
-def _possible(conditions: Sequence[Condition], people: Sequence[Sighting]) -> list[Sighting]:
+def possible(conditions: Sequence[Condition], people: Sequence[Sighting]) -> list[Sighting]:
     """Those of whom no condition is false."""
     return [p for p in people if all(holds(c, p, people) is not False for c in conditions)]
 

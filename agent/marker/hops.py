@@ -51,6 +51,11 @@ def look_round(eyes: Eyes, frame: int) -> list[Sighting]:
 
 def walk(plan: Plan, root: Sighting, people: Sequence[Sighting]) -> Sighting | None:
     """The plan's target, from the person described on; None where a hop leads to nobody or to several."""
+    return path(plan, root, people).get(plan.target)
+
+
+def path(plan: Plan, root: Sighting, people: Sequence[Sighting]) -> dict[str, Sighting]:
+    """Who each node is, from the person described on, up to the first hop that leads to nobody or to several."""
     known = {plan.root: root}
     for node in plan.nodes:
         if node.id == plan.root:
@@ -65,9 +70,9 @@ def walk(plan: Plan, root: Sighting, people: Sequence[Sighting]) -> Sighting | N
             and all(related(edge.relation, known[edge.source], seen, people) for edge in leading)
         ]
         if len(reached) != 1:
-            return None
+            break
         known[node.id] = reached[0]
-    return known[plan.target]
+    return known
 
 
 def related(relation: str, source: Sighting, target: Sighting, people: Sequence[Sighting]) -> bool:
