@@ -2,19 +2,51 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from jrdb_avr.agent.client import Chat
     from jrdb_avr.agent.decode import Convention
+    from jrdb_avr.agent.world import World
     from jrdb_avr.schema.method import Settled
 
-METHODS: Final = ("react",)
+METHODS: Final = ("monolithic", "chain-of-thought", "search-recognize", "react")
+
+WORLD_METHODS: Final = ("agent", "agent-passive")
+"""Those that keep a world model, and are given one."""
 
 
-def make_method(name: str, chat: Chat, convention: Convention) -> Settled:
-    """The method of a name in `METHODS`."""
+@contextlib.contextmanager
+def open_world(path: Path, run_id: str) -> Iterator[World]:
+    """A run's world model in the graph file at `path`, closed at the end of the block.
+
+    Raises LockedError where another process has the graph open, StoreError where it cannot be opened.
+    """
+    from jrdb_avr.agent.world import World
+    from jrdb_avr.queries.world import WorldGraph
+
+    with WorldGraph.open(path) as graph:
+        yield World(graph, run_id)
+
+
+def make_method(name: str, chat: Chat, convention: Convention, world: World | None = None) -> Settled:
+    """The method of a name in `METHODS`; one of `WORLD_METHODS` is given its world model."""
     match name:
+        case "monolithic":
+            from jrdb_avr.agent.monolithic import Monolithic
+
+            return Monolithic(chat, convention)
+        case "chain-of-thought":
+            from jrdb_avr.agent.chain_of_thought import ChainOfThought
+
+            return ChainOfThought(chat, convention)
+        case "search-recognize":
+            from jrdb_avr.agent.search_recognize import SearchRecognize
+
+            return SearchRecognize(chat, convention)
         case "react":
             from jrdb_avr.agent.react import ReAct
 

@@ -99,13 +99,21 @@ def note(message: str) -> None:
 
 
 @contextmanager
-def progress(what: str, total: int | None) -> Iterator[Callable[[int], None]]:
-    """A progress bar on stderr, silent where that is no terminal; yields a function that advances it."""
+def progress(what: str, total: int | None, beside: Callable[[], str] = lambda: "") -> Iterator[Callable[[int], None]]:
+    """A progress bar on stderr, silent where that is no terminal; yields a function that advances it.
+
+    `beside` is asked for the text that stands beside the bar, a few times a second.
+    """
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeElapsedColumn
+    from rich.text import Text
+
+    class Beside(ProgressColumn):
+        def render(self, task: Any) -> Text:
+            return Text(beside())
 
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), Beside())
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=total)
 

@@ -6,27 +6,36 @@ import contextlib
 import datetime
 import re
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from jrdb_avr.engine.methods import METHODS
+from jrdb_avr.engine.methods import METHODS, WORLD_METHODS
 from jrdb_avr.engine.output import json_option, note, print_json, print_rows, progress, store_option
 
 if TYPE_CHECKING:
-    from jrdb_avr.engine.runs import Finished
+    from jrdb_avr.agent.world import World
+    from jrdb_avr.engine.running import Standing
+    from jrdb_avr.engine.runs import Finished, Journal
     from jrdb_avr.queries.store import Store
     from jrdb_avr.schema.method import Question, Settled
 
 MARKER: Final = "marker"
+LOG_EVERY_S: Final = 30.0
+"""Between two lines of running scores where there is no bar to print them beside."""
 
 _EXAMPLE: Final = """\b
 Examples:
   jrdb-avr evaluate --store S --method react --model marker
-  jrdb-avr evaluate --store S --method react --model Qwen3-VL-8B --base-url http://localhost:8000/v1
-  jrdb-avr evaluate --store S --method react --model marker --resume
+  jrdb-avr evaluate --store S --method agent --model Qwen3-VL-8B --base-url http://localhost:8000/v1
+  jrdb-avr evaluate --store S --method agent --model marker --resume
+\b
+A machine without labels needs a folder with questions/questions.parquet and questions/sequences.parquet, and the
+panoramas:
+  jrdb-avr evaluate --store S --images DIR --method agent --world-db world.kuzu --model M --base-url URL
 """
 
 
@@ -42,6 +51,21 @@ Examples:
     "--concurrency", type=click.IntRange(1, 64), default=16, show_default=True, help="Questions in flight at a time."
 )
 @click.option("--resume", is_flag=True, help="Finish a run that was stopped, and ask again what ended in an error.")
+@click.option(
+    "--images",
+    type=click.Path(file_okay=False, exists=True, path_type=Path),
+    help="Folder with one folder of panoramas per sequence; the store's own if left out.",
+)
+@click.option(
+    "--world-db",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Graph file for the agent's world model, in place of the store's: for runs in parallel, or without labels.",
+)
+@click.option(
+    "--scores/--no-scores",
+    default=None,
+    help="Scores so far, from a process of their own; beside the bar on a terminal, as lines if asked for elsewhere.",
+)
 @json_option
 def command(
     store: Path,
@@ -53,6 +77,9 @@ def command(
     limit: int | None,
     concurrency: int,
     resume: bool,
+    images: Path | None,
+    world_db: Path | None,
+    scores: bool | None,
     as_json: bool,
 ) -> None:
     """Ask a model the questions of a store, and keep every step.
@@ -67,10 +94,12 @@ def command(
 
     if base_url is None and model != MARKER:
         raise click.UsageError(f"--model {model} needs --base-url, the address of the server that has it")
+    if world_db is not None and method_name not in WORLD_METHODS:
+        raise click.UsageError(f"--world-db: {method_name} has no world model")
     place = Store(store)
     run_id = run_id or default_run_id(method_name, model)
     folder = place.run_path(run_id)
-    image_root = place.manifest().image_root
+    image_root = str(images) if images is not None else _image_root(place)
     questions = _questions(place, run_id, picked, limit, resume, image_root)
     sequences = runs.read_sequences(place)
     asked = {question.sequence for question in questions}
@@ -80,9 +109,11 @@ def command(
         if journal.finished and not (folder / "run.json").exists():
             # Of another model, for all that is known.
             raise StoreError(f"{folder} holds answers and no run.json: delete it, or give another --run-id")
+        world = stack.enter_context(_world(place, run_id, method_name, world_db, journal))
         url = base_url or stack.enter_context(_marker(folder))
-        method = _method(method_name, url, model, place, run_id, questions)
-        advance = stack.enter_context(progress(f"{method_name}, {model}", len(questions)))
+        method = _method(method_name, url, model, place, run_id, questions, world)
+        beside = stack.enter_context(_running_scores(place, run_id, scores))
+        advance = stack.enter_context(progress(f"{method_name}, {model}", len(questions), beside))
         runs.ask_all(method, questions, sequences, observer, observer.stored, journal, concurrency, advance)
         entries = [journal.finished[question.question_id] for question in questions]
         runs.write_tables(place, run_id, entries)
@@ -161,29 +192,79 @@ def _marker(folder: Path) -> Iterator[str]:
         yield url
 
 
-def _method(name: str, url: str, model: str, place: Store, run_id: str, questions: list[Question]) -> Settled:
+def _image_root(place: Store) -> str | None:
+    """Where the store says that the panoramas are. Raises StoreError where there is nothing that could say it."""
+    from jrdb_avr.schema.errors import StoreError
+
+    if place.question_path("questions").exists() and not (place.path / "store.json").exists():
+        raise StoreError(f"{place.path} has no store.json, which names the panoramas: give their folder by --images")
+    return place.manifest().image_root
+
+
+@contextlib.contextmanager
+def _world(
+    place: Store, run_id: str, method_name: str, world_db: Path | None, journal: Journal
+) -> Iterator[World | None]:
+    """The run's world model, holding what the journal holds; None for a method without one."""
+    from jrdb_avr.engine.methods import open_world
+    from jrdb_avr.schema.errors import LockedError, StoreError
+
+    if method_name not in WORLD_METHODS:
+        yield None
+        return
+    if world_db is None and not place.graph_path.exists():
+        raise StoreError(
+            f"{place.path} has no graph to hold the agent's world model: name one of its own by --world-db"
+        )
+    path = world_db or place.graph_path
+    try:
+        with open_world(path, run_id) as world:
+            yield world
+    except LockedError as error:
+        holder = error.holder
+        raise LockedError(
+            f"{path} is in use by {holder}: wait for it, or give this run a graph of its own by --world-db FILE",
+            holder=holder,
+        ) from None
+
+
+@contextlib.contextmanager
+def _running_scores(place: Store, run_id: str, wanted: bool | None) -> Iterator[Callable[[], str]]:
+    """Yields what stands beside the bar: the scores so far, once there are any."""
+    from jrdb_avr.engine.running import running_scores
+
+    terminal = sys.stderr.isatty()
+    latest, printed = "", 0.0
+
+    def tell(standing: Standing) -> None:
+        nonlocal latest, printed
+        latest = str(standing)
+        if not terminal and time.monotonic() >= printed + LOG_EVERY_S:
+            printed = time.monotonic()
+            note(f"so far: {latest}")
+
+    if wanted is False or (wanted is None and not terminal):
+        yield lambda: ""
+        return
+    with running_scores(place, run_id, tell):
+        yield lambda: latest
+
+
+def _method(
+    name: str, url: str, model: str, place: Store, run_id: str, questions: list[Question], world: World | None
+) -> Settled:
     """The method, its server found to be there, and its settings in the run's manifest (or found equal to them)."""
     from jrdb_avr.agent.client import Client
     from jrdb_avr.agent.decode import convention_of
     from jrdb_avr.engine.methods import make_method
     from jrdb_avr.engine.runs import is_of_sample
-    from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, write_run_manifest
-    from jrdb_avr.schema.errors import StoreError
+    from jrdb_avr.engine.terms import keep_terms
+    from jrdb_avr.queries.runs import RunManifest, questions_hash
 
-    folder = place.run_path(run_id)
-    client = Client(url, model, cache=folder / "calls")
+    client = Client(url, model, cache=place.run_path(run_id) / "calls")
     served = client.probe()
-    method = make_method(name, client, convention_of(model))
-    settings = {"method": method.settings(), "endpoint": client.settings(), "served_model": served}
-    if (folder / "run.json").exists():
-        before = read_run_manifest(place, run_id)
-        now = (name, model, method.settings(), served)
-        then = (before.method, before.model, before.settings.get("method"), before.settings.get("served_model"))
-        for what, old, new in zip(("method", "model", "settings", "served model"), then, now, strict=True):
-            if old != new:
-                raise StoreError(f"run {run_id!r} had another {what}: resume it as it was, or give another --run-id")
-        return method
-    write_run_manifest(
+    method = make_method(name, client, convention_of(model), world)
+    keep_terms(
         place,
         RunManifest(
             run_id=run_id,
@@ -192,7 +273,7 @@ def _method(name: str, url: str, model: str, place: Store, run_id: str, question
             questions_sha256=questions_hash(place),
             question_ids=tuple(question.question_id for question in questions),
             synthetic=model == MARKER or any(map(is_of_sample, questions)),
-            settings=settings,
+            settings={"method": method.settings(), "endpoint": client.settings(), "served_model": served},
             created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         ),
     )
