@@ -14,14 +14,14 @@ from typing import Any, Final, NamedTuple
 import msgspec
 
 from jrdb_avr.schema.answers import Answer, Evidence, encode_answer
-from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.errors import DecodeError, ObserveError
 from jrdb_avr.schema.method import Observation, Panorama, Prediction, Question, Step, StepKind, Task
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, from_crop
 
 from . import decode
 from .client import Chat, Reply
 from .decode import Convention
-from .messages import Message, crop_metadata, transcript
+from .messages import Message, Part, crop_metadata, transcript
 from .panoramas import panorama_metadata, uniform_frames
 from .prompt import choice_lines, render
 
@@ -46,6 +46,15 @@ def final_parts(question: Question) -> dict[str, Any]:
         "answer": decode.answer_schema(question.answer_mode, question.choices),
         "evidence_bboxes": decode.EVIDENCE_SCHEMA,
     }
+
+
+def panorama_messages(task: Task, parts: Sequence[Part]) -> list[Message]:
+    """A stage of a method that is shown panoramas: the system text they share, the heading, and the stage's parts.
+
+    The stage's own instructions stand last, so that a server can keep its work on a common beginning.
+    """
+    system = render("panorama_system", fps=f"{task.sequence.fps:g}")
+    return [Message("system", (system,)), Message("user", (heading(task.question), *parts))]
 
 
 def shared_settings(convention: Convention) -> dict[str, Any]:
@@ -137,9 +146,12 @@ class Attempt:
 
     def panoramas(self, n: int) -> tuple[Panorama, ...]:
         """The `n` panoramas of a fixed context, each counted as a look. Raises ObserveError."""
+        sequence = self.task.question.sequence
+        if not self.task.sequence.frames:
+            raise ObserveError(f"{sequence} has no panoramas to show: load a root that has its images")
         shown = []
         for frame in uniform_frames(self.task.sequence.frames, n):
-            asked: dict[str, Any] = {"sequence": self.task.question.sequence, "frame_index": frame}
+            asked: dict[str, Any] = {"sequence": sequence, "frame_index": frame}
             started = time.perf_counter()
             panorama = self.task.panorama(**asked)
             self.looks += 1

@@ -14,9 +14,6 @@ from .messages import Part, Picture
 PANORAMAS: Final = 8
 """Panoramas shown by the methods that cannot choose where to look."""
 
-UNIFORM: Final = "evenly spaced among the legal frames, the first and the last included"
-"""What `uniform_frames` does, in the words of a run's manifest."""
-
 
 def uniform_frames(frames: Sequence[int], n: int = PANORAMAS) -> tuple[int, ...]:
     """`n` of the ascending legal `frames`, evenly spaced by position among them; all where there are no more than `n`.
@@ -61,3 +58,13 @@ def panorama_parts(panoramas: Sequence[Panorama]) -> tuple[Part, ...]:
         for number, panorama in enumerate(panoramas, 1)
         for part in (f"Panorama {number}: {panorama_line(panorama)}", panorama_picture(panorama))
     )
+
+
+def frame_list(panoramas: Sequence[Panorama]) -> str:
+    """The frame ids of panoramas, with commas between."""
+    return ", ".join(panorama.frame_id for panorama in panoramas)
+
+
+def fixed_settings(n: int) -> dict[str, Any]:
+    """What a run's manifest says of a fixed context of `n` panoramas."""
+    return {"panoramas": n, "frames": "evenly spaced by position among the legal ones, first and last included"}
