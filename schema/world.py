@@ -3,17 +3,20 @@
 An episode is one question of one run. Everything believed is tied to an observation of its own episode: a sighting and
 an attribute are edges from an entity to the observation, a relation names it. A belief holds for the frame of its
 observation (`first` = `last`), but for gender and age, which hold always (0 to `ALWAYS`). What a later write replaces
-stays, with `current` false. Keys: `Episode` is `<run>/<question>`; `Observation` `<episode>/o<number>`; `Entity`
+stays, with `current` false and `until` the step of that write: at step k an edge was believed where
+`step <= k AND until > k`. Keys: `Episode` is `<run>/<question>`; `Observation` `<episode>/o<number>`; `Entity`
 `<episode>/<the agent's own name for it>`; `Slot` and `Write` `<episode>/<number>`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
+
+import msgspec
 
 ALWAYS: Final = 10_000_000
-"""`last` of what holds at every frame."""
+"""`last` of what holds at every frame, and `until` of what is current."""
 
 TIMELESS: Final = frozenset({"gender", "age"})
 """Attributes that hold at every frame."""
@@ -24,7 +27,8 @@ WORLD_NODES: Final[dict[str, str]] = {
     "Observation": "id STRING PRIMARY KEY, episode STRING, number INT64, step INT64, frame INT64, angle DOUBLE, "
     "left INT64, width INT64",
     "Entity": "id STRING PRIMARY KEY, episode STRING, name STRING, number INT64, kind STRING, node STRING, step INT64",
-    # What the plan asks for: a node (somebody is to be found), a condition, an edge, or the read.
+    # What the plan asks for: a node (somebody is to be found), a condition, an edge, or the read. What a kind has not is
+    # "", and -1 for the frame of what is asked at no stated one.
     "Slot": "id STRING PRIMARY KEY, episode STRING, number INT64, kind STRING, node STRING, other STRING, "
     "name STRING, value STRING, frame INT64",
     "Write": "id STRING PRIMARY KEY, episode STRING, number INT64, step INT64, tool STRING, arguments STRING, "
@@ -41,12 +45,15 @@ WORLD_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
         "Observation",
         (
             "episode STRING",
+            # The write that made it: no two edges of an episode have one.
+            "write INT64",
             "step INT64",
             "frame INT64",
             # Stitched pixels, as the agent saw it; the angle is that of the box's centre.
             "box STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)",
             "angle DOUBLE",
             "current BOOLEAN",
+            "until INT64",
         ),
     ),
     "Has": (
@@ -54,13 +61,16 @@ WORLD_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
         "Observation",
         (
             "episode STRING",
+            "write INT64",
             "step INT64",
             "name STRING",
+            # A number is its text and itself; of a text, `number` is 0.
             "value STRING",
             "number DOUBLE",
             "first INT64",
             "last INT64",
             "current BOOLEAN",
+            "until INT64",
         ),
     ),
     "Related": (
@@ -68,18 +78,20 @@ WORLD_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
         "Entity",
         (
             "episode STRING",
+            "write INT64",
             "step INT64",
             "name STRING",
             "observation STRING",
             "first INT64",
             "last INT64",
             "current BOOLEAN",
+            "until INT64",
         ),
     ),
 }
 """Per relationship table: from, to, and its columns as name and type."""
 
-Tool = Literal["plan", "observe", "get_graph", "add_entity", "add_attribute", "add_relation", "final_answer"]
+Tool = Literal["begin", "plan", "observe", "get_graph", "add_entity", "add_attribute", "add_relation", "final_answer"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +100,8 @@ class Write:
     be made again.
 
     number: from 0, in order; step: the model call it came with; arguments: as the agent gave them, JSON; reason: why
-    it was refused; fact: what an accepted one put into the graph, JSON in the words of the tables above, "" otherwise.
+    it was refused; fact: what it put into the graph, a `Fact` as JSON, "" where that is nothing. The first write of an
+    episode is its `begin`, which makes the `Episode`; each write is a `Write` node as well.
     """
 
     number: int
@@ -98,6 +111,125 @@ class Write:
     accepted: bool
     reason: str
     fact: str
+
+
+class EpisodeRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A row of `Episode`; the plan is "" until one is accepted."""
+
+    id: str
+    run: str
+    question: str
+    sequence: str
+    plan: str
+
+
+class ObservationRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A row of `Observation`, and of `Made` from its episode."""
+
+    id: str
+    episode: str
+    number: int
+    step: int
+    frame: int
+    angle: float
+    left: int
+    width: int
+
+
+class EntityRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A row of `Entity`, and of `Holds` from its episode. `kind` and `node` may change, the rest does not."""
+
+    id: str
+    episode: str
+    name: str
+    number: int
+    kind: str
+    node: str
+    step: int
+
+
+class SlotRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A row of `Slot`, and of `Asks` from its episode."""
+
+    id: str
+    episode: str
+    number: int
+    kind: str
+    node: str
+    other: str
+    name: str
+    value: str
+    frame: int
+
+
+class XYWH(NamedTuple):
+    """The box of a sighting, stitched pixels."""
+
+    x: float
+    y: float
+    w: float
+    h: float
+
+
+class SightedRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A row of `Sighted`; source and target are keys of the nodes."""
+
+    source: str
+    target: str
+    episode: str
+    write: int
+    step: int
+    frame: int
+    box: XYWH
+    angle: float
+
+
+class HasRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A row of `Has`."""
+
+    source: str
+    target: str
+    episode: str
+    write: int
+    step: int
+    name: str
+    value: str
+    number: float
+    first: int
+    last: int
+
+
+class RelatedRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A row of `Related`; `observation` is the key of its node."""
+
+    source: str
+    target: str
+    episode: str
+    write: int
+    step: int
+    name: str
+    observation: str
+    first: int
+    last: int
+
+
+class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
+    """What one write put into the tables: rows as they are from then on, each under the name of its table.
+
+    episode: on `begin`, and again with its plan on `plan`. entity: a new one, or the later kind and node of one that is
+    there. freed: keys of entities whose node is "" from then on, as this one took it. Edges begin with `current` true
+    and `until` `ALWAYS`; replaced: writes of this episode whose edge is no longer `current`, and `until` this step.
+    """
+
+    episode: EpisodeRow | None = None
+    slots: tuple[SlotRow, ...] = ()
+    observation: ObservationRow | None = None
+    entity: EntityRow | None = None
+    freed: tuple[str, ...] = ()
+    sighted: SightedRow | None = None
+    has: HasRow | None = None
+    related: RelatedRow | None = None
+    replaced: tuple[int, ...] = ()
 
 
 def world_ddl() -> list[str]:
