@@ -12,49 +12,21 @@ import math
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 from jrdb_avr.schema.answers import Answer, AnswerMode, Choice, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import Box
 
-from .client import Reply
-
-SCALE: Final = 1000
-"""Boxes are in thousandths of the image's sides."""
-
-TOLERANCE: Final = 20
-"""Coordinates this far outside 0..1000 (2 %) are clipped; farther ones are invalid."""
-
-Order = Literal["xyxy", "yxyx"]
-
-
-@dataclass(frozen=True)
-class Convention:
-    """How a backbone writes boxes and thinking: data, chosen by the model's name before its first reply.
-
-    `boxes` maps each accepted key to the order of its corners; `bbox` is the contract's, others are aliases.
-    `thinking` holds (opening, closing) delimiters.
-    """
-
-    name: str
-    boxes: dict[str, Order]
-    thinking: tuple[tuple[str, str], ...] = (("<think>", "</think>"), ("<|channel>thought", "<channel|>"))
-
-
-CONVENTIONS: Final = (
-    Convention("gemma-4", {"bbox": "xyxy", "box_2d": "yxyx"}),
-    Convention("qwen3-vl", {"bbox": "xyxy", "bbox_2d": "xyxy"}),
-    Convention("qwen3.5", {"bbox": "xyxy", "bbox_2d": "xyxy"}),
-)
-CONTRACT: Final = Convention("contract", {"bbox": "xyxy"})
-
-
-def convention_of(model: str) -> Convention:
-    """The convention of a backbone whose name the model id holds; the plain contract for any other."""
-    plain = model.lower().replace("_", "-")
-    return next((convention for convention in CONVENTIONS if convention.name in plain), CONTRACT)
-
+from .boxes import BOX_SCHEMA
+from .boxes import box_key as box_key
+from .boxes import read_box as read_box
+from .boxes import write_box as write_box
+from .conventions import CONTRACT as CONTRACT
+from .conventions import CONTRACT_KEY
+from .conventions import Convention as Convention
+from .conventions import convention_of as convention_of
+from .replies import Reply, spoken
 
 # -- the reply as one object ------------------------------------------------------------------------------------------
 
@@ -62,19 +34,16 @@ _FENCE: Final = re.compile(r"```(?:json)?[ \t]*\n")
 
 
 def reply_object(reply: Reply, convention: Convention = CONTRACT) -> dict[str, Any]:
-    """The one JSON object of a reply. Raises DecodeError.
-
-    A server that files the whole reply under `reasoning` is followed there, but only past a closing delimiter.
-    """
+    """The one JSON object of a reply. Raises DecodeError."""
+    if reply.refusal:
+        raise DecodeError(f"the model refused: {_plain(reply.refusal)}")
     if reply.finish_reason == "length":
         raise DecodeError("the reply was cut off at the token limit (finish_reason length)")
     if reply.finish_reason not in ("stop", ""):
         raise DecodeError(f"the reply ended with finish_reason {_plain(reply.finish_reason)!r}, not 'stop'")
-    text = _after_thinking(reply.content, convention)
-    if not text and any(close in reply.reasoning for _, close in convention.thinking):
-        text = _after_thinking(reply.reasoning, convention)
+    text = spoken(reply, convention)
     if not text:
-        raise DecodeError("the reply is empty")
+        raise DecodeError(f"the reply is empty{_instead(reply)}")
     # No pattern over the whole text: one that looks for the end from every blank takes hours over a long reply.
     fence = _FENCE.match(text)
     if fence and text.endswith("```"):
@@ -82,13 +51,13 @@ def reply_object(reply: Reply, convention: Convention = CONTRACT) -> dict[str, A
     return _object(text)
 
 
-def _after_thinking(text: str, convention: Convention) -> str:
-    for opening, closing in convention.thinking:
-        # The opening delimiter may stand in the server's template instead of the reply.
-        text = text.rpartition(closing)[2]
-        if text.lstrip().startswith(opening):
-            return ""
-    return text.strip()
+def _instead(reply: Reply) -> str:
+    """What an empty reply holds in place of an answer."""
+    if reply.content.strip():
+        return " after its thinking"
+    if reply.reasoning.strip():
+        return ": everything stands in its reasoning, out of which no answer is taken"
+    return ""
 
 
 def _object(text: str) -> dict[str, Any]:
@@ -217,45 +186,13 @@ def read_evidence(
     if not isinstance(value, list) or len(value) != 1:
         raise DecodeError(f"{what} must be a list of exactly one box")
     entry = value[0]
-    keys = [key for key in convention.boxes if isinstance(entry, dict) and key in entry]
-    key = keys[0] if len(keys) == 1 else "bbox"
+    key = box_key(entry, convention)
     part = only_keys(entry, ("frame_id", key), f"{what}[0]")
     frame = frame_id(part["frame_id"], f"{what}[0].frame_id")
     if frame not in shown:
         allowed = ", ".join(f"{f:06d}" for f in sorted(shown)[:8])
         raise DecodeError(f"{what}[0].frame_id {frame:06d} is not a frame of the image at hand ({allowed})")
-    left, top, right, bottom = _corners(part[key], convention.boxes[key], f"{what}[0].{key}")
-    return ImageBox(
-        frame,
-        Box(
-            left * width / SCALE, top * height / SCALE, (right - left) * width / SCALE, (bottom - top) * height / SCALE
-        ),
-        key,
-    )
-
-
-def _corners(value: object, order: Order, what: str) -> tuple[int, int, int, int]:
-    if not isinstance(value, list) or len(value) != 4 or any(type(v) is not int for v in value):
-        raise DecodeError(f"{what} must be a list of four integers")
-    if any(not -TOLERANCE <= v <= SCALE + TOLERANCE for v in value):
-        raise DecodeError(f"{what} has a coordinate outside 0..{SCALE}")
-    a, b, c, d = (min(max(v, 0), SCALE) for v in value)
-    left, top, right, bottom = (a, b, c, d) if order == "xyxy" else (b, a, d, c)
-    if left >= right or top >= bottom:
-        raise DecodeError(f"{what} has no area or reversed corners: the first corner is the upper left one")
-    return left, top, right, bottom
-
-
-def write_box(box: Box, width: int, height: int, order: Order = "xyxy") -> list[int]:
-    """A box in image pixels as the four integers of the contract, clipped to the image."""
-    corners = (
-        box.x * SCALE / width,
-        box.y * SCALE / height,
-        (box.x + box.w) * SCALE / width,
-        (box.y + box.h) * SCALE / height,
-    )
-    left, top, right, bottom = (min(max(round(v), 0), SCALE) for v in corners)
-    return [left, top, right, bottom] if order == "xyxy" else [top, left, bottom, right]
+    return ImageBox(frame, read_box(part[key], width, height, convention, key, f"{what}[0].{key}"), key)
 
 
 # -- the contract as JSON Schema --------------------------------------------------------------------------------------
@@ -280,12 +217,7 @@ EVIDENCE_SCHEMA: Final[dict[str, Any]] = {
     "items": closed_object(
         {
             "frame_id": FRAME_ID_SCHEMA,
-            "bbox": {
-                "type": "array",
-                "minItems": 4,
-                "maxItems": 4,
-                "items": {"type": "integer", "minimum": 0, "maximum": SCALE},
-            },
+            CONTRACT_KEY: BOX_SCHEMA,
         }
     ),
 }

@@ -10,15 +10,16 @@ from fake_server import Body, CutOff, FakeServer, Slow, Status, completion
 
 from jrdb_avr.agent.client import Client, Reply
 from jrdb_avr.agent.messages import Message, Picture, fingerprint, transcript, wire
+from jrdb_avr.agent.options import Options
 from jrdb_avr.schema.errors import EndpointError
 
 ASK = [Message("user", ("hello",))]
 SECRET = "sk-very-secret-0123456789"
 
 
-def client(server, **options):
+def client(server, cache=None, **options):
     pauses = []
-    made = Client(server.url, "fake", pause=pauses.append, **options)
+    made = Client(server.url, "fake", Options(**options), cache=cache, pause=pauses.append)
     return made, pauses
 
 
@@ -43,7 +44,7 @@ def test_the_schema_travels_as_response_format():
     with FakeServer(sequence_of("{}")) as server:
         made, _ = client(server)
         made.complete(ASK, schema)
-        plain, _ = client(server, structured=False)
+        plain, _ = client(server, response_format="none")
         plain.complete(ASK, schema)
     assert server.requests[0]["response_format"]["type"] == "json_schema"
     assert server.requests[0]["response_format"]["json_schema"]["schema"] == schema
@@ -201,26 +202,7 @@ def test_the_key_is_sent_and_goes_nowhere_else(tmp_path, monkeypatch, caplog):
         assert SECRET.encode() not in path.read_bytes()
 
 
-# -- the probe --------------------------------------------------------------------------------------------------------
-
-
-def test_probe_names_the_served_model():
-    with FakeServer(sequence_of('{"ok": true}')) as server:
-        made, _ = client(server)
-        assert made.probe() == "fake-1"
-        assert made.structured
-
-
-def test_probe_finds_a_server_without_json_schema():
-    def script(request, n):
-        return Status(400, "response_format is not supported") if "response_format" in request else "ok"
-
-    with FakeServer(script) as server:
-        made, _ = client(server)
-        made.probe()
-        assert not made.structured
-        made.complete(ASK, {"type": "object"})
-    assert "response_format" not in server.requests[-1]
+# -- what servers get wrong -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -242,7 +224,7 @@ def test_a_reply_that_is_not_utf8_is_tried_again():
         assert made.complete(ASK).content == "hi"
         assert len(pauses) == 1
     with FakeServer(sequence_of(broken)) as server, pytest.raises(EndpointError, match="no chat completion"):
-        client(server)[0].probe()
+        client(server)[0].ask(ASK)
 
 
 def test_a_cached_call_that_is_not_utf8_is_made_again(tmp_path):
@@ -290,5 +272,5 @@ def test_a_probe_does_not_wait_as_long_as_a_question(monkeypatch):
     monkeypatch.setattr("jrdb_avr.agent.client._PROBE_TIMEOUT_S", 0.2)
     with FakeServer(sequence_of(Slow(1.0, "hi"))) as server:
         with pytest.raises(EndpointError, match="no reply within"):
-            client(server)[0].probe()
+            client(server)[0].ask(ASK)
         assert client(server)[0].complete(ASK).content == "hi"

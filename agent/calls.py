@@ -1,0 +1,55 @@
+"""Finished calls on disk: each under the sha256 of its whole request, so that none is paid for twice.
+
+A file is written beside its place and renamed in: whoever reads sees a whole reply or none, after a kill at any point,
+and with several processes writing the same call. It is not synced: a machine that loses power may lose its newest
+calls, and makes them again. Nothing of a key is in a request, so none is in a file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from jrdb_avr.schema.errors import StoreError
+
+from .replies import Reply
+
+
+class Calls:
+    """A folder of finished calls; used by many threads and processes at once."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def place(self, request: Mapping[str, Any]) -> Path:
+        """Where the reply to a request lies: the request with each picture as its sha256, in canonical JSON."""
+        key = hashlib.sha256(msgspec.json.encode(request, order="sorted")).hexdigest()
+        return self._folder / key[:2] / f"{key}.json"
+
+    def read(self, place: Path) -> Reply | None:
+        """The reply kept there; None where there is none, or the machine broke it: then the call is made again."""
+        try:
+            return msgspec.json.decode(place.read_bytes(), type=Reply)
+        except (OSError, msgspec.DecodeError, UnicodeDecodeError):
+            return None
+
+    def keep(self, place: Path, reply: Reply) -> None:
+        """Write a reply. Raises StoreError where the disk refuses."""
+        temporary: Path | None = None
+        try:
+            place.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.NamedTemporaryFile(prefix=".", suffix=".tmp", dir=place.parent, delete=False) as file:
+                temporary = Path(file.name)
+                file.write(msgspec.json.encode(reply))
+            temporary.replace(place)
+        except OSError as error:
+            if temporary is not None:
+                with contextlib.suppress(OSError):
+                    temporary.unlink()
+            raise StoreError(f"cannot keep a finished call in {self._folder}: {error.strerror}") from None

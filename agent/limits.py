@@ -1,0 +1,51 @@
+"""Bounds on what a server may send, in bytes and in time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Final
+
+from jrdb_avr.schema.errors import EndpointError
+
+if TYPE_CHECKING:
+    import httpx2
+
+MOST_BYTES: Final = 16 << 20
+"""Of a reply: a few thousand tokens are some kilobytes."""
+
+
+def limit(response: httpx2.Response) -> None:
+    """Bound the body of a response that is about to be read: a hook for the transport's client.
+
+    A body over 16 MB raises EndpointError. One that has not ended when the request's read timeout is over raises
+    httpx2.ReadTimeout: by itself that timeout bounds each wait alone, and lets a server drip for ever.
+    """
+    import httpx2
+
+    stream = response.stream
+    assert isinstance(stream, httpx2.SyncByteStream), "the client is a synchronous one"
+    response.stream = _limited(stream, response.request)
+
+
+def _limited(stream: httpx2.SyncByteStream, request: httpx2.Request) -> httpx2.SyncByteStream:
+    import httpx2
+
+    seconds = request.extensions["timeout"]["read"]
+    end = time.monotonic() + seconds
+
+    class Limited(httpx2.SyncByteStream):
+        def __iter__(self) -> Iterator[bytes]:
+            size = 0
+            for chunk in stream:
+                size += len(chunk)
+                if size > MOST_BYTES:
+                    raise EndpointError(f"the reply is longer than {MOST_BYTES >> 20} MB: is this a chat server?")
+                if time.monotonic() > end:
+                    raise httpx2.ReadTimeout(f"the reply did not end within {seconds:g} s", request=request)
+                yield chunk
+
+        def close(self) -> None:
+            stream.close()
+
+    return Limited()
