@@ -7,16 +7,16 @@ and looks are counted where they happen; the prediction is made of these counts.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from jrdb_avr.schema.answers import Answer, Evidence, encode_answer
+from jrdb_avr.schema.answers import TIE, Answer, Evidence, encode_answer
 from jrdb_avr.schema.errors import DecodeError, ObserveError
 from jrdb_avr.schema.method import Observation, Panorama, Prediction, Question, Step, StepKind, Task
-from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, from_crop
+from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, angle_error, from_crop
 
 from . import decode
 from .client import Chat, Reply
@@ -27,6 +27,17 @@ from .prompt import choice_lines, render
 
 IMAGE_SIZES: Final = {"panorama": [WIDTH, HEIGHT], "crop": [CROP, CROP]}
 """Width and height in pixels of the pictures that a model is sent."""
+
+DUPLICATE_DEG: Final = 1.0
+"""A look this near an earlier one of the same frame, or nearer, is refused."""
+
+
+def duplicate(made: Iterable[tuple[int, float]], frame: int, angle: float) -> str:
+    """Why a look would repeat one of those made, given as frame and angle; "" where it would not."""
+    for other, seen in made:
+        if other == frame and float(angle_error(seen, angle)) <= DUPLICATE_DEG + TIE:
+            return f"within {DUPLICATE_DEG:g} degree of the earlier look at angle {seen:g}"
+    return ""
 
 
 def heading(question: Question) -> str:
@@ -107,6 +118,7 @@ class Attempt:
     convention: Convention
     looks: int = 0
     calls: int = 0
+    steps: int = 0
     prompt_tokens: int = 0
     completion_tokens: int = 0
     raw: str = ""
@@ -169,6 +181,7 @@ class Attempt:
                 seconds=time.perf_counter() - started,
             )
         )
+        self.steps += 1
 
     # -- reading what the model returned ------------------------------------------------------------------------------
 

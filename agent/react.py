@@ -12,20 +12,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from jrdb_avr.schema.answers import TIE
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Prediction, Task
-from jrdb_avr.schema.panorama import angle_error
 
 from . import decode
-from .attempt import Attempt, Verdict, final_parts, heading, on_crop, shared_settings
+from .attempt import DUPLICATE_DEG, Attempt, Verdict, duplicate, final_parts, heading, on_crop, shared_settings
 from .client import Chat
 from .decode import Convention
 from .messages import Message, Part, Picture, crop_line, crop_picture
 from .prompt import frame_ranges, mode_text, render
 
 BUDGET: Final = 24
-DUPLICATE_DEG: Final = 1.0
 
 
 @dataclass(frozen=True)
@@ -138,13 +135,11 @@ class _Episode:
             raise DecodeError(f"frame_id {frame:06d} is none of the legal frames")
         if len(self.looks) >= self.method.budget:
             raise DecodeError("no looks are left: answer now")
-        for look in self.looks:
-            seen = look.observation
-            if seen.frame_index == frame and float(angle_error(seen.angle_deg, angle)) <= DUPLICATE_DEG + TIE:
-                reason = f"within {DUPLICATE_DEG:g} degree of the earlier look at angle {seen.angle_deg:g}"
-                self.steps.append(f"look at frame {frame:06d}, angle {angle:g}: refused, {reason}")
-                self.attempt.refuse_look(frame, angle, reason)
-                return
+        made = ((look.observation.frame_index, look.observation.angle_deg) for look in self.looks)
+        if reason := duplicate(made, frame, angle):
+            self.steps.append(f"look at frame {frame:06d}, angle {angle:g}: refused, {reason}")
+            self.attempt.refuse_look(frame, angle, reason)
+            return
         observation = self.attempt.look(frame, angle)
         self.looks.append(_Look(observation, crop_picture(observation)))
         self.steps.append(f"look at frame {frame:06d}, angle {angle:g}: picture {len(self.looks)}")
