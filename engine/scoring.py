@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -37,7 +37,9 @@ NUMBER_RATIO: Final = 2.0
 
 _MODES: Final = tuple(ANSWER_TYPES)
 _FRAME_SPAN: Final = 1 << 24
-"""Above every frame number: row * _FRAME_SPAN + frame is one key for a question and a frame."""
+"""Above every frame number."""
+
+_Key = TypeVar("_Key", int, Ints)
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ def make_truth(questions: pa.Table, sequences: pa.Table, answers: pa.Table, evid
     if not payloads.readable.all():
         raise StoreError("an answer of the store cannot be read under its mode: generate again")
     row = _find(ids, evidence["question_id"], "questions")
-    keys = row * _FRAME_SPAN + evidence["frame"].to_numpy().astype(np.int64)
+    keys = frame_key(row, evidence["frame"].to_numpy().astype(np.int64))
     order = np.argsort(keys, kind="stable")
     boxes = np.stack([evidence[name].to_numpy() for name in "xywh"], axis=1).astype(np.float64)
     fps = sequences["fps"].to_numpy()[sequence_row]
@@ -144,6 +146,11 @@ def score_predictions(
         },
         schema=RUNS["scores"],
     )
+
+
+def frame_key(row: _Key, frame: _Key) -> _Key:
+    """One number for a question's row and a frame, in which `Truth.keys` are sorted."""
+    return row * _FRAME_SPAN + frame
 
 
 def answers_match(mode: Ints, second: Ints, given: Payloads, truth: Payloads) -> Bools:
@@ -278,7 +285,7 @@ def _boxes_match(truth: Truth, row: Ints, frame: Ints, box: Floats, threshold: f
     """Whether each box lies on its question's target in its frame."""
     if not len(truth.keys):
         return np.zeros(len(row), dtype=bool)
-    key = row * _FRAME_SPAN + np.clip(frame, 0, _FRAME_SPAN - 1)
+    key = frame_key(row, np.clip(frame, 0, _FRAME_SPAN - 1))
     at = np.minimum(np.searchsorted(truth.keys, key), len(truth.keys) - 1)
     hits: Bools = (truth.keys[at] == key) & (box_ious(box, truth.boxes[at]) >= threshold - TIE)
     return hits

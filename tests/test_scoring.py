@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from pycocotools import mask as coco
 
 from jrdb_avr.engine import scoring
-from jrdb_avr.engine.report import report_row
+from jrdb_avr.engine.comparison import score_row
+from jrdb_avr.engine.judged import judge, make_facts
 from jrdb_avr.engine.scoring import box_ious, make_truth, score_predictions
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.schema.answers import Evidence as EvidenceAnswer
@@ -405,10 +406,16 @@ def row_of(rows, predicted, synthetic=False):
     truth, names = truth_of(rows), [row[0] for row in rows]
     manifest = RunManifest("r", "react", "marker", "0", tuple(names), synthetic, {}, "2020-01-01T00:00:00Z")
     table = predictions_of(predicted)
-    return report_row(manifest, table, score_predictions(truth, "r", names, table), 0.5)
+    texts = {name: pa.array(names, pa.string()) for name in ("question_id", "sequence", "template", "answer_mode")}
+    family = pa.array(["chain_2hop"] * len(names), pa.string())
+    numbers = {name: pa.array([0.0] * len(names)) for name in ("hops", "time_gap_s", "separation_deg")}
+    facts = make_facts(
+        pa.table({**texts, "family": family}), pa.table({"question_id": texts["question_id"], **numbers})
+    )
+    return score_row(judge(facts, manifest, table, score_predictions(truth, "r", names, table)), 0.5)
 
 
-def test_report_row():
+def test_a_run_in_short():
     rows = [(name, "multiple_choice", {"choice": 1}, {7: BOX}) for name in "abcdefgh"]
     predicted = [
         prediction("a", {"choice": 1}, (7, BOX)),
@@ -418,15 +425,24 @@ def test_report_row():
         prediction("e", status="error"),
     ]
     row = row_of(rows, predicted, synthetic=True)
-    assert (row.n, row.answer, row.evidence, row.combined) == (8, 37.5, 25.0, 12.5)
-    assert row.hallucination == 66.67
-    assert (row.invalid, row.errors, row.label) == (12.5, 50.0, "synthetic")
+    assert row == {
+        "run": "r",
+        "label": "synthetic",
+        "n": 8,
+        "answer": 37.5,
+        "evidence": 25.0,
+        "combined": 12.5,
+        "hallucination": 66.67,
+        "invalid": 12.5,
+        "errors": 50.0,
+        "iou": 0.5,
+    }
 
 
-def test_report_of_nothing():
+def test_a_run_of_nothing():
     row = row_of([("a", "frame", {"frame": 900}, {})], [prediction("a", {"frame": 1})])
-    assert (row.answer, row.hallucination) == (0.0, None)
-    assert row_of([], []).answer is None
+    assert (row["answer"], row["hallucination"]) == (0.0, None)
+    assert row_of([], [])["answer"] is None
 
 
 # -- mutants --------------------------------------------------------------------------------------------------------

@@ -16,21 +16,18 @@ from jrdb_avr.engine.output import json_option, note, print_json, print_rows, st
 @json_option
 def command(runs: tuple[str, ...], store: Path, iou: float, as_json: bool) -> None:
     """Write runs/RUN/scores.parquet: answer, evidence and combined score of every question asked."""
-    from jrdb_avr.engine.report import report_row
+    from jrdb_avr.engine.comparison import score_row
     from jrdb_avr.engine.scoring import write_scores
     from jrdb_avr.queries.store import Store
 
-    from ._judging import scored_runs
+    from ._judging import judged_runs
 
     opened = Store(store)
+    _, _, judged = judged_runs(opened, runs, iou)
     rows = []
-    for manifest, predictions, scores in scored_runs(opened, runs, iou):
-        write_scores(opened, manifest.run_id, scores, iou)
-        row = report_row(manifest, predictions, scores, iou)
-        rows.append(
-            {"run": row.run_id, "label": row.label, "n": row.n, "answer": row.answer, "evidence": row.evidence}
-            | {"combined": row.combined, "invalid": row.invalid, "errors": row.errors, "iou": iou}
-        )
+    for run, scores in judged:
+        write_scores(opened, run.manifest.run_id, scores, iou)
+        rows.append(score_row(run, iou))
     if as_json:
         print_json(rows)
     else:

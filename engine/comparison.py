@@ -1,0 +1,193 @@
+"""Tables that compare runs: the main one, breakdowns, the ablation, pairs, and what runs cost. Rows of plain values,
+in percent of `n`, the questions asked; None where nothing was asked (shown as n/a)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Any, Final
+
+import numpy as np
+import pyarrow.compute as pc
+
+from .judged import SCORES, Facts, Judged, percent, share, values_of
+from .published import ABLATION, BY_GROUP, MAIN, Published
+from .statistics import Interval, cluster_sums, compare, interval, mean_of_ratios, ratio
+
+Row = dict[str, Any]
+
+_CELLS: Final = (
+    ("agent-passive-no-world", False, False),
+    ("agent-passive", False, True),
+    ("agent-no-world", True, False),
+    ("agent", True, True),
+)
+"""Cells of the ablation: method, active observation, world model."""
+
+_COSTS: Final = ("n_observations", "n_model_calls", "prompt_tokens", "completion_tokens", "seconds")
+
+
+# -- the main table ---------------------------------------------------------------------------------------------------
+
+
+def main_rows(facts: Facts, runs: Sequence[Judged], iou: float) -> list[Row]:
+    """A row per run: shares with 95 % intervals over sequences, and macro averages over families and paper groups."""
+    return [_main_row(facts, run, iou) for run in runs]
+
+
+def _main_row(facts: Facts, run: Judged, iou: float) -> Row:
+    row = _head(run) | {"n": run.n, "sequences": len(np.unique(facts.texts["sequence"][run.rows]))}
+    clusters = facts.texts["sequence"][run.rows]
+    # Columns: the questions, the three scores, the answers without evidence.
+    base = np.concatenate([np.ones((run.n, 1)), run.scores, run.scores[:, :1] - run.scores[:, 2:]], axis=1)
+    sums = cluster_sums(clusters, base)
+    for place, name in enumerate(SCORES, 1):
+        row |= _with_bounds(name, interval(sums, ratio(place, 0)))
+    row |= _with_bounds("hallucination", interval(sums, ratio(4, 1)))
+    row["invalid"] = share(int(run.invalid.sum()), run.n)
+    row["errors"] = share(run.errors, run.n)
+    for title, dimension in (("families", "family"), ("groups", "group")):
+        values = values_of(facts, dimension, [run])
+        members = facts.texts[dimension][run.rows]
+        parts = np.concatenate([base[:, :4] * (members == value)[:, None] for value in values], axis=1)
+        by_value = cluster_sums(clusters, parts)
+        for place, name in enumerate(SCORES, 1):
+            macro = mean_of_ratios([(4 * k + place, 4 * k) for k in range(len(values))])
+            row |= _with_bounds(f"{name}_macro_{title}", interval(by_value, macro))
+    return row | {"iou": iou}
+
+
+def _head(run: Judged) -> Row:
+    manifest = run.manifest
+    label = "synthetic" if manifest.synthetic else ""
+    return {"run": manifest.run_id, "method": manifest.method, "model": manifest.model, "label": label}
+
+
+def _with_bounds(name: str, found: Interval) -> Row:
+    return {name: percent(found.value), f"{name}_low": percent(found.low), f"{name}_high": percent(found.high)}
+
+
+def published_rows() -> list[Row]:
+    """The paper's main table, in the columns of `main_rows` that it gives."""
+    return [_published(row) for row in MAIN]
+
+
+def _published(row: Published) -> Row:
+    return {
+        "run": "",
+        "method": row.method,
+        "model": row.model,
+        "label": row.source,
+        "n": sum(counts.n for counts in BY_GROUP.values()),
+        "answer": row.answer,
+        "evidence": row.evidence,
+        "combined": row.combined,
+        "hallucination": row.hallucination,
+    }
+
+
+# -- breakdowns -------------------------------------------------------------------------------------------------------
+
+
+def breakdown_rows(facts: Facts, runs: Sequence[Judged], dimension: str) -> list[Row]:
+    """A row per value of a dimension and run, the runs of a value together."""
+    rows = []
+    for value in values_of(facts, dimension, runs):
+        for run in runs:
+            among = facts.texts[dimension][run.rows] == value
+            n = int(among.sum())
+            if n:
+                rows.append({dimension: value, **_head(run), **_shares(n, run.scores[among], run.invalid[among])})
+    return rows
+
+
+def published_groups() -> list[Row]:
+    """The paper's agent by its groups, in the columns of `breakdown_rows`."""
+    return [
+        {"group": group, "run": "", "method": "agent", "model": "Qwen3.5 9B", "label": "paper", "n": counts.n}
+        | {name: share(getattr(counts, name), counts.n) for name in SCORES}
+        | {"hallucination": share(counts.answer - counts.combined, counts.answer)}
+        for group, counts in BY_GROUP.items()
+    ]
+
+
+def score_row(run: Judged, iou: float) -> Row:
+    """A run's shares in short."""
+    head = {"run": run.manifest.run_id, "label": _head(run)["label"]}
+    errors = {"errors": share(run.errors, run.n), "iou": iou}
+    return head | _shares(run.n, run.scores, run.invalid) | errors
+
+
+def _shares(n: int, scores: Any, invalid: Any) -> Row:
+    answer, evidence, combined = (int(total) for total in scores.sum(axis=0))
+    return {
+        "n": n,
+        "answer": share(answer, n),
+        "evidence": share(evidence, n),
+        "combined": share(combined, n),
+        "hallucination": share(answer - combined, answer),
+        "invalid": share(int(invalid.sum()), n),
+    }
+
+
+# -- the ablation -----------------------------------------------------------------------------------------------------
+
+
+def ablation_rows(runs: Sequence[Judged], *, published: bool = False) -> list[Row]:
+    """The four cells, active observation by world model, of every model that ran one of them."""
+    rows: list[Row] = []
+    for model in sorted({run.manifest.model for run in runs if run.manifest.method in ABLATION}):
+        for method, active, world in _CELLS:
+            for run in runs:
+                if (run.manifest.model, run.manifest.method) == (model, method):
+                    rows.append(_cell(active, world) | _head(run) | _shares(run.n, run.scores, run.invalid))
+    if published:
+        rows += [_cell(active, world) | _published(ABLATION[method]) for method, active, world in _CELLS]
+    return rows
+
+
+def _cell(active: bool, world: bool) -> Row:
+    return {"active": "on" if active else "off", "world_model": "on" if world else "off"}
+
+
+# -- pairs ------------------------------------------------------------------------------------------------------------
+
+
+def pair_rows(facts: Facts, runs: Sequence[Judged]) -> list[Row]:
+    """For each two runs and score, on the questions that both were asked: the exact McNemar test and the difference."""
+    rows = []
+    for first, second in combinations(runs, 2):
+        common, mine, yours = np.intersect1d(first.rows, second.rows, assume_unique=True, return_indices=True)
+        if not len(common):
+            continue
+        clusters = facts.texts["sequence"][common]
+        for place, name in enumerate(SCORES):
+            found = compare(clusters, first.scores[mine, place], second.scores[yours, place])
+            rows.append(
+                {"first": first.manifest.run_id, "second": second.manifest.run_id, "score": name, "n": found.n}
+                | {"only_first": found.only_first, "only_second": found.only_second, "p": found.p}
+                | _with_bounds("difference", found.difference)
+            )
+    return rows
+
+
+# -- cost -------------------------------------------------------------------------------------------------------------
+
+
+def cost_rows(runs: Sequence[Judged]) -> list[Row]:
+    """What a run took: means per question asked, and tokens per question that scores combined."""
+    rows = []
+    for run in runs:
+        totals = {name: _total(run, name) for name in _COSTS}
+        tokens, right = totals["prompt_tokens"] + totals["completion_tokens"], int(run.scores[:, 2].sum())
+        rows.append(
+            _head(run)
+            | {"n": run.n}
+            | {name.removeprefix("n_"): round(total / run.n, 3) if run.n else None for name, total in totals.items()}
+            | {"tokens_per_combined": round(tokens / right) if right else None}
+        )
+    return rows
+
+
+def _total(run: Judged, name: str) -> float:
+    return float(pc.sum(run.predictions[name]).as_py() or 0)

@@ -1,0 +1,137 @@
+"""Runs with their scores, question by question, beside what is known of each question: what reports are made of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from jrdb_avr.queries.runs import RunManifest
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.tables import QUESTIONS
+
+from .published import GROUPS
+
+Texts = npt.NDArray[np.str_]
+Ints = npt.NDArray[np.int64]
+Floats = npt.NDArray[np.float64]
+
+SCORES: Final = ("answer", "evidence", "combined")
+
+GAP_EDGES_S: Final = (5.0, 15.0, 30.0)
+SEPARATION_EDGES_DEG: Final = (10.0, 30.0, 60.0)
+
+DIMENSIONS: Final = ("family", "group", "template", "answer_mode", "hops", "time_gap_s", "separation_deg", "sequence")
+"""What questions are told apart by; the last three but one in bins."""
+
+_GROUP_OF: Final = {family: group for group, families in GROUPS.items() for family in families}
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What is known of every question of a store: a text per question and dimension, by dimension."""
+
+    ids: pa.Array
+    texts: dict[str, Texts]
+
+    def rows(self, ids: pa.Array) -> Ints:
+        """The row of each id."""
+        found: Ints = pc.index_in(ids, value_set=self.ids).to_numpy(zero_copy_only=False).astype(np.int64)
+        return found
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A run: a row per question asked, in the order asked.
+
+    rows: of `Facts`; scores: 0 or 1 for answer, evidence and combined, (n, 3); invalid: 0 or 1; errors: questions that
+    ended in an error or have no prediction.
+    """
+
+    manifest: RunManifest
+    rows: Ints
+    scores: Ints
+    invalid: Ints
+    errors: int
+    predictions: pa.Table
+
+    @property
+    def n(self) -> int:
+        return len(self.rows)
+
+
+def read_facts(store: Store) -> Facts:
+    """The facts of a store's questions. Raises StoreError where there are none."""
+    questions, answers = store.questions("questions"), store.questions("answers")
+    answers = answers.select(["question_id", "hops", "time_gap_s", "separation_deg"])
+    return make_facts(questions.select(QUESTIONS["questions"].names), answers)
+
+
+def make_facts(questions: pa.Table, answers: pa.Table) -> Facts:
+    """Facts from the two tables."""
+    ids = questions["question_id"].combine_chunks()
+    at = pc.index_in(ids, value_set=answers["question_id"].combine_chunks())
+    known = answers.take(at)
+    texts = {name: _texts(questions[name]) for name in ("family", "template", "answer_mode", "sequence")}
+    texts["group"] = np.array([_GROUP_OF[family] for family in texts["family"].tolist()], np.str_)
+    texts["hops"] = np.array([str(hops) for hops in known["hops"].to_pylist()], np.str_)
+    for name, edges in (("time_gap_s", GAP_EDGES_S), ("separation_deg", SEPARATION_EDGES_DEG)):
+        texts[name] = _bins(known[name].to_numpy(zero_copy_only=False).astype(np.float64), edges)
+    return Facts(ids, texts)
+
+
+def judge(facts: Facts, manifest: RunManifest, predictions: pa.Table, scores: pa.Table) -> Judged:
+    """A run from its predictions and its scores, which hold every question asked."""
+    columns = [scores[f"{name}_score"].to_numpy().astype(np.int64) for name in SCORES]
+    status = predictions["status"]
+    judged = int(pc.sum(pc.is_in(status, value_set=pa.array(["answered", "invalid"]))).as_py() or 0)
+    return Judged(
+        manifest,
+        facts.rows(scores["question_id"].combine_chunks()),
+        np.stack(columns, axis=1),
+        scores["invalid"].to_numpy(zero_copy_only=False).astype(np.int64),
+        scores.num_rows - judged,
+        predictions,
+    )
+
+
+def values_of(facts: Facts, dimension: str, runs: Iterable[Judged]) -> list[str]:
+    """The values of a dimension among the questions of runs, in the order in which they are shown."""
+    asked = [facts.texts[dimension][run.rows] for run in runs]
+    found = {str(value) for values in asked for value in np.unique(values)}
+    return sorted(found, key=lambda value: (_first_number(value), value))
+
+
+def share(part: float, n: float) -> float | None:
+    """Percent with two decimals; None of nothing."""
+    return round(100 * part / n, 2) if n else None
+
+
+def percent(value: float | None) -> float | None:
+    """A share as percent with two decimals."""
+    return None if value is None or math.isnan(value) else round(100 * value, 2)
+
+
+def _texts(column: pa.ChunkedArray) -> Texts:
+    return np.array(column.to_pylist(), np.str_)
+
+
+def _bins(values: Floats, edges: Sequence[float]) -> Texts:
+    """The name of each value's bin, `[low, high)`."""
+    bounds = (0.0, *edges, math.inf)
+    names = np.array([f"[{low:g}, {high:g})" for low, high in zip(bounds, bounds[1:], strict=False)], np.str_)
+    return names[np.searchsorted(edges, values, side="right")]
+
+
+def _first_number(value: str) -> float:
+    digits = value.lstrip("[").partition(",")[0]
+    try:
+        return float(digits)
+    except ValueError:
+        return -1.0

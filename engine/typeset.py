@@ -1,0 +1,99 @@
+"""Rows as text: Markdown, CSV, LaTeX (booktabs), and cells as a person reads them."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+_LATEX: Final = {
+    "\\": r"\textbackslash{}",
+    "&": r"\&",
+    "%": r"\%",
+    "$": r"\$",
+    "#": r"\#",
+    "_": r"\_",
+    "{": r"\{",
+    "}": r"\}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+}
+
+Rows = Sequence[Mapping[str, Any]]
+
+
+def cell(value: object) -> str:
+    """A value as a person reads it: two decimals, n/a for what is not known."""
+    if value is None:
+        return "n/a"
+    return f"{value:.2f}" if isinstance(value, float) else str(value)
+
+
+def joined(rows: Rows) -> list[dict[str, str]]:
+    """Rows for people: a share with its interval in one column, `12.50 [8.10, 17.20]`."""
+    return [_joined(row) for row in rows]
+
+
+def _joined(row: Mapping[str, Any]) -> dict[str, str]:
+    text = {}
+    for name, value in row.items():
+        if name.endswith(("_low", "_high")):
+            continue
+        low, high = row.get(f"{name}_low"), row.get(f"{name}_high")
+        known = low is not None and high is not None
+        text[name] = f"{cell(value)} [{cell(low)}, {cell(high)}]" if known else cell(value)
+    return text
+
+
+def columns_of(rows: Rows) -> list[str]:
+    """Every column of any row, in the order of their first appearance."""
+    return list(dict.fromkeys(name for row in rows for name in row))
+
+
+def markdown(rows: Rows) -> str:
+    """A Markdown table."""
+    columns = columns_of(rows)
+    lines = [columns, ["---:" if _is_number(rows, name) else "---" for name in columns]]
+    lines += [[cell(row.get(name)).replace("|", "\\|").replace("\n", " ") for name in columns] for row in rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def latex(rows: Rows) -> str:
+    """A LaTeX table for the package booktabs; a rule where the first column's value changes."""
+    columns = columns_of(rows)
+    layout = "".join("r" if _is_number(rows, name) else "l" for name in columns)
+    lines = [rf"\begin{{tabular}}{{{layout}}}", r"\toprule", _latex_row([name.replace("_", " ") for name in columns])]
+    before: object = None
+    for row in rows:
+        first = row.get(columns[0])
+        lines += [r"\midrule"] if first != before else []
+        lines.append(_latex_row([cell(row.get(name)) for name in columns]))
+        before = first
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def csv_text(rows: Rows) -> str:
+    """CSV with a heading; an unknown value is empty."""
+    file = io.StringIO()
+    writer = csv.DictWriter(file, columns_of(rows), lineterminator="\n", restval="")
+    writer.writeheader()
+    writer.writerows(rows)
+    return file.getvalue()
+
+
+def _latex_row(cells: Sequence[str]) -> str:
+    return " & ".join("".join(_LATEX.get(letter, letter) for letter in text) for text in cells) + r" \\"
+
+
+def _is_number(rows: Rows, name: str) -> bool:
+    values = [row.get(name) for row in rows if row.get(name) is not None]
+    return bool(values) and all(isinstance(value, int | float) for value in values)
+
+
+def filled(rows: Rows) -> list[dict[str, Any]]:
+    """Rows that all have every column; what a row does not have is empty."""
+    columns = columns_of(rows)
+    return [{name: row.get(name, "") for name in columns} for row in rows]

@@ -1,0 +1,266 @@
+"""Reports on runs whose every count is known: the paper's own, and small worlds in which each failure happens once."""
+
+import csv
+import io
+import json
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from jrdb_avr.engine.comparison import ablation_rows, breakdown_rows, cost_rows, main_rows, pair_rows, published_groups
+from jrdb_avr.engine.failures import CAUSES, evidence_causes, evidence_failure_rows, wrong_choice_rows
+from jrdb_avr.engine.judged import judge, make_facts
+from jrdb_avr.engine.published import ABLATION, BY_GROUP, GROUPS
+from jrdb_avr.engine.scoring import make_truth, score_predictions
+from jrdb_avr.engine.typeset import cell, csv_text, joined, latex, markdown
+from jrdb_avr.queries.runs import RunManifest
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.tables import INTERVALS, QUESTIONS, RUNS
+
+BOX = (100.0, 100.0, 50.0, 120.0)
+ELSEWHERE = (900.0, 100.0, 50.0, 120.0)
+
+
+def table(rows, schema):
+    """Rows as a table; what a row does not name is empty."""
+    blank = {f.name: None if f.nullable else ("" if pa.types.is_string(f.type) else 0) for f in schema}
+    blank |= {f.name: [] for f in schema if pa.types.is_list(f.type)}
+    blank |= {f.name: False for f in schema if pa.types.is_boolean(f.type)}
+    return pa.Table.from_pylist([blank | row for row in rows], schema)
+
+
+class Benchmark:
+    """Multiple-choice questions, choice 1 right, whose target stands in `BOX` at frame 7 and 8."""
+
+    def __init__(self, asked):
+        """asked: (id, sequence, family) each."""
+        self.ids = [name for name, _, _ in asked]
+        questions = table(
+            [
+                {"question_id": q, "sequence": s, "family": f, "template": f, "answer_mode": "multiple_choice"}
+                for q, s, f in asked
+            ],
+            QUESTIONS["questions"],
+        )
+        sequences = [{"sequence": s, "fps": 15.0, "frame_count": 100} for s in sorted({s for _, s, _ in asked})]
+        answers = [
+            {"question_id": q, "answer": '{"choice":1}', "distractors": '[null,"time.shift +3 s","x without y",null]'}
+            for q in self.ids
+        ]
+        evidence = [
+            {"question_id": q, "frame": frame, **dict(zip("xywh", BOX, strict=True))}
+            for q in self.ids
+            for frame in (7, 8)
+        ]
+        self.tables = {
+            "questions": questions,
+            "sequences": table(sequences, QUESTIONS["sequences"]),
+            "answers": table(answers, QUESTIONS["answers"]),
+            "evidence": table(evidence, QUESTIONS["evidence"]),
+        }
+        self.truth = make_truth(*self.tables.values())
+        self.facts = make_facts(questions, self.tables["answers"])
+
+    def run(self, given, run_id="r", method="react", model="m"):
+        """given: (choice or None, box or None, frame) per question."""
+        rows = []
+        for name, (choice, box, frame) in zip(self.ids, given, strict=True):
+            where = {} if box is None else dict(zip(("x", "y", "w", "h"), box, strict=True))
+            rows.append(
+                {
+                    "run_id": run_id,
+                    "question_id": name,
+                    "status": "answered" if choice and box else "invalid",
+                    "answer": None if choice is None else json.dumps({"choice": choice}),
+                    "evidence_frame": None if box is None else frame,
+                    **{f"evidence_{key}": value for key, value in where.items()},
+                    "n_model_calls": 3,
+                    "prompt_tokens": 100,
+                    "completion_tokens": 10,
+                }
+            )
+        predictions = table(rows, RUNS["predictions"])
+        manifest = RunManifest(run_id, method, model, "0", tuple(self.ids), False, {}, "2020-01-01T00:00:00Z")
+        scores = score_predictions(self.truth, run_id, self.ids, predictions)
+        return judge(self.facts, manifest, predictions, scores)
+
+
+def papers_predictions():
+    """As many questions per group as the paper's, with its counts of right answers, boxes and both."""
+    asked, given = [], []
+    for group, counts in BY_GROUP.items():
+        families = GROUPS[group]
+        for i in range(counts.n):
+            # Both right first, then answers alone, then boxes alone.
+            answers = i < counts.answer
+            boxes = i < counts.combined or 0 <= i - counts.answer < counts.evidence - counts.combined
+            asked.append((f"{group} {i}", f"s{i % 27}", families[i % len(families)]))
+            given.append((1 if answers else 2, BOX if boxes else ELSEWHERE, 7))
+    return asked, given
+
+
+@pytest.fixture(scope="module")
+def paper():
+    asked, given = papers_predictions()
+    benchmark = Benchmark(asked)
+    return benchmark, benchmark.run(given, "paper-agent", "agent", "Qwen3.5 9B")
+
+
+def test_the_papers_counts_give_the_papers_table(paper):
+    benchmark, run = paper
+    row, agent = main_rows(benchmark.facts, [run], 0.5)[0], ABLATION["agent"]
+    assert row["n"] == 2098
+    assert [row[name] for name in ("answer", "evidence", "combined", "hallucination")] == [
+        agent.answer,
+        agent.evidence,
+        agent.combined,
+        agent.hallucination,
+    ]
+    assert row["combined_macro_groups"] == 9.21
+    for name in ("answer", "evidence", "combined"):
+        assert row[f"{name}_low"] < row[name] < row[f"{name}_high"]
+
+
+def test_a_breakdown_by_group_is_the_papers(paper):
+    benchmark, run = paper
+    ours = {row["group"]: row for row in breakdown_rows(benchmark.facts, [run], "group")}
+    theirs = {row["group"]: row for row in published_groups()}
+    assert ours.keys() == theirs.keys()
+    for group, row in theirs.items():
+        for name in ("n", "answer", "evidence", "combined", "hallucination"):
+            assert ours[group][name] == row[name], group
+    assert sum(row["n"] for row in breakdown_rows(benchmark.facts, [run], "family")) == 2098
+
+
+def test_the_ablation_is_active_by_world(paper):
+    benchmark, run = paper
+    rows = ablation_rows([run], published=True)
+    assert [(row["active"], row["world_model"], row["label"]) for row in rows] == [
+        ("on", "on", ""),
+        ("off", "off", "paper"),
+        ("off", "on", "paper"),
+        ("on", "off", "paper"),
+        ("on", "on", "paper"),
+    ]
+    assert rows[0]["combined"] == rows[-1]["combined"]
+    assert ablation_rows([benchmark.run([(1, BOX, 7)] * 2098)]) == []
+
+
+FOUR = [("a", "s1", "long_range"), ("b", "s1", "long_range"), ("c", "s2", "chain_2hop"), ("d", "s2", "chain_2hop")]
+
+
+def test_pairs_are_of_the_questions_both_were_asked():
+    benchmark = Benchmark(FOUR)
+    first = benchmark.run([(1, BOX, 7), (1, BOX, 7), (2, BOX, 7), (1, None, 0)], "one")
+    second = benchmark.run([(1, BOX, 7), (2, BOX, 7), (2, BOX, 7), (2, None, 0)], "two")
+    rows = {row["score"]: row for row in pair_rows(benchmark.facts, [first, second])}
+    assert rows["answer"]["n"] == 4
+    assert (rows["answer"]["only_first"], rows["answer"]["only_second"], rows["answer"]["p"]) == (2, 0, 0.5)
+    assert rows["answer"]["difference"] == -50.0
+    assert (rows["evidence"]["only_first"], rows["evidence"]["p"]) == (0, 1.0)
+
+
+def test_cost_is_per_question_and_per_right_one():
+    benchmark = Benchmark(FOUR)
+    row = cost_rows([benchmark.run([(1, BOX, 7), (2, BOX, 7), (1, BOX, 7), (1, None, 0)])])[0]
+    assert (row["model_calls"], row["prompt_tokens"], row["tokens_per_combined"]) == (3.0, 100.0, 220)
+    assert cost_rows([benchmark.run([(2, BOX, 7)] * 4)])[0]["tokens_per_combined"] is None
+
+
+# -- failures ---------------------------------------------------------------------------------------------------------
+
+CASES = {
+    # name: (choice, box, frame), the look (frame, left or None for a panorama), cause
+    "scores": ((1, BOX, 7), (7, 0), ""),
+    "no box": ((1, None, 0), (7, 0), "no box"),
+    "looked behind": ((1, ELSEWHERE, 7), (7, 2000), "never looked there"),
+    "looked too early": ((1, ELSEWHERE, 7), (6, 0), "never looked there"),
+    "a third of it": ((1, ELSEWHERE, 7), (7, 134), "never looked there"),
+    "half of it": ((1, ELSEWHERE, 7), (7, 125), "nobody"),
+    "over the seam": ((1, ELSEWHERE, 7), (7, 3500), "nobody"),
+    "a panorama": ((1, ELSEWHERE, 7), (8, None), "nobody"),
+    "another frame": ((1, BOX, 9), (7, 0), "frame where the target is absent"),
+    "loose": ((1, (100.0, 100.0, 50.0, 59.0), 7), (7, 0), "right person, loose box"),
+    "another person": ((1, (300.0, 100.0, 50.0, 120.0), 7), (7, 0), "wrong person"),
+    "between two": ((1, (100.0, 100.0, 250.0, 120.0), 8), (7, 0), "right person, loose box"),
+    "nobody": ((1, ELSEWHERE, 7), (7, 0), "nobody"),
+}
+
+
+@pytest.fixture
+def failing(tmp_path):
+    benchmark = Benchmark([(name, "s", "long_range") for name in CASES])
+    run = benchmark.run([given for given, _, _ in CASES.values()])
+    store = Store(tmp_path)
+    for name, rows in benchmark.tables.items():
+        store.write_questions(name, rows, {})
+    people = [(7, 1, BOX), (8, 1, BOX), (7, 2, (300.0, 100.0, 50.0, 120.0)), (8, 2, (320.0, 100.0, 30.0, 120.0))]
+    sightings = [
+        {"sequence": "s", "frame": frame, "track": track, **dict(zip("xywh", box, strict=True))}
+        for frame, track, box in people
+    ]
+    store.write_interval("sightings", "s", table(sightings, INTERVALS["sightings"]))
+    steps = []
+    for name, (_, (frame, left), _) in CASES.items():
+        asked = {"sequence": "s", "frame_index": frame} | ({} if left is None else {"angle_deg": 1.0})
+        looked = {"run_id": "r", "question_id": name, "kind": "observe", "request": json.dumps(asked)}
+        steps.append(looked | {"response": json.dumps({"frame_id": "x"} if left is None else {"left": left})})
+        # A refused look shows nothing, and other steps are no looks.
+        steps.append(looked | {"request": '{"frame_index":7,"angle_deg":0}', "response": '{"refused":"twice"}'})
+        steps.append(looked | {"kind": "model", "request": "[]", "response": "{}"})
+    store.write_run("r", "steps", table(steps, RUNS["steps"]))
+    return benchmark, run, store
+
+
+def test_each_box_that_does_not_score_has_its_cause(failing):
+    benchmark, run, store = failing
+    causes = evidence_causes(store, benchmark.truth, benchmark.facts, run)
+    assert dict(zip(CASES, causes, strict=True)) == {name: cause for name, (_, _, cause) in CASES.items()}
+    rows = evidence_failure_rows(store, benchmark.truth, benchmark.facts, [run])
+    assert [row["cause"] for row in rows] == list(CAUSES)
+    assert sum(row["times"] for row in rows) == len(CASES) - 1
+
+
+def test_a_wrong_choice_tells_the_perturbation_it_is_true_of(tmp_path):
+    benchmark = Benchmark(FOUR)
+    Store(tmp_path).write_questions("answers", benchmark.tables["answers"], {})
+    run = benchmark.run([(1, BOX, 7), (2, BOX, 7), (3, BOX, 7), (4, BOX, 7)])
+    rows = {row["perturbation"]: row for row in wrong_choice_rows(Store(tmp_path), [run])}
+    assert {name: row["times"] for name, row in rows.items()} == {"time.shift +3 s": 1, "x": 1, "none recorded": 1}
+    assert rows["x"]["percent"] == 33.33
+
+
+# -- texts ------------------------------------------------------------------------------------------------------------
+
+ROWS = [
+    {"model": "a_b|c", "answer": 12.5, "answer_low": 1.0, "answer_high": 20.0, "n": 3},
+    {"model": "50% {x} \\ #1", "answer": None},
+]
+
+
+def test_cells_as_a_person_reads_them():
+    assert [cell(value) for value in (None, 1.0, 3, "x")] == ["n/a", "1.00", "3", "x"]
+    assert joined(ROWS)[0] == {"model": "a_b|c", "answer": "12.50 [1.00, 20.00]", "n": "3"}
+
+
+def test_markdown_escapes_bars():
+    lines = markdown(ROWS).splitlines()
+    assert lines[1] == "| --- | ---: | ---: | ---: | ---: |"
+    assert lines[2].startswith("| a_b\\|c | 12.50 |")
+    assert lines[3].endswith("| n/a | n/a | n/a | n/a |")
+
+
+def test_latex_compiles_as_text():
+    text = latex(ROWS)
+    assert r"a\_b|c & 12.50" in text
+    assert r"50\% \{x\} \textbackslash{} \#1" in text
+    assert text.startswith("\\begin{tabular}{lrrrr}\n\\toprule\nmodel & answer & answer low")
+    assert text.endswith("\\bottomrule\n\\end{tabular}\n")
+
+
+def test_csv_is_read_back():
+    rows = list(csv.DictReader(io.StringIO(csv_text(ROWS))))
+    assert [row["answer"] for row in rows] == ["12.5", ""]
+    assert rows[1]["model"] == "50% {x} \\ #1"
+    assert np.isclose(float(rows[0]["answer_high"]), 20.0)
