@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
+Labels = npt.NDArray[np.int64] | npt.NDArray[np.str_]
 
 DRAWS: Final = 10_000
 SEED: Final = 0
@@ -76,9 +77,9 @@ def interval(
     return Interval(value, float(low), float(high))
 
 
-def cluster_sums(clusters: Sequence[str] | Ints, columns: Floats) -> Floats:
+def cluster_sums(clusters: Labels, columns: Floats) -> Floats:
     """Sums of the rows of (n, columns) by cluster, in the clusters' sorted order."""
-    _, number = np.unique(np.asarray(clusters), return_inverse=True)
+    _, number = np.unique(clusters, return_inverse=True)
     sums = np.zeros((int(number.max(initial=-1)) + 1, columns.shape[1]))
     np.add.at(sums, number, columns)
     return sums
@@ -115,7 +116,7 @@ def mcnemar(only_first: int, only_second: int) -> float:
     return min(1.0, 2 * below / (1 << n))
 
 
-def compare(clusters: Sequence[str] | Ints, first: Ints, second: Ints, n: int = DRAWS, seed: int = SEED) -> Pair:
+def compare(clusters: Labels, first: Ints, second: Ints, n: int = DRAWS, seed: int = SEED) -> Pair:
     """Two runs' 0/1 scores on the same questions, in the same order."""
     columns = np.stack([second - first, np.ones(len(first))], axis=1).astype(np.float64)
     only_first, only_second = int(((first == 1) & (second == 0)).sum()), int(((first == 0) & (second == 1)).sum())

@@ -13,6 +13,9 @@ settings.register_profile("tests", deadline=None, max_examples=examples(60))
 settings.load_profile("tests")
 
 
+# Fixtures of more than one file.
+pytest_plugins = ["asked_world"]
+
 DEAREST = (
     "test_readme",
     "test_sample",
