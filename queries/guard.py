@@ -17,7 +17,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -72,8 +72,17 @@ _REFUSED: Final = [
     "USE",
 ]
 
-# Digits may stand right before a keyword ("= 1SET n.x = 2"), letters and the underscore may not.
-_KEYWORD = re.compile(rf"(?<![A-Za-z_$])(?:{'|'.join(_REFUSED)})(?![A-Za-z0-9_])", re.IGNORECASE | re.ASCII)
+_ROWS: Final = frozenset({"CREATE", "DELETE", "DETACH", "SET"})
+"""Of these, what changes rows; CREATE makes tables as well, where no pattern follows."""
+
+
+def _keywords(words: Collection[str]) -> re.Pattern[str]:
+    # Digits may stand right before a keyword ("= 1SET n.x = 2"), letters and the underscore may not.
+    return re.compile(rf"(?<![A-Za-z_$])(?:{'|'.join(words)})(?![A-Za-z0-9_])", re.IGNORECASE | re.ASCII)
+
+
+_KEYWORD = _keywords(_REFUSED)
+_BUT_ROWS = _keywords([*(word for word in _REFUSED if word not in _ROWS), r"CREATE\b(?!\s*\()"])
 _QUANTIFIER = re.compile(r"(?<![A-Za-z_])(?:all|any|none|single)\s*\(", re.IGNORECASE | re.ASCII)
 _ROWS_ALONE: Final = "READ_FTABLE"
 """The table function behind RETURN without MATCH and behind UNWIND of a list: it reads nothing."""
@@ -86,8 +95,8 @@ class _Request(msgspec.Struct):
     timeout_s: float
 
 
-def check_cypher(cypher: str) -> None:
-    """Refuse a statement by its words. Raises QueryError."""
+def check_cypher(cypher: str, *, writes: bool = False) -> None:
+    """Refuse a statement by its words; `writes`: it may make, change and delete nodes and edges. Raises QueryError."""
     # Where quoting is read differently than the engine reads it, a keyword could hide: escapes go by parameter.
     if "\\" in cypher or "\0" in cypher or "\r" in cypher.replace("\r\n", "\n"):
         raise QueryError("a backslash or a bare carriage return is not allowed: pass the text as a parameter ($name)")
@@ -96,8 +105,9 @@ def check_cypher(cypher: str) -> None:
     bare = strip_literals(cypher)
     if any(quote in bare for quote in "'\"`") or "/*" in bare:
         raise QueryError("a quote or comment is not closed")
-    if found := _KEYWORD.search(bare):
-        raise QueryError(f"{found[0].upper()} is not allowed: this reads the graph only (MATCH ... RETURN ...)")
+    if found := (_BUT_ROWS if writes else _KEYWORD).search(bare):
+        allowed = "this changes rows only" if writes else "this reads the graph only (MATCH ... RETURN ...)"
+        raise QueryError(f"{found[0].upper()} is not allowed: {allowed}")
     if found := _QUANTIFIER.search(bare):
         name = found[0].rstrip("( \t\n")
         raise QueryError(f"{name}(...) crashes the engine on long lists: write size(list_filter(list, x -> ...)) = 0")

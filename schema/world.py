@@ -27,7 +27,7 @@ WORLD_NODES: Final[dict[str, str]] = {
     "Observation": "id STRING PRIMARY KEY, episode STRING, number INT64, step INT64, frame INT64, angle DOUBLE, "
     "left INT64, width INT64",
     "Entity": "id STRING PRIMARY KEY, episode STRING, name STRING, number INT64, kind STRING, node STRING, step INT64",
-    # What the plan asks for: a node (somebody is to be found), a condition, an edge, or the read. What a kind has not is
+    # What the plan asks for: a node (somebody is to be found), a condition, an edge, or the read. What a kind lacks is
     # "", and -1 for the frame of what is asked at no stated one.
     "Slot": "id STRING PRIMARY KEY, episode STRING, number INT64, kind STRING, node STRING, other STRING, "
     "name STRING, value STRING, frame INT64",

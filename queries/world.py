@@ -1,0 +1,213 @@
+"""The handle on the world namespace: what agents wrote, and nothing else of the graph.
+
+Its tables lie beside the scene's in the same database (or in a file of their own), and the engine keeps no tables
+apart. So every statement passes two doors before its first run: its words (guard.py; and every label must be a world
+table's, written plainly) and its plan (no table function, and every scan names one world table, so that no pattern
+without a label reaches the others). Values come as parameters only.
+
+All calls of the engine are made by one thread of the handle's own: many episodes write at once, and with several
+threads a write waits for the engine's locks six times as long as it takes. Callers wait for their own call only.
+"""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from importlib import resources
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self, TypeVar
+
+import pyarrow as pa
+
+from jrdb_avr.schema.errors import QueryError
+from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
+from jrdb_avr.schema.world import WORLD_NODES, WORLD_RELS, world_ddl
+
+from .binding import strip_literals
+from .guard import check_cypher
+from .handle import Graph, build_graph
+from .traps import Plan
+
+BUFFER_BYTES: Final = 256 << 20
+"""Hard limit of the engine's page cache."""
+
+Statement = tuple[str, Mapping[str, Any]]
+"""Cypher with its parameters."""
+
+T = TypeVar("T")
+
+
+class WorldGraph:
+    """The world tables of a graph. Made by `WorldGraph.open` or `WorldGraph.memory`; a context manager; closed once
+    used. May be used from any number of threads.
+    """
+
+    def __init__(self, graph: Callable[[], Graph]) -> None:
+        self._engine = ThreadPoolExecutor(1, thread_name_prefix="world")
+        self._closing = threading.Lock()
+        self._closed = False
+        # Texts that have passed the doors; only the engine's thread looks at them.
+        self._passed: set[tuple[str, bool]] = set()
+        try:
+            self._graph = self._call(graph)
+            self._call(self._ensure_tables)
+        except BaseException:
+            self._engine.shutdown()
+            raise
+
+    @classmethod
+    def open(cls, path: str | Path, *, buffer_bytes: int = BUFFER_BYTES) -> WorldGraph:
+        """Open the world tables of the graph file at `path`; what is not there is made, the file or its tables.
+
+        Raises StoreError where the file is no graph or the disk refuses, LockedError naming the holder where another
+        process has it open.
+        """
+        place = Path(path)
+
+        def opened() -> Graph:
+            if not place.exists():
+                with build_graph(place) as graph:
+                    for statement in world_ddl():
+                        graph.execute(statement)
+            return Graph.open(place, buffer_bytes=buffer_bytes)
+
+        return cls(opened)
+
+    @classmethod
+    def memory(cls) -> WorldGraph:
+        """New world tables in memory."""
+        return cls(lambda: Graph.memory(buffer_bytes=BUFFER_BYTES))
+
+    def close(self) -> None:
+        """Give the graph back, after the calls under way. Closing twice is harmless."""
+        with self._closing:
+            if not self._closed:
+                self._closed = True
+                self._engine.submit(self._graph.close)
+                self._engine.shutdown()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    # -- statements -----------------------------------------------------------------------------------------------
+
+    def query(
+        self,
+        cypher: str,
+        params: Mapping[str, Any] | None = None,
+        *,
+        ordered: bool = True,
+        timeout_s: float | None = None,
+    ) -> pa.Table:
+        """Run one reading statement, as `Graph.query` does. Raises QueryError also where it reaches beyond the world
+        tables.
+        """
+
+        def read() -> pa.Table:
+            self._admit(cypher, params or {}, writes=False)
+            return self._graph.query(cypher, params, ordered=ordered, timeout_s=timeout_s)
+
+        return self._call(read)
+
+    def write(self, statements: Sequence[Statement]) -> None:
+        """Run statements that make, change or delete rows of the world tables, as one transaction.
+
+        Raises QueryError where one is refused or fails, StoreError where the disk refuses; nothing is written then.
+        """
+
+        def written() -> None:
+            for cypher, params in statements:
+                self._admit(cypher, params, writes=True)
+            with self._graph.transaction():
+                for cypher, params in statements:
+                    self._graph.execute(cypher, params)
+
+        self._call(written)
+
+    def _admit(self, cypher: str, params: Mapping[str, Any], *, writes: bool) -> None:
+        """Let a statement through both doors. Raises QueryError."""
+        if (cypher, writes) not in self._passed:
+            check_world(cypher, writes=writes)
+            check_reach(self._graph.explain(cypher, params))
+            self._passed.add((cypher, writes))
+
+    def _ensure_tables(self) -> None:
+        there = set(self._graph.query("CALL show_tables() RETURN name AS name", ordered=False)["name"].to_pylist())
+        for name, statement in zip((*WORLD_NODES, *WORLD_RELS), world_ddl(), strict=True):
+            if name not in there:
+                self._graph.execute(statement)
+
+    def _call(self, work: Callable[[], T]) -> T:
+        """The result of a piece of work, done by the engine's thread."""
+        with self._closing:
+            if self._closed:
+                raise QueryError("the world model is closed")
+            waiting = self._engine.submit(work)
+        return waiting.result()
+
+
+def statement(name: str) -> str:
+    """The text of `queries/world/<name>.cypher`."""
+    return resources.files("jrdb_avr.queries").joinpath("world", f"{name}.cypher").read_text("utf-8")
+
+
+# -- the doors --------------------------------------------------------------------------------------------------------
+
+_LABELS: Final = frozenset(name.lower() for name in (*WORLD_NODES, *WORLD_RELS))
+_TABLES: Final = frozenset((*WORLD_NODES, *WORLD_RELS, *SCENE_NODES, *SCENE_RELS))
+_TOKEN: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*|[^\s]")
+_COLON: Final = ":"
+_CLOSING: Final = {"(": ")", "[": "]", "{": "}"}
+_ROWS_ALONE: Final = "READ_FTABLE"
+"""The table function behind RETURN without MATCH and behind UNWIND of a list: it reads nothing."""
+
+
+def check_world(cypher: str, *, writes: bool = False) -> None:
+    """Refuse a statement by its words: what `check_cypher` refuses, and every label but the world tables'.
+
+    A colon is the mark of a label wherever it does not follow a key in braces, and the names of labels stand plainly:
+    no backticks, nothing beyond ASCII. Raises QueryError.
+    """
+    check_cypher(cypher, writes=writes)
+    bare = strip_literals(cypher)
+    if "`" in cypher or not bare.isascii():
+        raise QueryError("names in backticks and letters beyond ASCII are not allowed here: pass texts as parameters")
+    tokens = [found[0] for found in _TOKEN.finditer(bare)]
+    open_brackets = [""]
+    for at, token in enumerate(tokens):
+        if token in _CLOSING:
+            open_brackets.append(token)
+        elif token in _CLOSING.values() and len(open_brackets) > 1:
+            open_brackets.pop()
+        elif token == _COLON and not (open_brackets[-1] == "{" and at > 1 and tokens[at - 2] in ("{", ",")):
+            for label in _labels(tokens[at + 1 :]):
+                if label.lower() not in _LABELS:
+                    raise QueryError(f"{label!r} is no table of the world model: {', '.join(sorted(_LABELS))}")
+
+
+def _labels(tokens: Sequence[str]) -> Iterator[str]:
+    """The label after a colon, and its alternatives: what follows each `|`, with or without a colon."""
+    yield tokens[0] if tokens else ""
+    if tokens[1:2] == ["|"]:
+        yield from _labels(tokens[3:] if tokens[2:3] == [":"] else tokens[2:])
+
+
+def check_reach(plan: Plan) -> None:
+    """Refuse a statement by its plan: it calls a table function, or scans what is not one world table.
+
+    A plan lists the tables of a scan in boxes of their own, one after the other. Raises QueryError.
+    """
+    if set(plan.functions) - {_ROWS_ALONE}:
+        raise QueryError("this reads something else than the graph")
+    cells = {cell.strip() for cell in plan.text.split("│")}
+    scanned = {cell.removeprefix("Tables: ") for cell in cells if cell.startswith("Tables: ")}
+    if foreign := sorted(scanned - {*WORLD_NODES, *WORLD_RELS} | cells & _TABLES):
+        raise QueryError(f"this reaches {foreign[0]}: every node and edge of a pattern needs the label of one table")

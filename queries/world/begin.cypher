@@ -1,0 +1,2 @@
+// An episode begins.
+CREATE (:Episode {id: $id, run: $run, question: $question, sequence: $sequence, plan: $plan})

@@ -1,0 +1,3 @@
+// The plan of an episode.
+MATCH (e:Episode {id: $id})
+SET e.plan = $plan
