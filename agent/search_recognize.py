@@ -49,7 +49,8 @@ class SearchRecognize:
         try:
             proposal = _propose(attempt, panoramas)
             stage = "refinement"
-            crop = attempt.look(proposal.frame, center_angle(proposal.box[0], proposal.box[2]))
+            # To a hundredth of a column, so that the model is not shown what rounding leaves of a sum.
+            crop = attempt.look(proposal.frame, round(center_angle(proposal.box[0], proposal.box[2]), 3))
             refined = _refine(attempt, crop)
         except DecodeError as error:
             return attempt.invalid(f"{stage}: {error}")
