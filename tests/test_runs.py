@@ -14,81 +14,22 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from asked_world import BLIND, FRAMES, POSES, QUESTIONS_ASKED, question
 from click.testing import CliRunner
 from fake_server import FakeServer, Status
 from hypothesis import given
 from hypothesis import strategies as st
-from painted_world import SEQUENCE, Actor, World, still
+from painted_world import SEQUENCE
 
 from jrdb_avr.engine import runs
 from jrdb_avr.engine.commands.evaluate import command, default_run_id
-from jrdb_avr.queries.store import Manifest, Store
+from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice, Evidence
 from jrdb_avr.schema.errors import AvrError, InputError, LockedError, StoreError
-from jrdb_avr.schema.marks import Mark
-from jrdb_avr.schema.method import Prediction, Question, SequenceInfo, Step
-from jrdb_avr.schema.panorama import Box
-from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time
-from jrdb_avr.schema.rules import LoadRules, rules_hash
+from jrdb_avr.schema.method import Prediction, SequenceInfo, Step
 from jrdb_avr.schema.tables import PRIVATE, QUESTIONS, RUNS
-from jrdb_avr.schema.wording import question_id, render
 
-POSES = ("walking", "sitting", "standing", "lying")
-TRACK = 3141
-FRAMES = tuple(range(0, 301, 15))
 KILLS = 2
-
-
-def question(t0, t1, sequence=SEQUENCE):
-    conditions = (Condition(action="standing", at="t0"),)
-    spec = AnswerSpec(mode="multiple_choice", read="action", of="a", at="t1")
-    times = {"t0": Time(frame=t0), "t1": Time(frame=t1)}
-    plan = Plan("a", "a", times, (Node("a", conditions),), (), spec)
-    text = render("change", plan, "0" * 64)
-    public = (sequence, "unique_anchor", "change", text, POSES, "multiple_choice")
-    return Question(question_id(*public), *public)
-
-
-QUESTIONS_ASKED = [question(t0, t1) for t0 in (0, 15, 30) for t1 in (90, 105, 150, 300)]
-BLIND = question(0, 90, "unseen")
-
-
-def write_store(path, image_root, questions=(*QUESTIONS_ASKED, BLIND)):
-    """A store with the public files alone."""
-    store = Store(path)
-    rules = LoadRules()
-    store.write_manifest(Manifest(str(image_root), rules, rules_hash(rules), {}, {}))
-    rows = [{name: getattr(q, name) for name in QUESTIONS["questions"].names} for q in questions]
-    rows = [{**row, "choices": list(row["choices"])} for row in rows]
-    store.write_questions("questions", pa.Table.from_pylist(rows, QUESTIONS["questions"]), {})
-    infos = [(SEQUENCE, FRAMES), ("unseen", FRAMES)]
-    rows = [{"sequence": name, "fps": 15.0, "frame_count": 301, "frames": list(f)} for name, f in infos]
-    store.write_questions("sequences", pa.Table.from_pylist(rows, QUESTIONS["sequences"]), {})
-    return store
-
-
-@pytest.fixture(scope="module")
-def template(tmp_path_factory):
-    """A store and its images, made once."""
-    root = tmp_path_factory.mktemp("template")
-
-    def box(frame):
-        return Box(3650 + frame * 0.5, 120, 70, 220)
-
-    def mark(frame):
-        return Mark(7, pose="standing" if frame < 60 else "sitting" if frame < 120 else "lying", distance_dm=40)
-
-    world = World(root / "images", [Actor(box, mark), still(900, 8, pose="walking")], FRAMES)
-    for frame in FRAMES:
-        world.paint(root / "images" / SEQUENCE / f"{frame:06d}.jpg", frame)
-    write_store(root / "store", root / "images")
-    return root
-
-
-@pytest.fixture
-def store(template, tmp_path):
-    shutil.copytree(template / "store", tmp_path / "store")
-    return Store(tmp_path / "store")
 
 
 def evaluate(store, *options, ok=True):
