@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -125,7 +126,7 @@ def _texts(column: pa.ChunkedArray) -> Texts:
 def _bins(values: Floats, edges: Sequence[float]) -> Texts:
     """The name of each value's bin, `[low, high)`."""
     bounds = (0.0, *edges, math.inf)
-    names = np.array([f"[{low:g}, {high:g})" for low, high in zip(bounds, bounds[1:], strict=False)], np.str_)
+    names = np.array([f"[{low:g}, {high:g})" for low, high in pairwise(bounds)], np.str_)
     return names[np.searchsorted(edges, values, side="right")]
 
 

@@ -1,0 +1,9 @@
+-- Does looking more help? Shares of right answers and boxes by how many looks a question took, per run.
+SELECT p.run_id, p.n_observations AS looks, count(*) AS n,
+       round(100 * avg(s.answer_score), 2) AS answer,
+       round(100 * avg(s.evidence_score), 2) AS evidence,
+       round(100 * avg(s.combined_score), 2) AS combined
+FROM predictions p
+JOIN scores s USING (run_id, question_id)
+GROUP BY p.run_id, looks
+ORDER BY p.run_id, looks;

@@ -1,0 +1,7 @@
+-- What agents were not allowed to write into their world models, and why; numbers in the reason are written as #.
+SELECT run_id, tool, regexp_replace(reason, '[0-9]+', '#', 'g') AS reason, count(*) AS times,
+       count(DISTINCT question_id) AS questions
+FROM world
+WHERE NOT accepted
+GROUP BY ALL
+ORDER BY run_id, times DESC, tool, reason;

@@ -1,0 +1,78 @@
+"""Runs on multiple-choice questions of which every count is known."""
+
+import json
+
+import pyarrow as pa
+
+from jrdb_avr.engine.judged import judge, make_facts
+from jrdb_avr.engine.scoring import make_truth, score_predictions
+from jrdb_avr.queries.runs import RunManifest
+from jrdb_avr.schema.tables import QUESTIONS, RUNS
+
+BOX = (100.0, 100.0, 50.0, 120.0)
+ELSEWHERE = (900.0, 100.0, 50.0, 120.0)
+
+
+def table(rows, schema):
+    """Rows as a table; what a row does not name is empty."""
+    blank = {f.name: None if f.nullable else ("" if pa.types.is_string(f.type) else 0) for f in schema}
+    blank |= {f.name: [] for f in schema if pa.types.is_list(f.type)}
+    blank |= {f.name: False for f in schema if pa.types.is_boolean(f.type)}
+    return pa.Table.from_pylist([blank | row for row in rows], schema)
+
+
+class Benchmark:
+    """Multiple-choice questions, choice 1 right, whose target stands in `BOX` at frame 7 and 8."""
+
+    def __init__(self, asked):
+        """asked: (id, sequence, family) each."""
+        self.ids = [name for name, _, _ in asked]
+        questions = table(
+            [
+                {"question_id": q, "sequence": s, "family": f, "template": f, "answer_mode": "multiple_choice"}
+                for q, s, f in asked
+            ],
+            QUESTIONS["questions"],
+        )
+        sequences = [{"sequence": s, "fps": 15.0, "frame_count": 100} for s in sorted({s for _, s, _ in asked})]
+        answers = [
+            {"question_id": q, "answer": '{"choice":1}', "distractors": '[null,"time.shift +3 s","x without y",null]'}
+            for q in self.ids
+        ]
+        evidence = [
+            {"question_id": q, "frame": frame, **dict(zip("xywh", BOX, strict=True))}
+            for q in self.ids
+            for frame in (7, 8)
+        ]
+        self.tables = {
+            "questions": questions,
+            "sequences": table(sequences, QUESTIONS["sequences"]),
+            "answers": table(answers, QUESTIONS["answers"]),
+            "evidence": table(evidence, QUESTIONS["evidence"]),
+        }
+        self.truth = make_truth(*self.tables.values())
+        self.facts = make_facts(questions, self.tables["answers"])
+
+    def run(self, given, run_id="r", method="react", model="m"):
+        """given: (choice or None, box or None, frame) per question."""
+        rows = []
+        for name, (choice, box, frame) in zip(self.ids, given, strict=True):
+            where = {} if box is None else dict(zip(("x", "y", "w", "h"), box, strict=True))
+            rows.append(
+                {
+                    "run_id": run_id,
+                    "question_id": name,
+                    "status": "answered" if choice and box else "invalid",
+                    "answer": None if choice is None else json.dumps({"choice": choice}),
+                    "evidence_frame": None if box is None else frame,
+                    **{f"evidence_{key}": value for key, value in where.items()},
+                    "n_model_calls": 3,
+                    "prompt_tokens": 100,
+                    "completion_tokens": 10,
+                }
+            )
+        predictions = table(rows, RUNS["predictions"])
+        manifest = RunManifest(run_id, method, model, "0", tuple(self.ids), False, {}, "2020-01-01T00:00:00Z")
+        scores = score_predictions(self.truth, run_id, self.ids, predictions)
+        self.written = {"predictions": predictions, "scores": scores}
+        return judge(self.facts, manifest, predictions, scores)
