@@ -22,7 +22,8 @@ from jrdb_avr.agent.client import Client
 from jrdb_avr.agent.marker.child import marker_server
 from jrdb_avr.agent.marker.eyes import Eyes, Spent, Want
 from jrdb_avr.agent.marker.finding import distance_word, holds
-from jrdb_avr.agent.marker.reading import Look, Sighting, Task
+from jrdb_avr.agent.marker.looking import REACT
+from jrdb_avr.agent.marker.reading import Look, Sighting
 from jrdb_avr.agent.marker.server import Server
 from jrdb_avr.agent.react import ReAct
 from jrdb_avr.schema.answers import FrameAnswer, Span, frames_iou
@@ -271,12 +272,12 @@ def sighting(frame=0, x=200.0, angle=180.0, identity=7, complete=True, **mark):
     return Sighting(frame, Mark(identity, **mark), Box(x, 100, 70, 200), complete, angle)
 
 
-def task(looks=(), left=24):
-    return Task("q", "change", None, (), tuple(range(0, 100, 5)), tuple(looks), left)
+def eyes_of(looks=(), left=24):
+    return Eyes(tuple(range(0, 100, 5)), looks, left)
 
 
 def test_eyes_replay_what_was_seen_and_want_the_next():
-    eyes = Eyes(task([Look(0, 180.0, (sighting(),)), Look(50, 90.0, ())], left=22))
+    eyes = eyes_of([Look(0, 180.0, (sighting(),)), Look(50, 90.0, ())], left=22)
     assert eyes.spare() == 23
     assert eyes.look(0, 180.0).of(7) is not None
     assert eyes.sightings(7)[0].frame == 0
@@ -288,7 +289,7 @@ def test_eyes_replay_what_was_seen_and_want_the_next():
 
 
 def test_eyes_keep_one_look_for_the_evidence():
-    eyes = Eyes(task([Look(0, 180.0, (sighting(),))], left=1))
+    eyes = eyes_of([Look(0, 180.0, (sighting(),))], left=1)
     eyes.look(0, 180.0)
     with pytest.raises(Spent):
         eyes.look(5, 180.0)
@@ -298,7 +299,7 @@ def test_eyes_keep_one_look_for_the_evidence():
 
 
 def test_legal_is_the_nearest_frame():
-    eyes = Eyes(task())
+    eyes = eyes_of()
     assert [eyes.legal(f) for f in (-9, 0, 2, 3, 94, 1000)] == [0, 0, 0, 5, 95, 95]
 
 
@@ -354,7 +355,7 @@ def prompt(question=KNOWN, image=None, place=PLACE, frames="000000"):
     parts = [
         {"type": "text", "text": f"Question: {question}\nMode: frame\nNo choices.\nLegal frames: {frames}"},
         {"type": "text", "text": f"Picture 1: {place}"},
-        {"type": "text", "text": "Looks made: 1, left: 23"},
+        {"type": "text", "text": f"Looks made: 1, left: 23\n\n{REACT}"},
     ]
     if image is not None:
         parts.insert(2, {"type": "image_url", "image_url": {"url": image}})
@@ -398,7 +399,7 @@ def test_requests_that_the_server_cannot_understand(play, body):
 )
 def test_any_message_is_answered(play, message):
     parts = json.loads(prompt())["messages"][0]["content"]
-    for messages in ([message], [{"content": message}], [{"content": [*parts, message]}]):
+    for messages in ([message], [{"content": message}], [{"content": [*parts[:-1], message, parts[-1]]}]):
         status, _ = post(play.server.url, json.dumps({"messages": messages}).encode())
         assert status in (200, 400)
 

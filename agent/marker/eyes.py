@@ -2,8 +2,8 @@
 
 A policy is written as if looking were a function call. A look that the history holds is returned; the first one that
 it does not hold is raised as `Want`, which ends the turn: on the next turn the policy runs again from the start and
-gets one look further. For this a policy must be a pure function of its task, and a step of it must know only the looks
-of the steps before it: `Eyes` uncovers the history look by look, as the policy asks for them.
+gets one look further. For this a policy must be a pure function of its request, and a step of it must know only the
+looks of the steps before it: `Eyes` uncovers the history look by look, as the policy asks for them.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Final
 
 from jrdb_avr.schema.panorama import angle_error
 
-from .reading import Look, Sighting, Task
+from .reading import Look, Sighting
 
 AROUND: Final = (0.0, 40.0, -40.0, 80.0, -80.0, 120.0, -120.0, 160.0, -160.0)
 """Turns from a first direction that go once round, the nearest first.
@@ -41,13 +41,16 @@ class Spent(Exception):  # noqa: N818
 
 
 class Eyes:
-    """The looks of a question, uncovered in the order in which they were made."""
+    """The looks of a question, uncovered in the order in which they were made.
 
-    def __init__(self, task: Task) -> None:
-        self.frames = task.frames
+    `frames` are the legal ones, ascending; `left` is how many looks may still be made after these.
+    """
+
+    def __init__(self, frames: Sequence[int], looks: Sequence[Look], left: int) -> None:
+        self.frames = frames
         self.looks: list[Look] = []
-        self._ahead = list(task.looks)
-        self._left = task.looks_left
+        self._ahead = list(looks)
+        self._left = left
 
     def spare(self) -> int:
         """Looks left at this point beside the one that is kept for the evidence."""
@@ -62,7 +65,7 @@ class Eyes:
     def look(self, frame: int, angle: float) -> Look:
         """The look at a legal frame. Raises Want if it is the next to make, Spent when only one look is left."""
         for look in self.looks:
-            if look.frame == frame and _same(look.angle, angle):
+            if look.frame == frame and same(look.angle, angle):
                 return look
         if self.spare() == 0:
             raise Spent
@@ -72,14 +75,14 @@ class Eyes:
         """A new look as near to `angle` as the looks before it allow; takes the last look too."""
         before = [look.angle for look in self.looks if look.frame == frame]
         offset = 0.0
-        while any(_same(other, angle + offset) for other in before):
+        while any(same(other, angle + offset) for other in before):
             offset = -offset if offset > 0 else 1.5 - offset
         if self._left + len(self._ahead) == 0:
             raise Spent
         return self._next(frame, angle + offset)
 
     def _next(self, frame: int, angle: float) -> Look:
-        if self._ahead and self._ahead[0].frame == frame and _same(self._ahead[0].angle, angle):
+        if self._ahead and self._ahead[0].frame == frame and same(self._ahead[0].angle, angle):
             self.looks.append(self._ahead.pop(0))
             return self.looks[-1]
         raise Want(frame, angle % 360.0)
@@ -115,5 +118,6 @@ class Eyes:
         return None
 
 
-def _same(a: float, b: float) -> bool:
+def same(a: float, b: float) -> bool:
+    """Whether two angles in degrees are so near that the second look would be a duplicate."""
     return float(angle_error(a % 360.0, b % 360.0)) <= _SAME_DEG

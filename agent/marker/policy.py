@@ -1,26 +1,24 @@
-"""How the marker model plays a question: find the person, read what is asked, show the evidence.
+"""How the marker model takes a question: find the person, then read what is asked.
 
-A read that meets something unreadable, or runs out of looks, gives the best it has and notes why; it never invents a
-box. Thresholds of the question's rules are not used here: a start is searched for as a person would, by stepping and
-closing in.
+A read that meets something unreadable, or runs out of looks, gives the best it has and notes why. Thresholds of the
+question's rules are not used here: a start is searched for as a person would, by stepping and closing in.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from jrdb_avr.schema.panorama import CROP, Box
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import FPS
 from jrdb_avr.schema.rules import frames as frames_in
 from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 
-from ..decode import write_box
-from .eyes import AROUND, NEARBY, Eyes, Spent, Want
+from .eyes import AROUND, NEARBY, Eyes, Spent
 from .finding import find
 from .hops import look_round, related, walk
-from .reading import Sighting, Task
+from .reading import Sighting
 
 _STEP: Final = frames_in(2.0)
 """An action asked about lasts two seconds at least, so steps of two seconds meet it."""
@@ -42,13 +40,10 @@ _CHANGED_M: Final = 1.0
 class Game:
     """One question: what is asked, what has been seen, and notes of what could not be read."""
 
-    task: Task
+    plan: Plan
+    choices: Sequence[str]
     eyes: Eyes
     missing: list[str] = field(default_factory=list)
-
-    @property
-    def plan(self) -> Plan:
-        return self.task.plan
 
     def frame_of(self, name: str) -> int:
         """A stated time's frame."""
@@ -56,33 +51,29 @@ class Game:
         assert frame is not None, "reads ask for stated times only"
         return frame
 
+    @property
+    def t0(self) -> int:
+        """The frame of the description: the first that is stated."""
+        return min(time.frame for time in self.plan.times.values() if time.frame is not None)
+
     def note(self, reason: str) -> None:
         if reason not in self.missing:
             self.missing.append(reason)
 
     def choose(self, text: str | None, not_this: str | None = None) -> int:
         """The number of the choice with this text, else of the first that does not say what is known to be wrong."""
-        if text in self.task.choices:
-            return self.task.choices.index(text) + 1
-        others = [n for n, choice in enumerate(self.task.choices, 1) if choice != not_this]
+        if text in self.choices:
+            return self.choices.index(text) + 1
+        others = [n for n, choice in enumerate(self.choices, 1) if choice != not_this]
         return others[0] if others else 1
 
 
-def play(task: Task) -> tuple[dict[str, Any], list[str]]:
-    """The next turn as the contract's object, and the notes of what was missing when it is an answer."""
-    game = Game(task, Eyes(task))
-    try:
-        return _play(game), game.missing
-    except Want as want:
-        return {"action": "observe", "frame_id": f"{want.frame:06d}", "angle_deg": round(want.angle, 3)}, []
-
-
-def _play(game: Game) -> dict[str, Any]:
+def find_target(game: Game) -> Sighting | None:
+    """The person whom the question asks about, as seen at the time of the description; None where not found."""
     root = next(node for node in game.plan.nodes if node.id == game.plan.root)
-    t0 = min(time.frame for time in game.plan.times.values() if time.frame is not None)
     person: Sighting | None = None
     try:
-        found = find(root.conditions, game.eyes.legal(t0), game.eyes)
+        found = find(root.conditions, game.eyes.legal(game.t0), game.eyes)
         person = found.sighting
         if found.missing:
             game.note(found.missing)
@@ -93,11 +84,12 @@ def _play(game: Game) -> dict[str, Any]:
     except Spent:
         game.note("budget: the person was not found")
         person = person if person is None or not game.plan.edges else None
-    answer = _answer(game, person, t0)
-    return {"action": "answer", "answer": answer, "evidence_bboxes": _evidence(game, person)}
+    return person
 
 
-def _answer(game: Game, person: Sighting | None, t0: int) -> Any:
+def read_answer(game: Game, person: Sighting | None) -> Any:
+    """The contract's `answer` for the person that was found; a guess where there is none."""
+    t0 = game.t0
     match game.plan.answer.read:
         case "action":
             return game.choose(_pose(game, person), person.mark.pose if person else None)
@@ -172,7 +164,7 @@ def _distance(game: Game, person: Sighting | None) -> str | None:
 # -- searches in time -------------------------------------------------------------------------------------------------
 
 
-def _does(action: str, seen: Sighting) -> bool:
+def does(action: str, seen: Sighting) -> bool:
     return action == seen.mark.pose if action in POSES else action in seen.mark.actions
 
 
@@ -182,7 +174,7 @@ def _probe(game: Game, person: Sighting, action: str, frame: float) -> bool | No
     if seen is None:
         game.note(f"mark unreadable at frame {game.eyes.legal(frame)}")
         return None
-    return _does(action, seen)
+    return does(action, seen)
 
 
 def _start(game: Game, person: Sighting | None, t0: int, event: int = 0) -> tuple[float, int | None]:
@@ -347,31 +339,4 @@ def _count(game: Game, person: Sighting | None) -> int:
 def _performed(game: Game, person: Sighting, action: str, begin: int, *, wanted: bool = True) -> list[int]:
     """Frames from `begin` on at which the person was seen with (or, not `wanted`, without) the action."""
     seen = game.eyes.sightings(person.mark.identity)
-    return [s.frame for s in seen if s.frame >= begin and _does(action, s) is wanted]
-
-
-# -- evidence ---------------------------------------------------------------------------------------------------------
-
-
-def _evidence(game: Game, person: Sighting | None) -> list[dict[str, Any]]:
-    """The person's box in the newest picture; looks once more where that picture does not show it whole.
-
-    Empty where the person was never found.
-    """
-    if person is None:
-        return []
-    identity = person.mark.identity
-    newest = game.eyes.looks[-1]
-    shown = newest.of(identity)
-    if shown is None or not shown.whole:
-        best = max(game.eyes.sightings(identity), key=lambda seen: (seen.whole, seen.frame))
-        try:
-            again = game.eyes.again(best.frame, best.angle).of(identity)
-            shown = again or shown
-        except Spent:
-            game.note("budget: no look was left to show the person again")
-    if shown is None:
-        game.note("mark unreadable in the look that should show the person again")
-        return []
-    box = write_box(Box(*shown.box), CROP, CROP)
-    return [{"frame_id": f"{shown.frame:06d}", "bbox": box}]
+    return [s.frame for s in seen if s.frame >= begin and does(action, s) is wanted]

@@ -13,8 +13,8 @@ import msgspec
 
 from jrdb_avr.schema.errors import DecodeError
 
-from .policy import play
-from .reading import Reader, read_task
+from .reading import Reader, read_request
+from .stages import STAGES
 
 MODEL: Final = "marker"
 _LONGEST_REQUEST: Final = 256 * 1024 * 1024
@@ -54,19 +54,27 @@ class Server(ThreadingHTTPServer):
             request = msgspec.json.decode(body, type=_Request)
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
             raise DecodeError(f"no chat-completions request: {error}") from None
-        task = read_task(request.messages, self.reader)
-        if task is None:
+        asked = read_request(request.messages, self.reader, STAGES)
+        if asked is None:
             return _completion(request, {"ok": True})
-        turn, missing = play(task)
-        if turn["action"] == "answer":
-            self._write({"question": task.question, "choices": task.choices, "looks": len(task.looks)}, missing)
-        return _completion(request, turn)
+        turn = STAGES[asked.stage](asked)
+        if turn.missing is not None:
+            self._write(
+                {
+                    "stage": asked.stage,
+                    "question": asked.question,
+                    "choices": asked.choices,
+                    "looks": len(asked.looks),
+                    "missing": turn.missing,
+                }
+            )
+        return _completion(request, turn.reply)
 
-    def _write(self, line: Mapping[str, Any], missing: list[str]) -> None:
+    def _write(self, line: Mapping[str, Any]) -> None:
         if self._log is None:
             return
         with self._lock, self._log.open("ab") as file:
-            file.write(msgspec.json.encode({**line, "missing": missing}) + b"\n")
+            file.write(msgspec.json.encode(line) + b"\n")
 
 
 def _completion(request: _Request, turn: Mapping[str, Any]) -> dict[str, Any]:

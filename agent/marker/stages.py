@@ -1,0 +1,12 @@
+"""The stages that the marker plays, by the last line of a request."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from .looking import REACT, react
+from .turn import Play
+
+STAGES: Final[dict[str, Play]] = {
+    REACT: react,
+}
