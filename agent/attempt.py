@@ -19,11 +19,12 @@ from jrdb_avr.schema.method import Observation, Panorama, Prediction, Question, 
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, angle_error, from_crop
 
 from . import decode
-from .client import Chat, Reply
-from .decode import Convention
+from .client import Chat
+from .conventions import Convention
 from .messages import Message, Part, crop_metadata, transcript
 from .panoramas import panorama_metadata, uniform_frames
 from .prompt import choice_lines, render
+from .replies import Reply
 
 IMAGE_SIZES: Final = {"panorama": [WIDTH, HEIGHT], "crop": [CROP, CROP]}
 """Width and height in pixels of the pictures that a model is sent."""
@@ -132,7 +133,7 @@ class Attempt:
         self.calls += 1
         self.prompt_tokens += reply.prompt_tokens
         self.completion_tokens += reply.completion_tokens
-        self.raw = reply.content or reply.reasoning
+        self.raw = reply.content or reply.refusal or reply.reasoning
         self.record("model", transcript(messages), reply, started)
         return reply
 

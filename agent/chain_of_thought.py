@@ -11,7 +11,7 @@ from jrdb_avr.schema.method import Prediction, Task
 from . import decode
 from .attempt import Attempt, panorama_messages, shared_settings
 from .client import Chat
-from .decode import Convention
+from .conventions import CONTRACT, Convention
 from .monolithic import answer_from
 from .panoramas import PANORAMAS, fixed_settings, panorama_parts
 from .prompt import render
@@ -37,7 +37,7 @@ class ChainOfThought:
     """The method `chain-of-thought` with `n` panoramas, the same ones for both calls."""
 
     chat: Chat
-    convention: Convention = decode.CONTRACT
+    convention: Convention = CONTRACT
     n: int = PANORAMAS
 
     @property

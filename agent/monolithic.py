@@ -12,7 +12,7 @@ from jrdb_avr.schema.method import Panorama, Prediction, Task
 from . import decode
 from .attempt import Attempt, final_parts, on_panoramas, panorama_messages, shared_settings
 from .client import Chat
-from .decode import Convention
+from .conventions import CONTRACT, Convention
 from .messages import Part
 from .panoramas import PANORAMAS, fixed_settings, frame_list, panorama_parts
 from .prompt import mode_text, render
@@ -23,7 +23,7 @@ class Monolithic:
     """The method `monolithic` with `n` panoramas."""
 
     chat: Chat
-    convention: Convention = decode.CONTRACT
+    convention: Convention = CONTRACT
     n: int = PANORAMAS
 
     @property

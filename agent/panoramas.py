@@ -14,6 +14,9 @@ from .messages import Part, Picture
 PANORAMAS: Final = 8
 """Panoramas shown by the methods that cannot choose where to look."""
 
+UNIFORM: Final = "evenly spaced by position among the legal ones, first and last included"
+"""What `uniform_frames` does, in the words of a run's manifest."""
+
 
 def uniform_frames(frames: Sequence[int], n: int = PANORAMAS) -> tuple[int, ...]:
     """`n` of the ascending legal `frames`, evenly spaced by position among them; all where there are no more than `n`.
@@ -67,4 +70,4 @@ def frame_list(panoramas: Sequence[Panorama]) -> str:
 
 def fixed_settings(n: int) -> dict[str, Any]:
     """What a run's manifest says of a fixed context of `n` panoramas."""
-    return {"panoramas": n, "frames": "evenly spaced by position among the legal ones, first and last included"}
+    return {"panoramas": n, "frames": UNIFORM}

@@ -18,7 +18,7 @@ from jrdb_avr.schema.method import Observation, Prediction, Task
 from . import decode
 from .attempt import DUPLICATE_DEG, Attempt, Verdict, duplicate, final_parts, heading, on_crop, shared_settings
 from .client import Chat
-from .decode import Convention
+from .conventions import CONTRACT, Convention
 from .messages import Message, Part, Picture, crop_line, crop_picture
 from .prompt import frame_ranges, mode_text, render
 
@@ -30,7 +30,7 @@ class ReAct:
     """The method `react` with a budget of observations; at most twice as many model calls and two."""
 
     chat: Chat
-    convention: Convention = decode.CONTRACT
+    convention: Convention = CONTRACT
     budget: int = BUDGET
 
     @property

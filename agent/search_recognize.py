@@ -17,7 +17,7 @@ from jrdb_avr.schema.panorama import center_angle
 from . import decode
 from .attempt import Attempt, Ground, Verdict, on_crop, on_panoramas, panorama_messages, shared_settings
 from .client import Chat
-from .decode import Convention
+from .conventions import CONTRACT, Convention
 from .messages import Part, crop_line, crop_picture
 from .panoramas import PANORAMAS, fixed_settings, frame_list, panorama_parts
 from .prompt import mode_text, render
@@ -30,7 +30,7 @@ class SearchRecognize:
     """The method `search-recognize` with `n` panoramas and one crop."""
 
     chat: Chat
-    convention: Convention = decode.CONTRACT
+    convention: Convention = CONTRACT
     n: int = PANORAMAS
 
     @property

@@ -11,11 +11,11 @@ from painted_world import World, still
 from scripted import CHOICES, MODES, Chat, blank_task, evidence, final, play, proposal
 
 from jrdb_avr.agent.chain_of_thought import LONGEST_FACT, MOST_FACTS, ChainOfThought
-from jrdb_avr.agent.client import Reply
 from jrdb_avr.agent.decode import convention_of
 from jrdb_avr.agent.messages import Picture
 from jrdb_avr.agent.monolithic import Monolithic
 from jrdb_avr.agent.panoramas import uniform_frames
+from jrdb_avr.agent.replies import Reply
 from jrdb_avr.agent.search_recognize import SearchRecognize
 from jrdb_avr.engine.methods import METHODS, make_method
 from jrdb_avr.schema.answers import Choice, Evidence, FrameAnswer, FrameViewpoint, Number, Span
@@ -413,3 +413,11 @@ def test_prompts_are_as_they_were(name, mode):
         path.write_text(told)
         pytest.fail(f"wrote {path}: read it, then run again")
     assert told == path.read_text()
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_a_refusal_is_kept_word_for_word(name):
+    refusal = Reply(refusal="I do not look at people.", finish_reason="stop")
+    prediction, _ = play(BASELINES[name], [refusal, AssertionError], blank_task())
+    assert (prediction.status, prediction.raw) == ("invalid", "I do not look at people.")
+    assert "refused" in prediction.reason
