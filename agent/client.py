@@ -26,7 +26,7 @@ from .calls import Calls
 from .conventions import CONTRACT, Convention
 from .limits import limit
 from .messages import Message, fingerprint, wire
-from .options import Options
+from .options import DEFAULTS, Options
 from .replies import Reply as Reply
 from .replies import read_completion, spoken
 
@@ -73,7 +73,7 @@ class Client:
         self,
         base_url: str,
         model: str,
-        options: Options = Options(),  # noqa: B008
+        options: Options = DEFAULTS,
         *,
         convention: Convention = CONTRACT,
         cache: Path | None = None,

@@ -51,3 +51,6 @@ class Options:
                 return {"response_format": {"type": "json_object"}}
             case "none":
                 return {}
+
+
+DEFAULTS: Final = Options()

@@ -26,6 +26,8 @@ COMMANDS: Final[dict[str, str]] = {
     "cypher": "Ask the scene graph.",
     "sql": "Ask the Parquet tables.",
     "observe": "Look: write a crop of a panorama as PNG.",
+    "preflight": "Check a model's server before it is asked.",
+    "calibrate": "Find out how a model writes boxes.",
     "evaluate": "Run a method on the questions.",
     "score": "Score the predictions of runs.",
     "report": "Compare runs in a table.",

@@ -19,7 +19,15 @@ MAY_IMPORT = {
     "engine": {"schema", "queries", "loaders", "engine"},
 }
 # The run and command-line edge: only here a method is picked and handed its questions.
-AGENT_USERS = {"engine/methods.py", "engine/commands/evaluate.py", "engine/commands/demo.py"}
+AGENT_USERS = {
+    "engine/methods.py",
+    "engine/endpoint.py",
+    "engine/commands/_endpoint.py",
+    "engine/commands/preflight.py",
+    "engine/commands/calibrate.py",
+    "engine/commands/evaluate.py",
+    "engine/commands/demo.py",
+}
 
 
 def modules():

@@ -1,0 +1,132 @@
+"""Drawn pictures of which it is known what they show, to learn how a model sees: no question's picture among them.
+
+Each shows, on a plain background, one *marked* rectangle: filled with a colour that a prompt can name, and with a mark
+of `schema.marks` in it, whose black and white grid a person, a model and the marker model can all tell from the plain
+shapes round it. Everything follows from a seed.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from jrdb_avr.schema.errors import ObserveError
+from jrdb_avr.schema.marks import Image, Mark, draw
+from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box
+
+from .messages import JPEG_QUALITY, Picture
+
+CORNERS: Final = ("upper left", "upper right", "lower left", "lower right")
+
+SHAPES: Final = ((CROP, CROP), (WIDTH, HEIGHT))
+"""Width and height of the pictures that methods send: a crop, a panorama."""
+
+_COLORS: Final = {
+    "red": (185, 30, 30),
+    "green": (30, 135, 45),
+    "blue": (30, 70, 185),
+    "yellow": (185, 165, 20),
+    "purple": (125, 40, 145),
+}
+_GREY: Final = (105, 105, 105)
+_SIDE_PX: Final = (60, 180)
+_HEIGHT_PX: Final = (90, 300)
+_DISTRACTORS: Final = 5
+_APART_PX: Final = 6
+_TRIES: Final = 200
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A picture of `width` x `height` pixels, and the marked rectangle's box and colour in it."""
+
+    picture: Picture
+    width: int
+    height: int
+    box: Box
+    color: str
+
+
+def corner_picture(corner: str) -> Picture:
+    """A crop-sized picture with a marked rectangle in one of the `CORNERS`."""
+    w, h, edge = 150, 190, 15
+    x = edge if corner.endswith("left") else CROP - edge - w
+    y = edge if corner.startswith("upper") else CROP - edge - h
+    image = _plain(CROP, CROP)
+    _marked(image, Box(x, y, w, h), "red", 0)
+    return _picture(f"drawn {corner}", image)
+
+
+def drawn_rectangles(n: int, seed: int) -> list[Drawn]:
+    """`n` pictures, crop- and panorama-shaped in turn, each with one marked rectangle among plain shapes."""
+    rng = random.Random(seed)  # noqa: S311
+    return [_drawn(rng, number, *SHAPES[number % len(SHAPES)]) for number in range(n)]
+
+
+def _drawn(rng: random.Random, number: int, width: int, height: int) -> Drawn:
+    image = _plain(width, height)
+    color, *others = rng.sample(sorted(_COLORS), len(_COLORS))
+    taken: list[Box] = [_place(rng, width, height, [])]
+    for _ in range(_DISTRACTORS * (1 if width == height else 3)):
+        try:
+            taken.append(_place(rng, width, height, taken))
+        except ObserveError:
+            break
+    for box in taken[1:]:
+        _shape(image, box, rng.choice(others), rng.random() < 0.5)
+    _marked(image, taken[0], color, rng.randrange(4096))
+    return Drawn(_picture(f"drawn {number:03d} {width}x{height}", image), width, height, taken[0], color)
+
+
+def _place(rng: random.Random, width: int, height: int, taken: Sequence[Box]) -> Box:
+    """A free place. Raises ObserveError where none is found."""
+    for _ in range(_TRIES):
+        w, h = rng.randint(*_SIDE_PX), rng.randint(*_HEIGHT_PX)
+        x, y = rng.randint(0, width - w), rng.randint(0, height - h)
+        if all(
+            x + w + _APART_PX <= b.x
+            or b.x + b.w + _APART_PX <= x
+            or y + h + _APART_PX <= b.y
+            or b.y + b.h + _APART_PX <= y
+            for b in taken
+        ):
+            return Box(x, y, w, h)
+    raise ObserveError("there is no room for another shape")
+
+
+def _plain(width: int, height: int) -> Image:
+    return np.full((height, width, 3), _GREY, np.uint8)
+
+
+def _shape(image: Image, box: Box, color: str, round_: bool) -> None:
+    import cv2
+
+    x, y, w, h = (int(v) for v in box)
+    if round_:
+        cv2.ellipse(image, (x + w // 2, y + h // 2), (w // 2, h // 2), 0, 0, 360, _COLORS[color], -1)
+    else:
+        cv2.rectangle(image, (x, y), (x + w - 1, y + h - 1), _COLORS[color], -1)
+
+
+def _marked(image: Image, box: Box, color: str, identity: int) -> None:
+    _shape(image, box, color, False)
+    draw(image, box, Mark(identity))
+    # The mark's frame has a colour of its own: the rectangle keeps the one that the prompt names. A plate comes no
+    # nearer to the edge than two pixels.
+    x, y, w, h = (int(v) for v in box)
+    for thick in range(2):
+        image[[y + thick, y + h - 1 - thick], x : x + w] = _COLORS[color]
+        image[y : y + h, [x + thick, x + w - 1 - thick]] = _COLORS[color]
+
+
+def _picture(name: str, image: Image) -> Picture:
+    import cv2
+
+    done, data = cv2.imencode(".jpg", image[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    if not done:
+        raise ObserveError(f"the picture {name!r} cannot be written as JPEG")
+    return Picture(name, data.tobytes())

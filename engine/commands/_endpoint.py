@@ -1,0 +1,68 @@
+"""Options of the commands that ask a model."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import click
+
+from jrdb_avr.agent.options import DEFAULTS, RESPONSE_FORMATS, THINKING, Options
+
+C = TypeVar("C", bound=Callable[..., Any])
+
+_OPTIONS = (
+    click.option(
+        "--response-format",
+        type=click.Choice(RESPONSE_FORMATS),
+        default=DEFAULTS.response_format,
+        show_default=True,
+        help="How replies are made JSON: the schema itself, some JSON object, or the prompt alone.",
+    ),
+    click.option(
+        "--thinking",
+        type=click.Choice(THINKING),
+        default=DEFAULTS.thinking,
+        show_default=True,
+        help="Whether the model thinks before it replies; 'template' leaves it to the server.",
+    ),
+    click.option(
+        "--max-tokens",
+        type=click.IntRange(16, 1 << 20),
+        default=DEFAULTS.max_tokens,
+        show_default=True,
+        help="Longest reply, thinking included.",
+    ),
+    click.option(
+        "--timeout",
+        "timeout_s",
+        type=click.FloatRange(1, 86_400),
+        default=DEFAULTS.timeout_s,
+        show_default=True,
+        help="Seconds to wait for a reply.",
+    ),
+    click.option(
+        "--retries",
+        type=click.IntRange(0, 100),
+        default=DEFAULTS.retries,
+        show_default=True,
+        help="How often a call is repeated that the transport or the server broke.",
+    ),
+)
+
+
+def endpoint_options(function: C) -> C:
+    """Add the options of an endpoint; the command gets them as one parameter `options`."""
+    names = ("response_format", "thinking", "max_tokens", "timeout_s", "retries")
+
+    @functools.wraps(function)
+    def command(**given: Any) -> Any:
+        options = Options(**{name: given.pop(name) for name in names})
+        return function(**given, options=options)
+
+    decorated: Any = command
+    for option in reversed(_OPTIONS):
+        decorated = option(decorated)
+    result: C = decorated
+    return result
