@@ -71,7 +71,7 @@ def panorama_messages(task: Task, parts: Sequence[Part]) -> list[Message]:
 
 def shared_settings(convention: Convention) -> dict[str, Any]:
     """What a run's manifest says of every method."""
-    return {"convention": {"name": convention.name, "boxes": convention.boxes}, "image_sizes": IMAGE_SIZES}
+    return {"convention": convention.settings(), "image_sizes": IMAGE_SIZES}
 
 
 FINAL: Final = ("answer", "evidence_bboxes")
