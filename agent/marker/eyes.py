@@ -119,5 +119,6 @@ class Eyes:
 
 
 def same(a: float, b: float) -> bool:
+    """Whether a look at one angle would be refused as too near to a look at the other."""
     """Whether two angles in degrees are so near that the second look would be a duplicate."""
     return float(angle_error(a % 360.0, b % 360.0)) <= _SAME_DEG

@@ -1,0 +1,245 @@
+"""The marker plays the reference agent: what it reads goes into the graph, and what the graph holds it knows again.
+
+The person of the description is sought look by look; where hops lead on, or a group is counted, everybody matters and
+the frame is looked at all round in one turn, as people who are not written down are forgotten with their pictures.
+From then on the read is the policy of the other methods, over looks put together from the graph, in the order in which
+they were made. Events that the policy leaves too far apart for the solver are closed in on with the looks that remain.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any, Final
+
+from jrdb_avr.schema.plan import Condition
+from jrdb_avr.schema.rules import FPS
+
+from .enclosing import Event, between, events
+from .eyes import AROUND, Spent, Want, same
+from .finding import ALONE_SIZE, Found, among, find, holds, possible
+from .hops import path, related
+from .memory import Memory, Round
+from .notes import Notes, entity_name, read_notes
+from .policy import Game, read_answer
+from .reading import Request, Sighting
+from .turn import Turn
+from .writing import Draft
+
+LEFT: Final = r"\d+, left: (\d{1,9})$"
+
+_MOST_CALLS: Final = 32
+_REFUSED: Final = re.compile(r"\d+\. final_answer: refused")
+_MALFORMED: Final = "Your last turn was malformed"
+
+_KEPT: Final = 2
+"""Of those who could be the one described so many are written down: with two it is not known who it is."""
+
+_COUNTED: Final = AROUND[:5]
+"""Turns from somebody at which those who belong to that person are looked for."""
+
+
+def remember(request: Request) -> Turn:
+    """A turn of the reference agent that looks. Raises DecodeError for a prompt that lacks a line."""
+    player = Player(request, read_notes(request))
+    looks: list[dict[str, Any]] = []
+    answer: dict[str, Any] | None = None
+    try:
+        answer = player.play()
+    except Want as want:
+        looks = player.look(want.frame, (want.angle,))
+    except Round as wanted:
+        looks = player.look(wanted.frame, wanted.angles)
+    return hand_in(request, player.draft, looks, answer, player.game.missing)
+
+
+def hand_in(
+    request: Request, draft: Draft, looks: Sequence[dict[str, Any]], answer: dict[str, Any] | None, missing: list[str]
+) -> Turn:
+    """What is written, and then the looks or the final answer.
+
+    The turn ends the question where an answer was refused, as all that was read has been written by then, and where
+    there is nothing to answer: a turn without a call, said twice, is the end of an episode.
+    """
+    left = request.number("Tool calls made: ", LEFT)
+    if refused(request):
+        return Turn({"calls": []}, [*missing, "the answer was refused"])
+    room = min(_MOST_CALLS, left)
+    last = list(looks)
+    if not looks or len(draft.calls) + len(looks) >= left:
+        last = [] if answer is None else [{"tool": "final_answer", **answer}]
+    calls = [*draft.calls, *last] if len(draft.calls) + len(last) <= room else draft.calls[:room]
+    ended = not calls or calls[-1]["tool"] == "final_answer"
+    return Turn({"calls": calls}, missing if ended else None)
+
+
+def refused(request: Request) -> bool:
+    """Whether the last turn's final answer was refused, or the end of the episode has been asked for already."""
+    return request.line(_MALFORMED) is not None or any(_REFUSED.match(line) for line in request.lines)
+
+
+class Player:
+    """One turn: what is known, what is to be written, and the read of the answer as far as it has come."""
+
+    def __init__(self, request: Request, notes: Notes) -> None:
+        self.notes = notes
+        self.draft = Draft(notes)
+        self._left = request.number("Looks made: ", LEFT)
+        self._legal = request.legal()
+        self.game = Game(request.plan, request.choices, self._memory(0))
+        self._plan = request.plan
+        self._then = self.game.eyes.legal(self.game.t0)
+
+    def _memory(self, known: int) -> Memory:
+        return Memory(self._legal, self.notes.looks, self._left, known, len(self._plan.asked()))
+
+    def look(self, frame: int, angles: Sequence[float]) -> list[dict[str, Any]]:
+        """The calls that look; none where nothing is left to look with, or where it has been looked already."""
+        made = [look.angle for look in self.notes.looks if look.frame == frame]
+        angles = [round(angle % 360.0, 3) for angle in angles if not any(same(angle, other) for other in made)]
+        return [{"tool": "observe", "frame_id": f"{frame:06d}", "angle_deg": angle} for angle in angles[: self._left]]
+
+    def play(self) -> dict[str, Any] | None:
+        """The final answer without its tool's name, or None where nobody was found. Raises Want and Round."""
+        person = self._target()
+        if person is None:
+            return None
+        identity = person.mark.identity
+        for frame in sorted({look.frame for look in self.notes.newest} | {self._then}):
+            if (seen := self.notes.of(identity, frame)) is not None:
+                self._write_read(seen)
+        self.game.eyes = self._memory(self._survey())
+        if self._plan.answer.read == "count":
+            answer = {"value": str(self._count(person))}
+        else:
+            answer = read_answer(self.game, person)
+        frames = sorted({look.frame for look in self.notes.looks})
+        all_seen = {frame: s for frame in frames if (s := self.notes.of(identity, frame)) is not None}
+        known = events(self._plan, self._then, all_seen)
+        self._close_in(known, all_seen)
+        self._show_whole(known, all_seen)
+        return {"answer": self._enclosed(answer, known), "entity": entity_name(identity)}
+
+    # -- who it is ----------------------------------------------------------------------------------------------------
+
+    def _survey(self) -> int:
+        """How many looks were made to find the person: the first ones, all at the time of the description."""
+        frames = [look.frame for look in self.notes.looks]
+        return next((place for place, frame in enumerate(frames) if frame != self._then), len(frames))
+
+    def _target(self) -> Sighting | None:
+        """Whom the question asks about, at the time of the description; writes down who of the plan is found."""
+        held = self.notes.holders.get(self._plan.target)
+        if held is not None:
+            return self.notes.of(held, self._then)
+        root = next(node for node in self._plan.nodes if node.id == self._plan.root)
+        people = self._memory(len(self.notes.looks)).at(self._then)
+        sized = any(c.attribute == "group_size" and c.value != ALONE_SIZE for c in root.conditions)
+        if self._plan.edges or sized or self._plan.answer.read == "count":
+            if not self.notes.looks:
+                raise Round(self._then, [180.0 + turn for turn in AROUND])
+            found = among(root.conditions, people)
+        else:
+            found = self._seek(root.conditions, people)
+        if found.missing:
+            self.game.note(found.missing)
+        if found.sighting is None:
+            return None
+        nodes = path(self._plan, found.sighting, people)
+        for node, seen in nodes.items():
+            self.draft.person(seen, node)
+        self.draft.conditions(found.sighting, root.conditions)
+        for edge in self._plan.edges:
+            if edge.source in nodes and edge.target in nodes:
+                self.draft.relation(nodes[edge.source], edge.relation, nodes[edge.target])
+        if self._plan.target not in nodes:
+            self.game.note("mark unreadable: a hop leads to nobody, or to several")
+        return nodes.get(self._plan.target)
+
+    def _seek(self, conditions: Sequence[Condition], people: Sequence[Sighting]) -> Found:
+        """The person described, look by look; who could be it is written down before the next look."""
+        try:
+            return find(conditions, self._then, self.game.eyes)
+        except Want:
+            fitting = possible(conditions, people)
+            for seen in fitting[:_KEPT]:
+                self.draft.person(seen)
+                self.draft.conditions(seen, [c for c in conditions if holds(c, seen, people)])
+            raise
+        except Spent:
+            return Found(None, "budget: the person was not found")
+
+    # -- what is read of that person ----------------------------------------------------------------------------------
+
+    def _write_read(self, seen: Sighting) -> None:
+        """A sighting of the person, and what the read needs of it."""
+        self.draft.person(seen)
+        plan = self._plan
+        asked = [plan.times[name] for name in plan.asked()]
+        match plan.answer.read:
+            case "action":
+                if any(time.frame == seen.frame for time in asked):
+                    self.draft.attribute(seen, "action", seen.mark.pose)
+            case "next_action":
+                self.draft.attribute(seen, "action", seen.mark.pose)
+            case "distance_change":
+                if seen.mark.distance_dm is not None and any(time.frame == seen.frame for time in asked):
+                    self.draft.attribute(seen, "distance_m", seen.mark.distance_dm / 10)
+            case "start" | "span" | "start_view" | "seconds_between":
+                for time in asked:
+                    if time.action is not None:
+                        self.draft.action(seen, time.action)
+
+    def _count(self, person: Sighting) -> int:
+        """How many are seen to have the relation: all round at the first time, then near the person until the last."""
+        begin, end = (self.game.eyes.legal(self.game.frame_of(name)) for name in self._plan.asked())
+        relation = self._plan.answer.relation
+        assert relation is not None, "a count names its relation"
+        own = entity_name(person.mark.identity)
+        for frame in sorted({look.frame for look in self.notes.newest}):
+            people = self._memory(len(self.notes.looks)).at(frame)
+            seen = self.notes.of(person.mark.identity, frame)
+            for other in people:
+                if seen is not None and other is not seen and related(relation, seen, other, people):
+                    self.draft.member(seen, relation, other)
+        for third in (1, 2, 3):
+            then = self.game.eyes.legal(begin + (end - begin) * third / 3)
+            if self._left >= len(_COUNTED) and not any(look.frame == then for look in self.notes.looks):
+                last = [s for look in self.notes.looks if (s := look.of(person.mark.identity)) is not None][-1]
+                raise Round(then, [last.angle + turn for turn in _COUNTED])
+        return max(len(self.draft.partners(own, relation)), 1)
+
+    # -- what the solver asks for -------------------------------------------------------------------------------------
+
+    def _close_in(self, known: dict[str, Event], seen: dict[int, Sighting]) -> None:
+        """Look inside an event that is not enclosed nearly enough, while there are looks."""
+        for name in sorted(known):
+            frame = between(known[name], self._legal, [look.frame for look in self.notes.looks])
+            if not known[name].known and frame is not None and self._left:
+                nearest = min(seen, key=lambda other: (abs(other - frame), other))
+                raise Want(frame, seen[nearest].angle)
+
+    def _show_whole(self, known: dict[str, Event], seen: dict[int, Sighting]) -> None:
+        """Look once more where the box that will be shown was cut off by its picture's edge."""
+        asked = [known[name].high if name in known else self._plan.times[name].frame for name in self._plan.asked()]
+        shown = next((seen[frame] for frame in reversed(asked) if frame in seen), seen[self._then])
+        if not shown.whole and self._left:
+            made = [look.angle for look in self.notes.looks if look.frame == shown.frame]
+            if not any(same(angle, shown.angle) for angle in made):
+                raise Want(shown.frame, shown.angle)
+
+    def _enclosed(self, answer: Any, known: dict[str, Event]) -> Any:
+        """The answer by the middles of the events, where all of them have been seen."""
+        if set(known) != set(self._plan.asked()):
+            return answer
+        moments = [known[name].middle for name in self._plan.asked()]
+        ids = [f"{round(moment):06d}" for moment in moments]
+        match self._plan.answer.read:
+            case "start":
+                return {"frame_id": ids[0]}
+            case "span":
+                return {"start_frame": ids[0], "end_frame": ids[1]}
+            case "start_view":
+                return {**answer, "frame_id": ids[0]}
+            case _:
+                return {"value": f"{max((moments[1] - moments[0]) / FPS, 1.0):.1f}"}
