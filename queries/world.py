@@ -53,7 +53,7 @@ class WorldGraph:
         self._passed: set[tuple[str, bool]] = set()
         try:
             self._graph = self._call(graph)
-            self._call(self._ensure_tables)
+            self._call(lambda: make_world_tables(self._graph))
         except BaseException:
             self._engine.shutdown()
             raise
@@ -139,12 +139,6 @@ class WorldGraph:
             check_reach(self._graph.explain(cypher, params))
             self._passed.add((cypher, writes))
 
-    def _ensure_tables(self) -> None:
-        there = set(self._graph.query("CALL show_tables() RETURN name AS name", ordered=False)["name"].to_pylist())
-        for name, statement in zip((*WORLD_NODES, *WORLD_RELS), world_ddl(), strict=True):
-            if name not in there:
-                self._graph.execute(statement)
-
     def _call(self, work: Callable[[], T]) -> T:
         """The result of a piece of work, done by the engine's thread."""
         with self._closing:
@@ -152,6 +146,14 @@ class WorldGraph:
                 raise QueryError("the world model is closed")
             waiting = self._engine.submit(work)
         return waiting.result()
+
+
+def make_world_tables(graph: Graph) -> None:
+    """Make the tables of the world namespace that a graph lacks."""
+    there = set(graph.query("CALL show_tables() RETURN name AS name", ordered=False)["name"].to_pylist())
+    for name, statement in zip((*WORLD_NODES, *WORLD_RELS), world_ddl(), strict=True):
+        if name not in there:
+            graph.execute(statement)
 
 
 def statement(name: str) -> str:
