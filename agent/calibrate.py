@@ -34,6 +34,7 @@ PICTURES: Final = 50
 SEED: Final = 0
 FRAME_ID: Final = "000150"
 KEYS: Final = (CONTRACT_KEY, "bbox_2d", "box_2d", "box")
+BOX_LINE: Final = "The rectangle's box, as one JSON object:"
 SCHEMA: Final = closed_object({"evidence_bboxes": EVIDENCE_SCHEMA})
 
 LEAST_REPLIES: Final = 10
@@ -145,7 +146,7 @@ def request(drawn: Drawn) -> list[Message]:
             (
                 render("calibrate", color=drawn.color, frame_id=FRAME_ID),
                 drawn.picture,
-                "The rectangle's box, as one JSON object:",
+                BOX_LINE,
             ),
         )
     ]

@@ -31,6 +31,8 @@ SHAPE_SCHEMA: Final = closed_object({"sea_state_q7": {"type": "string", "enum": 
 
 CORNER_SCHEMA: Final = closed_object({"corner": {"type": "string", "enum": list(CORNERS)}})
 
+CORNER_LINE: Final = "The corner, as one JSON object:"
+
 SEEN_CORNERS: Final = 3
 """Of the four corners, those that must be named right: a server that drops pictures gets the same request four times,
 and one right."""
@@ -135,7 +137,7 @@ def _schema(client: Client, reply: Reply | EndpointError) -> Check:
 
 
 def _corner_request(corner: str) -> tuple[list[Message], Mapping[str, Any]]:
-    return _message(render("preflight_picture"), corner_picture(corner)), CORNER_SCHEMA
+    return _message(render("preflight_picture"), corner_picture(corner), CORNER_LINE), CORNER_SCHEMA
 
 
 def _picture(client: Client, replies: Sequence[Reply | EndpointError]) -> Check:
