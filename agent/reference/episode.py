@@ -1,0 +1,167 @@
+"""One question being played: turns of calls until the final answer stands or the budget is used up.
+
+The loop is the same in all variants. What differs is the memory, which says what a turn shows, takes what is written
+down and judges the final answer, and whether there is anything to look with. Nothing but the task and the model's
+replies decides what happens: a run that was killed replays its finished calls to the same transcript.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, Protocol
+
+import msgspec
+
+from jrdb_avr.agent import decode
+from jrdb_avr.agent.attempt import Attempt, Verdict, duplicate
+from jrdb_avr.agent.client import Reply
+from jrdb_avr.agent.messages import Message
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.method import Observation, Panorama, Prediction
+
+from .calls import FINAL, Call, call_schema, printable, read_calls, read_look
+from .limits import LIMITS, Limits
+from .shown import Turn, View, crop_view, panorama_view
+
+LOOK_SCHEMA: Final = call_schema("observe", {"frame_id": decode.FRAME_ID_SCHEMA, "angle_deg": {"type": "number"}})
+
+
+class Memory(Protocol):
+    """What a variant remembers by. `step` is the place of the turn's model call in the transcript."""
+
+    @property
+    def tools(self) -> Sequence[str]:
+        """The tools that there are besides `observe`."""
+        ...
+
+    def schema(self, looks: Mapping[str, Any] | None) -> dict[str, Any]:
+        """The JSON Schema of a turn; `looks` is that of a look, where there are looks."""
+        ...
+
+    def messages(self, turn: Turn) -> list[Message]:
+        """What the model is sent."""
+        ...
+
+    def replied(self, reply: Reply) -> None:
+        """Told what the model said."""
+        ...
+
+    def named(self, seen: Observation | Panorama, step: int) -> str:
+        """The name of an observation that has been made."""
+        ...
+
+    def noted(self, call: Call, step: int, reason: str) -> None:
+        """Told of a look that was made or refused, or of another call with a fault ("" where there is none)."""
+        ...
+
+    def carry_out(self, call: Call, views: Mapping[str, View], step: int) -> str:
+        """Carry out a call but a look or a final answer, and say "done". Raises DecodeError where it is refused."""
+        ...
+
+    def judge(self, call: Call, views: Mapping[str, View], step: int) -> Verdict:
+        """The prediction that a legal final answer makes. Raises DecodeError where it is not legal."""
+        ...
+
+    def solved(self, reason: str) -> Verdict:
+        """The prediction at the end of an episode that `reason` ended without a legal final answer."""
+        ...
+
+
+@dataclass
+class Episode:
+    """The loop over one question."""
+
+    attempt: Attempt
+    memory: Memory
+    looking: bool
+    limits: Limits = LIMITS
+    views: dict[str, View] = field(default_factory=dict)
+    made: list[tuple[int, float]] = field(default_factory=list)
+    used: int = 0
+    strikes: int = 0
+
+    def __post_init__(self) -> None:
+        self.legal = frozenset(self.attempt.task.sequence.frames)
+
+    def play(self) -> Prediction:
+        """Play to a legal final answer, to the second malformed turn, or to the last call."""
+        turn = self._turn([], list(self.views.values()), "")
+        schema = self.memory.schema(LOOK_SCHEMA if self.looking else None)
+        while self.used < self.limits.calls:
+            reply = self.attempt.ask(self.memory.messages(turn), schema)
+            self.memory.replied(reply)
+            step = self.attempt.steps - 1
+            try:
+                calls = read_calls(decode.reply_object(reply, self.attempt.convention), self._tools())
+            except DecodeError as error:
+                self.strikes += 1
+                reason = printable(str(error))
+                if self.strikes == self.limits.malformed:
+                    return self._ended(f"{self.strikes} malformed turns, the last: {reason}")
+                turn = self._turn([], [], reason)
+                continue
+            results: list[str] = []
+            before = len(self.views)
+            for call in calls[: self.limits.calls - self.used]:
+                verdict = self._call(call, step, results)
+                if verdict is not None:
+                    return self.attempt.ended(verdict)
+            turn = self._turn(results, list(self.views.values())[before:], "")
+        return self._ended(f"no legal final answer within {self.limits.calls} calls")
+
+    def show(self, panoramas: Sequence[Panorama]) -> None:
+        """Make panoramas the first observations."""
+        for panorama in panoramas:
+            name = self.memory.named(panorama, self.attempt.steps - 1)
+            self.views[name] = panorama_view(name, panorama)
+
+    def _tools(self) -> Collection[str]:
+        return (*(("observe",) if self.looking else ()), *self.memory.tools)
+
+    def _turn(self, results: Sequence[str], fresh: Sequence[View], error: str) -> Turn:
+        looks = (len(self.made), self.limits.looks - len(self.made)) if self.looking else None
+        return Turn(results, fresh, error, looks, (self.used, self.limits.calls - self.used))
+
+    def _call(self, call: Call, step: int, results: list[str]) -> Verdict | None:
+        """Carry out or refuse one call; the verdict of a legal final answer."""
+        self.used += 1
+        started = time.perf_counter()
+        verdict, said = None, "done"
+        try:
+            if call.fault:
+                self.memory.noted(call, step, call.fault)
+                raise DecodeError(call.fault)
+            if call.tool == "observe":
+                said = self._look(call, step)
+            elif call.tool == FINAL:
+                verdict = self.memory.judge(call, self.views, step)
+            else:
+                said = self.memory.carry_out(call, self.views, step)
+        except DecodeError as error:
+            said = f"refused: {printable(str(error))}"
+        results.append(f"{call.tool}: {said}")
+        self.attempt.record("tool", msgspec.Raw(call.said.encode()), said, started)
+        return verdict
+
+    def _look(self, call: Call, step: int) -> str:
+        try:
+            frame, angle = read_look(call.arguments, self.legal)
+            if len(self.made) >= self.limits.looks:
+                raise DecodeError("no looks are left")
+            if reason := duplicate(self.made, frame, angle):
+                self.attempt.refuse_look(frame, angle, reason)
+                raise DecodeError(reason)
+        except DecodeError as error:
+            self.memory.noted(call, step, str(error))
+            raise
+        observation = self.attempt.look(frame, angle)
+        self.made.append((frame, angle))
+        name = self.memory.named(observation, step)
+        self.views[name] = crop_view(name, observation)
+        self.memory.noted(call, step, "")
+        return name
+
+    def _ended(self, reason: str) -> Prediction:
+        return self.attempt.ended(self.memory.solved(reason))

@@ -1,0 +1,80 @@
+"""The reference agent as a method of the benchmark, in its four variants."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from jrdb_avr.agent import decode
+from jrdb_avr.agent.attempt import Attempt, shared_settings
+from jrdb_avr.agent.client import Chat
+from jrdb_avr.agent.decode import Convention
+from jrdb_avr.schema.method import Prediction, Question, Task
+
+from .chat import ChatMemory
+from .episode import Episode, Memory
+from .limits import LIMITS, Limits
+from .planning import make_plan
+from .prompts import system_prompt, task_heading
+from .remembering import GraphMemory, Solver
+from .solving import beliefs_of
+
+if TYPE_CHECKING:
+    from jrdb_avr.agent.world import World
+
+
+@dataclass(frozen=True)
+class ReferenceAgent:
+    """looks: whether it chooses where to look, or is shown panoramas; remembers: whether it has a plan and a world
+    model, `world`, or a chat history in their place.
+    """
+
+    chat: Chat
+    convention: Convention = decode.CONTRACT
+    world: World | None = None
+    looks: bool = True
+    limits: Limits = LIMITS
+    solving: Callable[[World, Question], Solver] = beliefs_of
+
+    @property
+    def remembers(self) -> bool:
+        return self.world is not None
+
+    @property
+    def name(self) -> str:
+        return "agent" + ("" if self.looks else "-passive") + ("" if self.remembers else "-no-world")
+
+    def settings(self) -> dict[str, Any]:
+        """What the manifest of a run says of the method."""
+        return {
+            "looks": self.looks,
+            "remembers": self.remembers,
+            **self.limits.settings(self.looks, self.remembers),
+            **shared_settings(self.convention),
+        }
+
+    def answer(self, task: Task) -> Prediction:
+        """Play one question, within `limits.model_calls` model calls."""
+        attempt = Attempt(task, self.chat, self.convention)
+        memory = self._memory(attempt)
+        if isinstance(memory, str):
+            return attempt.invalid(memory)
+        episode = Episode(attempt, memory, self.looks, self.limits)
+        if not self.looks:
+            episode.show(attempt.panoramas(self.limits.panoramas))
+        return episode.play()
+
+    def _memory(self, attempt: Attempt) -> Memory | str:
+        """The variant's memory, or why there is no plan to remember by."""
+        task = attempt.task
+        system = system_prompt(task, self.limits, self.looks, self.remembers)
+        heading = task_heading(task, self.limits, self.looks)
+        if self.world is None:
+            return ChatMemory(attempt, system, heading)
+        episode = self.world.episode(task.question, task.keep)
+        solver = self.solving(self.world, task.question)
+        plan = make_plan(attempt, self.limits.repairs, solver.check, episode)
+        if isinstance(plan, str):
+            return f"no plan was accepted; the last was refused: {plan}"
+        return GraphMemory(attempt, episode, solver, plan, system, heading, fixed=not self.looks)

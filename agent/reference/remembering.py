@@ -1,0 +1,217 @@
+"""Memory in the world model: the graph is shown in every turn, and a solver judges the final answer by it.
+
+Every write, accepted or refused, goes to the episode of the world model, which alone decides whether it is grounded.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+import msgspec
+
+from jrdb_avr.agent import decode
+from jrdb_avr.agent.attempt import Attempt, Verdict
+from jrdb_avr.agent.boxes import BOX_SCHEMA, box_key, read_box
+from jrdb_avr.agent.messages import Message, Part
+from jrdb_avr.agent.replies import Reply
+from jrdb_avr.schema.answers import Answer, Choice, Evidence, decode_answer
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.method import Observation, Panorama
+from jrdb_avr.schema.panorama import HEIGHT, WIDTH, Box
+from jrdb_avr.schema.plan import Plan, canonical
+
+from .calls import FINAL, LOOKING, WRITING, Call, call_schema, one_line, turn_schema
+from .shown import Turn, View, view_parts
+
+if TYPE_CHECKING:
+    from jrdb_avr.agent.solver import Belief
+    from jrdb_avr.agent.world import Episode as WorldEpisode
+
+_NAME: Final = {"type": "string", "pattern": "^[A-Za-z0-9_-]{1,32}$"}
+OBSERVATION_SCHEMA: Final = {"type": "string", "pattern": "^o[0-9]+$"}
+
+
+class Solver(Protocol):
+    """What is asked of an episode's beliefs."""
+
+    def check(self, plan: Plan) -> None:
+        """Raises PlanError for a plan that cannot be solved."""
+        ...
+
+    def solve(self, plan: Plan) -> Belief:
+        """The plan's people and what is read of them, as far as they are known."""
+        ...
+
+    def guess(self, plan: Plan) -> tuple[int, Box] | None:
+        """Frame and stitched box of who comes nearest to the target."""
+        ...
+
+    def fault(self, plan: Plan, belief: Belief, proposed: Answer, entity: str) -> str:
+        """Why a final answer is not legal, "" where it is."""
+        ...
+
+
+@dataclass
+class GraphMemory:
+    """The world model's episode of one question, and its solver. fixed: whether all turns show the same pictures."""
+
+    attempt: Attempt
+    world: WorldEpisode
+    solver: Solver
+    plan: Plan
+    system: str
+    heading: str
+    fixed: bool = False
+    latest: tuple[View, ...] = ()
+
+    @property
+    def tools(self) -> tuple[str, ...]:
+        return (*WRITING, "get_graph", FINAL)
+
+    # -- what the model is shown --------------------------------------------------------------------------------------
+
+    def messages(self, turn: Turn) -> list[Message]:
+        """Question, plan, graph, results of the last turn, the latest pictures, and what is left.
+
+        What never changes comes first, so that a server can keep its work on the common beginning.
+        """
+        self.latest = tuple(turn.fresh) or self.latest
+        pictures = view_parts(self.latest)
+        parts: list[Part] = [
+            self.heading,
+            *(pictures if self.fixed else []),
+            f"Plan: {canonical(self.plan)}",
+            f"Graph: {one_line(self.world.graph())}",
+            turn.result_lines(),
+            *([] if self.fixed else pictures),
+            turn.state(),
+        ]
+        return [Message("system", (self.system,)), Message("user", tuple(parts))]
+
+    def replied(self, reply: Reply) -> None:
+        """What is not in the graph is forgotten."""
+
+    def schema(self, looks: Mapping[str, Any] | None) -> dict[str, Any]:
+        """The JSON Schema of a turn; `looks` is that of a look, where there are looks."""
+        question = self.attempt.task.question
+        node = {"type": "string", "enum": [node.id for node in self.plan.nodes]}
+        seen = {"observation": OBSERVATION_SCHEMA}
+        calls = [
+            call_schema(
+                "add_entity",
+                {"id": _NAME, "kind": {"type": "string"}, "node": node, **seen, "box": BOX_SCHEMA},
+                optional=("node",),
+            ),
+            call_schema(
+                "add_attribute",
+                {"entity": _NAME, "name": {"type": "string"}, "value": {"type": ["string", "number"]}, **seen},
+            ),
+            call_schema("add_relation", {"source": _NAME, "name": {"type": "string"}, "target": _NAME, **seen}),
+            call_schema("get_graph", {}),
+            call_schema(
+                FINAL, {"answer": decode.answer_schema(question.answer_mode, question.choices), "entity": _NAME}
+            ),
+        ]
+        return turn_schema([*([looks] if looks else []), *calls])
+
+    # -- what is written down -----------------------------------------------------------------------------------------
+
+    def named(self, seen: Observation | Panorama, step: int) -> str:
+        return self.world.observed(seen, step)
+
+    def noted(self, call: Call, step: int, reason: str) -> None:
+        """Looks, and calls that were refused for what they are."""
+        if call.tool in self.tools or call.tool in LOOKING:
+            self.world.noted(call.tool, call.arguments, step, not reason, reason)
+
+    def carry_out(self, call: Call, views: Mapping[str, View], step: int) -> str:
+        match call.tool:
+            case "add_entity":
+                result = self.world.add_entity(*self._with_box(call.arguments, views), step)
+            case "add_attribute":
+                result = self.world.add_attribute(call.arguments, step)
+            case "add_relation":
+                result = self.world.add_relation(call.arguments, step)
+            case _:
+                reason = "get_graph takes no arguments" if call.arguments else ""
+                self.noted(call, step, reason)
+                if reason:
+                    raise DecodeError(reason)
+                return "done"
+        if not result.accepted:
+            raise DecodeError(result.said)
+        return "done"
+
+    def _with_box(self, arguments: Mapping[str, Any], views: Mapping[str, View]) -> tuple[dict[str, Any], Box | str]:
+        """The arguments under the contract's key, and the box in pixels of the named observation, or its fault."""
+        convention = self.attempt.convention
+        key = box_key(arguments, convention, "box")
+        given = {("box" if name == key else name): value for name, value in arguments.items()}
+        name = given.get("observation")
+        view = views.get(name) if isinstance(name, str) else None
+        if view is None:
+            return given, "the box is of no observation"
+        try:
+            return given, read_box(given.get("box"), view.width, HEIGHT, convention, key)
+        except DecodeError as error:
+            return given, str(error)
+
+    # -- what is read from it -----------------------------------------------------------------------------------------
+
+    def judge(self, call: Call, views: Mapping[str, View], step: int) -> Verdict:
+        try:
+            verdict = self._judged(call)
+        except DecodeError as error:
+            self.noted(call, step, str(error))
+            raise
+        self.noted(call, step, "")
+        return verdict
+
+    def _judged(self, call: Call) -> Verdict:
+        part = decode.only_keys(call.arguments, ("answer", "entity"), "the call")
+        proposed = self.attempt.read_answer(part["answer"])
+        if not isinstance(part["entity"], str):
+            raise DecodeError("entity must be the id of the target")
+        belief = self._solve()
+        if reason := self.solver.fault(self.plan, belief, proposed, part["entity"]):
+            raise DecodeError(reason)
+        return Verdict(proposed, _evidence(belief.seen), () if belief.seen else ("the target has no box",))
+
+    def solved(self, reason: str) -> Verdict:
+        """What the graph says by itself; else nothing is answered, and the likeliest person's box is kept."""
+        belief = self._solve()
+        answer = self._read(belief)
+        if answer is not None and belief.seen is not None:
+            return Verdict(answer, _evidence(belief.seen))
+        started = time.perf_counter()
+        seen = belief.seen or self.solver.guess(self.plan)
+        self.attempt.record("solve", {"guess": "target"}, {"seen": seen}, started)
+        return Verdict(answer, _evidence(seen), (reason,))
+
+    def _solve(self) -> Belief:
+        started = time.perf_counter()
+        belief = self.solver.solve(self.plan)
+        told = msgspec.to_builtins(belief)
+        self.attempt.record("solve", {"plan": msgspec.Raw(canonical(self.plan).encode())}, told, started)
+        return belief
+
+    def _read(self, belief: Belief) -> Answer | None:
+        """The answer that is read from the graph: a choice is known by its text."""
+        question = self.attempt.task.question
+        if belief.outcome != "defined" or belief.answer is None:
+            return None
+        if question.answer_mode == "multiple_choice":
+            known = belief.answer in question.choices
+            return Choice(question.choices.index(belief.answer) + 1) if known else None
+        return decode_answer(question.answer_mode, belief.answer)
+
+
+def _evidence(seen: tuple[int, Box] | None) -> Evidence | None:
+    """A sighting as evidence, x in [0, 3760)."""
+    if seen is None:
+        return None
+    frame, (x, y, w, h) = seen
+    return Evidence(frame, (x % WIDTH, y, w, h))

@@ -1,0 +1,57 @@
+"""The solver of one episode's beliefs, as the agent asks it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from jrdb_avr.schema.answers import Answer
+from jrdb_avr.schema.method import Question
+from jrdb_avr.schema.panorama import Box
+from jrdb_avr.schema.plan import Plan
+from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.world import episode_key
+
+if TYPE_CHECKING:
+    from jrdb_avr.agent.solver import Belief
+    from jrdb_avr.agent.world import World
+    from jrdb_avr.queries.world import WorldGraph
+
+
+@dataclass(frozen=True)
+class BeliefSolver:
+    """Solves plans over the beliefs of the episode with this key."""
+
+    graph: WorldGraph
+    key: str
+    choices: tuple[str, ...]
+    rules: Rules
+
+    def check(self, plan: Plan) -> None:
+        """Raises PlanError for a plan that cannot be compiled."""
+        from jrdb_avr.queries.compiler import WORLD, compile_find
+
+        compile_find(plan, WORLD)
+
+    def solve(self, plan: Plan) -> Belief:
+        """What the beliefs come to."""
+        from jrdb_avr.agent.solver import solve_beliefs
+
+        return solve_beliefs(self.graph, self.key, plan, self.rules)
+
+    def guess(self, plan: Plan) -> tuple[int, Box] | None:
+        """The newest box of who comes nearest to being the target."""
+        from jrdb_avr.agent.solver import best_guess
+
+        return best_guess(self.graph, self.key, plan, self.rules)
+
+    def fault(self, plan: Plan, belief: Belief, proposed: Answer, entity: str) -> str:
+        """Why a final answer is not legal, "" where it is."""
+        from jrdb_avr.agent.solver import legal
+
+        return legal(plan, belief, proposed, entity, self.choices)
+
+
+def beliefs_of(world: World, question: Question) -> BeliefSolver:
+    """The solver of a question's episode."""
+    return BeliefSolver(world.graph, episode_key(world.run_id, question.question_id), question.choices, Rules())

@@ -1,0 +1,191 @@
+"""Games of the reference agent: scripted replies, and a world model and solver that do as they are told."""
+
+import json
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+from jrdb_avr.agent.messages import Picture
+from jrdb_avr.agent.reference.method import ReferenceAgent
+from jrdb_avr.agent.replies import Reply
+from jrdb_avr.queries.compiler import SCENE, compile_find
+
+CHOICES = ("walking", "standing", "sitting", "lying")
+
+PLAN = {
+    "root": "a",
+    "target": "a",
+    "times": {"t0": {"frame": 150}},
+    "nodes": [{"id": "a", "conditions": [{"attribute": "gender", "value": "female"}]}],
+    "edges": [],
+    "answer": {"mode": "multiple_choice", "read": "action", "of": "a", "at": "t0"},
+}
+_STARTS = {"t0": {"frame": 150}, "t1": {"event": "start", "of": "a", "action": "walking", "after": "t0"}}
+_ENDS = _STARTS | {"t2": {"event": "end", "of": "a", "action": "walking", "after": "t1"}}
+PLANS = {
+    "multiple_choice": PLAN,
+    "frame": PLAN | {"times": _STARTS, "answer": {"mode": "frame", "read": "start", "of": "a", "at": "t1"}},
+    "span": PLAN | {"times": _ENDS, "answer": {"mode": "span", "read": "span", "of": "a", "at": ["t1", "t2"]}},
+    "frame_viewpoint": PLAN
+    | {"times": _STARTS, "answer": {"mode": "frame_viewpoint", "read": "start_view", "of": "a", "at": "t1"}},
+    "number": PLAN
+    | {
+        "times": {"t0": {"frame": 150}, "t1": {"frame": 240}},
+        "answer": {"mode": "number", "read": "count", "of": "a", "at": ["t0", "t1"], "relation": "conversation"},
+    },
+}
+
+
+def turn(*calls):
+    """A reply with these calls."""
+    return json.dumps({"calls": list(calls)})
+
+
+def look(frame=150, angle=180.0):
+    return {"tool": "observe", "frame_id": f"{frame:06d}", "angle_deg": angle}
+
+
+def entity(name="p1", observation="o1", box=(427, 250, 573, 708), **more):
+    return {"tool": "add_entity", "id": name, "kind": "person", "observation": observation, "box": list(box), **more}
+
+
+def attribute(name, value, entity="p1", observation="o1"):
+    return {"tool": "add_attribute", "entity": entity, "name": name, "value": value, "observation": observation}
+
+
+def final(answer=2, entity="p1"):
+    return {"tool": "final_answer", "answer": answer, "entity": entity}
+
+
+def proposed(answer=2, observation="o1", box=(427, 250, 573, 708)):
+    """The final answer of a variant without a world model."""
+    return {"tool": "final_answer", "answer": answer, "observation": observation, "box": list(box)}
+
+
+GRAPH = {"tool": "get_graph"}
+
+
+class Scripted:
+    """A model that says what its script says; the last line repeats. `requests` holds the messages of each call."""
+
+    def __init__(self, replies):
+        self.script = replies if callable(replies) else lambda n: replies[min(n, len(replies) - 1)]
+        self.requests = []
+        self.schemas = []
+
+    def complete(self, messages, schema=None):
+        said = self.script(len(self.requests))
+        self.requests.append(list(messages))
+        self.schemas.append(schema)
+        if isinstance(said, Reply):
+            return said
+        return Reply(said if isinstance(said, str) else json.dumps(said), finish_reason="stop", prompt_tokens=10)
+
+
+def text_of(messages):
+    """All text of messages, pictures as `[image]`."""
+    return "\n".join("[image]" if isinstance(part, Picture) else part for m in messages for part in m.parts)
+
+
+def pictures_of(messages):
+    return [part.name for m in messages for part in m.parts if isinstance(part, Picture)]
+
+
+@dataclass
+class StubWorld:
+    """Takes every write, and shows those of the episode at hand."""
+
+    accepts: object = lambda tool, arguments: ""
+    episodes: list = field(default_factory=list)
+
+    def episode(self, question, keep):
+        self.episodes.append(StubEpisode(self))
+        return self.episodes[-1]
+
+
+@dataclass
+class StubEpisode:
+    world: StubWorld
+    writes: list = field(default_factory=list)
+    seen: list = field(default_factory=list)
+    plans: list = field(default_factory=list)
+
+    def plan(self, plan, step):
+        self.plans.append(plan)
+
+    def observed(self, observation, step):
+        self.seen.append((observation.frame_index, step))
+        return f"o{len(self.seen)}"
+
+    def add_entity(self, arguments, box, step):
+        return self._write("add_entity", dict(arguments, pixels=box), step)
+
+    def add_attribute(self, arguments, step):
+        return self._write("add_attribute", arguments, step)
+
+    def add_relation(self, arguments, step):
+        return self._write("add_relation", arguments, step)
+
+    def refused(self, tool, arguments, reason, step):
+        self.writes.append((tool, dict(arguments), step, reason))
+
+    def noted(self, tool, arguments, step, accepted, reason):
+        self.writes.append((tool, dict(arguments), step, reason))
+
+    def _write(self, tool, arguments, step):
+        reason = self.world.accepts(tool, arguments)
+        self.writes.append((tool, arguments, step, reason))
+        return SimpleNamespace(accepted=not reason, said=reason)
+
+    def graph(self):
+        observations = [{"observation": f"o{n}", "frame_id": f"{f:06d}"} for n, (f, _) in enumerate(self.seen, 1)]
+        entities = [{"id": a["id"]} for tool, a, _, reason in self.writes if tool == "add_entity" and not reason]
+        return {"observations": observations, "entities": entities, "relations": [], "missing": ["a: not found"]}
+
+
+@dataclass(frozen=True)
+class StubBelief:
+    outcome: str = "empty"
+    people: dict = field(default_factory=dict)
+    times: dict = field(default_factory=dict)
+    answer: str | None = None
+    seen: tuple | None = None
+    missing: tuple = ("a: not found",)
+
+
+@dataclass
+class StubSolver:
+    """`belief` is what the beliefs come to, `lacking` why no final answer is legal, `box` the best guess."""
+
+    belief: StubBelief = field(default_factory=StubBelief)
+    lacking: str = "a: not found"
+    box: object = None
+
+    def check(self, plan):
+        compile_find(plan, SCENE)
+
+    def solve(self, plan):
+        return self.belief
+
+    def guess(self, plan):
+        return self.box
+
+    def fault(self, plan, belief, proposed, entity):
+        return self.lacking
+
+
+def defined(answer="standing", seen=(150, (1800.0, 120.0, 70.0, 220.0))):
+    """A solver that has found everything."""
+    belief = StubBelief("defined", {"a": "p1"}, {"t0": 150}, answer, seen, ())
+    return StubSolver(belief, lacking="")
+
+
+def play(world, replies, mode="multiple_choice", *, solver=None, remembers=True, accepts=None, **options):
+    """A game: its prediction, the chat, the steps, and the stub world (None without)."""
+    chat = Scripted(replies)
+    steps = []
+    stub = StubWorld(accepts or (lambda tool, arguments: "")) if remembers else None
+    solver = solver or StubSolver()
+    agent = ReferenceAgent(chat, world=stub, solving=lambda world, question: solver, **options)
+    choices = CHOICES if mode == "multiple_choice" else ()
+    prediction = agent.answer(world.task("What does the person do?", mode, choices, steps))
+    return SimpleNamespace(prediction=prediction, chat=chat, requests=chat.requests, steps=steps, world=stub)
