@@ -15,7 +15,6 @@ import re
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from importlib import resources
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self, TypeVar
@@ -154,11 +153,6 @@ def make_world_tables(graph: Graph) -> None:
     for name, statement in zip((*WORLD_NODES, *WORLD_RELS), world_ddl(), strict=True):
         if name not in there:
             graph.execute(statement)
-
-
-def statement(name: str) -> str:
-    """The text of `queries/world/<name>.cypher`."""
-    return resources.files("jrdb_avr.queries").joinpath("world", f"{name}.cypher").read_text("utf-8")
 
 
 # -- the doors --------------------------------------------------------------------------------------------------------

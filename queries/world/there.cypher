@@ -1,0 +1,3 @@
+// Is there an episode of this key?
+MATCH (e:Episode {id: $episode})
+RETURN count(*) AS episodes

@@ -1,0 +1,88 @@
+"""Statements that put a write of an agent into the world tables, and take an episode out of them.
+
+The statements are the files of `queries/world/`; what goes where is said by the write's `Fact`.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import resources
+from typing import Any, Final
+
+import msgspec
+
+from jrdb_avr.schema.world import ALWAYS, Fact, HasRow, RelatedRow, SightedRow, Write
+
+from .world import Statement, WorldGraph
+
+
+def write_statements(episode: str, write: Write, fact: Fact) -> list[Statement]:
+    """What makes a write of an episode true in the tables: its fact, and its line of the record."""
+    statements: list[Statement] = []
+
+    def add(name: str, /, **params: Any) -> None:
+        statements.append((_text(name), params))
+
+    if fact.episode is not None:
+        if write.tool == "begin":
+            add("begin", **msgspec.structs.asdict(fact.episode))
+        else:
+            add("plan", id=fact.episode.id, plan=fact.episode.plan)
+    if fact.slots:
+        add("slots", episode=episode, slots=[msgspec.structs.asdict(slot) for slot in fact.slots])
+    if fact.observation is not None:
+        add("observation", **msgspec.structs.asdict(fact.observation))
+    for freed in fact.freed:
+        add("freed", id=freed)
+    if fact.entity is not None:
+        add("entity", **msgspec.structs.asdict(fact.entity))
+    if fact.changed is not None:
+        add("changed", id=fact.changed.id, kind=fact.changed.kind, node=fact.changed.node)
+    edges: tuple[tuple[str, SightedRow | HasRow | RelatedRow | None], ...] = (
+        ("sighted", fact.sighted),
+        ("has", fact.has),
+        ("related", fact.related),
+    )
+    for name, edge in edges:
+        if edge is not None:
+            # An edge that holds both ways may have been written the other way round.
+            sources = (edge.source, edge.target) if name == "related" else (edge.source,)
+            for replaced in fact.replaced:
+                for source in sources:
+                    add(f"{name}_before", source=source, write=replaced, until=write.step)
+            add(name, **_columns(edge), until=ALWAYS)
+    add(
+        "write",
+        id=f"{episode}/{write.number}",
+        episode=episode,
+        number=write.number,
+        step=write.step,
+        tool=write.tool,
+        arguments=write.arguments,
+        accepted=write.accepted,
+        reason=write.reason,
+    )
+    return statements
+
+
+def _columns(edge: SightedRow | HasRow | RelatedRow) -> dict[str, Any]:
+    values = msgspec.structs.asdict(edge)
+    if isinstance(edge, SightedRow):
+        del values["box"]
+        values |= edge.box._asdict()
+    return values
+
+
+DROPPED: Final = ("entity", "observation", "slot", "write", "episode")
+
+
+def drop_episode(graph: WorldGraph, episode: str) -> None:
+    """Take an episode and all that it holds out of the tables, if it is there. Raises as `WorldGraph.write`."""
+    if graph.query(_text("there"), {"episode": episode})["episodes"][0].as_py():
+        graph.write([(_text(f"drop_{name}"), {"episode": episode}) for name in DROPPED])
+
+
+@cache
+def _text(name: str) -> str:
+    """The text of `queries/world/<name>.cypher`."""
+    return resources.files("jrdb_avr.queries").joinpath("world", f"{name}.cypher").read_text("utf-8")
