@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -149,7 +149,7 @@ def shown(value: object) -> str:
 # -- parts ------------------------------------------------------------------------------------------------------------
 
 
-_WORDS: Final = {
+_WORDS: Final[dict[str, tuple[Callable[[str], str], tuple[str, ...]]]] = {
     "gender": (plain, GENDERS),
     "age": (plain, AGES),
     "action": (normal_action, ACTIONS),

@@ -203,9 +203,8 @@ class Episode:
             raise DecodeError(box)
         self._room()
         if claim.node and claim.node not in self._nodes:
-            raise DecodeError(
-                f"node {shown(claim.node)} is none of the plan's: {', '.join(sorted(self._nodes)) or 'there is no plan'}"
-            )
+            known = ", ".join(sorted(self._nodes)) or "there is no plan"
+            raise DecodeError(f"node {shown(claim.node)} is none of the plan's: {known}")
         there = self._entities.get(claim.id)
         if there is None and len(self._entities) >= MOST_ENTITIES:
             raise DecodeError(f"there are {MOST_ENTITIES} entities already, and no more are taken")
@@ -330,7 +329,9 @@ class Episode:
     # -- what is shown ------------------------------------------------------------------------------------------------
 
     def graph(self, missing: Sequence[str] = ()) -> dict[str, Any]:
-        """What `get_graph` shows: observations, and what is currently believed; `missing`: what the plan still lacks."""
+        """What `get_graph` shows: observations and what is currently believed, and `missing`: what the plan still
+        lacks.
+        """
         edges = sorted(self._edges.values(), key=lambda edge: edge.write)
         return {
             "observations": [{"observation": name, **seen.said} for name, seen in self._observations.items()],

@@ -218,7 +218,8 @@ class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_field
 
     episode: on `begin`, and again with its plan on `plan`. entity: a new one; changed: one that is there, with another
     kind or node. freed: keys of entities whose node is "" from then on, as this one took it. Edges begin with `current`
-    true and `until` `ALWAYS`; replaced: writes of this episode whose edge is no longer `current`, and `until` this step.
+    true and `until` `ALWAYS`; replaced: writes of this episode whose edge is not `current` any more, and `until` this
+    step.
     """
 
     episode: EpisodeRow | None = None
