@@ -38,6 +38,7 @@ _MACRO: Final = "_macro_"
 @click.option("--csv", "as_csv", is_flag=True, help="Print CSV.")
 @click.option("--markdown", "as_markdown", is_flag=True, help="Print Markdown.")
 @click.option("--latex", "as_latex", is_flag=True, help="Print LaTeX, for the package booktabs.")
+@click.option("--html", type=click.Path(dir_okay=False, path_type=Path), help="Write everything as one page.")
 def command(
     runs: tuple[str, ...],
     store: Path,
@@ -48,14 +49,15 @@ def command(
     as_csv: bool,
     as_markdown: bool,
     as_latex: bool,
+    html: Path | None,
 ) -> None:
     """Compare runs: answer, evidence, combined, hallucination and invalid in percent of the n questions asked.
 
     Intervals are 95 %, from 10,000 seeded draws of whole sequences. Macro averages are over the seven families and the
     paper's five groups.
     """
-    if as_json + as_csv + as_markdown + as_latex > 1:
-        raise click.UsageError("choose one of --json, --csv, --markdown and --latex")
+    if as_json + as_csv + as_markdown + as_latex + (html is not None) > 1:
+        raise click.UsageError("choose one of --json, --csv, --markdown, --latex and --html")
 
     from jrdb_avr.engine import typeset
     from jrdb_avr.engine.report import TABLES, report_table
@@ -72,6 +74,13 @@ def command(
     opened = Store(store)
     truth, facts, judged = judged_runs(opened, runs, iou)
     found = [run for run, _ in judged]
+    if html is not None:
+        from jrdb_avr.engine.pages.page import write_page
+        from jrdb_avr.engine.pages.report_page import report_page
+
+        write_page(html, report_page(opened, truth, facts, found, iou, published=paper))
+        note(f"wrote {html}")
+        return
     made = {name: report_table(name, opened, truth, facts, found, iou, published=paper) for name in names}
     if as_json:
         settings = {run.manifest.run_id: run.manifest.settings for run in found}

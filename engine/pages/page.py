@@ -1,0 +1,72 @@
+"""Rendering: a template of this folder, with the style inside, as one HTML file."""
+
+from __future__ import annotations
+
+import base64
+import functools
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from jrdb_avr.engine.output import clean
+from jrdb_avr.engine.typeset import cell
+from jrdb_avr.queries.store import write_atomic
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+    from markupsafe import Markup
+
+
+def render(name: str, **values: Any) -> str:
+    """The page of template `<name>.html`, whole: style and scripts are inside, and nothing is fetched."""
+    return _environment().get_template(f"{name}.html").render(values)
+
+
+def write_page(path: Path, html: str) -> None:
+    """Write a page, atomically. Raises StoreError where the disk refuses."""
+    data = html.encode("utf-8", "replace")
+
+    def write(temporary: Path) -> None:
+        temporary.write_bytes(data)
+
+    write_atomic(path, write)
+
+
+def jpeg_uri(data: bytes) -> str:
+    """A JPEG as a data URI."""
+    return "data:image/jpeg;base64," + base64.b64encode(data).decode()
+
+
+@functools.cache
+def _environment() -> Environment:
+    import jinja2
+    from markupsafe import Markup
+
+    environment = jinja2.Environment(
+        loader=jinja2.FunctionLoader(_text),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        # Control characters of model text would not survive as HTML, and may mislead in an editor.
+        finalize=lambda value: value if isinstance(value, Markup) else clean(value),
+    )
+    environment.filters |= {"cell": cell, "json": _json}
+    environment.globals["asset"] = lambda name: Markup(_text(name))  # noqa: S704 - files of this package
+    return environment
+
+
+def _text(name: str) -> str:
+    return files(__package__).joinpath(name).read_text("utf-8")
+
+
+def _json(value: object) -> Markup:
+    """A value as JSON inside a <script>: no character in it can end the element or begin a comment."""
+    from markupsafe import Markup
+
+    text = msgspec.json.encode(value).decode()
+    for letter in "<>&\u2028\u2029":
+        text = text.replace(letter, f"\\u{ord(letter):04x}")
+    return Markup(text)  # noqa: S704 - escaped above
