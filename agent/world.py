@@ -229,8 +229,7 @@ class Episode:
             center_angle(place.x, place.w),
         )
         return Fact(
-            entity=None if there else row,
-            changed=row if there not in (None, row) else None,
+            entity=None if there == row else row,
             freed=tuple(e.id for e in self._entities.values() if row.node and e.node == row.node and e.id != row.id),
             sighted=sighted,
             replaced=self._replaced(sighted),
@@ -309,9 +308,8 @@ class Episode:
         for key in fact.freed:
             name = name_of(key)
             self._entities[name] = msgspec.structs.replace(self._entities[name], node="")
-        for entity in (fact.entity, fact.changed):
-            if entity is not None:
-                self._entities[entity.name] = entity
+        if fact.entity is not None:
+            self._entities[fact.entity.name] = fact.entity
         for edge in (fact.sighted, fact.has, fact.related):
             if edge is not None:
                 self._edges[place_of(edge)] = edge
@@ -322,7 +320,8 @@ class Episode:
         self._line(Write(self._writes, step, tool, as_json(arguments), True, "", text), fact)
 
     def _line(self, write: Write, fact: Fact) -> None:
-        self._graph.write(write_statements(self.key, write, fact))
+        known = fact.entity is not None and fact.entity.name in self._entities
+        self._graph.write(write_statements(self.key, write, fact, known=known))
         self._writes += 1
         self._keep(write)
 
