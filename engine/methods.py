@@ -13,7 +13,16 @@ if TYPE_CHECKING:
     from jrdb_avr.agent.world import World
     from jrdb_avr.schema.method import Settled
 
-METHODS: Final = ("monolithic", "chain-of-thought", "search-recognize", "react")
+METHODS: Final = (
+    "monolithic",
+    "chain-of-thought",
+    "search-recognize",
+    "react",
+    "agent",
+    "agent-passive",
+    "agent-no-world",
+    "agent-passive-no-world",
+)
 
 WORLD_METHODS: Final = ("agent", "agent-passive")
 """Those that keep a world model, and are given one."""
@@ -51,5 +60,15 @@ def make_method(name: str, chat: Chat, convention: Convention, world: World | No
             from jrdb_avr.agent.react import ReAct
 
             return ReAct(chat, convention)
+        case "agent" | "agent-passive":
+            from jrdb_avr.agent.reference.method import ReferenceAgent
+
+            if world is None:
+                raise ValueError(f"the method {name!r} needs a world model")
+            return ReferenceAgent(chat, convention, world, looks=name == "agent")
+        case "agent-no-world" | "agent-passive-no-world":
+            from jrdb_avr.agent.reference.method import ReferenceAgent
+
+            return ReferenceAgent(chat, convention, looks=name == "agent-no-world")
         case _:
             raise ValueError(f"no method {name!r}")

@@ -128,7 +128,7 @@ class StubEpisode:
     def refused(self, tool, arguments, reason, step):
         self.writes.append((tool, dict(arguments), step, reason))
 
-    def noted(self, tool, arguments, step, accepted, reason):
+    def noted(self, tool, arguments, step, accepted, reason=""):
         self.writes.append((tool, dict(arguments), step, reason))
 
     def _write(self, tool, arguments, step):
@@ -136,10 +136,10 @@ class StubEpisode:
         self.writes.append((tool, arguments, step, reason))
         return SimpleNamespace(accepted=not reason, said=reason)
 
-    def graph(self):
+    def graph(self, missing=()):
         observations = [{"observation": f"o{n}", "frame_id": f"{f:06d}"} for n, (f, _) in enumerate(self.seen, 1)]
         entities = [{"id": a["id"]} for tool, a, _, reason in self.writes if tool == "add_entity" and not reason]
-        return {"observations": observations, "entities": entities, "relations": [], "missing": ["a: not found"]}
+        return {"observations": observations, "entities": entities, "relations": [], "missing": list(missing)}
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,6 @@ LONGEST_CALL: Final = 2000
 
 _DEPTH: Final = 4
 
-LOOKING: Final = ("observe",)
 WRITING: Final = ("add_entity", "add_attribute", "add_relation")
 FINAL: Final = "final_answer"
 
@@ -91,6 +90,11 @@ def one_line(value: object) -> str:
 def printable(text: str) -> str:
     """A text as a message can hold it: on one line, and with what UTF-8 cannot hold written out."""
     return " ".join(text.split()).encode("utf-8", "backslashreplace").decode()
+
+
+def refusal(reason: str) -> str:
+    """The result of a call that is refused."""
+    return f"refused: {printable(reason)}"
 
 
 def call_schema(tool: str, properties: Mapping[str, Any], optional: Collection[str] = ()) -> dict[str, Any]:

@@ -70,7 +70,7 @@ class ChatMemory:
         self.names += 1
         return f"o{self.names}"
 
-    def noted(self, call: Call, step: int, reason: str) -> None:
+    def refused(self, call: Call, step: int, reason: str) -> None:
         """The history holds it."""
 
     def carry_out(self, call: Call, views: Mapping[str, View], step: int) -> str:

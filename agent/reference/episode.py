@@ -21,7 +21,7 @@ from jrdb_avr.agent.messages import Message
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Panorama, Prediction
 
-from .calls import FINAL, Call, call_schema, printable, read_calls, read_look
+from .calls import FINAL, Call, call_schema, printable, read_calls, read_look, refusal
 from .limits import LIMITS, Limits
 from .shown import Turn, View, crop_view, panorama_view
 
@@ -52,12 +52,12 @@ class Memory(Protocol):
         """The name of an observation that has been made."""
         ...
 
-    def noted(self, call: Call, step: int, reason: str) -> None:
-        """Told of a look that was made or refused, or of another call with a fault ("" where there is none)."""
+    def refused(self, call: Call, step: int, reason: str) -> None:
+        """Told of a call that is refused outside of `carry_out`, or for which that raises DecodeError."""
         ...
 
     def carry_out(self, call: Call, views: Mapping[str, View], step: int) -> str:
-        """Carry out a call but a look or a final answer, and say "done". Raises DecodeError where it is refused."""
+        """Carry out a call but a look or a final answer; its result. Raises DecodeError where it is refused unseen."""
         ...
 
     def judge(self, call: Call, views: Mapping[str, View], step: int) -> Verdict:
@@ -131,7 +131,6 @@ class Episode:
         verdict, said = None, "done"
         try:
             if call.fault:
-                self.memory.noted(call, step, call.fault)
                 raise DecodeError(call.fault)
             if call.tool == "observe":
                 said = self._look(call, step)
@@ -140,27 +139,23 @@ class Episode:
             else:
                 said = self.memory.carry_out(call, self.views, step)
         except DecodeError as error:
-            said = f"refused: {printable(str(error))}"
+            self.memory.refused(call, step, str(error))
+            said = refusal(str(error))
         results.append(f"{call.tool}: {said}")
         self.attempt.record("tool", msgspec.Raw(call.said.encode()), said, started)
         return verdict
 
     def _look(self, call: Call, step: int) -> str:
-        try:
-            frame, angle = read_look(call.arguments, self.legal)
-            if len(self.made) >= self.limits.looks:
-                raise DecodeError("no looks are left")
-            if reason := duplicate(self.made, frame, angle):
-                self.attempt.refuse_look(frame, angle, reason)
-                raise DecodeError(reason)
-        except DecodeError as error:
-            self.memory.noted(call, step, str(error))
-            raise
+        frame, angle = read_look(call.arguments, self.legal)
+        if len(self.made) >= self.limits.looks:
+            raise DecodeError("no looks are left")
+        if reason := duplicate(self.made, frame, angle):
+            self.attempt.refuse_look(frame, angle, reason)
+            raise DecodeError(reason)
         observation = self.attempt.look(frame, angle)
         self.made.append((frame, angle))
         name = self.memory.named(observation, step)
         self.views[name] = crop_view(name, observation)
-        self.memory.noted(call, step, "")
         return name
 
     def _ended(self, reason: str) -> Prediction:

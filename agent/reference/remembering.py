@@ -22,8 +22,9 @@ from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Panorama
 from jrdb_avr.schema.panorama import HEIGHT, WIDTH, Box
 from jrdb_avr.schema.plan import Plan, canonical
+from jrdb_avr.schema.world import Tool
 
-from .calls import FINAL, LOOKING, WRITING, Call, call_schema, one_line, turn_schema
+from .calls import FINAL, WRITING, Call, call_schema, one_line, refusal, turn_schema
 from .shown import Turn, View, view_parts
 
 if TYPE_CHECKING:
@@ -32,6 +33,12 @@ if TYPE_CHECKING:
 
 _NAME: Final = {"type": "string", "pattern": "^[A-Za-z0-9_-]{1,32}$"}
 OBSERVATION_SCHEMA: Final = {"type": "string", "pattern": "^o[0-9]+$"}
+
+
+_TOOLS: Final[dict[str, Tool]] = {
+    name: name for name in ("observe", "add_entity", "add_attribute", "add_relation", "get_graph", "final_answer")
+}
+"""The tools whose refused calls are kept."""
 
 
 class Solver(Protocol):
@@ -56,7 +63,11 @@ class Solver(Protocol):
 
 @dataclass
 class GraphMemory:
-    """The world model's episode of one question, and its solver. fixed: whether all turns show the same pictures."""
+    """The world model's episode of one question, and its solver.
+
+    fixed: whether all turns show the same pictures; latest: those that were made last; known: what the beliefs come to,
+    None where something has been seen or written since.
+    """
 
     attempt: Attempt
     world: WorldEpisode
@@ -66,6 +77,7 @@ class GraphMemory:
     heading: str
     fixed: bool = False
     latest: tuple[View, ...] = ()
+    known: Belief | None = None
 
     @property
     def tools(self) -> tuple[str, ...]:
@@ -84,7 +96,7 @@ class GraphMemory:
             self.heading,
             *(pictures if self.fixed else []),
             f"Plan: {canonical(self.plan)}",
-            f"Graph: {one_line(self.world.graph())}",
+            f"Graph: {one_line(self.world.graph(self._known().missing))}",
             turn.result_lines(),
             *([] if self.fixed else pictures),
             turn.state(),
@@ -120,12 +132,12 @@ class GraphMemory:
     # -- what is written down -----------------------------------------------------------------------------------------
 
     def named(self, seen: Observation | Panorama, step: int) -> str:
+        self.known = None
         return self.world.observed(seen, step)
 
-    def noted(self, call: Call, step: int, reason: str) -> None:
-        """Looks, and calls that were refused for what they are."""
-        if call.tool in self.tools or call.tool in LOOKING:
-            self.world.noted(call.tool, call.arguments, step, not reason, reason)
+    def refused(self, call: Call, step: int, reason: str) -> None:
+        if call.tool in _TOOLS:
+            self.world.refused(_TOOLS[call.tool], call.arguments, reason, step)
 
     def carry_out(self, call: Call, views: Mapping[str, View], step: int) -> str:
         match call.tool:
@@ -136,14 +148,11 @@ class GraphMemory:
             case "add_relation":
                 result = self.world.add_relation(call.arguments, step)
             case _:
-                reason = "get_graph takes no arguments" if call.arguments else ""
-                self.noted(call, step, reason)
-                if reason:
-                    raise DecodeError(reason)
+                decode.only_keys(call.arguments, (), "get_graph")
+                self.world.noted("get_graph", call.arguments, step, True)
                 return "done"
-        if not result.accepted:
-            raise DecodeError(result.said)
-        return "done"
+        self.known = None
+        return "done" if result.accepted else refusal(result.said)
 
     def _with_box(self, arguments: Mapping[str, Any], views: Mapping[str, View]) -> tuple[dict[str, Any], Box | str]:
         """The arguments under the contract's key, and the box in pixels of the named observation, or its fault."""
@@ -162,22 +171,14 @@ class GraphMemory:
     # -- what is read from it -----------------------------------------------------------------------------------------
 
     def judge(self, call: Call, views: Mapping[str, View], step: int) -> Verdict:
-        try:
-            verdict = self._judged(call)
-        except DecodeError as error:
-            self.noted(call, step, str(error))
-            raise
-        self.noted(call, step, "")
-        return verdict
-
-    def _judged(self, call: Call) -> Verdict:
         part = decode.only_keys(call.arguments, ("answer", "entity"), "the call")
         proposed = self.attempt.read_answer(part["answer"])
         if not isinstance(part["entity"], str):
-            raise DecodeError("entity must be the id of the target")
+            raise DecodeError("entity must be the id of the plan's target")
         belief = self._solve()
         if reason := self.solver.fault(self.plan, belief, proposed, part["entity"]):
             raise DecodeError(reason)
+        self.world.noted(FINAL, call.arguments, step, True)
         return Verdict(proposed, _evidence(belief.seen), () if belief.seen else ("the target has no box",))
 
     def solved(self, reason: str) -> Verdict:
@@ -191,9 +192,15 @@ class GraphMemory:
         self.attempt.record("solve", {"guess": "target"}, {"seen": seen}, started)
         return Verdict(answer, _evidence(seen), (reason,))
 
+    def _known(self) -> Belief:
+        """What the beliefs come to."""
+        if self.known is None:
+            self.known = self.solver.solve(self.plan)
+        return self.known
+
     def _solve(self) -> Belief:
         started = time.perf_counter()
-        belief = self.solver.solve(self.plan)
+        belief = self._known()
         told = msgspec.to_builtins(belief)
         self.attempt.record("solve", {"plan": msgspec.Raw(canonical(self.plan).encode())}, told, started)
         return belief
