@@ -229,7 +229,8 @@ class Episode:
             center_angle(place.x, place.w),
         )
         return Fact(
-            entity=None if there == row else row,
+            entity=None if there else row,
+            changed=row if there not in (None, row) else None,
             freed=tuple(e.id for e in self._entities.values() if row.node and e.node == row.node and e.id != row.id),
             sighted=sighted,
             replaced=self._replaced(sighted),
@@ -308,8 +309,9 @@ class Episode:
         for key in fact.freed:
             name = name_of(key)
             self._entities[name] = msgspec.structs.replace(self._entities[name], node="")
-        if fact.entity is not None:
-            self._entities[fact.entity.name] = fact.entity
+        for entity in (fact.entity, fact.changed):
+            if entity is not None:
+                self._entities[entity.name] = entity
         for edge in (fact.sighted, fact.has, fact.related):
             if edge is not None:
                 self._edges[place_of(edge)] = edge
@@ -320,8 +322,7 @@ class Episode:
         self._line(Write(self._writes, step, tool, as_json(arguments), True, "", text), fact)
 
     def _line(self, write: Write, fact: Fact) -> None:
-        known = fact.entity is not None and fact.entity.name in self._entities
-        self._graph.write(write_statements(self.key, write, fact, known=known))
+        self._graph.write(write_statements(self.key, write, fact))
         self._writes += 1
         self._keep(write)
 

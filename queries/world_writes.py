@@ -16,11 +16,8 @@ from jrdb_avr.schema.world import ALWAYS, Fact, HasRow, RelatedRow, SightedRow, 
 from .world import Statement, WorldGraph
 
 
-def write_statements(episode: str, write: Write, fact: Fact, *, known: bool = False) -> list[Statement]:
-    """What makes a write of an episode true in the tables: its fact, and its line of the record.
-
-    known: the fact's entity is there already.
-    """
+def write_statements(episode: str, write: Write, fact: Fact) -> list[Statement]:
+    """What makes a write of an episode true in the tables: its fact, and its line of the record."""
     statements: list[Statement] = []
 
     def add(name: str, /, **params: Any) -> None:
@@ -37,11 +34,10 @@ def write_statements(episode: str, write: Write, fact: Fact, *, known: bool = Fa
         add("observation", **msgspec.structs.asdict(fact.observation))
     for freed in fact.freed:
         add("freed", id=freed)
-    if (entity := fact.entity) is not None:
-        if known:
-            add("changed", id=entity.id, kind=entity.kind, node=entity.node)
-        else:
-            add("entity", **msgspec.structs.asdict(entity))
+    if fact.entity is not None:
+        add("entity", **msgspec.structs.asdict(fact.entity))
+    if fact.changed is not None:
+        add("changed", id=fact.changed.id, kind=fact.changed.kind, node=fact.changed.node)
     edges: tuple[tuple[str, SightedRow | HasRow | RelatedRow | None], ...] = (
         ("sighted", fact.sighted),
         ("has", fact.has),

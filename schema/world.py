@@ -216,15 +216,17 @@ class RelatedRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
     """What one write put into the tables: rows as they are from then on, each under the name of its table.
 
-    episode: on `begin`, and again with its plan on `plan`. entity: a new one, or the later kind and node of one that is
-    there. freed: keys of entities whose node is "" from then on, as this one took it. Edges begin with `current` true
-    and `until` `ALWAYS`; replaced: writes of this episode whose edge is not `current` any more, and `until` this step.
+    episode: on `begin`, and again with its plan on `plan`. entity: a new one; changed: one that is there, with another
+    kind or node. freed: keys of entities whose node is "" from then on, as this one took it. Edges begin with `current`
+    true and `until` `ALWAYS`; replaced: writes of this episode whose edge is not `current` any more, and `until` this
+    step.
     """
 
     episode: EpisodeRow | None = None
     slots: tuple[SlotRow, ...] = ()
     observation: ObservationRow | None = None
     entity: EntityRow | None = None
+    changed: EntityRow | None = None
     freed: tuple[str, ...] = ()
     sighted: SightedRow | None = None
     has: HasRow | None = None
