@@ -209,11 +209,12 @@ def _first_seen(game: Game, person: Sighting, action: str, begin: int, last: int
     step = max(_STEP, -(-(last - begin) // looks))
     before, frame = begin, begin + 1
     while frame <= last:
-        does = _probe(game, person, action, frame)
-        if does:
-            return before, game.eyes.legal(frame)
+        does, at = _probe(game, person, action, frame), game.eyes.legal(frame)
+        # A fixed context may hold no picture between the description and here.
+        if does and at >= begin:
+            return before, at
         if does is False:
-            before = game.eyes.legal(frame)
+            before = max(before, at)
         if frame == last:
             break
         frame = min(frame + step, last)
@@ -307,11 +308,11 @@ def _absence(game: Game, person: Sighting | None, t0: int) -> float:
         while frame <= last:
             seen = game.eyes.follow(person.mark.identity, frame, NEARBY)
             if seen is None:
-                gone = frame if gone is None else gone
+                gone = game.eyes.legal(frame) if gone is None else gone
             elif gone is None:
                 there = seen.frame
             else:
-                return max((seen.frame + frame - _WAIT - there - gone) / 2 / FPS, 1.0)
+                return max((seen.frame + game.eyes.legal(frame - _WAIT) - there - gone) / 2 / FPS, 1.0)
             frame += _WAIT
     except Spent:
         game.note("budget: the person was not seen coming back")

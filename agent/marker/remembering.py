@@ -84,10 +84,10 @@ class Player:
     def __init__(self, request: Request, notes: Notes) -> None:
         self.notes = notes
         self.draft = Draft(notes)
+        self._plan = request.plan
         self._left = request.number("Looks made: ", LEFT)
         self._legal = request.legal()
         self.game = Game(request.plan, request.choices, self._memory(0))
-        self._plan = request.plan
         self._then = self.game.eyes.legal(self.game.t0)
 
     def _memory(self, known: int) -> Memory:

@@ -1,0 +1,146 @@
+"""The marker plays the methods with a fixed context: it answers from the pictures that it was given.
+
+Few of the panoramas show a moment that the question names. Somebody is sought in the one nearest to the description,
+events lie between two panoramas, and where nothing tells the marker guesses, as the contract demands an answer. A box
+is always that of somebody who was read.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any, Final
+
+import msgspec
+
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.panorama import Box, center_angle, from_crop, iou
+
+from ..boxes import write_box
+from .finding import likely
+from .policy import Game, find_target, read_answer
+from .reading import Look, Request, Sighting
+from .shown import Shown
+from .turn import Turn
+
+_MOST_FACTS: Final = 12
+
+
+def answer_at_once(request: Request) -> Turn:
+    """Answer and box from the panoramas; facts that were written down before say no more than these."""
+    game, person = _found(request)
+    answer = read_answer(game, person)
+    return Turn({"answer": answer, "evidence_bboxes": _evidence(game.eyes.looks, person)}, game.missing)
+
+
+def write_facts(request: Request) -> Turn:
+    """What the panoramas show of the person whom the question asks about."""
+    game, person = _found(request)
+    facts = [_seen(seen) for seen in sorted(_everywhere(game.eyes.looks, person), key=lambda seen: seen.frame)]
+    facts += [f"What could not be made out: {reason}." for reason in game.missing]
+    return Turn({"reasoning": facts[:_MOST_FACTS] or ["Nobody in the pictures fits the description."]})
+
+
+def propose(request: Request) -> Turn:
+    """The person's box in one of the panoramas."""
+    game, person = _found(request)
+    evidence = _evidence(game.eyes.looks, person)
+    return Turn({"evidence_bboxes": evidence}, None if evidence else game.missing)
+
+
+def refine(request: Request) -> Turn:
+    """The person's box in the crop, which was centred on the box proposed before.
+
+    That is whoever fits best there or, where the description tells no more, who stands nearest to the middle.
+    """
+    crop = next((look for look in request.looks if not look.panorama), None)
+    if crop is None:
+        raise DecodeError("the prompt shows no crop")
+    game = Game(request.plan, request.choices, Shown((crop,)))
+    people = sorted(crop.sightings, key=lambda seen: abs(seen.box.x + seen.box.w / 2 - crop.width / 2))
+    person = people[0] if people else None
+    if people and not request.plan.edges:
+        root = request.plan.nodes[0]
+        person = likely(root.conditions, people, exact=crop.frame == game.t0) or person
+    if person is None:
+        game.note("mark unreadable: nobody in the crop")
+    evidence = _evidence((crop,), person)
+    return Turn({"evidence_bboxes": evidence}, None if evidence else game.missing)
+
+
+def choose(request: Request) -> Turn:
+    """The answer, read of the person in the refined box."""
+    game = Game(request.plan, request.choices, Shown(request.looks))
+    box = _refined(request)
+    seen = [(iou(box, _stitched(look, seen.box)), look.panorama, seen) for look in request.looks for seen in look.sightings]
+    overlap, _, person = max(seen, key=lambda found: found[:2], default=(0.0, False, None))
+    if overlap <= 0:
+        person = None
+        game.note("mark unreadable: nobody in the refined box")
+    game.note_unseen()
+    return Turn({"answer": read_answer(game, person)}, game.missing)
+
+
+# -- parts ------------------------------------------------------------------------------------------------------------
+
+
+def _found(request: Request) -> tuple[Game, Sighting | None]:
+    game = Game(request.plan, request.choices, Shown(request.looks))
+    person = find_target(game)
+    game.note_unseen()
+    return game, person
+
+
+def _everywhere(looks: Sequence[Look], person: Sighting | None) -> list[Sighting]:
+    """The person in every picture that shows it."""
+    found = () if person is None else (look.of(person.mark.identity) for look in looks)
+    return [seen for seen in found if seen is not None]
+
+
+def _evidence(looks: Sequence[Look], person: Sighting | None) -> list[dict[str, Any]]:
+    """The person's box where it was recognized or, where a picture's edge cuts it there, in a picture nearby.
+
+    Of a person over the seam of a panorama the larger part.
+    """
+    seen = [
+        (not seen.whole, abs(seen.frame - person.frame), look, seen)
+        for look in looks
+        if person is not None and (seen := look.of(person.mark.identity)) is not None
+    ]
+    if not seen:
+        return []
+    _, _, look, best = min(seen, key=lambda found: found[:2])
+    x = best.box.x
+    if look.panorama:
+        x -= look.width * ((x + best.box.w / 2) // look.width)
+    box = write_box(best.box._replace(x=x), look.width, look.height)
+    return [{"frame_id": f"{best.frame:06d}", "bbox": box}]
+
+
+def _refined(request: Request) -> Box:
+    """The box of the line `Refined box, ...`, in stitched pixels. Raises DecodeError where it is not there."""
+    text = request.line("Refined box, stitched pixels: ") or ""
+    try:
+        return Box(*msgspec.json.decode(text, type=tuple[float, float, float, float]))
+    except msgspec.DecodeError:
+        raise DecodeError("the prompt has no refined box of four numbers") from None
+
+
+def _stitched(look: Look, box: Box) -> Box:
+    return box if look.panorama else from_crop(box, look.left)
+
+
+def _seen(seen: Sighting) -> str:
+    """One sighting in a sentence."""
+    mark = seen.mark
+    told = [
+        mark.gender,
+        mark.age,
+        mark.pose,
+        *mark.actions,
+        None if mark.interaction is None else f"{mark.interaction} with somebody",
+        None if mark.object is None or mark.verb is None else f"{mark.verb} {mark.object}",
+        None if mark.distance_dm is None else f"{mark.distance_dm / 10:g} m away",
+    ]
+    what = ", ".join(text for text in told if text) or "no more can be told"
+    return f"Frame {seen.frame:06d}: the person stands at panorama angle {seen.angle:.0f}: {what}."
