@@ -171,6 +171,19 @@ def test_an_unreadable_answer_leaves_the_box(world):
     assert isinstance(prediction.evidence, Evidence)
 
 
+def test_a_part_that_is_left_out_leaves_the_other(world):
+    """Shown the error once, as any malformed turn; at the end what could be read stands."""
+    evidence = json.loads(answer())["evidence_bboxes"]
+    for part in ({"answer": 2}, {"evidence_bboxes": evidence}):
+        turn = json.dumps({"action": "answer", **part})
+        prediction, requests, _ = play(world, [look(150, 180), turn])
+        assert (prediction.status, len(requests)) == ("invalid", 3)
+        assert (prediction.answer is not None, prediction.evidence is not None) == (
+            "answer" in part,
+            "answer" not in part,
+        )
+
+
 def test_the_transcript_names_images_and_holds_none(world):
     _, _, steps = play(world, [look(150, 180), answer()])
     kept = json.dumps([[step.request, step.response] for step in steps])
