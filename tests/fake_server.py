@@ -1,9 +1,11 @@
 """A chat-completions server for tests that behaves, and misbehaves, as it is told.
 
 `FakeServer(script)` calls `script(request, n)` for the n-th request (from 0) and sends what it returns: a text (a clean
-reply), a dict (a whole reply body), or one of the faults below. Every request body is kept in `requests`.
+reply), a dict (a whole reply body), or one of the faults below. Every request body is kept in `requests`. `seeing` is a
+script that passes every check of a server; tests spoil it in one way at a time.
 """
 
+import base64
 import json
 import threading
 import time
@@ -36,10 +38,20 @@ class CutOff:
 
 
 @dataclass
+class Drip:
+    """A reply that comes byte by byte, with a pause before each."""
+
+    pause: float
+    text: str
+
+
+@dataclass
 class Body:
-    """Any bytes with status 200."""
+    """Any bytes."""
 
     data: bytes
+    content_type: str = "application/json"
+    code: int = 200
 
 
 def completion(text, finish_reason="stop", model="fake-1", **message):
@@ -56,8 +68,9 @@ def completion(text, finish_reason="stop", model="fake-1", **message):
 
 
 class FakeServer:
-    def __init__(self, script):
+    def __init__(self, script, version=None):
         self.script = script
+        self.version = version
         self.requests = []
         self.headers = []
         self._lock = threading.Lock()
@@ -76,6 +89,12 @@ class FakeServer:
                     fake.headers.append({name.lower(): value for name, value in self.headers.items()})
                 self.answer(fake.script(body, number))
 
+            def do_GET(self):
+                if self.path == "/version" and fake.version is not None:
+                    self.send(200, fake.version)
+                else:
+                    self.send(404, b'{"detail": "Not Found"}')
+
             def answer(self, what):
                 if isinstance(what, Slow):
                     time.sleep(what.seconds)
@@ -83,23 +102,32 @@ class FakeServer:
                 if isinstance(what, Status):
                     data = json.dumps({"error": {"message": what.message}}).encode()
                     self.send(what.code, data, what.headers)
-                elif isinstance(what, CutOff):
-                    data = json.dumps(completion(what.text)).encode()
-                    self.send_response(200)
-                    self.send_header("Content-Length", str(len(data)))
-                    self.end_headers()
-                    self.wfile.write(data[: len(data) // 2])
-                    self.close_connection = True
+                elif isinstance(what, CutOff | Drip):
+                    self.trickle(what)
                 elif isinstance(what, Body):
-                    self.send(200, what.data)
+                    self.send(what.code, what.data, content_type=what.content_type)
                 else:
                     self.send(200, json.dumps(completion(what) if isinstance(what, str) else what).encode())
 
-            def send(self, status, data, headers=()):
+            def trickle(self, what):
+                data = json.dumps(completion(what.text)).encode()
+                self.send_response(200)
+                self.send_header("Content-Length", str(len(data)))
+                self.end_headers()
+                if isinstance(what, CutOff):
+                    self.wfile.write(data[: len(data) // 2])
+                    self.close_connection = True
+                    return
+                for byte in data:
+                    time.sleep(what.pause)
+                    self.wfile.write(bytes([byte]))
+                    self.wfile.flush()
+
+            def send(self, status, data, headers=(), content_type="application/json"):
                 self.send_response(status)
                 for name, value in headers:
                     self.send_header(name, value)
-                self.send_header("Content-Type", "application/json")
+                self.send_header("Content-Type", content_type)
                 self.send_header("Content-Length", str(len(data)))
                 self.end_headers()
                 self.wfile.write(data)
@@ -148,3 +176,68 @@ def images(request):
         for part in message["content"]
         if part["type"] == "image_url"
     ]
+
+
+# -- a server that passes every check ---------------------------------------------------------------------------------
+
+
+def schema_of(request):
+    """The JSON Schema that the reply must keep to; None where none was sent."""
+    format_ = request.get("response_format", {})
+    return format_["json_schema"]["schema"] if format_.get("type") == "json_schema" else None
+
+
+def marked(request):
+    """Width, height and the one marked rectangle (x, y, w, h) of a request's picture."""
+    import cv2
+    import numpy as np
+
+    from jrdb_avr.schema.marks import read
+
+    (url,) = images(request)
+    data = np.frombuffer(base64.b64decode(url.partition(",")[2]), np.uint8)
+    image = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB)
+    (found,) = read(image)
+    return image.shape[1], image.shape[0], tuple(found.box)
+
+
+def corner_seen(request):
+    """The corner that the marked rectangle is in, as the reply to a picture check."""
+    width, height, (x, y, w, h) = marked(request)
+    down, across = ("upper", "lower")[y + h / 2 > height / 2], ("left", "right")[x + w / 2 > width / 2]
+    return json.dumps({"corner": f"{down} {across}"})
+
+
+def seeing(request, n=0, model="fake"):
+    """What a good server replies to a preflight request; None to any other."""
+    text = texts(request)
+    if text.endswith("one word: ready"):
+        return completion("ready", model=model)
+    if text.startswith("Say in one sentence"):
+        shape = schema_of(request)
+        (key,) = shape["required"] if shape else ("",)
+        return completion(json.dumps({key: shape["properties"][key]["enum"][0]}) if shape else "Grey.", model=model)
+    if text.startswith("Reply with the JSON object"):
+        return completion('{"ready": true}', model=model)
+    if text.endswith("The corner, as one JSON object:"):
+        return completion(corner_seen(request), model=model)
+    return None
+
+
+def sound(script, model="fake"):
+    """The script of a server that passes every check, and is asked for everything else as `script` says.
+
+    `script` counts only the requests that reach it.
+    """
+    lock, reached = threading.Lock(), []
+
+    def answer(request, n):
+        reply = seeing(request, n, model)
+        if reply is not None:
+            return reply
+        with lock:
+            reached.append(request)
+            number = len(reached) - 1
+        return script(request, number)
+
+    return answer

@@ -3,15 +3,24 @@
 import json
 import logging
 import socket
+import subprocess
+import sys
 import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from fake_server import Body, CutOff, FakeServer, Slow, Status, completion
+from fake_server import Body, CutOff, Drip, FakeServer, Slow, Status, completion
+from hypothesis import given
+from hypothesis import strategies as st
 
+from jrdb_avr.agent.calls import Calls
 from jrdb_avr.agent.client import Client, Reply
+from jrdb_avr.agent.conventions import convention_of
 from jrdb_avr.agent.messages import Message, Picture, fingerprint, transcript, wire
 from jrdb_avr.agent.options import Options
-from jrdb_avr.schema.errors import EndpointError
+from jrdb_avr.agent.replies import read_completion
+from jrdb_avr.schema.errors import EndpointError, StoreError
 
 ASK = [Message("user", ("hello",))]
 SECRET = "sk-very-secret-0123456789"
@@ -64,12 +73,16 @@ def test_pictures_travel_inline():
     "fault",
     [
         Status(429, "slow down", (("Retry-After", "7"),)),
+        Status(429),
         Status(500),
         Status(503),
         CutOff("hi"),
-        Body(b"<html>bad gateway</html>"),
+        Body(b"<html>bad gateway</html>", "text/html"),
         Body(b'{"choices": []}'),
+        Body(b'{"choices": [{"message": {"content": 5}}]}'),
+        Body(b"data: {}", "text/event-stream"),
         Body(b""),
+        Body(b"[" * 100_000),
     ],
 )
 def test_what_transport_or_server_broke_is_tried_again(fault):
@@ -77,7 +90,62 @@ def test_what_transport_or_server_broke_is_tried_again(fault):
         made, pauses = client(server)
         assert made.complete(ASK).content == "hi"
     assert len(server.requests) == 3
-    assert pauses == ([7.0, 7.0] if isinstance(fault, Status) and fault.code == 429 else [0.5, 1.0])
+    assert pauses == ([7.0, 7.0] if isinstance(fault, Status) and fault.headers else [0.5, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("asked", "waited"), [("3", 3.0), ("0", 0.0), ("-5", 0.5), ("9999", 60.0), ("soon", 0.5), ("nan", 0.5), ("", 0.5)]
+)
+def test_the_pause_that_a_server_asks_for(asked, waited):
+    with FakeServer(sequence_of(Status(429, "slow down", (("Retry-After", asked),)), "hi")) as server:
+        made, pauses = client(server)
+        made.complete(ASK)
+    assert pauses == [waited]
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        (Status(429, "later"), "HTTP 429: .*later.* \\(5 tries\\)"),
+        (CutOff("hi"), "cannot reach the server|broke off"),
+        (Body(b"<html>bad gateway</html>", "text/html; charset=utf-8"), "no chat completion but text/html"),
+        (Body(b'{"choices": []}'), "no chat completion but application/json \\(it holds no choice\\)"),
+        (Body(b'{"error": {"message": "loading"}}'), "missing required field `choices`"),
+        (Body(b"\x00\x1b[2J", "text/\x01plain"), "no chat completion but"),
+    ],
+)
+def test_what_never_gets_better_is_told_in_one_line(fault, words):
+    with FakeServer(sequence_of(fault)) as server:
+        made, _ = client(server)
+        with pytest.raises(EndpointError, match=words) as caught:
+            made.complete(ASK)
+    assert len(server.requests) == 5
+    assert "\n" not in str(caught.value)
+
+
+def test_json_of_another_content_type_is_heard():
+    text = Body(json.dumps(completion("hi")).encode(), "text/plain")
+    with FakeServer(sequence_of(text)) as server:
+        assert client(server)[0].complete(ASK).content == "hi"
+
+
+def test_a_reply_without_end_is_not_read_to_its_end(monkeypatch):
+    monkeypatch.setattr("jrdb_avr.agent.limits.MOST_BYTES", 100_000)
+    with FakeServer(sequence_of("x" * 90_000, "x" * 200_000)) as server:
+        made, _ = client(server)
+        assert len(made.complete(ASK).content) == 90_000
+        with pytest.raises(EndpointError, match="is this a chat server"):
+            made.complete(ASK)
+    assert len(server.requests) == 2
+
+
+def test_a_reply_that_drips_is_given_up():
+    """Each byte comes in time; all of them would take minutes."""
+    with FakeServer(sequence_of(Drip(0.05, "late"), "hi")) as server:
+        made, _ = client(server, timeout_s=0.3)
+        started = time.monotonic()
+        assert made.complete(ASK).content == "hi"
+        assert time.monotonic() - started < 3
 
 
 def test_retries_end():
@@ -167,6 +235,123 @@ def test_a_broken_cache_file_is_a_call(tmp_path):
     assert len(server.requests) == 2
 
 
+def test_a_refusal_is_not_kept(tmp_path):
+    """Of a model that declines in the field made for it, while the reply as such ends well."""
+    with FakeServer(sequence_of(completion("", refusal="I cannot help with that."))) as server:
+        made, _ = client(server, cache=tmp_path)
+        assert made.complete(ASK).refusal == "I cannot help with that."
+        assert made.complete(ASK).content == ""
+    assert len(server.requests) == 2
+    assert files(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("reply", "kept"),
+    [
+        (completion("<think>hm</think>{}"), True),
+        (completion("<think>hm, {}"), False),
+        (completion("<think>hm</think>"), False),
+        (completion(" \n"), False),
+        (completion("", reasoning="{}"), False),
+        (completion(None, reasoning_content="hm</think>{}"), True),
+        (completion("{}", finish_reason=None), False),
+        (completion("{}", finish_reason="tool_calls"), False),
+        (completion("{}", refusal={"odd": 1}, reasoning=["odd"]), True),
+    ],
+)
+def test_only_a_call_that_said_something_is_kept(tmp_path, reply, kept):
+    with FakeServer(sequence_of(reply)) as server:
+        made, _ = client(server, cache=tmp_path)
+        made.complete(ASK)
+        made.complete(ASK)
+    assert len(server.requests) == (1 if kept else 2)
+
+
+def test_whatever_shapes_a_reply_is_in_its_key(tmp_path):
+    """And what does not is not: a server may move, or need more time, without a call being paid for again."""
+    qwen = convention_of("Qwen/Qwen3.5-9B")
+
+    def made(model="fake", convention=qwen, **options):
+        return Client(server.url, model, Options(**options), convention=convention, cache=tmp_path)
+
+    with FakeServer(sequence_of("{}")) as server, FakeServer(sequence_of("{}")) as moved:
+        made().complete(ASK, {"type": "object"})
+        for same in ({}, {"timeout_s": 5.0}, {"retries": 0}):
+            made(**same).complete(ASK, {"type": "object"})
+        Client(moved.url, "fake", convention=qwen, cache=tmp_path).complete(ASK, {"type": "object"})
+        assert (len(server.requests), len(moved.requests)) == (1, 0)
+        others = (
+            {"model": "fake-2"},
+            {"max_tokens": 100},
+            {"thinking": "on"},
+            {"response_format": "json_object"},
+            {"response_format": "none"},
+        )
+        for number, other in enumerate(others, 2):
+            made(**other).complete(ASK, {"type": "object"})
+            assert len(server.requests) == number
+    assert server.requests[0]["chat_template_kwargs"] == {"enable_thinking": False}
+
+
+WRITER = """
+import sys
+from pathlib import Path
+from jrdb_avr.agent.calls import Calls
+from jrdb_avr.agent.replies import Reply
+
+calls = Calls(Path(sys.argv[1]))
+place = calls.place({"model": "x"})
+print("ready", flush=True)
+while True:
+    calls.keep(place, Reply(sys.argv[2] * 300_000, finish_reason="stop"))
+"""
+
+
+def test_calls_survive_kills_and_two_processes(tmp_path):
+    """Two processes write the same call over and over, and are killed: every read finds one reply, whole."""
+    calls = Calls(tmp_path)
+    place = calls.place({"model": "x"})
+    command = [sys.executable, "-c", WRITER, str(tmp_path)]
+    for _ in range(2):
+        writers = [subprocess.Popen([*command, letter], stdout=subprocess.PIPE) for letter in "ab"]
+        for writer in writers:
+            assert writer.stdout.readline() == b"ready\n"
+        seen = set()
+        end = time.monotonic() + 30
+        while len(seen) < 2 and time.monotonic() < end:
+            if place.exists():
+                reply = calls.read(place)
+                assert len(reply.content) == 300_000
+                assert len(set(reply.content)) == 1
+                seen.add(reply.content[0])
+        for writer in writers:
+            writer.kill()
+            writer.wait()
+            writer.stdout.close()
+        assert seen == {"a", "b"}
+        assert len(calls.read(place).content) == 300_000
+
+
+def test_a_full_disk_is_told(tmp_path):
+    (tmp_path / "calls").write_text("no folder")
+    with FakeServer(sequence_of("hi")) as server, pytest.raises(StoreError, match="cannot keep a finished call"):
+        client(server, cache=tmp_path / "calls")[0].complete(ASK)
+
+
+def test_sixty_four_are_in_flight_at_once():
+    together = threading.Barrier(64)
+
+    def script(request, n):
+        together.wait(20)
+        return "hi"
+
+    with FakeServer(script) as server:
+        made, pauses = client(server)
+        with ThreadPoolExecutor(64) as pool:
+            assert {reply.content for reply in pool.map(made.complete, [ASK] * 64)} == {"hi"}
+    assert pauses == []
+
+
 def test_many_threads_share_a_client(tmp_path):
     with FakeServer(lambda request, n: request["messages"][0]["content"]) as server:
         made, _ = client(server, cache=tmp_path)
@@ -200,6 +385,15 @@ def test_the_key_is_sent_and_goes_nowhere_else(tmp_path, monkeypatch, caplog):
     assert SECRET not in json.dumps(made.settings())
     for path in files(tmp_path):
         assert SECRET.encode() not in path.read_bytes()
+
+
+def test_the_key_is_in_no_request_that_is_kept(monkeypatch, tmp_path):
+    """The same call under another key is the same call."""
+    with FakeServer(sequence_of("hi")) as server:
+        for key in (SECRET, SECRET + "-other"):
+            monkeypatch.setenv("OPENAI_API_KEY", key)
+            client(server, cache=tmp_path)[0].complete(ASK)
+    assert len(server.requests) == 1
 
 
 # -- what servers get wrong -------------------------------------------------------------------------------------------
@@ -255,11 +449,12 @@ def test_a_line_end_after_the_key_is_no_part_of_it(monkeypatch):
 
 def test_no_part_of_the_key_is_left_where_a_message_is_cut(monkeypatch):
     monkeypatch.setenv("OPENAI_API_KEY", SECRET)
-    for length in range(250, 300):
-        message = "x" * length + SECRET
-        with FakeServer(sequence_of(Status(400, message))) as server, pytest.raises(EndpointError) as caught:
-            client(server)[0].complete(ASK)
-        assert SECRET[:6] not in str(caught.value)
+    with FakeServer(lambda request, n: Status(400, "x" * (250 + n) + SECRET)) as server:
+        made, _ = client(server)
+        for _ in range(50):
+            with pytest.raises(EndpointError) as caught:
+                made.complete(ASK)
+            assert SECRET[:6] not in str(caught.value)
 
 
 @pytest.mark.parametrize(("code", "remedy"), [(401, "OPENAI_API_KEY"), (403, "OPENAI_API_KEY"), (404, "--base-url")])
@@ -274,3 +469,69 @@ def test_a_probe_does_not_wait_as_long_as_a_question(monkeypatch):
         with pytest.raises(EndpointError, match="no reply within"):
             client(server)[0].ask(ASK)
         assert client(server)[0].complete(ASK).content == "hi"
+
+
+# -- who replies ------------------------------------------------------------------------------------------------------
+
+
+def test_another_model_than_asked_is_told(tmp_path):
+    with FakeServer(lambda request, n: completion("hi", model=["a", "a", "b", None][n])) as server:
+        made, _ = client(server, cache=tmp_path)
+        for number in range(4):
+            made.complete([Message("user", (f"q{number}",))])
+        assert made.served == ("a", "b", "")
+        again, _ = client(server, cache=tmp_path)
+        again.complete([Message("user", ("q2",))])
+        assert again.served == ("b",)
+
+
+@pytest.mark.parametrize(
+    ("sent", "version"),
+    [
+        (b'{"version": "0.12.0"}', "0.12.0"),
+        (b'{"version": 12}', ""),
+        (b"[]", ""),
+        (b"<html>", ""),
+        (b"\xff", ""),
+        (b'{"version": "a\\nb"}', "a b"),
+        (None, ""),
+    ],
+)
+def test_the_servers_version_if_it_tells_one(sent, version):
+    with FakeServer(sequence_of("hi"), version=sent) as server:
+        assert client(server)[0].server_version() == version
+
+
+def test_settings_are_plain_json():
+    made = Client("http://localhost:1/v1", "x", Options(thinking="on"), convention=convention_of("gemma-4-e4b"))
+    settings = made.settings()
+    assert json.loads(json.dumps(settings)) == settings
+    assert settings["response_format"] == "json_schema"
+    assert settings["chat_template_kwargs"] == {"enable_thinking": True}
+
+
+# -- what a completion may be -----------------------------------------------------------------------------------------
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=8,
+)
+FIELDS = ("content", "reasoning", "reasoning_content", "refusal")
+
+
+@given(st.binary() | JSON.map(lambda value: json.dumps(value).encode()))
+def test_junk_is_no_completion(data):
+    with pytest.raises(ValueError, match=r"\S"):
+        read_completion(data)
+
+
+@given(st.fixed_dictionaries({}, optional=dict.fromkeys(FIELDS, JSON)), JSON, JSON, JSON)
+def test_whatever_stands_in_a_completion_is_a_reply_or_a_reason(message, finish_reason, model, usage):
+    body = {"choices": [{"message": message, "finish_reason": finish_reason}], "model": model, "usage": usage}
+    try:
+        reply = read_completion(json.dumps(body).encode())
+    except ValueError:
+        return
+    assert isinstance(reply, Reply)
+    assert reply.prompt_tokens >= 0

@@ -1,0 +1,236 @@
+"""Conventions per backbone: what is declared of each, and that boxes survive being written and read in every one."""
+
+import json
+import math
+
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from jrdb_avr.agent.boxes import box_key, read_box, write_box
+from jrdb_avr.agent.conventions import BACKBONES, CONTRACT, Convention, convention_of
+from jrdb_avr.agent.options import Options
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box
+
+GEMMA = ("gemma-4", {"bbox": "xyxy", "box_2d": "yxyx"}, False)
+QWEN_VL = ("qwen3-vl", {"bbox": "xyxy", "bbox_2d": "xyxy"}, False)
+QWEN_35 = ("qwen3.5", {"bbox": "xyxy", "bbox_2d": "xyxy"}, True)
+CONTRACTS = ("contract", {"bbox": "xyxy"}, None)
+
+
+@pytest.mark.parametrize(
+    ("model", "declared"),
+    [
+        ("google/gemma-4-E2B-it", GEMMA),
+        ("google/gemma-4-E4B-it", GEMMA),
+        ("gemma4:e4b", GEMMA),
+        ("unsloth/Gemma_4_E2B", GEMMA),
+        ("Qwen/Qwen3-VL-4B-Instruct", QWEN_VL),
+        ("Qwen/Qwen3-VL-8B-Instruct-FP8", QWEN_VL),
+        ("qwen3vl:8b", QWEN_VL),
+        ("Qwen/Qwen3-VL-8B-Thinking", ("qwen3-vl-thinking", QWEN_VL[1], True)),
+        ("Qwen/Qwen3.5-4B", QWEN_35),
+        ("Qwen/Qwen3.5-9B", QWEN_35),
+        ("qwen3.5:9b", QWEN_35),
+        ("marker", CONTRACTS),
+        ("google/gemma-3-4b-it", CONTRACTS),
+        ("google/gemma-4.5-E2B", CONTRACTS),
+        ("Qwen/Qwen3-4B", CONTRACTS),
+        ("Qwen/Qwen2.5-VL-7B-Instruct", CONTRACTS),
+        ("Qwen/Qwen3.55", CONTRACTS),
+    ],
+)
+def test_what_is_declared_of_a_model(model, declared):
+    convention = convention_of(model)
+    assert (convention.name, dict(convention.boxes), convention.thinks) == declared
+
+
+def test_the_six_backbones_are_declared():
+    assert len(BACKBONES) == 6
+    for model, convention in BACKBONES.items():
+        assert convention_of(model) is convention is not CONTRACT
+        assert json.loads(json.dumps(convention.settings())) == convention.settings()
+
+
+@pytest.mark.parametrize(
+    ("model", "thinking", "sent", "thinks"),
+    [
+        ("Qwen/Qwen3.5-9B", "off", {"enable_thinking": False}, False),
+        ("Qwen/Qwen3.5-9B", "on", {}, True),
+        ("Qwen/Qwen3.5-9B", "template", {}, True),
+        ("google/gemma-4-E4B-it", "off", {}, False),
+        ("google/gemma-4-E4B-it", "on", {"enable_thinking": True}, True),
+        ("google/gemma-4-E4B-it", "template", {}, False),
+        ("Qwen/Qwen3-VL-8B-Instruct", "off", {}, False),
+        ("Qwen/Qwen3-VL-8B-Thinking", "off", {}, False),
+        ("some-model", "off", {}, False),
+        ("some-model", "template", {}, None),
+    ],
+)
+def test_thinking_is_switched_where_it_can_be(model, thinking, sent, thinks):
+    """What cannot be switched is declared alone: preflight finds the server that thinks otherwise."""
+    options, convention = Options(thinking=thinking), convention_of(model)
+    assert dict(options.template(convention)) == sent
+    assert options.thinks(convention) is thinks
+
+
+def test_gemmas_budget_shrinks_a_panorama_and_no_crop():
+    """Field notes: some 60 % of a side; sides are multiples of 48."""
+    gemma = convention_of("google/gemma-4-E4B-it")
+    across, down = gemma.resized(WIDTH, HEIGHT)
+    assert 0.55 < across / WIDTH < 0.65 and 0.55 < down / HEIGHT < 0.65
+    assert across % 48 == down % 48 == 0
+    assert gemma.resized(CROP, CROP) == (CROP, CROP)
+
+
+# -- boxes ------------------------------------------------------------------------------------------------------------
+
+CONVENTIONS = [CONTRACT, *{id(c): c for c in BACKBONES.values()}.values()]
+SCALED = [
+    Convention(f"{order} {scale}", {"bbox": order}, scales={"bbox": scale}, multiple=32, image_pixels=500_000)
+    for order in ("xyxy", "yxyx")
+    for scale in ("thousandths", "unit", "pixels", "resized")
+]
+SIZES = st.sampled_from([(CROP, CROP), (WIDTH, HEIGHT)])
+SHARE = st.floats(0, 1)
+
+
+def encode(corners, reading, convention, width, height):
+    """Four numbers as a model of this convention writes them: independent of the product's reading of them."""
+    left, top, right, bottom = corners
+    full = {
+        "thousandths": (1000, 1000),
+        "unit": (1, 1),
+        "pixels": (width, height),
+        "resized": convention.resized(width, height),
+    }[reading.scale]
+    numbers = [left * full[0], top * full[1], right * full[0], bottom * full[1]]
+    if reading.scale != "unit":
+        numbers = [round(number) for number in numbers]
+    return numbers if reading.order == "xyxy" else [numbers[1], numbers[0], numbers[3], numbers[2]]
+
+
+@given(st.sampled_from(CONVENTIONS + SCALED), SIZES, SHARE, SHARE, SHARE, SHARE, st.data())
+def test_what_a_convention_writes_it_reads(convention, size, a, b, c, d, data):
+    key = data.draw(st.sampled_from(sorted(convention.boxes)))
+    left, right = sorted((a, b))
+    top, bottom = sorted((c, d))
+    assume(right - left > 0.01 and bottom - top > 0.01)
+    width, height = size
+    written = encode((left, top, right, bottom), convention.reading(key), convention, width, height)
+    box = read_box(json.loads(json.dumps(written)), width, height, convention, key)
+    slack = 0.0005 if convention.reading(key).scale == "thousandths" else 0.002
+    for seen, true, side in (
+        (box.x, left, width),
+        (box.y, top, height),
+        (box.x + box.w, right, width),
+        (box.y + box.h, bottom, height),
+    ):
+        assert math.isclose(seen / side, true, abs_tol=slack + 1e-9)
+
+
+@given(st.sampled_from(CONVENTIONS), SIZES, st.lists(st.integers(0, 1000), min_size=4, max_size=4))
+def test_reversed_corners_are_never_a_box(convention, size, numbers):
+    for key in convention.boxes:
+        a, b, c, d = numbers
+        if a < c and b < d:
+            read_box(numbers, *size, convention, key)
+            for swapped in ([c, b, a, d], [a, d, c, b], [c, d, a, b]):
+                with pytest.raises(DecodeError, match="reversed"):
+                    read_box(swapped, *size, convention, key)
+        else:
+            with pytest.raises(DecodeError, match="reversed"):
+                read_box(numbers, *size, convention, key)
+
+
+NUMBER = (
+    st.integers()
+    | st.floats()
+    | st.booleans()
+    | st.none()
+    | st.text(max_size=3)
+    | st.sampled_from([math.nan, math.inf, -math.inf, True, "10", 10**400, 1e308])
+)
+
+
+@given(
+    st.sampled_from(CONVENTIONS + SCALED), st.lists(NUMBER, max_size=6) | NUMBER | st.dictionaries(st.text(), NUMBER)
+)
+def test_junk_is_no_box(convention, value):
+    """Whatever is no list of four fitting numbers gives a reason, and what does fit lies in the image."""
+    try:
+        box = read_box(value, 480, 480, convention)
+    except DecodeError as error:
+        assert str(error).isprintable()
+        return
+    assert isinstance(value, list) and len(value) == 4
+    assert all(type(v) in (int, float) and math.isfinite(v) for v in value)
+    assert 0 <= box.x < box.x + box.w <= 480.001 and 0 <= box.y < box.y + box.h <= 480.001
+
+
+@pytest.mark.parametrize("spoiled", [True, False, None, math.nan, math.inf, "30", [30], 10**400])
+@pytest.mark.parametrize("place", range(4))
+@pytest.mark.parametrize("convention", SCALED, ids=lambda c: c.name)
+def test_one_number_that_is_none_spoils_the_box(convention, place, spoiled):
+    full = 1 if convention.scales["bbox"] == "unit" else 400
+    numbers = [0, 0, full, full]
+    read_box(numbers, 480, 480, convention)
+    numbers[place] = spoiled
+    with pytest.raises(DecodeError):
+        read_box(numbers, 480, 480, convention)
+
+
+@pytest.mark.parametrize(
+    ("value", "outcome"),
+    [
+        ([-20, 0, 500, 1000], Box(0, 0, 240, 480)),
+        ([0, -20, 500, 1020], Box(0, 0, 240, 480)),
+        ([-21, 0, 500, 1000], None),
+        ([0, 0, 500, 1021], None),
+        ([0, 0, 1021, 500], None),
+    ],
+)
+def test_two_percent_are_clipped_and_no_more(value, outcome):
+    if outcome:
+        assert read_box(value, 480, 480) == outcome
+    else:
+        with pytest.raises(DecodeError, match="outside"):
+            read_box(value, 480, 480)
+
+
+def test_two_percent_of_pixels_are_of_each_side():
+    pixels = Convention("p", {"bbox": "xyxy"}, scales={"bbox": "pixels"})
+    assert read_box([0, 0, 3835, 489], WIDTH, HEIGHT, pixels) == Box(0, 0, WIDTH, HEIGHT)
+    for beyond in ([0, 0, 3836, 480], [0, 0, 3760, 490]):
+        with pytest.raises(DecodeError, match="outside"):
+            read_box(beyond, WIDTH, HEIGHT, pixels)
+
+
+def test_a_key_of_another_tool_is_read_as_the_contracts():
+    gemma = convention_of("google/gemma-4-E4B-it")
+    assert read_box([100, 200, 300, 600], 1000, 1000, gemma, "box") == Box(100, 200, 200, 400)
+    assert read_box([100, 200, 300, 600], 1000, 1000, gemma, "box_2d") == Box(200, 100, 400, 200)
+
+
+@pytest.mark.parametrize(
+    ("entry", "key"),
+    [
+        ({"box": []}, "box"),
+        ({"box_2d": []}, "box_2d"),
+        ({"bbox": []}, "bbox"),
+        ({"bbox_2d": []}, "box"),
+        ({"box": [], "box_2d": []}, "box"),
+        ({}, "box"),
+        (None, "box"),
+        ("box_2d", "box"),
+    ],
+)
+def test_the_key_that_was_written(entry, key):
+    assert box_key(entry, convention_of("google/gemma-4-E4B-it"), "box") == key
+
+
+def test_the_contract_writes_thousandths():
+    assert write_box(Box(120, 0, 240, 480), 480, 480) == [250, 0, 750, 1000]
+    assert write_box(Box(120, 0, 240, 480), 480, 480, "yxyx") == [0, 250, 1000, 750]
+    assert write_box(Box(-50, -50, 4000, 600), WIDTH, HEIGHT) == [0, 0, 1000, 1000]
