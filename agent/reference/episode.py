@@ -121,7 +121,7 @@ class Episode:
         return (*(("observe",) if self.looking else ()), *self.memory.tools)
 
     def _turn(self, results: Sequence[str], fresh: Sequence[View], error: str) -> Turn:
-        looks = (len(self.made), self.limits.looks - len(self.made)) if self.looking else None
+        looks = (len(self.made), self.limits.looks - len(self.made) if self.looking else 0)
         return Turn(results, fresh, error, looks, (self.used, self.limits.calls - self.used))
 
     def _call(self, call: Call, step: int, results: list[str]) -> Verdict | None:

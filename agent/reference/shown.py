@@ -49,13 +49,13 @@ def view_parts(views: Sequence[View]) -> list[Part]:
 class Turn:
     """What has changed since the last turn, and what is left.
 
-    results: of the last turn's calls; fresh: the pictures that they made; looks: None where nobody can look.
+    results: of the last turn's calls; fresh: the pictures that they made; looks, calls: made and left.
     """
 
     results: Sequence[str]
     fresh: Sequence[View]
     error: str
-    looks: tuple[int, int] | None
+    looks: tuple[int, int]
     calls: tuple[int, int]
 
     def result_lines(self) -> str:
@@ -65,7 +65,12 @@ class Turn:
 
     def state(self) -> str:
         """The lines that close every turn."""
-        used, left = self.calls
         error = f"Your last turn was malformed, and a second such turn ends the question: {self.error}"
-        state = render("agent_state", used=used, left=left, error=error if self.error else "")
-        return state if self.looks is None else "Looks made: {}, left: {}\n".format(*self.looks) + state
+        return render(
+            "agent_state",
+            looks=self.looks[0],
+            looks_left=self.looks[1],
+            calls=self.calls[0],
+            calls_left=self.calls[1],
+            error=error if self.error else "",
+        )
