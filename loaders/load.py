@@ -4,6 +4,8 @@ Everything is first written into a staging folder inside the store; the graph is
 then the new parts are moved in and the manifest is written last. So a load that fails leaves the old store as it was,
 and one that is killed is repaired by running it again: what it left behind is swept away under the writer's lock. Once
 the moves have begun, they are finished by whoever writes next, so that the tables outlive a kill at any moment.
+
+The new graph also holds what the finished runs of the store say of their agents' world models.
 """
 
 from __future__ import annotations
@@ -25,7 +27,10 @@ import msgspec
 import pyarrow as pa
 
 from jrdb_avr.queries.handle import build_graph, remove_graph
+from jrdb_avr.queries.runs import run_ids
 from jrdb_avr.queries.store import Manifest, SequenceEntry, Store
+from jrdb_avr.queries.world import make_world_tables
+from jrdb_avr.queries.world_record import copy_all
 from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.rules import LoadRules, rules_hash
 from jrdb_avr.schema.tables import ANNOTATIONS
@@ -83,14 +88,18 @@ def load(
         if not entries:
             raise InputError(_nothing(root, reports))
         image_root = str(root.image_root.resolve()) if root.image_root else None
-        _finish(store, staging, image_root, rules, entries, PARTS)
-    return reports
+        left_out = _finish(store, staging, image_root, rules, entries, PARTS)
+    return [*reports, SequenceReport("", [], warnings=left_out)] if left_out else reports
 
 
 def rebuild(
-    store: Store, rules: LoadRules, workers: int = 2, advance: Advance = lambda steps: None
+    store: Store,
+    rules: LoadRules,
+    workers: int = 2,
+    advance: Advance = lambda steps: None,
+    tell: Callable[[str], None] = lambda line: None,
 ) -> dict[str, SequenceEntry]:
-    """Derive intervals and graph again from the annotation tables of a store.
+    """Derive intervals and graph again from the annotation tables of a store; `tell` hears of runs left out of it.
 
     Raises StoreError where the store holds no annotations or one of its files does not read or is not the one loaded.
     A load or rebuild that was killed while it moved things must have been brought to its end by `resume`.
@@ -105,7 +114,9 @@ def rebuild(
         for i, entry in map_shards(rebuild_shard, shards, workers, lambda shard: shard.weight):
             entries[shards[i].sequence] = entry
             advance(1)
-        _finish(store, staging, manifest.image_root, rules, dict(sorted(entries.items())), PARTS[1:])
+        left_out = _finish(store, staging, manifest.image_root, rules, dict(sorted(entries.items())), PARTS[1:])
+    for line in left_out:
+        tell(line)
     return entries
 
 
@@ -251,11 +262,12 @@ def _finish(
     rules: LoadRules,
     entries: dict[str, SequenceEntry],
     parts: Sequence[str],
-) -> None:
-    """Build the graph, move what is staged in, and put the manifest back last."""
+) -> list[str]:
+    """Build the graph, move what is staged in, and put the manifest back last. Returns why runs were left out of it."""
     manifest = Manifest(image_root, rules, rules_hash(rules), entries, {})
-    _in_child(_build, Index(str(store.path), str(staging.path), manifest))
+    left_out = _in_child(_build, Index(str(store.path), str(staging.path), manifest))
     _move(store, staging, parts)
+    return left_out
 
 
 def _move(store: Store, staging: Store, parts: Sequence[str]) -> None:
@@ -286,24 +298,30 @@ class Index:
     manifest: Manifest
 
 
-def _build(index: Index) -> None:
-    """Build and verify the graph and rename it in; just before, stage the manifest and take the old one away."""
+def _build(index: Index) -> list[str]:
+    """Build and verify the graph and rename it in; just before, stage the manifest and take the old one away.
+
+    Returns a line per run whose world model was left out.
+    """
     # The engine writes to stderr when it gives up; what is to be said of that is said in one line by the parent.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     store, staging = Store(index.store), Store(index.staging)
     with build_graph(store.graph_path) as graph:
         rows = build_scene(graph, staging, list(index.manifest.sequences))
+        make_world_tables(graph)
+        left_out = copy_all(graph, store, run_ids(store))
         staging.write_manifest(msgspec.structs.replace(index.manifest, graph=rows))
         # From here to the end there is no manifest, so nobody takes a half-moved store for a whole one.
         (store.path / "store.json").unlink(missing_ok=True)
+    return left_out
 
 
-def _in_child(function: Callable[[Index], None], index: Index) -> None:
+def _in_child(function: Callable[[Index], list[str]], index: Index) -> list[str]:
     """Run in a process of its own: the engine ends its process when the disk is full while it rolls back."""
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as pool:
         try:
-            pool.submit(function, index).result()
+            return pool.submit(function, index).result()
         except BrokenProcessPool:
             for left in Path(index.store).glob(".graph.kuzu.building*"):
                 left.unlink(missing_ok=True)

@@ -3,8 +3,8 @@
 The interval tables are the record, and the manifest holds their hashes. So the graph is not asked to agree with itself:
 each scene table is read out of it whole, with every property, once from either end of its edges (the engine keeps both
 directions apart), and compared with the rows that the interval tables give, by a sum of row hashes that no order can
-change. The file's own checksum tells what no scan can see, such as a damaged index over the keys; where other tables
-have been added to the file since, it cannot hold, and every key is looked up instead.
+change. The file's own checksum tells what no scan can see, such as a damaged index over the keys; where agents have
+written beside the scene since, it cannot hold, and every key is looked up instead.
 
 A damaged graph can crash the engine or keep it busy for ever: it is read in a process of its own, which is ended when
 it takes too long or too much memory.
@@ -215,7 +215,8 @@ def _serve(answers: Connection, path: str, tables: Sequence[str]) -> None:
     threading.Thread(target=end_beyond_memory, args=(lambda: None,), daemon=True).start()
     place = Path(path)
     # Before the database is open here: closing the file would drop the engine's lock on it.
-    intact = seal_of(place).crc32 == check_seal(place).crc32
+    built, now = check_seal(place), seal_of(place)
+    intact, longer = now.crc32 == built.crc32, now.size > built.size
     try:
         graph = Graph.open(place, read_only=True)
     except AvrError as error:
@@ -226,7 +227,7 @@ def _serve(answers: Connection, path: str, tables: Sequence[str]) -> None:
         for table in tables:
             try:
                 if table == FILE:
-                    answers.send([] if intact or _grown(graph) else "it is not the file that was built")
+                    answers.send([] if intact or longer or _inhabited(graph) else "it is not the file that was built")
                 else:
                     answers.send(list(_readings(graph, table, by_key=not intact)))
             except AvrError as error:
@@ -235,10 +236,10 @@ def _serve(answers: Connection, path: str, tables: Sequence[str]) -> None:
                 answers.send(f"it does not read: {' '.join(str(error).split())[:200]}")
 
 
-def _grown(graph: Graph) -> bool:
-    """Whether there are tables beside the scene's: then the file is longer, and some of its pages are others."""
-    names = set(graph.query("CALL show_tables() RETURN name AS name", ordered=False)["name"].to_pylist())
-    return bool(names - SCENE_NODES.keys() - SCENE_RELS.keys())
+def _inhabited(graph: Graph) -> bool:
+    """Whether agents have written into the file since it was built: then some of its pages are others."""
+    tables = graph.query("CALL show_tables() RETURN name AS name", ordered=False)["name"].to_pylist()
+    return "Episode" in tables and bool(graph.query("MATCH (e:Episode) RETURN count(*) AS n")["n"][0].as_py())
 
 
 def _readings(graph: Graph, table: str, by_key: bool) -> Iterator[Digests]:

@@ -23,6 +23,7 @@ from jrdb_avr.queries.handle import Graph
 from jrdb_avr.queries.named import named_queries
 from jrdb_avr.queries.seal import PAGE, check_seal, seal_of, seal_path
 from jrdb_avr.queries.store import Store
+from jrdb_avr.queries.world import make_world_tables
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
 from jrdb_avr.schema.rules import LoadRules
@@ -214,8 +215,9 @@ def _hang(answers, path, tables):
 
 def test_tables_beside_the_scene_do_no_harm(small):
     with Graph.open(small.graph_path) as graph:
-        graph.execute("CREATE NODE TABLE Later(id INT64 PRIMARY KEY)")
-        graph.copy("Later", pa.table({"id": range(30_000)}))
+        make_world_tables(graph)
+        ids = [f"r/{n}" for n in range(30_000)]
+        graph.copy("Episode", pa.table({name: ids for name in ("id", "run", "question", "sequence", "plan")}))
     assert seal_of(small.graph_path).crc32 != check_seal(small.graph_path).crc32
     assert not faults(small)
 
@@ -241,8 +243,9 @@ def test_changed_rows_are_found_in_their_tables(small, changes):
         for change in changes.values():
             graph.execute(change)
         graph.execute("CHECKPOINT")
-        # The file then counts as grown: the answers alone must tell.
-        graph.execute("CREATE NODE TABLE Later(id INT64 PRIMARY KEY)")
+        # An agent has written into the file as well: the answers alone must tell.
+        make_world_tables(graph)
+        graph.execute("CREATE (:Episode {id: 'r/q', run: 'r', question: 'q', sequence: 's', plan: ''})")
     assert faults(small).keys() == changes.keys()
 
 

@@ -87,7 +87,7 @@ def command(
         manifest = place.manifest()
         rules = _rules(rule_texts, manifest.load_rules)
         with progress("rebuilding", len(manifest.sequences)) as advance:
-            entries = loading.rebuild(place, rules, workers, advance)
+            entries = loading.rebuild(place, rules, workers, advance, note)
         if as_json:
             print_json([{"sequence": name, "layers": entry.layers} for name, entry in entries.items()])
         else:
