@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
@@ -134,8 +134,8 @@ class WorldGraph:
     def _admit(self, cypher: str, params: Mapping[str, Any], *, writes: bool) -> None:
         """Let a statement through both doors. Raises QueryError."""
         if (cypher, writes) not in self._passed:
-            check_world(cypher, writes=writes)
-            check_reach(self._graph.explain(cypher, params))
+            labels = check_world(cypher, writes=writes)
+            check_reach(self._graph.explain(cypher, params), labels)
             self._passed.add((cypher, writes))
 
     def _call(self, work: Callable[[], T]) -> T:
@@ -166,8 +166,9 @@ _ROWS_ALONE: Final = "READ_FTABLE"
 """The table function behind RETURN without MATCH and behind UNWIND of a list: it reads nothing."""
 
 
-def check_world(cypher: str, *, writes: bool = False) -> None:
-    """Refuse a statement by its words: what `check_cypher` refuses, and every label but the world tables'.
+def check_world(cypher: str, *, writes: bool = False) -> set[str]:
+    """Refuse a statement by its words: what `check_cypher` refuses, and every label but the world tables', of which
+    those it names are returned in small letters.
 
     A colon is the mark of a label wherever it does not follow a key in braces, and the names of labels stand plainly:
     no backticks, nothing beyond ASCII. Raises QueryError.
@@ -178,6 +179,7 @@ def check_world(cypher: str, *, writes: bool = False) -> None:
         raise QueryError("names in backticks and letters beyond ASCII are not allowed here: pass texts as parameters")
     tokens = [found[0] for found in _TOKEN.finditer(bare)]
     open_brackets = [""]
+    named: set[str] = set()
     for at, token in enumerate(tokens):
         if token in _CLOSING:
             open_brackets.append(token)
@@ -187,6 +189,8 @@ def check_world(cypher: str, *, writes: bool = False) -> None:
             for label in _labels(tokens[at + 1 :]):
                 if label.lower() not in _LABELS:
                     raise QueryError(f"{label!r} is no table of the world model: {', '.join(sorted(_LABELS))}")
+                named.add(label.lower())
+    return named
 
 
 def _labels(tokens: Sequence[str]) -> Iterator[str]:
@@ -196,8 +200,9 @@ def _labels(tokens: Sequence[str]) -> Iterator[str]:
         yield from _labels(tokens[3:] if tokens[2:3] == [":"] else tokens[2:])
 
 
-def check_reach(plan: Plan) -> None:
-    """Refuse a statement by its plan: it calls a table function, or scans what is not one world table.
+def check_reach(plan: Plan, labels: Collection[str] = ()) -> None:
+    """Refuse a statement by its plan: it calls a table function, or scans what is not one world table, nor several
+    that it names itself (`labels`, in small letters).
 
     A plan lists the tables of a scan in boxes of their own, one after the other. Raises QueryError.
     """
@@ -205,5 +210,6 @@ def check_reach(plan: Plan) -> None:
         raise QueryError("this reads something else than the graph")
     cells = {cell.strip() for cell in plan.text.split("│")}
     scanned = {cell.removeprefix("Tables: ") for cell in cells if cell.startswith("Tables: ")}
-    if foreign := sorted(scanned - {*WORLD_NODES, *WORLD_RELS} | cells & _TABLES):
+    several = {name for name in cells & _TABLES if name.lower() not in labels}
+    if foreign := sorted(scanned - {*WORLD_NODES, *WORLD_RELS} | several):
         raise QueryError(f"this reaches {foreign[0]}: every node and edge of a pattern needs the label of one table")
