@@ -7,14 +7,13 @@ is always that of somebody who was read.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from typing import Any, Final
 
 import msgspec
 
 from jrdb_avr.schema.errors import DecodeError
-from jrdb_avr.schema.panorama import Box, center_angle, from_crop, iou
+from jrdb_avr.schema.panorama import Box, from_crop, iou
 
 from ..boxes import write_box
 from .finding import likely
@@ -22,6 +21,12 @@ from .policy import Game, find_target, read_answer
 from .reading import Look, Request, Sighting
 from .shown import Shown
 from .turn import Turn
+
+ANSWER: Final = "Your answer, as one JSON object:"
+FACTS: Final = "Your facts, as one JSON object:"
+PLACE: Final = "Where the person is, as one JSON object:"
+BOX: Final = "The person's box in the crop, as one JSON object:"
+CHOICE: Final = "Your choice of answer, as one JSON object:"
 
 _MOST_FACTS: Final = 12
 
@@ -72,7 +77,9 @@ def choose(request: Request) -> Turn:
     """The answer, read of the person in the refined box."""
     game = Game(request.plan, request.choices, Shown(request.looks))
     box = _refined(request)
-    seen = [(iou(box, _stitched(look, seen.box)), look.panorama, seen) for look in request.looks for seen in look.sightings]
+    seen = [
+        (iou(box, _stitched(look, seen.box)), look.panorama, seen) for look in request.looks for seen in look.sightings
+    ]
     overlap, _, person = max(seen, key=lambda found: found[:2], default=(0.0, False, None))
     if overlap <= 0:
         person = None

@@ -102,6 +102,25 @@ def possible(conditions: Sequence[Condition], people: Sequence[Sighting]) -> lis
     return [p for p in people if all(holds(c, p, people) is not False for c in conditions)]
 
 
+def likely(conditions: Sequence[Condition], people: Sequence[Sighting], *, exact: bool) -> Sighting | None:
+    """The best guess: of those who could fit, whoever most is true of, then the nearest to the camera.
+
+    None where nobody could. Not `exact`: the people are seen at another time than the conditions hold at, so that
+    nothing but gender and age is false of anybody.
+    """
+
+    def could(person: Sighting) -> bool:
+        held = ((c, holds(c, person, people)) for c in conditions)
+        return all(truth is not False or not (exact or c.at is None) for c, truth in held)
+
+    def worth(person: Sighting) -> tuple[float, ...]:
+        true = sum(holds(c, person, people) is True for c in conditions)
+        # Where a mark is read in part, more may be true than where it says something else.
+        return (true, not person.complete, person.box.h, -person.mark.identity)
+
+    return max(filter(could, people), key=worth, default=None)
+
+
 def holds(condition: Condition, person: Sighting, people: Sequence[Sighting]) -> bool | None:
     """Whether a condition is true of a person; None where unknown. Groups are counted among `people`."""
     mark = person.mark

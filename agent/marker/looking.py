@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from jrdb_avr.schema.panorama import CROP, Box
+from jrdb_avr.schema.panorama import CROP
 
-from ..decode import write_box
+from ..boxes import write_box
 from .eyes import Eyes, Spent, Want
 from .policy import Game, find_target, read_answer
 from .reading import Request, Sighting
@@ -50,5 +50,5 @@ def _evidence(game: Game, person: Sighting | None) -> list[dict[str, Any]]:
     if shown is None:
         game.note("mark unreadable in the look that should show the person again")
         return []
-    box = write_box(Box(*shown.box), CROP, CROP)
+    box = write_box(shown.box, CROP, CROP)
     return [{"frame_id": f"{shown.frame:06d}", "bbox": box}]

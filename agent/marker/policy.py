@@ -10,13 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from jrdb_avr.schema.plan import Plan
+from jrdb_avr.schema.plan import Condition, Plan
 from jrdb_avr.schema.rules import FPS
 from jrdb_avr.schema.rules import frames as frames_in
 from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 
 from .eyes import AROUND, NEARBY, Eyes, Spent
-from .finding import find
+from .finding import Found, find, likely
 from .hops import look_round, related, walk
 from .reading import Sighting
 
@@ -56,6 +56,12 @@ class Game:
         """The frame of the description: the first that is stated."""
         return min(time.frame for time in self.plan.times.values() if time.frame is not None)
 
+    def note_unseen(self) -> None:
+        """Note which stated times no picture shows, where pictures cannot be chosen."""
+        for name, time in sorted(self.plan.times.items()):
+            if time.frame is not None and self.eyes.legal(time.frame) != time.frame:
+                self.note(f"not shown: {name}")
+
     def note(self, reason: str) -> None:
         if reason not in self.missing:
             self.missing.append(reason)
@@ -71,20 +77,41 @@ class Game:
 def find_target(game: Game) -> Sighting | None:
     """The person whom the question asks about, as seen at the time of the description; None where not found."""
     root = next(node for node in game.plan.nodes if node.id == game.plan.root)
-    person: Sighting | None = None
     try:
-        found = find(root.conditions, game.eyes.legal(game.t0), game.eyes)
-        person = found.sighting
-        if found.missing:
-            game.note(found.missing)
-        if person is not None and game.plan.edges:
-            person = walk(game.plan, person, look_round(game.eyes, person.frame))
-            if person is None:
-                game.note("mark unreadable: a hop leads to nobody, or to several")
+        described = _described(game, root.conditions)
+        if described is None or not game.plan.edges:
+            return described
+        person = walk(game.plan, described, look_round(game.eyes, described.frame))
     except Spent:
-        game.note("budget: the person was not found")
-        person = person if person is None or not game.plan.edges else None
+        game.note("budget: not everybody near the person was seen")
+        return None
+    if person is None:
+        game.note("mark unreadable: a hop leads to nobody, or to several")
     return person
+
+
+def _described(game: Game, conditions: Sequence[Condition]) -> Sighting | None:
+    """The person of the description, or the best guess among those who were seen."""
+    frame = game.eyes.legal(game.t0)
+    try:
+        found = find(conditions, frame, game.eyes)
+    except Spent:
+        found = Found(None, "budget: the person was not found")
+    if found.missing:
+        game.note(found.missing)
+    if found.sighting is not None:
+        return found.sighting
+    exact = frame == game.t0
+    people = game.eyes.at(frame)
+    if (guess := likely(conditions, people, exact=exact)) is not None:
+        return guess
+    # Somebody hidden then may be seen at another time. Who was seen then is known not to fit.
+    known = {seen.mark.identity for seen in people} if exact else set()
+    for other in sorted({look.frame for look in game.eyes.looks}, key=lambda other: (abs(other - frame), other)):
+        hidden = [seen for seen in game.eyes.at(other) if seen.mark.identity not in known]
+        if (guess := likely(conditions, hidden, exact=False)) is not None:
+            return guess
+    return None
 
 
 def read_answer(game: Game, person: Sighting | None) -> Any:
