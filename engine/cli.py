@@ -31,6 +31,7 @@ COMMANDS: Final[dict[str, str]] = {
     "evaluate": "Run a method on the questions.",
     "score": "Score the predictions of runs.",
     "report": "Compare runs in a table.",
+    "inspect": "Show questions on a page, for a person to judge.",
     "demo": "Run everything once on a synthetic world.",
 }
 """Every command with its short help, which must not need the command's module."""

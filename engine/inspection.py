@@ -1,0 +1,180 @@
+"""Everything a person needs to see to judge a question: its people over time, and the views that its answer needs."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Final
+
+import msgspec
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import InputError
+from jrdb_avr.schema.plan import Plan, parse_plan
+from jrdb_avr.schema.rules import frames as frames_in
+from jrdb_avr.schema.vocabulary import SAME_GROUP
+
+from .pages.diagrams import Line, Span, runs_of
+
+_ROUND: Final = frames_in(5.0)
+"""Actions are shown that somebody does this near to the named times."""
+
+
+@dataclass(frozen=True)
+class Inspected:
+    """A question with its answer, plan and proofs.
+
+    people: the plan's nodes as (role, track); moments: named times as frames; boxes: per frame, the plan's people as
+    rows `role`, `x`, `y`, `w`, `h`; decisive: (frame, box) of the box that answers it.
+    """
+
+    question: Mapping[str, Any]
+    answer: Mapping[str, Any]
+    plan: Plan
+    proofs: Sequence[Mapping[str, Any]]
+    distractors: Sequence[str | None]
+    people: Mapping[str, int]
+    moments: Mapping[str, int]
+    lines: tuple[Line, ...]
+    boxes: Mapping[int, Sequence[Mapping[str, Any]]]
+    decisive: tuple[int, Mapping[str, Any]]
+    fps: float
+    frame_count: int
+
+    @property
+    def frames(self) -> list[int]:
+        """The frames to be shown: those of the named times, and the decisive one."""
+        return sorted({*self.moments.values(), self.decisive[0]})
+
+
+def choose_questions(store: Store, ids: Sequence[str], sample: int | None, seed: int) -> list[str]:
+    """The ids given, or a seeded sample of all. Raises InputError for an id that is not there."""
+    known = store.questions("questions")["question_id"].to_pylist()
+    unknown = [name for name in ids if name not in set(known)]
+    if unknown:
+        raise InputError(f"no question {unknown[0][:40]!r} in {store.path}", field="question_id")
+    if sample is None:
+        return list(dict.fromkeys(ids))
+    return sorted(random.Random(seed).sample(sorted(known), min(sample, len(known))))  # noqa: S311 - no secret
+
+
+def inspect_questions(store: Store, ids: Sequence[str]) -> list[Inspected]:
+    """Gather the questions, in the order given. Raises StoreError where a table is missing."""
+    questions = _by_id(store.questions("questions"), ids)
+    answers = _by_id(store.questions("answers"), ids)
+    sequences = {row["sequence"]: row for row in store.questions("sequences").to_pylist()}
+    read: dict[str, _Sequence] = {}
+    found = []
+    for name in ids:
+        sequence = questions[name]["sequence"]
+        if sequence not in read:
+            # One at a time: questions of a sequence mostly follow each other, and its tables may be large.
+            read = {sequence: _Sequence(store, sequence)}
+        found.append(_inspected(questions[name], answers[name], sequences[sequence], read[sequence]))
+    return found
+
+
+def _by_id(table: pa.Table, ids: Sequence[str]) -> dict[str, dict[str, Any]]:
+    chosen = table.filter(pc.is_in(table["question_id"], value_set=pa.array(list(ids), pa.string())))
+    return {row["question_id"]: row for row in chosen.to_pylist()}
+
+
+class _Sequence:
+    """The interval tables of a sequence that a timeline is made of."""
+
+    def __init__(self, store: Store, sequence: str) -> None:
+        names = ("sightings", "actions", "interactions", "memberships", "beside", "handles")
+        self.tables = {name: store.interval(name, sequence) for name in names}
+        steps = sorted(set(self.tables["sightings"]["frame"].to_pylist()))
+        self.step = min((b - a for a, b in pairwise(steps)), default=1)
+
+    def rows(self, name: str, **equal: int | str) -> list[dict[str, Any]]:
+        table = self.tables[name]
+        for column, value in equal.items():
+            table = table.filter(pc.equal(table[column], value))
+        rows: list[dict[str, Any]] = table.to_pylist()
+        return rows
+
+
+def _inspected(
+    question: Mapping[str, Any], answer: Mapping[str, Any], info: Mapping[str, Any], sequence: _Sequence
+) -> Inspected:
+    plan = parse_plan(answer["plan"])
+    bindings = msgspec.json.decode(answer["bindings"], type=dict[str, int])
+    people = {node.id: bindings[node.id] for node in plan.nodes}
+    moments = {name: frame for name, frame in bindings.items() if name not in people}
+    needed = msgspec.json.decode(answer["needed"], type=list[dict[str, Any]])
+    # A count has none: its target at the first of the two times is what is looked for.
+    decisive = next((row for row in needed if row["decisive"]), needed[0])
+    shown = sorted({*moments.values(), decisive["frame"]})
+    sightings = {role: sequence.rows("sightings", track=track) for role, track in people.items()}
+    boxes = {
+        frame: [{"role": role, **row} for role, rows in sightings.items() for row in rows if row["frame"] == frame]
+        for frame in shown
+    }
+    lines = [line for role in people for line in _lines(role, plan, people, moments, sightings[role], sequence)]
+    return Inspected(
+        question,
+        answer,
+        plan,
+        msgspec.json.decode(answer["proofs"], type=list[dict[str, Any]]),
+        msgspec.json.decode(answer["distractors"], type=list[str | None]),
+        people,
+        moments,
+        tuple(lines),
+        boxes,
+        (decisive["frame"], decisive),
+        info["fps"],
+        info["frame_count"],
+    )
+
+
+def _lines(
+    role: str,
+    plan: Plan,
+    people: Mapping[str, int],
+    moments: Mapping[str, int],
+    sightings: Sequence[Mapping[str, Any]],
+    sequence: _Sequence,
+) -> list[Line]:
+    """The rows of one person: in view, what it does round the named times, and what of the rest the plan speaks of."""
+    frames = [row["frame"] for row in sightings]
+    clear = [row["frame"] for row in sightings if row["clear"]]
+    spans = [Span(first, last, "box") for first, last in runs_of(frames, sequence.step)]
+    spans += [Span(first, last, "clear") for first, last in runs_of(clear, sequence.step)]
+    track = people[role]
+    first, last = min(moments.values()) - _ROUND, max(moments.values()) + _ROUND
+    actions = [row for row in sequence.rows("actions", track=track) if row["first"] <= last and row["last"] >= first]
+    lines = [Line(role, "in view", tuple(spans)), *_grouped(role, actions, lambda row: row["action"], "action")]
+    others = {number: name for name, number in people.items()}
+    said = {edge.relation for edge in plan.edges if role in (edge.source, edge.target)}
+    said |= {plan.answer.relation or ""} if role == plan.answer.of else set()
+    for name in ("interactions", "beside"):
+        own = [row for row in sequence.rows(name, source=track) if row["label"] in said]
+        if not plan.answer.relation:
+            own = [row for row in own if row["target"] in others]
+        lines += _grouped(
+            role,
+            own,
+            lambda row: f"{row['label']} \N{RIGHTWARDS ARROW} {others.get(row['target'], row['target'])}",
+            "relation",
+        )
+    conditions = [condition for node in plan.nodes if node.id == role for condition in node.conditions]
+    if SAME_GROUP in said or any(condition.attribute == "group_size" for condition in conditions):
+        lines += _grouped(role, sequence.rows("memberships", track=track), lambda r: f"group {r['cluster']}", "group")
+    verbs = {condition.verb for condition in conditions if condition.verb}
+    own = [row for row in sequence.rows("handles", track=track) if row["verb"] in verbs]
+    return lines + _grouped(role, own, lambda row: f"{row['verb']} a thing", "thing")
+
+
+def _grouped(
+    role: str, rows: Sequence[Mapping[str, Any]], label: Callable[[Mapping[str, Any]], str], kind: str
+) -> list[Line]:
+    by_label: dict[str, list[Span]] = {}
+    for row in rows:
+        by_label.setdefault(label(row), []).append(Span(row["first"], row["last"], kind, row["certain"]))
+    return [Line(role, name, tuple(spans)) for name, spans in sorted(by_label.items())]

@@ -1,0 +1,84 @@
+"use strict";
+(() => {
+  const about = JSON.parse(document.getElementById("about").textContent);
+  const articles = [...document.querySelectorAll("article")];
+  const decided = new Map();
+  const done = [];
+  const dialog = document.getElementById("why");
+  const reason = document.getElementById("reason");
+  let current = 0;
+
+  const show = () => {
+    const count = (what) => [...decided.values()].filter((d) => d.decision === what).length;
+    document.getElementById("count").textContent =
+      `${decided.size} of ${articles.length} decided: ${count("accept")} accepted, ${count("reject")} rejected`;
+    for (const [place, article] of articles.entries()) {
+      const own = decided.get(article.dataset.id);
+      article.classList.toggle("current", place === current);
+      article.dataset.decision = own ? own.decision : "";
+      article.querySelector(".state").textContent = own ? `${own.decision}ed` : "";
+      article.querySelector(".reason").textContent = own ? own.reason : "";
+    }
+  };
+  const go = (place) => {
+    current = Math.max(0, Math.min(articles.length - 1, place));
+    articles[current].scrollIntoView({ block: "start" });
+    show();
+  };
+  const decide = (place, decision, why) => {
+    const id = articles[place].dataset.id;
+    done.push([place, decided.get(id)]);
+    decided.set(id, { question_id: id, decision, reason: why });
+    go(place + 1);
+  };
+  const undo = () => {
+    const last = done.pop();
+    if (!last) return;
+    const id = articles[last[0]].dataset.id;
+    if (last[1]) decided.set(id, last[1]);
+    else decided.delete(id);
+    go(last[0]);
+  };
+  const ask = (place) => {
+    current = place;
+    show();
+    reason.value = "";
+    dialog.showModal();
+    reason.focus();
+  };
+  dialog.addEventListener("close", () => {
+    if (dialog.returnValue === "reject") decide(current, "reject", reason.value.trim());
+  });
+  reason.addEventListener("keydown", (event) => {
+    if (event.key === "Enter" && !event.shiftKey) {
+      event.preventDefault();
+      dialog.close("reject");
+    }
+  });
+  const act = { accept: (place) => decide(place, "accept", ""), reject: ask, undo };
+  document.addEventListener("click", (event) => {
+    const button = event.target.closest("button[data-do]");
+    if (button) act[button.dataset.do](articles.indexOf(button.closest("article")));
+  });
+  const keys = { a: () => act.accept(current), r: () => ask(current), u: undo, j: () => go(current + 1), k: () => go(current - 1) };
+  document.addEventListener("keydown", (event) => {
+    if (dialog.open || event.ctrlKey || event.metaKey || event.altKey) return;
+    const key = keys[event.key];
+    if (key) {
+      event.preventDefault();
+      key();
+    }
+  });
+  document.getElementById("download").addEventListener("click", () => {
+    const file = { ...about, decisions: articles.map((a) => decided.get(a.dataset.id)).filter(Boolean) };
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(new Blob([JSON.stringify(file, null, 1)], { type: "application/json" }));
+    link.download = "decisions.json";
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+  });
+  window.addEventListener("beforeunload", (event) => {
+    if (decided.size) event.preventDefault();
+  });
+  show();
+})();

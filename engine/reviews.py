@@ -1,0 +1,115 @@
+"""What people decided about questions: imported from the page, kept with the reviewer's name, and compared."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import pyarrow as pa
+
+from jrdb_avr.queries.runs import questions_hash
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import InputError
+from jrdb_avr.schema.tables import CANARY, QUESTIONS
+
+_MOST_BYTES = 64 << 20
+
+
+class Decision(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What was decided of a question; a rejection has a reason."""
+
+    question_id: Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{16}$")]
+    decision: Literal["accept", "reject"]
+    reason: Annotated[str, msgspec.Meta(max_length=2000)] = ""
+
+
+class Decisions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The file that the page downloads: decisions, and the hash of the questions file that they are about."""
+
+    questions_sha256: str
+    decisions: list[Decision]
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Two reviewers on the questions that both decided; `kappa` is None where chance alone would agree fully."""
+
+    first: str
+    second: str
+    n: int
+    agree: int
+    kappa: float | None
+
+
+def read_decisions(path: Path, store: Store) -> Decisions:
+    """Read a file of decisions. Raises InputError naming the file where it cannot be used with this store."""
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise InputError(f"{path} is over 64 MB: no file of decisions", file=str(path))
+        found = msgspec.json.decode(path.read_bytes(), type=Decisions)
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}", file=str(path)) from None
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError(
+            f"{path} is no file of decisions ({error}): download it from the page", file=str(path)
+        ) from None
+    if found.questions_sha256 != questions_hash(store):
+        raise InputError(f"{path} is about another questions file than this store's: inspect again", file=str(path))
+    known = set(store.questions("questions")["question_id"].to_pylist())
+    for decision in found.decisions:
+        if decision.question_id not in known:
+            raise InputError(f"{path}: no question {decision.question_id} in the store", file=str(path))
+    return found
+
+
+def import_decisions(store: Store, reviewer: str, decisions: Sequence[Decision]) -> pa.Table:
+    """Keep a reviewer's decisions; of a question decided before, the new one counts. Returns all reviews."""
+    with store.writing("inspect --import"):
+        kept = {(row["question_id"], row["reviewer"]): row for row in read_reviews(store)}
+        for decision in decisions:
+            row = {"question_id": decision.question_id, "reviewer": reviewer}
+            kept[decision.question_id, reviewer] = row | {"decision": decision.decision, "reason": decision.reason}
+        table = pa.Table.from_pylist([kept[key] for key in sorted(kept)], QUESTIONS["reviews"])
+        store.write_questions("reviews", table, {"canary": CANARY})
+    return table
+
+
+def read_reviews(store: Store) -> list[dict[str, str]]:
+    """All reviews; none where nothing has been imported."""
+    if not store.question_path("reviews").exists():
+        return []
+    rows: list[dict[str, str]] = store.questions("reviews").to_pylist()
+    return rows
+
+
+def rejected(store: Store) -> frozenset[str]:
+    """Questions that somebody rejected."""
+    return frozenset(row["question_id"] for row in read_reviews(store) if row["decision"] == "reject")
+
+
+def agreements(reviews: Sequence[Mapping[str, str]]) -> list[Agreement]:
+    """Every two reviewers who decided the same questions, with Cohen's kappa: agreement beyond that of chance."""
+    by_reviewer: dict[str, dict[str, str]] = {}
+    for row in reviews:
+        by_reviewer.setdefault(row["reviewer"], {})[row["question_id"]] = row["decision"]
+    found = []
+    for first, second in combinations(sorted(by_reviewer), 2):
+        common = sorted(by_reviewer[first].keys() & by_reviewer[second].keys())
+        if common:
+            pairs = [(by_reviewer[first][name], by_reviewer[second][name]) for name in common]
+            found.append(Agreement(first, second, len(pairs), sum(a == b for a, b in pairs), kappa(pairs)))
+    return found
+
+
+def kappa(pairs: Sequence[tuple[str, str]]) -> float | None:
+    """Cohen's kappa of two raters' decisions; None where both always say the same one thing."""
+    n = len(pairs)
+    observed = sum(a == b for a, b in pairs) / n
+    first, second = Counter(a for a, _ in pairs), Counter(b for _, b in pairs)
+    expected = sum(first[name] * second[name] for name in first) / n**2
+    return None if expected == 1 else (observed - expected) / (1 - expected)
