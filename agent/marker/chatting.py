@@ -4,29 +4,38 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..boxes import write_box
-from .eyes import Spent, Want
+from .eyes import Eyes, Spent, Want
 from .memory import Memory
 from .policy import Game, find_target, read_answer
 from .reading import Look, Request, Sighting
 from .remembering import LEFT, refused
+from .shown import Shown
 from .turn import Turn
+from .writing import placed
 
 
 def chat(request: Request) -> Turn:
     """A turn of the chat: the next look, or the final answer. Raises DecodeError for a prompt that lacks a line."""
     if refused(request):
         return Turn({"calls": []}, ["the answer was refused"])
-    eyes = Memory(request.legal(), request.looks, request.number("Looks made: ", LEFT), 0, len(request.plan.asked()))
+    passive = any(look.panorama for look in request.looks)
+    eyes = Shown(request.looks) if passive else _eyes(request)
     game = Game(request.plan, request.choices, eyes)
     try:
         person = find_target(game)
         answer = read_answer(game, person)
+        if passive:
+            game.note_unseen()
         box = _evidence(game, person)
     except Want as want:
         call = {"tool": "observe", "frame_id": f"{want.frame:06d}", "angle_deg": round(want.angle % 360.0, 3)}
         return Turn({"calls": [call]})
     return Turn({"calls": [{"tool": "final_answer", "answer": answer, **box}]}, game.missing)
+
+
+def _eyes(request: Request) -> Eyes:
+    left = request.number("Looks made: ", LEFT)
+    return Memory(request.legal(), request.looks, left, rounds=len(request.plan.asked()))
 
 
 def _evidence(game: Game, person: Sighting | None) -> dict[str, Any]:
@@ -45,14 +54,9 @@ def _evidence(game: Game, person: Sighting | None) -> dict[str, Any]:
             found = (again, seen) if seen is not None else found
         except Spent:
             game.note("budget: no look was left to show the person again")
-    return shown(*found)
+    return placed(*found)
 
 
 def _newest(looks: list[Look], identity: int) -> tuple[Look, Sighting]:
     found = [(look, seen) for look in looks if (seen := look.of(identity)) is not None]
     return max(enumerate(found), key=lambda entry: (entry[1][1].whole, entry[0]))[1]
-
-
-def shown(look: Look, seen: Sighting) -> dict[str, Any]:
-    """The keys of a final answer that say where the person is."""
-    return {"observation": look.name, "box": write_box(seen.box, look.width, look.height)}

@@ -107,7 +107,7 @@ class Player:
         identity = person.mark.identity
         for frame in sorted({look.frame for look in self.notes.newest} | {self._then}):
             if (seen := self.notes.of(identity, frame)) is not None:
-                self._write_read(seen)
+                self.draft.read(self._plan, seen)
         self.game.eyes = self._memory(self._survey())
         if self._plan.answer.read == "count":
             answer = {"value": str(self._count(person))}
@@ -146,12 +146,8 @@ class Player:
         if found.sighting is None:
             return None
         nodes = path(self._plan, found.sighting, people)
-        for node, seen in nodes.items():
-            self.draft.person(seen, node)
+        self.draft.people(self._plan, nodes)
         self.draft.conditions(found.sighting, root.conditions)
-        for edge in self._plan.edges:
-            if edge.source in nodes and edge.target in nodes:
-                self.draft.relation(nodes[edge.source], edge.relation, nodes[edge.target])
         if self._plan.target not in nodes:
             self.game.note("mark unreadable: a hop leads to nobody, or to several")
         return nodes.get(self._plan.target)
@@ -170,25 +166,6 @@ class Player:
             return Found(None, "budget: the person was not found")
 
     # -- what is read of that person ----------------------------------------------------------------------------------
-
-    def _write_read(self, seen: Sighting) -> None:
-        """A sighting of the person, and what the read needs of it."""
-        self.draft.person(seen)
-        plan = self._plan
-        asked = [plan.times[name] for name in plan.asked()]
-        match plan.answer.read:
-            case "action":
-                if any(time.frame == seen.frame for time in asked):
-                    self.draft.attribute(seen, "action", seen.mark.pose)
-            case "next_action":
-                self.draft.attribute(seen, "action", seen.mark.pose)
-            case "distance_change":
-                if seen.mark.distance_dm is not None and any(time.frame == seen.frame for time in asked):
-                    self.draft.attribute(seen, "distance_m", seen.mark.distance_dm / 10)
-            case "start" | "span" | "start_view" | "seconds_between":
-                for time in asked:
-                    if time.action is not None:
-                        self.draft.action(seen, time.action)
 
     def _count(self, person: Sighting) -> int:
         """How many are seen to have the relation: all round at the first time, then near the person until the last."""

@@ -5,16 +5,16 @@ Nothing is written twice: a fact that the graph holds already is left out, so a 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from jrdb_avr.schema.plan import Condition
+from jrdb_avr.schema.plan import Condition, Plan
 from jrdb_avr.schema.vocabulary import POSES
 from jrdb_avr.schema.world import TIMELESS
 
 from ..boxes import write_box
 from .notes import Notes, entity_name
-from .reading import Sighting
+from .reading import Look, Sighting
 
 
 class Draft:
@@ -34,8 +34,7 @@ class Draft:
         claimed = node is None or self._holders.get(node) == seen.mark.identity
         if claimed and (name, look.name) in self._sighted:
             return
-        box = write_box(seen.box, look.width, look.height)
-        call = {"tool": "add_entity", "id": name, "kind": "person", "observation": look.name, "box": box}
+        call = {"tool": "add_entity", "id": name, "kind": "person", **placed(look, seen)}
         if node is not None:
             call["node"] = node
             self._holders[node] = seen.mark.identity
@@ -65,6 +64,14 @@ class Draft:
             {"tool": "add_relation", "source": first, "name": name, "target": second, "observation": observation}
         )
 
+    def people(self, plan: Plan, nodes: Mapping[str, Sighting]) -> None:
+        """Who each node of the plan is, and the plan's edges between them."""
+        for node, seen in nodes.items():
+            self.person(seen, node)
+        for edge in plan.edges:
+            if edge.source in nodes and edge.target in nodes:
+                self.relation(nodes[edge.source], edge.relation, nodes[edge.target])
+
     def member(self, source: Sighting, name: str, target: Sighting) -> None:
         """Somebody who counts: written down where first seen in the relation."""
         if entity_name(target.mark.identity) not in self.partners(entity_name(source.mark.identity), name):
@@ -80,11 +87,37 @@ class Draft:
         for condition in conditions:
             self.attribute(seen, *attribute_of(condition))
 
-    def action(self, seen: Sighting, action: str) -> None:
+    def read(self, plan: Plan, seen: Sighting) -> None:
+        """A sighting of the person whom the question asks about, with what the plan reads of it."""
+        self.person(seen)
+        asked = [plan.times[name] for name in plan.asked()]
+        match plan.answer.read:
+            case "action":
+                if any(time.frame == seen.frame for time in asked):
+                    self.attribute(seen, "action", seen.mark.pose)
+            case "next_action":
+                self.attribute(seen, "action", seen.mark.pose)
+            case "distance_change":
+                if seen.mark.distance_dm is not None and any(time.frame == seen.frame for time in asked):
+                    self.attribute(seen, "distance_m", seen.mark.distance_dm / 10)
+            case "start" | "span" | "start_view" | "seconds_between":
+                for time in asked:
+                    if time.action is not None:
+                        self._action(seen, time.action)
+
+    def _action(self, seen: Sighting, action: str) -> None:
         """The pose of somebody, and another action where it is seen."""
         self.attribute(seen, "action", seen.mark.pose)
         if action not in POSES and action in seen.mark.actions:
             self.attribute(seen, "action", action)
+
+
+def placed(look: Look, seen: Sighting) -> dict[str, Any]:
+    """The keys of a call that say where somebody is; of a person over the seam of a panorama the larger part."""
+    x = seen.box.x
+    if look.panorama:
+        x -= look.width * ((x + seen.box.w / 2) // look.width)
+    return {"observation": look.name, "box": write_box(seen.box._replace(x=x), look.width, look.height)}
 
 
 def attribute_of(condition: Condition) -> tuple[str, str | float]:
