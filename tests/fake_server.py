@@ -6,6 +6,7 @@ script that passes every check of a server; tests spoil it in one way at a time.
 """
 
 import base64
+import functools
 import json
 import threading
 import time
@@ -189,12 +190,17 @@ def schema_of(request):
 
 def marked(request):
     """Width, height and the one marked rectangle (x, y, w, h) of a request's picture."""
+    (url,) = images(request)
+    return _marked(url)
+
+
+@functools.cache
+def _marked(url):
     import cv2
     import numpy as np
 
     from jrdb_avr.schema.marks import read
 
-    (url,) = images(request)
     data = np.frombuffer(base64.b64decode(url.partition(",")[2]), np.uint8)
     image = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB)
     (found,) = read(image)

@@ -1,0 +1,273 @@
+"""Preflight: a server is spoiled in one way at a time, and the one check that is about it fails, with a remedy."""
+
+import functools
+import json
+
+import pytest
+from click.testing import CliRunner
+from fake_server import FakeServer, Status, completion, images, schema_of, seeing, texts
+
+from jrdb_avr.agent.client import Client
+from jrdb_avr.agent.conventions import convention_of
+from jrdb_avr.agent.drawn import corner_picture
+from jrdb_avr.agent.options import Options
+from jrdb_avr.agent.preflight import preflight, require
+from jrdb_avr.engine.cli import group
+from jrdb_avr.schema.errors import EndpointError
+
+
+@pytest.fixture(scope="module", autouse=True)
+def drawn_once():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("jrdb_avr.agent.preflight.corner_picture", functools.cache(corner_picture))
+        yield
+
+
+NAMES = ["text", "schema", "picture", "thinking", "finish", "tokens", "model"]
+
+
+def checks(script, model="fake", **options):
+    with FakeServer(script) as server:
+        client = Client(server.url, model, Options(**options), convention=convention_of(model), pause=lambda s: None)
+        found = preflight(client)
+    return {check.name: check for check in found}, server
+
+
+def failed(found):
+    return [name for name, check in found.items() if not check.passed]
+
+
+def changed(change):
+    """A sound server whose replies go through `change(request, reply)`."""
+    return lambda request, n: change(request, seeing(request, model=request["model"]))
+
+
+def said(text, **message):
+    """Of the one check that asks for a word."""
+    return lambda q, r: completion(text, model=q["model"], **message) if texts(q).endswith("one word: ready") else r
+
+
+@pytest.mark.parametrize("response_format", ["json_schema", "json_object", "none"])
+def test_a_sound_server_passes(response_format):
+    found, server = checks(seeing, response_format=response_format)
+    assert list(found) == NAMES
+    assert failed(found) == []
+    assert require(list(found.values())) == []
+    assert len(server.requests) == 6
+    assert sum(len(images(request)) for request in server.requests) == 4
+    assert sum("response_format" in request for request in server.requests) == (0 if response_format == "none" else 5)
+
+
+def is_picture(request):
+    return bool(images(request))
+
+
+def is_schema(request):
+    return "prose" in texts(request)
+
+
+def dropping_pictures(request, reply):
+    """It never sees one, so it says the same of each."""
+    return completion('{"corner": "lower left"}', model=request["model"]) if is_picture(request) else reply
+
+
+def prose(request, reply):
+    return completion("The sea is grey.", model=request["model"]) if is_schema(request) else reply
+
+
+def habit(request, reply):
+    return completion('{"text": "The sea is grey."}', model=request["model"]) if is_schema(request) else reply
+
+
+def half_the_schema(request, reply):
+    """The key without its values: some servers keep to properties and not to enums."""
+    if not is_schema(request):
+        return reply
+    (key,) = schema_of(request)["required"]
+    return completion(json.dumps({key: "The sea is grey."}), model=request["model"])
+
+
+def no_finish_reason(request, reply):
+    reply["choices"][0]["finish_reason"] = None
+    return reply
+
+
+def no_usage(request, reply):
+    del reply["usage"]
+    return reply
+
+
+def other_model(request, reply):
+    return {**reply, "model": "fake-AWQ"}
+
+
+def no_model(request, reply):
+    del reply["model"]
+    return reply
+
+
+def thinking(opening="<think>", closing="</think>", words="The user wants it."):
+    def change(request, reply):
+        text = reply["choices"][0]["message"]["content"]
+        reply["choices"][0]["message"]["content"] = f"{opening}{words}{closing}\n{text}"
+        return reply
+
+    return change
+
+
+def reasoning(field):
+    def change(request, reply):
+        reply["choices"][0]["message"][field] = "The user wants it."
+        return reply
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "check", "remedy"),
+    [
+        (said(""), "text", "chat model"),
+        (said("I cannot.", refusal="no"), "text", "chat model"),
+        (said("re", finish_reason="length"), "text", "--max-tokens"),
+        (said("", reasoning="hm, ready"), "text", "switch thinking off"),
+        (prose, "schema", "--response-format"),
+        (habit, "schema", "--response-format"),
+        (half_the_schema, "schema", "--response-format"),
+        (dropping_pictures, "picture", "a model that sees"),
+        (thinking(), "thinking", "--thinking on"),
+        (thinking(opening=""), "thinking", "--thinking on"),
+        (thinking("<|channel>thought", "<channel|>"), "thinking", "--thinking on"),
+        (reasoning("reasoning"), "thinking", "--thinking on"),
+        (reasoning("reasoning_content"), "thinking", "--thinking on"),
+        (no_finish_reason, "finish", "finish_reason"),
+    ],
+)
+def test_a_server_that_is_refused(change, check, remedy):
+    found, _ = checks(changed(change))
+    assert failed(found)[0] == check
+    assert len(failed(found)) == 1 or "reasoning" in found["text"].seen, "where it only thinks, that is told as well"
+    with pytest.raises(EndpointError) as caught:
+        require(list(found.values()))
+    line = str(caught.value)
+    assert line.startswith(f"preflight: {check}: ")
+    assert remedy in line
+    assert "\n" not in line
+
+
+@pytest.mark.parametrize(
+    ("change", "check"), [(no_usage, "tokens"), (other_model, "model"), (no_model, "model")], ids=lambda v: str(v)
+)
+def test_a_server_that_is_only_warned_of(change, check):
+    found, _ = checks(changed(change))
+    assert failed(found) == [check]
+    (warning,) = require(list(found.values()))
+    assert warning.startswith(f"{check}: ")
+
+
+def test_an_empty_block_is_no_thinking():
+    found, _ = checks(changed(thinking(words="\n\n")))
+    assert failed(found) == []
+
+
+@pytest.mark.parametrize(
+    ("model", "declared", "thinks", "passes"),
+    [
+        ("gemma-4-e4b", "on", True, True),
+        ("gemma-4-e4b", "on", False, False),
+        ("gemma-4-e4b", "off", True, False),
+        ("gemma-4-e4b", "template", True, False),
+        ("gemma-4-e4b", "template", False, True),
+        ("qwen3.5-9b", "template", True, True),
+        ("qwen3.5-9b", "template", False, False),
+        ("qwen3.5-9b", "off", False, True),
+        ("fake", "template", True, True),
+        ("fake", "template", False, True),
+        ("fake", "on", False, False),
+    ],
+)
+def test_thinking_is_as_declared(model, declared, thinks, passes):
+    gemma = model.startswith("gemma")
+    think = thinking(*(("<|channel>thought\n", "<channel|>") if gemma else ("<think>", "</think>")))
+    found, _ = checks(changed(think if thinks else lambda request, reply: reply), model, thinking=declared)
+    assert found["thinking"].passed == passes
+    assert failed(found) == ([] if passes else ["thinking"])
+
+
+def test_a_response_format_that_keeps_a_model_from_thinking():
+    """It thinks in free text, but not in the replies that a run asks for."""
+    found, _ = checks(changed(lambda q, r: r if "response_format" in q else thinking()(q, r)), "fake", thinking="on")
+    assert failed(found) == ["thinking"]
+
+
+def test_a_server_without_json_schema_is_refused_at_once():
+    def script(request, n):
+        return Status(400, "response_format is not supported") if "response_format" in request else seeing(request)
+
+    found, server = checks(script)
+    assert failed(found) == ["schema"]
+    assert len(server.requests) == 2, "each picture would be refused for the same reason"
+    with pytest.raises(EndpointError, match="--response-format json_object"):
+        require(list(found.values()))
+    found, _ = checks(script, response_format="none")
+    assert failed(found) == []
+
+
+def test_a_server_that_takes_no_pictures():
+    found, _ = checks(lambda request, n: Status(400, "no images") if is_picture(request) else seeing(request))
+    assert failed(found) == ["picture"]
+    assert "no images" in found["picture"].seen
+
+
+def test_one_corner_may_be_missed():
+    def one_wrong(request, n):
+        reply = seeing(request)
+        return completion('{"corner": "upper left"}') if "lower right" in json.dumps(reply) else reply
+
+    found, _ = checks(one_wrong)
+    assert found["picture"].passed
+    assert "3 of 4" in found["picture"].seen
+
+
+@pytest.mark.parametrize("corner", ["left", 5, None, ["upper left"]])
+def test_junk_for_a_corner_is_a_wrong_one(corner):
+    found, _ = checks(lambda q, n: completion(json.dumps({"corner": corner})) if is_picture(q) else seeing(q))
+    assert failed(found) == ["picture"]
+
+
+def test_a_server_that_does_not_answer():
+    with pytest.raises(EndpointError, match=r"HTTP 500"):
+        checks(lambda request, n: Status(500))
+
+
+# -- the command ------------------------------------------------------------------------------------------------------
+
+
+def run(server, *more):
+    arguments = ["preflight", "--model", "fake", "--base-url", server.url, *more]
+    return CliRunner().invoke(group, arguments)
+
+
+def test_the_command_tells_every_check():
+    with FakeServer(seeing) as server:
+        table = run(server)
+        rows = json.loads(run(server, "--json").stdout)
+    assert table.exit_code == 0
+    assert [row["check"] for row in rows] == NAMES
+    assert all(row["passed"] and row["remedy"] == "" for row in rows)
+    for name in NAMES:
+        assert name in table.output
+
+
+def test_the_command_fails_in_one_line():
+    with FakeServer(changed(prose)) as server:
+        result = run(server, "--json")
+    assert result.exit_code == 1
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("jrdb-avr: preflight: schema: ")
+    assert [row["check"] for row in json.loads(result.stdout) if not row["passed"]] == ["schema"]
+
+
+def test_a_hostile_server_cannot_move_the_cursor():
+    with FakeServer(changed(said("\x1b[2Jready\x9b31m", refusal=None))) as server:
+        result = run(server)
+    assert "\x1b" not in result.output and "\x9b" not in result.output
