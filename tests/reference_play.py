@@ -1,4 +1,4 @@
-"""Games of the reference agent: scripted replies, and a world model and solver that do as they are told."""
+"""Games of the reference agent: scripted replies, a real world model, and a solver that says what it is told to."""
 
 import json
 from dataclasses import dataclass, field
@@ -7,6 +7,7 @@ from types import SimpleNamespace
 from jrdb_avr.agent.messages import Picture
 from jrdb_avr.agent.reference.method import ReferenceAgent
 from jrdb_avr.agent.replies import Reply
+from jrdb_avr.agent.world import World as Beliefs
 from jrdb_avr.queries.compiler import SCENE, compile_find
 
 CHOICES = ("walking", "standing", "sitting", "lying")
@@ -90,58 +91,6 @@ def pictures_of(messages):
     return [part.name for m in messages for part in m.parts if isinstance(part, Picture)]
 
 
-@dataclass
-class StubWorld:
-    """Takes every write, and shows those of the episode at hand."""
-
-    accepts: object = lambda tool, arguments: ""
-    episodes: list = field(default_factory=list)
-
-    def episode(self, question, keep):
-        self.episodes.append(StubEpisode(self))
-        return self.episodes[-1]
-
-
-@dataclass
-class StubEpisode:
-    world: StubWorld
-    writes: list = field(default_factory=list)
-    seen: list = field(default_factory=list)
-    plans: list = field(default_factory=list)
-
-    def plan(self, plan, step):
-        self.plans.append(plan)
-
-    def observed(self, observation, step):
-        self.seen.append((observation.frame_index, step))
-        return f"o{len(self.seen)}"
-
-    def add_entity(self, arguments, box, step):
-        return self._write("add_entity", dict(arguments, pixels=box), step)
-
-    def add_attribute(self, arguments, step):
-        return self._write("add_attribute", arguments, step)
-
-    def add_relation(self, arguments, step):
-        return self._write("add_relation", arguments, step)
-
-    def refused(self, tool, arguments, reason, step):
-        self.writes.append((tool, dict(arguments), step, reason))
-
-    def noted(self, tool, arguments, step, accepted, reason=""):
-        self.writes.append((tool, dict(arguments), step, reason))
-
-    def _write(self, tool, arguments, step):
-        reason = self.world.accepts(tool, arguments)
-        self.writes.append((tool, arguments, step, reason))
-        return SimpleNamespace(accepted=not reason, said=reason)
-
-    def graph(self, missing=()):
-        observations = [{"observation": f"o{n}", "frame_id": f"{f:06d}"} for n, (f, _) in enumerate(self.seen, 1)]
-        entities = [{"id": a["id"]} for tool, a, _, reason in self.writes if tool == "add_entity" and not reason]
-        return {"observations": observations, "entities": entities, "relations": [], "missing": list(missing)}
-
-
 @dataclass(frozen=True)
 class StubBelief:
     outcome: str = "empty"
@@ -179,13 +128,17 @@ def defined(answer="standing", seen=(150, (1800.0, 120.0, 70.0, 220.0))):
     return StubSolver(belief, lacking="")
 
 
-def play(world, replies, mode="multiple_choice", *, solver=None, remembers=True, accepts=None, **options):
-    """A game: its prediction, the chat, the steps, and the stub world (None without)."""
+def play(
+    world, replies, mode="multiple_choice", *, graph=None, solver=None, question="What does the person do?", **options
+):
+    """A game in a painted world: its prediction, requests, steps and writes. graph: the world model's, None without."""
     chat = Scripted(replies)
-    steps = []
-    stub = StubWorld(accepts or (lambda tool, arguments: "")) if remembers else None
+    steps, writes = [], []
     solver = solver or StubSolver()
-    agent = ReferenceAgent(chat, world=stub, solving=lambda world, question: solver, **options)
-    choices = CHOICES if mode == "multiple_choice" else ()
-    prediction = agent.answer(world.task("What does the person do?", mode, choices, steps))
-    return SimpleNamespace(prediction=prediction, chat=chat, requests=chat.requests, steps=steps, world=stub)
+    memory = None if graph is None else Beliefs(graph, "run")
+    agent = ReferenceAgent(chat, world=memory, solving=lambda world, question: solver, **options)
+    task = world.task(question, mode, CHOICES if mode == "multiple_choice" else (), steps, writes)
+    prediction = agent.answer(task)
+    return SimpleNamespace(
+        prediction=prediction, requests=chat.requests, schemas=chat.schemas, steps=steps, writes=writes
+    )

@@ -1,18 +1,53 @@
 """The reference agent's loop, played by scripted models: turns, budgets, refusals, and what the model is shown."""
 
+import json
 from pathlib import Path
 
 import pytest
 from painted_world import World, still
-from reference_play import GRAPH, PLANS, attribute, entity, final, look, play, proposed, text_of, turn
+from reference_play import (
+    GRAPH,
+    PLAN,
+    PLANS,
+    StubSolver,
+    attribute,
+    defined,
+    entity,
+    final,
+    look,
+    pictures_of,
+    play,
+    proposed,
+    text_of,
+    turn,
+)
+
+from jrdb_avr.agent.reference.method import ReferenceAgent
+from jrdb_avr.queries.world import WorldGraph
+from jrdb_avr.schema.answers import Choice, FrameAnswer
+from jrdb_avr.schema.panorama import Box, iou
 
 SNAPSHOTS = Path(__file__).parent / "snapshots"
 MODES = ("multiple_choice", "frame", "span", "frame_viewpoint", "number")
+FRAMES = tuple(range(0, 300, 5))
 
 
-@pytest.fixture
-def world(tmp_path):
-    return World(tmp_path, [still(1845, 7, pose="standing"), still(-40, 8, pose="sitting")], tuple(range(0, 300, 5)))
+@pytest.fixture(scope="module")
+def graph():
+    with WorldGraph.memory() as graph:
+        yield graph
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    people = [still(1845, 7, pose="standing"), still(-40, 8, pose="sitting")]
+    return World(tmp_path_factory.mktemp("painted"), people, FRAMES)
+
+
+def results(messages):
+    """The results that a turn shows."""
+    lines = text_of(messages).rpartition("Results of your last calls:\n")[2].split("\n")
+    return [line for line in lines if line[:1].isdigit() or line == "none"]
 
 
 def kept(name, told):
@@ -24,8 +59,11 @@ def kept(name, told):
     assert told == path.read_text()
 
 
+# -- what is shown ----------------------------------------------------------------------------------------------------
+
+
 @pytest.mark.parametrize("mode", MODES)
-def test_prompts_are_as_they_were(world, mode):
+def test_prompts_are_as_they_were(world, graph, mode):
     replies = [
         {"root": "a"},
         PLANS[mode],
@@ -35,15 +73,333 @@ def test_prompts_are_as_they_were(world, mode):
         turn(final()),
         "no more",
     ]
-    game = play(world, replies, mode)
-    plan, turn_shown = text_of(game.requests[1]), text_of(game.requests[5])
-    kept(f"agent_{mode}", f"{plan}\n=====\n{turn_shown}\n")
+    game = play(world, replies, mode, graph=graph)
+    plan, shown = text_of(game.requests[1]), text_of(game.requests[4])
+    kept(f"agent_{mode}", f"{plan}\n=====\n{shown}\n=====\n{text_of(game.requests[5]).rpartition('Graph: ')[2]}\n")
 
 
 @pytest.mark.parametrize("name", ["agent_passive", "agent_no_world", "agent_passive_no_world"])
-def test_variants_show_what_they_showed(world, name):
+def test_variants_show_what_they_showed(world, graph, name):
     remembers, looks = name == "agent_passive", name == "agent_no_world"
     script = [PLANS["frame"]] if remembers else []
     script += [turn(look()) if looks else turn(final()), "hm", turn(proposed({"frame_id": "000900"})), turn(look(155))]
-    game = play(world, [*script, "no more"], "frame", looks=looks, remembers=remembers)
+    game = play(world, [*script, "no more"], "frame", looks=looks, graph=graph if remembers else None)
     kept(name, text_of(game.requests[-1]) + "\n")
+
+
+def test_the_graph_is_the_only_memory(world, graph):
+    game = play(world, [PLAN, turn(look()), turn(entity(node="a")), turn(look(155)), turn(GRAPH), "x"], graph=graph)
+    assert [len(request) for request in game.requests] == [2] * 7
+    assert [pictures_of(request) for request in game.requests[:6]] == [
+        [],
+        [],
+        ["painted 000150 180"],
+        ["painted 000150 180"],
+        ["painted 000155 180"],
+        ["painted 000155 180"],
+    ]
+    shown = json.loads(text_of(game.requests[-1]).partition("\nGraph: ")[2].partition("\n")[0])
+    (person,) = shown["entities"]
+    assert (person["id"], person["node"]) == ("p1", "a")
+    assert iou(Box(*person["sightings"][0]["box"]), Box(1845, 120, 70, 220)) > 0.95
+    assert shown["missing"] == ["a: not found"]
+
+
+def test_the_latest_turn_that_looked_shows_all_its_pictures(world, graph):
+    game = play(world, [PLAN, turn(look()), turn(look(155), look(160, 90)), turn(GRAPH), "x"], graph=graph)
+    assert pictures_of(game.requests[4]) == ["painted 000155 180", "painted 000160 90"]
+    assert 'Picture 2, observation o3: {"frame_id":"000160"' in text_of(game.requests[4])
+
+
+def test_passive_shows_all_panoramas_in_every_turn(world, graph):
+    game = play(world, [PLAN, turn(GRAPH), turn(entity(box=(495, 250, 505, 708))), "x"], graph=graph, looks=False)
+    assert [len(pictures_of(request)) for request in game.requests] == [0, 8, 8, 8, 8]
+    assert game.prediction.n_observations == 8
+    shown = json.loads(text_of(game.requests[3]).partition("\nGraph: ")[2].partition("\n")[0])
+    # Thousandths of the whole panorama: 3.76 columns each.
+    assert shown["entities"][0]["sightings"][0]["box"][:2] == pytest.approx([1861.2, 120])
+    assert "observe" not in json.dumps(game.schemas)
+
+
+def test_no_world_sends_the_chat_so_far(world):
+    said = [turn(look()), turn(look(155)), "hm", turn(proposed(2, "o1"))]
+    game = play(world, said)
+    roles = [[message.role for message in request] for request in game.requests]
+    assert roles == [["system", "user", *["assistant", "user"] * n] for n in range(4)]
+    assert [m.parts[0] for m in game.requests[3] if m.role == "assistant"] == said[:3]
+    assert pictures_of(game.requests[3]) == ["painted 000150 180", "painted 000155 180"]
+    for before, after in zip(game.requests, game.requests[1:], strict=False):
+        assert after[: len(before)] == before
+    assert not any("Plan: " in text_of(request) or "Graph: " in text_of(request) for request in game.requests)
+
+
+# -- answering --------------------------------------------------------------------------------------------------------
+
+
+def test_a_legal_final_answer(world, graph):
+    seen = (150, (3780.0, 120.0, 70.0, 220.0))
+    game = play(world, [PLAN, turn(look()), turn(final(2))], graph=graph, solver=defined("standing", seen))
+    assert (game.prediction.status, game.prediction.answer) == ("answered", Choice(2))
+    assert (game.prediction.evidence.frame, game.prediction.evidence.box) == (150, (20.0, 120.0, 70.0, 220.0))
+    assert (game.prediction.n_model_calls, game.prediction.n_observations) == (3, 1)
+    assert [step.kind for step in game.steps] == ["model", "tool", "model", "observe", "tool", "model", "solve", "tool"]
+
+
+def test_a_final_answer_that_is_not_legal_is_told_what_is_missing(world, graph):
+    game = play(world, [PLAN, turn(final(2)), "x"], graph=graph)
+    assert results(game.requests[2]) == ["1. final_answer: refused: a: not found"]
+    assert game.prediction.status == "invalid"
+
+
+@pytest.mark.parametrize(
+    "call, reason",
+    [
+        (final(5), "answer must be the number of a choice, an integer from 1 to 4"),
+        (final("standing"), "answer must be the number of a choice, an integer from 1 to 4"),
+        (final(2, 7), "entity must be the id of the plan's target"),
+        ({"tool": "final_answer", "answer": 2}, "the call lacks entity"),
+        (final(2) | {"box": [1, 2, 3, 4]}, "the call has keys that the contract does not know: box"),
+    ],
+)
+def test_a_final_answer_that_cannot_be_read_is_refused(world, graph, call, reason):
+    game = play(world, [PLAN, turn(call), "x"], graph=graph, solver=defined())
+    assert results(game.requests[2]) == [f"1. final_answer: refused: {reason}"]
+
+
+def test_a_final_answer_stands_last(world, graph):
+    game = play(world, [PLAN, turn(final(2), GRAPH), turn(final(2))], graph=graph, solver=defined())
+    assert results(game.requests[2]) == [
+        "1. final_answer: refused: it must be the last call of its turn",
+        "2. get_graph: done",
+    ]
+    assert game.prediction.status == "answered"
+
+
+@pytest.mark.parametrize("last", ["budget", "malformed"])
+def test_at_the_end_the_graph_answers_by_itself(world, graph, last):
+    script = [PLAN, turn(look()), *([turn(GRAPH)] if last == "budget" else ["x"])]
+    game = play(world, script, graph=graph, solver=defined("sitting"))
+    assert (game.prediction.status, game.prediction.answer) == ("answered", Choice(3))
+    assert game.prediction.evidence.frame == 150
+    assert game.steps[-1].kind == "solve"
+
+
+def test_at_the_end_a_frame_is_read_as_it_is_stored(world, graph):
+    game = play(world, [PLANS["frame"], "x"], "frame", graph=graph, solver=defined('{"frame":165}'))
+    assert (game.prediction.status, game.prediction.answer) == ("answered", FrameAnswer(165))
+
+
+def test_at_the_end_a_read_that_is_no_choice_leaves_the_box(world, graph):
+    game = play(world, [PLAN, "x"], graph=graph, solver=defined("cycling"))
+    assert (game.prediction.status, game.prediction.answer) == ("invalid", None)
+    assert game.prediction.evidence.frame == 150
+
+
+def test_at_the_end_the_likeliest_box_counts_without_an_answer(world, graph):
+    guess = (155, (10.0, 20.0, 30.0, 40.0))
+    game = play(world, [PLAN, turn(look()), "x"], graph=graph, solver=StubSolver(box=guess))
+    assert (game.prediction.status, game.prediction.answer) == ("invalid", None)
+    assert game.prediction.evidence.box == guess[1]
+    assert game.prediction.reason.startswith("2 malformed turns, the last: the reply is not one JSON object")
+
+
+def test_at_the_end_nobody_may_have_been_seen(world, graph):
+    game = play(world, [PLAN, "x"], graph=graph)
+    assert (game.prediction.status, game.prediction.evidence) == ("invalid", None)
+
+
+def test_no_world_answers_with_its_own_box(world):
+    game = play(world, [turn(look(150, 360)), turn(proposed(3, box=(417, 250, 563, 708)))])
+    assert (game.prediction.status, game.prediction.answer) == ("answered", Choice(3))
+    assert iou(Box(*game.prediction.evidence.box), Box(-40, 120, 70, 220)) > 0.95
+
+
+def test_no_world_keeps_what_can_be_read_of_the_newest_answer(world):
+    game = play(world, [turn(look()), turn(proposed(9)), "x"])
+    assert results(game.requests[2])[0].startswith("1. final_answer: refused: answer must be the number of a choice")
+    assert (game.prediction.status, game.prediction.answer) == ("invalid", None)
+    assert game.prediction.evidence.frame == 150
+    game = play(world, [turn(look()), turn(proposed(2, "o7")), "x"])
+    assert (game.prediction.answer, game.prediction.evidence) == (Choice(2), None)
+    assert "observation must name one that has been made" in game.prediction.reason
+
+
+def test_passive_without_a_world_takes_boxes_of_panoramas(world):
+    game = play(world, [turn(proposed(2, "o8", (490, 250, 510, 708)))], looks=False)
+    assert game.prediction.status == "answered"
+    assert game.prediction.evidence.frame == 295
+    assert game.prediction.evidence.box[0] == pytest.approx(1842.4)
+
+
+# -- looks ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "call, reason",
+    [
+        (look(151), "frame_id 000151 is none of the legal frames"),
+        (look() | {"frame_id": "../../etc"}, 'frame_id must be a string of six digits, like "000150"'),
+        (look() | {"frame_id": 150}, 'frame_id must be a string of six digits, like "000150"'),
+        (look() | {"angle_deg": "left"}, "angle_deg must be a number of degrees"),
+        (look() | {"sequence": "other"}, "the call has keys that the contract does not know: sequence"),
+        (look(150, 180.9), "within 1 degree of the earlier look at angle 180"),
+        (look(150, 539.5), "within 1 degree of the earlier look at angle 180"),
+    ],
+)
+def test_looks_that_are_refused(world, graph, call, reason):
+    game = play(world, [PLAN, turn(look(), call), "x"], graph=graph)
+    assert results(game.requests[2]) == ["1. observe: o1", f"2. observe: refused: {reason}"]
+    assert game.prediction.n_observations == 1
+    assert [(w.tool, w.accepted, w.reason) for w in game.writes[2:4]] == [
+        ("observe", True, ""),
+        ("observe", False, reason),
+    ]
+
+
+def test_the_24th_look_is_made_and_the_25th_is_not(world, graph):
+    looks = [look(frame) for frame in FRAMES]
+    game = play(world, [PLAN, turn(*looks[:23]), turn(looks[23], looks[24]), "x"], graph=graph)
+    assert results(game.requests[3]) == ["1. observe: o24", "2. observe: refused: no looks are left"]
+    assert "Looks made: 24, left: 0\nTool calls made: 25, left: 55" in text_of(game.requests[3])
+    assert game.prediction.n_observations == 24
+
+
+# -- calls ------------------------------------------------------------------------------------------------------------
+
+
+def test_the_80th_call_is_carried_out_and_the_81st_is_not(world, graph):
+    many = [turn(*[GRAPH] * 32), turn(*[GRAPH] * 32), turn(*[GRAPH] * 15)]
+    game = play(world, [PLAN, *many, turn(look(), look(155), final(2))], graph=graph, solver=defined())
+    assert "Tool calls made: 79, left: 1" in text_of(game.requests[4])
+    assert game.prediction.n_observations == 1
+    assert len(game.requests) == 5
+    # The final answer was not carried out: what stands is what the graph says.
+    assert not [write for write in game.writes if write.tool == "final_answer"]
+    game = play(world, [PLAN, *many, turn(final(2))], graph=graph, solver=defined())
+    assert [write.accepted for write in game.writes if write.tool == "final_answer"] == [True]
+
+
+def test_refused_calls_count(world, graph):
+    game = play(world, [PLAN, turn(*[look(151)] * 32)], graph=graph)
+    assert len(game.requests) == 4
+    assert game.prediction.reason == "no legal final answer within 80 calls"
+
+
+def test_most_model_calls(world, graph):
+    """Plans to the last repair, one malformed turn, and calls one by one."""
+    agent = ReferenceAgent(None, world=object())
+    script = [{}, {}, {}, PLAN, "x"]
+    game = play(world, lambda n: script[n] if n < 5 else turn(GRAPH), graph=graph)
+    assert len(game.requests) == agent.settings()["model_calls"] == 85
+    game = play(world, lambda n: "x" if n == 0 else turn(look()))
+    assert len(game.requests) == ReferenceAgent(None).settings()["model_calls"] == 81
+
+
+WRITES = [
+    (entity(observation="o7"), "add_entity", "observation 'o7' has not been made; made: o1"),
+    (entity(box=(500, 0, 400, 10)), "add_entity", "box has no area or reversed corners"),
+    (entity(box=("NaN", 0, 400, 10)), "add_entity", "box must be a list of four integers"),
+    (entity(node="z"), "add_entity", "node 'z' is none of the plan's: a"),
+    (attribute("gender", "female", "p9"), "add_attribute", "there is no entity 'p9'"),
+    (attribute("gender", "women"), "add_attribute", "gender has no value 'women'; it is male, female"),
+    (
+        {"tool": "add_relation", "source": "p1", "name": "conversation", "target": "p1", "observation": "o1"},
+        "add_relation",
+        "a relation joins two different entities",
+    ),
+    (GRAPH | {"of": "o1"}, "get_graph", "get_graph has keys that the contract does not know: of"),
+    ({"tool": "look"}, "?", 'there is no tool "look"; there are observe, add_entity, add_attribute'),
+    ({"tool": 3}, "?", 'a call is an object that names its "tool"'),
+    ("observe", "?", 'a call is an object that names its "tool"'),
+    (entity(name="x" * 3000), "add_entity", "the call is too deep or too long"),
+    (entity(node=[[[[["a"]]]]]), "add_entity", "the call is too deep or too long"),
+]
+
+
+@pytest.mark.parametrize("call, tool, reason", WRITES)
+def test_a_bad_call_is_refused_by_itself(world, graph, call, tool, reason):
+    game = play(world, [PLAN, turn(look(), entity(), call, attribute("gender", "female")), "x"], graph=graph)
+    shown = results(game.requests[2])
+    assert shown[2].startswith(f"3. {tool}: refused: {reason}")
+    assert shown[3] == "4. add_attribute: done"
+    refused = [write for write in game.writes if not write.accepted]
+    assert [write.tool for write in refused] == ([] if tool == "?" else [tool])
+    assert not tool.startswith("add_") or refused[0].reason.startswith(reason)
+
+
+def test_writes_name_the_model_call_they_came_with(world, graph):
+    game = play(world, [PLAN, turn(look()), turn(entity()), "x"], graph=graph)
+    for write in game.writes[1:]:
+        assert game.steps[write.step].kind == "model"
+        assert write.tool in game.steps[write.step].response.replace('\\"root\\"', "plan") + "plan"
+    assert [write.number for write in game.writes] == list(range(len(game.writes)))
+
+
+@pytest.mark.parametrize(
+    "reply",
+    [
+        "",
+        "I look left",
+        '{"calls": []}',
+        '{"calls": {}}',
+        json.dumps({"calls": [GRAPH] * 33}),
+        json.dumps({"calls": [{"junk": n} for n in range(10_000)]}),
+        json.dumps({"calls": [GRAPH], "why": "x"}),
+        json.dumps(GRAPH),
+        '{"calls": [' * 5000,
+    ],
+)
+def test_malformed_turns(world, graph, reply):
+    game = play(world, [PLAN, reply, turn(look()), reply], graph=graph)
+    assert len(game.requests) == 4
+    told = "Your last turn was malformed, and a second such turn ends the question: "
+    assert told in text_of(game.requests[2])
+    assert told not in text_of(game.requests[3])
+    assert game.prediction.status == "invalid"
+
+
+# -- the plan ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_refused_plan_is_repaired(world, graph):
+    bad = PLAN | {"target": "b"}
+    game = play(world, [bad, PLAN, "x"], graph=graph)
+    shown = text_of(game.requests[1])
+    assert f"Your last plan: {json.dumps(bad, separators=(',', ':'))}\n" in shown
+    assert "Your plan was refused: target: unknown node 'b'; known: a\nYour plan, as one JSON object:" in shown
+    assert [(write.tool, write.accepted) for write in game.writes] == [("begin", True), ("plan", False), ("plan", True)]
+
+
+def test_three_repairs_and_no_more(world, graph):
+    game = play(world, [{"root": "a"}], graph=graph)
+    assert len(game.requests) == 4
+    assert game.prediction.status == "invalid"
+    assert game.prediction.reason.startswith("no plan was accepted; the last was refused: plan: Object missing")
+    assert (game.prediction.answer, game.prediction.evidence, game.prediction.n_observations) == (None, None, 0)
+
+
+# -- settings, and what is kept ---------------------------------------------------------------------------------------
+
+
+def test_settings_print_every_budget():
+    told = {
+        agent.name: agent.settings()
+        for agent in (ReferenceAgent(None, world=w, looks=looks) for w in (object(), None) for looks in (True, False))
+    }
+    assert list(told) == ["agent", "agent-passive", "agent-no-world", "agent-passive-no-world"]
+    budgets = ("looks", "calls", "calls_per_turn", "repairs", "malformed", "model_calls", "panoramas", "duplicate_deg")
+    assert [told["agent"].get(name) for name in budgets] == [24, 80, 32, 3, 2, 85, None, 1.0]
+    assert [told["agent-passive-no-world"].get(name) for name in budgets] == [None, 80, 32, None, 2, 81, 8, None]
+    json.dumps(told)
+
+
+def test_the_transcript_holds_no_picture(world, graph):
+    for options in ({"graph": graph}, {"graph": graph, "looks": False}, {}, {"looks": False}):
+        script = ([PLAN] if "graph" in options else []) + [turn(look()), turn(entity(node="a")), "x"]
+        game = play(world, script, **options)
+        for step in game.steps:
+            assert "base64" not in step.request and len(step.request) < 60_000
+            json.loads(step.request), json.loads(step.response)
+        assert game.steps[-1].kind == "solve" or "graph" not in options
+        sent = sum(step.request.count("[image painted") for step in game.steps if step.kind == "model")
+        assert sent == sum(len(pictures_of(request)) for request in game.requests)

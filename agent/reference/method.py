@@ -48,8 +48,8 @@ class ReferenceAgent:
     def settings(self) -> dict[str, Any]:
         """What the manifest of a run says of the method."""
         return {
-            "looks": self.looks,
-            "remembers": self.remembers,
+            "active_observation": self.looks,
+            "world_model": self.remembers,
             **self.limits.settings(self.looks, self.remembers),
             **shared_settings(self.convention),
         }
