@@ -5,12 +5,13 @@ import json
 import time
 
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from jrdb_avr.agent import decode
-from jrdb_avr.agent.client import Reply
+from jrdb_avr.agent.conventions import BACKBONES
 from jrdb_avr.agent.decode import CONTRACT, convention_of, read_answer, read_evidence, reply_object, write_box
+from jrdb_avr.agent.replies import Reply, spoken, thought
 from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import CROP, WIDTH, Box, crop_left, from_crop, iou, to_crop
@@ -75,9 +76,75 @@ def test_anything_else_is_invalid(text):
         reply_object(reply(text))
 
 
-def test_no_answer_is_taken_out_of_the_reasoning():
-    with pytest.raises(DecodeError, match="empty"):
-        reply_object(reply("", reasoning=OBJECT))
+@pytest.mark.parametrize(
+    ("content", "reasoning", "words"),
+    [
+        ("", OBJECT, "out of which no answer is taken"),
+        (" ", f"<think>{OBJECT}", "out of which no answer is taken"),
+        ("", f"{OBJECT}</think>", "out of which no answer is taken"),
+        ("", f"<|channel>thought\n{OBJECT}<channel|> ", "out of which no answer is taken"),
+        (f"<think>{OBJECT}", "", "after its thinking"),
+        (f"<think>{OBJECT}</think>", "", "after its thinking"),
+        ("", "", "empty"),
+    ],
+)
+def test_no_answer_is_taken_out_of_the_reasoning(content, reasoning, words):
+    with pytest.raises(DecodeError, match=f"the reply is empty.*{words}" if words != "empty" else "is empty$"):
+        reply_object(reply(content, reasoning=reasoning))
+
+
+@pytest.mark.parametrize("finish_reason", ["stop", "length", "content_filter"])
+@pytest.mark.parametrize("content", ["", OBJECT])
+def test_a_refusal_is_no_answer(content, finish_reason):
+    refused = Reply(content, finish_reason=finish_reason, refusal="I cannot\x1b help\nwith that.")
+    with pytest.raises(DecodeError, match="the model refused: I cannot") as caught:
+        reply_object(refused)
+    assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize(
+    ("model", "text"),
+    [
+        ("Qwen/Qwen3.5-9B", f"<think>\nleft?\n</think>\n\n{OBJECT}"),
+        ("Qwen/Qwen3-VL-8B-Thinking", f"left?</think>{OBJECT}"),
+        ("google/gemma-4-E4B-it", f"<|channel>thought\nleft?<channel|>{OBJECT}"),
+    ],
+)
+def test_thinking_is_stripped_as_the_backbone_writes_it(model, text):
+    convention = convention_of(model)
+    assert reply_object(reply(text), convention) == json.loads(OBJECT)
+    other = f"<{'|channel>thought' if 'Qwen' in model else 'think>'} hm {OBJECT}"
+    with pytest.raises(DecodeError):
+        reply_object(reply(other), convention)
+
+
+@given(st.sampled_from(sorted(BACKBONES)), st.text(), st.text(), st.text(), st.text())
+def test_any_reply_is_an_object_or_a_reason(model, content, reasoning, finish_reason, refusal):
+    """Junk never raises anything but DecodeError, and its reason can be printed."""
+    for reason in (finish_reason, "stop"):
+        for text in (content, content + OBJECT, f"```json\n{content}", f"<think>{content}</think>{{}}"):
+            try:
+                found = reply_object(Reply(text, reasoning, reason, refusal=refusal), convention_of(model))
+            except DecodeError as error:
+                assert str(error).isascii() and str(error).isprintable()
+            else:
+                assert isinstance(found, dict)
+                assert not refusal
+
+
+@given(st.text(max_size=60), st.text(max_size=60), st.sampled_from(sorted(BACKBONES)))
+def test_what_was_thought_is_never_what_was_said(thoughts, words, model):
+    convention = convention_of(model)
+    for opening, closing in convention.thinking:
+        assume(closing not in thoughts + words and opening not in thoughts + words)
+        whole = Reply(f"{opening}{thoughts}{closing}{words}", finish_reason="stop")
+        assert spoken(whole, convention) == words.strip()
+        assert thought(whole, convention) == thoughts.strip()
+        stranded = Reply("", f"{thoughts}{closing}{words}", "stop")
+        assert spoken(stranded, convention) == words.strip()
+        assert spoken(Reply(f"{opening}{thoughts}", finish_reason="stop"), convention) == ""
+    assert spoken(Reply("", thoughts, "stop"), convention) == ""
+    assert thought(Reply("", thoughts, "stop"), convention) == thoughts.strip()
 
 
 @pytest.mark.parametrize("finish_reason", ["length", "content_filter", "tool_calls"])
