@@ -20,8 +20,8 @@ from jrdb_avr.schema.tables import CANDIDATES, QUESTIONS
 from jrdb_avr.schema.wording import FAMILIES
 
 from .blind import blind_check, posed
-from .publish import publish, question_tables, read_heads
-from .selection import CANDIDATE_COLUMNS, select
+from .publish import Heads, publish, question_tables, read_heads
+from .selection import CANDIDATE_COLUMNS, Selection, select
 from .shard import EXAMPLES, Found, Job, search_sequence
 from .shortfalls import REFUSALS, shortfalls, tallies
 
@@ -57,9 +57,11 @@ def generate(
     seed: int = 0,
     workers: int = 2,
     candidates: Path | None = None,
+    excluded: frozenset[str] = frozenset(),
     advance: Advance = lambda steps: None,
 ) -> Report:
-    """Generate the questions of a store; the result depends on its tables, the rules, the profile and the seed alone.
+    """Generate the questions of a store; the result depends on its tables, the rules, the profile and the seed, and on
+    the ids of `excluded` questions alone, whose places others take.
 
     `candidates`: a Parquet file for every proven candidate before near-duplicates and selection. Raises StoreError
     where nothing is loaded, or under other load rules, and LockedError where another process writes the store.
@@ -72,7 +74,7 @@ def generate(
         found = _search(store, sequences, rules, workers, Path(scratch) if candidates else None, advance)
         if candidates is not None:
             _gather([Path(scratch) / f"{sequence}.parquet" for sequence in sequences], candidates)
-        return _publish(store, found, rules, profile, seed)
+        return _publish(store, found, rules, profile, seed, excluded)
 
 
 def checked_manifest(store: Store, rules: Rules) -> Manifest:
@@ -118,12 +120,13 @@ def _gather(parts: Sequence[Path], place: Path) -> None:
     write_atomic(place, write)
 
 
-def _publish(store: Store, found: Sequence[Found], rules: Rules, profile: str, seed: int) -> Report:
+def _publish(
+    store: Store, found: Sequence[Found], rules: Rules, profile: str, seed: int, excluded: frozenset[str]
+) -> Report:
     heads = read_heads(store, [one.sequence for one in found])
     kept = [one.kept for one in found if one.kept is not None]
     pool = pa.concat_tables(kept) if kept else _NOTHING
-    selection = select(pool, rules, profile, seed)
-    questions, answers = question_tables(selection.table, heads, rules)
+    selection, questions, answers = _selected(pool, heads, rules, profile, seed, excluded)
     unselected = pool.filter(pc.invert(pc.is_in(pool["key"], value_set=selection.table["key"].combine_chunks())))
     rejected = _rejected(found, _counts(found), unselected)
     tables = {
@@ -142,6 +145,30 @@ def _publish(store: Store, found: Sequence[Found], rules: Rules, profile: str, s
         blind=tuple(blind_check(posed(questions, answers))),
         faults=tuple(fault for one in found for fault in one.faults),
     )
+
+
+def _selected(
+    pool: pa.Table, heads: Heads, rules: Rules, profile: str, seed: int, excluded: frozenset[str]
+) -> tuple[Selection, pa.Table, pa.Table]:
+    """The selection with its questions and answers, none of which is excluded.
+
+    A question's id follows from its words, so what is excluded shows only when it has been chosen; it is taken out of
+    the pool, and the choice made anew.
+    """
+    while True:
+        selection = select(pool, rules, profile, seed)
+        questions, answers = question_tables(selection.table, heads, rules)
+        unwanted = pc.is_in(questions["question_id"], value_set=pa.array(sorted(excluded), pa.string()))
+        if not pc.any(unwanted).as_py():
+            return selection, questions, answers
+        gone = _identities(questions["sequence"], answers["target_track"], answers["plan"]).filter(unwanted)
+        own = _identities(pool["sequence"], pool["target_track"], pool["plan"])
+        pool = pool.filter(pc.invert(pc.is_in(own, value_set=gone.combine_chunks())))
+
+
+def _identities(sequence: pa.ChunkedArray, track: pa.ChunkedArray, plan: pa.ChunkedArray) -> pa.ChunkedArray:
+    """A text that only one candidate has."""
+    return pc.binary_join_element_wise(sequence, pc.cast(track, pa.string()), plan, " ")
 
 
 def _counts(found: Sequence[Found]) -> dict[tuple[str, str, str], int]:

@@ -41,6 +41,7 @@ from jrdb_avr.engine.output import (
     type=click.Path(dir_okay=False, path_type=Path),
     help="Also write every proven candidate before selection to this Parquet file.",
 )
+@click.option("--exclude-rejected", is_flag=True, help="Leave out what a reviewer rejected (see inspect --import).")
 @rule_option("Override a rule; may be given often.")
 @json_option
 def command(
@@ -49,6 +50,7 @@ def command(
     workers: int,
     seed: int,
     candidates: Path | None,
+    exclude_rejected: bool,
     rule_texts: tuple[str, ...],
     as_json: bool,
 ) -> None:
@@ -59,6 +61,7 @@ def command(
     number of workers.
     """
     from jrdb_avr.engine.generate import generate
+    from jrdb_avr.engine.reviews import rejected
     from jrdb_avr.engine.shortfalls import fillings
     from jrdb_avr.queries.store import Store
     from jrdb_avr.schema.rules import Rules, override
@@ -67,9 +70,17 @@ def command(
 
     place = Store(store)
     rules = override(Rules(), pairs("--rule", rule_texts))
+    excluded = rejected(place) if exclude_rejected else frozenset()
     with progress("searching", len(place.manifest().sequences)) as advance:
         report = generate(
-            place, rules, profile=profile, seed=seed, workers=workers, candidates=candidates, advance=advance
+            place,
+            rules,
+            profile=profile,
+            seed=seed,
+            workers=workers,
+            candidates=candidates,
+            excluded=excluded,
+            advance=advance,
         )
     if as_json:
         aims = {row["template"]: row["aim"] for row in report.selection}

@@ -1,0 +1,130 @@
+"""What reviewers decide: imported, compared, and left out of the next generation."""
+
+import json
+
+import pyarrow as pa
+import pytest
+from entry import run
+from hypothesis import given
+from hypothesis import strategies as st
+from statsmodels.stats.inter_rater import cohens_kappa
+
+from jrdb_avr.engine.reviews import Agreement, agreements, kappa, read_reviews, rejected
+from jrdb_avr.queries.runs import questions_hash
+from jrdb_avr.queries.store import Store
+
+
+def decisions(store, path, given, sha=None):
+    """given: {question id: (decision, reason)}."""
+    rows = [{"question_id": name, "decision": what, "reason": why} for name, (what, why) in given.items()]
+    path.write_text(json.dumps({"questions_sha256": sha or questions_hash(store), "decisions": rows}))
+    return path
+
+
+@pytest.fixture
+def store(benchmark_copy):
+    return benchmark_copy
+
+
+def ids(store):
+    return store.questions("questions")["question_id"].to_pylist()
+
+
+def test_decisions_are_stored_and_the_latest_counts(store, tmp_path):
+    first, second, third = ids(store)[:3]
+    file = decisions(store, tmp_path / "d.json", {first: ("accept", ""), second: ("reject", "two people fit")})
+    code, out, err = run("inspect", "--import", file, "--reviewer", "ada", "--store", store.path)
+    assert (code, out) == (0, "")
+    assert "2 decisions of ada stored; 2 reviews in all" in err
+    assert rejected(store) == {second}
+    file = decisions(store, tmp_path / "d.json", {second: ("accept", ""), third: ("reject", "x")})
+    assert run("inspect", "--import", file, "--reviewer", "ada", "--store", store.path)[0] == 0
+    assert [(row["question_id"], row["decision"]) for row in read_reviews(store)] == sorted(
+        [(first, "accept"), (second, "accept"), (third, "reject")]
+    )
+    file = decisions(store, tmp_path / "d.json", {first: ("accept", ""), second: ("reject", ""), third: ("reject", "")})
+    code, out, _ = run("inspect", "--import", file, "--reviewer", "grace", "--store", store.path, "--json")
+    assert json.loads(out) == [{"first": "ada", "second": "grace", "n": 3, "agree": 2, "kappa": pytest.approx(0.4)}]
+
+
+BAD = {
+    "no JSON": "{",
+    "another form": '{"decisions": []}',
+    "another key": '{"questions_sha256": "SHA", "decisions": [], "x": 1}',
+    "no decision": '{"questions_sha256": "SHA", "decisions": [{"question_id": "0123456789abcdef"}]}',
+    "another word": '{"questions_sha256": "SHA", "decisions": [{"question_id": "0123456789abcdef", "decision": "ok"}]}',
+    "no id": '{"questions_sha256": "SHA", "decisions": [{"question_id": "../x", "decision": "accept"}]}',
+    "an unknown question": '{"questions_sha256": "SHA", "decisions": [{"question_id": "0000000000000000", '
+    '"decision": "accept"}]}',
+    "other questions": '{"questions_sha256": "0", "decisions": []}',
+    "no text": "\ud800",
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_file_that_cannot_be_used_is_refused_in_a_line(store, tmp_path, name):
+    file = tmp_path / "d.json"
+    file.write_bytes(BAD[name].replace("SHA", questions_hash(store)).encode("utf-8", "surrogatepass"))
+    code, out, err = run("inspect", "--import", file, "--reviewer", "ada", "--store", store.path)
+    assert (code, out) == (1, "")
+    assert err.startswith("jrdb-avr: ") and err.count("\n") == 1 and "d.json" in err
+    assert not store.question_path("reviews").exists()
+
+
+def test_options_go_together(store, tmp_path):
+    for options in (["--import", "x"], ["--reviewer", "ada"], [], ["--sample", "1", "0" * 16]):
+        assert run("inspect", *options, "--store", store.path)[0] == 2
+    assert run("inspect", "--import", tmp_path / "none", "--reviewer", "ada", "--store", store.path)[0] == 1
+    assert run("inspect", "--import", "x", "--reviewer", "\n", "--store", store.path)[0] == 2
+
+
+def test_generate_leaves_out_what_was_rejected(store, tmp_path):
+    before = ids(store)
+    gone = before[:2]
+    file = decisions(store, tmp_path / "d.json", dict.fromkeys(gone, ("reject", "no")))
+    assert run("inspect", "--import", file, "--reviewer", "ada", "--store", store.path)[0] == 0
+    # Twice: the second time the rejected ones are no longer among the questions.
+    for _ in range(2):
+        assert run("generate", "--store", store.path, "--workers", 1, "--exclude-rejected")[0] == 0
+        after = ids(store)
+        assert not set(gone) & set(after)
+        assert len(set(before) - set(after)) < 20
+    assert run("validate", "--store", store.path)[0] == 0
+
+
+# -- agreement --------------------------------------------------------------------------------------------------------
+
+PAIRS = st.lists(st.tuples(st.sampled_from(["accept", "reject"]), st.sampled_from(["accept", "reject"])), min_size=1)
+
+
+@given(PAIRS)
+def test_kappa_is_that_of_statsmodels(pairs):
+    names = ["accept", "reject"]
+    table = [[sum(pair == (a, b) for pair in pairs) for b in names] for a in names]
+    ours = kappa(pairs)
+    if ours is None:
+        assert len({name for pair in pairs for name in pair}) == 1
+    else:
+        assert ours == pytest.approx(cohens_kappa(table).kappa)
+
+
+def test_only_questions_that_both_decided_are_compared():
+    reviews = [
+        {"question_id": question, "reviewer": who, "decision": what}
+        for who, question, what in [
+            ("a", "1", "accept"),
+            ("a", "2", "reject"),
+            ("a", "3", "reject"),
+            ("b", "2", "reject"),
+            ("b", "3", "accept"),
+            ("b", "4", "accept"),
+            ("c", "9", "accept"),
+        ]
+    ]
+    assert agreements(reviews) == [Agreement("a", "b", 2, 1, 0.0)]
+    assert agreements([]) == []
+
+
+def test_a_store_without_reviews_rejects_nothing(tmp_path):
+    assert rejected(Store(tmp_path)) == frozenset()
+    assert pa.array(sorted(rejected(Store(tmp_path))), pa.string()).null_count == 0
