@@ -4,6 +4,7 @@ import csv
 import io
 import json
 
+import msgspec
 import numpy as np
 import pytest
 from known_runs import BOX, ELSEWHERE, Benchmark, table
@@ -12,6 +13,7 @@ from jrdb_avr.engine.comparison import ablation_rows, breakdown_rows, cost_rows,
 from jrdb_avr.engine.failures import CAUSES, evidence_causes, evidence_failure_rows, wrong_choice_rows
 from jrdb_avr.engine.published import ABLATION, BY_GROUP, GROUPS
 from jrdb_avr.engine.typeset import cell, csv_text, joined, latex, markdown
+from jrdb_avr.queries.runs import questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.tables import INTERVALS, RUNS
 
@@ -118,11 +120,11 @@ CASES = {
 }
 
 
-@pytest.fixture
-def failing(tmp_path):
+def stored_failures(path, settings=None):
+    """A store in which run r fails in each way once."""
     benchmark = Benchmark([(name, "s", "long_range") for name in CASES])
     run = benchmark.run([given for given, _, _ in CASES.values()])
-    store = Store(tmp_path)
+    store = Store(path)
     for name, rows in benchmark.tables.items():
         store.write_questions(name, rows, {})
     people = [(7, 1, BOX), (8, 1, BOX), (7, 2, (300.0, 100.0, 50.0, 120.0)), (8, 2, (320.0, 100.0, 30.0, 120.0))]
@@ -140,7 +142,16 @@ def failing(tmp_path):
         steps.append(looked | {"request": '{"frame_index":7,"angle_deg":0}', "response": '{"refused":"twice"}'})
         steps.append(looked | {"kind": "model", "request": "[]", "response": "{}"})
     store.write_run("r", "steps", table(steps, RUNS["steps"]))
+    store.write_run("r", "predictions", benchmark.written["predictions"])
+    write_run_manifest(
+        store, msgspec.structs.replace(run.manifest, questions_sha256=questions_hash(store), settings=settings or {})
+    )
     return benchmark, run, store
+
+
+@pytest.fixture
+def failing(tmp_path):
+    return stored_failures(tmp_path)
 
 
 def test_each_box_that_does_not_score_has_its_cause(failing):

@@ -1,0 +1,244 @@
+"""The pages in a real browser: nothing on the console, nothing fetched, and the keyboard works."""
+
+import json
+import re
+import time
+
+import pytest
+from browser import browser, complaints
+from entry import run
+
+from jrdb_avr.engine.pages.charts import intervals, scatter, stacked
+from jrdb_avr.engine.pages.diagrams import plan_graph, runs_of, timeline, wrapped
+from jrdb_avr.engine.pages.page import render
+from jrdb_avr.engine.reviews import read_reviews
+from jrdb_avr.schema.plan import parse_plan
+
+HOSTILE = '</script><script>document.title="hit"</script><img src=x onerror=\'document.title="hit"\'>\x1b[31m'
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("browser")
+    with browser(folder) as driver:
+        yield driver, folder
+
+
+def visit(driver, path):
+    driver.get(path.as_uri())
+    assert complaints(driver) == []
+    # Nothing but the file itself has been asked for.
+    fetched = driver.execute_script("return performance.getEntriesByType('resource').map(e => e.name)")
+    assert [name for name in fetched if not name.startswith("data:")] == []
+
+
+def shown(driver, selector):
+    return driver.find_elements("css selector", selector)
+
+
+# -- the report -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    """Two runs in a store, one of them with hostile texts wherever a text can stand."""
+    from test_report import stored_failures
+
+    path = tmp_path_factory.mktemp("report")
+    stored_failures(path / "S", settings={"model": HOSTILE})
+    code, _, err = run("report", "--store", path / "S", "--paper", "--html", path / "report.html")
+    assert code == 0, err
+    return path / "report.html"
+
+
+def test_the_report_shows_its_tables_and_nothing_else_runs(opened, report):
+    driver, _ = opened
+    visit(driver, report)
+    assert driver.title == "JRDB-AVR report"
+    assert not shown(driver, "img")
+    assert [row.text.split()[0] for row in shown(driver, "h2 + .scroll tbody tr")][:1] == ["r"]
+    assert len(shown(driver, "svg .answer circle")) == 1
+    assert "right person, loose box" in driver.find_element("tag name", "main").text
+
+
+def test_pages_are_readable_on_a_small_screen(opened, report):
+    driver, _ = opened
+    driver.set_window_size(500, 900)
+    visit(driver, report)
+    width = driver.execute_script("return document.documentElement.scrollWidth")
+    driver.set_window_size(1250, 1000)
+    assert width <= 510
+
+
+def test_a_page_is_dark_where_the_reader_likes_it(tmp_path, report):
+    with browser(tmp_path, dark=True) as driver:
+        visit(driver, report)
+        color = driver.execute_script("return getComputedStyle(document.body).backgroundColor")
+    assert sum(map(int, re.findall(r"\d+", color))) < 150
+
+
+# -- inspect ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def inspected(sample_benchmark, tmp_path_factory):
+    path = tmp_path_factory.mktemp("inspect") / "inspect.html"
+    code, _, err = run("inspect", "--sample", 4, "--seed", 1, "--store", sample_benchmark.path, "--out", path)
+    assert (code, err) == (0, f"wrote {path}: 4 questions\n")
+    return path
+
+
+def test_a_sample_is_seeded(sample_benchmark, tmp_path):
+    def drawn(*more):
+        ask = ("inspect", "--sample", 3, *more, "--store", sample_benchmark.path, "--out", tmp_path / "i.html")
+        return run(*ask, "--json")[1]
+
+    assert drawn() == drawn()
+    assert drawn("--seed", 5) != drawn()
+
+
+def test_questions_are_judged_by_keyboard_and_imported(opened, inspected, benchmark_copy):
+    from selenium.webdriver import ActionChains, Keys
+
+    driver, folder = opened
+    visit(driver, inspected)
+
+    def press(*keys):
+        for key in keys:
+            ActionChains(driver).send_keys(key).perform()
+
+    def count():
+        return driver.find_element("id", "count").text
+
+    def current():
+        return [article.get_attribute("id") for article in shown(driver, "article.current")]
+
+    assert (count(), current()) == ("0 of 4 decided: 0 accepted, 0 rejected", ["q1"])
+    press("a")
+    assert (count(), current()) == ("1 of 4 decided: 1 accepted, 0 rejected", ["q2"])
+    press("r", "two people fit, a & b", Keys.ENTER)
+    assert (count(), current()) == ("2 of 4 decided: 1 accepted, 1 rejected", ["q3"])
+    press("j", "j", "j", "k")
+    assert current() == ["q3"]
+    press("a", "u")
+    assert (count(), current()) == ("2 of 4 decided: 1 accepted, 1 rejected", ["q3"])
+    press("r", Keys.ESCAPE)
+    assert count().startswith("2 of 4")
+    driver.find_element("id", "download").click()
+    file = folder / "decisions.json"
+    for _ in range(100):
+        if file.exists() and file.stat().st_size:
+            break
+        time.sleep(0.05)
+    names = [article.get_attribute("data-id") for article in shown(driver, "article")]
+    assert [
+        (row["question_id"], row["decision"], row["reason"]) for row in json.loads(file.read_text())["decisions"]
+    ] == [
+        (names[0], "accept", ""),
+        (names[1], "reject", "two people fit, a & b"),
+    ]
+    assert complaints(driver) == []
+    driver.get("about:blank")
+    code, _, err = run("inspect", "--import", file, "--reviewer", "ada", "--store", benchmark_copy.path)
+    assert code == 0, err
+    assert {row["question_id"] for row in read_reviews(benchmark_copy)} == set(names[:2])
+
+
+def test_a_question_shows_answer_plan_people_and_proofs(opened, inspected, sample_benchmark):
+    driver, _ = opened
+    visit(driver, inspected)
+    answers = {row["question_id"]: row for row in sample_benchmark.questions("answers").to_pylist()}
+    for article in shown(driver, "article"):
+        own = answers[article.get_attribute("data-id")]
+        right = article.find_elements("css selector", "li.right")
+        if right:
+            place = article.find_elements("css selector", "ol.choices li").index(right[0])
+            assert json.loads(own["answer"]) == {"choice": place + 1}
+        else:
+            assert own["answer"] in article.text
+        plan = json.loads(own["plan"])
+        assert len(article.find_elements("css selector", ".plan rect.node")) == len(plan["nodes"])
+        assert len(article.find_elements("css selector", ".plan line.edge")) == len(plan["edges"])
+        assert {m.text for m in article.find_elements("css selector", "text.moment")} == set(plan["times"])
+        article.find_element("tag name", "summary").click()
+        assert len(article.find_elements("css selector", "details tbody tr")) == len(json.loads(own["proofs"]))
+        # This store has no pictures, and says so.
+        assert "No picture" in article.text
+
+
+def test_unknown_questions_are_refused(sample_benchmark, tmp_path):
+    code, out, err = run("inspect", "0" * 16, "--store", sample_benchmark.path, "--out", tmp_path / "i.html")
+    assert (code, out) == (1, "")
+    assert err == f"jrdb-avr: no question '{'0' * 16}' in {sample_benchmark.path}\n"
+
+
+# -- diagrams ---------------------------------------------------------------------------------------------------------
+
+PLAN = parse_plan(
+    json.dumps(
+        {
+            "root": "a",
+            "target": "d",
+            "times": {"t0": {"frame": 30}},
+            "nodes": [{"id": "a", "conditions": [{"attribute": "gender", "value": "male"}]}]
+            + [{"id": node, "conditions": []} for node in "bcd"],
+            "edges": [
+                {"source": source, "relation": "conversation", "target": target, "at": "t0"}
+                for source, target in ("ab", "ac", "bd", "cd")
+            ],
+            "answer": {"mode": "multiple_choice", "read": "action", "of": "d", "at": "t0"},
+        }
+    )
+)
+
+
+def test_a_plan_goes_from_left_to_right():
+    graph = plan_graph(PLAN)
+    places = {node.role: (node.x, node.y) for node in graph.nodes}
+    assert places["a"][0] < places["b"][0] == places["c"][0] < places["d"][0]
+    assert places["b"][1] < places["a"][1] == places["d"][1] < places["c"][1]
+    assert [node.target for node in graph.nodes] == [False, False, False, True]
+    assert all(edge.x1 < edge.x2 for edge in graph.edges)
+    assert graph.nodes[0].lines == ("gender: male",)
+    assert graph.asks == "action of d at t0"
+
+
+def test_a_timeline_is_to_scale():
+    from jrdb_avr.engine.pages.diagrams import Line, Span
+
+    lines = [Line("a", "walking", (Span(0, 49, "action"), Span(50, 99, "action", False))), Line("b", "x", ())]
+    drawn = timeline(lines, {"t1": 50, "t0": 0}, 100, 15.0)
+    first, second = drawn.rows[0].bars
+    assert first.width == pytest.approx(second.width, abs=0.02)
+    assert (first.x, second.x) == (drawn.moments[0].x, drawn.moments[1].x)
+    assert [moment.name for moment in drawn.moments] == ["t0", "t1"]
+    assert second.title.endswith("(unknown)")
+    assert [row.first for row in drawn.rows] == [True, True]
+
+
+def test_stretches_and_lines():
+    assert runs_of([1, 2, 3, 7, 8, 20], 1) == [(1, 3), (7, 8), (20, 20)]
+    assert runs_of([0, 15, 45], 15) == [(0, 15), (45, 45)]
+    assert runs_of([], 1) == []
+    assert wrapped("first to the right of (robot view)", 20) == ("first to the right", "of (robot view)")
+
+
+def test_charts_are_to_scale():
+    rows = [{"run": "r", "answer": 50.0, "answer_low": 0.0, "answer_high": 100.0, "evidence": 10.0, "combined": 5.0}]
+    whisker = intervals(rows).groups[0].whiskers[0]
+    ticks = {text: x for x, text in intervals(rows).ticks}
+    assert (whisker.low, whisker.high) == (ticks["0"], ticks["100"])
+    assert whisker.x == pytest.approx((whisker.low + whisker.high) / 2)
+    dot = scatter([rows[0], rows[0] | {"run": "s", "evidence": 11.0}])
+    assert dot[0].y < dot[1].y and abs(dot[0].name_y - dot[1].name_y) >= 13
+    parts = stacked([("a", 3), ("b", 0), ("c", 1)])
+    assert [(part.name, part.x, part.width) for part in parts] == [("a", 0.0, 75.0), ("c", 75.0, 25.0)]
+    assert stacked([("a", 0)]) == ()
+
+
+def test_text_of_data_and_models_is_escaped():
+    about = {"questions_sha256": HOSTILE}
+    page = render("inspect", questions=[], count=HOSTILE, sha256=about["questions_sha256"])
+    assert "<img" not in page and "\x1b" not in page
+    text = page.partition('id="about">')[2].partition("</script>")[0]
+    assert json.loads(text) == about
