@@ -71,14 +71,14 @@ class WorldGraph:
                 with build_graph(place) as graph:
                     for statement in world_ddl():
                         graph.execute(statement)
-            return Graph.open(place, buffer_bytes=buffer_bytes)
+            return Graph.open(place, buffer_bytes=buffer_bytes, prepares=True)
 
         return cls(opened)
 
     @classmethod
     def memory(cls) -> WorldGraph:
         """New world tables in memory."""
-        return cls(lambda: Graph.memory(buffer_bytes=BUFFER_BYTES))
+        return cls(lambda: Graph.memory(buffer_bytes=BUFFER_BYTES, prepares=True))
 
     def close(self) -> None:
         """Give the graph back, after the calls under way. Closing twice is harmless."""
