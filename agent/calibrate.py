@@ -122,7 +122,8 @@ def calibrate(
     ]
     scores, reason = _judge(written, n, client.convention)
     chosen = [score for score in scores if score.chosen]
-    whole = [SCHEMA, client.options.settings(), [fingerprint(messages) for messages in asked]]
+    way = [client.options.response_format, client.options.thinking]
+    whole = [SCHEMA, way, [fingerprint(messages) for messages in asked]]
     return Calibration(
         model=client.model,
         served_model=replies[0].model if replies else "",

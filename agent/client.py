@@ -40,7 +40,6 @@ _PROBE_TIMEOUT_S: Final = 60.0
 _PROBE_RETRIES: Final = 1
 _VERSION_TIMEOUT_S: Final = 5.0
 _REMEDIES: Final = {
-    400: "; if it is the response format that the server cannot do, choose another --response-format",
     401: f"; put the server's key into ${KEY_VARIABLE}",
     403: f"; put a key that may use the model into ${KEY_VARIABLE}",
     404: "; check --base-url (most end in /v1) and --model",
@@ -184,7 +183,7 @@ class Client:
                 if attempt == retries:
                     raise EndpointError(
                         f"{self.base_url}: {broken.reason} ({attempt + 1} tries): "
-                        "start the server or correct --base-url, then run again with --resume"
+                        "start the server or correct --base-url, then run again (evaluate with --resume)"
                     ) from None
                 wait = broken.pause if broken.pause is not None else 0.5 * 2**attempt
                 self._pause(min(max(wait, 0.0), _LONGEST_PAUSE_S))

@@ -9,6 +9,7 @@ import msgspec
 from .conventions import Convention
 
 _MOST_TOKENS: Final = 1 << 40
+_LONGEST_NAME: Final = 200
 
 
 class Reply(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -63,7 +64,7 @@ def read_completion(data: bytes) -> Reply:
         content=text.content or "",
         reasoning=_text(text.reasoning_content) or _text(text.reasoning),
         finish_reason=choice.finish_reason or "",
-        model=completion.model or "",
+        model=(completion.model or "")[:_LONGEST_NAME],
         prompt_tokens=_tokens(completion.usage, "prompt_tokens"),
         completion_tokens=_tokens(completion.usage, "completion_tokens"),
         refusal=_text(text.refusal),

@@ -43,10 +43,8 @@ class Endpoint:
 
     def changed(self) -> str:
         """One line if replies named other models than the first one; empty if not."""
-        others = [name for name in self.client.served if name != self.served]
-        return f"the server changed its model while it was asked: {self.served}, then {', '.join(others)}" * bool(
-            others
-        )
+        others = ", ".join(ascii(name) for name in self.client.served if name != self.served)
+        return f"the server changed its model while it was asked: {self.served!a}, then {others}" if others else ""
 
 
 def connect(
