@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from jrdb_avr.agent.client import Chat
     from jrdb_avr.agent.decode import Convention
     from jrdb_avr.agent.world import World
@@ -29,16 +31,20 @@ WORLD_METHODS: Final = ("agent", "agent-passive")
 
 
 @contextlib.contextmanager
-def open_world(path: Path, run_id: str) -> Iterator[World]:
-    """A run's world model in the graph file at `path`, closed at the end of the block.
+def open_world(path: Path, run_id: str, record: pa.Table) -> Iterator[World]:
+    """A run's world model in the graph file at `path`, which is made if there is none; closed at the end of the block.
 
-    Raises LockedError where another process has the graph open, StoreError where it cannot be opened.
+    record: the run's world rows so far; what the graph lacks of them is brought back first. Raises LockedError where
+    another process has the graph open, StoreError where it cannot be opened.
     """
     from jrdb_avr.agent.world import World
     from jrdb_avr.queries.world import WorldGraph
+    from jrdb_avr.queries.world_record import open_to_replay, restore_world
 
-    with WorldGraph.open(path) as graph:
-        yield World(graph, run_id)
+    with open_to_replay(path) as graph:
+        restore_world(graph, run_id, record)
+    with WorldGraph.open(path) as world:
+        yield World(world, run_id)
 
 
 def make_method(name: str, chat: Chat, convention: Convention, world: World | None = None) -> Settled:

@@ -369,6 +369,12 @@ def write_tables(store: Store, run_id: str, entries: Iterable[Finished]) -> None
         store.write_run(run_id, name, tables[name])
 
 
+def world_rows(run_id: str, entries: Iterable[Finished]) -> pa.Table:
+    """The rows of `world.parquet` that entries hold; those that ended in an error are left out, as asked again."""
+    kept = [entry for entry in entries if not entry.failed]
+    return _tables(run_id, sorted(kept, key=lambda entry: entry.question_id))["world"]
+
+
 def _tables(run_id: str, entries: Sequence[Finished]) -> dict[str, pa.Table]:
     """The tables of entries. pyarrow's errors, ValueError and the like where one does not fit."""
     rows = {

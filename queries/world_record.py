@@ -7,9 +7,11 @@ ended, which are then copied in: the same tables as the run itself wrote, write 
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
+from pathlib import Path
 from typing import Any, Final
 
 import msgspec
@@ -33,8 +35,9 @@ from jrdb_avr.schema.world import (
     episode_key,
 )
 
-from .handle import Graph
+from .handle import Graph, build_graph
 from .store import Store, read_table
+from .world import make_world_tables
 
 BATCH_WRITES: Final = 150_000
 """Writes from which on runs are copied: every further COPY of a table of edges rewrites what is there, and a million
@@ -230,6 +233,20 @@ class _Episode:
 
 
 # -- into a graph -----------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def open_to_replay(path: Path) -> Iterator[Graph]:
+    """The graph file at `path` opened to replay into, with the tables of the world namespace; made if there is none.
+
+    Raises LockedError where another process has it open, StoreError where it cannot be opened.
+    """
+    if not path.exists():
+        with build_graph(path) as graph:
+            make_world_tables(graph)
+    with Graph.open(path) as graph:
+        make_world_tables(graph)
+        yield graph
 
 
 def copy_world(graph: Graph, record: pa.Table) -> None:

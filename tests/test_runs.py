@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 from asked_world import BLIND, FRAMES, POSES, QUESTIONS_ASKED, question
 from click.testing import CliRunner
-from fake_server import FakeServer, Status
+from fake_server import FakeServer, Status, sound
 from hypothesis import given
 from hypothesis import strategies as st
 from painted_world import SEQUENCE
@@ -183,7 +183,8 @@ def test_the_process_opens_public_files_and_images_alone(store, tmp_path):
     opened = [line for line in out.read_text().splitlines() if line.startswith(str(store.path))]
     inside = {os.path.relpath(path, store.path) for path in opened}
     kept = {path for path in inside if path.startswith("runs/")}
-    assert inside - kept <= {"store.json", "questions/questions.parquet", "questions/sequences.parquet"}
+    public = {"store.json", "conventions/marker.json", "questions/questions.parquet", "questions/sequences.parquet"}
+    assert inside - kept <= public
 
 
 def test_an_evaluation_needs_nothing_private(store):
@@ -274,7 +275,7 @@ def test_errors_are_rows_and_are_asked_again(store):
             return Status(400, "context too long")
         return json.dumps({"action": "observe", "frame_id": "000000", "angle_deg": 10 * (n % 36)})
 
-    with FakeServer(script) as server:
+    with FakeServer(sound(script)) as server:
         options = ("--model", "fake", "--base-url", server.url, "--limit", "3", "--concurrency", "1", "--json")
         result = evaluate(store, *options, ok=False)
         (row,) = json.loads(result.stdout)
@@ -304,7 +305,7 @@ def test_answers_without_a_manifest_are_nobodys(store):
     """Deleting run.json and asking another model must not give it the answers of the first."""
     evaluate(store, "--limit", "1", "--run-id", "r")
     (store.run_path("r") / "run.json").unlink()
-    with FakeServer(lambda request, n: "{}") as server:
+    with FakeServer(sound(lambda request, n: "{}")) as server:
         options = ("--limit", "1", "--run-id", "r", "--model", "other", "--base-url", server.url)
         result = evaluate(store, *options, ok=False)
     assert isinstance(result.exception, StoreError)

@@ -13,17 +13,20 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
+from jrdb_avr.agent.options import Options
+from jrdb_avr.engine.commands._endpoint import endpoint_options
 from jrdb_avr.engine.methods import METHODS, WORLD_METHODS
 from jrdb_avr.engine.output import json_option, note, print_json, print_rows, progress, store_option
 
 if TYPE_CHECKING:
     from jrdb_avr.agent.world import World
+    from jrdb_avr.engine.endpoint import Endpoint
     from jrdb_avr.engine.running import Standing
     from jrdb_avr.engine.runs import Finished, Journal
+    from jrdb_avr.queries.runs import RunManifest
     from jrdb_avr.queries.store import Store
     from jrdb_avr.schema.method import Question, Settled
 
-MARKER: Final = "marker"
 LOG_EVERY_S: Final = 30.0
 """Between two lines of running scores where there is no bar to print them beside."""
 
@@ -66,6 +69,7 @@ panoramas:
     default=None,
     help="Scores so far, from a process of their own; beside the bar on a terminal, as lines if asked for elsewhere.",
 )
+@endpoint_options
 @json_option
 def command(
     store: Path,
@@ -80,15 +84,19 @@ def command(
     images: Path | None,
     world_db: Path | None,
     scores: bool | None,
+    options: Options,
     as_json: bool,
 ) -> None:
     """Ask a model the questions of a store, and keep every step.
 
-    The model's key is read from the environment (OPENAI_API_KEY). The run can be stopped at any time and resumed.
-    Exit code 1 while any question ends in an error.
+    The model's key is read from the environment (OPENAI_API_KEY). Its server is checked first, as by 'preflight'. The
+    run can be stopped at any time and resumed. Exit code 1 while any question ends in an error.
     """
     from jrdb_avr.engine import runs
+    from jrdb_avr.engine.endpoint import MARKER, connect, serving
+    from jrdb_avr.engine.methods import make_method
     from jrdb_avr.engine.observe import Observer
+    from jrdb_avr.engine.terms import keep_terms
     from jrdb_avr.queries.store import Store
     from jrdb_avr.schema.errors import StoreError
 
@@ -110,13 +118,19 @@ def command(
             # Of another model, for all that is known.
             raise StoreError(f"{folder} holds answers and no run.json: delete it, or give another --run-id")
         world = stack.enter_context(_world(place, run_id, method_name, world_db, journal))
-        url = base_url or stack.enter_context(_marker(folder))
-        method = _method(method_name, url, model, place, run_id, questions, world)
+        url = stack.enter_context(serving(model, base_url, folder / "marker.jsonl"))
+        endpoint = connect(place, model, url, options, folder / "calls")
+        for warning in endpoint.warnings:
+            note(f"preflight: {warning}")
+        method = make_method(method_name, endpoint.client, endpoint.convention, world)
+        keep_terms(place, _manifest(place, run_id, method, endpoint, questions))
         beside = stack.enter_context(_running_scores(place, run_id, scores))
         advance = stack.enter_context(progress(f"{method_name}, {model}", len(questions), beside))
         runs.ask_all(method, questions, sequences, observer, observer.stored, journal, concurrency, advance)
         entries = [journal.finished[question.question_id] for question in questions]
         runs.write_tables(place, run_id, entries)
+        if changed := endpoint.changed():
+            note(changed)
     rows = [_summary(run_id, entries)]
     if as_json:
         print_json(rows)
@@ -184,14 +198,6 @@ def _ids(picked: str) -> list[str]:
     return ids
 
 
-@contextlib.contextmanager
-def _marker(folder: Path) -> Iterator[str]:
-    from jrdb_avr.agent.marker.child import marker_server
-
-    with marker_server(folder / "marker.jsonl") as url:
-        yield url
-
-
 def _image_root(place: Store) -> str | None:
     """Where the store says that the panoramas are. Raises StoreError where there is nothing that could say it."""
     from jrdb_avr.schema.errors import StoreError
@@ -207,6 +213,7 @@ def _world(
 ) -> Iterator[World | None]:
     """The run's world model, holding what the journal holds; None for a method without one."""
     from jrdb_avr.engine.methods import open_world
+    from jrdb_avr.engine.runs import world_rows
     from jrdb_avr.schema.errors import LockedError, StoreError
 
     if method_name not in WORLD_METHODS:
@@ -218,7 +225,7 @@ def _world(
         )
     path = world_db or place.graph_path
     try:
-        with open_world(path, run_id) as world:
+        with open_world(path, run_id, world_rows(run_id, journal.finished.values())) as world:
             yield world
     except LockedError as error:
         holder = error.holder
@@ -250,34 +257,21 @@ def _running_scores(place: Store, run_id: str, wanted: bool | None) -> Iterator[
         yield lambda: latest
 
 
-def _method(
-    name: str, url: str, model: str, place: Store, run_id: str, questions: list[Question], world: World | None
-) -> Settled:
-    """The method, its server found to be there, and its settings in the run's manifest (or found equal to them)."""
-    from jrdb_avr.agent.client import Client
-    from jrdb_avr.agent.decode import convention_of
-    from jrdb_avr.engine.methods import make_method
+def _manifest(place: Store, run_id: str, method: Settled, endpoint: Endpoint, questions: list[Question]) -> RunManifest:
+    from jrdb_avr.engine.endpoint import MARKER
     from jrdb_avr.engine.runs import is_of_sample
-    from jrdb_avr.engine.terms import keep_terms
     from jrdb_avr.queries.runs import RunManifest, questions_hash
 
-    client = Client(url, model, cache=place.run_path(run_id) / "calls")
-    served = client.probe()
-    method = make_method(name, client, convention_of(model), world)
-    keep_terms(
-        place,
-        RunManifest(
-            run_id=run_id,
-            method=name,
-            model=model,
-            questions_sha256=questions_hash(place),
-            question_ids=tuple(question.question_id for question in questions),
-            synthetic=model == MARKER or any(map(is_of_sample, questions)),
-            settings={"method": method.settings(), "endpoint": client.settings(), "served_model": served},
-            created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        ),
+    return RunManifest(
+        run_id=run_id,
+        method=method.name,
+        model=endpoint.client.model,
+        questions_sha256=questions_hash(place),
+        question_ids=tuple(question.question_id for question in questions),
+        synthetic=endpoint.client.model == MARKER or any(map(is_of_sample, questions)),
+        settings={"method": method.settings(), **endpoint.settings},
+        created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     )
-    return method
 
 
 def _summary(run_id: str, entries: list[Finished]) -> dict[str, Any]:
