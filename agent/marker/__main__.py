@@ -1,4 +1,4 @@
-"""`python -m jrdb_avr.agent.marker [--port N] [--log FILE]`: serve the marker model until the process is ended.
+"""`python -m jrdb_avr.agent.marker [--port N] [--log FILE] [--knob NAME=VALUE ...]`: serve until the process is ended.
 
 Prints one line, `marker ready at URL`, once requests are taken. Ends by itself when its standard input is a pipe that
 the parent process has closed, so that a killed run leaves no server behind.
@@ -13,6 +13,9 @@ import sys
 import threading
 from pathlib import Path
 
+from jrdb_avr.schema.errors import InputError
+
+from .knobs import Knobs, parse
 from .server import Server
 
 
@@ -21,8 +24,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m jrdb_avr.agent.marker", description="Serve the marker model.")
     parser.add_argument("--port", type=int, default=0, help="port on 127.0.0.1; a free one if left out")
     parser.add_argument("--log", type=Path, default=None, help="file for one JSON line per answer")
+    parser.add_argument(
+        "--knob",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help=f"imperfection; NAME is one of {', '.join(Knobs.__struct_fields__)}",
+    )
+    parser.add_argument("--seed", type=int, default=None, help="as --knob seed=N")
     options = parser.parse_args()
-    with Server(options.port, options.log) as server:
+    seed = [] if options.seed is None else [f"seed={options.seed}"]
+    try:
+        knobs = parse([*options.knob, *seed])
+    except InputError as error:
+        parser.error(str(error))
+    with Server(options.port, options.log, knobs) as server:
         print(f"marker ready at {server.url}", flush=True)
         if stat.S_ISFIFO(os.fstat(0).st_mode):
             threading.Thread(target=_watch, args=(server,), daemon=True).start()

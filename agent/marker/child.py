@@ -11,18 +11,21 @@ from typing import Final
 
 from jrdb_avr.schema.errors import EndpointError
 
+from .knobs import PERFECT, Knobs, settings
+
 _READY: Final = "marker ready at "
 
 
 @contextmanager
-def marker_server(log: Path | None = None) -> Iterator[str]:
-    """Start the server on a free loopback port and yield its base URL; `log` as in `server.Server`.
+def marker_server(log: Path | None = None, knobs: Knobs = PERFECT) -> Iterator[str]:
+    """Start the server on a free loopback port and yield its base URL; `log` and `knobs` as in `server.Server`.
 
     Raises EndpointError if it does not start.
     """
     command = [sys.executable, "-m", "jrdb_avr.agent.marker"]
     if log is not None:
         command += ["--log", str(log)]
+    command += [part for setting in settings(knobs) for part in ("--knob", setting)]
     # The pipe to its standard input is its lifeline: it ends when this process does, however that happens.
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         try:

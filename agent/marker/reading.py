@@ -12,7 +12,7 @@ import hashlib
 import re
 import threading
 from collections import OrderedDict
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Final
 
@@ -121,6 +121,10 @@ class Picture:
     readings: tuple[Reading, ...]
 
 
+Misread = Callable[[bytes, Mark], Mark]
+"""What is taken for a mark in the picture of a sha256."""
+
+
 class Reader:
     """Reads marks from data URIs; remembers by hash what it has read, as every turn sends all pictures again."""
 
@@ -166,20 +170,25 @@ def _image(uri: str) -> Any:
 # -- the request ------------------------------------------------------------------------------------------------------
 
 
-def read_request(messages: Sequence[Mapping[str, Any]], reader: Reader, stages: Collection[str]) -> Request | None:
+def read_request(
+    messages: Sequence[Mapping[str, Any]],
+    reader: Reader,
+    stages: Collection[str],
+    misread: Callable[[str], Misread | None] = lambda _: None,
+) -> Request | None:
     """The request; None for a conversation whose last line is none of the stages'.
 
-    The question and its choices may stand in an earlier user message, as in a chat. Raises DecodeError for a question
-    or a picture that cannot be read.
+    The question and its choices may stand in an earlier user message, as in a chat. `misread` says how the marks of a
+    question are misread. Raises DecodeError for a question or a picture that cannot be read.
     """
-    said = [parts for message in messages if (parts := _user_parts(message)) is not None]
+    said = [parts for message in messages if (parts := user_parts(message)) is not None]
     if not said:
         return None
-    lines = _lines(said[-1])
+    lines = lines_of(said[-1])
     stage = lines[-1] if lines else ""
     if stage not in stages:
         return None
-    told = next((found for parts in (said[-1], *said) if _line(found := _lines(parts), "Question: ") is not None), ())
+    told = next((found for parts in (said[-1], *said) if _line(found := lines_of(parts), "Question: ") is not None), ())
     question = _line(told, "Question: ")
     if question is None:
         raise DecodeError("the prompt has no line 'Question: ...'")
@@ -189,11 +198,12 @@ def read_request(messages: Sequence[Mapping[str, Any]], reader: Reader, stages: 
         raise DecodeError(f"the marker model does not know this question: {error}") from None
     legal = _line(told, "Legal frames: ")
     frames = () if legal is None else tuple(read_frame_ranges(legal))
-    looks = tuple(look for parts in said for look in _looks(parts, reader))
+    misread_mark = misread(question)
+    looks = tuple(look for parts in said for look in _looks(parts, reader, misread_mark))
     return Request(stage, lines, question, template, plan, _choices(told), frames, looks, messages)
 
 
-def _user_parts(message: object) -> list[dict[str, Any]] | None:
+def user_parts(message: object) -> list[dict[str, Any]] | None:
     """The parts of a user message's content; None for other messages and other content."""
     if not isinstance(message, dict) or message.get("role") in ("system", "assistant"):
         return None
@@ -204,7 +214,7 @@ def _user_parts(message: object) -> list[dict[str, Any]] | None:
     return parts
 
 
-def _lines(parts: Sequence[dict[str, Any]]) -> tuple[str, ...]:
+def lines_of(parts: Sequence[dict[str, Any]]) -> tuple[str, ...]:
     """The lines of a message's text that are not blank."""
     texts = [part["text"] for part in parts if isinstance(part.get("text"), str)]
     return tuple(line for line in "\n".join(texts).split("\n") if line.strip())
@@ -236,7 +246,7 @@ class _Metadata(msgspec.Struct):
     left: int = 0
 
 
-def _looks(parts: Sequence[dict[str, Any]], reader: Reader) -> list[Look]:
+def _looks(parts: Sequence[dict[str, Any]], reader: Reader, misread: Misread | None) -> list[Look]:
     looks = []
     place: _Metadata | None = None
     name = ""
@@ -250,21 +260,26 @@ def _looks(parts: Sequence[dict[str, Any]], reader: Reader) -> list[Look]:
                 raise DecodeError(f"a picture's line cannot be read: {error}") from None
             name = announced[1] or ""
         elif part.get("type") == "image_url" and place is not None:
-            image = part.get("image_url")
-            uri = str(image.get("url") if isinstance(image, dict) else image)
-            looks.append(_look(place, name, reader.picture(uri, wrap=place.angle_deg is None)))
+            picture = reader.picture(uri_of(part), wrap=place.angle_deg is None)
+            looks.append(_look(place, name, picture, misread))
             place = None
     return looks
 
 
-def _look(place: _Metadata, name: str, picture: Picture) -> Look:
+def uri_of(part: Mapping[str, Any]) -> str:
+    """The address of a part that is an image."""
+    image = part.get("image_url")
+    return str(image.get("url") if isinstance(image, dict) else image)
+
+
+def _look(place: _Metadata, name: str, picture: Picture, misread: Misread | None) -> Look:
     frame, panorama = int(place.frame_id), place.angle_deg is None
     # A panorama may be sent smaller than it is, a crop is as large as it was cut.
     scale = WIDTH / picture.width if panorama else 1.0
     sightings = [
         Sighting(
             frame,
-            reading.mark,
+            reading.mark if misread is None else misread(picture.digest, reading.mark),
             reading.box,
             reading.complete,
             angle_of_column(place.left + (reading.box.x + reading.box.w / 2) * scale),

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import sys
 import threading
+import time
 from collections.abc import Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -13,8 +16,12 @@ import msgspec
 
 from jrdb_avr.schema.errors import DecodeError
 
-from .reading import Reader, read_request
+from .knobs import PERFECT, Draws, Knobs
+from .reading import Reader, Request, read_request
+from .slips import Wording, misread, think, with_wrong_boxes, word
 from .stages import STAGES
+from .talk import talk
+from .turn import Turn
 
 MODEL: Final = "marker"
 _LONGEST_REQUEST: Final = 256 * 1024 * 1024
@@ -24,17 +31,22 @@ _IMAGE_TOKENS: Final = 256
 class _Request(msgspec.Struct):
     messages: list[dict[str, Any]]
     model: str = MODEL
+    response_format: Any = None
 
 
 class Server(ThreadingHTTPServer):
-    """Serves until `shutdown`; `log` receives one JSON line per answer turn: what was asked, what was missing."""
+    """Serves until `shutdown`.
+
+    `log` receives one JSON line per question answered: what was asked, what was missing, and which knob spoiled it.
+    """
 
     daemon_threads = True
     request_queue_size = 128
 
-    def __init__(self, port: int = 0, log: Path | None = None) -> None:
+    def __init__(self, port: int = 0, log: Path | None = None, knobs: Knobs = PERFECT) -> None:
         super().__init__(("127.0.0.1", port), _Handler)
         self.reader = Reader()
+        self.knobs = knobs
         self._log = log
         self._lock = threading.Lock()
 
@@ -52,23 +64,36 @@ class Server(ThreadingHTTPServer):
         """The completion for a request's body. Raises DecodeError for what cannot be understood."""
         try:
             request = msgspec.json.decode(body, type=_Request)
-        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             raise DecodeError(f"no chat-completions request: {error}") from None
-        asked = read_request(request.messages, self.reader, STAGES)
+        knobs = self.knobs
+        draws = Draws(knobs.seed, "" if knobs == PERFECT else hashlib.sha256(body).hexdigest())
+        asked = read_request(request.messages, self.reader, STAGES, functools.partial(misread, knobs))
         if asked is None:
-            return _completion(request, {"ok": True})
+            wording = Wording(think(knobs, draws) + talk(request.messages, request.response_format, self.reader))
+        else:
+            wording = self._play(asked, draws)
+        time.sleep(knobs.latency)
+        return _completion(request, wording)
+
+    def _play(self, asked: Request, draws: Draws) -> Wording:
         turn = STAGES[asked.stage](asked)
-        if turn.missing is not None:
-            self._write(
-                {
-                    "stage": asked.stage,
-                    "question": asked.question,
-                    "choices": asked.choices,
-                    "looks": len(asked.looks),
-                    "missing": turn.missing,
-                }
-            )
-        return _completion(request, turn.reply)
+        reply, wrong = with_wrong_boxes(turn.reply, asked.looks, self.knobs, draws)
+        wording, spoiled = word(msgspec.json.encode(reply).decode(), self.knobs, draws)
+        self._tell(asked, turn, [*(["wrong_box"] if wrong else ()), *([spoiled] if spoiled else ())])
+        return wording
+
+    def _tell(self, asked: Request, turn: Turn, knobs: list[str]) -> None:
+        if turn.missing is None:
+            return
+        line = {
+            "stage": asked.stage,
+            "question": asked.question,
+            "choices": asked.choices,
+            "looks": len(asked.looks),
+            "missing": turn.missing,
+        }
+        self._write({**line, "knobs": knobs} if knobs else line)
 
     def _write(self, line: Mapping[str, Any]) -> None:
         if self._log is None:
@@ -77,18 +102,19 @@ class Server(ThreadingHTTPServer):
             file.write(msgspec.json.encode(line) + b"\n")
 
 
-def _completion(request: _Request, turn: Mapping[str, Any]) -> dict[str, Any]:
-    content = msgspec.json.encode(turn).decode()
+def _completion(request: _Request, wording: Wording) -> dict[str, Any]:
     texts, images = _sizes(request.messages)
-    prompt_tokens, completion_tokens = texts // 4 + images * _IMAGE_TOKENS, len(content) // 4
+    prompt_tokens = texts // 4 + images * _IMAGE_TOKENS
+    completion_tokens = len(wording.content or wording.refusal or "") // 4
+    message: dict[str, Any] = {"role": "assistant", "content": wording.content}
+    if wording.refusal is not None:
+        message |= {"content": None, "refusal": wording.refusal}
     return {
         "id": "marker",
         "object": "chat.completion",
         "created": 0,
         "model": request.model,
-        "choices": [
-            {"index": 0, "finish_reason": "stop", "message": {"role": "assistant", "content": content}},
-        ],
+        "choices": [{"index": 0, "finish_reason": wording.finish_reason, "message": message}],
         "usage": {
             "prompt_tokens": prompt_tokens,
             "completion_tokens": completion_tokens,
