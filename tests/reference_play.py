@@ -1,12 +1,13 @@
 """Games of the reference agent: scripted replies, a real world model, and a solver that says what it is told to."""
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 from jrdb_avr.agent.messages import Picture
 from jrdb_avr.agent.reference.method import ReferenceAgent
 from jrdb_avr.agent.replies import Reply
+from jrdb_avr.agent.solver import Belief, answer_of
 from jrdb_avr.agent.world import World as Beliefs
 from jrdb_avr.queries.compiler import SCENE, compile_find
 
@@ -91,21 +92,14 @@ def pictures_of(messages):
     return [part.name for m in messages for part in m.parts if isinstance(part, Picture)]
 
 
-@dataclass(frozen=True)
-class StubBelief:
-    outcome: str = "empty"
-    people: dict = field(default_factory=dict)
-    times: dict = field(default_factory=dict)
-    answer: str | None = None
-    seen: tuple | None = None
-    missing: tuple = ("a: not found",)
+NOBODY = Belief("empty", missing=("a: not found",))
 
 
 @dataclass
 class StubSolver:
     """`belief` is what the beliefs come to, `lacking` why no final answer is legal, `box` the best guess."""
 
-    belief: StubBelief = field(default_factory=StubBelief)
+    belief: Belief = NOBODY
     lacking: str = "a: not found"
     box: object = None
 
@@ -118,13 +112,16 @@ class StubSolver:
     def guess(self, plan):
         return self.box
 
+    def answer(self, plan, belief):
+        return answer_of(plan, belief, CHOICES)
+
     def fault(self, plan, belief, proposed, entity):
         return self.lacking
 
 
 def defined(answer="standing", seen=(150, (1800.0, 120.0, 70.0, 220.0))):
     """A solver that has found everything."""
-    belief = StubBelief("defined", {"a": "p1"}, {"t0": 150}, answer, seen, ())
+    belief = Belief("defined", {"a": "p1"}, {"t0": 150}, answer, seen, ())
     return StubSolver(belief, lacking="")
 
 

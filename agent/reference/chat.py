@@ -55,7 +55,8 @@ class ChatMemory:
 
     def replied(self, reply: Reply) -> None:
         text = spoken(reply, self.attempt.convention)[:LONGEST_REPLY].encode("utf-8", "backslashreplace").decode()
-        self.history.append(Message("assistant", (text,)))
+        # Some servers refuse a message without words.
+        self.history.append(Message("assistant", (text or "(nothing)",)))
 
     def schema(self, looks: Mapping[str, Any] | None) -> dict[str, Any]:
         """The JSON Schema of a turn; `looks` is that of a look, where there are looks."""

@@ -17,7 +17,7 @@ from jrdb_avr.agent.attempt import Attempt, Verdict
 from jrdb_avr.agent.boxes import BOX_SCHEMA, box_key, read_box
 from jrdb_avr.agent.messages import Message, Part
 from jrdb_avr.agent.replies import Reply
-from jrdb_avr.schema.answers import Answer, Choice, Evidence, decode_answer
+from jrdb_avr.schema.answers import Answer, Evidence
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Panorama
 from jrdb_avr.schema.panorama import HEIGHT, WIDTH, Box
@@ -54,6 +54,10 @@ class Solver(Protocol):
 
     def guess(self, plan: Plan) -> tuple[int, Box] | None:
         """Frame and stitched box of who comes nearest to the target."""
+        ...
+
+    def answer(self, plan: Plan, belief: Belief) -> Answer | None:
+        """The answer that is read from the beliefs, None where there is none or no choice says it."""
         ...
 
     def fault(self, plan: Plan, belief: Belief, proposed: Answer, entity: str) -> str:
@@ -184,7 +188,7 @@ class GraphMemory:
     def solved(self, reason: str) -> Verdict:
         """What the graph says by itself; else nothing is answered, and the likeliest person's box is kept."""
         belief = self._solve()
-        answer = self._read(belief)
+        answer = self.solver.answer(self.plan, belief)
         if answer is not None and belief.seen is not None:
             return Verdict(answer, _evidence(belief.seen))
         started = time.perf_counter()
@@ -204,16 +208,6 @@ class GraphMemory:
         told = msgspec.to_builtins(belief)
         self.attempt.record("solve", {"plan": msgspec.Raw(canonical(self.plan).encode())}, told, started)
         return belief
-
-    def _read(self, belief: Belief) -> Answer | None:
-        """The answer that is read from the graph: a choice is known by its text."""
-        question = self.attempt.task.question
-        if belief.outcome != "defined" or belief.answer is None:
-            return None
-        if question.answer_mode == "multiple_choice":
-            known = belief.answer in question.choices
-            return Choice(question.choices.index(belief.answer) + 1) if known else None
-        return decode_answer(question.answer_mode, belief.answer)
 
 
 def _evidence(seen: tuple[int, Box] | None) -> Evidence | None:

@@ -45,6 +45,12 @@ class BeliefSolver:
 
         return best_guess(self.graph, self.key, plan, self.rules)
 
+    def answer(self, plan: Plan, belief: Belief) -> Answer | None:
+        """The answer that is read from the beliefs, None where there is none or no choice says it."""
+        from jrdb_avr.agent.solver import answer_of
+
+        return answer_of(plan, belief, self.choices)
+
     def fault(self, plan: Plan, belief: Belief, proposed: Answer, entity: str) -> str:
         """Why a final answer is not legal, "" where it is."""
         from jrdb_avr.agent.solver import legal

@@ -1,0 +1,197 @@
+"""The reference agent against models that say anything: it ends within its budget, and says the same again."""
+
+import json
+import math
+import threading
+
+import pytest
+from effort import examples
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from painted_world import World, still
+from reference_play import (
+    GRAPH,
+    PLAN,
+    Scripted,
+    StubSolver,
+    attribute,
+    defined,
+    entity,
+    final,
+    look,
+    play,
+    proposed,
+    turn,
+)
+
+from jrdb_avr.agent.reference.calls import MOST_PER_TURN, read_calls
+from jrdb_avr.agent.reference.limits import Limits
+from jrdb_avr.agent.reference.method import ReferenceAgent
+from jrdb_avr.agent.replies import Reply
+from jrdb_avr.agent.world import World as Beliefs
+from jrdb_avr.queries.world import WorldGraph
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.method import Prediction
+
+SMALL = Limits(looks=2, calls=6, panoramas=2)
+TOOLS = ("observe", "add_entity", "add_attribute", "add_relation", "get_graph", "final_answer")
+VARIANTS = [(looks, remembers) for looks in (True, False) for remembers in (True, False)]
+
+
+@pytest.fixture(scope="module")
+def graph():
+    with WorldGraph.memory() as graph:
+        yield graph
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    return World(tmp_path_factory.mktemp("painted"), [still(1845, 7, pose="standing")], tuple(range(0, 300, 5)))
+
+
+numbers = st.one_of(st.integers(-(10**30), 10**30), st.floats(), st.sampled_from([1e999, -0.0, 10**400]))
+words = st.one_of(
+    st.text(max_size=20),
+    st.sampled_from(
+        ["o1", "o2", "p1", "a", "000150", "\ud800", "\x00", "'; MATCH (n) DETACH DELETE n //", "../../etc/passwd"]
+    ),
+)
+junk = st.recursive(
+    st.one_of(st.none(), st.booleans(), numbers, words),
+    lambda inner: st.one_of(st.lists(inner, max_size=4), st.dictionaries(words, inner, max_size=4)),
+    max_leaves=12,
+)
+NAMES = ("id", "kind", "node", "observation", "box", "entity", "name", "value", "source", "target", "answer")
+calls = st.one_of(
+    junk,
+    st.sampled_from([look(), look(155), GRAPH, entity(), attribute("gender", "female"), final(), proposed()]),
+    st.builds(
+        lambda tool, arguments: {**arguments, "tool": tool},
+        st.sampled_from(TOOLS),
+        st.dictionaries(st.sampled_from([*NAMES, "frame_id", "angle_deg"]), junk, max_size=5),
+    ),
+)
+said = st.one_of(
+    st.text(max_size=40),
+    st.lists(calls, max_size=MOST_PER_TURN + 1).map(lambda made: json.dumps({"calls": made})),
+    st.lists(calls, max_size=3).map(lambda made: json.dumps({"calls": made})),
+    junk.map(json.dumps),
+    st.just(json.dumps(PLAN)),
+)
+replies = st.builds(
+    lambda text, reason: Reply(text, finish_reason=reason), said, st.sampled_from(["stop"] * 6 + ["length", "", "x"])
+)
+
+
+@settings(max_examples=examples(60))
+@given(
+    st.sampled_from(VARIANTS),
+    st.booleans(),
+    st.lists(replies, min_size=1, max_size=12),
+    st.sampled_from([StubSolver(), StubSolver(box=(150, (0.0, 0.0, 9.0, 9.0))), defined()]),
+)
+@example((True, True), True, [Reply('{"calls": [{"tool": "\\ud800"}]}', finish_reason="stop")], StubSolver())
+@example(
+    (True, False), True, [Reply('{"calls": [{"tool": "observe", "\\ud800": 1}]}', finish_reason="stop")], StubSolver()
+)
+@example(
+    (True, True), True, [Reply('{"calls": [{"tool": "observe", "a": 1e999}]}', finish_reason="stop")], StubSolver()
+)
+def test_any_replies_end_in_a_prediction(world, graph, variant, planned, said, solver):
+    """Whatever is said: no exception, no more calls than are stated, looks within the budget, a transcript of JSON."""
+    looks, remembers = variant
+    script = ([json.dumps(PLAN)] if remembers and planned else []) + said
+    game = play(world, script, graph=graph if remembers else None, looks=looks, limits=SMALL, solver=solver)
+    prediction = game.prediction
+    assert isinstance(prediction, Prediction)
+    assert prediction.status in ("answered", "invalid")
+    assert (prediction.status == "invalid") == bool(prediction.reason)
+    assert prediction.n_model_calls == len(game.requests) <= SMALL.model_calls(remembers)
+    assert prediction.n_observations <= 2
+    if prediction.evidence is not None:
+        assert all(map(math.isfinite, prediction.evidence.box))
+    for step in game.steps:
+        json.loads(step.request.encode()), json.loads(step.response.encode())
+    assert sum(step.kind == "tool" for step in game.steps) <= SMALL.calls + 4
+    for request in game.requests:
+        for message in request:
+            for part in message.parts:
+                assert not isinstance(part, str) or part.encode().strip()
+
+
+def play_again(world, graph, script):
+    game = play(world, script, graph=graph)
+    steps = [(step.kind, step.request, step.response) for step in game.steps]
+    return game.prediction, steps, game.writes
+
+
+def test_a_replay_gives_the_same_transcript(world, graph):
+    """An episode follows from the task and the replies alone, whatever was played before it."""
+    script = [
+        {"root": "a"},
+        PLAN,
+        turn(look(), look(150, 270)),
+        turn(entity(node="a"), attribute("gender", "female"), attribute("action", "running"), look(150, 180.2)),
+        "what?",
+        turn(entity(box=(1, 2, 3, 4)), GRAPH, final()),
+        turn(entity("p2", "o2"), final()),
+        "what?",
+    ]
+    first = play_again(world, graph, script)
+    play_again(world, graph, [PLAN, turn(look(0, 0)), turn(entity("other")), "x"])
+    assert play_again(world, graph, script) == first
+    with WorldGraph.memory() as other:
+        assert play_again(world, other, script) == first
+
+
+def test_sixteen_questions_at_once_do_not_meet(world, graph):
+    """Each question's graph holds what it wrote, and nothing of the others."""
+    import dataclasses
+
+    beliefs = Beliefs(graph, "many")
+    shown = {}
+
+    def ask(number):
+        chat = Scripted([PLAN, turn(look(5 * number)), turn(entity(f"p{number}", node="a")), turn(GRAPH), "x", "x"])
+        agent = ReferenceAgent(chat, world=beliefs, solving=lambda world, question: StubSolver())
+        task = world.task("?", "multiple_choice", ("walking", "standing"))
+        question = dataclasses.replace(task.question, question_id=f"{number:016x}")
+        agent.answer(dataclasses.replace(task, question=question))
+        text = "\n".join(part for part in chat.requests[-1][1].parts if isinstance(part, str))
+        shown[number] = json.loads(text.partition("Graph: ")[2].partition("\n")[0])
+
+    threads = [threading.Thread(target=ask, args=(number,)) for number in range(16)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(shown) == 16
+    for number, told in shown.items():
+        assert [seen["frame_id"] for seen in told["observations"]] == [f"{5 * number:06d}"]
+        assert [person["id"] for person in told["entities"]] == [f"p{number}"]
+    held = graph.query(
+        "MATCH (e:Episode)-[:Holds]->(n:Entity) WHERE e.run = 'many' RETURN e.question AS q, n.name AS n ORDER BY q"
+    )
+    assert list(zip(*held.to_pydict().values(), strict=True)) == [(f"{n:016x}", f"p{n}") for n in range(16)]
+
+
+@given(junk)
+def test_a_turn_is_read_or_malformed(value):
+    try:
+        made = read_calls(value, TOOLS)
+    except DecodeError:
+        return
+    assert 1 <= len(made) <= MOST_PER_TURN
+    for call in made:
+        assert call.tool in (*TOOLS, "?")
+        assert len(call.said) < 4000 and call.said.isascii()
+
+
+@given(st.lists(calls, min_size=1, max_size=MOST_PER_TURN))
+def test_a_list_of_any_calls_is_read(given):
+    made = read_calls({"calls": given}, TOOLS)
+    assert len(made) == len(given)
+    for call, raw in zip(made, given, strict=True):
+        known = isinstance(raw, dict) and raw.get("tool") in TOOLS
+        assert known == (call.tool != "?")
+        assert call.fault or {"tool": call.tool, **call.arguments} == raw or raw != raw

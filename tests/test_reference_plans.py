@@ -1,0 +1,148 @@
+"""The plan stage: what a plan must keep to, and that every gold plan does."""
+
+import json
+from types import SimpleNamespace
+
+import pytest
+from reference_play import PLAN, PLANS
+
+from jrdb_avr.agent.reference.labels import vocabulary
+from jrdb_avr.agent.reference.planning import plan_form, plan_prompt, read_plan
+from jrdb_avr.schema.errors import PlanError
+from jrdb_avr.schema.method import Question, SequenceInfo
+from jrdb_avr.schema.plan import canonical, plan_json_schema
+from jrdb_avr.schema.things import OBJECTS, VERBS
+from jrdb_avr.schema.vocabulary import ACTIONS, AGES, DISTANCE_WORDS, GENDERS, INTERACTIONS, ROBOT_SECTORS
+from jrdb_avr.schema.wording.relations import RELATIONS
+
+
+def task(mode="multiple_choice"):
+    question = Question("0" * 16, "s", "f", "t", "?", ("walking",), mode)
+    return SimpleNamespace(question=question, sequence=SequenceInfo("s", 15.0, 300, tuple(range(300))))
+
+
+def with_condition(**condition):
+    return PLAN | {"nodes": [{"id": "a", "conditions": [condition]}]}
+
+
+def with_edge(relation):
+    nodes = [{"id": "a", "conditions": []}, {"id": "b", "conditions": []}]
+    edge = {"source": "a", "relation": relation, "target": "b", "at": "t0"}
+    return PLAN | {"nodes": nodes, "edges": [edge]}
+
+
+REFUSED = [
+    (PLANS["frame"], "answer.mode: the question asks for 'multiple_choice', not 'frame'"),
+    (PLAN | {"times": {"t0": {"frame": 300}}}, "times.t0.frame: the last frame of the video is 299"),
+    (
+        with_condition(action="sit", at="t0"),
+        "nodes[0].conditions[0].action: 'sit' is none of the labels; perhaps 'sitting'",
+    ),
+    (with_condition(attribute="gender", value="woman"), "nodes[0].conditions[0].value: 'woman' is none of the labels"),
+    (with_condition(attribute="sector", value="front", at="t0"), "nodes[0].conditions[0].value: 'front' is none"),
+    (with_condition(attribute="group_size", value=0, at="t0"), "nodes[0].conditions[0].value: is the number of people"),
+    (
+        with_condition(object="bags", verb="holding", at="t0"),
+        "nodes[0].conditions[0].object: 'bags' is none of the labels",
+    ),
+    (with_condition(object="bag", verb="has", at="t0"), "nodes[0].conditions[0].verb: 'has' is none of the labels"),
+    (with_condition(interaction="talking", at="t0"), "nodes[0].conditions[0].interaction: 'talking' is none"),
+    (with_edge("left of"), "edges[0].relation: 'left of' is none of the labels"),
+    (with_edge("front left, far"), "edges[0].relation: 'front left, far' is none of the labels; perhaps"),
+    (PLAN | {"answer": PLAN["answer"] | {"of": "b"}}, "answer.of: unknown node 'b'"),
+]
+
+
+@pytest.mark.parametrize("plan, reason", REFUSED)
+def test_plans_that_are_refused(plan, reason):
+    with pytest.raises(PlanError) as error:
+        read_plan(json.dumps(plan), task())
+    assert str(error.value).startswith(reason)
+
+
+def test_labels_of_events_and_counts():
+    times = PLANS["frame"]["times"]
+    plan = PLANS["frame"] | {"times": times | {"t1": times["t1"] | {"action": "strolling"}}}
+    with pytest.raises(PlanError, match=r"times\.t1\.action: 'strolling' is none of the labels"):
+        read_plan(json.dumps(plan), task("frame"))
+    plan = PLANS["number"] | {"answer": PLANS["number"]["answer"] | {"relation": "first to the left of (robot view)"}}
+    with pytest.raises(PlanError, match=r"answer\.relation: .* is none of the labels"):
+        read_plan(json.dumps(plan), task("number"))
+
+
+def test_the_answer_is_read_of_the_target():
+    plan = with_edge("conversation") | {"target": "b"}
+    with pytest.raises(PlanError, match=r"answer\.of: the answer is read of the target, 'b'"):
+        read_plan(json.dumps(plan), task())
+
+
+@pytest.mark.parametrize("mode", PLANS)
+def test_plans_that_are_taken(mode):
+    plan = read_plan(json.dumps(PLANS[mode]), task(mode))
+    assert json.loads(canonical(plan)) == PLANS[mode]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "null", "[]", '{"root": 1e999}', '{"times": {"t0": {"frame": ' + "9" * 400 + "}}}", '"\\ud800"', "{" * 9000],
+)
+def test_any_text_is_a_plan_or_refused(text):
+    with pytest.raises(PlanError):
+        read_plan(text, task())
+
+
+def test_every_label_is_told():
+    """A plan may name no label that the prompt does not show, but for relations of a kind, which it shows by one."""
+    told = vocabulary()
+    lines = dict(line[2:].split(": ", 1) for line in told.splitlines())
+    labels = {kind: {part.partition(" = ")[0] for part in text.rstrip(".").split(", ")} for kind, text in lines.items()}
+    assert labels["gender"] == set(GENDERS)
+    assert labels["age"] == set(AGES)
+    assert labels["sector"] == set(ROBOT_SECTORS)
+    assert labels["distance"] == set(DISTANCE_WORDS)
+    assert labels["action, postures and movements"] | labels["action, others"] == set(ACTIONS)
+    assert labels["interaction"] == set(INTERACTIONS)
+    assert labels["verb"] == set(VERBS)
+    assert labels["object"] == set(OBJECTS)
+    words = set(told.replace(",", " ").replace(";", " ").split())
+    for relation in RELATIONS:
+        assert set(relation.replace(",", " ").split()) <= words
+
+
+def test_the_form_is_the_schema_without_prose_and_nulls():
+    form, full = plan_form(), plan_json_schema()
+    assert "null" not in json.dumps(form) and "description" not in json.dumps(form)
+    assert list(form["$defs"]) == list(full["$defs"])
+    for name, kind in full["$defs"].items():
+        shown = form["$defs"][name]
+        assert {key: shown[key] for key in ("required", "additionalProperties")} == {
+            key: kind[key] for key in ("required", "additionalProperties")
+        }
+        assert list(shown["properties"]) == list(kind["properties"])
+        for key, value in kind["properties"].items():
+            options = [option for option in value.get("anyOf", [value]) if option != {"type": "null"}]
+            left = shown["properties"][key]
+            for option, kept in zip(options, left.get("anyOf", [left]), strict=True):
+                assert {k: v for k, v in option.items() if k in ("type", "enum", "pattern", "$ref")} == {
+                    k: v for k, v in kept.items() if k in ("type", "enum", "pattern", "$ref")
+                }
+
+
+def test_the_prompt_says_which_reads_fit_the_mode():
+    assert "distance_change" in plan_prompt(task()).partition("JSON Schema")[0]
+    assert "seconds_between" in plan_prompt(task("number")).partition("JSON Schema")[0]
+    assert "seconds_between" not in plan_prompt(task("span")).partition("JSON Schema")[0]
+
+
+def test_every_gold_plan_is_taken(sample_benchmark):
+    """What the questions mean, in all templates, is a plan that the agent may make."""
+    sequences = {row["sequence"]: row for row in sample_benchmark.questions("sequences").to_pylist()}
+    questions = {row["question_id"]: row for row in sample_benchmark.questions("questions").to_pylist()}
+    templates = set()
+    for row in sample_benchmark.questions("answers").to_pylist():
+        question = questions[row["question_id"]]
+        info = SimpleNamespace(frame_count=sequences[question["sequence"]]["frame_count"])
+        asked = SimpleNamespace(question=SimpleNamespace(answer_mode=question["answer_mode"]), sequence=info)
+        assert canonical(read_plan(row["plan"], asked)) == row["plan"]
+        templates.add(question["template"])
+    assert len(templates) == 12
