@@ -29,6 +29,7 @@ COMMANDS: Final[dict[str, str]] = {
     "preflight": "Check a model's server before it is asked.",
     "calibrate": "Find out how a model writes boxes.",
     "evaluate": "Run a method on the questions.",
+    "world": "Bring runs' world models into the graph, or drop them.",
     "score": "Score the predictions of runs.",
     "report": "Compare runs in a table.",
     "inspect": "Show questions on a page, for a person to judge.",

@@ -281,8 +281,7 @@ def restore_world(graph: Graph, run_id: str, record: pa.Table) -> int:
     Their number of writes tells: a write is in the graph before it is in the record, so where the numbers are equal,
     nothing is missing. Raises StoreError as `replayed` does.
     """
-    held = graph.query(_statement("writes_held"), {"run": run_id}).to_pylist()
-    there = {row["question"]: row["writes"] for row in held}
+    there = writes_held(graph, run_id)
     counts = record.group_by("question_id").aggregate([("number", "count")]).to_pylist()
     told = {row["question_id"]: row["number_count"] for row in counts}
     lacking = [question for question, writes in told.items() if there.get(question) != writes]
@@ -291,6 +290,12 @@ def restore_world(graph: Graph, run_id: str, record: pa.Table) -> int:
         drop_world(graph, run_id, stale)
     _copy(graph, [tables])
     return len(lacking)
+
+
+def writes_held(graph: Graph, run_id: str) -> dict[str, int]:
+    """The number of writes that a graph holds of each of a run's episodes, by question id."""
+    rows = graph.query(_statement("writes_held"), {"run": run_id}).to_pylist()
+    return {row["question"]: row["writes"] for row in rows}
 
 
 def drop_world(graph: Graph, run_id: str, questions: Sequence[str] | None = None) -> None:

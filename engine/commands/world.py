@@ -1,0 +1,87 @@
+"""`jrdb-avr world`: what runs' agents believed, brought into the store's graph or taken out of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from jrdb_avr.engine.output import json_option, note, print_json, print_rows, progress, store_option
+
+if TYPE_CHECKING:
+    from jrdb_avr.queries.handle import Graph
+    from jrdb_avr.queries.store import Store
+
+
+@click.group(
+    short_help="Bring runs' world models into the graph, or drop them.",
+    epilog="Examples: jrdb-avr world merge agent-marker --store S   |   jrdb-avr world drop agent-marker --store S",
+)
+def command() -> None:
+    """What runs' agents believed, in the store's graph.
+
+    The record is runs/RUN/world.parquet. A run writes its world model into the graph itself, unless it was given one of
+    its own by --world-db; 'load' and 'load --rebuild' bring every run's back. Ask it with 'cypher' (see its --list).
+    """
+
+
+@command.command(epilog="Example: jrdb-avr world merge agent-marker agent-passive-marker --store S")
+@click.argument("run_ids", nargs=-1, required=True, metavar="RUN...")
+@store_option
+@json_option
+def merge(run_ids: tuple[str, ...], store: Path, as_json: bool) -> None:
+    """Bring the world models of finished runs into the store's graph, in place of what it holds of them."""
+    from jrdb_avr.queries.store import Store
+    from jrdb_avr.queries.world_record import copy_world, drop_world, open_to_replay, read_record
+
+    place = Store(store)
+    records = {run_id: read_record(place, run_id) for run_id in dict.fromkeys(run_ids)}
+    rows = []
+    with open_to_replay(_graph_path(place)) as graph, progress("merging", len(records)) as advance:
+        for run_id, record in records.items():
+            drop_world(graph, run_id)
+            copy_world(graph, record)
+            rows.append(_row(graph, run_id))
+            advance(1)
+    print_json(rows) if as_json else print_rows(rows)
+
+
+@command.command(epilog="Example: jrdb-avr world drop agent-marker --store S")
+@click.argument("run_ids", nargs=-1, required=True, metavar="RUN...")
+@store_option
+@json_option
+def drop(run_ids: tuple[str, ...], store: Path, as_json: bool) -> None:
+    """Take runs' world models out of the store's graph. Their records stay, and the next load brings them back."""
+    from jrdb_avr.queries.store import Store
+    from jrdb_avr.queries.world_record import drop_world, open_to_replay
+    from jrdb_avr.schema.errors import StoreError
+
+    place = Store(store)
+    with open_to_replay(_graph_path(place)) as graph, progress("dropping", len(run_ids)) as advance:
+        rows = [_row(graph, run_id) for run_id in dict.fromkeys(run_ids)]
+        if absent := [row["run"] for row in rows if not row["episodes"]]:
+            raise StoreError(f"{place.graph_path} holds nothing of run {absent[0]!r}: see 'cypher world_runs'")
+        for row in rows:
+            drop_world(graph, row["run"])
+            advance(1)
+    print_json(rows) if as_json else print_rows(rows)
+    if not as_json:
+        note("dropped; the space is given back by 'jrdb-avr load --rebuild'")
+
+
+def _graph_path(place: Store) -> Path:
+    """The store's graph. Raises StoreError where there is none: one without a scene must not take its place."""
+    from jrdb_avr.schema.errors import StoreError
+
+    if not place.graph_path.exists():
+        raise StoreError(f"{place.path} has no graph: run 'jrdb-avr load --rebuild --store {place.path}'")
+    return place.graph_path
+
+
+def _row(graph: Graph, run_id: str) -> dict[str, Any]:
+    """What a graph holds of a run."""
+    from jrdb_avr.queries.world_record import writes_held
+
+    held = writes_held(graph, run_id)
+    return {"run": run_id, "episodes": len(held), "writes": sum(held.values())}
