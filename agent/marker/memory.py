@@ -39,18 +39,35 @@ class Memory(Eyes):
         return self._left + len(self._ahead)
 
     def follow(self, identity: int, frame: float, turns: Sequence[float]) -> Sighting | None:
-        """As `Eyes.follow`; once round in eight looks where the frames still to come leave no more."""
+        """As `Eyes.follow`; once round in eight looks where the frames still to come leave no more.
+
+        The looks that were made at the frame are those of the first turns: boxes in the graph are rounded, or cut off
+        by a picture's edge, so they do not say again at which angles it was looked.
+        """
         if turns == AROUND:
             others = max(self._rounds - 1, 0)
             self._rounds = others
             turns = _EIGHT if self.spare() < len(AROUND) + len(_EIGHT) * others else AROUND
-        return super().follow(identity, frame, turns)
+        frame = self.legal(frame)
+        known = min(self.sightings(identity), key=lambda seen: (abs(seen.frame - frame), seen.frame))
+        if known.frame == frame:
+            return known
+        made = [look for look in (*self.looks, *self._ahead) if look.frame == frame]
+        first = made[0].angle if made else known.angle
+        for place, turn in enumerate(turns):
+            look = self._recall(made[place]) if place < len(made) else self.look(frame, first + turn)
+            if (seen := look.of(identity)) is not None:
+                return seen
+        return None
+
+    def _recall(self, look: Look) -> Look:
+        while self._ahead and not any(look is other for other in self.looks):
+            self.looks.append(self._ahead.pop(0))
+        return look
 
     def _next(self, frame: int, angle: float) -> Look:
         # What was written anew may show somebody a look earlier than it did then: looks may be left over.
-        while self._ahead:
-            look = self._ahead.pop(0)
-            self.looks.append(look)
+        for look in self._ahead:
             if look.frame == frame and same(look.angle, angle):
-                return look
+                return self._recall(look)
         raise Want(frame, angle % 360.0)

@@ -143,9 +143,17 @@ def _remembered(made: _Observation, people: Sequence[tuple[int, _Entity]]) -> Lo
             again = _order(seen.observation) > _order(made.observation) and 0 <= place.x + place.w / 2 < width
             if again or seen.observation == made.observation:
                 angle = center_angle(box.x, box.w)
-                sightings.append(Sighting(frame, _mark(identity, entity, frame), place, False, angle, width))
+                shown = place if panorama else _cut(place)
+                sightings.append(Sighting(frame, _mark(identity, entity, frame), shown, False, angle, width))
     angle = 180.0 if made.angle_deg is None else made.angle_deg
     return Look(frame, angle, tuple(sightings), panorama, made.observation, left, width)
+
+
+def _cut(box: Box) -> Box:
+    """A crop's box that ends at its edge was cut off there, as boxes are written inside their picture."""
+    right = box.x + box.w
+    left = -1.0 if box.x < 1 else box.x
+    return box._replace(x=left, w=(CROP + 1.0 if right > CROP - 1 else right) - left)
 
 
 def _mark(identity: int, entity: _Entity, frame: int) -> Mark:

@@ -6,7 +6,7 @@ is true of that panorama alone, so the solver lacks what the question names.
 
 from __future__ import annotations
 
-from .finding import among, holds
+from .finding import among, holds, likely
 from .hops import path
 from .notes import Notes, entity_name, read_notes
 from .policy import Game, read_answer
@@ -36,17 +36,17 @@ def _target(game: Game, draft: Draft) -> Sighting | None:
     plan = game.plan
     root = next(node for node in plan.nodes if node.id == plan.root)
     frame = game.eyes.legal(game.t0)
-    people = game.eyes.at(frame)
+    exact, people = frame == game.t0, game.eyes.at(frame)
     found = among(root.conditions, people)
     if found.missing:
         game.note(found.missing)
-    if found.sighting is None:
+    person = found.sighting if exact else likely(root.conditions, people, exact=False)
+    if person is None:
         return None
-    nodes = path(plan, found.sighting, people)
+    nodes = path(plan, person, people)
     draft.people(plan, nodes)
-    # At the time of the description who is left is held to be the one described.
-    told = [c for c in root.conditions if frame == game.t0 or holds(c, found.sighting, people)]
-    draft.conditions(found.sighting, told)
+    # At the time of the description who is left is held to be the one described; at another the likeliest is taken.
+    draft.conditions(person, [c for c in root.conditions if exact or holds(c, person, people)])
     if plan.target not in nodes:
         game.note("mark unreadable: a hop leads to nobody, or to several")
     return nodes.get(plan.target)

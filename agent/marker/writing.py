@@ -106,9 +106,10 @@ class Draft:
                         self._action(seen, time.action)
 
     def _action(self, seen: Sighting, action: str) -> None:
-        """The pose of somebody, and another action where it is seen."""
-        self.attribute(seen, "action", seen.mark.pose)
-        if action not in POSES and action in seen.mark.actions:
+        """What somebody does of what is asked: of postures the one that is seen, of other actions that it is seen."""
+        if action in POSES:
+            self.attribute(seen, "action", seen.mark.pose)
+        elif action in seen.mark.actions:
             self.attribute(seen, "action", action)
 
 
