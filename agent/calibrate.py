@@ -41,7 +41,7 @@ LEAST_REPLIES: Final = 10
 """With one key, for a reading of that key to be chosen."""
 LEAST_READABLE: Final = 0.5
 """Share of all replies that hold a box at all."""
-CLEAR: Final = 0.6
+CLEAR: Final = 0.4
 """Share of a key's replies that the chosen reading brings to an overlap of one half."""
 LEAD: Final = 0.2
 """By which that share exceeds that of every other reading, but for those that read the same boxes."""

@@ -28,6 +28,9 @@ from .conventions import Convention as Convention
 from .conventions import convention_of as convention_of
 from .replies import Reply, spoken
 
+VERSION: Final = 1
+"""Of the contract and its reading, in every run's manifest: raised when a reply is read otherwise than before."""
+
 # -- the reply as one object ------------------------------------------------------------------------------------------
 
 _FENCE: Final = re.compile(r"```(?:json)?[ \t]*\n")

@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import msgspec
 
+from jrdb_avr.agent import decode
 from jrdb_avr.agent.calibrate import Calibration
 from jrdb_avr.agent.client import Client
 from jrdb_avr.agent.conventions import Convention, convention_of
@@ -79,6 +80,7 @@ def connect(
         "served_model": served,
         "server_version": client.server_version(),
         "convention": convention_settings,
+        "decoder": decode.VERSION,
     }
     return Endpoint(client, convention, served, settings, tuple(warnings))
 

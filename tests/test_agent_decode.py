@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from jrdb_avr.agent import decode
+from jrdb_avr.agent import boxes, conventions, decode, replies
 from jrdb_avr.agent.conventions import BACKBONES
 from jrdb_avr.agent.decode import CONTRACT, convention_of, read_answer, read_evidence, reply_object, write_box
 from jrdb_avr.agent.replies import Reply, spoken, thought
@@ -335,9 +335,10 @@ def test_a_box_on_the_ring_survives_crop_contract_and_back(x, y, w, h, off):
 
 
 def test_no_function_here_can_be_given_the_truth():
-    for name, function in inspect.getmembers(decode, inspect.isfunction):
-        words = set(inspect.signature(function).parameters)
-        assert not words & {"gold", "truth", "target", "answer_key"}, name
+    for module in (decode, boxes, conventions, replies):
+        for name, function in inspect.getmembers(module, inspect.isfunction):
+            words = set(inspect.signature(function).parameters)
+            assert not words & {"gold", "truth", "target", "answer_key"}, name
 
 
 # -- the schema shown to servers --------------------------------------------------------------------------------------
