@@ -32,6 +32,7 @@ COMMANDS: Final[dict[str, str]] = {
     "world": "Bring runs' world models into the graph, or drop them.",
     "score": "Score the predictions of runs.",
     "report": "Compare runs in a table.",
+    "trace": "Show what a run did with a question, step by step.",
     "inspect": "Show questions on a page, for a person to judge.",
     "demo": "Run everything once on a synthetic world.",
 }

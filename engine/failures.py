@@ -27,6 +27,7 @@ from jrdb_avr.schema.panorama import CROP, WIDTH
 
 from .judged import Facts, Floats, Ints, Judged, share
 from .scoring import Truth, box_ious, frame_key
+from .tracing import look_of
 
 CAUSES: Final = (
     "no box",
@@ -169,32 +170,17 @@ class _Look:
         return bool(seen >= _SHOWN * w)
 
 
-class _Request(msgspec.Struct):
-    frame_index: int
-    angle_deg: float | None = None
-
-
-class _Response(msgspec.Struct):
-    left: int = 0
-    refused: str | None = None
-
-
 def _looks(store: Store, run: Judged) -> dict[str, list[_Look]]:
     """The looks of a run, by question, out of its transcript."""
     steps = read_table(store.run_path(run.manifest.run_id) / "steps.parquet")
-    steps = steps.filter(pc.equal(steps["kind"], "observe")).select(["question_id", "request", "response"])
+    steps = steps.filter(pc.equal(steps["kind"], "observe"))
     found: dict[str, list[_Look]] = {}
-    for name, request, response in zip(*(steps[column].to_pylist() for column in steps.column_names), strict=True):
-        try:
-            asked = msgspec.json.decode(request, type=_Request)
-            shown = msgspec.json.decode(response, type=_Response)
-        except msgspec.DecodeError:
-            # A method of somebody's own may describe its looks otherwise.
-            continue
-        if shown.refused is None:
-            whole = asked.angle_deg is None
-            look = _Look(asked.frame_index, 0 if whole else shown.left, WIDTH if whole else CROP)
-            found.setdefault(name, []).append(look)
+    for step in steps.to_pylist():
+        look = look_of(step)
+        if look is not None:
+            whole = look.angle is None
+            shown = _Look(look.frame, 0 if whole else look.left, WIDTH if whole else CROP)
+            found.setdefault(step["question_id"], []).append(shown)
     return found
 
 

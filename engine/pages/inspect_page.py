@@ -14,12 +14,10 @@ from jrdb_avr.schema.errors import ObserveError
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, center_angle, to_crop
 
 from .diagrams import plan_graph, proof_rows, timeline
-from .page import jpeg_uri, render
+from .page import jpeg_bytes, jpeg_uri, render
 
 STRIP_WIDTH: Final = 1880
 """Pixels of a panorama in the page: half size, so that twenty questions stay a file that can be sent."""
-
-_QUALITY: Final = 80
 
 
 @dataclass(frozen=True)
@@ -97,7 +95,7 @@ def _strip(one: Inspected, frame: int, observer: Observer) -> View:
         if row["x"] + shift < WIDTH and row["x"] + shift + row["w"] > 0
     ]
     height = round(HEIGHT * scale)
-    return View(title, _jpeg(image, (STRIP_WIDTH, height)), STRIP_WIDTH, height, tuple(boxes))
+    return View(title, jpeg_uri(jpeg_bytes(image, (STRIP_WIDTH, height))), STRIP_WIDTH, height, tuple(boxes))
 
 
 def _crop(one: Inspected, observer: Observer) -> View:
@@ -109,13 +107,4 @@ def _crop(one: Inspected, observer: Observer) -> View:
     except ObserveError as error:
         return View(title, "", 0, 0, (), str(error))
     box = to_crop(Box(row["x"], row["y"], row["w"], row["h"]), seen.left)
-    return View(title, _jpeg(seen.image, (CROP, CROP)), CROP, CROP, (Framed(row["node"], *box),))
-
-
-def _jpeg(image: Any, size: tuple[int, int]) -> str:
-    import cv2
-
-    if (image.shape[1], image.shape[0]) != size:
-        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    _, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    return jpeg_uri(data.tobytes())
+    return View(title, jpeg_uri(jpeg_bytes(seen.image, (CROP, CROP))), CROP, CROP, (Framed(row["node"], *box),))

@@ -6,17 +6,21 @@ import base64
 import functools
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
 from jrdb_avr.engine.output import clean
 from jrdb_avr.engine.typeset import cell
 from jrdb_avr.queries.store import write_atomic
+from jrdb_avr.schema.method import Image
 
 if TYPE_CHECKING:
     from jinja2 import Environment
     from markupsafe import Markup
+
+JPEG_QUALITY: Final = 80
+"""Of pictures in a page: it must stay a file that can be sent."""
 
 
 def render(name: str, **values: Any) -> str:
@@ -32,6 +36,16 @@ def write_page(path: Path, html: str) -> None:
         temporary.write_bytes(data)
 
     write_atomic(path, write)
+
+
+def jpeg_bytes(image: Image, size: tuple[int, int]) -> bytes:
+    """An RGB picture as JPEG of a width and height."""
+    import cv2
+
+    if (image.shape[1], image.shape[0]) != size:
+        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    _, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    return bytes(data.tobytes())
 
 
 def jpeg_uri(data: bytes) -> str:

@@ -1,0 +1,113 @@
+"""What a run did with one question: its steps, its looks, what it wrote into its world model, and the truth beside."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import pyarrow.compute as pc
+
+from jrdb_avr.queries.runs import RunManifest, read_run_manifest
+from jrdb_avr.queries.store import Store, read_table
+from jrdb_avr.schema.errors import InputError, StoreError
+from jrdb_avr.schema.world import Fact
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Look:
+    """A crop (with `angle` and `left`) or a whole panorama (`angle` None) that was shown at a step."""
+
+    step: int
+    frame: int
+    angle: float | None
+    left: int
+
+
+@dataclass(frozen=True)
+class Written:
+    """A line of the world model's record, its fact read."""
+
+    row: Row
+    fact: Fact
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One question of a run. target: the boxes of the person asked about by frame, (x, y, w, h)."""
+
+    manifest: RunManifest
+    question: Row
+    answer: Row
+    prediction: Row
+    steps: Sequence[Row]
+    looks: Sequence[Look]
+    writes: Sequence[Written]
+    target: Mapping[int, tuple[float, float, float, float]]
+    fps: float
+
+
+def read_trace(store: Store, run_id: str, question_id: str) -> Trace:
+    """Gather a question of a run. Raises StoreError where the run is missing or unfinished, InputError for a question
+    that it was not asked."""
+    manifest = read_run_manifest(store, run_id)
+    path = store.run_path(run_id)
+    if not (path / "predictions.parquet").exists():
+        raise StoreError(f"run {run_id} has no predictions yet: evaluate it to the end (the same call with --resume)")
+    rows = {name: _rows(read_table(path / f"{name}.parquet"), question_id) for name in ("predictions", "steps")}
+    if not rows["predictions"]:
+        raise InputError(f"run {run_id} was not asked question {question_id[:40]!r}", field="question_id")
+    own = {name: _rows(store.questions(name), question_id) for name in ("questions", "answers", "evidence")}
+    if not own["questions"]:
+        raise InputError(f"no question {question_id[:40]!r} in {store.path}", field="question_id")
+    question = own["questions"][0]
+    sequences = {row["sequence"]: row for row in store.questions("sequences").to_pylist()}
+    steps = sorted(rows["steps"], key=lambda row: row["step"])
+    world = path / "world.parquet"
+    writes = sorted(_rows(read_table(world), question_id) if world.exists() else [], key=lambda row: row["number"])
+    return Trace(
+        manifest,
+        question,
+        own["answers"][0],
+        rows["predictions"][0],
+        steps,
+        tuple(look for step in steps if (look := look_of(step)) is not None),
+        tuple(Written(row, _fact(row["fact"])) for row in writes),
+        {row["frame"]: (row["x"], row["y"], row["w"], row["h"]) for row in own["evidence"]},
+        sequences[question["sequence"]]["fps"],
+    )
+
+
+class _Asked(msgspec.Struct):
+    frame_index: int
+    angle_deg: float | None = None
+
+
+class _Shown(msgspec.Struct):
+    left: int = 0
+    refused: str | None = None
+
+
+def look_of(step: Row) -> Look | None:
+    """The look that a step of the transcript tells of; None for other steps, and for a look that was refused."""
+    if step["kind"] != "observe":
+        return None
+    try:
+        asked = msgspec.json.decode(step["request"], type=_Asked)
+        shown = msgspec.json.decode(step["response"], type=_Shown)
+    except msgspec.DecodeError:
+        # A method of somebody's own may describe its looks otherwise.
+        return None
+    return None if shown.refused is not None else Look(step["step"], asked.frame_index, asked.angle_deg, shown.left)
+
+
+def _rows(table: Any, question_id: str) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = table.filter(pc.equal(table["question_id"], question_id)).to_pylist()
+    return rows
+
+
+def _fact(text: str) -> Fact:
+    return msgspec.json.decode(text, type=Fact) if text else Fact()
