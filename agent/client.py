@@ -144,10 +144,6 @@ class Client:
         request = {**self._request(schema), "messages": wire(messages)}
         return self._noted(self._send(request, _PROBE_RETRIES, _PROBE_TIMEOUT_S))
 
-    def probe(self) -> str:
-        """Whether the server is there: the model id that it names. Raises EndpointError in one line, soon."""
-        return self.ask([Message("user", ("Reply with the one word: ready",))]).model
-
     def server_version(self) -> str:
         """What the server says of its version at `/version`, as vLLM does; empty where it says nothing."""
         import httpx2

@@ -25,6 +25,7 @@ from jrdb_avr.agent.marker.finding import distance_word, holds
 from jrdb_avr.agent.marker.looking import REACT
 from jrdb_avr.agent.marker.reading import Look, Sighting
 from jrdb_avr.agent.marker.server import Server
+from jrdb_avr.agent.messages import Message
 from jrdb_avr.agent.react import ReAct
 from jrdb_avr.schema.answers import FrameAnswer, Span, frames_iou
 from jrdb_avr.schema.marks import Mark
@@ -34,6 +35,7 @@ from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 from jrdb_avr.schema.wording import in_order, render
 
 FRAMES = tuple(range(0, 601))
+HELLO = [Message("user", ("hello",))]
 POSES = ("walking", "sitting", "standing", "lying")
 
 
@@ -412,7 +414,7 @@ def test_other_talk_gets_a_polite_reply(play):
 
 def test_the_child_process_serves_and_ends(tmp_path):
     with marker_server(tmp_path / "log") as url:
-        assert Client(url, "marker").probe() == "marker"
+        assert Client(url, "marker").ask(HELLO).model == "marker"
     with pytest.raises(urllib.error.URLError):
         post(url, b"{}")
 
@@ -424,7 +426,7 @@ def test_the_server_ends_with_its_parent():
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:
         url = parent.stdout.readline().strip()
-        assert Client(url, "marker").probe() == "marker"
+        assert Client(url, "marker").ask(HELLO).model == "marker"
         parent.kill()
     for _ in range(100):
         try:
@@ -490,7 +492,7 @@ def test_a_client_that_goes_away_is_no_traceback():
             gone.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             gone.close()
         time.sleep(0.2)
-        assert Client(url, "marker").probe() == "marker"
+        assert Client(url, "marker").ask(HELLO).model == "marker"
     assert told == []
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from jrdb_avr.agent.client import Client
+from jrdb_avr.agent.messages import Message
 from jrdb_avr.agent.react import ReAct
 from jrdb_avr.engine.runs import Journal, ask_all
 from jrdb_avr.schema.method import Observation, Question, SequenceInfo
@@ -92,7 +93,7 @@ def measure(looks):
     asked = [Question(f"{i:016x}", "s", "f", "t", f"Question {i}?", *shape) for i in range(QUESTIONS)]
     with tempfile.TemporaryDirectory() as folder:
         client = Client(f"http://127.0.0.1:{port.value}/v1", "x", cache=Path(folder) / "calls")
-        client.probe()
+        client.ask([Message("user", ("hello",))])
         sizes.value = 0
         with Journal(Path(folder) / "journal.jsonl") as journal:
             started = time.perf_counter()
