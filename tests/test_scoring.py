@@ -293,6 +293,44 @@ def test_span_equals_jaccard_of_sets(a, b, c, d):
     assert answer_score("span", *spans) == expected
 
 
+def test_a_hundred_thousand_boxes_as_pycocotools_has_them():
+    """Each of 320 boxes with each of 320, crowded into the columns round the seam so that most pairs meet."""
+    generator = np.random.default_rng(11)
+    first, second = (
+        np.stack(
+            [
+                generator.uniform(-200, 200, 320) + WIDTH * generator.integers(-1, 2, 320),
+                generator.uniform(0, 200, 320),
+                generator.uniform(1, 300, 320),
+                generator.uniform(1, 300, 320),
+            ],
+            axis=1,
+        )
+        for _ in range(2)
+    )
+    turned = [second + [turn * WIDTH, 0, 0, 0] for turn in range(-3, 4)]
+    expected = np.max([coco.iou(first, boxes, [0] * 320) for boxes in turned], axis=0)
+    ours = box_ious(np.repeat(first, 320, axis=0), np.tile(second, (320, 1))).reshape(320, 320)
+    assert np.abs(ours - expected).max() < 1e-9
+    assert (expected > 0).mean() > 0.5
+
+
+def test_a_hundred_thousand_spans_as_sets_have_them():
+    generator = np.random.default_rng(12)
+    starts, lengths = generator.integers(0, 40, (2, 100_000)), generator.integers(-3, 40, (2, 100_000))
+    ends = starts + lengths - 1
+    nothing = np.zeros(100_000)
+    truth, given = (scoring.Payloads(np.ones(100_000, bool), starts[i], ends[i], nothing) for i in range(2))
+    span = np.full(100_000, MODES.index("span"))
+    ours = scoring.answers_match(span, np.full(100_000, 15), given, truth)
+    sets = [
+        [frozenset(range(a, b + 1)) for a, b in zip(starts[i].tolist(), ends[i].tolist(), strict=True)] for i in (0, 1)
+    ]
+    expected = [bool(a) and bool(b) and 2 * len(a & b) >= len(a | b) for a, b in zip(*sets, strict=True)]
+    assert ours.tolist() == expected
+    assert 0.1 < ours.mean() < 0.9
+
+
 # -- against a scorer that goes row by row --------------------------------------------------------------------------
 
 
