@@ -312,7 +312,7 @@ def test_a_hundred_thousand_boxes_as_pycocotools_has_them():
     expected = np.max([coco.iou(first, boxes, [0] * 320) for boxes in turned], axis=0)
     ours = box_ious(np.repeat(first, 320, axis=0), np.tile(second, (320, 1))).reshape(320, 320)
     assert np.abs(ours - expected).max() < 1e-9
-    assert (expected > 0).mean() > 0.5
+    assert (expected > 0).mean() > 0.25
 
 
 def test_a_hundred_thousand_spans_as_sets_have_them():
