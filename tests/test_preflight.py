@@ -1,7 +1,9 @@
 """Preflight: a server is spoiled in one way at a time, and the one check that is about it fails, with a remedy."""
 
+import contextlib
 import functools
 import json
+import threading
 
 import pytest
 from click.testing import CliRunner
@@ -10,6 +12,8 @@ from fake_server import FakeServer, Status, completion, images, schema_of, seein
 from jrdb_avr.agent.client import Client
 from jrdb_avr.agent.conventions import convention_of
 from jrdb_avr.agent.drawn import corner_picture
+from jrdb_avr.agent.marker.knobs import Knobs
+from jrdb_avr.agent.marker.server import Server
 from jrdb_avr.agent.options import Options
 from jrdb_avr.agent.preflight import preflight, require
 from jrdb_avr.engine.cli import group
@@ -271,3 +275,36 @@ def test_a_hostile_server_cannot_move_the_cursor():
     with FakeServer(changed(said("\x1b[2Jready\x9b31m", refusal=None))) as server:
         result = run(server)
     assert "\x1b" not in result.output and "\x9b" not in result.output
+
+
+# -- the marker model -------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def marker(**knobs):
+    server = Server(knobs=Knobs(**knobs))
+    threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True).start()
+    try:
+        yield server.url
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+@pytest.mark.parametrize(
+    ("knobs", "options", "wrong"),
+    [
+        ({}, {}, []),
+        ({}, {"response_format": "json_object"}, []),
+        ({}, {"response_format": "none"}, []),
+        ({}, {"thinking": "on"}, ["thinking"]),
+        ({"thinking": 1.0}, {}, ["thinking"]),
+        ({"thinking": 1.0}, {"thinking": "on"}, []),
+        ({"thinking": 1.0}, {"thinking": "template"}, []),
+        ({"wrong_box": 1.0, "wrong_attribute": 1.0}, {}, []),
+    ],
+)
+def test_the_marker_passes_by_what_it_sees(knobs, options, wrong):
+    with marker(**knobs) as url:
+        found = preflight(Client(url, "marker", Options(**options)))
+    assert [check.name for check in found if not check.passed] == wrong
