@@ -1,14 +1,33 @@
 """The compiler from graph plan to Cypher, and the solver that runs it.
 
 `clauses` holds the clause templates of conditions and edges, `names` a table of names per namespace that fills them,
-`find` puts them together to the statement that finds a plan's people, and `reads` asks what is read of them. `solve`
-runs all of it for many plans at once.
+`find` puts them together to the statement that finds a plan's people, and `reads` (over beliefs: `beliefs`) asks what
+is read of them. `solve` runs all of it for many plans at once.
 """
 
 from __future__ import annotations
 
-from .find import Find, compile_find
-from .names import SCENE, Names
-from .solve import Asked, Outcome, Solution, solve
+from .beliefs import BeliefReader, Sighting
+from .find import Find, Parts, compile_find, compile_parts
+from .names import SCENE, WORLD, Names
+from .reads import Queried, Who
+from .solve import Asked, Outcome, Solution, solve, solve_with
 
-__all__ = ["SCENE", "Asked", "Find", "Names", "Outcome", "Solution", "compile_find", "solve"]
+__all__ = [
+    "SCENE",
+    "WORLD",
+    "Asked",
+    "BeliefReader",
+    "Find",
+    "Names",
+    "Outcome",
+    "Parts",
+    "Queried",
+    "Sighting",
+    "Solution",
+    "Who",
+    "compile_find",
+    "compile_parts",
+    "solve",
+    "solve_with",
+]

@@ -161,3 +161,28 @@ class Somebody:
 
 
 _INNER: Final[Variables] = {"m": "other", "z": "seen"}
+
+
+@dataclass(frozen=True)
+class Told:
+    """A belief: a row `b` of the list `beliefs` tells it, or it is unknown, and what is unknown is no match.
+
+    ways: how a row may tell it: which of its columns `id` and `other` are the person `n` and the other one `m` of an
+    edge ("" where there is none), and what else holds of the row.
+    """
+
+    ways: tuple[tuple[str, str, str], ...]
+
+    def sure(self, at: Variables) -> str:
+        """Whether the row `b` at hand tells it, so this stands behind an UNWIND of the list."""
+        return " OR ".join(f"({self._bound(n, m, at)} AND {where.format(**at)})" for n, m, where in self.ways)
+
+    def could(self, at: Variables) -> str:
+        return self.sure(at)
+
+    def told(self, at: Variables) -> list[tuple[str, str, str]]:
+        """Each way by itself, whoever it is told of: the columns of `n` and `m`, and the expression."""
+        return [(n, m, where.format(**at)) for n, m, where in self.ways]
+
+    def _bound(self, n: str, m: str, at: Variables) -> str:
+        return f"b.{n} = {at['n']}" + (f" AND b.{m} = {at['m']}" if m else "")

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from jrdb_avr.schema.errors import PlanError
-from jrdb_avr.schema.plan import Edge, Plan, validate
+from jrdb_avr.schema.plan import Condition, Edge, Plan, validate
 
-from .clauses import Variables
+from .clauses import Clause, Told, Variables
 from .names import Names, condition_kind, condition_values, edge_kind, edge_values
 
 
@@ -34,7 +34,34 @@ class Find:
 def compile_find(plan: Plan, names: Names) -> Find:
     """Compile a plan's conditions and edges. Raises PlanError where the plan is invalid or not of stated times."""
     validate(plan)
-    return _Pattern(plan, names).compiled()
+    pattern = _Pattern(plan, names)
+    return pattern.listed() if names.opening else pattern.compiled()
+
+
+@dataclass(frozen=True)
+class Parts:
+    """A statement that asks of every belief which parts of a plan it tells.
+
+    cypher: gives columns id and other, and booleans; sighted, conditions, edges: for each part, by node and time, by
+    node and number, and in the plan's order, those booleans, with the columns of who it is told of (of an edge two);
+    row: as of `Find`.
+    """
+
+    cypher: str
+    sighted: dict[tuple[str, str], Ways]
+    conditions: dict[tuple[str, int], Ways]
+    edges: list[Ways]
+    row: dict[str, Any]
+
+
+Ways = list[tuple[str, str, str]]
+"""Of a part: column of the first person, of the second ("" for none), and the boolean's name."""
+
+
+def compile_parts(plan: Plan, names: Names) -> Parts:
+    """Compile a plan's parts for a namespace of beliefs. Raises PlanError as `compile_find`."""
+    validate(plan)
+    return _Pattern(plan, names).parts()
 
 
 class _Pattern:
@@ -65,6 +92,70 @@ class _Pattern:
         lines.append(f"ORDER BY {', '.join(['id', *(f'who{i}' for i in range(len(self.nodes)))])}")
         return Find("\n".join(lines), tuple(self.nodes), self.row)
 
+    def listed(self) -> Find:
+        """Where the facts are a list: its rows are gone through for a person, and again for each clause.
+
+        (The engine scans whole tables for a pattern in a subquery, and loses rows of a filtered list.)
+        """
+        stages: list[tuple[list[str], str]] = []
+        people: list[str] = []
+        for place, (node, edges) in enumerate(self._order()):
+            self.nodes.append(node)
+            new = f"n{place}"
+            seen = [self.names.there.format(**self._at(node, time)) for time in self._times_of(node)]
+            others = "".join(f" AND b.id <> {one}" for one in people)
+            stages.append(([*people, f"b.id AS {new}"], seen[0] + others))
+            people.append(new)
+            clauses = [self._condition(place, node, i, one) for i, one in enumerate(self._conditions(node))]
+            clauses += [self._edge(i, edge) for i, edge in edges]
+            holds = [f"b.id = {new} AND {text}" for text in seen[1:]] + [clause.sure(at) for clause, at in clauses]
+            stages += [(people[:], text) for text in holds]
+        lines = self._header()
+        carried = ", ".join(["beliefs", "id", *self.row])
+        bound: list[str] = []
+        for shown, where in stages:
+            lines += ["UNWIND beliefs AS b", f"WITH {', '.join([carried, *bound, 'b'])}", f"WHERE {where}"]
+            bound = [name.removeprefix("b.id AS ") for name in shown]
+            lines.append(f"WITH {', '.join([carried, *shown])}")
+        who = [f"who{i}" for i in range(len(people))]
+        lines.append(f"RETURN DISTINCT {', '.join(['id', *(f'{n} AS {w}' for n, w in zip(people, who, strict=True))])}")
+        lines.append(f"ORDER BY {', '.join(['id', *who])}")
+        return Find("\n".join(lines), tuple(self.nodes), self.row)
+
+    def parts(self) -> Parts:
+        self.nodes = [node.id for node in self.plan.nodes]
+        texts: dict[str, str] = {}
+
+        def columns(part: str, told: list[tuple[str, str, str]]) -> Ways:
+            ways = [(n, m, f"{part}_{i}") for i, (n, m, _) in enumerate(told)]
+            texts.update(zip((name for _, _, name in ways), (text for _, _, text in told), strict=True))
+            return ways
+
+        sighted: dict[tuple[str, str], Ways] = {}
+        conditions: dict[tuple[str, int], Ways] = {}
+        for place, node in enumerate(self.nodes):
+            for time in self._times_of(node):
+                there = self.names.there.format(**self._at(node, time))
+                sighted[node, time] = columns(f"s{place}_{self._time(time)}", [("id", "", there)])
+            for i, condition in enumerate(self._conditions(node)):
+                conditions[node, i] = columns(f"c{place}_{i}", _told(*self._condition(place, node, i, condition)))
+        edges = []
+        for i, edge in enumerate(self.plan.edges):
+            edges.append(columns(f"e{i}", _told(*self._edge(i, edge))))
+        names = ["id", "other", *texts]
+        lines = [
+            *self._header(),
+            "UNWIND beliefs AS b",
+            f"RETURN b.id AS id, b.other AS other, {', '.join(f'{text} AS {name}' for name, text in texts.items())}",
+            f"ORDER BY {', '.join(names)}",
+        ]
+        return Parts("\n".join(lines), sighted, conditions, edges, self.row)
+
+    def _header(self) -> list[str]:
+        """Lines that gather the facts and bind what the plan puts into `$plans`."""
+        bound = ["beliefs", *(f"q.{name} AS {name}" for name in ("id", *self.row))]
+        return [*self.names.opening.splitlines(), "UNWIND $plans AS q", f"WITH {', '.join(bound)}"]
+
     def _order(self) -> list[tuple[str, list[tuple[int, Edge]]]]:
         """Nodes from the root on, each with the edges that join it to those before."""
         known = [self.plan.root]
@@ -94,20 +185,32 @@ class _Pattern:
             match.append(self.names.pattern.format(**at))
             where.insert(0, self.names.there.format(**at))
         holds: dict[str, str] = {}
-        described = next(iter(sightings))
-        for i, condition in enumerate(next(n for n in self.plan.nodes if n.id == node).conditions):
-            clause = self.names.conditions[condition_kind(condition)]
-            at = self._at(node, condition.at or described) | self._values(f"c{place}_{i}", condition_values(condition))
+        for i, condition in enumerate(self._conditions(node)):
+            clause, at = self._condition(place, node, i, condition)
             where.append(clause.could(at))
             holds[f"c{place}_{i}_sure"] = clause.sure(at)
         for i, edge in edges:
-            clause = self.names.edges[edge_kind(edge.relation)]
-            to = self._at(edge.target, edge.at)
-            at = self._at(edge.source, edge.at) | {"m": to["n"], "z": to["s"]}
-            at |= self._values(f"e{i}", edge_values(edge.relation))
+            clause, at = self._edge(i, edge)
             where.append(clause.could(at))
             holds[f"e{i}_sure"] = clause.sure(at)
         return ", ".join(match), where, holds, list(sightings.values())
+
+    def _conditions(self, node: str) -> tuple[Condition, ...]:
+        return next(one.conditions for one in self.plan.nodes if one.id == node)
+
+    def _condition(self, place: int, node: str, i: int, condition: Condition) -> tuple[Clause, Variables]:
+        """The clause of a condition, and what it is bound to."""
+        at = self._at(node, condition.at or self._times_of(node)[0])
+        values = self._values(f"c{place}_{i}", condition_values(condition))
+        return self.names.conditions[condition_kind(condition)], at | values
+
+    def _edge(self, i: int, edge: Edge) -> tuple[Clause, Variables]:
+        """The clause of an edge, and what it is bound to."""
+        to = self._at(edge.target, edge.at)
+        at = self._at(edge.source, edge.at) | {"m": to["n"], "z": to["s"]}
+        return self.names.edges[edge_kind(edge.relation)], at | self._values(
+            f"e{i}", edge_values(edge.relation, self.names)
+        )
 
     def _at(self, node: str, time: str) -> Variables:
         place = self.nodes.index(node)
@@ -121,8 +224,7 @@ class _Pattern:
 
     def _times_of(self, node: str) -> list[str]:
         """Names of the times at which something holds of a person; where nothing does, the first stated one."""
-        described = next(n for n in self.plan.nodes if n.id == node)
-        times = [condition.at for condition in described.conditions if condition.at is not None]
+        times = [condition.at for condition in self._conditions(node) if condition.at is not None]
         times += [edge.at for edge in self.plan.edges if node in (edge.source, edge.target)]
         stated = sorted(name for name, time in self.plan.times.items() if time.frame is not None)
         if not times and not stated:
@@ -136,3 +238,8 @@ class _Pattern:
             raise PlanError(f"times.{name}", "conditions and edges hold at stated frames; an event is only read")
         self.row[self.times[name]] = frame
         return self.times[name]
+
+
+def _told(clause: Clause, at: Variables) -> list[tuple[str, str, str]]:
+    assert isinstance(clause, Told), "beliefs are told by rows"
+    return clause.told(at)

@@ -1,14 +1,15 @@
 """Tables of names: how each namespace writes down who is there, and each kind of condition and edge.
 
-Another namespace is another `Names`: the clauses stay. What an agent believes, for one, are rows that hold for one
-frame, so `Rows` with the same column for `first` and `last`, and nothing is ever told to be false.
+Another namespace is another `Names`; what is compiled stays. `SCENE` is what was annotated, `WORLD` what an agent
+believes in an episode: rows that hold for one frame, most of them, and none that tells that something is false.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from importlib import resources
+from typing import Final, Literal
 
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.vocabulary import (
@@ -22,7 +23,7 @@ from jrdb_avr.schema.vocabulary import (
     WINDOWS_RIGHT,
 )
 
-from .clauses import Clause, Known, Listed, Rows, Somebody, Tie, Within
+from .clauses import Clause, Known, Listed, Rows, Somebody, Tie, Told, Within
 
 _DEGREES: Final = dict(zip((*WINDOWS_LEFT, *WINDOWS_RIGHT), WINDOW_DEGREES * 2, strict=True))
 
@@ -32,8 +33,13 @@ class Names:
     """A namespace's names. People are told apart by their property `id`.
 
     pattern, there: a person `n` with a sighting `s`, and what makes it one at frame `t` of `scope`; who: the person's
-    number in its scope; conditions, edges: clauses by kind, see `condition_kind` and `edge_kind`; reads: folder of the
-    statements that read answers.
+    number or name in its scope; conditions, edges: clauses by kind, see `condition_kind` and `edge_kind`; reads: folder
+    of the statements that read answers.
+
+    opening: lines that gather the facts of one scope, `$scope`, in the list `beliefs`. Clauses are then `Told` by its
+    rows, `b`, of which `there` says what makes one a sighting; a person is a name, and no sightings are bound.
+    single: of what there must be one, of all people of a plan together or of its target alone. turned: whether windows
+    are told by the angles of two people, so that an edge's value is how many degrees; else it is the window's label.
     """
 
     pattern: str
@@ -42,6 +48,18 @@ class Names:
     conditions: Mapping[str, Clause]
     edges: Mapping[str, Clause]
     reads: str
+    opening: str = ""
+    single: Literal["people", "target"] = "people"
+    turned: bool = True
+
+
+def read_text(names: Names, name: str) -> str:
+    """The text of a packaged statement of a namespace."""
+    return names.opening + _packaged(names.reads, name)
+
+
+def _packaged(folder: str, name: str) -> str:
+    return resources.files("jrdb_avr.queries").joinpath("reads", folder, f"{name}.cypher").read_text("utf-8")
 
 
 def condition_kind(condition: Condition) -> str:
@@ -73,11 +91,11 @@ def edge_kind(relation: str) -> str:
     return "person"
 
 
-def edge_values(relation: str) -> dict[str, str | float]:
+def edge_values(relation: str, names: Names) -> dict[str, str | float]:
     """The values an edge's clause compares with, by variable; "in the same group as" has none."""
     if relation == SAME_GROUP:
         return {}
-    return {"v": float(_DEGREES[relation]) if relation in _DEGREES else relation}
+    return {"v": float(_DEGREES[relation]) if names.turned and relation in _DEGREES else relation}
 
 
 _PATTERN: Final = "({n}:Person)-[{s}:SeenIn]->(:Frame)"
@@ -118,3 +136,53 @@ SCENE: Final = Names(
     reads="scene",
 )
 """The scene namespace: what was annotated. `scope` is the sequence, `who` the track."""
+
+
+SYMMETRIC: Final = frozenset((*INTERACTIONS, SAME_GROUP))
+"""Relations that hold both ways; an agent writes them once."""
+
+
+_DURING: Final = "b.first <= {t} AND b.last >= {t}"
+
+
+def _attribute(name: str, value: str = "b.value = {v}") -> Told:
+    return Told((("id", "", f"b.other = '' AND b.name = '{name}' AND {value} AND {_DURING}"),))
+
+
+def _relation(name: str, *, both: bool = False) -> Told:
+    where = f"b.other <> '' AND b.name = {name} AND {_DURING}"
+    return Told((("id", "other", where), ("other", "id", where)) if both else (("id", "other", where),))
+
+
+_BELIEVED: Final = _relation("{v}")
+_WITH_ANYBODY: Final = tuple((n, "", where) for n, _, where in _relation("{v}", both=True).ways)
+
+WORLD: Final = Names(
+    pattern="beliefs",
+    there="b.name = '' AND b.first = {t}",
+    who="{n}",
+    conditions={
+        "gender": _attribute("gender"),
+        "age": _attribute("age"),
+        "pose": _attribute("action"),
+        "action": _attribute("action"),
+        "object": _attribute("object", "b.value = concat({w}, ': ', {v})"),
+        "interaction": Told((*_attribute("interaction").ways, *_WITH_ANYBODY)),
+        "group_size": _attribute("group_size", "b.number = {v}"),
+        "sector": _attribute("sector"),
+        "distance": _attribute("distance"),
+    },
+    edges={
+        "social": _relation("{v}", both=True),
+        "group": _relation(f"'{SAME_GROUP}'", both=True),
+        "first": _BELIEVED,
+        "person": _BELIEVED,
+        "left": _BELIEVED,
+        "right": _BELIEVED,
+    },
+    reads="world",
+    opening=_packaged("world", "beliefs"),
+    single="target",
+    turned=False,
+)
+"""The world namespace: what is believed in the episode `$scope`. `who` is the agent's own name for an entity."""

@@ -1,23 +1,36 @@
 """What is read of people once they are found: one statement per kind of fact, each for many people at once.
 
 The statements lie in `queries/reads/<namespace>/*.cypher`; only who is counted is put together here, from an edge's
-clauses. Everything returned is by the number of the question; what is unknown is left out.
+clauses. Everything returned is by the number of the question; what is unknown is left out. `Reader` is what the solver
+asks; `SceneReader` reads what was annotated, `beliefs.BeliefReader` what an agent wrote down.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
-from typing import Any, Final
+from typing import Any, Final, Protocol
+
+import pyarrow as pa
 
 from jrdb_avr.queries.binding import parameters
-from jrdb_avr.queries.handle import Graph
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules, frames
 from jrdb_avr.schema.vocabulary import POSES
 
-from .names import Names, edge_kind, edge_values
+from .names import Names, edge_kind, edge_values, read_text
+
+Who = int | str
+"""Who somebody is in a scope: the number of a track, or the name of an entity."""
+
+
+class Queried(Protocol):
+    """A graph as far as it is read here: `Graph`, or the world model's handle."""
+
+    def query(
+        self, cypher: str, params: Mapping[str, Any] | None = None, *, timeout_s: float | None = None
+    ) -> pa.Table: ...
 
 
 @dataclass(frozen=True)
@@ -26,7 +39,7 @@ class Person:
 
     id: int
     scope: str
-    who: int
+    who: Who
 
     def row(self, **more: Any) -> dict[str, Any]:
         return {"id": self.id, "scope": self.scope, "who": self.who, **more}
@@ -53,29 +66,68 @@ class Seen:
     distance: float | None
 
 
-class Reader:
-    """Reads facts of people from a graph, under the rules of its load. `timeout_s` is for each statement."""
+class Reader(ABC):
+    """Reads facts of people from a graph. `values` are those of the statements' parameters beside `$plans`, by name;
+    `timeout_s` is for each statement.
+    """
 
-    def __init__(self, graph: Graph, names: Names, rules: LoadRules, timeout_s: float) -> None:
+    def __init__(self, graph: Queried, names: Names, values: Mapping[str, Any], timeout_s: float) -> None:
         self.graph = graph
         self.names = names
         self.timeout_s = timeout_s
-        self._values = {
-            "margin": rules.neighbor_margin_deg,
-            "least": frames(rules.segment_min_s),
-            "edge": frames(rules.segment_edge_s),
-            "quiet": frames(rules.segment_quiet_s),
-        }
-        self._grids: dict[str, dict[str, int]] | None = None
+        self._values = values
 
     def ask(self, cypher: str, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         """The rows of a compiled statement for the rows of `$plans`. Raises QueryError, as after the timeout."""
         if not rows:
             return []
-        values = {name: self._values[name] for name in parameters(cypher) if name != "plans"}
-        given = {"plans": list(rows), **values}
-        found: list[dict[str, Any]] = self.graph.query(cypher, given, timeout_s=self.timeout_s).to_pylist()
+        return self._queried(cypher, {"plans": list(rows)})
+
+    def _queried(self, cypher: str, given: dict[str, Any]) -> list[dict[str, Any]]:
+        values = {name: self._values[name] for name in parameters(cypher) if name not in given}
+        found: list[dict[str, Any]] = self.graph.query(cypher, given | values, timeout_s=self.timeout_s).to_pylist()
         return found
+
+    def _read(self, name: str, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+        return self.ask(read_text(self.names, name), rows)
+
+    @abstractmethod
+    def poses(self, asked: Sequence[tuple[Person, int]]) -> dict[int, str]:
+        """Postures at frames."""
+
+    @abstractmethod
+    def seen(self, asked: Sequence[tuple[Person, int]]) -> dict[tuple[int, int], Seen]:
+        """Presence and distance, by question and frame."""
+
+    @abstractmethod
+    def starts(self, asked: Sequence[tuple[Person, str, int]]) -> dict[int, Segment]:
+        """The first start of an action after a frame."""
+
+    @abstractmethod
+    def absences(self, asked: Sequence[tuple[Person, int]]) -> dict[int, tuple[int | None, int | None]]:
+        """When somebody leaves for the first time after a frame, and is back."""
+
+    @abstractmethod
+    def next_poses(self, asked: Sequence[tuple[Person, int]]) -> dict[int, tuple[str, int]]:
+        """The posture that follows the one held at a frame, and the last frame with the one before."""
+
+    @abstractmethod
+    def counts(self, asked: Sequence[tuple[Person, str, int, int]]) -> dict[int, int]:
+        """How many different people are in a relation with somebody at any frame of a stretch."""
+
+
+class SceneReader(Reader):
+    """Reads what was annotated, under the rules of its load."""
+
+    def __init__(self, graph: Queried, names: Names, rules: LoadRules, timeout_s: float) -> None:
+        values = {
+            "margin": rules.neighbor_margin_deg,
+            "least": frames(rules.segment_min_s),
+            "edge": frames(rules.segment_edge_s),
+            "quiet": frames(rules.segment_quiet_s),
+        }
+        super().__init__(graph, names, values, timeout_s)
+        self._grids: dict[str, dict[str, int]] | None = None
 
     def poses(self, asked: Sequence[tuple[Person, int]]) -> dict[int, str]:
         """Postures at frames."""
@@ -100,7 +152,7 @@ class Reader:
         ]
         return {row.pop("id"): Segment(**row) for row in self._read("start", rows)}
 
-    def absences(self, asked: Sequence[tuple[Person, int]]) -> dict[int, tuple[int, int]]:
+    def absences(self, asked: Sequence[tuple[Person, int]]) -> dict[int, tuple[int | None, int | None]]:
         """The last frame before, and the first one after, the first absence after a frame."""
         rows = [person.row(after=after, **grid) for person, after in asked if (grid := self._grid(person.scope))]
         return {row["id"]: (row["leaves"], row["returns"]) for row in self._read("absence", rows)}
@@ -127,7 +179,7 @@ class Reader:
         known = {row["id"] for row in self._read("company", rows)}
         by_text: dict[str, list[dict[str, Any]]] = {}
         for person, relation, first, last in asked:
-            row = person.row(t1=first, t2=last, **edge_values(relation))
+            row = person.row(t1=first, t2=last, **edge_values(relation, self.names))
             by_text.setdefault(compile_count(relation, self.names), []).append(row)
         could: dict[int, set[int]] = {i: set() for i in known}
         does: dict[int, set[int]] = {i: set() for i in known}
@@ -135,9 +187,6 @@ class Reader:
             for row in self.ask(text, [row for row in given if row["id"] in known]):
                 (does if row["sure"] else could)[row["id"]].add(row["other"])
         return {i: len(does[i]) for i in known if could[i] <= does[i]}
-
-    def _read(self, name: str, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-        return self.ask(read_text(self.names, name), rows)
 
     def _grid(self, scope: str) -> dict[str, int] | None:
         """Which frames of a sequence tell of actions, None where none does."""
@@ -150,14 +199,9 @@ class Reader:
 _NEIGHBOURS: Final = (-KEYFRAME_STEP, 0, KEYFRAME_STEP)
 
 
-def read_text(names: Names, name: str) -> str:
-    """The text of a packaged statement of a namespace."""
-    return resources.files("jrdb_avr.queries").joinpath("reads", names.reads, f"{name}.cypher").read_text("utf-8")
-
-
 def compile_count(relation: str, names: Names) -> str:
     """The statement for everybody who is, or could be, in a relation with a person at any frame from t1 to t2."""
-    values = edge_values(relation)
+    values = edge_values(relation, names)
     clause = names.edges[edge_kind(relation)]
     carried = ", ".join(["id", "scope", *values])
     at = {"n": "n", "s": "s", "m": "m", "z": "z", "t": "t", "scope": "scope"} | {name: name for name in values}

@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
-from jrdb_avr.queries.handle import Graph
 from jrdb_avr.schema.answers import Answer, FrameAnswer, FrameViewpoint, Number, Span, encode_answer
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import FPS, Rules
@@ -19,7 +18,7 @@ from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 
 from .find import Find, compile_find
 from .names import Names
-from .reads import Person, Reader, Seen, Segment, events_of
+from .reads import Person, Queried, Reader, SceneReader, Seen, Segment, Who, events_of
 
 Outcome = Literal["defined", "ambiguous", "empty", "unknown"]
 
@@ -40,18 +39,19 @@ class Solution:
     """What a plan comes to.
 
     outcome: defined where its people are found and the answer is known; ambiguous: two or more bindings certainly
-    match; empty: none could; else unknown. people: by node, once they are found; times: frames by name, as far as they
+    match (over beliefs: with different targets); empty: none could; else unknown. people: by node, once they are found
+    (over beliefs those that are the same in all bindings); times: frames by name, as far as they
     are known; answer: a choice's text or another answer's stored JSON, None unless the outcome is defined.
     """
 
     outcome: Outcome
-    people: Mapping[str, int] = field(default_factory=dict)
+    people: Mapping[str, Who] = field(default_factory=dict)
     times: Mapping[str, int] = field(default_factory=dict)
     answer: str | None = None
 
 
 def solve(
-    graph: Graph,
+    graph: Queried,
     names: Names,
     asked: Sequence[Asked],
     rules: Rules,
@@ -59,11 +59,18 @@ def solve(
     timeout_s: float = TIMEOUT_S,
     advance: Callable[[int], None] = lambda steps: None,
 ) -> list[Solution]:
-    """Solve plans, in their order; `advance` is told how many have been looked for.
+    """Solve plans over a scene, in their order; `advance` is told how many have been looked for.
 
     Raises PlanError for a plan that cannot be compiled, QueryError where a statement takes too long.
     """
-    reader = Reader(graph, names, rules.load, timeout_s)
+    return solve_with(SceneReader(graph, names, rules.load, timeout_s), asked, rules, advance)
+
+
+def solve_with(
+    reader: Reader, asked: Sequence[Asked], rules: Rules, advance: Callable[[int], None] = lambda steps: None
+) -> list[Solution]:
+    """Solve plans by a namespace's reader, as `solve`. The plans' numbers, by which it reads, are their places."""
+    names = reader.names
     finds = [compile_find(one.plan, names) for one in asked]
     solutions: dict[int, Solution] = {}
     found: dict[int, _Found] = {}
@@ -75,9 +82,13 @@ def solve(
         for row in reader.ask(cypher, [{"id": i, "scope": asked[i].scope, **finds[i].row} for i in members]):
             bindings[row["id"]].append(row)
         for i in members:
-            outcome = _outcome(bindings[i])
+            people = [_people(finds[i], row) for row in bindings[i]]
+            if names.single == "target":
+                outcome, agreed = _outcome_of_target(asked[i].plan, people)
+            else:
+                outcome, agreed = _outcome(bindings[i]), people[0] if people else {}
             if outcome == "defined":
-                found[i] = _Found(i, asked[i], _people(finds[i], bindings[i][0]))
+                found[i] = _Found(i, asked[i], agreed)
             else:
                 solutions[i] = Solution(outcome)
         advance(len(members))
@@ -86,7 +97,7 @@ def solve(
     for one in found.values():
         by_read[one.plan.answer.read].append(one)
     for read, ones in by_read.items():
-        answers = _READS[read](reader, ones, rules)
+        answers = _READS[read](reader, [one for one in ones if one.plan.answer.of in one.people], rules)
         for one in ones:
             answer = answers.get(one.id)
             solutions[one.id] = Solution("defined" if answer else "unknown", one.people, one.times, answer)
@@ -102,14 +113,21 @@ def _outcome(bindings: Sequence[Mapping[str, Any]]) -> Outcome:
     return "defined" if len(bindings) == certain else "unknown"
 
 
-def _people(find: Find, row: Mapping[str, Any]) -> dict[str, int]:
+def _outcome_of_target(plan: Plan, people: Sequence[Mapping[str, Who]]) -> tuple[Outcome, dict[str, Who]]:
+    """The outcome of certain bindings, and of the nodes who they are the same in all of them."""
+    if len({one[plan.target] for one in people}) != 1:
+        return "ambiguous" if people else "empty", {}
+    return "defined", {node: who for node, who in people[0].items() if all(one[node] == who for one in people)}
+
+
+def _people(find: Find, row: Mapping[str, Any]) -> dict[str, Who]:
     return {node: row[f"who{place}"] for place, node in enumerate(find.nodes)}
 
 
 class _Found:
     """A plan whose people are found; the frames of its events are added as they become known."""
 
-    def __init__(self, number: int, asked: Asked, people: dict[str, int]) -> None:
+    def __init__(self, number: int, asked: Asked, people: Mapping[str, Who]) -> None:
         self.id = number
         self.plan = asked.plan
         self.scope = asked.scope
@@ -141,7 +159,7 @@ def _read_events(reader: Reader, found: Sequence[_Found]) -> None:
             name = events[one.id][turn]
             time = one.plan.times[name]
             before, after = time.after or "", one.times.get(time.after or "")
-            if after is None or time.of is None:
+            if after is None or time.of is None or time.of not in one.people:
                 continue
             if time.event == "start" and time.action is not None:
                 starts.append((one, name, time.action, after))
@@ -159,9 +177,11 @@ def _read_events(reader: Reader, found: Sequence[_Found]) -> None:
         for (one, name, _), (leaves, returns) in _matched(
             absences, reader.absences([(one.person(_of(one, name)), after) for one, name, after in absences])
         ):
-            one.times[name] = leaves
+            if leaves is not None:
+                one.times[name] = leaves
             for other, time in one.plan.times.items():
-                if time.event == "returns" and time.after == name and time.of == one.plan.times[name].of:
+                comes_back = time.event == "returns" and time.after == name and time.of == one.plan.times[name].of
+                if comes_back and returns is not None:
                     one.times[other] = returns
 
 

@@ -1,0 +1,246 @@
+"""What is read of people over beliefs, as the protocol of the reference agent defines each read.
+
+A person is looked at only now and then. Whoever is seen at a frame and is not said to do a thing is taken not to do it
+there: a model has no way to write that somebody does not. Absent is who is seen in no observation of a frame of which
+the whole panorama was observed; of any other frame nothing is known.
+
+A moment lies between two looks, and is known where these are at most `RESOLVED_FRAMES` apart; it is the middle of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from jrdb_avr.schema.panorama import WIDTH, Box
+from jrdb_avr.schema.plan import Plan
+from jrdb_avr.schema.vocabulary import POSES
+
+from .names import SYMMETRIC, WORLD, read_text
+from .reads import Person, Queried, Reader, Seen, Segment, Who
+
+RESOLVED_FRAMES: Final = 30
+"""Looks farther apart leave a moment unresolved (design, section 6: reference agent)."""
+
+DISTANCE_CUT_M: Final = 1.0
+"""Closer or farther from this change of distance on, about the same below it (design, section 6: reference agent)."""
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """Somebody at a frame: actions and distance in metres, as far as they were written down."""
+
+    frame: int
+    actions: tuple[str, ...]
+    distance: float | None
+
+    @property
+    def pose(self) -> str | None:
+        """The posture, None where it was not written down, or two were."""
+        poses = {action for action in self.actions if action in POSES}
+        return poses.pop() if len(poses) == 1 else None
+
+
+@dataclass(frozen=True)
+class Moment:
+    """The frame of a sighting, its box in stitched pixels the angle of its centre; `written` orders writes."""
+
+    frame: int
+    box: Box
+    angle: float
+    written: int
+
+
+class BeliefReader(Reader):
+    """Reads what is believed in one episode. Why something is unknown is kept in `notes`, where the answer can be seen
+    in `shown`, the best last: both by the number of the question. One reader serves one solving.
+    """
+
+    def __init__(self, graph: Queried, episode: str, timeout_s: float) -> None:
+        super().__init__(graph, WORLD, {"scope": episode, "columns": WIDTH}, timeout_s)
+        self.notes: dict[int, list[tuple[str, str]]] = {}
+        self.shown: dict[int, list[int]] = {}
+        self._sightings: dict[Who, list[Sighting]] = {}
+        self._moments: dict[Who, list[Moment]] = {}
+        self._covered: list[int] | None = None
+
+    # -- what is there --------------------------------------------------------------------------------------------
+
+    def sightings(self, who: Who) -> list[Sighting]:
+        """Sightings of somebody, by frame."""
+        if who not in self._sightings:
+            rows = self._read("sightings", [{"id": 0, "who": who}])
+            frames = sorted({row["first"] for row in rows if not row["name"]})
+            self._sightings[who] = [_sighting(rows, frame) for frame in frames]
+        return self._sightings[who]
+
+    def moments(self, who: Who) -> list[Moment]:
+        """Boxes of somebody, by frame, then the newest last."""
+        if who not in self._moments:
+            rows = self._queried(read_text(self.names, "boxes"), {"who": who})
+            self._moments[who] = [
+                Moment(row["frame"], Box(*(row["box"][key] for key in "xywh")), row["angle"], row["written"])
+                for row in rows
+            ]
+        return self._moments[who]
+
+    def covered(self) -> list[int]:
+        """Frames of which the whole panorama was observed, ascending."""
+        if self._covered is None:
+            self._covered = [row["frame"] for row in self._queried(read_text(self.names, "covered"), {})]
+        return self._covered
+
+    def nodes(self) -> dict[str, str]:
+        """Names of everybody, with the node that each is said to be, "" for none."""
+        return {row["who"]: row["node"] for row in self._queried(read_text(self.names, "entities"), {})}
+
+    # -- reads ----------------------------------------------------------------------------------------------------
+
+    def poses(self, asked: Sequence[tuple[Person, int]]) -> dict[int, str]:
+        found = {}
+        for person, frame in asked:
+            self._show(person, [frame])
+            seen = self._at(person, frame)
+            if seen is None:
+                self._note(person, "action", f"{person.who} is not seen at {_at(frame)}")
+            elif (pose := seen.pose) is None:
+                self._note(person, "action", f"the posture of {person.who} at {_at(frame)} is not known")
+            else:
+                found[person.id] = pose
+        return found
+
+    def seen(self, asked: Sequence[tuple[Person, int]]) -> dict[tuple[int, int], Seen]:
+        found = {}
+        for person, frame in asked:
+            self._show(person, [frame])
+            seen = self._at(person, frame)
+            present = True if seen is not None else False if frame in self.covered() else None
+            if present is None:
+                how = "not seen, nor is the whole panorama observed"
+                self._note(person, "presence", f"{person.who} is {how}, at {_at(frame)}")
+            elif seen is not None and seen.distance is None:
+                self._note(person, "distance", f"distance_m of {person.who} at {_at(frame)} is not known")
+            found[person.id, frame] = Seen(present, seen.distance if seen is not None else None)
+        return found
+
+    def starts(self, asked: Sequence[tuple[Person, str, int]]) -> dict[int, Segment]:
+        return {
+            person.id: segment
+            for person, action, after in asked
+            if (segment := self._start(person, action, after)) is not None
+        }
+
+    def _start(self, person: Person, action: str, after: int) -> Segment | None:
+        seen = [one for one in self.sightings(person.who) if one.frame >= after]
+        does = [one.frame for one in seen if action in one.actions]
+        without = [one.frame for one in seen if action not in one.actions]
+        if not does:
+            self._note(person, "start", f"{person.who} is not seen {action} from {_at(after)} on")
+            return None
+        first = does[0]
+        if not without or without[0] > first:
+            self._note(person, "start", f"{person.who} is not seen before it is {action}, from {_at(after)} on")
+            return None
+        begin = self._between(person, "start", f"the start of {action}", max(f for f in without if f < first), first)
+        ended = next((frame for frame in without if frame > first), None)
+        last = max(frame for frame in does if ended is None or frame < ended)
+        if ended is None:
+            self._note(person, "end", f"{person.who} is not seen to have ended {action} after {_at(last)}")
+        end = None if ended is None else self._between(person, "end", f"the end of {action}", last, ended)
+        self._show(person, [first])
+        if begin is None:
+            return None
+        angle = next(one.angle for one in reversed(self.moments(person.who)) if one.frame == first)
+        return Segment(first, last, begin, last if end is None else end, end is not None, angle)
+
+    def absences(self, asked: Sequence[tuple[Person, int]]) -> dict[int, tuple[int | None, int | None]]:
+        return {person.id: self._absence(person, after) for person, after in asked}
+
+    def _absence(self, person: Person, after: int) -> tuple[int | None, int | None]:
+        seen = [one.frame for one in self.sightings(person.who) if one.frame >= after]
+        gone = [frame for frame in self.covered() if frame > after and frame not in seen]
+        if not gone or not seen or seen[0] > gone[0]:
+            how = "is at no frame known to be absent (the whole panorama observed, and not seen in it)"
+            self._note(person, "leaves", f"{person.who} {how} after {_at(after)}")
+            return None, None
+        before = max(frame for frame in seen if frame < gone[0])
+        leaves = self._between(person, "leaves", f"when {person.who} leaves", before, gone[0])
+        back = next((frame for frame in seen if frame > gone[0]), None)
+        self._show(person, [before] if back is None else [before, back])
+        if back is None:
+            self._note(person, "returns", f"{person.who} is not seen to be back after {_at(gone[0])}")
+            return leaves, None
+        last = max(frame for frame in gone if frame < back)
+        return leaves, self._between(person, "returns", f"when {person.who} is back", last, back)
+
+    def next_poses(self, asked: Sequence[tuple[Person, int]]) -> dict[int, tuple[str, int]]:
+        found = {}
+        for person, after in asked:
+            held = self._at(person, after)
+            if held is None or held.pose is None:
+                self._note(person, "next_action", f"the posture of {person.who} at {_at(after)} is not known")
+                continue
+            later = [one for one in self.sightings(person.who) if one.frame > after and one.pose is not None]
+            follows = next((one for one in later if one.pose != held.pose), None)
+            if follows is None or follows.pose is None:
+                self._note(person, "next_action", f"no other posture of {person.who} is known after {_at(after)}")
+                continue
+            self._show(person, [follows.frame])
+            held_last = max([after, *(one.frame for one in later if one.frame < follows.frame)])
+            found[person.id] = (follows.pose, held_last)
+        return found
+
+    def counts(self, asked: Sequence[tuple[Person, str, int, int]]) -> dict[int, int]:
+        rows = [
+            {"id": one.id, "who": one.who, "relation": relation, "both": relation in SYMMETRIC, "t1": first, "t2": last}
+            for one, relation, first, last in asked
+        ]
+        found = {row["id"]: row["people"] for row in self._read("company", rows)}
+        for person, relation, first, last in asked:
+            self._show(person, [one.frame for one in self.sightings(person.who) if first <= one.frame <= last][::-1])
+            if person.id not in found:
+                when = f"from {_at(first)} to {_at(last)}"
+                self._note(person, "count", f"nobody is known to be in '{relation}' with {person.who} {when}")
+        return found
+
+    def _at(self, person: Person, frame: int) -> Sighting | None:
+        return next((one for one in self.sightings(person.who) if one.frame == frame), None)
+
+    def _between(self, person: Person, kind: str, what: str, before: int, after: int) -> int | None:
+        """The middle of two looks, None (and noted) where they are too far apart."""
+        if after - before <= RESOLVED_FRAMES:
+            return (before + after) // 2
+        how = f"to {after - before} frames only, from {before:06d} to {after:06d}; {RESOLVED_FRAMES} are needed"
+        self._note(person, kind, f"{what} is known {how}")
+        return None
+
+    def _note(self, person: Person, kind: str, text: str) -> None:
+        self.notes.setdefault(person.id, []).append((kind, text))
+
+    def _show(self, person: Person, frames: Sequence[int]) -> None:
+        self.shown.setdefault(person.id, []).extend(frames)
+
+
+def notes_of(plan: Plan, notes: Sequence[tuple[str, str]]) -> list[str]:
+    """What of a reader's notes matters to a plan: how an action ends, and when somebody is back, where it asks so."""
+    events = {time.event for time in plan.times.values()}
+    read = plan.answer.read
+    matters: Mapping[str, bool] = {
+        "end": "end" in events and read != "next_action",
+        "returns": "returns" in events,
+        "distance": read == "distance_change",
+    }
+    return list(dict.fromkeys(text for kind, text in notes if matters.get(kind, True)))
+
+
+def _sighting(rows: Sequence[Mapping[str, Any]], frame: int) -> Sighting:
+    """What rows of beliefs say of somebody at a frame."""
+    told = [row for row in rows if row["first"] <= frame <= row["last"]]
+    distances = {row["number"] for row in told if row["name"] == "distance_m"}
+    actions = tuple(row["value"] for row in told if row["name"] == "action")
+    return Sighting(frame, actions, distances.pop() if len(distances) == 1 else None)
+
+
+def _at(frame: int) -> str:
+    return f"frame {frame:06d}"
