@@ -1,0 +1,12 @@
+-- Under which key each run's model wrote its boxes: the contract's is bbox (box in the agent's tools), others are habits.
+WITH solved AS (
+    SELECT run_id, question_id,
+           CASE WHEN json_valid(response) THEN json_extract_string(response, '$.box_key') END AS box_key
+    FROM steps
+    WHERE kind = 'solve'
+)
+SELECT run_id, box_key, count(*) AS times, count(DISTINCT question_id) AS questions
+FROM solved
+WHERE box_key IS NOT NULL
+GROUP BY ALL
+ORDER BY run_id, times DESC, box_key;
