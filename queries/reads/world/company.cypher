@@ -1,4 +1,4 @@
-// count: how many different people are in a relation with somebody at any frame from one to another, `both` says that it
+// count: how many different people are in a relation with somebody at any frame from one to another, both says that it
 // holds both ways.
 UNWIND $plans AS q
 WITH beliefs, q.id AS id, q.who AS who, q.relation AS relation, q.both AS both, q.t1 AS t1, q.t2 AS t2
