@@ -20,7 +20,7 @@ _LEFT: Final = r"\d+, left: (\d{1,9})$"
 def react(request: Request) -> Turn:
     """A turn of ReAct. Raises DecodeError where the prompt names no legal frame or no count of looks."""
     eyes = Eyes(request.legal(), request.looks, request.number("Looks made: ", _LEFT))
-    game = Game(request.plan, request.choices, eyes)
+    game = Game(request.plan, request.choices, eyes, beside=True)
     try:
         person = find_target(game)
         answer = read_answer(game, person)

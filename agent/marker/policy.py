@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from jrdb_avr.schema.plan import Condition, Plan
-from jrdb_avr.schema.rules import FPS
+from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP
 from jrdb_avr.schema.rules import frames as frames_in
 from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 
@@ -29,21 +29,38 @@ _WAIT: Final = frames_in(3.0)
 _LONG: Final = frames_in(10.0)
 """A posture that a question waits the end of lasts ten seconds at least."""
 
-_CLOSE_FRAMES: Final = 10
-"""Closing in ends when the moment is known to this many frames."""
+_CLOSE_FRAMES: Final = 28
+"""Closing in ends when the moment is known to this many frames: half of them is within a second."""
 
-_CLOSING_LOOKS: Final = 3
+_CLOSE_SPAN_FRAMES: Final = 14
+"""Both ends of a stretch count together, and it may last two seconds only."""
+
+_CLOSING_LOOKS: Final = 2
+
+_EARLY: Final = 0.5
+"""Steps of a search are this share of even ones: what is asked about comes sooner rather than late."""
+
+_SIDEWAYS: Final = 3
+"""Somebody who was not seen is looked for to the sides at the first of so many tries."""
+
+_BESIDE: Final = (KEYFRAME_STEP, -KEYFRAME_STEP)
 _CHANGED_M: Final = 1.0
 
 
 @dataclass
 class Game:
-    """One question: what is asked, what has been seen, and notes of what could not be read."""
+    """One question: what is asked, what has been seen, and notes of what could not be read.
+
+    `beside`: whether a look a second away may stand for one in which somebody is hidden. `misses` counts the tries at
+    which the person searched for in time was not seen, since it last was.
+    """
 
     plan: Plan
     choices: Sequence[str]
     eyes: Eyes
     missing: list[str] = field(default_factory=list)
+    beside: bool = False
+    misses: int = 0
 
     def frame_of(self, name: str) -> int:
         """A stated time's frame."""
@@ -81,7 +98,10 @@ def find_target(game: Game) -> Sighting | None:
         described = _described(game, root.conditions)
         if described is None or not game.plan.edges:
             return described
-        person = walk(game.plan, described, look_round(game.eyes, described.frame))
+        people = look_round(game.eyes, described.frame)
+        if game.plan.answer.read == "action":
+            people = [*people, *_hidden(game, described.frame)]
+        person = walk(game.plan, described, people)
     except Spent:
         game.note("budget: not everybody near the person was seen")
         return None
@@ -103,7 +123,10 @@ def _described(game: Game, conditions: Sequence[Condition]) -> Sighting | None:
         return found.sighting
     exact = frame == game.t0
     people = game.eyes.at(frame)
-    if (guess := likely(conditions, people, exact=exact)) is not None:
+    guess = likely(conditions, people, exact=exact)
+    if guess is None and exact:
+        guess = likely(conditions, _hidden(game, frame), exact=True)
+    if guess is not None:
         return guess
     # Somebody hidden then may be seen at another time. Who was seen then is known not to fit.
     known = {seen.mark.identity for seen in people} if exact else set()
@@ -112,6 +135,15 @@ def _described(game: Game, conditions: Sequence[Condition]) -> Sighting | None:
         if (guess := likely(conditions, hidden, exact=False)) is not None:
             return guess
     return None
+
+
+def _hidden(game: Game, frame: int) -> list[Sighting]:
+    """Who is seen a second after a frame and was not seen at it; nobody where looks are short."""
+    if not game.beside or game.eyes.spare() < len(AROUND) + len(NEARBY):
+        return []
+    seen = {person.mark.identity for person in game.eyes.at(frame)}
+    then = game.eyes.legal(frame + KEYFRAME_STEP)
+    return [person for person in look_round(game.eyes, then) if person.mark.identity not in seen]
 
 
 def read_answer(game: Game, person: Sighting | None) -> Any:
@@ -148,10 +180,20 @@ def _id(game: Game, frame: float) -> str:
 # -- reads of one moment ----------------------------------------------------------------------------------------------
 
 
-def _seen_at(game: Game, person: Sighting, name: str) -> Sighting | None:
-    """The person at a stated time, all round if need be; notes why where it was not seen."""
+def _seen_at(game: Game, person: Sighting, name: str, keep: int = 0) -> Sighting | None:
+    """The person at a stated time, all round if need be; notes why where it was not seen.
+
+    Somebody who is hidden then is looked for a second away, as long as more than `keep` looks are left.
+    """
+    identity, frame = person.mark.identity, game.frame_of(name)
+    if frame == game.t0 and person.frame != frame:
+        # Everybody was looked for then, and this one was hidden.
+        return person
     try:
-        seen = game.eyes.follow(person.mark.identity, game.frame_of(name), AROUND)
+        seen = game.eyes.follow(identity, frame, AROUND)
+        for offset in _BESIDE if game.beside else ():
+            if seen is None and game.eyes.spare() >= keep + len(NEARBY):
+                seen = game.eyes.follow(identity, frame + offset, NEARBY)
     except Spent:
         game.note(f"budget: {name} was not looked at all round")
         return None
@@ -170,7 +212,9 @@ def _pose(game: Game, person: Sighting | None) -> str | None:
 def _presence(game: Game, person: Sighting | None) -> str | None:
     if person is None:
         return None
-    first, second = (_seen_at(game, person, name) is not None for name in game.plan.asked())
+    names = game.plan.asked()
+    first = _seen_at(game, person, names[0], len(AROUND)) is not None
+    second = _seen_at(game, person, names[1]) is not None
     both, only_first, only_second, neither = PRESENCE_ANSWERS
     return (both if second else only_first) if first else (only_second if second else neither)
 
@@ -197,17 +241,21 @@ def does(action: str, seen: Sighting) -> bool:
 
 def _probe(game: Game, person: Sighting, action: str, frame: float) -> bool | None:
     """Whether the person performs the action at a frame; None where it was not seen near where it was expected."""
-    seen = game.eyes.follow(person.mark.identity, frame, NEARBY)
+    turns = NEARBY if game.misses % _SIDEWAYS == 0 else NEARBY[:1]
+    seen = game.eyes.follow(person.mark.identity, frame, turns)
+    game.misses = 0 if seen is not None else game.misses + 1
     if seen is None:
         game.note(f"mark unreadable at frame {game.eyes.legal(frame)}")
         return None
     return does(action, seen)
 
 
-def _start(game: Game, person: Sighting | None, t0: int, event: int = 0) -> tuple[float, int | None]:
+def _start(
+    game: Game, person: Sighting | None, t0: int, event: int = 0, close: int = _CLOSE_FRAMES
+) -> tuple[float, int | None]:
     """The moment at which an action starts, and a frame at which it was seen after that (None if it never was).
 
-    `event` counts the starts that the question names.
+    `event` counts the starts that the question names; `close` is to how many frames the moment is to be known.
     """
     last = game.eyes.frames[-1]
     guess = (t0 + _WAIT + last) / 2
@@ -220,7 +268,7 @@ def _start(game: Game, person: Sighting | None, t0: int, event: int = 0) -> tupl
         if after is None:
             game.note("mark unreadable, or the steps were too wide: the action was never seen")
             return guess, None
-        before, after = _close_in(game, person, action, before, after, wanted=True)
+        before, after = _close_in(game, person, action, before, after, close, wanted=True)
     except Spent:
         game.note("budget: the start was not closed in on")
     seen = sorted(_performed(game, person, action, t0 + 1))
@@ -232,32 +280,36 @@ def _start(game: Game, person: Sighting | None, t0: int, event: int = 0) -> tupl
 
 def _first_seen(game: Game, person: Sighting, action: str, begin: int, last: int) -> tuple[int, int | None]:
     """Steps from `begin` on: (last probed frame without the action, first one with it)."""
-    looks = max(game.eyes.spare() - _CLOSING_LOOKS, 1)
-    step = max(_STEP, -(-(last - begin) // looks))
     before, frame = begin, begin + 1
     while frame <= last:
-        does, at = _probe(game, person, action, frame), game.eyes.legal(frame)
+        performed, at = _probe(game, person, action, frame), game.eyes.legal(frame)
         # A fixed context may hold no picture between the description and here.
-        if does and at >= begin:
+        if performed and at >= begin:
             return before, at
-        if does is False:
+        if performed is False:
             before = max(before, at)
         if frame == last:
             break
-        frame = min(frame + step, last)
+        looks = max(game.eyes.spare() - _CLOSING_LOOKS, 1)
+        frame = min(frame + max(_STEP, round(_EARLY * (last - frame) / looks)), last)
     return before, None
 
 
-def _close_in(game: Game, person: Sighting, action: str, low: int, high: int, *, wanted: bool) -> tuple[int, int]:
-    """Halve (low, high] until the change from not `wanted` to `wanted` is known well enough, or cannot be read."""
-    while high - low > _CLOSE_FRAMES:
-        middle = game.eyes.legal((low + high) / 2)
-        if not low < middle < high:
-            break
-        does = _probe(game, person, action, middle)
-        if does is None:
-            break
-        if does is wanted:
+def _close_in(
+    game: Game, person: Sighting, action: str, low: int, high: int, close: int, *, wanted: bool
+) -> tuple[int, int]:
+    """Halve (low, high] until the change from not `wanted` to `wanted` is known to `close` frames, or not readable."""
+    while high - low > close:
+        for share in (0.5, 0.35):
+            middle = game.eyes.legal(low + share * (high - low))
+            if not low < middle < high:
+                return low, high
+            performed = _probe(game, person, action, middle)
+            if performed is not None:
+                break
+        else:
+            return low, high
+        if performed is wanted:
             high = middle
         else:
             low = middle
@@ -265,7 +317,7 @@ def _close_in(game: Game, person: Sighting, action: str, low: int, high: int, *,
 
 
 def _span(game: Game, person: Sighting | None, t0: int) -> tuple[float, float]:
-    start, inside = _start(game, person, t0)
+    start, inside = _start(game, person, t0, close=_CLOSE_SPAN_FRAMES)
     last = game.eyes.frames[-1]
     if person is None or inside is None:
         return start, min(start + 2 * _STEP, last)
@@ -282,7 +334,7 @@ def _span(game: Game, person: Sighting | None, t0: int) -> tuple[float, float]:
             elif does is False:
                 after = game.eyes.legal(frame)
         if after is not None:
-            during, after = _close_in(game, person, action, during, after, wanted=False)
+            during, after = _close_in(game, person, action, during, after, _CLOSE_SPAN_FRAMES, wanted=False)
     except Spent:
         game.note("budget: the end was not closed in on")
     return start, (during + after) / 2 if after is not None else during
@@ -318,8 +370,8 @@ def _next_pose(game: Game, person: Sighting | None, t0: int) -> str | None:
 def _seconds_between(game: Game, person: Sighting | None, t0: int) -> float:
     """Seconds between two starts, or from leaving the view to coming back."""
     if any(time.event == "start" for time in game.plan.times.values()):
-        first, _ = _start(game, person, t0)
-        second, _ = _start(game, person, t0, event=1)
+        first, begun = _start(game, person, t0)
+        second, _ = _start(game, person, t0 if begun is None else max(begun - _WAIT, t0), event=1)
         return max((second - first) / FPS, 1.0)
     return _absence(game, person, t0)
 
