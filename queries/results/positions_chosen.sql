@@ -1,4 +1,4 @@
--- Which place of the list each run chooses, beside where the truth stands: does a model favour a place?
+-- Which place of the list each run chooses, beside where the truth stands, to show whether a model favours a place.
 WITH given AS (
     SELECT p.run_id, CAST(json_extract(p.answer, '$.choice') AS INT) AS place, 1 AS chosen, 0 AS right_one
     FROM predictions p
