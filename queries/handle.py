@@ -46,6 +46,9 @@ BUILD_BYTES: Final = 800 << 20
 _MEMORY_BYTES: Final = 1 << 30
 """Address space of an in-memory database; the engine's default of 8 TiB allows only a few in a process."""
 
+_ONE_CHUNK: Final = 100_000
+"""Rows up to which a result is one chunk of its own size; the engine's own are of ten million cells, full or not."""
+
 _PREPARED: Final = 256
 """Statements that a graph keeps prepared at a time, and uses of one before it is planned anew: the tables grow, and
 with them the best way through them may change."""
@@ -301,7 +304,10 @@ class Graph:
                 raise QueryError(f"one statement at a time: {_short(text)}")
             try:
                 # Statements of control (CHECKPOINT, BEGIN) have no columns at all.
-                return result.get_as_arrow() if result.get_column_names() else pa.table({})
+                if not result.get_column_names():
+                    return pa.table({})
+                rows = result.get_num_tuples()
+                return result.get_as_arrow(max(rows, 1) if rows < _ONE_CHUNK else None)
             finally:
                 result.close()
         except RuntimeError as error:
