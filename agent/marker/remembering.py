@@ -157,10 +157,14 @@ class Player:
         try:
             return find(conditions, self._then, self.game.eyes)
         except Want:
-            fitting = possible(conditions, people)
-            for seen in fitting[:_KEPT]:
-                self.draft.person(seen)
-                self.draft.conditions(seen, [c for c in conditions if holds(c, seen, people)])
+            newest = [seen for look in self.notes.newest for seen in look.sightings]
+            written = {name for name, _ in self.notes.sighted}
+            for seen in possible(conditions, people):
+                name = entity_name(seen.mark.identity)
+                if name not in written and len(written) < _KEPT and any(seen is other for other in newest):
+                    written.add(name)
+                    self.draft.person(seen)
+                    self.draft.conditions(seen, [c for c in conditions if holds(c, seen, people)])
             raise
         except Spent:
             return Found(None, "budget: the person was not found")
