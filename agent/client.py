@@ -36,9 +36,12 @@ if TYPE_CHECKING:
 
 KEY_VARIABLE: Final = "OPENAI_API_KEY"
 _LONGEST_PAUSE_S: Final = 60.0
-_PROBE_TIMEOUT_S: Final = 60.0
+_CONNECT_S: Final = 20.0
+_PROBE_TIMEOUT_S: Final = 180.0
 _PROBE_RETRIES: Final = 1
 _VERSION_TIMEOUT_S: Final = 5.0
+_SECRET: Final = 16
+"""Characters of a key from which on it is one; shorter ones, as "EMPTY" or "x", are words that a reply may hold."""
 _REMEDIES: Final = {
     401: f"; put the server's key into ${KEY_VARIABLE}",
     403: f"; put a key that may use the model into ${KEY_VARIABLE}",
@@ -194,10 +197,15 @@ class Client:
                 "/chat/completions",
                 content=body,
                 cast_to=httpx2.Response,
-                options={"headers": {"Content-Type": "application/json"}, "timeout": timeout_s},
+                options={
+                    "headers": {"Content-Type": "application/json"},
+                    "timeout": httpx2.Timeout(timeout_s, connect=min(timeout_s, _CONNECT_S)),
+                },
             )
             data = response.content
-        except openai.APITimeoutError:
+        except openai.APITimeoutError as error:
+            if isinstance(error.__cause__, httpx2.ConnectTimeout):
+                raise _BrokenError("cannot reach the server (nothing takes the connection)") from None
             raise _BrokenError(f"no reply within {timeout_s:g} s") from None
         except openai.APIConnectionError as error:
             if isinstance(error.__cause__, EndpointError):
@@ -210,6 +218,9 @@ class Client:
             raise EndpointError(f"{self.base_url}: {reason}{_REMEDIES.get(error.status_code, '')}") from None
         except httpx2.HTTPError as error:
             raise _BrokenError(f"the reply broke off ({self._one_line(error)})") from None
+        if len(self._key) >= _SECRET:
+            # A server may echo what it was sent, and a reply is stored.
+            data = data.replace(self._key.encode(), b"[key]")
         try:
             return read_completion(data)
         except ValueError as error:

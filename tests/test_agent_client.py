@@ -1,5 +1,6 @@
 """The endpoint client against a server that misbehaves, over a real socket."""
 
+import contextlib
 import json
 import logging
 import socket
@@ -182,6 +183,23 @@ def test_nobody_there_is_one_line():
     with pytest.raises(EndpointError, match="cannot reach the server") as caught:
         made.complete(ASK)
     assert "\n" not in str(caught.value)
+
+
+def test_a_host_that_takes_no_connection_is_not_waited_for_as_for_a_reply(monkeypatch):
+    """A full queue of connections: the kernel answers no further one."""
+    monkeypatch.setattr("jrdb_avr.agent.client._CONNECT_S", 0.3)
+    with socket.socket() as full, contextlib.ExitStack() as stack:
+        full.bind(("127.0.0.1", 0))
+        full.listen(0)
+        for _ in range(3):
+            waiting = stack.enter_context(socket.socket())
+            waiting.setblocking(False)
+            waiting.connect_ex(full.getsockname())
+        made = Client(f"http://127.0.0.1:{full.getsockname()[1]}/v1", "x", Options(retries=0))
+        started = time.monotonic()
+        with pytest.raises(EndpointError, match="cannot reach the server"):
+            made.complete(ASK)
+        assert time.monotonic() - started < 10
 
 
 @pytest.mark.parametrize(
@@ -385,6 +403,22 @@ def test_the_key_is_sent_and_goes_nowhere_else(tmp_path, monkeypatch, caplog):
     assert SECRET not in json.dumps(made.settings())
     for path in files(tmp_path):
         assert SECRET.encode() not in path.read_bytes()
+
+
+def test_a_server_that_echoes_the_key_does_not_get_it_stored(monkeypatch, tmp_path):
+    monkeypatch.setenv("OPENAI_API_KEY", SECRET)
+    with FakeServer(lambda request, n: completion(f"key {SECRET}", model=SECRET, reasoning=SECRET)) as server:
+        made, _ = client(server, cache=tmp_path)
+        reply = made.complete(ASK)
+    assert reply.content == "key [key]"
+    assert SECRET not in str(reply) + str(made.served)
+    assert all(SECRET.encode() not in path.read_bytes() for path in files(tmp_path))
+
+
+def test_a_key_that_is_a_word_leaves_replies_alone(monkeypatch):
+    monkeypatch.setenv("OPENAI_API_KEY", "EMPTY")
+    with FakeServer(sequence_of("the room is EMPTY")) as server:
+        assert client(server)[0].complete(ASK).content == "the room is EMPTY"
 
 
 def test_the_key_is_in_no_request_that_is_kept(monkeypatch, tmp_path):
