@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 from jrdb_avr.agent.messages import Picture
 from jrdb_avr.agent.reference.method import ReferenceAgent
+from jrdb_avr.agent.reference.solving import beliefs_of
 from jrdb_avr.agent.replies import Reply
 from jrdb_avr.agent.solver import Belief, answer_of
 from jrdb_avr.agent.world import World as Beliefs
@@ -128,12 +129,16 @@ def defined(answer="standing", seen=(150, (1800.0, 120.0, 70.0, 220.0))):
 def play(
     world, replies, mode="multiple_choice", *, graph=None, solver=None, question="What does the person do?", **options
 ):
-    """A game in a painted world: its prediction, requests, steps and writes. graph: the world model's, None without."""
+    """A game in a painted world: its prediction, requests, steps and writes.
+
+    graph: the world model's, None without; solver: what it is told to say, or "real".
+    """
     chat = Scripted(replies)
     steps, writes = [], []
     solver = solver or StubSolver()
+    solving = beliefs_of if solver == "real" else lambda world, question: solver
     memory = None if graph is None else Beliefs(graph, "run")
-    agent = ReferenceAgent(chat, world=memory, solving=lambda world, question: solver, **options)
+    agent = ReferenceAgent(chat, world=memory, solving=solving, **options)
     task = world.task(question, mode, CHOICES if mode == "multiple_choice" else (), steps, writes)
     prediction = agent.answer(task)
     return SimpleNamespace(

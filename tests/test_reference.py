@@ -231,6 +231,61 @@ def test_passive_without_a_world_takes_boxes_of_panoramas(world):
     assert game.prediction.evidence.box[0] == pytest.approx(1842.4)
 
 
+# -- with the solver --------------------------------------------------------------------------------------------------
+
+SEEN = [entity(node="a"), attribute("gender", "female"), attribute("action", "standing")]
+
+
+def test_what_was_written_makes_the_answer_legal(world, graph):
+    """Refused while something is missing, and told what; accepted once the graph gives the same answer."""
+    script = [PLAN, turn(look()), turn(*SEEN[:2], final(2)), turn(SEEN[2], final(3)), turn(final(2, "p2"))]
+    game = play(world, [*script, turn(final(2))], graph=graph, solver="real")
+    told = [results(request)[-1].partition("refused: ")[2] for request in game.requests[3:6]]
+    assert told[0].startswith("the graph does not give the answer; missing: the answer: the posture of p1 at frame")
+    assert told[1] == "the graph's answer is choice 2, 'standing', which the proposed one is not"
+    assert told[2] == "the plan's target in the graph is p1, not p2"
+    assert (game.prediction.status, game.prediction.answer) == ("answered", Choice(2))
+    assert iou(Box(*game.prediction.evidence.box), Box(1845, 120, 70, 220)) > 0.95
+    missing = [json.loads(text_of(r).partition("Graph: ")[2].partition("\n")[0])["missing"] for r in game.requests[1:]]
+    assert missing[0] and not missing[-1]
+
+
+def test_what_was_written_answers_at_the_end(world, graph):
+    game = play(world, [PLAN, turn(look()), turn(*SEEN), "x"], graph=graph, solver="real")
+    assert (game.prediction.status, game.prediction.answer) == ("answered", Choice(2))
+    assert game.prediction.evidence.frame == 150
+
+
+def test_what_was_seen_leaves_a_box_at_the_end(world, graph):
+    """Of two people one fits better: the box is that one's, and nothing is answered."""
+    other = [entity("p2", box=(10, 250, 156, 708)), attribute("gender", "male", "p2")]
+    game = play(world, [PLAN, turn(look()), turn(*SEEN[:2], *other), "x"], graph=graph, solver="real")
+    assert (game.prediction.status, game.prediction.answer) == ("invalid", None)
+    assert iou(Box(*game.prediction.evidence.box), Box(1845, 120, 70, 220)) > 0.95
+
+
+def test_a_start_between_two_panoramas_is_not_known(world, graph):
+    """Panoramas 40 frames apart do not enclose a start, nor does a walk that is seen from its beginning."""
+    people = [entity(node="a", observation=f"o{n}", box=(495, 250, 505, 708)) for n in range(5, 9)]
+    doing = [attribute("action", "walking" if n > 6 else "standing", "p1", f"o{n}") for n in range(5, 9)]
+    plan = PLANS["frame"] | {"times": PLANS["frame"]["times"] | {"t0": {"frame": 170}}}
+    script = [plan, turn(*people, attribute("gender", "female", "p1", "o5"), *doing), "x"]
+    game = play(world, script, "frame", graph=graph, solver="real", looks=False)
+    assert (game.prediction.status, game.prediction.answer) == ("invalid", None)
+    assert "start" in json.dumps(
+        json.loads(text_of(game.requests[2]).partition("Graph: ")[2].partition("\n")[0])["missing"]
+    )
+    assert game.prediction.evidence is not None
+
+
+def test_a_plan_that_cannot_be_solved_is_repaired(world, graph):
+    """Conditions hold at stated frames: the compiler's refusal is shown like any other."""
+    condition = {"action": "sitting", "at": "t1"}
+    plan = PLANS["frame"] | {"nodes": [{"id": "a", "conditions": [condition]}]}
+    game = play(world, [plan, PLANS["frame"], "x"], "frame", graph=graph, solver="real")
+    assert "Your plan was refused: times.t1: conditions and edges hold at stated frames" in text_of(game.requests[1])
+
+
 # -- looks ------------------------------------------------------------------------------------------------------------
 
 
