@@ -129,8 +129,8 @@ def _wrong_box(box: list[int], look: Look, draws: Draws, number: int) -> list[in
     for by in (shift, -shift) if draws.happens(0.5, "side", number) else (-shift, shift):
         if left + by >= 0 and right + by <= SCALE:
             return [left + by, top, right + by, bottom]
-    # No room beside it: the upper third, as if the person were cut off.
-    return [left, top, right, top + max((bottom - top) // 3, 1)]
+    # No room beside it, so it is wide: its left third, as if the rest of the person were covered.
+    return [left, top, left + (right - left) // 3, bottom]
 
 
 def word(content: str, knobs: Knobs, draws: Draws) -> tuple[Wording, str]:

@@ -1,0 +1,337 @@
+"""The marker model's knobs: rates, draws that depend on the request alone, and nothing changed where none is turned."""
+
+import base64
+import json
+import random
+import threading
+import time
+import urllib.request
+
+import cv2
+import msgspec
+import numpy as np
+import pytest
+
+from jrdb_avr.agent.client import Client
+from jrdb_avr.agent.decode import reply_object
+from jrdb_avr.agent.marker.child import marker_server
+from jrdb_avr.agent.marker.knobs import PERFECT, Draws, Knobs, parse, settings
+from jrdb_avr.agent.marker.looking import REACT
+from jrdb_avr.agent.marker.reading import Look, Sighting
+from jrdb_avr.agent.marker.server import Server
+from jrdb_avr.agent.marker.slips import misread, with_wrong_boxes
+from jrdb_avr.agent.messages import Message
+from jrdb_avr.agent.replies import Reply
+from jrdb_avr.schema.errors import DecodeError, InputError
+from jrdb_avr.schema.marks import Mark, encode
+from jrdb_avr.schema.panorama import Box, iou
+from jrdb_avr.schema.things import OBJECTS, VERBS
+
+N = 500
+RATE = 0.2
+NEAR = 4 * (RATE * (1 - RATE) / N) ** 0.5
+"""Four standard deviations of the share of N draws: fixed seeds make it all or never."""
+
+QUESTION = (
+    "Find the only person who is standing at 1.0 s (frame 15). "
+    "What is that person's posture or movement at 4.0 s (frame 60)?"
+)
+
+
+def body(salt=0):
+    """A ReAct turn before any look; `salt` makes it another request."""
+    text = f"Question: {QUESTION}\nChoices:\n1. sitting\n2. lying\nLegal frames: 000000 to 000090 in steps of 15"
+    messages = [
+        {"role": "system", "content": f"{salt}"},
+        {"role": "user", "content": f"{text}\nLooks made: 0, left: 24\n{REACT}"},
+    ]
+    return json.dumps({"model": "marker", "messages": messages}).encode()
+
+
+@pytest.fixture
+def serve():
+    """Replies of servers with knobs, without a socket in between."""
+    servers = []
+
+    def replies(bodies, **knobs):
+        servers.append(Server(knobs=Knobs(**knobs)))
+        return [msgspec.json.encode(servers[-1].reply(one)) for one in bodies]
+
+    yield replies
+    for server in servers:
+        server.server_close()
+
+
+def decoded(reply):
+    """A completion's bytes as the client hands them on."""
+    choice = json.loads(reply)["choices"][0]
+    message = choice["message"]
+    return Reply(message["content"] or "", finish_reason=choice["finish_reason"], refusal=message.get("refusal") or "")
+
+
+def readable(reply):
+    try:
+        return reply_object(decoded(reply))
+    except DecodeError:
+        return None
+
+
+# -- settings ---------------------------------------------------------------------------------------------------------
+
+
+def test_knobs_are_read_from_texts_and_written_back():
+    knobs = parse(["wrong_box=0.1", "refusal=1", "latency=0.25", " seed = 3"])
+    assert knobs == Knobs(wrong_box=0.1, refusal=1.0, latency=0.25, seed=3)
+    assert parse(settings(knobs)) == knobs
+    assert parse([]) == PERFECT and settings(PERFECT) == []
+
+
+@pytest.mark.parametrize(
+    ("texts", "said"),
+    [
+        (["wrong=0.1"], "no knob"),
+        (["wrong_box"], "no knob"),
+        (["__init__=1"], "no knob"),
+        (["wrong_box="], "from 0 to 1"),
+        (["wrong_box=1.01"], "from 0 to 1"),
+        (["wrong_box=-0.1"], "from 0 to 1"),
+        (["malformed=nan"], "from 0 to 1"),
+        (["refusal=inf"], "from 0 to 1"),
+        (["latency=601"], "from 0 to 600 seconds"),
+        (["seed=1.5"], "whole number"),
+        (["seed=-1"], "whole number"),
+        (["seed=\u0663"], "whole number"),
+        (["refusal=0.1", "refusal=0.1"], "twice"),
+    ],
+)
+def test_a_wrong_knob_is_told_in_one_line(texts, said):
+    with pytest.raises(InputError, match=said) as caught:
+        parse(texts)
+    assert "\n" not in str(caught.value)
+
+
+# -- replies ----------------------------------------------------------------------------------------------------------
+
+
+def test_nothing_turned_changes_no_byte(serve):
+    bodies = [body(salt) for salt in range(20)]
+    perfect = serve(bodies)
+    assert serve(bodies, seed=77) == perfect
+    assert serve(bodies, refusal=1e-12, wrong_box=1e-12, wrong_attribute=1e-12) == perfect
+    assert misread(Knobs(seed=5), QUESTION) is None
+
+
+@pytest.mark.parametrize("knob", ["malformed", "refusal", "truncated"])
+def test_rate_of_spoiled_replies(serve, knob):
+    bodies = [body(salt) for salt in range(N)]
+    replies = serve(bodies, **{knob: RATE, "seed": 1})
+    spoiled = [readable(reply) is None for reply in replies]
+    assert abs(sum(spoiled) / N - RATE) < NEAR
+    assert [r for r, bad in zip(replies, spoiled, strict=True) if not bad] == [
+        r for r, bad in zip(serve(bodies), spoiled, strict=True) if not bad
+    ], "the others are as they were"
+    others = serve(bodies, **{knob: RATE, "seed": 2})
+    assert [readable(reply) is None for reply in others] != spoiled
+    kinds = {
+        (decoded(r).finish_reason, bool(decoded(r).refusal)) for r, bad in zip(replies, spoiled, strict=True) if bad
+    }
+    assert kinds == {{"malformed": ("stop", False), "refusal": ("stop", True), "truncated": ("length", False)}[knob]}
+
+
+def test_thinking_stands_before_replies_and_changes_none(serve):
+    bodies = [body(salt) for salt in range(N)]
+    replies = serve(bodies, thinking=RATE)
+    thinks = [decoded(reply).content.startswith("<think>") for reply in replies]
+    assert abs(sum(thinks) / N - RATE) < NEAR
+    assert [readable(reply) for reply in replies] == [readable(reply) for reply in serve(bodies)]
+
+
+def test_malformed_replies_are_of_several_kinds(serve):
+    told = {decoded(reply).content for reply in serve([body(salt) for salt in range(60)], malformed=1.0)}
+    assert len(told) == 3
+
+
+def test_replies_depend_on_the_request_alone(serve):
+    bodies = [body(salt) for salt in range(200)]
+    knobs = {"malformed": 0.3, "refusal": 0.2, "truncated": 0.2, "thinking": 0.5, "seed": 9}
+    straight = dict(zip(bodies, serve(bodies, **knobs), strict=True))
+    shuffled = random.Random(0).sample(bodies, len(bodies))
+    assert dict(zip(shuffled, serve(shuffled, **knobs), strict=True)) == straight
+
+
+def test_latency_is_waited_for(serve, monkeypatch):
+    waits = []
+    monkeypatch.setattr(time, "sleep", waits.append)
+    serve([body()], latency=1.5)
+    serve([body()])
+    assert waits == [1.5, 0.0]
+
+
+def test_the_child_process_takes_its_knobs():
+    ask = [Message("user", (f"Question: {QUESTION}\nLegal frames: 000000\nLooks made: 0, left: 24\n{REACT}",))]
+    with marker_server(knobs=parse(["refusal=1", "seed=4"])) as url:
+        assert Client(url, "marker").complete(ask).refusal
+
+
+# -- boxes ------------------------------------------------------------------------------------------------------------
+
+
+def look(*people, name="", frame=30):
+    sightings = [Sighting(frame, Mark(i), box, True, 180.0) for i, box in enumerate(people)]
+    return Look(frame, 180.0, tuple(sightings), name=name)
+
+
+HERS, HIS = [208, 208, 333, 625], [625, 208, 833, 833]
+CROWD = look(Box(100, 100, 60, 200), Box(300, 100, 100, 300))
+
+
+def evidence(box, frame="000030"):
+    return {"answer": 2, "evidence_bboxes": [{"frame_id": frame, "bbox": box}]}
+
+
+def wrong_boxes(reply, looks, seeds=N, rate=RATE):
+    """What each of many requests gets in the reply's place, where anything is changed."""
+    changed = []
+    for seed in range(seeds):
+        got, wrong = with_wrong_boxes(reply, looks, Knobs(wrong_box=rate), Draws(seed, "request"))
+        assert bool(wrong) == (got != reply)
+        changed += [got] if wrong else []
+    return changed
+
+
+def area(box):
+    return Box(box[0], box[1], box[2] - box[0], box[3] - box[1])
+
+
+def test_wrong_boxes_are_another_person_or_shifted_away():
+    changed = wrong_boxes(evidence(HERS), [CROWD])
+    assert abs(len(changed) / N - RATE) < NEAR
+    boxes = [reply["evidence_bboxes"][0]["bbox"] for reply in changed]
+    his = sum(box == HIS for box in boxes)
+    assert 0.25 < his / len(boxes) < 0.75
+    for reply, box in zip(changed, boxes, strict=True):
+        assert reply["answer"] == 2 and reply["evidence_bboxes"][0]["frame_id"] == "000030"
+        assert 0 <= box[0] < box[2] <= 1000 and 0 <= box[1] < box[3] <= 1000 and all(type(v) is int for v in box)
+        assert iou(area(box), area(HERS)) < 0.5
+
+
+@pytest.mark.parametrize("box", [[0, 0, 1000, 1000], [0, 0, 1000, 2], [999, 0, 1000, 1000], [0, 400, 600, 401]])
+def test_a_box_without_room_beside_it_is_wrong_as_well(box):
+    for reply in wrong_boxes(evidence(box), [look()], seeds=40, rate=1.0):
+        got = reply["evidence_bboxes"][0]["bbox"]
+        assert 0 <= got[0] < got[2] <= 1000 and 0 <= got[1] < got[3] <= 1000
+
+
+def test_calls_of_the_agent_have_wrong_boxes_one_by_one():
+    calls = [
+        {"tool": "observe", "frame_id": "000030", "angle_deg": 180.0},
+        {"tool": "add_entity", "id": "p0", "kind": "person", "observation": "o1", "box": HERS},
+        {"tool": "add_entity", "id": "p1", "kind": "person", "observation": "o2", "box": HIS},
+        {"tool": "final_answer", "answer": 1, "entity": "p0"},
+    ]
+    looks = [look(Box(100, 100, 60, 200), name="o1"), look(Box(300, 100, 100, 300), name="o2", frame=45)]
+    changed = [reply["calls"] for reply in wrong_boxes({"calls": calls}, looks)]
+    assert all(got[0] == calls[0] and got[3] == calls[3] for got in changed)
+    first = [got[1] != calls[1] for got in changed]
+    second = [got[2] != calls[2] for got in changed]
+    assert abs(sum(first) / N - RATE) < NEAR and abs(sum(second) / N - RATE) < NEAR
+    assert first != second
+
+
+# -- what is read -----------------------------------------------------------------------------------------------------
+
+FULL = Mark(
+    7,
+    gender="female",
+    age="adolescence",
+    pose="standing",
+    actions=("reading",),
+    group=3,
+    distance_dm=50,
+    heading_deg=90,
+    partner=9,
+    interaction="conversation",
+    object=OBJECTS[3],
+    verb=VERBS[1],
+)
+FIELDS = ("gender", "age", "pose", "actions", "group", "distance_dm", "heading_deg", "interaction", "object")
+
+
+def test_every_field_is_misread_at_its_rate_and_apart_from_the_others():
+    see = misread(Knobs(wrong_attribute=RATE, seed=3), QUESTION)
+    seen = [see(number.to_bytes(4, "big"), FULL) for number in range(N)]
+    wrong = {name: [getattr(mark, name) != getattr(FULL, name) for mark in seen] for name in FIELDS}
+    for name, flags in wrong.items():
+        assert abs(sum(flags) / N - RATE) < NEAR, name
+    assert len({tuple(flags) for flags in wrong.values()}) == len(FIELDS)
+    assert {mark.identity for mark in seen} == {7} and {mark.partner for mark in seen} == {9}
+
+
+def test_a_mark_is_misread_alike_in_one_picture_and_anew_in_the_next():
+    see = misread(Knobs(wrong_attribute=0.5), QUESTION)
+    again = misread(Knobs(wrong_attribute=0.5), QUESTION)
+    assert all(see(bytes([n]), FULL) == again(bytes([n]), FULL) for n in range(50))
+    assert len({see(bytes([n]), FULL) for n in range(50)}) > 20
+    other = misread(Knobs(wrong_attribute=0.5), "another question")
+    assert any(see(bytes([n]), FULL) != other(bytes([n]), FULL) for n in range(50))
+
+
+def test_what_cannot_be_read_is_not_misread_but_an_action_may_be_seen_that_is_not_there():
+    see = misread(Knobs(wrong_attribute=1.0), QUESTION)
+    got = see(b"", Mark(7, pose="sitting"))
+    assert got.pose not in (None, "sitting") and len(got.actions) == 1
+    assert (got.gender, got.age, got.group, got.distance_dm, got.interaction, got.object) == (None,) * 6
+
+
+def test_misread_marks_are_marks():
+    """What is made up can be shown by a mark: nothing is read that could not stand in a picture."""
+    see = misread(Knobs(wrong_attribute=0.7), QUESTION)
+    for number in range(200):
+        encode(see(number.to_bytes(2, "big"), FULL), "tall", 40, 120)
+
+
+def test_the_log_names_the_knob_that_spoiled_an_answer(tmp_path):
+    log = tmp_path / "log"
+    with Server(log=log, knobs=Knobs(refusal=1.0)) as server:
+        text = f'Question: {QUESTION}\nPanorama 1: {{"frame_id": "000015"}}'
+        parts = [
+            {"type": "text", "text": text},
+            {"type": "image_url", "image_url": {"url": EMPTY}},
+            {"type": "text", "text": "Your answer, as one JSON object:"},
+        ]
+        server.reply(json.dumps({"messages": [{"role": "user", "content": parts}]}).encode())
+    line = json.loads(log.read_text())
+    assert line["knobs"] == ["refusal"] and "not shown: t1" in line["missing"]
+
+
+def _grey():
+    data = cv2.imencode(".jpg", np.full((480, 3760, 3), 96, np.uint8))[1].tobytes()
+    return "data:image/jpeg;base64," + base64.b64encode(data).decode()
+
+
+EMPTY = _grey()
+
+
+def test_sixty_four_at_once_get_what_each_gets_alone(serve):
+    bodies = [body(salt) for salt in range(64)]
+    knobs = Knobs(malformed=0.3, thinking=0.3)
+    alone = serve(bodies, malformed=0.3, thinking=0.3)
+    with Server(knobs=knobs) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
+        thread.start()
+        got = [b""] * 64
+        gate = threading.Barrier(64)
+
+        def ask(number):
+            request = urllib.request.Request(f"{server.url}/chat/completions", bodies[number])
+            gate.wait()
+            with urllib.request.urlopen(request, timeout=30) as response:
+                got[number] = response.read()
+
+        threads = [threading.Thread(target=ask, args=(number,)) for number in range(64)]
+        for one in threads:
+            one.start()
+        for one in threads:
+            one.join()
+        server.shutdown()
+    assert got == alone
