@@ -165,6 +165,23 @@ _CLOSING: Final = {"(": ")", "[": "]", "{": "}"}
 _ROWS_ALONE: Final = "READ_FTABLE"
 """The table function behind RETURN without MATCH and behind UNWIND of a list: it reads nothing."""
 
+_READS: Final = re.compile("SCAN|EXTEND|PATH|LOOKUP|CALL|COPY|LOAD")
+_SCANS: Final = frozenset(
+    {
+        "SCAN_NODE_TABLE",
+        "SCAN_REL_TABLE",
+        # Only of a node with one label, which is a world table's then.
+        "PRIMARY_KEY_SCAN_NODE_TABLE",
+        # Of rows that other operators have made.
+        "AGGREGATE_SCAN",
+        "ORDER_BY_SCAN",
+        "TOP_K_SCAN",
+        "UNION_ALL_SCAN",
+        "TABLE_FUNCTION_CALL",
+    }
+)
+"""Operators that read, of which a plan tells the tables."""
+
 
 def check_world(cypher: str, *, writes: bool = False) -> set[str]:
     """Refuse a statement by its words: what `check_cypher` refuses, and every label but the world tables', of which
@@ -201,13 +218,16 @@ def _labels(tokens: Sequence[str]) -> Iterator[str]:
 
 
 def check_reach(plan: Plan, labels: Collection[str] = ()) -> None:
-    """Refuse a statement by its plan: it calls a table function, or scans what is not one world table, nor several
-    that it names itself (`labels`, in small letters).
+    """Refuse a statement by its plan: it calls a table function, walks edges any number of times (such a plan does not
+    say over which tables), or scans what is not one world table, nor several that it names itself (`labels`, in small
+    letters).
 
     A plan lists the tables of a scan in boxes of their own, one after the other. Raises QueryError.
     """
     if set(plan.functions) - {_ROWS_ALONE}:
         raise QueryError("this reads something else than the graph")
+    if unknown := sorted({name for name in plan.operators if _READS.search(name)} - _SCANS):
+        raise QueryError(f"{unknown[0]} does not say which tables it reads: write the pattern edge by edge")
     cells = {cell.strip() for cell in plan.text.split("│")}
     scanned = {cell.removeprefix("Tables: ") for cell in cells if cell.startswith("Tables: ")}
     several = {name for name in cells & _TABLES if name.lower() not in labels}
