@@ -249,9 +249,12 @@ def open_to_replay(path: Path) -> Iterator[Graph]:
         yield graph
 
 
-def copy_world(graph: Graph, record: pa.Table) -> None:
-    """Replay a record into a graph that holds none of its episodes; nothing is written where `replayed` refuses it."""
-    _copy(graph, [replayed(record)])
+def merge_world(graph: Graph, run_id: str, record: pa.Table) -> None:
+    """Replay a record in place of what a graph holds of its run; nothing is changed where `replayed` refuses it."""
+    tables = replayed(record)
+    with graph.transaction():
+        drop_world(graph, run_id)
+        _copy(graph, [tables])
 
 
 def copy_all(graph: Graph, store: Store, run_ids: Sequence[str]) -> list[str]:
@@ -286,9 +289,11 @@ def restore_world(graph: Graph, run_id: str, record: pa.Table) -> int:
     told = {row["question_id"]: row["number_count"] for row in counts}
     lacking = [question for question, writes in told.items() if there.get(question) != writes]
     tables = replayed(record.filter(pc.is_in(record["question_id"], pa.array(lacking, pa.string()))))
-    if stale := [question for question, writes in there.items() if told.get(question) != writes]:
-        drop_world(graph, run_id, stale)
-    _copy(graph, [tables])
+    stale = [question for question, writes in there.items() if told.get(question) != writes]
+    with graph.transaction():
+        if stale:
+            drop_world(graph, run_id, stale)
+        _copy(graph, [tables])
     return len(lacking)
 
 
@@ -301,7 +306,7 @@ def writes_held(graph: Graph, run_id: str) -> dict[str, int]:
 def drop_world(graph: Graph, run_id: str, questions: Sequence[str] | None = None) -> None:
     """Take a run's episodes out of a graph: all, or those of some questions."""
     # An empty list is no parameter that the engine can bind.
-    values = {"run": run_id, "all": questions is None, "questions": list(questions or ("",))}
+    values = {"run": run_id, "whole": questions is None, "questions": list(questions or ("",))}
     for what in ("writes", "entities", "observations", "slots", "episodes"):
         graph.execute(_statement(f"drop_{what}"), values)
 

@@ -33,17 +33,21 @@ QUESTIONS_ASKED = [question(t0, t1) for t0 in (0, 15, 30) for t1 in (90, 105, 15
 BLIND = question(0, 90, "unseen")
 
 
+def write_public(store, questions, frames):
+    """The public files: questions, and the frames of their sequences."""
+    rows = [{name: getattr(q, name) for name in QUESTIONS["questions"].names} for q in questions]
+    rows = [{**row, "choices": list(row["choices"])} for row in rows]
+    store.write_questions("questions", pa.Table.from_pylist(rows, QUESTIONS["questions"]), {})
+    rows = [{"sequence": name, "fps": 15.0, "frame_count": 301, "frames": list(f)} for name, f in frames.items()]
+    store.write_questions("sequences", pa.Table.from_pylist(rows, QUESTIONS["sequences"]), {})
+
+
 def write_store(path, image_root, questions=(*QUESTIONS_ASKED, BLIND)):
     """A store with the public files alone."""
     store = Store(path)
     rules = LoadRules()
     store.write_manifest(Manifest(str(image_root), rules, rules_hash(rules), {}, {}))
-    rows = [{name: getattr(q, name) for name in QUESTIONS["questions"].names} for q in questions]
-    rows = [{**row, "choices": list(row["choices"])} for row in rows]
-    store.write_questions("questions", pa.Table.from_pylist(rows, QUESTIONS["questions"]), {})
-    infos = [(SEQUENCE, FRAMES), ("unseen", FRAMES)]
-    rows = [{"sequence": name, "fps": 15.0, "frame_count": 301, "frames": list(f)} for name, f in infos]
-    store.write_questions("sequences", pa.Table.from_pylist(rows, QUESTIONS["sequences"]), {})
+    write_public(store, questions, {SEQUENCE: FRAMES, "unseen": FRAMES})
     return store
 
 

@@ -33,15 +33,14 @@ def command() -> None:
 def merge(run_ids: tuple[str, ...], store: Path, as_json: bool) -> None:
     """Bring the world models of finished runs into the store's graph, in place of what it holds of them."""
     from jrdb_avr.queries.store import Store
-    from jrdb_avr.queries.world_record import copy_world, drop_world, open_to_replay, read_record
+    from jrdb_avr.queries.world_record import merge_world, open_to_replay, read_record
 
     place = Store(store)
     records = {run_id: read_record(place, run_id) for run_id in dict.fromkeys(run_ids)}
     rows = []
     with open_to_replay(_graph_path(place)) as graph, progress("merging", len(records)) as advance:
         for run_id, record in records.items():
-            drop_world(graph, run_id)
-            copy_world(graph, record)
+            merge_world(graph, run_id, record)
             rows.append(_row(graph, run_id))
             advance(1)
     print_json(rows) if as_json else print_rows(rows)

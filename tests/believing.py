@@ -1,0 +1,96 @@
+"""A method that asks no model and writes a world model at random, seeded by the question: for records and replay."""
+
+import random
+
+from jrdb_avr.schema.method import Observation, Panorama, Prediction
+from jrdb_avr.schema.panorama import FOV_DEG, Box, crop_left
+from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
+from jrdb_avr.schema.world import WORLD_NODES, WORLD_RELS
+
+PLAN = Plan(
+    "a",
+    "b",
+    {"t0": Time(frame=0), "t1": Time(frame=150)},
+    (Node("a", (Condition(attribute="gender", value="female"),)), Node("b", (Condition(action="sitting", at="t0"),))),
+    (Edge("a", "conversation", "b", "t0"),),
+    AnswerSpec(mode="multiple_choice", read="action", of="b", at="t1"),
+)
+WILD = ({}, [], None, "x" * 300, {"observation": "o99"}, {"id": "p1", "kind": "person", "observation": "o1; MATCH (n)"})
+
+MORE = (("action", "walking"), ("action", "talking on the phone"), ("distance_m", 2.5), ("note", "tall"))
+
+
+def crop(frame, angle):
+    return Observation("s", frame, f"{frame:06d}", frame / 15, angle, FOV_DEG, int(crop_left(angle)), None)
+
+
+class Believer:
+    """Makes `turns` calls in each question: looks, sightings, attributes, relations, and calls that are refused."""
+
+    name = "believer"
+
+    def __init__(self, world, turns=40, between=lambda: None):
+        self.world, self.turns, self.between = world, turns, between
+
+    def settings(self):
+        return {"turns": self.turns}
+
+    def answer(self, task):
+        rng = random.Random(task.question.question_id)
+        episode = self.world.episode(task.question, task.keep)
+        if rng.random() < 0.8:
+            episode.plan(PLAN, 1)
+        looks, people = 0, []
+        for step in range(2, self.turns):
+            self.between()
+            kind = rng.random()
+            seen = f"o{rng.randint(1, max(1, looks + (rng.random() < 0.1)))}"
+            if looks == 0 or kind < 0.1:
+                frame = 15 * rng.randrange(3)
+                look = Panorama("s", frame, f"{frame:06d}", frame / 15, b"") if rng.random() < 0.2 else None
+                episode.observed(look or crop(frame, rng.uniform(0, 359)), step)
+                looks += 1
+            elif not people or kind < 0.4:
+                said = {"id": f"p{rng.randrange(4)}", "kind": rng.choice(["person", "robot"])}
+                said |= {"observation": seen, "box": [1, 2, 3, 4]}
+                if rng.random() < 0.5:
+                    said["node"] = rng.choice("abc")
+                x = rng.uniform(0, 400)
+                box = Box(x, 10.0, rng.uniform(5, 70), 100.0) if rng.random() < 0.9 else "the box is no box"
+                if episode.add_entity(said, box, step).accepted:
+                    people.append(said["id"])
+            elif kind < 0.65:
+                name, value = rng.choice(
+                    (("gender", "female"), ("gender", "male"), ("age", "young adulthood"), ("action", "sitting"), *MORE)
+                )
+                said = {"entity": rng.choice(people), "name": name, "value": value, "observation": seen}
+                episode.add_attribute(said, step)
+            elif kind < 0.85:
+                names = ["conversation", "in the same group as", "first to the right of (robot view)", "likes"]
+                said = {"source": rng.choice(people), "name": rng.choice(names), "observation": seen}
+                episode.add_relation(
+                    {**said, "target": rng.choice(sorted(set(people) - {said["source"]}) or people)}, step
+                )
+            elif kind < 0.95:
+                rng.choice((episode.add_entity, lambda a, b, s: episode.add_attribute(a, s)))(
+                    rng.choice(WILD), Box(0, 0, 5, 5), step
+                )
+            else:
+                episode.noted("get_graph", {}, step, True)
+        episode.noted("final_answer", {"answer": 1, "entity": "p1"}, self.turns, rng.random() < 0.5, "not yet")
+        return Prediction("invalid")
+
+
+def world_dump(graph):
+    """Every row of every world table of a handle that asks, as sorted tuples."""
+    found = {}
+    for name, columns in WORLD_NODES.items():
+        names = [column.split()[0] for column in columns.split(", ")]
+        listed = ", ".join(f"n.{column} AS {column}" for column in names)
+        found[name] = graph.query(f"MATCH (n:{name}) RETURN {listed}", ordered=False)
+    for name, (source, target, columns) in WORLD_RELS.items():
+        names = [column.split()[0] for column in columns]
+        listed = "".join(f", r.{column} AS {column}" for column in names)
+        pattern = f"MATCH (a:{source})-[r:{name}]->(b:{target}) RETURN a.id AS source, b.id AS target{listed}"
+        found[name] = graph.query(pattern, ordered=False)
+    return {name: sorted(map(repr, table.to_pylist())) for name, table in found.items()}

@@ -1,0 +1,260 @@
+"""World models of runs: what a live run wrote, write by write, is what its record gives back, row by row."""
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow as pa
+import pytest
+from asked_world import write_public
+from believing import Believer, world_dump
+from click.testing import CliRunner
+from scene_tables import table_store
+
+from jrdb_avr.engine import runs
+from jrdb_avr.engine.cli import group
+from jrdb_avr.engine.methods import open_world
+from jrdb_avr.queries.handle import Graph
+from jrdb_avr.queries.runs import RunManifest, write_run_manifest
+from jrdb_avr.queries.store import Store
+from jrdb_avr.queries.world import WorldGraph, make_world_tables
+from jrdb_avr.queries.world_record import merge_world, read_record, replayed
+from jrdb_avr.schema.errors import LockedError, StoreError
+from jrdb_avr.schema.method import Question, SequenceInfo
+
+ASKED = [
+    Question(f"{n:016x}", "yard-1_0", "f", "t", f"Question {n}?", ("a", "b"), "multiple_choice") for n in range(12)
+]
+INFO = {"yard-1_0": SequenceInfo("yard-1_0", 15.0, 61, (0, 15, 30, 45))}
+
+
+def run(store, run_id, asked=ASKED, path=None, finish=True, turns=30, **options):
+    """A run of the believer, in the store's graph or one of its own."""
+    write_run_manifest(
+        store, RunManifest(run_id, "believer", "m", "0" * 64, tuple(q.question_id for q in asked), True, {}, "")
+    )
+    with runs.Journal(store.run_path(run_id) / "journal.jsonl") as journal:
+        record = runs.world_rows(run_id, journal.finished.values())
+        with open_world(path or store.graph_path, run_id, record) as world:
+            runs.ask_all(Believer(world, turns, **options), asked, INFO, None, None, journal, 4)
+        if finish:
+            runs.write_tables(store, run_id, journal.finished.values())
+
+
+def dump(path):
+    with Graph.open(path, read_only=True) as graph:
+        return world_dump(graph)
+
+
+def of_run(found, run_id):
+    return {name: [row for row in rows if f"'{run_id}/" in row] for name, rows in found.items()}
+
+
+def jrdb_avr(*arguments):
+    result = CliRunner().invoke(group, [str(a) for a in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+@pytest.fixture(scope="module")
+def template(tmp_path_factory):
+    """A store with a scene of one sequence, and two runs in its graph."""
+    store = table_store(tmp_path_factory.mktemp("world"), sequences=("yard-1_0",), frames=61, people=6)
+    run(store, "one")
+    run(store, "two", ASKED[3:4])
+    return store
+
+
+@pytest.fixture
+def store(template, tmp_path):
+    import shutil
+
+    shutil.copytree(template.path, tmp_path / "store")
+    return Store(tmp_path / "store")
+
+
+@pytest.fixture(scope="module")
+def live(template):
+    """What the two runs themselves wrote."""
+    found = dump(template.graph_path)
+    # Nothing here can hold of an empty table.
+    assert all(len(rows) > 5 for rows in found.values()), {name: len(rows) for name, rows in found.items()}
+    return found
+
+
+def test_the_record_gives_back_every_row_of_a_live_run(template, live):
+    with Graph.memory() as graph, WorldGraph.memory() as empty:
+        assert not any(world_dump(empty).values())
+        make_world_tables(graph)
+        for name in ("one", "two"):
+            merge_world(graph, name, read_record(template, name))
+        assert world_dump(graph) == live
+
+
+def test_every_line_of_the_record_is_a_node_and_refused_ones_changed_nothing(template, live):
+    rows = read_record(template, "one").to_pylist()
+    assert len(rows) == len(of_run(live, "one")["Write"])
+    assert {row["accepted"] for row in rows} == {True, False}
+    assert not any(row["fact"] for row in rows if not row["accepted"])
+    edges = sum(len(of_run(live, "one")[name]) for name in ("Sighted", "Has", "Related"))
+    assert edges == sum(any(f'"{name}":' in row["fact"] for name in ("sighted", "has", "related")) for row in rows)
+
+
+def test_a_rebuild_brings_every_run_back(store, live):
+    assert jrdb_avr("load", "--rebuild", "--store", store.path).exit_code == 0
+    assert dump(store.graph_path) == live
+    assert jrdb_avr("load", "--verify", "--store", store.path).exit_code == 0
+
+
+def test_a_graph_that_is_torn_comes_back(store, live):
+    store.graph_path.write_bytes(store.graph_path.read_bytes()[:4096])
+    assert jrdb_avr("load", "--rebuild", "--store", store.path).exit_code == 0
+    assert dump(store.graph_path) == live
+
+
+def test_a_run_with_a_graph_of_its_own_is_merged(store, live, tmp_path):
+    run(store, "three", path=tmp_path / "own.kuzu")
+    assert dump(store.graph_path) == live
+    (row,) = json.loads(jrdb_avr("world", "merge", "three", "--store", store.path, "--json").stdout)
+    found = dump(store.graph_path)
+    assert of_run(found, "three") == dump(tmp_path / "own.kuzu")
+    assert {name: [r for r in rows if "'three/" not in r] for name, rows in found.items()} == live
+    assert (row["run"], row["episodes"], row["writes"]) == ("three", len(ASKED), len(of_run(found, "three")["Write"]))
+    jrdb_avr("world", "merge", "three", "one", "--store", store.path)
+    assert dump(store.graph_path) == found
+
+
+def test_a_dropped_run_leaves_the_graph_and_keeps_its_record(store, live):
+    jrdb_avr("world", "drop", "one", "--store", store.path)
+    assert dump(store.graph_path) == of_run(live, "two")
+    with pytest.raises(StoreError, match="holds nothing of run 'one'"):
+        jrdb_avr("world", "drop", "two", "one", "--store", store.path)
+    assert dump(store.graph_path) == of_run(live, "two")
+    jrdb_avr("world", "merge", "one", "--store", store.path)
+    assert dump(store.graph_path) == live
+
+
+def test_merging_what_is_not_there_is_one_line(store):
+    with pytest.raises(StoreError, match=r"cannot read .*none/world.parquet"):
+        jrdb_avr("world", "merge", "none", "--store", store.path)
+    store.graph_path.unlink()
+    with pytest.raises(StoreError, match="has no graph"):
+        jrdb_avr("world", "merge", "one", "--store", store.path)
+
+
+def test_a_resumed_run_brings_back_what_a_new_graph_lacks(store, live):
+    """As after a load while the run was stopped; and what an interrupted question left does not stay."""
+    journal = store.run_path("one") / "journal.jsonl"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    journal.write_bytes(b"".join(lines[:3]))
+    (store.run_path("one") / "world.parquet").unlink()
+    assert jrdb_avr("load", "--rebuild", "--store", store.path).exit_code == 0
+    assert dump(store.graph_path) == of_run(live, "two")
+    with open_world(store.graph_path, "one", runs.world_rows("one", [])) as world:
+        Believer(world, 20).answer(Task(ASKED[4]))
+    run(store, "one")
+    assert dump(store.graph_path) == live
+
+
+class Task:
+    """What the believer needs of a task."""
+
+    def __init__(self, question):
+        self.question, self.keep = question, lambda write: None
+
+
+def test_what_another_process_writes_is_refused_by_name(store):
+    code = (
+        "import sys; from jrdb_avr.queries.world import WorldGraph\n"
+        "with WorldGraph.open(sys.argv[1]): print('open', flush=True); sys.stdin.read()"
+    )
+    command = [sys.executable, "-c", code, str(store.graph_path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout.readline() == "open\n"
+        write_public(store, ASKED, {"yard-1_0": (0, 15)})
+        (store.path / "images" / "yard-1_0").mkdir(parents=True)
+        (store.path / "images" / "yard-1_0" / "000000.jpg").write_bytes(b"")
+        evaluate = [
+            "evaluate",
+            "--store",
+            store.path,
+            "--method",
+            "agent",
+            "--model",
+            "marker",
+            "--images",
+            store.path / "images",
+        ]
+        for arguments, told in (
+            (["cypher", "MATCH (e:Episode) RETURN count(*)", "--store", store.path], "wait for it"),
+            (["world", "merge", "one", "--store", store.path], "wait for it"),
+            (["load", "--rebuild", "--store", store.path], "wait for it"),
+            (evaluate, "--world-db FILE"),
+        ):
+            with pytest.raises(LockedError) as refused:
+                jrdb_avr(*arguments)
+            assert f"process {holder.pid}" in str(refused.value)
+            assert told in str(refused.value)
+        holder.stdin.close()
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda rows: rows[1:], "has no write 0"),
+        (lambda rows: [*rows, rows[-1]], "has it twice"),
+        (lambda rows: [{**rows[0], "fact": "{]"}, *rows[1:]], "no fact"),
+        (lambda rows: [{**rows[0], "fact": "null,null"}, *rows[1:]], "two facts"),
+        (lambda rows: [{**rows[0], "fact": ""}, *rows[1:]], "does not begin"),
+        (
+            lambda rows: [r if r["tool"] == "observe" else {**r, "fact": r["fact"].replace("/o", "/q")} for r in rows],
+            "not hold",
+        ),
+        (lambda rows: [{**r, "fact": r["fact"].replace(r["question_id"], "x")} for r in rows], "does not begin"),
+        (lambda rows: [{**r, "run_id": "other"} for r in rows], "another run"),
+    ],
+    ids=["a write less", "twice", "broken", "two in one", "no beginning", "to nothing", "another", "of another run"],
+)
+def test_a_record_that_no_run_wrote_is_refused(template, tmp_path, change, why):
+    copy = Store(tmp_path)
+    table = read_record(template, "two")
+    copy.write_run("two", "world", pa.Table.from_pylist(change(table.to_pylist()), table.schema))
+    with pytest.raises(StoreError, match=why):
+        replayed(read_record(copy, "two"))
+
+
+def test_a_broken_record_is_left_out_and_told(store, live):
+    (store.run_path("two") / "world.parquet").write_bytes(b"no table")
+    result = jrdb_avr("load", "--rebuild", "--store", store.path)
+    assert "the world model of run two was left out: " in result.stderr
+    assert dump(store.graph_path) == of_run(live, "one")
+
+
+KILLED = """
+import sys, threading, os, signal, time
+from test_runs_world import ASKED, run, Store
+store, after = Store(sys.argv[1]), int(sys.argv[2])
+calls, lock = [0], threading.Lock()
+def between():
+    with lock:
+        calls[0] += 1
+        if calls[0] == after:
+            os.kill(os.getpid(), signal.SIGKILL)
+run(store, "one", between=between)
+"""
+
+
+def test_killed_in_a_write_the_run_ends_as_if_it_had_not_been(template, live, tmp_path):
+    store = Store(tmp_path / "fresh")
+    run(store, "two", ASKED[3:4], path=store.graph_path)
+    here = Path(__file__).parent
+    for after in (20, 70):
+        done = subprocess.run([sys.executable, "-c", KILLED, str(store.path), str(after)], cwd=here, check=False)
+        assert done.returncode == -signal.SIGKILL
+    assert (store.run_path("one") / "journal.jsonl").read_bytes().count(b"\n") >= 1
+    run(store, "one")
+    assert dump(store.graph_path) == live
+    assert read_record(store, "one").equals(read_record(template, "one"))
