@@ -77,6 +77,7 @@ class Convention:
             "scales": {key: self.reading(key).scale for key in self.boxes},
             "tolerance": TOLERANCE,
             "thinking": [list(pair) for pair in self.thinking],
+            "resizing": {"multiple": self.multiple, "image_pixels": self.image_pixels},
         }
 
 

@@ -3,6 +3,7 @@
 import functools
 import json
 import random
+import threading
 
 import pytest
 from click.testing import CliRunner
@@ -12,6 +13,7 @@ from jrdb_avr.agent.calibrate import calibrate, request
 from jrdb_avr.agent.client import Client
 from jrdb_avr.agent.conventions import CONTRACT, Reading, convention_of
 from jrdb_avr.agent.drawn import CORNERS, corner_picture, drawn_rectangles
+from jrdb_avr.agent.marker.server import Server
 from jrdb_avr.agent.messages import wire
 from jrdb_avr.agent.options import Options
 from jrdb_avr.engine.cli import group
@@ -136,6 +138,17 @@ def test_where_nothing_is_clear_nothing_is_chosen(script, reason):
     assert found.boxes == found.scales == {}
     assert not any(score.chosen for score in found.scores)
     assert found.convention(CONTRACT).boxes == CONTRACT.boxes
+
+
+def test_the_marker_writes_as_the_contract_asks():
+    """It reads the marks of the drawn pictures, and so shows that they are where they are said to be."""
+    server = Server()
+    threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True).start()
+    found = calibrate(Client(server.url, "marker"), N)
+    server.shutdown()
+    server.server_close()
+    assert (found.boxes, found.scales) == ({"bbox": "xyxy"}, {"bbox": "thousandths"})
+    assert found.scores[0].median_iou > 0.95
 
 
 # -- what is asked ----------------------------------------------------------------------------------------------------

@@ -52,6 +52,14 @@ _OPTIONS = (
 )
 
 
+def need_address(model: str, base_url: str | None) -> None:
+    """Raises UsageError for a model without an address, unless it is the built-in one."""
+    from jrdb_avr.engine.endpoint import MARKER
+
+    if base_url is None and model != MARKER:
+        raise click.UsageError(f"--model {model} needs --base-url, the address of the server that has it")
+
+
 def endpoint_options(function: C) -> C:
     """Add the options of an endpoint; the command gets them as one parameter `options`."""
     names = ("response_format", "thinking", "max_tokens", "timeout_s", "retries")

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from jrdb_avr.agent.options import Options
-from jrdb_avr.engine.commands._endpoint import endpoint_options
+from jrdb_avr.engine.commands._endpoint import endpoint_options, need_address
 from jrdb_avr.engine.output import json_option, note, print_json, print_rows, progress, store_option
 
 
@@ -35,6 +35,7 @@ def command(store: Path, model: str, base_url: str | None, options: Options, as_
     from jrdb_avr.engine.endpoint import serving, write_calibration
     from jrdb_avr.queries.store import Store
 
+    need_address(model, base_url)
     with serving(model, base_url) as url, progress(f"calibrate {model}", PICTURES) as advance:
         client = Client(url, model, options, convention=convention_of(model))
         for warning in require(preflight(client)):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from jrdb_avr.agent.options import Options
-from jrdb_avr.engine.commands._endpoint import endpoint_options
+from jrdb_avr.engine.commands._endpoint import endpoint_options, need_address
 from jrdb_avr.engine.methods import METHODS, WORLD_METHODS
 from jrdb_avr.engine.output import json_option, note, print_json, print_rows, progress, store_option
 
@@ -100,8 +100,7 @@ def command(
     from jrdb_avr.queries.store import Store
     from jrdb_avr.schema.errors import StoreError
 
-    if base_url is None and model != MARKER:
-        raise click.UsageError(f"--model {model} needs --base-url, the address of the server that has it")
+    need_address(model, base_url)
     if world_db is not None and method_name not in WORLD_METHODS:
         raise click.UsageError(f"--world-db: {method_name} has no world model")
     place = Store(store)

@@ -7,7 +7,7 @@ import sys
 import click
 
 from jrdb_avr.agent.options import Options
-from jrdb_avr.engine.commands._endpoint import endpoint_options
+from jrdb_avr.engine.commands._endpoint import endpoint_options, need_address
 from jrdb_avr.engine.output import json_option, note, print_json, print_rows
 
 
@@ -29,6 +29,7 @@ def command(model: str, base_url: str | None, options: Options, as_json: bool) -
     from jrdb_avr.engine.endpoint import serving
     from jrdb_avr.schema.errors import EndpointError
 
+    need_address(model, base_url)
     with serving(model, base_url) as url:
         checks = preflight(Client(url, model, options, convention=convention_of(model)))
     if as_json:
