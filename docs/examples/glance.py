@@ -1,0 +1,38 @@
+"""A method in forty lines: one look straight ahead, one question to the model, its box in that picture."""
+
+from jrdb_avr.agent import decode
+from jrdb_avr.agent.attempt import Attempt, final_parts, heading, on_crop
+from jrdb_avr.agent.messages import Message, crop_line, crop_picture
+from jrdb_avr.agent.prompt import mode_text
+from jrdb_avr.schema.errors import DecodeError
+
+RULES = """Answer a question about people in a video from one picture of it, with one JSON object:
+{"answer": %s, "evidence_bboxes": [{"frame_id": "000150", "bbox": [x1, y1, x2, y2]}]}
+The answer: %s The box is round the person asked about, in whole thousandths of the picture."""
+
+
+class Glance:
+    """Sees one crop of the middle frame, whatever is asked."""
+
+    name = "glance"
+
+    def __init__(self, chat):
+        self.chat = chat
+
+    def settings(self):
+        return {"looks": 1}
+
+    def answer(self, task):
+        attempt = Attempt(task, self.chat, decode.CONTRACT)
+        frames = task.sequence.frames
+        seen = attempt.look(frames[len(frames) // 2], 180.0)
+        text = mode_text(task.question.answer_mode, task.sequence.frame_count)
+        messages = [
+            Message("system", (RULES % (text.form, text.rule),)),
+            Message("user", (heading(task.question), f"Crop: {crop_line(seen)}", crop_picture(seen))),
+        ]
+        try:
+            reply = attempt.ask_object(messages, decode.closed_object(final_parts(task.question)))
+            return attempt.ended(attempt.judge(reply, on_crop(seen)))
+        except DecodeError as error:
+            return attempt.invalid(str(error))
