@@ -1,0 +1,92 @@
+"""The solver over beliefs finds exactly what brute force over the same rows finds, of its own episode only."""
+
+import itertools
+import random
+from collections import Counter
+
+import pytest
+from believed import Story, parsed, write
+from effort import DEEP, examples
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from oracle_beliefs import Mind, plain
+from random_beliefs import READS, random_plan, random_story
+
+from jrdb_avr.agent.solver import best_guess, solve_beliefs
+from jrdb_avr.queries.handle import Graph
+from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.world import world_ddl
+
+RULES = Rules()
+ALL_READS = (*READS, "count")
+
+
+@pytest.fixture(scope="module")
+def graph():
+    with Graph.memory() as made:
+        for statement in world_ddl():
+            made.execute(statement)
+        yield made
+
+
+SEEN = Counter()
+RUNS = itertools.count()
+
+
+def wanted(rng, mind, story, read):
+    """A random plan with what brute force makes of it; of a random outcome where one of some tries has it."""
+    outcome = rng.choice(("defined", "defined", "unknown", "ambiguous", "empty"))
+    for _ in range(40):
+        plan = random_plan(rng, story, read)
+        solved = mind.solve(plan)
+        if solved[0] == outcome:
+            break
+    return plan, solved
+
+
+def compare(graph, seed, plans):
+    """Write random episodes and solve random plans over the first one; the others are there to be mistaken for it."""
+    rng = random.Random(seed)
+    run = f"run {next(RUNS)}"
+    stories = {f"{run}/{n}": random_story(rng) for n in range(rng.randrange(1, 4))}
+    write(graph, stories)
+    key, story = next(iter(stories.items()))
+    mind = Mind(story.rows)
+    for read in ALL_READS * plans:
+        plan, expected = wanted(rng, mind, story, read)
+        belief = solve_beliefs(graph, key, parsed(plan), RULES)
+        found = (belief.outcome, dict(belief.people), dict(belief.times), plain(belief.answer))
+        assert found == expected, (seed, plan, found, expected)
+        assert bool(belief.missing) == (belief.outcome != "defined"), (seed, plan)
+        if belief.people:
+            frame, box = belief.seen
+            assert mind.sighted[belief.people[plan["target"]], frame]["box"] == tuple(box)
+        elif rng.random() < 0.3:
+            assert best_guess(graph, key, parsed(plan), RULES) == mind.guess(plan), (seed, plan)
+        SEEN[read, belief.outcome] += 1
+
+
+@settings(max_examples=examples(3), suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(seed=st.integers(0, 10**9))
+def test_random_plans_over_random_beliefs_come_to_what_brute_force_finds(graph, seed):
+    compare(graph, seed, 1)
+
+
+def test_each_read_was_known_and_unknown(graph):
+    for seed in range(4 if not DEEP else 200):
+        compare(graph, seed, 1)
+    for read in ALL_READS:
+        assert SEEN[read, "defined"], SEEN
+    for outcome in ("unknown", "ambiguous", "empty"):
+        assert sum(SEEN[read, outcome] for read in ALL_READS) >= 4, SEEN
+
+
+def test_an_episode_without_beliefs_is_empty(graph):
+    rng = random.Random(1)
+    story = random_story(rng)
+    write(graph, {"empty/1": Story(), "empty/2": story})
+    plan = parsed(random_plan(rng, story, "action"))
+    for key in ("empty/1", "never begun"):
+        belief = solve_beliefs(graph, key, plan, RULES)
+        assert belief.outcome == "empty" and belief.missing
+        assert best_guess(graph, key, plan, RULES) is None
