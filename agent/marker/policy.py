@@ -403,6 +403,7 @@ def _count(game: Game, person: Sighting | None) -> int:
     begin, end = (game.frame_of(name) for name in game.plan.asked())
     relation = game.plan.answer.relation
     found: set[int] = set()
+    rounds = max(game.eyes.spare() // (len(AROUND) + len(NEARBY)), 2)
     frame = begin
     try:
         while person is not None and relation is not None and frame <= end:
@@ -410,7 +411,7 @@ def _count(game: Game, person: Sighting | None) -> int:
             if own is not None:
                 people = look_round(game.eyes, own.frame)
                 found |= {s.mark.identity for s in people if s is not own and related(relation, own, s, people)}
-            frame += max(_STEP, (end - begin) // 2)
+            frame += max(_STEP, (end - begin) // rounds)
     except Spent:
         game.note("budget: not all of the time was looked at")
     return max(len(found), 1)
