@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import pytest
 from world_play import begin, look, tables_of
@@ -66,7 +67,8 @@ def believe(world, number=0):
 
 def scene_rows(path):
     with Graph.open(path, read_only=True) as graph:
-        asked = [*(f"MATCH (n:{t}) RETURN n" for t in SCENE_NODES), *(f"MATCH ()-[r:{t}]->() RETURN r" for t in SCENE_RELS)]
+        asked = [f"MATCH (n:{table}) RETURN n" for table in SCENE_NODES]
+        asked += [f"MATCH ()-[r:{table}]->() RETURN r" for table in SCENE_RELS]
         return [sorted(map(repr, graph.query(cypher, ordered=False).to_pylist())) for cypher in asked]
 
 
@@ -191,8 +193,8 @@ def test_the_tables_lie_beside_the_scene_and_leave_it_alone(scene):
     with WorldGraph.open(scene) as world:
         assert tables_of(world) == written
     with Graph.open(scene, read_only=True) as graph:
-        found = graph.query("MATCH (p:Person)-[:Interacts]->(q:Person) RETURN p.track AS p, q.track AS q", ordered=False)
-        assert found.to_pylist() == [{"p": 1, "q": 2}]
+        found = graph.query("MATCH (p:Person)-[:Interacts]->(q:Person) RETURN p.track, q.track", ordered=False)
+        assert found.to_pylist() == [{"p.track": 1, "q.track": 2}]
 
 
 def test_a_file_of_its_own_is_made_from_nothing(tmp_path):
@@ -266,7 +268,7 @@ for number in range(1000):
 
 def test_a_killed_writer_leaves_a_graph_that_opens(scene):
     before = scene_rows(scene)
-    code = KILLED.format(tests=os.path.dirname(__file__), path=str(scene))
+    code = KILLED.format(tests=str(Path(__file__).parent), path=str(scene))
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     done = -1
     for line in process.stdout:
