@@ -191,17 +191,17 @@ CALLS = st.lists(
 def play(episode, calls):
     """Make the calls, each in a step of its own; what was said to each write."""
     said = []
-    for step, (tool, *given) in enumerate(calls, 1):
+    for step, (tool, *values) in enumerate(calls, 1):
         match tool:
             case "observed":
-                frame, angle = given
+                frame, angle = values
                 episode.observed(whole(frame) if angle is None else look(frame, angle), step)
             case "noted":
-                episode.noted("get_graph", given[0], step, *given[1:])
+                episode.noted("get_graph", values[0], step, *values[1:])
             case "refused":
-                said.append(episode.refused("final_answer", *given, step))
+                said.append(episode.refused("final_answer", *values, step))
             case _:
-                said.append(getattr(episode, tool)(*given, step))
+                said.append(getattr(episode, tool)(*values, step))
     return said
 
 
