@@ -6,6 +6,7 @@ import msgspec
 import pytest
 from painted_world import Actor, World, still
 
+from jrdb_avr.agent.marker.knobs import Knobs
 from jrdb_avr.agent.marker.server import Server
 from jrdb_avr.agent.messages import wire
 from jrdb_avr.agent.reference.method import ReferenceAgent
@@ -138,7 +139,7 @@ def turned(until, before="standing", after="sitting"):
 # -- each template ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("x", [1800, -200, WIDTH - 130])
+@pytest.mark.parametrize("x", [-200, WIDTH - 130])
 def test_change_also_at_the_seam(player, x):
     box = moving(x)
     world = player.world([person(box, pose=turned(90)), *CROWD])
@@ -146,7 +147,7 @@ def test_change_also_at_the_seam(player, x):
     check(player.ask(world, "change", asked, POSES), Choice(2), box)
 
 
-@pytest.mark.parametrize(("there", "choice"), [((1, 1), 1), ((1, 0), 2), ((0, 1), 3), ((0, 0), 4)])
+@pytest.mark.parametrize(("there", "choice"), [((1, 0), 2), ((0, 0), 4)])
 def test_presence(player, there, choice):
     def box(frame):
         gone = (60 < frame < 180 and not there[0]) or (frame >= 180 and not there[1])
@@ -160,7 +161,7 @@ def test_presence(player, there, choice):
     assert prediction.n_observations <= 24
 
 
-@pytest.mark.parametrize(("later", "choice"), [(30, 1), (70, 2), (53, 3), (None, 4)])
+@pytest.mark.parametrize(("later", "choice"), [(30, 1), (None, 4)])
 def test_distance(player, later, choice):
     def box(frame):
         return Box(1500, 120, 70, 220) if frame < 60 or later is not None else None
@@ -319,6 +320,31 @@ def test_nothing_is_written_twice_and_nothing_refused(player):
     assert all(write.accepted for write in player.writes)
     calls = [json.dumps(call, sort_keys=True) for call in player.calls()]
     assert len(set(calls)) == len(calls)
+
+
+@pytest.mark.parametrize("spoiled", [1, 3])
+def test_a_reply_that_was_spoiled_once_is_said_again(player, spoiled):
+    whole = player.chat.complete
+
+    def complete(messages, schema=None):
+        reply = whole(messages, schema)
+        return msgspec.structs.replace(reply, content="{") if len(player.chat.said) == 1 + spoiled else reply
+
+    player.chat.complete = complete
+    box = moving(1800)
+    check(change_of(player, [person(box, pose=turned(90)), *CROWD]), Choice(2), box)
+
+
+def test_misread_marks_and_wrong_boxes_end_within_the_budget(player):
+    player.chat.server.server_close()
+    player.chat.server = Server(knobs=Knobs(wrong_attribute=0.4, wrong_box=0.4))
+    box = moving(1400)
+    world = player.world([person(box, pose=turned(303)), *CROWD])
+    asked = plan(reads("frame", "start", "t1"), {"t0": 15, "t1": event("start", "sitting")}, (FEMALE,))
+    prediction = player.ask(world, "start", asked)
+    assert prediction.n_observations <= 24
+    assert 1 < len(player.calls()) <= 81
+    assert all(write.accepted for write in player.writes if write.tool.startswith("add_"))
 
 
 # -- the variants -----------------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ def chat(request: Request) -> Turn:
         return Turn({"calls": []}, ["the answer was refused"])
     passive = any(look.panorama for look in request.looks)
     eyes = Shown(request.looks) if passive else _eyes(request)
-    game = Game(request.plan, request.choices, eyes)
+    game = Game(request.plan, request.choices, eyes, beside=not passive)
     try:
         person = find_target(game)
         answer = read_answer(game, person)

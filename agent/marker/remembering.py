@@ -30,7 +30,7 @@ LEFT: Final = r"\d+, left: (\d{1,9})$"
 
 _MOST_CALLS: Final = 32
 _REFUSED: Final = re.compile(r"\d+\. final_answer: refused")
-_MALFORMED: Final = "Your last turn was malformed"
+_ENDED: Final = re.compile(r'Your last turn was malformed.*"calls" must be a list of 1 to ')
 
 _KEPT: Final = 2
 """Of those who could be the one described so many are written down: with two it is not known who it is."""
@@ -75,7 +75,7 @@ def hand_in(
 
 def refused(request: Request) -> bool:
     """Whether the last turn's final answer was refused, or the end of the episode has been asked for already."""
-    return request.line(_MALFORMED) is not None or any(_REFUSED.match(line) for line in request.lines)
+    return any(_REFUSED.match(line) or _ENDED.match(line) for line in request.lines)
 
 
 class Player:

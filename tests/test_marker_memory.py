@@ -1,0 +1,198 @@
+"""What the marker knows again from the reference agent's graph: looks, marks and events, and what it then writes."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jrdb_avr.agent.marker.enclosing import Event, between, events
+from jrdb_avr.agent.marker.eyes import AROUND, NEARBY, Spent, Want
+from jrdb_avr.agent.marker.memory import Memory
+from jrdb_avr.agent.marker.notes import read_notes
+from jrdb_avr.agent.marker.reading import Look, Request, Sighting
+from jrdb_avr.agent.marker.writing import Draft, attribute_of
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.marks import Mark
+from jrdb_avr.schema.panorama import WIDTH, Box, center_angle, crop_left, from_crop
+from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time, canonical
+
+GRAPH = """{"observations": [
+  {"observation": "o1", "frame_id": "000015", "angle_deg": 180.0},
+  {"observation": "o2", "frame_id": "000060", "angle_deg": 0.0},
+  {"observation": "o3", "frame_id": "000060", "angle_deg": 40.0}],
+ "entities": [
+  {"id": "p7", "kind": "person", "node": "a",
+   "sightings": [{"observation": "o1", "frame_id": "000015", "angle_deg": 185.0, "box": [1900, 100, 60, 200]},
+                 {"observation": "o3", "frame_id": "000060", "angle_deg": 5.0, "box": [22, 100, 60, 200]}],
+   "attributes": [{"name": "gender", "value": "female", "observation": "o1"},
+                  {"name": "action", "value": "sitting", "frame_id": "000015", "observation": "o1"},
+                  {"name": "action", "value": "reading", "frame_id": "000060", "observation": "o3"},
+                  {"name": "object", "value": "holding: bag", "frame_id": "000060", "observation": "o3"},
+                  {"name": "distance_m", "value": 3.2, "frame_id": "000060", "observation": "o3"}]},
+  {"id": "somebody", "kind": "person", "sightings": [], "attributes": []}],
+ "relations": [], "missing": []}""".replace("\n", " ")
+
+
+def asking(action="reading", end=False):
+    times = {"t0": Time(frame=15), "t1": Time(event="start", of="a", action=action, after="t0")}
+    spec = AnswerSpec(mode="frame", read="start", of="a", at="t1")
+    if end:
+        times["t2"] = Time(event="end", of="a", action=action, after="t1")
+        spec = AnswerSpec(mode="span", read="span", of="a", at=("t1", "t2"))
+    return Plan(root="a", target="a", times=times, nodes=(Node(id="a"),), edges=(), answer=spec)
+
+
+def request(graph=GRAPH, looks=()):
+    lines = (f"Plan: {canonical(asking())}", f"Graph: {graph}")
+    return Request("", lines, "q", "start", asking(), (), tuple(range(0, 600, 5)), tuple(looks))
+
+
+def seen(frame, identity=7, x=200.0, **mark):
+    return Sighting(frame, Mark(identity, **mark), Box(x, 100, 60, 200), True, 180.0)
+
+
+def test_marks_are_put_together_from_what_was_written_at_a_frame():
+    notes = read_notes(request())
+    first, second = notes.of(7, 15), notes.of(7, 60)
+    assert (first.mark.gender, first.mark.pose, first.mark.distance_dm) == ("female", "sitting", None)
+    assert "reading" not in first.mark.actions and "reading" in second.mark.actions
+    assert (second.mark.pose, second.mark.object, second.mark.verb) == (None, "bag", "holding")
+    assert second.mark.distance_dm == 32
+    assert notes.holders == {"a": 7}
+    assert first.angle == center_angle(1900.0, 60.0)
+
+
+def test_who_was_looked_at_again_was_seen_before_as_well():
+    notes = read_notes(request())
+    assert notes.looks[1].of(7) is not None, "the box of the third look lies inside the second, too"
+    assert notes.looks[0].of(7).frame == 15
+
+
+def test_a_picture_at_hand_says_more_than_the_graph():
+    shown = Look(60, 40.0, (seen(60), seen(60, 8)), name="o3", left=int(crop_left(40.0)))
+    notes = read_notes(request(looks=[shown]))
+    assert notes.newest == (shown,) == notes.looks[2:]
+    assert notes.of(8, 60) is shown.sightings[1]
+
+
+@given(st.floats(0, 359.99), st.integers(-40, 460), st.integers(20, 200))
+def test_a_box_that_was_cut_off_is_not_whole(angle, x, w):
+    left = crop_left(angle)
+    start, end = max(x, 0), min(x + w, 480)
+    box = from_crop(Box(start, 100, end - start, 200), left)
+    graph = GRAPH.replace("180.0}", f"{angle}}}", 1).replace(
+        "[1900, 100, 60, 200]", f"[{box.x % WIDTH}, 100, {box.w}, 200]"
+    )
+    found = read_notes(request(graph)).of(7, 15)
+    assert found.whole is (start >= 1 and end <= 479)
+    assert abs(found.box.x - start) <= 1.01
+
+
+@pytest.mark.parametrize("graph", ["{", '{"observations": [{"observation": "o1"}]}', '{"entities": 3}'])
+def test_a_graph_that_cannot_be_read_is_named(graph):
+    with pytest.raises(DecodeError, match="graph"):
+        read_notes(request(graph))
+
+
+# -- looking ----------------------------------------------------------------------------------------------------------
+
+
+def test_looks_of_a_frame_are_those_of_the_first_turns_whatever_the_boxes_say():
+    first = seen(15)
+    looks = [Look(15, 180.0, (first,)), Look(60, 150.0, ()), Look(60, 190.0, ())]
+    memory = Memory(range(0, 600, 5), looks, 21, known=1)
+    with pytest.raises(Want) as want:
+        memory.follow(7, 60, NEARBY)
+    assert (want.value.frame, want.value.angle) == (60, 110.0), "the third turn, from where the first look was made"
+
+
+def test_absences_at_two_times_fit_into_eighteen_looks_less_one():
+    looks = [Look(15, 180.0, (seen(15),))]
+    for left in (16, 17):
+        memory, made = Memory(range(0, 600, 5), looks, left, known=1, rounds=2), []
+        for frame in (150, 300):
+            while True:
+                memory = Memory(range(0, 600, 5), [*looks, *made], left - len(made), known=1, rounds=2)
+                try:
+                    if frame == 300:
+                        memory.follow(7, 150, AROUND)
+                    memory.follow(7, frame, AROUND)
+                    break
+                except Want as want:
+                    made.append(Look(want.frame, want.angle, ()))
+        assert len(made) == left
+    memory = Memory(range(0, 600, 5), looks, 0, known=1)
+    with pytest.raises(Spent):
+        memory.follow(7, 150, AROUND)
+
+
+# -- events -----------------------------------------------------------------------------------------------------------
+
+
+def reads(frames, action="reading"):
+    return {frame: seen(frame, actions=(action,) if does else ()) for frame, does in frames.items()}
+
+
+def test_an_event_lies_between_the_last_sighting_before_it_and_the_first_after_it():
+    found = events(asking(end=True), 15, reads({60: False, 90: False, 110: True, 150: True, 200: False}))
+    assert found == {"t1": Event(90, 110), "t2": Event(150, 200)}
+    assert found["t1"].known and not found["t2"].known
+    assert found["t1"].middle == 100
+
+
+def test_an_end_waits_for_its_start_and_a_start_for_the_description():
+    assert events(asking(end=True), 15, reads({60: False})) == {}
+    assert events(asking(end=True), 15, reads({10: True, 60: True})) == {"t1": Event(15, 60)}
+
+
+@given(st.sets(st.integers(0, 60)), st.integers(0, 59), st.integers(1, 60))
+def test_what_is_looked_at_next_lies_inside_and_is_new(tried, low, width):
+    legal = range(0, 61, 3)
+    inside = [frame for frame in legal if low < frame < low + width and frame not in tried]
+    chosen = between(Event(low, low + width), legal, tried)
+    assert (chosen in inside) if inside else chosen is None
+
+
+# -- writing ----------------------------------------------------------------------------------------------------------
+
+
+def test_what_the_graph_holds_is_not_written_again():
+    notes = read_notes(request())
+    draft = Draft(notes)
+    first = notes.of(7, 15)
+    draft.person(first, "a")
+    draft.attribute(first, "gender", "female")
+    draft.attribute(first, "action", "sitting")
+    assert draft.calls == []
+    draft.attribute(first, "action", "reading")
+    draft.attribute(first, "action", "reading")
+    draft.attribute(first, "age", None)
+    assert [call["value"] for call in draft.calls] == ["reading"]
+    draft.person(first, "b")
+    assert draft.calls[-1]["node"] == "b" and draft.calls[-1]["observation"] == "o1"
+
+
+@pytest.mark.parametrize(
+    ("condition", "written"),
+    [
+        (Condition(attribute="gender", value="female"), ("gender", "female")),
+        (Condition(attribute="group_size", value=3, at="t0"), ("group_size", 3.0)),
+        (Condition(action="reading", at="t0"), ("action", "reading")),
+        (Condition(interaction="conversation", at="t0"), ("interaction", "conversation")),
+        (Condition(object="bag", verb="holding", at="t0"), ("object", "holding: bag")),
+    ],
+)
+def test_conditions_are_attributes_in_the_solvers_words(condition, written):
+    assert attribute_of(condition) == written
+
+
+def test_a_person_over_the_seam_of_a_panorama_is_its_larger_part():
+    over = Sighting(60, Mark(9), Box(3750, 100, 60, 200), True, 2.0, WIDTH)
+    notes = read_notes(
+        request(
+            '{"observations": [{"observation": "o1", "frame_id": "000060", "panorama": true}]}',
+            [Look(60, 180.0, (over,), True, "o1", 0, WIDTH)],
+        )
+    )
+    draft = Draft(notes)
+    draft.person(over)
+    assert draft.calls[0]["box"] == [0, 208, 13, 625]
