@@ -142,7 +142,14 @@ def test_a_legal_final_answer(world, graph):
     assert (game.prediction.status, game.prediction.answer) == ("answered", Choice(2))
     assert (game.prediction.evidence.frame, game.prediction.evidence.box) == (150, (20.0, 120.0, 70.0, 220.0))
     assert (game.prediction.n_model_calls, game.prediction.n_observations) == (3, 1)
-    assert [step.kind for step in game.steps] == ["model", "tool", "model", "observe", "tool", "model", "solve", "tool"]
+    assert [step.kind for step in game.steps] == [
+        "model",
+        "tool",
+        *("solve", "model", "observe", "tool"),
+        "solve",
+        "model",
+        "tool",
+    ]
 
 
 def test_a_final_answer_that_is_not_legal_is_told_what_is_missing(world, graph):
@@ -181,7 +188,8 @@ def test_at_the_end_the_graph_answers_by_itself(world, graph, last):
     game = play(world, script, graph=graph, solver=defined("sitting"))
     assert (game.prediction.status, game.prediction.answer) == ("answered", Choice(3))
     assert game.prediction.evidence.frame == 150
-    assert game.steps[-1].kind == "solve"
+    # Solved once before anything was seen, and once after: nothing has changed since.
+    assert [step.kind for step in game.steps].count("solve") == 2
 
 
 def test_at_the_end_a_frame_is_read_as_it_is_stored(world, graph):

@@ -179,7 +179,7 @@ class GraphMemory:
         proposed = self.attempt.read_answer(part["answer"])
         if not isinstance(part["entity"], str):
             raise DecodeError("entity must be the id of the plan's target")
-        belief = self._solve()
+        belief = self._known()
         if reason := self.solver.fault(self.plan, belief, proposed, part["entity"]):
             raise DecodeError(reason)
         self.world.noted(FINAL, call.arguments, step, True)
@@ -187,7 +187,7 @@ class GraphMemory:
 
     def solved(self, reason: str) -> Verdict:
         """What the graph says by itself; else nothing is answered, and the likeliest person's box is kept."""
-        belief = self._solve()
+        belief = self._known()
         answer = self.solver.answer(self.plan, belief)
         if answer is not None and belief.seen is not None:
             return Verdict(answer, _evidence(belief.seen))
@@ -197,17 +197,13 @@ class GraphMemory:
         return Verdict(answer, _evidence(seen), (reason,))
 
     def _known(self) -> Belief:
-        """What the beliefs come to."""
+        """What the beliefs come to; solved again where something has been seen or written since."""
         if self.known is None:
+            started = time.perf_counter()
             self.known = self.solver.solve(self.plan)
+            asked = {"read": self.plan.answer.read, "of": self.plan.answer.of}
+            self.attempt.record("solve", asked, msgspec.to_builtins(self.known), started)
         return self.known
-
-    def _solve(self) -> Belief:
-        started = time.perf_counter()
-        belief = self._known()
-        told = msgspec.to_builtins(belief)
-        self.attempt.record("solve", {"plan": msgspec.Raw(canonical(self.plan).encode())}, told, started)
-        return belief
 
 
 def _evidence(seen: tuple[int, Box] | None) -> Evidence | None:
