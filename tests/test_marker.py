@@ -1,5 +1,6 @@
 """The marker model plays painted worlds whose answers are known, through pixels and a socket."""
 
+import base64
 import contextlib
 import json
 import os
@@ -13,12 +14,17 @@ import urllib.error
 import urllib.parse
 import urllib.request
 
+import cv2
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from painted_world import Actor, World, still
 
+from jrdb_avr.agent.calibrate import BOX_LINE
 from jrdb_avr.agent.client import Client
+from jrdb_avr.agent.marker.baselines import ANSWER, BOX, CHOICE, FACTS
+from jrdb_avr.agent.marker.baselines import PLACE as PLACE_STAGE
 from jrdb_avr.agent.marker.child import marker_server
 from jrdb_avr.agent.marker.eyes import Eyes, Spent, Want
 from jrdb_avr.agent.marker.finding import distance_word, holds
@@ -26,6 +32,7 @@ from jrdb_avr.agent.marker.looking import REACT
 from jrdb_avr.agent.marker.reading import Look, Sighting
 from jrdb_avr.agent.marker.server import Server
 from jrdb_avr.agent.messages import Message
+from jrdb_avr.agent.preflight import CORNER_LINE
 from jrdb_avr.agent.react import ReAct
 from jrdb_avr.schema.answers import FrameAnswer, Span, frames_iou
 from jrdb_avr.schema.marks import Mark
@@ -353,11 +360,26 @@ KNOWN = (
 PLACE = '{"frame_id":"000000","angle_deg":0.0,"left":3520}'
 
 
-def prompt(question=KNOWN, image=None, place=PLACE, frames="000000"):
+def jpeg(image):
+    return "data:image/jpeg;base64," + base64.b64encode(cv2.imencode(".jpg", image)[1].tobytes()).decode()
+
+
+GREY = jpeg(np.full((480, 480, 3), 96, np.uint8))
+
+
+def bomb():
+    """A few bytes that say they are a picture of 4 billion pixels."""
+    data = bytearray(base64.b64decode(GREY.partition(",")[2]))
+    size = data.index(b"\xff\xc0") + 5
+    data[size : size + 4] = struct.pack(">HH", 65500, 65500)
+    return "data:image/jpeg;base64," + base64.b64encode(data).decode()
+
+
+def prompt(question=KNOWN, image=None, place=PLACE, frames="000000", left="23", more="", stage=REACT):
     parts = [
         {"type": "text", "text": f"Question: {question}\nMode: frame\nNo choices.\nLegal frames: {frames}"},
         {"type": "text", "text": f"Picture 1: {place}"},
-        {"type": "text", "text": f"Looks made: 1, left: 23\n\n{REACT}"},
+        {"type": "text", "text": f"Looks made: 1, left: {left}\n{more}\n{stage}"},
     ]
     if image is not None:
         parts.insert(2, {"type": "image_url", "image_url": {"url": image}})
@@ -381,11 +403,27 @@ def prompt(question=KNOWN, image=None, place=PLACE, frames="000000"):
         prompt(image="file:///etc/passwd"),
         prompt(image="data:image/jpeg;base64,////"),
         prompt(image="data:image/jpeg;base64,!"),
+        b"[" * 200_000,
+        b'{"messages": ' + b"[" * 200_000,
+        prompt(left="x"),
+        prompt(left="99999999999"),
+        prompt(place=PLACE.replace("0.0", "NaN")),
+        prompt(stage=ANSWER),
+        prompt(stage=FACTS),
+        prompt(stage=PLACE_STAGE),
+        prompt(stage=BOX),
+        prompt(stage=CHOICE),
+        prompt(stage=CHOICE, image=GREY),
+        prompt(stage=CHOICE, image=GREY, more="Refined box, stitched pixels: [1, 2, 3]"),
+        prompt(stage=CHOICE, image=GREY, more='Refined box, stitched pixels: [1, 2, 3, "x"]'),
+        prompt(stage=BOX_LINE),
+        prompt(stage=CORNER_LINE, image=GREY),
+        prompt(image=bomb()),
     ],
 )
 def test_requests_that_the_server_cannot_understand(play, body):
     status, reply = post(play.server.url, body)
-    assert status == 400
+    assert status == 400, reply
     assert "\n" not in reply["error"]["message"]
 
 
