@@ -8,6 +8,7 @@ is read from the environment and goes nowhere but into the request's header.
 
 from __future__ import annotations
 
+import functools
 import ipaddress
 import math
 import os
@@ -31,6 +32,8 @@ from .replies import Reply as Reply
 from .replies import read_completion, spoken
 
 if TYPE_CHECKING:
+    import ssl
+
     import httpx2
     import openai
 
@@ -91,21 +94,18 @@ class Client:
         self._pause = pause
         self._served: dict[str, None] = {}
         self._lock = threading.Lock()
+        self._http = _transport(self.base_url)
         self._openai = self._connect()
 
     def _connect(self) -> openai.OpenAI:
         import openai
 
-        # A proxy of the environment cannot reach this machine's own loopback address.
-        http_client = openai.DefaultHttpxClient(
-            trust_env=not _is_loopback(self.base_url), event_hooks={"response": [limit]}
-        )
         return openai.OpenAI(
             base_url=self.base_url,
             api_key=self._key or "none",
             max_retries=0,
             timeout=self.options.timeout_s,
-            http_client=http_client,
+            http_client=self._http,
         )
 
     def settings(self) -> dict[str, Any]:
@@ -153,8 +153,7 @@ class Client:
 
         parts = urlsplit(self.base_url)
         try:
-            with httpx2.Client(trust_env=not _is_loopback(self.base_url), event_hooks={"response": [limit]}) as client:
-                answer = client.get(f"{parts.scheme}://{parts.netloc}/version", timeout=_VERSION_TIMEOUT_S)
+            answer = self._http.get(f"{parts.scheme}://{parts.netloc}/version", timeout=_VERSION_TIMEOUT_S)
             version = msgspec.json.decode(answer.content, type=dict[str, Any]).get("version")
         except (httpx2.HTTPError, EndpointError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             return ""
@@ -231,6 +230,24 @@ class Client:
         # The key goes before the text is cut, or its beginning could stay.
         text = str(error)
         return _one_line(text.replace(self._key, "[key]") if self._key else text) or type(error).__name__
+
+
+def _transport(base_url: str) -> httpx2.Client:
+    import openai
+
+    # A proxy of the environment cannot reach this machine's own loopback address.
+    environment = not _is_loopback(base_url)
+    return openai.DefaultHttpxClient(
+        trust_env=environment, verify=_certificates(environment), event_hooks={"response": [limit]}
+    )
+
+
+@functools.cache
+def _certificates(environment: bool) -> ssl.SSLContext:
+    """The certificates to trust. Loading them takes as long as many calls do, and all clients may share them."""
+    import httpx2
+
+    return httpx2.create_ssl_context(trust_env=environment)
 
 
 def _checked_url(base_url: str) -> str:

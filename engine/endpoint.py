@@ -66,13 +66,14 @@ def connect(
     client = Client(base_url, model, options, convention=convention, cache=cache)
     warnings = require(preflight(client))
     served = client.served[0]
-    if found is not None:
+    if store is not None and found is not None:
         asked = (options.response_format, options.thinking, served)
         before = (found.response_format, found.thinking, found.served_model)
         for what, now, then in zip(("response format", "thinking", "served model"), asked, before, strict=True):
             if now != then:
                 raise EndpointError(
-                    f"{model} was calibrated with {what} {then!a}, not {now!a}: calibrate again with these options"
+                    f"{model} was calibrated with {what} {then!a}, not {now!a}: calibrate again with these options, "
+                    f"or delete {convention_path(store, model)}"
                 )
     convention_settings = convention.settings() | ({} if found is None else {"asked_sha256": found.asked_sha256})
     settings = {
@@ -86,17 +87,20 @@ def connect(
 
 
 @contextlib.contextmanager
-def serving(model: str, base_url: str | None, log: Path | None = None) -> Iterator[str]:
+def serving(
+    model: str, base_url: str | None, log: Path | None = None, knobs: Knobs | None = None
+) -> Iterator[str]:
     """The address of the model's server: the one given, or that of a marker server started for this block.
 
-    Raises EndpointError where there is neither.
+    `log` and `knobs` are the marker server's. Raises EndpointError where there is neither.
     """
     from jrdb_avr.agent.marker.child import marker_server
+    from jrdb_avr.agent.marker.knobs import PERFECT
 
     if base_url is not None:
         yield base_url
     elif model == MARKER:
-        with marker_server(log) as url:
+        with marker_server(log, knobs or PERFECT) as url:
             yield url
     else:
         raise EndpointError(f"--model {model} needs --base-url, the address of the server that has it")
