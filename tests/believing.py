@@ -15,6 +15,12 @@ PLAN = Plan(
     (Edge("a", "conversation", "b", "t0"),),
     AnswerSpec(mode="multiple_choice", read="action", of="b", at="t1"),
 )
+BELIEF_QUERIES = {
+    *("world_runs", "writes", "refused_writes", "looks", "seen_when"),
+    *("beliefs_at_step", "unresolved_at_step", "belief_differences"),
+}
+"""The kept queries that ask the world tables."""
+
 WILD = ({}, [], None, "x" * 300, {"observation": "o99"}, {"id": "p1", "kind": "person", "observation": "o1; MATCH (n)"})
 
 MORE = (("action", "walking"), ("action", "talking on the phone"), ("distance_m", 2.5), ("note", "tall"))

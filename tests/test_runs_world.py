@@ -247,11 +247,12 @@ run(store, "one", between=between)
 """
 
 
+@pytest.mark.slow
 def test_killed_in_a_write_the_run_ends_as_if_it_had_not_been(template, live, tmp_path):
     store = Store(tmp_path / "fresh")
     run(store, "two", ASKED[3:4], path=store.graph_path)
     here = Path(__file__).parent
-    for after in (20, 70):
+    for after in (20, 115):
         done = subprocess.run([sys.executable, "-c", KILLED, str(store.path), str(after)], cwd=here, check=False)
         assert done.returncode == -signal.SIGKILL
     assert (store.run_path("one") / "journal.jsonl").read_bytes().count(b"\n") >= 1

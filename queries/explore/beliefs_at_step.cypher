@@ -1,0 +1,9 @@
+// What an agent believed in one question once it had taken a step: attributes and relations, from frame to frame.
+// param run: text
+// param question: text
+// param step: integer
+MATCH (e:Episode)-[:Holds]->(n:Entity)-[r:Has|:Related]->(o:Observation:Entity)
+WHERE e.id = concat($run, '/', $question) AND r.step <= $step AND r.until > $step
+RETURN n.name AS entity, r.name AS name, CASE label(r) WHEN 'Has' THEN r.value ELSE o.name END AS value,
+       CASE WHEN r.last >= 10000000 THEN NULL ELSE r.first END AS frame, r.step AS since
+ORDER BY entity, name, frame, value, since;

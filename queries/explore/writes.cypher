@@ -1,0 +1,8 @@
+// All that an agent did in one question, in order: every call of its tools, accepted or refused with the reason.
+// param run: text
+// param question: text
+MATCH (e:Episode)-[:Wrote]->(w:Write)
+WHERE e.id = concat($run, '/', $question)
+RETURN w.number AS number, w.step AS step, w.tool AS tool, w.accepted AS accepted, w.reason AS reason,
+       w.arguments AS arguments
+ORDER BY number;
