@@ -19,6 +19,7 @@ from jrdb_avr.agent import decode
 from jrdb_avr.agent.calibrate import Calibration
 from jrdb_avr.agent.client import Client
 from jrdb_avr.agent.conventions import Convention, convention_of
+from jrdb_avr.agent.marker.knobs import PERFECT, Knobs
 from jrdb_avr.agent.options import DEFAULTS, Options
 from jrdb_avr.agent.preflight import preflight, require
 from jrdb_avr.queries.store import Store, is_plain_name, write_atomic
@@ -87,20 +88,17 @@ def connect(
 
 
 @contextlib.contextmanager
-def serving(
-    model: str, base_url: str | None, log: Path | None = None, knobs: Knobs | None = None
-) -> Iterator[str]:
+def serving(model: str, base_url: str | None, log: Path | None = None, knobs: Knobs = PERFECT) -> Iterator[str]:
     """The address of the model's server: the one given, or that of a marker server started for this block.
 
     `log` and `knobs` are the marker server's. Raises EndpointError where there is neither.
     """
     from jrdb_avr.agent.marker.child import marker_server
-    from jrdb_avr.agent.marker.knobs import PERFECT
 
     if base_url is not None:
         yield base_url
     elif model == MARKER:
-        with marker_server(log, knobs or PERFECT) as url:
+        with marker_server(log, knobs) as url:
             yield url
     else:
         raise EndpointError(f"--model {model} needs --base-url, the address of the server that has it")

@@ -75,10 +75,15 @@ def _value(name: str, text: str) -> float:
     return value
 
 
-def settings(knobs: Knobs) -> list[str]:
-    """The texts that `parse` makes the knobs of, without those that are as they are by default."""
+def turned(knobs: Knobs) -> dict[str, float]:
+    """The knobs that are not as they are by default, as a run's manifest holds them."""
     shown = msgspec.structs.asdict(knobs)
-    return [f"{name}={value!r}" for name, value in shown.items() if value != getattr(PERFECT, name)]
+    return {name: value for name, value in shown.items() if value != getattr(PERFECT, name)}
+
+
+def settings(knobs: Knobs) -> list[str]:
+    """The texts that `parse` makes the knobs of."""
+    return [f"{name}={value!r}" for name, value in turned(knobs).items()]
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from jrdb_avr.engine.methods import METHODS, WORLD_METHODS
 from jrdb_avr.engine.output import json_option, note, print_json, print_rows, progress, store_option
 
 if TYPE_CHECKING:
+    from jrdb_avr.agent.marker.knobs import Knobs
     from jrdb_avr.agent.world import World
     from jrdb_avr.engine.endpoint import Endpoint
     from jrdb_avr.engine.running import Standing
@@ -65,6 +66,14 @@ panoramas:
     help="Graph file for the agent's world model, in place of the store's: for runs in parallel, or without labels.",
 )
 @click.option(
+    "--marker",
+    "knob_texts",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="How imperfectly the marker model plays: wrong_box=0.1, wrong_attribute, malformed, refusal, truncated and "
+    "thinking as shares, latency in seconds, seed. May be given several times.",
+)
+@click.option(
     "--scores/--no-scores",
     default=None,
     help="Scores so far, from a process of their own; beside the bar on a terminal, as lines if asked for elsewhere.",
@@ -83,6 +92,7 @@ def command(
     resume: bool,
     images: Path | None,
     world_db: Path | None,
+    knob_texts: tuple[str, ...],
     scores: bool | None,
     options: Options,
     as_json: bool,
@@ -92,6 +102,7 @@ def command(
     The model's key is read from the environment (OPENAI_API_KEY). Its server is checked first, as by 'preflight'. The
     run can be stopped at any time and resumed. Exit code 1 while any question ends in an error.
     """
+    from jrdb_avr.agent.marker.knobs import parse
     from jrdb_avr.engine import runs
     from jrdb_avr.engine.endpoint import MARKER, connect, serving
     from jrdb_avr.engine.methods import make_method
@@ -101,6 +112,9 @@ def command(
     from jrdb_avr.schema.errors import StoreError
 
     need_address(model, base_url)
+    if knob_texts and (model != MARKER or base_url is not None):
+        raise click.UsageError("--marker sets how the built-in marker model plays: give it with --model marker alone")
+    knobs = parse(knob_texts)
     if world_db is not None and method_name not in WORLD_METHODS:
         raise click.UsageError(f"--world-db: {method_name} has no world model")
     place = Store(store)
@@ -117,12 +131,12 @@ def command(
             # Of another model, for all that is known.
             raise StoreError(f"{folder} holds answers and no run.json: delete it, or give another --run-id")
         world = stack.enter_context(_world(place, run_id, method_name, world_db, journal))
-        url = stack.enter_context(serving(model, base_url, folder / "marker.jsonl"))
+        url = stack.enter_context(serving(model, base_url, folder / "marker.jsonl", knobs))
         endpoint = connect(place, model, url, options, folder / "calls")
         for warning in endpoint.warnings:
             note(f"preflight: {warning}")
         method = make_method(method_name, endpoint.client, endpoint.convention, world)
-        keep_terms(place, _manifest(place, run_id, method, endpoint, questions))
+        keep_terms(place, _manifest(place, run_id, method, endpoint, questions, knobs))
         beside = stack.enter_context(_running_scores(place, run_id, scores))
         advance = stack.enter_context(progress(f"{method_name}, {model}", len(questions), beside))
         runs.ask_all(method, questions, sequences, observer, observer.stored, journal, concurrency, advance)
@@ -256,11 +270,15 @@ def _running_scores(place: Store, run_id: str, wanted: bool | None) -> Iterator[
         yield lambda: latest
 
 
-def _manifest(place: Store, run_id: str, method: Settled, endpoint: Endpoint, questions: list[Question]) -> RunManifest:
+def _manifest(
+    place: Store, run_id: str, method: Settled, endpoint: Endpoint, questions: list[Question], knobs: Knobs
+) -> RunManifest:
+    from jrdb_avr.agent.marker.knobs import turned
     from jrdb_avr.engine.endpoint import MARKER
     from jrdb_avr.engine.runs import is_of_sample
     from jrdb_avr.queries.runs import RunManifest, questions_hash
 
+    shown = turned(knobs)
     return RunManifest(
         run_id=run_id,
         method=method.name,
@@ -268,7 +286,7 @@ def _manifest(place: Store, run_id: str, method: Settled, endpoint: Endpoint, qu
         questions_sha256=questions_hash(place),
         question_ids=tuple(question.question_id for question in questions),
         synthetic=endpoint.client.model == MARKER or any(map(is_of_sample, questions)),
-        settings={"method": method.settings(), **endpoint.settings},
+        settings={"method": method.settings(), **endpoint.settings, **({"marker": shown} if shown else {})},
         created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     )
 
