@@ -21,6 +21,7 @@ MAY_IMPORT = {
 # The run and command-line edge: only here a method is picked and handed its questions.
 AGENT_USERS = {
     "engine/methods.py",
+    "engine/own_methods.py",
     "engine/endpoint.py",
     "engine/commands/_endpoint.py",
     "engine/commands/preflight.py",
