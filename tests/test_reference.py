@@ -320,7 +320,7 @@ def test_looks_that_are_refused(world, graph, call, reason):
 
 
 def test_the_24th_look_is_made_and_the_25th_is_not(world, graph):
-    looks = [look(frame) for frame in FRAMES]
+    looks = [look(150, 14 * n) for n in range(25)]
     game = play(world, [PLAN, turn(*looks[:23]), turn(looks[23], looks[24]), "x"], graph=graph)
     assert results(game.requests[3]) == ["1. observe: o24", "2. observe: refused: no looks are left"]
     assert "Looks made: 24, left: 0\nTool calls made: 25, left: 55" in text_of(game.requests[3])

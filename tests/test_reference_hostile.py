@@ -1,5 +1,6 @@
 """The reference agent against models that say anything: it ends within its budget, and says the same again."""
 
+import dataclasses
 import json
 import math
 import threading
@@ -83,7 +84,7 @@ replies = st.builds(
 )
 
 
-@settings(max_examples=examples(60))
+@settings(max_examples=examples(40))
 @given(
     st.sampled_from(VARIANTS),
     st.booleans(),
@@ -146,13 +147,13 @@ def test_a_replay_gives_the_same_transcript(world, graph):
 
 def test_sixteen_questions_at_once_do_not_meet(world, graph):
     """Each question's graph holds what it wrote, and nothing of the others."""
-    import dataclasses
-
     beliefs = Beliefs(graph, "many")
     shown = {}
 
     def ask(number):
-        chat = Scripted([PLAN, turn(look(5 * number)), turn(entity(f"p{number}", node="a")), turn(GRAPH), "x", "x"])
+        chat = Scripted(
+            [PLAN, turn(look(150, 20 * number)), turn(entity(f"p{number}", node="a")), turn(GRAPH), "x", "x"]
+        )
         agent = ReferenceAgent(chat, world=beliefs, solving=lambda world, question: StubSolver())
         task = world.task("?", "multiple_choice", ("walking", "standing"))
         question = dataclasses.replace(task.question, question_id=f"{number:016x}")
@@ -167,7 +168,7 @@ def test_sixteen_questions_at_once_do_not_meet(world, graph):
         thread.join()
     assert len(shown) == 16
     for number, told in shown.items():
-        assert [seen["frame_id"] for seen in told["observations"]] == [f"{5 * number:06d}"]
+        assert [seen["angle_deg"] for seen in told["observations"]] == [20 * number]
         assert [person["id"] for person in told["entities"]] == [f"p{number}"]
     held = graph.query(
         "MATCH (e:Episode)-[:Holds]->(n:Entity) WHERE e.run = 'many' RETURN e.question AS q, n.name AS n ORDER BY q"
@@ -187,7 +188,7 @@ def test_a_turn_is_read_or_malformed(value):
         assert len(call.said) < 4000 and call.said.isascii()
 
 
-@given(st.lists(calls, min_size=1, max_size=MOST_PER_TURN))
+@given(st.lists(calls, min_size=1, max_size=5))
 def test_a_list_of_any_calls_is_read(given):
     made = read_calls({"calls": given}, TOOLS)
     assert len(made) == len(given)

@@ -1,5 +1,6 @@
 """The reference agent: a plan, a loop over tools that look and remember, and a solver that reads the answer.
 
-`planning` gets the plan, `calls` reads a turn, `episode` plays a question, `remembering` keeps what was seen in the
-world model (and `chat` in a chat history, for the ablation), `shown` says what a turn shows, `method` is the method.
+`method` is the method in its four variants, `limits` its budgets. `planning` gets the plan, whose `labels` it checks;
+`episode` plays a question turn by turn, `calls` reads what a turn says, `shown` and `prompts` write what it shows.
+`remembering` keeps what was seen in the world model and asks `solving`; `chat` is the chat history in its place.
 """

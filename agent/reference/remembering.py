@@ -155,8 +155,10 @@ class GraphMemory:
                 decode.only_keys(call.arguments, (), "get_graph")
                 self.world.noted("get_graph", call.arguments, step, True)
                 return "done"
+        if not result.accepted:
+            return refusal(result.said)
         self.known = None
-        return "done" if result.accepted else refusal(result.said)
+        return "done"
 
     def _with_box(self, arguments: Mapping[str, Any], views: Mapping[str, View]) -> tuple[dict[str, Any], Box | str]:
         """The arguments under the contract's key, and the box in pixels of the named observation, or its fault."""
