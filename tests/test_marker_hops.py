@@ -88,3 +88,17 @@ def test_a_fork_joins_at_the_one_who_fits_both():
     left, right = "within 90 degrees to the left of (robot view)", "within 60 degrees to the left of (robot view)"
     fork = plan(("a", FIRST_LEFT, "b"), ("a", FIRST_RIGHT, "c"), ("b", left, "d"), ("c", right, "d"))
     assert walk(fork, people[0], people).mark.identity == 5
+
+
+def test_a_person_read_in_two_looks_is_not_its_own_neighbour():
+    a, again, b = seen(1, 200.0), seen(1, 200.2), seen(2, 230.0)
+    assert related(FIRST_RIGHT, a, b, [again, b])
+    plan = Plan(
+        "a",
+        "b",
+        {"t0": Time(frame=0)},
+        (Node("a"), Node("b")),
+        (Edge("a", FIRST_RIGHT, "b", "t0"),),
+        AnswerSpec(mode="multiple_choice", read="action", of="b", at="t0"),
+    )
+    assert walk(plan, a, [again, b]) is b

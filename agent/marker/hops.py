@@ -84,7 +84,9 @@ def related(relation: str, source: Sighting, target: Sighting, people: Sequence[
         return _tells(source, relation, target) or _tells(target, relation, source)
     if relation in (FIRST_LEFT, FIRST_RIGHT):
         turn = _left if relation == FIRST_LEFT else _right
-        turns = {seen.mark.identity: turn(source, seen) for seen in people if seen is not source}
+        # Not by object: the source may have been read in another look at the same frame.
+        own_identity = source.mark.identity
+        turns = {seen.mark.identity: turn(source, seen) for seen in people if seen.mark.identity != own_identity}
         own = turns[target.mark.identity]
         return own <= _REACH_DEG and own == min(turns.values())
     if relation in _WINDOWS:

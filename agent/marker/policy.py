@@ -410,7 +410,8 @@ def _count(game: Game, person: Sighting | None) -> int:
             own = game.eyes.follow(person.mark.identity, frame, NEARBY)
             if own is not None:
                 people = look_round(game.eyes, own.frame)
-                found |= {s.mark.identity for s in people if s is not own and related(relation, own, s, people)}
+                others = [seen for seen in people if seen.mark.identity != person.mark.identity]
+                found |= {seen.mark.identity for seen in others if related(relation, own, seen, people)}
             frame += max(_STEP, (end - begin) // rounds)
     except Spent:
         game.note("budget: not all of the time was looked at")
