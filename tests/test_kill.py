@@ -1,0 +1,210 @@
+"""Runs that are killed at random points: resumed, they end as if nothing had been, and no finished call is made again.
+
+A call is finished once its reply is in the run's `calls/`. What a server has served and the run has not kept when it is
+killed was in flight: at most one call of each question at work. The server here counts by content, so the number of
+times that it serves anything twice must be that of the calls in flight at the kills, to the very call.
+"""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from hashlib import sha256
+
+import pyarrow.parquet as pq
+import pytest
+from asked_world import write_store
+from believing import PLAN, world_dump
+from fake_server import FakeServer, images, sound, texts
+
+from jrdb_avr.queries.handle import Graph, build_graph
+from jrdb_avr.queries.world import make_world_tables
+from jrdb_avr.queries.world_record import replayed
+from jrdb_avr.schema.plan import canonical
+
+AT_ONCE = 3
+ASKED = 8
+
+# One process that has everything imported and no thread forks each run: a run costs its own work alone.
+LAUNCHER = """
+import os, sys
+import cv2, kuzu, openai, httpx2, pyarrow.parquet
+from jrdb_avr.agent.reference import method
+from jrdb_avr.agent import client, react, world
+from jrdb_avr.engine import cli, endpoint, methods, observe, runs, terms
+from jrdb_avr.engine.commands import evaluate
+for line in sys.stdin:
+    child = os.fork()
+    if child == 0:
+        null = os.open(os.devnull, os.O_RDWR)
+        os.dup2(null, 0); os.dup2(null, 1)
+        sys.argv = ["jrdb-avr", *line.split()]
+        try:
+            cli.main()
+        except SystemExit as end:
+            os._exit(end.code or 0)
+        os._exit(0)
+    print(child, flush=True)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+"""
+
+
+@pytest.fixture(scope="module")
+def launcher():
+    with subprocess.Popen(
+        [sys.executable, "-c", LAUNCHER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        yield process
+        process.stdin.close()
+
+
+def react(request):
+    """Looks twice, then answers."""
+    if len(images(request)) < 2:
+        turn = {"action": "observe", "frame_id": "000000", "angle_deg": 180 * len(images(request))}
+    else:
+        turn = {"action": "answer", "answer": 1, "evidence_bboxes": [{"frame_id": "000000", "bbox": [1, 2, 30, 40]}]}
+    return json.dumps(turn)
+
+
+def agent(request):
+    """Plans, looks, writes what it cannot know, and gives up."""
+    text = texts(request)
+    if text.rstrip().endswith("Your plan, as one JSON object:"):
+        return canonical(PLAN)
+    look = {"tool": "observe", "frame_id": "000000", "angle_deg": 10}
+    person = {
+        "tool": "add_entity",
+        "id": "p1",
+        "kind": "person",
+        "node": "b",
+        "observation": "o1",
+        "box": [0, 0, 90, 500],
+    }
+    other = {**person, "id": "p2", "node": "a", "box": [100, 0, 300, 500]}
+    sits = {"tool": "add_attribute", "entity": "p1", "name": "action", "value": "sitting", "observation": "o1"}
+    walks, ungrounded = {**sits, "value": "walking"}, {**sits, "observation": "o7"}
+    talks = {"tool": "add_relation", "source": "p1", "name": "conversation", "target": "p2", "observation": "o1"}
+    said = text.rpartition("Graph: ")[2].partition("\n")[0]
+    if '"o1"' not in said:
+        return json.dumps({"calls": [look, person]})
+    if "p2" not in said:
+        return json.dumps({"calls": [other, sits, walks, ungrounded, talks, {"tool": "get_graph"}]})
+    return "no more"
+
+
+class Counted:
+    """A server that counts by content what it serves, and kills the run at the calls it is told."""
+
+    def __init__(self, script):
+        self.script, self.served, self.lock = script, Counter(), threading.Lock()
+        self.seen, self.at, self.before, self.pid = 0, 0, True, 0
+
+    def __call__(self, request, n):
+        with self.lock:
+            self.served[sha256(json.dumps(request).encode()).hexdigest()] += 1
+            self.seen += 1
+            due = self.seen == self.at
+        if due and self.before:
+            self.kill()
+        elif due:
+            # While the reply is read, kept, acted upon, or the line of the journal written.
+            threading.Timer(random.uniform(0, 0.02), os.kill, (self.pid, signal.SIGKILL)).start()
+        return self.script(request)
+
+    def kill(self):
+        if self.pid:
+            os.kill(self.pid, signal.SIGKILL)
+
+
+def start(launcher, store, url, method):
+    options = f"--method {method} --model fake --base-url {url} --run-id r --limit {ASKED}"
+    launcher.stdin.write(f"evaluate --store {store.path} {options} --concurrency {AT_ONCE} --no-scores --resume\n")
+    launcher.stdin.flush()
+    return int(launcher.stdout.readline())
+
+
+def ended(launcher):
+    return int(launcher.stdout.readline())
+
+
+def kept(store):
+    """What a run leaves, but for the time that it took."""
+    tables = {n: pq.read_table(store.run_path("r") / f"{n}.parquet") for n in ("predictions", "steps", "world")}
+    rows = {n: table.drop_columns([c for c in ("seconds",) if c in table.column_names]) for n, table in tables.items()}
+    return {n: table.to_pylist() for n, table in rows.items()}
+
+
+def in_graph(store):
+    with Graph.open(store.graph_path, read_only=True) as graph:
+        return world_dump(graph)
+
+
+def new_store(path, asked_world):
+    store = write_store(path, asked_world / "images")
+    with build_graph(store.graph_path) as graph:
+        make_world_tables(graph)
+    return store
+
+
+def kill_and_resume(launcher, asked_world, folder, method, script, kills, seed):
+    whole, killed = (new_store(folder / name, asked_world) for name in ("whole", "killed"))
+    with FakeServer(sound(script_of := Counted(script))) as server:
+        start(launcher, whole, server.url, method)
+        assert ended(launcher) == 0
+        calls = script_of.seen
+        assert set(script_of.served.values()) == {1}
+    rng = random.Random(seed)
+    counted = Counted(script)
+    with FakeServer(sound(counted)) as server:
+        in_flight = deaths = 0
+        for _ in range(kills):
+            left = calls - len(counted.served)
+            counted.at = counted.seen + rng.randint(1, max(1, min(left, 2 * calls // kills + 1)))
+            counted.before = rng.random() < 0.4
+            counted.pid = start(launcher, killed, server.url, method)
+            code, counted.pid = ended(launcher), 0
+            assert code in (0, -signal.SIGKILL)
+            deaths += code != 0
+            time.sleep(0.05)  # A request that was on its way is counted.
+            finished = len(list((killed.run_path("r") / "calls").rglob("*.json")))
+            flying = len(counted.served) - finished
+            assert 0 <= flying <= AT_ONCE
+            in_flight += flying
+        counted.at = 0
+        start(launcher, killed, server.url, method)
+        assert ended(launcher) == 0
+        assert sum(counted.served.values()) - len(counted.served) <= in_flight
+        assert len(counted.served) == calls
+        served = counted.seen
+        start(launcher, killed, server.url, method)
+        assert ended(launcher) == 0
+        assert counted.seen == served
+    assert deaths >= kills // 2
+    assert kept(killed) == kept(whole)
+    assert in_graph(killed) == in_graph(whole)
+    return whole
+
+
+def test_react_killed_and_resumed(launcher, asked_world, tmp_path):
+    kill_and_resume(launcher, asked_world, tmp_path, "react", react, 2, 1)
+
+
+def test_agent_killed_and_resumed(launcher, asked_world, tmp_path):
+    whole = kill_and_resume(launcher, asked_world, tmp_path, "agent", agent, 2, 2)
+    record = pq.read_table(whole.run_path("r") / "world.parquet")
+    assert {row["tool"] for row in record.to_pylist()} >= {"begin", "plan", "observe", "add_entity", "add_relation"}
+    made = {name: table.num_rows for name, table in replayed(record).items()}
+    assert made == {name: len(rows) for name, rows in in_graph(whole).items()}
+    assert all(made.values())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("method", "script"), [("react", react), ("agent", agent)])
+def test_killed_at_twenty_points(launcher, asked_world, tmp_path, method, script):
+    kill_and_resume(launcher, asked_world, tmp_path, method, script, 20, random.randrange(1 << 30))
