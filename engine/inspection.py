@@ -16,12 +16,15 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.plan import Plan, parse_plan
 from jrdb_avr.schema.rules import frames as frames_in
-from jrdb_avr.schema.vocabulary import SAME_GROUP
+from jrdb_avr.schema.vocabulary import POSES, SAME_GROUP
 
 from .pages.diagrams import Line, Span, runs_of
 
 _ROUND: Final = frames_in(5.0)
 """Actions are shown that somebody does this near to the named times."""
+
+_READ_POSES: Final = ("action", "next_action")
+"""Reads whose answer is a pose."""
 
 
 @dataclass(frozen=True)
@@ -149,32 +152,57 @@ def _lines(
     track = people[role]
     first, last = min(moments.values()) - _ROUND, max(moments.values()) + _ROUND
     actions = [row for row in sequence.rows("actions", track=track) if row["first"] <= last and row["last"] >= first]
-    lines = [Line(role, "in view", tuple(spans)), *_grouped(role, actions, lambda row: row["action"], "action")]
+    lines = [Line(role, "in view", tuple(spans))]
+    lines += _grouped(role, actions, lambda row: row["action"], "action", _asked(role, plan))
     others = {number: name for name, number in people.items()}
-    said = {edge.relation for edge in plan.edges if role in (edge.source, edge.target)}
-    said |= {plan.answer.relation or ""} if role == plan.answer.of else set()
+    # The edges that go out from this person; and of what is counted, everybody it may hold of.
+    said = {(edge.relation, people[edge.target]) for edge in plan.edges if edge.source == role}
+    counted = plan.answer.relation if role == plan.answer.of else None
     for name in ("interactions", "beside"):
-        own = [row for row in sequence.rows(name, source=track) if row["label"] in said]
-        if not plan.answer.relation:
-            own = [row for row in own if row["target"] in others]
+        own = [
+            row
+            for row in sequence.rows(name, source=track)
+            if (row["label"], row["target"]) in said or row["label"] == counted
+        ]
         lines += _grouped(
             role,
             own,
-            lambda row: f"{row['label']} \N{RIGHTWARDS ARROW} {others.get(row['target'], row['target'])}",
+            lambda row: f"\N{RIGHTWARDS ARROW} {others.get(row['target'], str(row['target'])).upper()} {row['label']}",
             "relation",
         )
     conditions = [condition for node in plan.nodes if node.id == role for condition in node.conditions]
-    if SAME_GROUP in said or any(condition.attribute == "group_size" for condition in conditions):
+    if SAME_GROUP in _relations(role, plan) or any(condition.attribute == "group_size" for condition in conditions):
         lines += _grouped(role, sequence.rows("memberships", track=track), lambda r: f"group {r['cluster']}", "group")
     verbs = {condition.verb for condition in conditions if condition.verb}
     own = [row for row in sequence.rows("handles", track=track) if row["verb"] in verbs]
     return lines + _grouped(role, own, lambda row: f"{row['verb']} a thing", "thing")
 
 
+def _relations(role: str, plan: Plan) -> set[str]:
+    """The relations that the plan names of a person."""
+    said = {edge.relation for edge in plan.edges if role in (edge.source, edge.target)}
+    return said | ({plan.answer.relation} if plan.answer.relation and role == plan.answer.of else set())
+
+
+def _asked(role: str, plan: Plan) -> frozenset[str]:
+    """The actions of a person that the plan speaks of: every pose where one is what is read."""
+    actions = {c.action for node in plan.nodes if node.id == role for c in node.conditions if c.action}
+    actions |= {time.action for time in plan.times.values() if time.of == role and time.action}
+    if plan.answer.of == role and plan.answer.read in _READ_POSES:
+        actions |= set(POSES)
+    return frozenset(actions)
+
+
 def _grouped(
-    role: str, rows: Sequence[Mapping[str, Any]], label: Callable[[Mapping[str, Any]], str], kind: str
+    role: str,
+    rows: Sequence[Mapping[str, Any]],
+    label: Callable[[Mapping[str, Any]], str],
+    kind: str,
+    asked: frozenset[str] | None = None,
 ) -> list[Line]:
+    """A row per label, those that the plan speaks of first; `asked` None: all of them."""
     by_label: dict[str, list[Span]] = {}
     for row in rows:
         by_label.setdefault(label(row), []).append(Span(row["first"], row["last"], kind, row["certain"]))
-    return [Line(role, name, tuple(spans)) for name, spans in sorted(by_label.items())]
+    lines = [Line(role, name, tuple(spans), asked is None or name in asked) for name, spans in by_label.items()]
+    return sorted(lines, key=lambda line: (not line.asked, line.label))

@@ -8,6 +8,7 @@ import pytest
 from browser import browser, complaints
 from entry import run
 
+from jrdb_avr.engine.pages.answers import readable
 from jrdb_avr.engine.pages.charts import intervals, scatter, stacked
 from jrdb_avr.engine.pages.diagrams import plan_graph, runs_of, timeline, wrapped
 from jrdb_avr.engine.pages.page import render
@@ -142,6 +143,28 @@ def test_questions_are_judged_by_keyboard_and_imported(opened, inspected, benchm
     code, _, err = run("inspect", "--import", file, "--reviewer", "ada", "--store", benchmark_copy.path)
     assert code == 0, err
     assert {row["question_id"] for row in read_reviews(benchmark_copy)} == set(names[:2])
+    # A page closed by mistake has lost nothing, until it is told to forget.
+    visit(driver, inspected)
+    assert count() == "2 of 4 decided: 1 accepted, 1 rejected"
+    assert shown(driver, "article")[1].find_element("class name", "reason").text == "two people fit, a & b"
+    driver.find_element("id", "anew").click()
+    driver.switch_to.alert.accept()
+    assert count().startswith("0 of 4")
+    visit(driver, inspected)
+    assert count().startswith("0 of 4")
+
+
+def test_what_a_browser_keeps_is_not_trusted(opened, inspected):
+    """Another file's page may have written to the same shelf."""
+    driver, _ = opened
+    visit(driver, inspected)
+    name = "`jrdb-avr inspect ${sha} ${[...document.querySelectorAll('article')].map(a => a.dataset.id).join()}`"
+    sha = "const sha = JSON.parse(document.getElementById('about').textContent).questions_sha256;"
+    for kept in ("{", "3", '[{"question_id": "x", "decision": "accept", "reason": ""}, null]'):
+        driver.execute_script(f"{sha} localStorage.setItem({name}, arguments[0])", kept)
+        visit(driver, inspected)
+        assert driver.find_element("id", "count").text.startswith("0 of 4")
+    driver.execute_script("localStorage.clear()")
 
 
 def test_a_question_shows_answer_plan_people_and_proofs(opened, inspected, sample_benchmark):
@@ -155,7 +178,8 @@ def test_a_question_shows_answer_plan_people_and_proofs(opened, inspected, sampl
             place = article.find_elements("css selector", "ol.choices li").index(right[0])
             assert json.loads(own["answer"]) == {"choice": place + 1}
         else:
-            assert own["answer"] in article.text
+            said = article.find_element("css selector", "b.yes").text
+            assert set(re.findall(r"\d+", said)) & set(re.findall(r"\d+", own["answer"]))
         plan = json.loads(own["plan"])
         assert len(article.find_elements("css selector", ".plan rect.node")) == len(plan["nodes"])
         assert len(article.find_elements("css selector", ".plan line.edge")) == len(plan["edges"])
@@ -214,6 +238,50 @@ def test_a_timeline_is_to_scale():
     assert [moment.name for moment in drawn.moments] == ["t0", "t1"]
     assert second.title.endswith("(unknown)")
     assert [row.first for row in drawn.rows] == [True, True]
+
+
+def test_a_plan_shows_every_condition_whole():
+    """A reviewer who sees three of five conditions would accept a wrong question."""
+    conditions = [{"attribute": "gender", "value": "male"}, {"attribute": "age", "value": "middle adulthood"}]
+    timed = [{"action": "talking on the phone"}, {"attribute": "sector", "value": "behind"}]
+    timed.append({"object": "skateboard/segway/hoverboard", "verb": "riding"})
+    conditions += [condition | {"at": "t0"} for condition in timed]
+    plan = {
+        "root": "a",
+        "target": "a",
+        "times": {"t0": {"frame": 30}},
+        "nodes": [{"id": "a", "conditions": conditions}],
+        "edges": [],
+        "answer": {"mode": "multiple_choice", "read": "presence", "of": "a", "at": "t0"},
+    }
+    graph = plan_graph(parse_plan(json.dumps(plan)))
+    (node,) = graph.nodes
+    said = "".join(node.lines).replace(" ", "")
+    for text in ("gender:male", "age:middleadulthood", "talkingonthephone", "sector:behind", "riding", "hoverboard"):
+        assert text in said
+    assert graph.node[1] > 13 * len(node.lines) and all(len(line) <= 23 for line in node.lines)
+
+
+def test_named_times_beside_each_other_are_told_apart():
+    drawn = timeline([], {"t0": 50, "t1": 51, "t2": 90}, 100, 15.0)
+    assert [moment.y for moment in drawn.moments] == [11, 23, 11]
+
+
+@pytest.mark.parametrize(
+    ("mode", "text", "said"),
+    [
+        ("multiple_choice", '{"choice":2}', "2: b"),
+        ("multiple_choice", '{"choice":9}', "9: no such choice"),
+        ("frame", '{"frame":30}', "frame 30 (2.0 s)"),
+        ("span", '{"start_frame":0,"end_frame":15}', "from frame 0 (0.0 s) to frame 15 (1.0 s)"),
+        ("frame_viewpoint", '{"frame":30,"angle_deg":6.89}', "frame 30 (2.0 s), angle 6.9\N{DEGREE SIGN}"),
+        ("number", '{"value":23.0666}', "23.07"),
+        ("number", '{"value":', '{"value":'),
+        ("number", None, ""),
+    ],
+)
+def test_answers_in_words(mode, text, said):
+    assert readable(mode, text, ["a", "b"], 15.0) == said
 
 
 def test_stretches_and_lines():

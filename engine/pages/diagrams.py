@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -9,15 +10,22 @@ from typing import Any, Final
 
 from jrdb_avr.schema.plan import Condition, Plan
 
-NODE_WIDTH: Final = 150.0
-NODE_HEIGHT: Final = 58.0
-_COLUMN: Final = 330.0
-_LANE: Final = 92.0
+NODE_WIDTH: Final = 165.0
+_NODE_CHARACTERS: Final = 23
+_NODE_HEAD: Final = 24.0
+_NODE_LINE: Final = 13.0
+_GAP: Final = 150.0
+"""Between columns; the words of an edge stand in it."""
+_GAP_CHARACTERS: Final = 22
+_LANE_GAP: Final = 50.0
 
-TIMELINE_WIDTH: Final = 900.0
-_LABELS: Final = 190.0
+TIMELINE_WIDTH: Final = 1040.0
+_LABELS: Final = 262.0
 _ROW: Final = 17.0
-_LINE_CHARACTERS: Final = 30
+_LABEL_CHARACTERS: Final = 38
+_MOMENT_Y: Final = 11.0
+_MOMENT_ROOM: Final = 28.0
+"""Between the names of two times that stand beside each other."""
 
 
 # -- the plan ---------------------------------------------------------------------------------------------------------
@@ -47,8 +55,9 @@ class PlanEdge:
 
 @dataclass(frozen=True)
 class PlanGraph:
-    """A plan as drawn: nodes in columns by their distance from the root."""
+    """A plan as drawn: nodes of one size in columns by their distance from the root."""
 
+    node: tuple[float, float]
     width: float
     height: float
     nodes: tuple[PlanNode, ...]
@@ -68,34 +77,46 @@ def plan_graph(plan: Plan) -> PlanGraph:
     for node in plan.nodes:
         beside = sum(column[other] == column[node.id] for other in lanes)
         lanes[node.id] = column[node.id], beside
-    height = max(1, *(lane + 1 for _, lane in lanes.values())) * _LANE
+    several = len(plan.times) > 1
+    lines = {node.id: _node_lines(node.conditions, several) for node in plan.nodes}
+    tall = _NODE_HEAD + _NODE_LINE * max(1, *(len(own) for own in lines.values())) + 4
+    lane_height = tall + _LANE_GAP
+    height = max(1, *(lane + 1 for _, lane in lanes.values())) * lane_height
     counts = {number: sum(c == number for c, _ in lanes.values()) for number in column.values()}
     places = {
-        role: (1 + c * _COLUMN, (height - counts[c] * _LANE) / 2 + lane * _LANE + (_LANE - NODE_HEIGHT) / 2)
+        role: (1 + c * (NODE_WIDTH + _GAP), (height - counts[c] * lane_height + _LANE_GAP) / 2 + lane * lane_height)
         for role, (c, lane) in lanes.items()
     }
-    nodes = tuple(
-        PlanNode(node.id, *places[node.id], tuple(_condition(c) for c in node.conditions), node.id == plan.target)
-        for node in plan.nodes
-    )
+    nodes = tuple(PlanNode(node.id, *places[node.id], lines[node.id], node.id == plan.target) for node in plan.nodes)
     edges = []
     for edge in plan.edges:
         (x1, y1), (x2, y2) = places[edge.source], places[edge.target]
-        ends = x1 + NODE_WIDTH, y1 + NODE_HEIGHT / 2, x2, y2 + NODE_HEIGHT / 2
-        edges.append(PlanEdge(*ends, wrapped(edge.relation, _LINE_CHARACTERS)))
+        ends = x1 + NODE_WIDTH, y1 + tall / 2, x2, y2 + tall / 2
+        edges.append(PlanEdge(*ends, wrapped(_timed(edge.relation, edge.at, several), _GAP_CHARACTERS)))
     width = max(x for x, _ in places.values()) + NODE_WIDTH + 2
-    return PlanGraph(width, height, nodes, tuple(edges), tuple(_times(plan)), _asks(plan))
+    return PlanGraph((NODE_WIDTH, tall), width, height, nodes, tuple(edges), tuple(_times(plan)), _asks(plan))
+
+
+def _node_lines(conditions: Sequence[Condition], several: bool) -> tuple[str, ...]:
+    """Every condition, whole: a reviewer must not judge by half of one."""
+    # A list of things in one word may be broken at its strokes.
+    texts = [_timed(_condition(condition).replace("/", " / "), condition.at, several) for condition in conditions]
+    return tuple(line for text in texts for line in wrapped(text, _NODE_CHARACTERS)) or ("anybody",)
+
+
+def _timed(text: str, at: str | None, several: bool) -> str:
+    """What holds, with its time where the plan has several."""
+    return f"{text}, {at}" if several and at else text
 
 
 def wrapped(text: str, characters: int) -> tuple[str, ...]:
     """A text in lines of at most so many characters, broken between words."""
-    lines: list[str] = [""]
-    for word in text.split():
-        if lines[-1] and len(lines[-1]) + 1 + len(word) > characters:
-            lines.append(word)
-        else:
-            lines[-1] = f"{lines[-1]} {word}".strip()
-    return tuple(lines)
+    return tuple(textwrap.wrap(text, characters, break_on_hyphens=False)) or ("",)
+
+
+def shortened(text: str, characters: int) -> str:
+    """A text of at most so many characters; what is cut is marked."""
+    return text if len(text) <= characters else text[: characters - 1].rstrip() + "\N{HORIZONTAL ELLIPSIS}"
 
 
 def _condition(condition: Condition) -> str:
@@ -141,11 +162,12 @@ class Span:
 
 @dataclass(frozen=True)
 class Line:
-    """A row of the timeline: whose, what it shows, and where."""
+    """A row of the timeline: whose, what it shows, and where; `asked`: the plan speaks of it."""
 
     role: str
     label: str
     spans: tuple[Span, ...]
+    asked: bool = False
 
 
 @dataclass(frozen=True)
@@ -161,20 +183,23 @@ class Bar:
 
 @dataclass(frozen=True)
 class Row:
-    """A row as drawn: its middle's height, and whether it is the first of its person."""
+    """A row as drawn: its upper edge, its label in short and whole, and whether it is the first of its person."""
 
     y: float
     role: str
     label: str
+    title: str
+    asked: bool
     first: bool
     bars: tuple[Bar, ...]
 
 
 @dataclass(frozen=True)
 class Moment:
-    """A named time as a vertical line."""
+    """A named time as a vertical line, its name at height `y`."""
 
     x: float
+    y: float
     name: str
     frame: int
 
@@ -196,10 +221,10 @@ def timeline(lines: Sequence[Line], moments: Mapping[str, int], frame_count: int
     """Rows over the frames from 0 to `frame_count` - 1."""
 
     def x(frame: float) -> float:
-        return round(_LABELS + (TIMELINE_WIDTH - _LABELS - 6) * frame / max(frame_count, 1), 2)
+        return round(_LABELS + (TIMELINE_WIDTH - _LABELS - 24) * frame / max(frame_count, 1), 2)
 
     rows = []
-    y = 34.0
+    y = 38.0
     before = ""
     for line in lines:
         y += 8.0 if line.role != before and before else 0.0
@@ -213,14 +238,18 @@ def timeline(lines: Sequence[Line], moments: Mapping[str, int], frame_count: int
             )
             for span in line.spans
         )
-        rows.append(Row(y, line.role, line.label, line.role != before, bars))
+        label = shortened(line.label, _LABEL_CHARACTERS)
+        rows.append(Row(y, line.role, label, line.label, line.asked, line.role != before, bars))
         before = line.role
         y += _ROW
     seconds = frame_count / fps
     step = next((s for s in (1, 2, 5, 10, 20, 30, 60, 120, 300) if seconds / s <= 12), 600)
     ticks = tuple((x(s * fps), f"{s} s") for s in range(0, int(seconds) + 1, step))
-    marks = tuple(Moment(x(frame), name, frame) for name, frame in sorted(moments.items(), key=lambda item: item[1]))
-    return Timeline(TIMELINE_WIDTH, y + 22, _LABELS, _ROW, tuple(rows), marks, ticks)
+    marks: list[Moment] = []
+    for name, frame in sorted(moments.items(), key=lambda item: (item[1], item[0])):
+        beside = bool(marks) and x(frame) - marks[-1].x < _MOMENT_ROOM and marks[-1].y == _MOMENT_Y
+        marks.append(Moment(x(frame), _MOMENT_Y + 12 * beside, name, frame))
+    return Timeline(TIMELINE_WIDTH, y + 22, _LABELS, _ROW, tuple(rows), tuple(marks), ticks)
 
 
 def runs_of(frames: Sequence[int], step: int) -> list[tuple[int, int]]:

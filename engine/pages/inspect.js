@@ -7,6 +7,37 @@
   const dialog = document.getElementById("why");
   const reason = document.getElementById("reason");
   let current = 0;
+  let unsaved = false;
+
+  // What was decided outlives a page that is closed by mistake; a browser that keeps nothing for files only warns.
+  const shelf = `jrdb-avr inspect ${about.questions_sha256} ${articles.map((a) => a.dataset.id).join()}`;
+  let kept = false;
+  const keep = () => {
+    try {
+      if (decided.size) localStorage.setItem(shelf, JSON.stringify([...decided.values()]));
+      else localStorage.removeItem(shelf);
+      kept = true;
+    } catch {
+      kept = false;
+    }
+    document.getElementById("kept").textContent = kept ? "This browser keeps them until you start anew." : "";
+  };
+  const remember = () => {
+    try {
+      const known = new Set(articles.map((a) => a.dataset.id));
+      for (const own of JSON.parse(localStorage.getItem(shelf) || "[]")) {
+        const fits = known.has(own.question_id) && ["accept", "reject"].includes(own.decision);
+        if (fits && typeof own.reason === "string")
+          decided.set(own.question_id, { question_id: own.question_id, decision: own.decision, reason: own.reason });
+      }
+    } catch {
+      // Nothing was kept, or nothing that can be read: there is nothing to remember.
+    }
+  };
+  const changed = () => {
+    unsaved = decided.size > 0;
+    keep();
+  };
 
   const show = () => {
     const count = (what) => [...decided.values()].filter((d) => d.decision === what).length;
@@ -15,13 +46,16 @@
     for (const [place, article] of articles.entries()) {
       const own = decided.get(article.dataset.id);
       article.classList.toggle("current", place === current);
+      article.toggleAttribute("aria-current", place === current);
       article.dataset.decision = own ? own.decision : "";
-      article.querySelector(".state").textContent = own ? `${own.decision}ed` : "";
+      article.querySelector(".state").textContent = own ? `· ${own.decision}ed` : "";
       article.querySelector(".reason").textContent = own ? own.reason : "";
     }
   };
   const go = (place) => {
     current = Math.max(0, Math.min(articles.length - 1, place));
+    // The keyboard goes along: what Tab reaches next are this question's own buttons.
+    articles[current].focus({ preventScroll: true });
     articles[current].scrollIntoView({ block: "start" });
     show();
   };
@@ -29,6 +63,7 @@
     const id = articles[place].dataset.id;
     done.push([place, decided.get(id)]);
     decided.set(id, { question_id: id, decision, reason: why });
+    changed();
     go(place + 1);
   };
   const undo = () => {
@@ -37,12 +72,14 @@
     const id = articles[last[0]].dataset.id;
     if (last[1]) decided.set(id, last[1]);
     else decided.delete(id);
+    changed();
     go(last[0]);
   };
   const ask = (place) => {
     current = place;
     show();
-    reason.value = "";
+    reason.value = decided.get(articles[place].dataset.id)?.reason ?? "";
+    dialog.returnValue = "";
     dialog.showModal();
     reason.focus();
   };
@@ -62,7 +99,7 @@
   });
   const keys = { a: () => act.accept(current), r: () => ask(current), u: undo, j: () => go(current + 1), k: () => go(current - 1) };
   document.addEventListener("keydown", (event) => {
-    if (dialog.open || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (dialog.open || event.repeat || event.ctrlKey || event.metaKey || event.altKey) return;
     const key = keys[event.key];
     if (key) {
       event.preventDefault();
@@ -76,9 +113,19 @@
     link.download = "decisions.json";
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+    unsaved = false;
   });
   window.addEventListener("beforeunload", (event) => {
-    if (decided.size) event.preventDefault();
+    if (unsaved && !kept) event.preventDefault();
   });
+  document.getElementById("anew").addEventListener("click", () => {
+    if (decided.size && !confirm("Forget every decision on this page?")) return;
+    decided.clear();
+    done.length = 0;
+    changed();
+    go(0);
+  });
+  remember();
+  keep();
   show();
 })();

@@ -13,6 +13,7 @@ from jrdb_avr.engine.observe import Observer
 from jrdb_avr.schema.errors import ObserveError
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, center_angle, to_crop
 
+from .answers import readable
 from .diagrams import plan_graph, proof_rows, timeline
 from .page import jpeg_bytes, jpeg_uri, render
 
@@ -41,6 +42,7 @@ class View:
     height: int
     boxes: tuple[Framed, ...]
     missing: str = ""
+    plate: float = 28.0
 
 
 def inspect_page(
@@ -55,8 +57,8 @@ def inspect_page(
 
 
 def _question(one: Inspected, number: int, observer: Observer) -> dict[str, Any]:
-    question, answer = one.question, msgspec.json.decode(one.answer["answer"], type=dict[str, Any])
-    right = answer.get("choice")
+    question, stored = one.question, one.answer["answer"]
+    right = msgspec.json.decode(stored, type=dict[str, Any]).get("choice")
     choices = [
         {"text": text, "right": place == right, "from": one.distractors[place - 1] if one.distractors else None}
         for place, text in enumerate(question["choices"], 1)
@@ -69,7 +71,7 @@ def _question(one: Inspected, number: int, observer: Observer) -> dict[str, Any]
         "family": question["family"],
         "text": question["question"],
         "choices": choices,
-        "answer": None if choices else msgspec.json.encode(answer).decode(),
+        "answer": "" if choices else readable(question["answer_mode"], stored, (), one.fps),
         "graph": plan_graph(one.plan),
         "timeline": timeline(one.lines, one.moments, one.frame_count, one.fps),
         "roles": {role: place for place, role in enumerate(one.people)},
@@ -101,7 +103,7 @@ def _strip(one: Inspected, frame: int, observer: Observer) -> View:
 def _crop(one: Inspected, observer: Observer) -> View:
     frame, row = one.decisive
     angle = float(center_angle(row["x"], row["w"]))
-    title = f"what answers it: {row['node']} in frame {frame}, angle {angle:.1f}"
+    title = f"what answers it: {row['node'].upper()} in frame {frame}, angle {angle:.1f}\N{DEGREE SIGN}"
     try:
         seen = observer(one.question["sequence"], frame, angle)
     except ObserveError as error:
