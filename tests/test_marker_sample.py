@@ -89,3 +89,18 @@ def test_every_loss_is_explained(store):
         shown |= {(None, mark.object, mark.verb) for mark, _, _ in marks}
         assert not marks or not told <= shown, (question, reasons, marks)
     assert found > len(scores) / 2
+
+
+def test_a_run_keeps_its_knobs(store):
+    """What `--marker` sets is done, stands in the manifest, and cannot be another when the run is resumed."""
+    names = sorted(row["question_id"] for row in rows(store, "questions", "questions.parquet"))[:10]
+    ask = ["evaluate", "--store", store, "--method", "monolithic", "--model", "marker", "--run-id", "knobs"]
+    knobs = ["--marker", "refusal=0.5", "--marker", "seed=1"]
+    run(*ask, *knobs, "--questions", ",".join(names))
+    predictions = rows(store, "runs", "knobs", "predictions.parquet")
+    refused = [row["question_id"] for row in predictions if "refused" in row["reason"]]
+    assert 0 < len(refused) < len(names)
+    manifest = json.loads((store / "runs" / "knobs" / "run.json").read_text())
+    assert manifest["settings"]["marker"] == {"refusal": 0.5, "seed": 1}
+    other = CliRunner().invoke(group, [str(word) for word in [*ask, "--marker", "refusal=0.5", "--resume"]])
+    assert other.exit_code != 0 and "another marker" in str(other.exception)
