@@ -18,6 +18,9 @@ import msgspec
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.graph import STORAGE_VERSION
 
+STORE_GRAPH: Final = "graph.kuzu"
+"""The name of a store's graph file."""
+
 PAGE: Final = 4096
 
 _MAGIC: Final = b"KUZU"
@@ -79,5 +82,7 @@ def check_seal(graph: Path) -> Seal:
 
 
 def rebuild_hint(graph: Path) -> str:
-    """The one command that makes a graph file anew."""
+    """What makes a graph file anew: one command for a store's own, and the next run for agents' world models alone."""
+    if graph.name != STORE_GRAPH:
+        return "give another file, or take this one away: the next run makes it anew"
     return f"run 'jrdb-avr load --rebuild --store {graph.parent}'"

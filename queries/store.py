@@ -33,6 +33,8 @@ from jrdb_avr.schema.errors import InputError, LockedError, QueryError, StoreErr
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, QUESTIONS, RUNS
 
+from .seal import STORE_GRAPH
+
 MANIFEST_VERSION: Final = 1
 ROW_GROUP: Final = 1 << 18
 
@@ -108,7 +110,7 @@ class Store:
 
     @property
     def graph_path(self) -> Path:
-        return self.path / "graph.kuzu"
+        return self.path / STORE_GRAPH
 
     def annotation_path(self, layer: str, sequence: str) -> Path:
         return self.path / "annotations" / layer / f"{safe_sequence(sequence)}.parquet"

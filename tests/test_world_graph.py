@@ -212,8 +212,9 @@ def test_a_file_of_its_own_is_made_from_nothing(tmp_path):
 def test_a_file_that_is_no_graph_is_refused(tmp_path):
     path = tmp_path / "world.kuzu"
     path.write_text("no graph")
-    with pytest.raises(StoreError):
+    with pytest.raises(StoreError, match="give another file, or take this one away"):
         WorldGraph.open(path)
+    assert path.read_text() == "no graph"
 
 
 def test_a_graph_has_one_writer(scene):
