@@ -15,7 +15,7 @@ from jrdb_avr.schema.plan import Plan
 from .policy import does
 from .reading import Sighting
 
-_NEAR: Final = 30
+NEAR: Final = 30
 """Frames between the two sightings, at most."""
 
 
@@ -28,7 +28,7 @@ class Event:
 
     @property
     def known(self) -> bool:
-        return self.high - self.low <= _NEAR
+        return self.high - self.low <= NEAR
 
     @property
     def middle(self) -> float:

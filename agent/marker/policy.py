@@ -52,7 +52,8 @@ class Game:
     """One question: what is asked, what has been seen, and notes of what could not be read.
 
     `beside`: whether a look a second away may stand for one in which somebody is hidden. `misses` counts the tries at
-    which the person searched for in time was not seen, since it last was.
+    which the person searched for in time was not seen, since it last was. `close` is to how many frames a moment is to
+    be known.
     """
 
     plan: Plan
@@ -61,6 +62,7 @@ class Game:
     missing: list[str] = field(default_factory=list)
     beside: bool = False
     misses: int = 0
+    close: int = _CLOSE_FRAMES
 
     def frame_of(self, name: str) -> int:
         """A stated time's frame."""
@@ -251,11 +253,12 @@ def _probe(game: Game, person: Sighting, action: str, frame: float) -> bool | No
 
 
 def _start(
-    game: Game, person: Sighting | None, t0: int, event: int = 0, close: int = _CLOSE_FRAMES
+    game: Game, person: Sighting | None, t0: int, event: int = 0, close: int | None = None
 ) -> tuple[float, int | None]:
     """The moment at which an action starts, and a frame at which it was seen after that (None if it never was).
 
-    `event` counts the starts that the question names; `close` is to how many frames the moment is to be known.
+    `event` counts the starts that the question names; `close` is to how many frames the moment is to be known,
+    if not to those of the game.
     """
     last = game.eyes.frames[-1]
     guess = (t0 + _WAIT + last) / 2
@@ -268,7 +271,7 @@ def _start(
         if after is None:
             game.note("mark unreadable, or the steps were too wide: the action was never seen")
             return guess, None
-        before, after = _close_in(game, person, action, before, after, close, wanted=True)
+        before, after = _close_in(game, person, action, before, after, close or game.close, wanted=True)
     except Spent:
         game.note("budget: the start was not closed in on")
     seen = sorted(_performed(game, person, action, t0 + 1))

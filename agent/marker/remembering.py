@@ -15,7 +15,7 @@ from typing import Any, Final
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.rules import FPS
 
-from .enclosing import Event, between, events
+from .enclosing import NEAR, Event, between, events
 from .eyes import AROUND, Spent, Want, same
 from .finding import ALONE_SIZE, Found, among, find, holds, possible
 from .hops import path, related
@@ -87,7 +87,7 @@ class Player:
         self._plan = request.plan
         self._left = request.number("Looks made: ", LEFT)
         self._legal = request.legal()
-        self.game = Game(request.plan, request.choices, self._memory(0))
+        self.game = Game(request.plan, request.choices, self._memory(0), close=NEAR)
         self._then = self.game.eyes.legal(self.game.t0)
 
     def _memory(self, known: int) -> Memory:
