@@ -58,42 +58,47 @@ class BeliefReader(Reader):
     """
 
     def __init__(self, graph: Queried, episode: str, timeout_s: float) -> None:
-        super().__init__(graph, WORLD, {"scope": episode, "columns": WIDTH}, timeout_s)
+        super().__init__(graph, WORLD, {"scope": episode}, timeout_s)
         self.notes: dict[int, list[tuple[str, str]]] = {}
         self.shown: dict[int, list[int]] = {}
+        self._rows: dict[str, list[dict[str, Any]]] = {}
         self._sightings: dict[Who, list[Sighting]] = {}
-        self._moments: dict[Who, list[Moment]] = {}
-        self._covered: list[int] | None = None
 
     # -- what is there --------------------------------------------------------------------------------------------
+
+    def _all(self, name: str) -> list[dict[str, Any]]:
+        """Rows of a statement that asks for something of the whole episode, of what was not replaced."""
+        if name not in self._rows:
+            rows = self._queried(read_text(self.names, name), {})
+            self._rows[name] = [row for row in rows if row.get("current", True)]
+        return self._rows[name]
 
     def sightings(self, who: Who) -> list[Sighting]:
         """Sightings of somebody, by frame."""
         if who not in self._sightings:
-            rows = self._read("sightings", [{"id": 0, "who": who}])
-            frames = sorted({row["first"] for row in rows if not row["name"]})
-            self._sightings[who] = [_sighting(rows, frame) for frame in frames]
+            frames = {moment.frame for moment in self.moments(who)}
+            told = [row for row in self._all("attributes") if row["who"] == who]
+            self._sightings[who] = [_sighting(told, frame) for frame in sorted(frames)]
         return self._sightings[who]
 
     def moments(self, who: Who) -> list[Moment]:
         """Boxes of somebody, by frame, then the newest last."""
-        if who not in self._moments:
-            rows = self._queried(read_text(self.names, "boxes"), {"who": who})
-            self._moments[who] = [
-                Moment(row["frame"], Box(*(row["box"][key] for key in "xywh")), row["angle"], row["written"])
-                for row in rows
-            ]
-        return self._moments[who]
+        return [
+            Moment(row["frame"], Box(*(row["box"][key] for key in "xywh")), row["angle"], row["written"])
+            for row in self._all("sighted")
+            if row["who"] == who
+        ]
 
     def covered(self) -> list[int]:
         """Frames of which the whole panorama was observed, ascending."""
-        if self._covered is None:
-            self._covered = [row["frame"] for row in self._queried(read_text(self.names, "covered"), {})]
-        return self._covered
+        looks: dict[int, list[tuple[int, int]]] = {}
+        for row in self._all("looks"):
+            looks.setdefault(row["frame"], []).append((row["begin"], row["width"]))
+        return [frame for frame, crops in looks.items() if goes_round(crops)]
 
     def nodes(self) -> dict[str, str]:
         """Names of everybody, with the node that each is said to be, "" for none."""
-        return {row["who"]: row["node"] for row in self._queried(read_text(self.names, "entities"), {})}
+        return {row["who"]: row["node"] for row in self._all("entities")}
 
     # -- reads ----------------------------------------------------------------------------------------------------
 
@@ -192,14 +197,21 @@ class BeliefReader(Reader):
         return found
 
     def counts(self, asked: Sequence[tuple[Person, str, int, int]]) -> dict[int, int]:
-        rows = [
-            {"id": one.id, "who": one.who, "relation": relation, "both": relation in SYMMETRIC, "t1": first, "t2": last}
-            for one, relation, first, last in asked
-        ]
-        found = {row["id"]: row["people"] for row in self._read("company", rows)}
+        found = {}
         for person, relation, first, last in asked:
             self._show(person, [one.frame for one in self.sightings(person.who) if first <= one.frame <= last][::-1])
-            if person.id not in found:
+            ties = [
+                (row["source"], row["target"])
+                for row in self._all("relations")
+                if row["name"] == relation and row["first"] <= last and row["last"] >= first
+            ]
+            met = {target for source, target in ties if source == person.who}
+            if relation in SYMMETRIC:
+                met |= {source for source, target in ties if target == person.who}
+            if met:
+                found[person.id] = len(met)
+            else:
+                # A missing fact is unknown, and nobody is missing until somebody is met.
                 when = f"from {_at(first)} to {_at(last)}"
                 self._note(person, "count", f"nobody is known to be in '{relation}' with {person.who} {when}")
         return found
@@ -232,6 +244,14 @@ def notes_of(plan: Plan, notes: Sequence[tuple[str, str]]) -> list[str]:
         "distance": read == "distance_change",
     }
     return list(dict.fromkeys(text for kind, text in notes if matters.get(kind, True)))
+
+
+def goes_round(crops: Sequence[tuple[int, int]]) -> bool:
+    """Whether crops, as left columns and widths in pixels, leave out no column of the panorama.
+
+    Where a crop ends another one must go on; where that is so of all of them, there is no last column before a gap.
+    """
+    return all(any((left + width - begin) % WIDTH < wide for begin, wide in crops) for left, width in crops)
 
 
 def _sighting(rows: Sequence[Mapping[str, Any]], frame: int) -> Sighting:
