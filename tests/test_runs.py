@@ -1,9 +1,7 @@
 """Runs: the journal, resuming, what is opened, what is kept; over real sockets and in real processes."""
 
 import json
-import os
 import shutil
-import signal
 import subprocess
 import sys
 import threading
@@ -27,9 +25,7 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice, Evidence
 from jrdb_avr.schema.errors import AvrError, InputError, LockedError, StoreError
 from jrdb_avr.schema.method import Prediction, SequenceInfo, Step
-from jrdb_avr.schema.tables import PRIVATE, QUESTIONS, RUNS
-
-KILLS = 2
+from jrdb_avr.schema.tables import QUESTIONS, RUNS
 
 
 def evaluate(store, *options, ok=True):
@@ -155,116 +151,7 @@ def test_default_run_ids_are_names():
     assert default_run_id("react", "../..") == "react"
 
 
-# -- what is opened, what is kept -------------------------------------------------------------------------------------
-
-WATCHED = """
-import sys
-opened = set()
-def watch(event, args):
-    if event == "open" and isinstance(args[0], (str, bytes)):
-        opened.add(args[0] if isinstance(args[0], str) else args[0].decode())
-sys.addaudithook(watch)
-from jrdb_avr.engine.cli import main
-main()
-with open(OUT, "w") as file:
-    file.write("\\n".join(sorted(opened)))
-"""
-
-
-def test_the_process_opens_public_files_and_images_alone(store, tmp_path):
-    # The private files are there, as traps that cannot be read.
-    for name in PRIVATE:
-        store.question_path(name).write_bytes(b"private")
-    store.graph_path.write_bytes(b"private")
-    out = tmp_path / "opened.txt"
-    code = WATCHED.replace("OUT", repr(str(out)))
-    arguments = ["evaluate", "--store", str(store.path), "--method", "react", "--model", "marker", "--limit", "3"]
-    subprocess.run([sys.executable, "-c", code, *arguments], check=True, capture_output=True)
-    opened = [line for line in out.read_text().splitlines() if line.startswith(str(store.path))]
-    inside = {os.path.relpath(path, store.path) for path in opened}
-    kept = {path for path in inside if path.startswith("runs/")}
-    public = {"store.json", "conventions/marker.json", "questions/questions.parquet", "questions/sequences.parquet"}
-    assert inside - kept <= public
-
-
-def test_an_evaluation_needs_nothing_private(store):
-    assert sorted(path.name for path in (store.path / "questions").iterdir()) == [
-        "questions.parquet",
-        "sequences.parquet",
-    ]
-    evaluate(store, "--limit", "2")
-
-
-def test_nothing_private_leaks_into_a_run(store):
-    """Neither the key nor a track id is anywhere in what a run keeps; identities of marks are in no text either."""
-    os.environ["OPENAI_API_KEY"] = "sk-never-to-be-seen"
-    try:
-        evaluate(store)
-    finally:
-        del os.environ["OPENAI_API_KEY"]
-    texts = b"".join(path.read_bytes() for path in store.run_path("react-marker").rglob("*.json*"))
-    rows = pq.read_table(store.run_path("react-marker") / "steps.parquet").to_pylist()
-    texts += json.dumps([[row["request"], row["response"]] for row in rows]).encode()
-    for secret in (b"sk-never", b"track", b"target", b"identity", b"base64", b"distractor", b"proof"):
-        assert secret not in texts
-
-
 # -- resuming ---------------------------------------------------------------------------------------------------------
-
-
-def test_resume_after_kill_equals_an_undisturbed_run(store):
-    evaluate(store, "--run-id", "whole")
-    calls = {}
-
-    class Counting:
-        """A marker server in this process that counts how often each request is served."""
-
-        def __enter__(self):
-            from jrdb_avr.agent.marker.server import Server
-
-            self.server = Server()
-            reply = self.server.reply
-
-            def counted(body):
-                if b"Legal frames" in body:
-                    calls[body] = calls.get(body, 0) + 1
-                    time.sleep(0.02)
-                return reply(body)
-
-            self.server.reply = counted
-            threading.Thread(target=self.server.serve_forever, daemon=True).start()
-            return self.server.url
-
-        def __exit__(self, *error):
-            self.server.shutdown()
-            self.server.server_close()
-
-    with Counting() as url:
-        again = ["--base-url", url, "--run-id", "killed", "--concurrency", "2", "--resume"]
-        whole = [sys.executable, "-c", "from jrdb_avr.engine.cli import main; main()", "evaluate"]
-        whole += ["--store", str(store.path), "--method", "react", "--model", "marker", *again]
-        journal = store.run_path("killed") / "journal.jsonl"
-        for _ in range(KILLS):
-            before = journal.read_bytes().count(b"\n") if journal.exists() else 0
-            with subprocess.Popen(whole, stderr=subprocess.DEVNULL) as process:
-                deadline = time.monotonic() + 30
-                while time.monotonic() < deadline and process.poll() is None:
-                    if journal.exists() and journal.read_bytes().count(b"\n") >= before + 2:
-                        break
-                    time.sleep(0.01)
-                process.send_signal(signal.SIGKILL)
-            assert not (store.run_path("killed") / "predictions.parquet").exists() or before >= 10
-        # A line that the crash cut short.
-        with journal.open("ab") as file:
-            file.write(b'{"question_id": "half')
-        evaluate(store, *again)
-        served = dict(calls)
-        evaluate(store, *again)
-        assert calls == served
-    assert lasting(predictions(store, "killed")) == lasting(predictions(store, "whole"))
-    # A call in flight when the process was killed is asked again; one that finished is not.
-    assert sum(count - 1 for count in calls.values()) <= KILLS * 2
-    assert json.loads(store.run_path("killed").joinpath("journal.jsonl").read_bytes().splitlines()[-1])
 
 
 def test_errors_are_rows_and_are_asked_again(store):
