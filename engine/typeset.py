@@ -7,6 +7,8 @@ import io
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+from .output import clean
+
 _LATEX: Final = {
     "\\": r"\textbackslash{}",
     "&": r"\&",
@@ -18,17 +20,30 @@ _LATEX: Final = {
     "}": r"\}",
     "~": r"\textasciitilde{}",
     "^": r"\textasciicircum{}",
+    # After the end of a row, and after a rule, a bracket would open an optional argument.
+    "[": "{[}",
+    "]": "{]}",
     "<": r"\textless{}",
     ">": r"\textgreater{}",
 }
 
+_MARKDOWN: Final = {letter: f"\\{letter}" for letter in "\\`*[]|"} | {"&": "&amp;", "<": "&lt;"}
+
+_FORMULA: Final = ("=", "+", "-", "@", "\t", "\r")
+"""What a spreadsheet takes for the beginning of a formula."""
+
 Rows = Sequence[Mapping[str, Any]]
 
 
-def cell(value: object) -> str:
-    """A value as a person reads it: two decimals, n/a for what is not known."""
+_LEAST_P: Final = 0.0001
+
+
+def cell(value: object, column: str = "") -> str:
+    """A value of a column as a person reads it: two decimals, n/a for what is not known; of a p, four."""
     if value is None:
         return "n/a"
+    if column == "p" and isinstance(value, float):
+        return f"<{_LEAST_P}" if value < _LEAST_P else f"{value:.4f}"
     return f"{value:.2f}" if isinstance(value, float) else str(value)
 
 
@@ -44,7 +59,7 @@ def _joined(row: Mapping[str, Any]) -> dict[str, str]:
             continue
         low, high = row.get(f"{name}_low"), row.get(f"{name}_high")
         known = low is not None and high is not None
-        text[name] = f"{cell(value)} [{cell(low)}, {cell(high)}]" if known else cell(value)
+        text[name] = f"{cell(value)} [{cell(low)}, {cell(high)}]" if known else cell(value, name)
     return text
 
 
@@ -57,7 +72,7 @@ def markdown(rows: Rows) -> str:
     """A Markdown table."""
     columns = columns_of(rows)
     lines = [columns, ["---:" if _is_number(rows, name) else "---" for name in columns]]
-    lines += [[cell(row.get(name)).replace("|", "\\|").replace("\n", " ") for name in columns] for row in rows]
+    lines += [[_in_markdown(cell(row.get(name), name)) for name in columns] for row in rows]
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
@@ -70,22 +85,39 @@ def latex(rows: Rows) -> str:
     for row in rows:
         first = row.get(columns[0])
         lines += [r"\midrule"] if first != before else []
-        lines.append(_latex_row([cell(row.get(name)) for name in columns]))
+        lines.append(_latex_row([cell(row.get(name), name) for name in columns]))
         before = first
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
 
 def csv_text(rows: Rows) -> str:
-    """CSV with a heading; an unknown value is empty."""
+    """CSV with a heading; an unknown value is empty.
+
+    A text that a spreadsheet would take for a formula begins with an apostrophe: names of models are theirs to choose.
+    """
     file = io.StringIO()
     writer = csv.DictWriter(file, columns_of(rows), lineterminator="\n", restval="")
     writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows({name: _in_csv(value) for name, value in row.items()} for row in rows)
     return file.getvalue()
 
 
+def _in_csv(value: object) -> object:
+    if not isinstance(value, str):
+        return value
+    return clean(f"'{value}" if value.startswith(_FORMULA) else value)
+
+
+def _in_markdown(text: str) -> str:
+    return "".join(_MARKDOWN.get(letter, letter) for letter in _in_a_line(text))
+
+
 def _latex_row(cells: Sequence[str]) -> str:
-    return " & ".join("".join(_LATEX.get(letter, letter) for letter in text) for text in cells) + r" \\"
+    return " & ".join("".join(_LATEX.get(letter, letter) for letter in _in_a_line(text)) for text in cells) + r" \\"
+
+
+def _in_a_line(text: str) -> str:
+    return clean(" ".join(text.split()))
 
 
 def _is_number(rows: Rows, name: str) -> bool:

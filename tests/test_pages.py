@@ -9,7 +9,7 @@ from browser import browser, complaints
 from entry import run
 
 from jrdb_avr.engine.pages.answers import readable
-from jrdb_avr.engine.pages.charts import intervals, scatter, stacked
+from jrdb_avr.engine.pages.charts import intervals, scatter, stacked, tags
 from jrdb_avr.engine.pages.diagrams import plan_graph, runs_of, timeline, wrapped
 from jrdb_avr.engine.pages.page import render
 from jrdb_avr.engine.reviews import read_reviews
@@ -252,7 +252,7 @@ def test_a_plan_shows_every_condition_whole():
         "times": {"t0": {"frame": 30}},
         "nodes": [{"id": "a", "conditions": conditions}],
         "edges": [],
-        "answer": {"mode": "multiple_choice", "read": "presence", "of": "a", "at": "t0"},
+        "answer": {"mode": "multiple_choice", "read": "action", "of": "a", "at": "t0"},
     }
     graph = plan_graph(parse_plan(json.dumps(plan)))
     (node,) = graph.nodes
@@ -297,11 +297,26 @@ def test_charts_are_to_scale():
     ticks = {text: x for x, text in intervals(rows).ticks}
     assert (whisker.low, whisker.high) == (ticks["0"], ticks["100"])
     assert whisker.x == pytest.approx((whisker.low + whisker.high) / 2)
-    dot = scatter([rows[0], rows[0] | {"run": "s", "evidence": 11.0}])
-    assert dot[0].y < dot[1].y and abs(dot[0].name_y - dot[1].name_y) >= 13
-    parts = stacked([("a", 3), ("b", 0), ("c", 1)])
-    assert [(part.name, part.x, part.width) for part in parts] == [("a", 0.0, 75.0), ("c", 75.0, 25.0)]
-    assert stacked([("a", 0)]) == ()
+    dots = scatter([rows[0], rows[0] | {"run": "s", "evidence": 11.0}, rows[0] | {"answer": 90.0}, {"run": "none"}])
+    assert dots[1].y < dots[0].y and dots[0].x == dots[1].x < dots[2].x
+    parts = stacked([("a", 3), ("b", 0), ("c", 1)], 8)
+    assert [(part.name, part.x, part.width) for part in parts] == [("a", 0.0, 37.5), ("c", 37.5, 12.5)]
+    assert stacked([("a", 0)], 0) == ()
+
+
+def test_dots_on_each_other_share_a_tag_inside_the_square():
+    rows = [{"run": f"r{n}", "answer": 95.0 + n % 2, "evidence": 98.0, "combined": 1.0} for n in range(9)]
+    dots = scatter([*rows, {"run": "far", "answer": 5.0, "evidence": 5.0, "combined": 1.0}])
+    found = tags(dots)
+    assert sorted(tag.text for tag in found) == ["1, 2, 3, 4, 5, 6, 7, 8, 9", "10"]
+    assert [tag.anchor for tag in found if len(tag.text) > 5] == ["end"]
+
+
+def test_a_long_name_leaves_room_for_its_interval():
+    rows = [{"run": "r" * 128, "answer": 50.0, "evidence": 1.0, "combined": 0.0}]
+    (group,) = intervals(rows).groups
+    assert len(group.name) == 40 and group.title == "r" * 128
+    assert min(whisker.x for whisker in group.whiskers) >= intervals(rows).left
 
 
 def test_text_of_data_and_models_is_escaped():

@@ -200,6 +200,41 @@ def test_latex_compiles_as_text():
     assert text.endswith("\\bottomrule\n\\end{tabular}\n")
 
 
+HOSTILE = [
+    '=HYPERLINK("x")',
+    "+1",
+    "-1",
+    "@a",
+    "<b>&[x](y)`\n\n|",
+    "a\x1b[31m\x00",
+    "[0, 5)",
+    "\u202eabc",
+    "x" * 10_000,
+]
+
+
+def test_names_of_others_do_no_harm_in_any_format():
+    rows = [{"model": text, "n": 1} for text in HOSTILE]
+    table = list(csv.reader(io.StringIO(csv_text(rows))))[1:]
+    assert len(table) == len(HOSTILE)
+    assert not [cells for cells in table if cells[0].startswith(("=", "+", "-", "@"))]
+    assert csv_text([{"n": -1.5}]) == "n\n-1.5\n"
+    for text in (csv_text(rows), markdown(rows), latex(rows)):
+        assert "\x1b" not in text and "\x00" not in text
+    lines = markdown(rows).splitlines()
+    assert len(lines) == len(HOSTILE) + 2
+    assert lines[6] == r"| &lt;b>&amp;\[x\](y)\` \| | 1 |"
+    # A bracket after the end of a row would be taken for the height of the gap below it.
+    assert r"{[}0, 5) & 1 \\" in latex(rows)
+    assert "\n[" not in latex(rows)
+
+
+def test_a_p_value_is_not_rounded_to_nothing():
+    rows = [{"p": value} for value in (0.0375, 2.0**-40, 1.0, None)]
+    assert [line.strip("| ") for line in markdown(rows).splitlines()[2:]] == ["0.0375", "&lt;0.0001", "1.0000", "n/a"]
+    assert [row["p"] for row in joined(rows)] == ["0.0375", "<0.0001", "1.0000", "n/a"]
+
+
 def test_csv_is_read_back():
     rows = list(csv.DictReader(io.StringIO(csv_text(ROWS))))
     assert [row["answer"] for row in rows] == ["12.5", ""]

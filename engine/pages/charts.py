@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 from jrdb_avr.engine.judged import SCORES
 
-WIDTH: Final = 640.0
-LABELS: Final = 170.0
-"""Width kept for the names on the left."""
+from .diagrams import shortened
 
-_ROW: Final = 15.0
-_GAP: Final = 12.0
+WIDTH: Final = 1040.0
+NAME_CHARACTERS: Final = 40
+"""Of a run's name at most; what is longer is cut, and marked so."""
+
+_LETTER: Final = 6.9
+_ROW: Final = 13.0
+_GAP: Final = 10.0
 
 
 @dataclass(frozen=True)
@@ -30,10 +34,10 @@ class Whisker:
 
 @dataclass(frozen=True)
 class Group:
-    """The whiskers of a run, and its name at height `y`."""
+    """The whiskers of a run, and its name, in short and whole, at height `y`."""
 
     name: str
-    label: str
+    title: str
     y: float
     whiskers: tuple[Whisker, ...]
 
@@ -51,9 +55,15 @@ class Intervals:
 
 def intervals(rows: Sequence[Mapping[str, Any]]) -> Intervals:
     """One group per row of the main table: answer, evidence and combined below each other."""
+    names = [shortened(_name(row), NAME_CHARACTERS) for row in rows]
+    left = round(16 + _LETTER * max((len(name) for name in names), default=0), 2)
+
+    def x_of(percent: float) -> float:
+        return round(left + (WIDTH - left - 14) * percent / 100, 2)
+
     groups = []
     top = 8.0
-    for row in rows:
+    for name, row in zip(names, rows, strict=True):
         whiskers = []
         for place, kind in enumerate(SCORES):
             value = row.get(kind)
@@ -61,18 +71,14 @@ def intervals(rows: Sequence[Mapping[str, Any]]) -> Intervals:
                 continue
             low, high = row.get(f"{kind}_low"), row.get(f"{kind}_high")
             text = f"{kind} {value:.2f}"
-            bounds = _x(value), _x(value)
+            bounds = x_of(value), x_of(value)
             if low is not None and high is not None:
-                text, bounds = f"{text} [{low:.2f}, {high:.2f}]", (_x(low), _x(high))
-            whiskers.append(Whisker(kind, _x(value), *bounds, top + _ROW * (place + 0.5), text))
-        groups.append(Group(_name(row), str(row.get("label", "")), top + _ROW * 1.5, tuple(whiskers)))
+                text, bounds = f"{text} [{low:.2f}, {high:.2f}]", (x_of(low), x_of(high))
+            whiskers.append(Whisker(kind, x_of(value), *bounds, top + _ROW * (place + 0.5), text))
+        groups.append(Group(name, _name(row), top + _ROW * 1.5, tuple(whiskers)))
         top += _ROW * len(SCORES) + _GAP
-    ticks = tuple((_x(value), f"{value}") for value in range(0, 101, 20))
-    return Intervals(WIDTH, top + 16, LABELS, tuple(groups), ticks)
-
-
-def _x(percent: float) -> float:
-    return round(LABELS + (WIDTH - LABELS - 12) * percent / 100, 2)
+    ticks = tuple((x_of(value), f"{value}") for value in range(0, 101, 20))
+    return Intervals(WIDTH, top + 16, left, tuple(groups), ticks)
 
 
 def _name(row: Mapping[str, Any]) -> str:
@@ -81,38 +87,58 @@ def _name(row: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class Dot:
-    """A run among the axes: answer to the right, evidence upwards, and where its name stands."""
+    """A run among the axes, answer to the right and evidence upwards; `number` is its place in the legend."""
 
     x: float
     y: float
+    number: int
     name: str
-    label: str
     text: str
-    name_x: float
-    name_y: float
+
+
+@dataclass(frozen=True)
+class Tag:
+    """The numbers of the dots that lie on or close to each other, beside them."""
+
+    x: float
+    y: float
     anchor: str
+    text: str
 
 
-SQUARE: Final = 320.0
-_MARGIN: Final = 36.0
+SQUARE: Final = 380.0
+_MARGIN: Final = 40.0
+_CLOSE: Final = 11.0
 
 
 def scatter(rows: Sequence[Mapping[str, Any]]) -> tuple[Dot, ...]:
-    """Answer against evidence, percent, in a square of `SQUARE`; names move down where they would lie on each other."""
-    dots: list[Dot] = []
-    for row in sorted(rows, key=lambda row: -(row.get("evidence") or 0)):
+    """Answer against evidence, percent, in a square of `SQUARE`; rows without the two are left out."""
+    dots = []
+    for number, row in enumerate(rows, 1):
         if row.get("answer") is None or row.get("evidence") is None:
             continue
-        x, y = _place(row["answer"]), round(SQUARE - _place(row["evidence"]), 2)
-        right = x > SQUARE * 0.6
-        name_y = y + 4
-        for other in dots:
-            if abs(other.name_y - name_y) < 13 and (other.anchor == "end") == right:
-                name_y = other.name_y + 13
         text = f"answer {row['answer']:.2f}, evidence {row['evidence']:.2f}, combined {row['combined']:.2f}"
-        name_x, anchor = (x - 8, "end") if right else (x + 8, "start")
-        dots.append(Dot(x, y, _name(row), str(row.get("label", "")), text, name_x, name_y, anchor))
+        dots.append(Dot(_place(row["answer"]), round(SQUARE - _place(row["evidence"]), 2), number, _name(row), text))
     return tuple(dots)
+
+
+def tags(dots: Sequence[Dot]) -> tuple[Tag, ...]:
+    """One tag for the dots that would lie on each other's numbers, however many runs score alike."""
+    clusters: list[list[Dot]] = []
+    for dot in sorted(dots, key=lambda dot: (dot.x, dot.y)):
+        near = next((own for own in clusters if any(math.dist((o.x, o.y), (dot.x, dot.y)) < _CLOSE for o in own)), None)
+        if near is None:
+            clusters.append([dot])
+        else:
+            near.append(dot)
+    found = []
+    for own in clusters:
+        right = max(dot.x for dot in own)
+        y = round(sum(dot.y for dot in own) / len(own) + 4, 2)
+        text = ", ".join(str(number) for number in sorted(dot.number for dot in own))
+        inside = right + 8 + _LETTER * len(text) < SQUARE
+        found.append(Tag(right + 8, y, "start", text) if inside else Tag(min(d.x for d in own) - 8, y, "end", text))
+    return tuple(found)
 
 
 def _place(percent: float) -> float:
@@ -130,9 +156,8 @@ class Part:
     number: int
 
 
-def stacked(counts: Sequence[tuple[str, int]]) -> tuple[Part, ...]:
-    """A bar whose parts add up to 100; empty where there is nothing to show."""
-    total = sum(times for _, times in counts)
+def stacked(counts: Sequence[tuple[str, int]], total: int) -> tuple[Part, ...]:
+    """A bar of parts in percent of `total`; empty where there is nothing to show."""
     parts, x = [], 0.0
     for number, (name, times) in enumerate(counts):
         width = 100 * times / total if total else 0.0

@@ -15,6 +15,8 @@ from jrdb_avr.engine.typeset import cell
 from jrdb_avr.queries.store import write_atomic
 from jrdb_avr.schema.method import Image
 
+from .diagrams import shortened
+
 if TYPE_CHECKING:
     from jinja2 import Environment
     from markupsafe import Markup
@@ -67,7 +69,7 @@ def _environment() -> Environment:
         # Control characters of model text would not survive as HTML, and may mislead in an editor.
         finalize=lambda value: value if isinstance(value, Markup) else clean(value),
     )
-    environment.filters |= {"cell": cell, "json": _json}
+    environment.filters |= {"cell": cell, "json": _json, "shortened": shortened}
     environment.globals["asset"] = lambda name: Markup(_text(name))  # noqa: S704 - files of this package
     return environment
 

@@ -12,19 +12,27 @@ from jrdb_avr.engine.failures import CAUSES
 from jrdb_avr.engine.judged import DIMENSIONS, Facts, Judged
 from jrdb_avr.engine.report import report_table
 from jrdb_avr.engine.scoring import Truth
+from jrdb_avr.engine.typeset import filled
 from jrdb_avr.queries.store import Store
 
-from .charts import SQUARE, Part, intervals, scatter, stacked
+from .charts import SQUARE, Part, intervals, scatter, stacked, tags
 from .page import render
 
-_FIRST: Final = ("family", "group")
+_TITLES: Final = {name: name.replace("_", " ") for name in DIMENSIONS} | {
+    "group": "the paper's groups",
+    "time_gap_s": "time gap, seconds",
+    "separation_deg": "angular separation, degrees",
+}
+
+_OPEN_PAIRS: Final = 12
+"""More pairs of runs than these are folded away."""
 
 
 @dataclass(frozen=True)
 class Crossed:
-    """A breakdown with a column per run: a value of the dimension, and each run's row or None."""
+    """A breakdown by run and value of the dimension, the fewer of the two across: each cell a row or None."""
 
-    runs: tuple[str, ...]
+    across: tuple[str, ...]
     rows: tuple[tuple[str, tuple[dict[str, Any] | None, ...]], ...]
 
 
@@ -39,6 +47,7 @@ def report_page(
     main = table("main")
     names = tuple(run.manifest.run_id for run in runs)
     own = [row for row in main if row["run"]]
+    dots = scatter(own)
     failures = table("evidence_failures")
     return render(
         "report",
@@ -48,13 +57,17 @@ def report_page(
         main=own,
         published=[row for row in main if not row["run"]],
         chart=intervals(own),
-        dots=scatter(own),
+        dots=dots,
+        tags=tags(dots),
         square=SQUARE,
         breakdowns=[(name, crossed(table(name), name, names)) for name in DIMENSIONS],
-        ablation=table("ablation"),
-        pairs=table("pairs"),
+        ablation=filled(table("ablation")),
+        pairs=paired(table("pairs")),
+        open_pairs=_OPEN_PAIRS,
         boxes=[(name, _causes(failures, name)) for name in names],
         causes=CAUSES,
+        failures=failures,
+        titles=_TITLES,
         wrong=table("wrong_choices"),
         cost=table("cost"),
         settings=[(run.manifest.run_id, _pretty(run.manifest.settings)) for run in runs],
@@ -62,16 +75,28 @@ def report_page(
 
 
 def crossed(rows: Sequence[dict[str, Any]], dimension: str, runs: Sequence[str]) -> Crossed:
-    """A breakdown's rows, by value and run; the paper's stand in a last column of their own."""
+    """A breakdown's rows, by value and run; the paper's stand last, under a name of their own."""
     found: dict[str, dict[str, dict[str, Any]]] = {}
     for row in rows:
         found.setdefault(row[dimension], {})[row["run"] or row["label"]] = row
-    columns = (*runs, *(["paper"] if any(not row["run"] for row in rows) else []))
-    return Crossed(columns, tuple((value, tuple(own.get(run) for run in columns)) for value, own in found.items()))
+    names, values = (*runs, *(["paper"] if any(not row["run"] for row in rows) else [])), tuple(found)
+    if len(names) > len(values):
+        return Crossed(values, tuple((run, tuple(found[value].get(run) for value in values)) for run in names))
+    return Crossed(names, tuple((value, tuple(own.get(run) for run in names)) for value, own in found.items()))
+
+
+def paired(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A row per two runs, with the row of each score under its name."""
+    found: dict[tuple[str, str], dict[str, Any]] = {}
+    for row in rows:
+        names = {"first": row["first"], "second": row["second"], "n": row["n"]}
+        found.setdefault((row["first"], row["second"]), names)[row["score"]] = row
+    return list(found.values())
 
 
 def _causes(rows: Sequence[dict[str, Any]], run: str) -> tuple[Part, ...]:
-    return stacked([(row["cause"], row["times"]) for row in rows if row["run"] == run])
+    own = [row for row in rows if row["run"] == run]
+    return stacked([(row["cause"], row["times"]) for row in own], own[0]["n"])
 
 
 def _pretty(settings: dict[str, Any]) -> str:
