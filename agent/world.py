@@ -163,8 +163,9 @@ class Episode:
 
     def refused(self, tool: Tool, arguments: object, reason: str, step: int) -> Result:
         """Keep a line of the record of a call that is refused."""
-        self.noted(tool, arguments, step, False, reason)
-        return Result(False, reason)
+        kept = one_line(reason)
+        self.noted(tool, arguments, step, False, kept)
+        return Result(False, kept)
 
     # -- the model's writes -------------------------------------------------------------------------------------------
 

@@ -2,8 +2,8 @@
 
 Its tables lie beside the scene's in the same database (or in a file of their own), and the engine keeps no tables
 apart. So every statement passes two doors before its first run: its words (guard.py; and every label must be a world
-table's, written plainly) and its plan (no table function, and every scan names one world table, so that no pattern
-without a label reaches the others). Values come as parameters only.
+table's, written plainly) and its plan (no table function, no walk of any length, and no scan of a table that the words
+do not name, so that no pattern without a label reaches the others). Values come as parameters only.
 
 All calls of the engine are made by one thread of the handle's own: many episodes write at once, and with several
 threads a write waits for the engine's locks six times as long as it takes. Callers wait for their own call only.
@@ -52,9 +52,13 @@ class WorldGraph:
         self._passed: set[tuple[str, bool]] = set()
         try:
             self._graph = self._call(graph)
-            self._call(lambda: make_world_tables(self._graph))
         except BaseException:
             self._engine.shutdown()
+            raise
+        try:
+            self._call(lambda: make_world_tables(self._graph))
+        except BaseException:
+            self.close()
             raise
 
     @classmethod
@@ -69,8 +73,7 @@ class WorldGraph:
         def opened() -> Graph:
             if not place.exists():
                 with build_graph(place) as graph:
-                    for statement in world_ddl():
-                        graph.execute(statement)
+                    make_world_tables(graph)
             return Graph.open(place, buffer_bytes=buffer_bytes, prepares=True)
 
         return cls(opened)
