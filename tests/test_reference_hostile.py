@@ -60,7 +60,7 @@ words = st.one_of(
 junk = st.recursive(
     st.one_of(st.none(), st.booleans(), numbers, words),
     lambda inner: st.one_of(st.lists(inner, max_size=4), st.dictionaries(words, inner, max_size=4)),
-    max_leaves=12,
+    max_leaves=5,
 )
 NAMES = ("id", "kind", "node", "observation", "box", "entity", "name", "value", "source", "target", "answer")
 calls = st.one_of(
@@ -74,8 +74,7 @@ calls = st.one_of(
 )
 said = st.one_of(
     st.text(max_size=40),
-    st.lists(calls, max_size=MOST_PER_TURN + 1).map(lambda made: json.dumps({"calls": made})),
-    st.lists(calls, max_size=3).map(lambda made: json.dumps({"calls": made})),
+    st.lists(calls, max_size=6).map(lambda made: json.dumps({"calls": made})),
     junk.map(json.dumps),
     st.just(json.dumps(PLAN)),
 )
@@ -88,7 +87,7 @@ replies = st.builds(
 @given(
     st.sampled_from(VARIANTS),
     st.booleans(),
-    st.lists(replies, min_size=1, max_size=12),
+    st.lists(replies, min_size=1, max_size=7),
     st.sampled_from([StubSolver(), StubSolver(box=(150, (0.0, 0.0, 9.0, 9.0))), defined()]),
 )
 @example((True, True), True, [Reply('{"calls": [{"tool": "\\ud800"}]}', finish_reason="stop")], StubSolver())
