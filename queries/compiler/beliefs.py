@@ -93,7 +93,7 @@ class BeliefReader(Reader):
         """Frames of which the whole panorama was observed, ascending."""
         looks: dict[int, list[tuple[int, int]]] = {}
         for row in self._all("looks"):
-            looks.setdefault(row["frame"], []).append((row["begin"], row["width"]))
+            looks.setdefault(row["frame"], []).append((row["edge"], row["width"]))
         return [frame for frame, crops in looks.items() if goes_round(crops)]
 
     def nodes(self) -> dict[str, str]:

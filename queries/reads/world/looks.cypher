@@ -1,4 +1,4 @@
 // presence, leaves, returns: which columns of the panorama were observed.
 MATCH (:Episode {id: $scope})-[:Made]->(o:Observation)
-RETURN o.frame AS frame, o.left AS begin, o.width AS width
-ORDER BY frame, begin, width
+RETURN o.frame AS frame, o.left AS edge, o.width AS width
+ORDER BY frame, edge, width
