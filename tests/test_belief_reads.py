@@ -8,7 +8,9 @@ from believed import CIRCLE, Story, parsed, planned, write
 
 from jrdb_avr.agent.solver import best_guess, legal, solve_beliefs
 from jrdb_avr.queries.compiler import WORLD, compile_find
+from jrdb_avr.queries.compiler.names import read_text
 from jrdb_avr.queries.handle import Graph
+from jrdb_avr.queries.world import WorldGraph
 from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.rules import Rules
@@ -191,6 +193,16 @@ def test_what_holds_at_an_event_is_refused_by_name():
         compile_find(parsed(planned("start", "t1", times, {"a": [{"action": "walking", "at": "t1"}]})), WORLD)
 
 
+def test_every_statement_passes_the_world_models_door():
+    with WorldGraph.memory() as world:
+        plan = planned("presence", ["t1", "t2"], BOTH, {"a": [WOMAN], "b": []}, [("a", "conversation", "b", "t0")])
+        plan["nodes"][0]["conditions"] += [{"object": "bag", "verb": "holding", "at": "t0"}]
+        belief = solve_beliefs(world, "none", parsed(plan), Rules())
+        assert belief.outcome == "empty" and best_guess(world, "none", parsed(plan), Rules()) is None
+        for name in ("sighted", "attributes", "relations", "looks", "entities"):
+            assert world.query(read_text(WORLD, name), {"scope": "none"}).num_rows == 0
+
+
 def test_nothing_of_a_plan_stands_in_the_statement():
     strange = compile_find(parsed(planned(nodes={"match": [{"action": "x' OR true //", "at": "t0"}]})), WORLD)
     plain = compile_find(parsed(planned(nodes={"a": [{"action": "walking", "at": "t0"}]})), WORLD)
@@ -364,6 +376,13 @@ def test_seconds_away_lie_between_last_and_first_looks(site, gone, back, answer)
         story.panorama(frame)
     story = story if back is None else story.sees("p1", back).panorama(300)
     assert site.answer(story, planned("seconds_between", ["t1", "t2"], AWAY)) == answer
+
+
+def test_an_absence_begins_after_the_time_it_waits_for(site):
+    """At frame 30 she is away already; the first absence after it is the next one."""
+    times = {**AWAY, "t0": {"frame": 0}, "t3": {"frame": 30}, "t1": AWAY["t1"] | {"after": "t3"}}
+    story = woman(40).panorama(30).panorama(50).sees("p1", 60)
+    assert site.answer(story, planned("seconds_between", ["t1", "t2"], times)) == {"value": (55 - 45) / 15}
 
 
 def test_different_people_are_counted_at_all_observed_frames(site):
