@@ -1,0 +1,115 @@
+"""Service time of the world model: `python tests/benchmarks/bench_world.py`.
+
+64 episodes are in flight in one process, over 20,000 entities of older runs in a graph on disk. Each makes looks,
+sightings, attributes and relations by the agent's own class, and solves its plan. Service time is what the engine's
+thread takes for a call, from its beginning to its end; the time that a call waits for others' is printed beside.
+Exit code 1 where the 99th percentile of writes or of the solver's reads is over 10 ms.
+"""
+
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+from older_worlds import older_record
+
+from jrdb_avr.agent.reference.solving import beliefs_of
+from jrdb_avr.agent.world import World
+from jrdb_avr.queries.world import WorldGraph
+from jrdb_avr.queries.world_record import merge_world, open_to_replay
+from jrdb_avr.schema.method import Observation, Question
+from jrdb_avr.schema.panorama import FOV_DEG, Box, crop_left
+from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
+
+IN_FLIGHT, TURNS, OLDER, BAR_MS = 64, 8, 20_000, 10.0
+PLAN = Plan(
+    "a",
+    "b",
+    {"t0": Time(frame=0), "t1": Time(frame=150)},
+    (Node("a", (Condition(attribute="gender", value="female"),)), Node("b", (Condition(action="sitting", at="t0"),))),
+    (Edge("a", "conversation", "b", "t0"),),
+    AnswerSpec(mode="multiple_choice", read="action", of="b", at="t1"),
+)
+
+
+class Timed(WorldGraph):
+    """A world graph that notes what each call of the engine takes, and how long its caller waited."""
+
+    def __init__(self, graph):
+        self.served, self.waited = {"write": [], "read": []}, {"write": [], "read": []}
+        self.kind = threading.local()
+        super().__init__(graph)
+
+    def write(self, statements):
+        self._as("write", lambda: super(Timed, self).write(statements))
+
+    def query(self, *arguments, **options):
+        return self._as("read", lambda: super(Timed, self).query(*arguments, **options))
+
+    def _as(self, kind, call):
+        self.kind.now, began = kind, time.perf_counter()
+        try:
+            return call()
+        finally:
+            self.waited[kind].append(time.perf_counter() - began)
+
+    def _call(self, work):
+        kind = getattr(self.kind, "now", None)
+
+        def timed():
+            began = time.perf_counter()
+            try:
+                return work()
+            finally:
+                if kind:
+                    self.served[kind].append(time.perf_counter() - began)
+
+        return super()._call(timed)
+
+
+def play(world, number, start):
+    question = Question(f"{number:016x}", "s", "f", "t", f"{number}?", ("sitting", "walking"), "multiple_choice")
+    episode = world.episode(question, lambda write: None)
+    solver = beliefs_of(world, question)
+    episode.plan(PLAN, 0)
+    start.wait()
+    for step in range(1, TURNS + 1):
+        frame, angle = 15 * step, 180.0
+        look = Observation("s", frame, f"{frame:06d}", frame / 15, angle, FOV_DEG, int(crop_left(angle)), None)
+        seen = {"observation": episode.observed(look, step)}
+        for name in ("p1", "p2", "p3"):
+            entity = {"id": name, "kind": "person", "box": [1, 2, 3, 4], **seen}
+            assert episode.add_entity(entity, Box(10, 10, 40, 90), step).accepted
+            said = {"entity": name, "name": "action", "value": "sitting", **seen}
+            assert episode.add_attribute(said, step).accepted
+        talks = {"source": "p1", "name": "conversation", "target": "p2", **seen}
+        assert episode.add_relation(talks, step).accepted
+        solver.solve(PLAN)
+
+
+def main():
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "world.kuzu"
+        with open_to_replay(path) as graph:
+            merge_world(graph, "older", older_record(OLDER))
+        with Timed.open(path) as graph:
+            world, start = World(graph, "r"), threading.Barrier(IN_FLIGHT)
+            threads = [threading.Thread(target=play, args=(world, n, start)) for n in range(IN_FLIGHT)]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join()
+            served, waited = graph.served, graph.waited
+    print("        calls   service ms: p50    p99    waited ms: p50    p99    p99 / bar")
+    worst = 0.0
+    for kind in ("write", "read"):
+        (p50, p99), (w50, w99) = (1000 * np.percentile(times[kind], (50, 99)) for times in (served, waited))
+        worst = max(worst, p99 / BAR_MS)
+        print(f"{kind:6} {len(served[kind]):6} {p50:17.2f} {p99:6.2f} {w50:17.1f} {w99:6.1f} {p99 / BAR_MS:12.2f}")
+    sys.exit(int(worst > 1))
+
+
+if __name__ == "__main__":
+    main()
