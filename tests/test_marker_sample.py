@@ -104,3 +104,22 @@ def test_a_run_keeps_its_knobs(store):
     assert manifest["settings"]["marker"] == {"refusal": 0.5, "seed": 1}
     other = CliRunner().invoke(group, [str(word) for word in [*ask, "--marker", "refusal=0.5", "--resume"]])
     assert other.exit_code != 0 and "another marker" in str(other.exception)
+
+
+@pytest.mark.slow
+def test_the_agents_right_answers_stand_on_the_right_person(store):
+    asked = [row["question_id"] for row in rows(store, "runs", "react-marker", "predictions.parquet")][:: N // 20]
+    ids = ",".join(asked)
+    run("evaluate", "--store", store, "--method", "agent", "--model", "marker", "--questions", ids)
+    run("score", "--store", store, "agent-marker")
+    scores = rows(store, "runs", "agent-marker", "scores.parquet")
+    right = [row for row in scores if row["answer_score"]]
+    assert len(right) > len(scores) / 3
+    assert sum(row["combined_score"] for row in right) >= 0.9 * len(right)
+    predictions = rows(store, "runs", "agent-marker", "predictions.parquet")
+    assert all(row["status"] != "error" and row["n_observations"] <= 24 for row in predictions)
+    tools = [
+        row["question_id"] for row in rows(store, "runs", "agent-marker", "steps.parquet") if row["kind"] == "tool"
+    ]
+    # The plan is one as well.
+    assert max(map(tools.count, asked)) <= 81
