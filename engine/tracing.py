@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -75,7 +76,7 @@ def read_trace(store: Store, run_id: str, question_id: str) -> Trace:
         rows["predictions"][0],
         steps,
         tuple(look for step in steps if (look := look_of(step)) is not None),
-        tuple(Written(row, _fact(row["fact"])) for row in writes),
+        tuple(Written(row, _fact(row["fact"], world)) for row in writes),
         {row["frame"]: (row["x"], row["y"], row["w"], row["h"]) for row in own["evidence"]},
         sequences[question["sequence"]]["fps"],
     )
@@ -109,5 +110,8 @@ def _rows(table: Any, question_id: str) -> list[dict[str, Any]]:
     return rows
 
 
-def _fact(text: str) -> Fact:
-    return msgspec.json.decode(text, type=Fact) if text else Fact()
+def _fact(text: str, path: Path) -> Fact:
+    try:
+        return msgspec.json.decode(text, type=Fact) if text else Fact()
+    except msgspec.DecodeError as error:
+        raise StoreError(f"{path} holds a fact that cannot be read ({error}): evaluate again") from None

@@ -1,11 +1,17 @@
 "use strict";
 (() => {
   const slider = document.getElementById("until");
-  const parts = [...document.querySelectorAll("[data-step]")].filter((part) => !part.classList.contains("step"));
+  const sections = [...document.querySelectorAll("section.step")];
+  const parts = [...document.querySelectorAll("[data-step]:not(section)")];
   const show = () => {
     const until = Number(slider.value);
-    document.getElementById("at").textContent = `${until} of ${slider.max}`;
-    for (const part of parts) part.classList.toggle("late", Number(part.dataset.step) > until);
+    const at = sections.findLast((section) => Number(section.dataset.step) <= until);
+    document.getElementById("at").textContent = at ? `${until} of ${slider.max}: ${at.dataset.what}` : "no steps";
+    // At step k a belief stood where step <= k and until > k.
+    for (const part of parts) {
+      part.classList.toggle("late", Number(part.dataset.step) > until);
+      part.classList.toggle("gone", "until" in part.dataset && Number(part.dataset.until) <= until);
+    }
   };
   slider.addEventListener("input", show);
   show();

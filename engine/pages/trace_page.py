@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -10,14 +10,19 @@ from typing import Any, Final
 import msgspec
 
 from jrdb_avr.engine.observe import Observer
-from jrdb_avr.engine.tracing import Look, Trace
+from jrdb_avr.engine.tracing import Look, Row, Trace
 from jrdb_avr.schema.errors import ObserveError
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, center_angle, iou, to_crop
+from jrdb_avr.schema.world import ALWAYS
 
+from .answers import readable
 from .page import jpeg_bytes, jpeg_uri, render
 
 ROLES: Final = 6
 """Colours of people in `roles.css`."""
+
+_NAMED: Final = 16
+"""Entities whose names stand on the map."""
 
 MAP_WIDTH: Final = 1000.0
 MAP_HEIGHT: Final = 380.0
@@ -26,10 +31,11 @@ _LEFT: Final = 62.0
 
 _STRIP: Final = (1128, 144)
 _SMALL: Final = (240, 240)
-_TAIL: Final = 1500
-"""Characters of a request shown at once: its end, which is what is new."""
+_PICTURES: Final = 200
+"""Looks with a picture; of the rest the page says where they were, so that it stays a file that can be opened."""
 
-_PICTURE = re.compile(r"\[image [^\]]{1,200}\]")
+_LONGEST: Final = 20_000
+"""Characters of a text that is shown; what is longer is cut in the middle, and says so."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +50,8 @@ class Mark:
     role: int
     text: str
     x2: float = 0.0
+    name: str = ""
+    low: bool = False
 
 
 @dataclass(frozen=True)
@@ -65,14 +73,15 @@ def trace_page(trace: Trace, observer: Observer) -> str:
         question=trace.question,
         prediction=trace.prediction,
         choices=_choices(trace),
-        right=_plain(trace.answer["answer"]),
+        given=_said(trace, trace.prediction["answer"]),
+        right=_said(trace, trace.answer["answer"]),
         map=_map(trace, names),
         width=MAP_WIDTH,
         height=MAP_HEIGHT,
         entities=_cards(trace, names),
         relations=_relations(trace),
         refused=[write.row for write in trace.writes if not write.row["accepted"]],
-        steps=[_step(trace, number, observer) for number in range(len(trace.steps))],
+        steps=_steps(trace, observer),
         final=_final(trace, observer),
         calls=_plain(msgspec.json.encode(trace.manifest.settings).decode()),
     )
@@ -87,8 +96,15 @@ def _choices(trace: Trace) -> list[dict[str, Any]]:
 
 
 def _choice(text: str | None) -> int | None:
-    value = msgspec.json.decode(text or "{}")
+    try:
+        value = msgspec.json.decode(text or "{}")
+    except (msgspec.DecodeError, UnicodeEncodeError):
+        return None
     return value.get("choice") if isinstance(value, dict) else None
+
+
+def _said(trace: Trace, text: str | None) -> str:
+    return readable(trace.question["answer_mode"], text, trace.question["choices"], trace.fps)
 
 
 def _plain(text: str | None) -> str:
@@ -96,9 +112,14 @@ def _plain(text: str | None) -> str:
     if not text:
         return ""
     try:
-        return msgspec.json.format(text.encode(), indent=1).decode() if len(text) > 100 else text
+        return _cut(msgspec.json.format(text.encode(), indent=1).decode() if len(text) > 100 else text)
     except (msgspec.DecodeError, UnicodeEncodeError):
-        return text
+        return _cut(text)
+
+
+def _cut(text: str) -> str:
+    half, more = _LONGEST // 2, len(text) - _LONGEST
+    return text if more <= 0 else f"{text[:half]}\n[{more} characters left out]\n{text[-half:]}"
 
 
 # -- the map ----------------------------------------------------------------------------------------------------------
@@ -112,8 +133,11 @@ def _entities(trace: Trace) -> dict[str, tuple[str, int]]:
 
 def _map(trace: Trace, names: Mapping[str, tuple[str, int]]) -> Map:
     frames = [look.frame for look in trace.looks]
-    if trace.prediction["evidence_frame"] is not None:
-        frames.append(trace.prediction["evidence_frame"])
+    given = _given(trace)
+    if given is not None:
+        frames.append(given[0])
+    last_step = max((int(step["step"]) for step in trace.steps), default=0)
+    named: set[str] = set()
     first, last = (min(frames), max(frames)) if frames else (0, 0)
     # The target's way through the same time, and a little before and after.
     room = max(15, (last - first) // 12)
@@ -130,18 +154,32 @@ def _map(trace: Trace, names: Mapping[str, tuple[str, int]]) -> Map:
             name, role = names[seen.source]
             column = (seen.box.x + seen.box.w / 2) % WIDTH
             places[seen.source, seen.frame] = column
-            marks.append(Mark("seen", _x(column), y(seen.frame), 0, step, role, f"{name}, frame {seen.frame}"))
+            # Its name stands at its first sighting, while there are few.
+            title = name[:12] if seen.source not in named and len(names) <= _NAMED else ""
+            # One above, one below: people of a plan often stand side by side.
+            below = len(named) % 2 == 1
+            named.add(seen.source)
+            text = f"{name}, frame {seen.frame}"
+            marks.append(Mark("seen", _x(column), y(seen.frame), 0, step, role, text, name=title, low=below))
         if (tie := write.fact.related) is not None:
             ends = [places.get((key, tie.first)) for key in (tie.source, tie.target)]
             if ends[0] is not None and ends[1] is not None:
                 role = names.get(tie.source, ("", 0))[1]
                 marks.append(Mark("tie", _x(ends[0]), y(tie.first), 0, step, role, tie.name, _x(ends[1])))
-    if trace.prediction["evidence_frame"] is not None and trace.prediction["evidence_x"] is not None:
-        middle = (trace.prediction["evidence_x"] + trace.prediction["evidence_w"] / 2) % WIDTH
-        text = f"the box given as evidence, frame {trace.prediction['evidence_frame']}"
-        marks.append(Mark("given", _x(middle), y(trace.prediction["evidence_frame"]), 0, len(trace.steps), 0, text))
+    if given is not None:
+        frame, box = given
+        text = f"the box given as evidence, frame {frame}"
+        marks.append(Mark("given", _x((box.x + box.w / 2) % WIDTH), y(frame), 0, last_step, 0, text))
     ticks = tuple((y(frame), f"{frame / trace.fps:.1f} s") for frame in sorted({first, (first + last) // 2, last}))
-    return Map(tuple(marks), _way(trace, low, high, y), ticks, len(trace.steps))
+    return Map(tuple(marks), _way(trace, low, high, y), ticks, last_step)
+
+
+def _given(trace: Trace) -> tuple[int, Box] | None:
+    """The frame and box given as evidence; None where there is none that can be drawn."""
+    frame, sides = trace.prediction["evidence_frame"], [trace.prediction[f"evidence_{key}"] for key in "xywh"]
+    if frame is None or any(side is None or not math.isfinite(side) for side in sides):
+        return None
+    return frame, Box(*sides)
 
 
 def _look_marks(look: Look, y: float) -> list[Mark]:
@@ -173,32 +211,48 @@ def _x(column: float) -> float:
 
 
 def _cards(trace: Trace, names: Mapping[str, tuple[str, int]]) -> list[dict[str, Any]]:
-    """Each entity with what was written of it, line by line with the step of each."""
+    """Each entity with what was written of it: lines as the step of each, the step that replaced it, and its text."""
     cards: dict[str, dict[str, Any]] = {}
+    ends = _replaced(trace)
     for write in trace.writes:
         step, fact = int(write.row["step"]), write.fact
+        until = ends.get(int(write.row["number"]), ALWAYS)
+        for freed in fact.freed:
+            if freed in cards:
+                cards[freed]["lines"].append((step, ALWAYS, "is nobody of the plan any more"))
         if fact.entity is not None:
             name, role = names[fact.entity.id]
             cards[fact.entity.id] = {"name": name, "role": role, "step": step, "kind": fact.entity.kind, "lines": []}
             if fact.entity.node:
-                cards[fact.entity.id]["lines"].append((step, f"is the plan's {fact.entity.node}"))
+                cards[fact.entity.id]["lines"].append((step, ALWAYS, f"is the plan's {fact.entity.node}"))
         if fact.changed is not None and fact.changed.id in cards:
-            cards[fact.changed.id]["lines"].append((step, f"is the plan's {fact.changed.node or '(nobody)'}"))
+            node = fact.changed.node
+            text = f"is the plan's {node}" if node else f"is a {fact.changed.kind}"
+            cards[fact.changed.id]["lines"].append((step, ALWAYS, text))
         if fact.sighted is not None and fact.sighted.source in cards:
             where = f"seen at frame {fact.sighted.frame}, angle {fact.sighted.angle:.0f}"
-            cards[fact.sighted.source]["lines"].append((step, where))
+            cards[fact.sighted.source]["lines"].append((step, until, where))
         if fact.has is not None and fact.has.source in cards:
             when = f" at frame {fact.has.first}" if fact.has.first == fact.has.last else ""
-            cards[fact.has.source]["lines"].append((step, f"{fact.has.name}: {fact.has.value}{when}"))
+            cards[fact.has.source]["lines"].append((step, until, f"{fact.has.name}: {fact.has.value}{when}"))
     return list(cards.values())
 
 
-def _relations(trace: Trace) -> list[tuple[int, str]]:
-    ties = [(int(write.row["step"]), write.fact.related) for write in trace.writes]
+def _replaced(trace: Trace) -> dict[int, int]:
+    """The number of each write whose fact a later one replaced -> the step of that one."""
+    return {number: int(write.row["step"]) for write in trace.writes for number in write.fact.replaced}
+
+
+def _relations(trace: Trace) -> list[tuple[int, int, str]]:
+    ends = _replaced(trace)
     return [
-        (step, f"{_name(tie.source)}: {tie.name} {_name(tie.target)}, frame {tie.first}")
-        for step, tie in ties
-        if tie is not None
+        (
+            int(write.row["step"]),
+            ends.get(int(write.row["number"]), ALWAYS),
+            f"{_name(tie.source)}: {tie.name} \N{RIGHTWARDS ARROW} {_name(tie.target)}, frame {tie.first}",
+        )
+        for write in trace.writes
+        if (tie := write.fact.related) is not None
     ]
 
 
@@ -209,20 +263,46 @@ def _name(key: str) -> str:
 # -- steps ------------------------------------------------------------------------------------------------------------
 
 
-def _step(trace: Trace, number: int, observer: Observer) -> dict[str, Any]:
-    step = trace.steps[number]
-    look = next((look for look in trace.looks if look.step == step["step"]), None)
-    writes = [write.row for write in trace.writes if write.row["step"] == step["step"]]
-    request = _plain(step["request"]) if step["kind"] != "model" else _messages(step["request"])
+def _steps(trace: Trace, observer: Observer) -> list[dict[str, Any]]:
+    looks = {look.step: (number, look) for number, look in enumerate(trace.looks)}
+    refused: dict[int, list[Row]] = {}
+    for write in trace.writes:
+        if not write.row["accepted"]:
+            refused.setdefault(int(write.row["step"]), []).append(write.row)
+    strips: dict[int, str] = {}
+    return [
+        _step(trace, step, looks.get(step["step"]), refused.get(step["step"], []), observer, strips)
+        for step in trace.steps
+    ]
+
+
+def _step(
+    trace: Trace,
+    step: Row,
+    look: tuple[int, Look] | None,
+    refused: list[Row],
+    observer: Observer,
+    strips: dict[int, str],
+) -> dict[str, Any]:
+    of_model = step["kind"] == "model"
+    request = _messages(step["request"]) if of_model else _plain(step["request"])
+    response = _reply(step["response"]) if of_model else _plain(step["response"])
+    view = None
+    if look is not None and look[0] < _PICTURES:
+        view = _view(trace, look[1], observer, strips)
+    elif look is not None:
+        said = f"only the first {_PICTURES} looks are shown"
+        view = {"missing": said, "frame": look[1].frame, "angle": look[1].angle}
     return {
         "number": step["step"],
         "kind": step["kind"],
         "seconds": step["seconds"],
-        "request": request[-_TAIL:],
-        "whole": request if len(request) > _TAIL else "",
-        "response": _plain(step["response"]) if step["kind"] != "model" else _reply(step["response"]),
-        "refused": [row for row in writes if not row["accepted"]],
-        "view": _view(trace, look, observer) if look is not None else None,
+        "request": request,
+        "response": response,
+        # A call and what it came to, side by side.
+        "short": not of_model and max(len(request), len(response)) <= 160 and "\n" not in request + response,
+        "refused": refused,
+        "view": view,
     }
 
 
@@ -241,23 +321,23 @@ def _messages(text: str) -> str:
     """What a model was sent, as text; pictures by name."""
     try:
         messages = msgspec.json.decode(text, type=list[_Message])
-    except msgspec.DecodeError:
-        return text
-    return "\n\n".join(f"[{message.role}]\n{message.content}" for message in messages)
+    except (msgspec.DecodeError, UnicodeEncodeError):
+        return _cut(text)
+    return _cut("\n\n".join(f"[{message.role}]\n{message.content}" for message in messages))
 
 
 def _reply(text: str) -> str:
     try:
         reply = msgspec.json.decode(text, type=_Reply)
-    except msgspec.DecodeError:
-        return text
-    thought = f"[reasoning]\n{reply.reasoning}\n\n" if reply.reasoning else ""
+    except (msgspec.DecodeError, UnicodeEncodeError):
+        return _cut(text)
+    thought = f"[reasoning]\n{_cut(reply.reasoning)}\n\n" if reply.reasoning else ""
     ended = "" if reply.finish_reason in ("", "stop") else f"\n[finish_reason {reply.finish_reason}]"
     return f"{thought}{_plain(reply.content)}{ended}"
 
 
-def _view(trace: Trace, look: Look, observer: Observer) -> dict[str, Any]:
-    """The view on the panorama strip, and the crop in small."""
+def _view(trace: Trace, look: Look, observer: Observer, strips: dict[int, str]) -> dict[str, Any]:
+    """The view on the panorama strip, and the crop in small; `strips` holds those of frames seen before."""
     sequence = str(trace.question["sequence"])
     scale = _STRIP[0] / WIDTH
     spans = [(0.0, float(_STRIP[0]))]
@@ -265,7 +345,8 @@ def _view(trace: Trace, look: Look, observer: Observer) -> dict[str, Any]:
         ends = [(look.left, min(look.left + CROP, WIDTH)), (0, max(0, look.left + CROP - WIDTH))]
         spans = [(a * scale, (b - a) * scale) for a, b in ends if b > a]
     try:
-        strip = jpeg_uri(jpeg_bytes(observer.panorama(sequence, look.frame), _STRIP))
+        if look.frame not in strips:
+            strips[look.frame] = jpeg_uri(jpeg_bytes(observer.panorama(sequence, look.frame), _STRIP))
         crop = None if look.angle is None else observer(sequence, look.frame, look.angle).image
     except ObserveError as error:
         return {"missing": str(error), "frame": look.frame, "angle": look.angle}
@@ -273,7 +354,7 @@ def _view(trace: Trace, look: Look, observer: Observer) -> dict[str, Any]:
         "missing": "",
         "frame": look.frame,
         "angle": look.angle,
-        "strip": strip,
+        "strip": strips[look.frame],
         "size": _STRIP,
         "spans": spans,
         "crop": "" if crop is None else jpeg_uri(jpeg_bytes(crop, _SMALL)),
@@ -282,20 +363,20 @@ def _view(trace: Trace, look: Look, observer: Observer) -> dict[str, Any]:
 
 def _final(trace: Trace, observer: Observer) -> dict[str, Any] | None:
     """The box given as evidence and the target's in that frame, in the crop round them; None without a box."""
-    row = trace.prediction
-    if row["evidence_frame"] is None or row["evidence_x"] is None:
+    found = _given(trace)
+    if found is None:
         return None
-    given = Box(*(row[f"evidence_{key}"] for key in "xywh"))
-    target = trace.target.get(row["evidence_frame"])
+    frame, given = found
+    target = trace.target.get(frame)
     overlap = None if target is None else iou(given, Box(*target))
     angle = float(center_angle(given.x, given.w))
     try:
-        seen = observer(str(trace.question["sequence"]), row["evidence_frame"], angle)
+        seen = observer(str(trace.question["sequence"]), frame, angle)
     except ObserveError as error:
         return {"missing": str(error), "iou": overlap}
     return {
         "missing": "",
-        "frame": row["evidence_frame"],
+        "frame": frame,
         "angle": angle,
         "uri": jpeg_uri(jpeg_bytes(seen.image, (CROP, CROP))),
         "size": (CROP, HEIGHT),
