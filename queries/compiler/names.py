@@ -55,7 +55,7 @@ class Names:
 
 def read_text(names: Names, name: str) -> str:
     """The text of a packaged statement of a namespace."""
-    return names.opening + _packaged(names.reads, name)
+    return _packaged(names.reads, name)
 
 
 def _packaged(folder: str, name: str) -> str:
