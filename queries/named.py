@@ -25,6 +25,7 @@ FOLDERS: Final = {"cypher": "explore", "sql": "results"}
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _COMMENT = re.compile(r"^(?://|--)\s?(.*)$")
+_QUESTION_ID = re.compile(r"[0-9a-f]{16}")
 _PARAMETER = re.compile(r"^param\s+(\w+):\s*(text|integer|number)(?:\s*=\s*(.*))?$")
 
 
@@ -107,11 +108,13 @@ def find_query(language: str, text: str, given: dict[str, Any]) -> tuple[str, di
 
 
 def parse_value(text: str) -> Any:
-    """A parameter's value: JSON where it is JSON, else the text as it stands.
+    """A parameter's value: JSON where it is JSON, else the text as it stands; a question's id is always text.
 
-    >>> parse_value("15"), parse_value("female"), parse_value("[1, 2]")
-    (15, 'female', [1, 2])
+    >>> parse_value("15"), parse_value("female"), parse_value("[1, 2]"), parse_value("0012345678901e23")
+    (15, 'female', [1, 2], '0012345678901e23')
     """
+    if _QUESTION_ID.fullmatch(text):
+        return text
     try:
         return msgspec.json.decode(text)
     except (msgspec.DecodeError, UnicodeEncodeError):

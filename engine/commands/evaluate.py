@@ -17,6 +17,7 @@ from jrdb_avr.agent.options import Options
 from jrdb_avr.engine.commands._endpoint import endpoint_options, need_address
 from jrdb_avr.engine.methods import METHODS, WORLD_METHODS
 from jrdb_avr.engine.output import json_option, note, print_json, print_rows, progress, store_option
+from jrdb_avr.engine.own_methods import is_own, own_method
 
 if TYPE_CHECKING:
     from jrdb_avr.agent.marker.knobs import Knobs
@@ -42,11 +43,30 @@ panoramas:
   jrdb-avr evaluate --store S --images DIR --method agent --world-db world.kuzu --model M --base-url URL
 """
 
+NO_MODEL: Final = "none"
+
+
+def _checked_name(ctx: click.Context, param: click.Parameter, value: str) -> str:
+    if value not in METHODS and not is_own(value):
+        raise click.BadParameter(f"{value!r} is none of {', '.join(METHODS)}, nor FILE.py:NAME or MODULE:NAME")
+    return value
+
 
 @click.command(epilog=_EXAMPLE)
 @store_option
-@click.option("--method", "method_name", required=True, type=click.Choice(METHODS), help="How questions are answered.")
-@click.option("--model", required=True, help="Model id to ask for; 'marker' is the built-in reader of marks.")
+@click.option(
+    "--method",
+    "method_name",
+    required=True,
+    metavar="METHOD",
+    callback=_checked_name,
+    help=f"How questions are answered: {', '.join(METHODS)}; or one of your own, as FILE.py:NAME or MODULE:NAME.",
+)
+@click.option(
+    "--model",
+    required=True,
+    help="Model id to ask for; 'marker' is the built-in reader of marks, 'none' for a method of your own without any.",
+)
 @click.option("--base-url", help="An OpenAI-compatible server, as http://localhost:8000/v1.")
 @click.option("--run-id", help="Name of the run; METHOD-MODEL if left out.")
 @click.option("--questions", "picked", help="Question ids with commas between, or a file with one id per line.")
@@ -105,13 +125,15 @@ def command(
     from jrdb_avr.agent.marker.knobs import parse
     from jrdb_avr.engine import runs
     from jrdb_avr.engine.endpoint import MARKER, connect, serving
-    from jrdb_avr.engine.methods import make_method
     from jrdb_avr.engine.observe import Observer
     from jrdb_avr.engine.terms import keep_terms
     from jrdb_avr.queries.store import Store
     from jrdb_avr.schema.errors import StoreError
 
-    need_address(model, base_url)
+    if model == NO_MODEL and not is_own(method_name):
+        raise click.UsageError(f"--model none: {method_name} asks a model")
+    if model != NO_MODEL:
+        need_address(model, base_url)
     if knob_texts and (model != MARKER or base_url is not None):
         raise click.UsageError("--marker sets how the built-in marker model plays: give it with --model marker alone")
     knobs = parse(knob_texts)
@@ -131,18 +153,20 @@ def command(
             # Of another model, for all that is known.
             raise StoreError(f"{folder} holds answers and no run.json: delete it, or give another --run-id")
         world = stack.enter_context(_world(place, run_id, method_name, world_db, journal))
-        url = stack.enter_context(serving(model, base_url, folder / "marker.jsonl", knobs))
-        endpoint = connect(place, model, url, options, folder / "calls")
-        for warning in endpoint.warnings:
-            note(f"preflight: {warning}")
-        method = make_method(method_name, endpoint.client, endpoint.convention, world)
-        keep_terms(place, _manifest(place, run_id, method, endpoint, questions, knobs))
+        endpoint = None
+        if model != NO_MODEL:
+            url = stack.enter_context(serving(model, base_url, folder / "marker.jsonl", knobs))
+            endpoint = connect(place, model, url, options, folder / "calls")
+            for warning in endpoint.warnings:
+                note(f"preflight: {warning}")
+        method = _method(method_name, endpoint, world)
+        keep_terms(place, _manifest(place, run_id, model, method, endpoint, questions, knobs))
         beside = stack.enter_context(_running_scores(place, run_id, scores))
         advance = stack.enter_context(progress(f"{method_name}, {model}", len(questions), beside))
         runs.ask_all(method, questions, sequences, observer, observer.stored, journal, concurrency, advance)
         entries = [journal.finished[question.question_id] for question in questions]
         runs.write_tables(place, run_id, entries)
-        if changed := endpoint.changed():
+        if endpoint is not None and (changed := endpoint.changed()):
             note(changed)
     rows = [_summary(run_id, entries)]
     if as_json:
@@ -158,7 +182,8 @@ def command(
 
 def default_run_id(method: str, model: str) -> str:
     """The name of a run that was given none: the same command names the same run, so it can be resumed."""
-    return re.sub(r"[^A-Za-z0-9_-]+", "-", f"{method}-{model}").strip("-")[:80]
+    own = f"{Path(method).name.replace('.py:', '-')}-{model}"
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", own).strip("-")[:80]
 
 
 def _questions(
@@ -270,8 +295,23 @@ def _running_scores(place: Store, run_id: str, wanted: bool | None) -> Iterator[
         yield lambda: latest
 
 
+def _method(name: str, endpoint: Endpoint | None, world: World | None) -> Settled:
+    from jrdb_avr.engine.methods import make_method
+
+    if is_own(name):
+        return own_method(name, None if endpoint is None else endpoint.client)
+    assert endpoint is not None, "built-in methods ask a model"
+    return make_method(name, endpoint.client, endpoint.convention, world)
+
+
 def _manifest(
-    place: Store, run_id: str, method: Settled, endpoint: Endpoint, questions: list[Question], knobs: Knobs
+    place: Store,
+    run_id: str,
+    model: str,
+    method: Settled,
+    endpoint: Endpoint | None,
+    questions: list[Question],
+    knobs: Knobs,
 ) -> RunManifest:
     from jrdb_avr.agent.marker.knobs import turned
     from jrdb_avr.engine.endpoint import MARKER
@@ -282,11 +322,15 @@ def _manifest(
     return RunManifest(
         run_id=run_id,
         method=method.name,
-        model=endpoint.client.model,
+        model=model,
         questions_sha256=questions_hash(place),
         question_ids=tuple(question.question_id for question in questions),
-        synthetic=endpoint.client.model == MARKER or any(map(is_of_sample, questions)),
-        settings={"method": method.settings(), **endpoint.settings, **({"marker": shown} if shown else {})},
+        synthetic=model == MARKER or any(map(is_of_sample, questions)),
+        settings={
+            "method": method.settings(),
+            **({} if endpoint is None else endpoint.settings),
+            **({"marker": shown} if shown else {}),
+        },
         created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     )
 

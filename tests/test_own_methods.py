@@ -1,0 +1,98 @@
+"""Methods of somebody's own: found, run, resumed, refused in a line; the examples of the docs work."""
+
+import json
+from pathlib import Path
+
+import pytest
+from entry import run
+from fake_server import FakeServer, images, sound, texts
+
+from jrdb_avr.engine.own_methods import is_own, own_method
+from jrdb_avr.queries.runs import read_run_manifest
+from jrdb_avr.schema.errors import InputError
+
+EXAMPLES = Path(__file__).parent.parent / "docs" / "examples"
+
+
+def test_the_blind_example_answers_every_question_and_shows_nothing(store):
+    method = f"{EXAMPLES / 'blind.py'}:Blind"
+    code, out, err = run("evaluate", "--store", store.path, "--method", method, "--model", "none", "--json")
+    assert code == 0, err
+    row = json.loads(out)[0]
+    assert (row["run_id"], row["invalid"], row["error"], row["model_calls"]) == ("blind-Blind-none", row["n"], 0, 0)
+    manifest = read_run_manifest(store, "blind-Blind-none")
+    assert (manifest.method, manifest.model) == ("blind", "none")
+    assert manifest.settings["method"]["settings"]["guesses"].startswith("first choice")
+    answers = store.sql("SELECT count(answer) AS n FROM predictions").to_pylist()
+    assert answers == [{"n": row["n"]}]
+
+
+def test_the_glance_example_looks_once_and_asks_once(store):
+    def reply(request, number):
+        assert "Crop: " in texts(request) and len(images(request)) == 1
+        frame = json.loads(texts(request).partition("Crop: ")[2].splitlines()[0])["frame_id"]
+        return json.dumps({"answer": 1, "evidence_bboxes": [{"frame_id": frame, "bbox": [100, 200, 300, 800]}]})
+
+    method = f"{EXAMPLES / 'glance.py'}:Glance"
+    with FakeServer(sound(reply)) as server:
+        ask = ("evaluate", "--store", store.path, "--method", method, "--model", "m", "--base-url", server.url)
+        code, out, err = run(*ask, "--json")
+    assert code == 0, err
+    row = json.loads(out)[0]
+    assert (row["model_calls"], row["observations"], row["error"]) == (row["n"], row["n"], 0)
+    kinds = store.sql("SELECT kind, count(*) AS n FROM steps GROUP BY kind ORDER BY kind").to_pylist()
+    assert kinds == [{"kind": kind, "n": row["n"]} for kind in ("model", "observe", "solve")]
+
+
+def test_a_run_is_resumed_under_equal_settings_only(store, tmp_path):
+    file = tmp_path / "mine.py"
+    text = "\n".join(
+        [
+            "from jrdb_avr.schema.method import Prediction",
+            "class Mine:",
+            "    name = 'mine'",
+            "    def __init__(self, chat): assert chat is None",
+            "    def settings(self): return {'n': 1}",
+            "    def answer(self, task): return Prediction('invalid', reason='no idea')",
+        ]
+    )
+    file.write_text(text)
+    ask = ("evaluate", "--store", store.path, "--method", f"{file}:Mine", "--model", "none")
+    assert run(*ask)[0] == 0
+    assert run(*ask, "--resume")[0] == 0
+    file.write_text(text.replace("'n': 1", "'n': 2"))
+    code, _, err = run(*ask, "--resume")
+    assert code == 1
+    assert "settings" in err and err.count("\n") == 1
+
+
+BAD = {
+    "nowhere.py:X": "no such file",
+    "json:X": "json has no X",
+    "no_such_module_at_all:X": "cannot import",
+    "json:loads": "cannot be made",
+    "json:JSONEncoder": "cannot be made",
+    "builtins:repr": "is no method",
+    "{tmp}/broken.py:X": "SyntaxError",
+    "{tmp}/raises.py:X": "RuntimeError: not today",
+}
+
+
+@pytest.mark.parametrize("spec", BAD)
+def test_what_is_no_method_is_refused_in_a_line(spec, tmp_path):
+    (tmp_path / "broken.py").write_text("class X(:")
+    (tmp_path / "raises.py").write_text("raise RuntimeError('not today')")
+    with pytest.raises(InputError, match=BAD[spec]) as error:
+        own_method(spec.format(tmp=tmp_path), None)
+    assert "\n" not in str(error.value)
+
+
+def test_names_of_ones_own_are_told_from_the_built_in_ones():
+    assert is_own("a.py:B") and is_own("package.module:make")
+    assert not is_own("react") and not is_own("a.py") and not is_own("a.py:1")
+
+
+def test_options_that_contradict_are_a_usage_error(store):
+    for method, model in (("react", "none"), ("reacts", "marker"), ("a.py:", "none")):
+        code, _, err = run("evaluate", "--store", store.path, "--method", method, "--model", model)
+        assert (code, "Traceback" in err) == (2, False)
