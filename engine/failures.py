@@ -12,13 +12,14 @@ A question whose box does not score has exactly one cause, the first that fits:
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -26,8 +27,8 @@ from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.panorama import CROP, WIDTH
 
 from .judged import Facts, Floats, Ints, Judged, share
-from .scoring import Truth, box_ious, frame_key
-from .tracing import look_of
+from .scoring import MOST_FRAMES, Truth, box_ious, frame_key
+from .tracing import look_asked, look_left
 
 CAUSES: Final = (
     "no box",
@@ -106,7 +107,7 @@ def evidence_failure_rows(store: Store, truth: Truth, facts: Facts, runs: Sequen
 def evidence_causes(store: Store, truth: Truth, facts: Facts, run: Judged, people: _People | None = None) -> list[str]:
     """The cause per question asked, in the order asked; "" where the box scores."""
     people = people or _People(store)
-    looks = _looks(store, run)
+    shown = _shown(store, truth, run)
     given = {row["question_id"]: row for row in run.predictions.to_pylist()}
     sequences = facts.texts["sequence"][run.rows].tolist()
     causes = []
@@ -115,7 +116,7 @@ def evidence_causes(store: Store, truth: Truth, facts: Facts, run: Judged, peopl
             causes.append("")
             continue
         frames, boxes = _target(truth, int(run.rows[place]))
-        causes.append(_cause(given.get(name), frames, boxes, looks.get(name, []), people, sequence))
+        causes.append(_cause(given.get(name), frames, boxes, bool(shown[place]), people, sequence))
     return causes
 
 
@@ -123,13 +124,13 @@ def _cause(
     row: Mapping[str, Any] | None,
     frames: Ints,
     boxes: Floats,
-    looks: Sequence[_Look],
+    shown: bool,
     people: _People,
     sequence: str,
 ) -> str:
     if row is None or row["status"] == "error" or row["evidence_frame"] is None or row["evidence_w"] is None:
         return CAUSES[0]
-    if not any(look.shows(frames, boxes) for look in looks):
+    if not shown:
         return CAUSES[1]
     frame = row["evidence_frame"]
     at = np.flatnonzero(frames == frame)
@@ -151,37 +152,48 @@ def _target(truth: Truth, row: int) -> tuple[Ints, Floats]:
     return truth.keys[first:last] - frame_key(row, 0), truth.boxes[first:last]
 
 
-@dataclass(frozen=True)
-class _Look:
-    """A crop, or a whole panorama: columns [left, left + width) of a frame."""
-
-    frame: int
-    left: int
-    width: int
-
-    def shows(self, frames: Ints, boxes: Floats) -> bool:
-        at = np.searchsorted(frames, self.frame)
-        if at == len(frames) or frames[at] != self.frame:
-            return False
-        x, _, w, _ = boxes[at]
-        # Columns from the look's left edge on; a box may begin before it and reach in, also over the seam.
-        start = (x - self.left) % WIDTH
-        seen = max(0.0, min(start + w, self.width) - start) + max(0.0, min(start + w - WIDTH, self.width))
-        return bool(seen >= _SHOWN * w)
-
-
-def _looks(store: Store, run: Judged) -> dict[str, list[_Look]]:
-    """The looks of a run, by question, out of its transcript."""
+def _shown(store: Store, truth: Truth, run: Judged) -> npt.NDArray[np.bool_]:
+    """For each question asked, whether some look of the run's transcript shows enough of the target."""
+    found = np.zeros(run.n, dtype=bool)
     steps = read_table(store.run_path(run.manifest.run_id) / "steps.parquet")
     steps = steps.filter(pc.equal(steps["kind"], "observe"))
-    found: dict[str, list[_Look]] = {}
-    for step in steps.to_pylist():
-        look = look_of(step)
-        if look is not None:
-            whole = look.angle is None
-            shown = _Look(look.frame, 0 if whole else look.left, WIDTH if whole else CROP)
-            found.setdefault(step["question_id"], []).append(shown)
+    place = pc.index_in(steps["question_id"], value_set=pa.array(run.manifest.question_ids, pa.string()))
+    looks = np.concatenate([_distinct(steps["request"], _asked, 2), _distinct(steps["response"], _left, 1)], axis=1)
+    looks = np.concatenate([pc.fill_null(place, -1).to_numpy().astype(np.float64)[:, None], looks], axis=1)
+    looks = looks[np.isfinite(looks).all(axis=1) & (looks[:, 0] >= 0)]
+    if not len(looks) or not len(truth.keys):
+        return found
+    asked, frame, width, left = looks.T
+    asked = asked.astype(np.int64)
+    key = frame_key(run.rows[asked], frame.astype(np.int64))
+    at = np.minimum(np.searchsorted(truth.keys, key), len(truth.keys) - 1)
+    x, w = truth.boxes[at, 0], truth.boxes[at, 2]
+    # Columns from the look's left edge on; a box may begin before it and reach in, also over the seam.
+    start = (x - np.where(width < WIDTH, left, 0)) % WIDTH
+    seen = np.maximum(0, np.minimum(start + w, width) - start) + np.maximum(0, np.minimum(start + w - WIDTH, width))
+    found[asked[(truth.keys[at] == key) & (seen >= _SHOWN * w)]] = True
     return found
+
+
+def _distinct(texts: pa.ChunkedArray, read: Callable[[str], tuple[float, ...]], columns: int) -> Floats:
+    """Numbers read from each text, (n, columns); each distinct text is read once, as runs look alike at much."""
+    encoded = texts.combine_chunks().dictionary_encode()
+    numbers = np.array([read(text) for text in encoded.dictionary.to_pylist()], np.float64).reshape(-1, columns)
+    found: Floats = numbers[encoded.indices.to_numpy()]
+    return found
+
+
+def _asked(request: str) -> tuple[float, float]:
+    """Frame and width of a look; not a number where it cannot be told."""
+    asked = look_asked(request)
+    if asked is None or not 0 <= asked[0] < MOST_FRAMES:
+        return math.nan, math.nan
+    return asked[0], WIDTH if asked[1] is None else CROP
+
+
+def _left(response: str) -> tuple[float]:
+    left = look_left(response)
+    return (math.nan if left is None else left % WIDTH,)
 
 
 class _People:

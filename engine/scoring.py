@@ -36,7 +36,7 @@ ANGLE_DEG: Final = 20.0
 NUMBER_RATIO: Final = 2.0
 
 _MODES: Final = tuple(ANSWER_TYPES)
-_FRAME_SPAN: Final = 1 << 24
+MOST_FRAMES: Final = 1 << 24
 """Above every frame number."""
 
 _Key = TypeVar("_Key", int, Ints)
@@ -150,7 +150,7 @@ def score_predictions(
 
 def frame_key(row: _Key, frame: _Key) -> _Key:
     """One number for a question's row and a frame, in which `Truth.keys` are sorted."""
-    return row * _FRAME_SPAN + frame
+    return row * MOST_FRAMES + frame
 
 
 def answers_match(mode: Ints, second: Ints, given: Payloads, truth: Payloads) -> Bools:
@@ -277,7 +277,7 @@ def _evidence(table: pa.Table) -> tuple[Ints, Floats, Bools]:
     frames = table["evidence_frame"]
     box = np.stack([table[f"evidence_{key}"].to_numpy().astype(np.float64) for key in "xywh"], axis=1)
     frame = pc.fill_null(frames, -1).to_numpy().astype(np.int64)
-    boxed = np.isfinite(box).all(axis=1) & (frame >= 0) & (frame < _FRAME_SPAN)
+    boxed = np.isfinite(box).all(axis=1) & (frame >= 0) & (frame < MOST_FRAMES)
     return frame, box, boxed
 
 
@@ -285,7 +285,7 @@ def _boxes_match(truth: Truth, row: Ints, frame: Ints, box: Floats, threshold: f
     """Whether each box lies on its question's target in its frame."""
     if not len(truth.keys):
         return np.zeros(len(row), dtype=bool)
-    key = frame_key(row, np.clip(frame, 0, _FRAME_SPAN - 1))
+    key = frame_key(row, np.clip(frame, 0, MOST_FRAMES - 1))
     at = np.minimum(np.searchsorted(truth.keys, key), len(truth.keys) - 1)
     hits: Bools = (truth.keys[at] == key) & (box_ious(box, truth.boxes[at]) >= threshold - TIE)
     return hits

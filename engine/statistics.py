@@ -7,6 +7,7 @@ runs over the same sequences, so that differences are paired.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -48,10 +49,14 @@ class Pair:
     difference: Interval
 
 
+@functools.lru_cache(maxsize=8)
 def draws(clusters: int, n: int = DRAWS, seed: int = SEED) -> Floats:
-    """How often each of the clusters is drawn in each of `n` draws of as many: (n, clusters)."""
+    """How often each of the clusters is drawn in each of `n` draws of as many: (n, clusters), read-only."""
     generator = np.random.default_rng(seed)
-    return generator.multinomial(clusters, np.full(clusters, 1 / clusters), size=n).astype(np.float64)
+    found = generator.multinomial(clusters, np.full(clusters, 1 / clusters), size=n).astype(np.float64)
+    # Kept, as hundreds of pairs of runs are compared over the same sequences.
+    found.flags.writeable = False
+    return found
 
 
 def interval(
@@ -112,7 +117,10 @@ def mcnemar(only_first: int, only_second: int) -> float:
     """p of the exact two-sided McNemar test: how rare as uneven a split of the disagreements is by chance."""
     n, least = only_first + only_second, min(only_first, only_second)
     # In whole numbers: a share of 2 ** n is beyond a float long before n is beyond a benchmark.
-    below = sum(math.comb(n, k) for k in range(least + 1))
+    below = term = 1
+    for k in range(1, least + 1):
+        term = term * (n - k + 1) // k
+        below += term
     return min(1.0, 2 * below / (1 << n))
 
 

@@ -96,13 +96,27 @@ def look_of(step: Row) -> Look | None:
     """The look that a step of the transcript tells of; None for other steps, and for a look that was refused."""
     if step["kind"] != "observe":
         return None
+    asked, left = look_asked(step["request"]), look_left(step["response"])
+    return None if asked is None or left is None else Look(step["step"], *asked, left)
+
+
+def look_asked(request: str) -> tuple[int, float | None] | None:
+    """Frame and angle that a look asked for, no angle for a whole panorama; None where that cannot be read."""
     try:
-        asked = msgspec.json.decode(step["request"], type=_Asked)
-        shown = msgspec.json.decode(step["response"], type=_Shown)
-    except msgspec.DecodeError:
+        asked = msgspec.json.decode(request, type=_Asked)
+    except (msgspec.DecodeError, UnicodeEncodeError):
         # A method of somebody's own may describe its looks otherwise.
         return None
-    return None if shown.refused is not None else Look(step["step"], asked.frame_index, asked.angle_deg, shown.left)
+    return asked.frame_index, asked.angle_deg
+
+
+def look_left(response: str) -> int | None:
+    """The left column of the crop that was shown, 0 of a whole panorama; None where nothing was shown."""
+    try:
+        shown = msgspec.json.decode(response, type=_Shown)
+    except (msgspec.DecodeError, UnicodeEncodeError):
+        return None
+    return None if shown.refused is not None else shown.left
 
 
 def _rows(table: Any, question_id: str) -> list[dict[str, Any]]:
