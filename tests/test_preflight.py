@@ -159,7 +159,7 @@ def test_a_server_that_is_refused(change, check, remedy):
 
 
 @pytest.mark.parametrize(
-    ("change", "check"), [(no_usage, "tokens"), (other_model, "model"), (no_model, "model")], ids=lambda v: str(v)
+    ("change", "check"), [(no_usage, "tokens"), (other_model, "model"), (no_model, "model")], ids=lambda v: getattr(v, "__name__", v)
 )
 def test_a_server_that_is_only_warned_of(change, check):
     found, _ = checks(changed(change))
