@@ -2,8 +2,9 @@
 
 A call is a pure function of its request (temperature 0), so a call that finished cleanly is kept on disk under the
 sha256 of the whole request and never paid for twice. Retried: what the transport or the server broke (no connection,
-timeout, cut-off or unreadable reply, 429, 5xx). Anything else the server refuses is an EndpointError at once. The key
-is read from the environment and goes nowhere but into the request's header.
+timeout, cut-off or unreadable reply, 5xx), and, for longer, what a busy server puts off (429). Anything else that the
+server refuses is an EndpointError at once. The key is read from the environment and goes nowhere but into the request's
+header.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ import functools
 import ipaddress
 import math
 import os
+import random
+import re
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -38,17 +41,28 @@ if TYPE_CHECKING:
     import openai
 
 KEY_VARIABLE: Final = "OPENAI_API_KEY"
+_ACCOUNT_VARIABLES: Final = ("OPENAI_ORG_ID", "OPENAI_PROJECT_ID")
+"""What the client's library reads of the environment by itself, and sends along."""
+
 _LONGEST_PAUSE_S: Final = 60.0
+_LONGEST_BUSY_S: Final = 4.0
+"""Before a busy server is asked again, if it does not say when: a place becomes free as soon as any reply is done."""
+_BUSY_S: Final = 120.0
+"""Pauses in all that one call grants a busy server. Of many questions in flight each waits for the others."""
+_LEAST_PAUSE_S: Final = 0.5
 _CONNECT_S: Final = 20.0
 _PROBE_TIMEOUT_S: Final = 180.0
 _PROBE_RETRIES: Final = 1
 _VERSION_TIMEOUT_S: Final = 5.0
 _SECRET: Final = 16
 """Characters of a key from which on it is one; shorter ones, as "EMPTY" or "x", are words that a reply may hold."""
+_NO_CREDIT: Final = "insufficient_quota"
+"""The error code of a 429 that no waiting mends."""
 _REMEDIES: Final = {
     401: f"; put the server's key into ${KEY_VARIABLE}",
     403: f"; put a key that may use the model into ${KEY_VARIABLE}",
     404: "; check --base-url (most end in /v1) and --model",
+    429: "; the key's account has no credit left",
 }
 
 
@@ -59,12 +73,13 @@ class Chat(Protocol):
 
 
 class _BrokenError(Exception):
-    """A try that may be repeated, with the pause that the server asks for (seconds)."""
+    """A try that may be repeated, with the pause that the server asks for (seconds); `busy`: it is only put off."""
 
-    def __init__(self, reason: str, pause: float | None = None) -> None:
+    def __init__(self, reason: str, pause: float | None = None, busy: bool = False) -> None:
         super().__init__(reason)
         self.reason = reason
         self.pause = pause
+        self.busy = busy
 
 
 class Client:
@@ -91,6 +106,8 @@ class Client:
         self.convention = convention
         self._calls = None if cache is None else Calls(cache)
         self._key = _checked_key(key_variable)
+        for variable in _ACCOUNT_VARIABLES:
+            _checked_key(variable)
         self._pause = pause
         self._served: dict[str, None] = {}
         self._lock = threading.Lock()
@@ -132,12 +149,18 @@ class Client:
         if self._calls is None:
             return self._noted(self._send({**request, "messages": wire(messages)}, self.options.retries))
         place = self._calls.place({**request, "messages": fingerprint(messages)})
-        if (kept := self._calls.read(place)) is not None:
+        kept = self._calls.read(place)
+        if kept is not None and self._stands(kept):
             return self._noted(kept)
         reply = self._noted(self._send({**request, "messages": wire(messages)}, self.options.retries))
-        if reply.finished and spoken(reply, self.convention):
+        if self._stands(reply):
             self._calls.keep(place, reply)
         return reply
+
+    def _stands(self, reply: Reply) -> bool:
+        """Whether a reply is worth keeping: it finished cleanly, said something, and is of the model first met."""
+        of_model = reply.model == next(iter(self.served), reply.model)
+        return of_model and reply.finished and bool(spoken(reply, self.convention))
 
     def ask(self, messages: Sequence[Message], schema: Mapping[str, Any] | None = None) -> Reply:
         """Complete a chat now, whatever is kept, and give up soon: of a server of which nothing is known yet.
@@ -157,7 +180,7 @@ class Client:
             version = msgspec.json.decode(answer.content, type=dict[str, Any]).get("version")
         except (httpx2.HTTPError, EndpointError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             return ""
-        return _one_line(version)[:80] if answer.status_code == 200 and isinstance(version, str) else ""
+        return self._one_line(version)[:80] if answer.status_code == 200 and isinstance(version, str) else ""
 
     def _noted(self, reply: Reply) -> Reply:
         with self._lock:
@@ -174,18 +197,29 @@ class Client:
         # Encoded once and sent as bytes: a request may hold megabytes of pictures.
         body = msgspec.json.encode(request)
         timeout_s = min(self.options.timeout_s, most_s)
-        for attempt in range(retries + 1):
+        # A probe, and who wants no retries, is not kept waiting by a busy server either.
+        patience_s = _BUSY_S if retries and most_s == math.inf else 0.0
+        tries = broken_tries = 0
+        while True:
             try:
                 return self._try(body, timeout_s)
             except _BrokenError as broken:
-                if attempt == retries:
+                tries += 1
+                wait = broken.pause
+                if wait is None:
+                    wait = min(0.5 * 2.0 ** min(tries - 1, 10), _LONGEST_BUSY_S if broken.busy else _LONGEST_PAUSE_S)
+                # Not all that were refused together come back together.
+                wait = min(max(wait, _LEAST_PAUSE_S), _LONGEST_PAUSE_S) * random.uniform(1, 1.5)  # noqa: S311
+                if broken.busy and patience_s > 0:
+                    patience_s -= wait
+                elif broken_tries < retries:
+                    broken_tries += 1
+                else:
                     raise EndpointError(
-                        f"{self.base_url}: {broken.reason} ({attempt + 1} tries): "
+                        f"{self.base_url}: {broken.reason} ({tries} tries): "
                         "start the server or correct --base-url, then run again (evaluate with --resume)"
                     ) from None
-                wait = broken.pause if broken.pause is not None else 0.5 * 2**attempt
-                self._pause(min(max(wait, 0.0), _LONGEST_PAUSE_S))
-        raise AssertionError("unreachable")
+                self._pause(wait)
 
     def _try(self, body: bytes, timeout_s: float) -> Reply:
         import httpx2
@@ -212,8 +246,9 @@ class Client:
             raise _BrokenError(f"cannot reach the server ({self._one_line(error.__cause__ or error)})") from None
         except openai.APIStatusError as error:
             reason = f"HTTP {error.status_code}: {self._one_line(error.message)}"
-            if error.status_code == 429 or error.status_code >= 500:
-                raise _BrokenError(reason, _retry_after(error.response.headers.get("retry-after"))) from None
+            busy = error.status_code == 429 and error.code != _NO_CREDIT
+            if busy or error.status_code >= 500:
+                raise _BrokenError(reason, _retry_after(error.response.headers.get("retry-after")), busy) from None
             raise EndpointError(f"{self.base_url}: {reason}{_REMEDIES.get(error.status_code, '')}") from None
         except httpx2.HTTPError as error:
             raise _BrokenError(f"the reply broke off ({self._one_line(error)})") from None
@@ -221,10 +256,19 @@ class Client:
             # A server may echo what it was sent, and a reply is stored.
             data = data.replace(self._key.encode(), b"[key]")
         try:
-            return read_completion(data)
+            return self._without_key(read_completion(data))
         except ValueError as error:
             kind = self._one_line(response.headers.get("content-type", "bytes").partition(";")[0])
             raise _BrokenError(f"the reply is no chat completion but {kind[:40]} ({self._one_line(error)})") from None
+
+    def _without_key(self, reply: Reply) -> Reply:
+        """The reply without a key that was written in JSON's escapes, as some servers write / and +."""
+        if len(self._key) < _SECRET:
+            return reply
+        texts = {name: text for name, text in msgspec.structs.asdict(reply).items() if isinstance(text, str)}
+        return msgspec.structs.replace(
+            reply, **{name: text.replace(self._key, "[key]") for name, text in texts.items() if self._key in text}
+        )
 
     def _one_line(self, error: object) -> str:
         # The key goes before the text is cut, or its beginning could stay.
@@ -233,13 +277,22 @@ class Client:
 
 
 def _transport(base_url: str) -> httpx2.Client:
+    import httpx2
     import openai
 
     # A proxy of the environment cannot reach this machine's own loopback address.
     environment = not _is_loopback(base_url)
-    return openai.DefaultHttpxClient(
-        trust_env=environment, verify=_certificates(environment), event_hooks={"response": [limit]}
-    )
+    try:
+        return openai.DefaultHttpxClient(
+            trust_env=environment,
+            verify=_certificates(environment),
+            event_hooks={"response": [limit]},
+            headers={"Accept-Encoding": "identity"},
+        )
+    except (httpx2.InvalidURL, ValueError, ImportError):
+        raise EndpointError(
+            "the environment names a proxy that cannot be used: correct HTTP_PROXY, HTTPS_PROXY or ALL_PROXY"
+        ) from None
 
 
 @functools.cache
@@ -250,17 +303,25 @@ def _certificates(environment: bool) -> ssl.SSLContext:
     return httpx2.create_ssl_context(trust_env=environment)
 
 
+_SECRETIVE: Final = re.compile(r"[?#]|^([^/]*//)?[^/]*@")
+"""What of an address may hold a password: user info, query, fragment."""
+
+
 def _checked_url(base_url: str) -> str:
+    import httpx2
+
+    if _SECRETIVE.search(base_url):
+        # The address is printed and stored with the run.
+        raise EndpointError(f"--base-url must hold no password, query or fragment: put the key into ${KEY_VARIABLE}")
     try:
         parts = urlsplit(base_url)
         sound = parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0
-    except ValueError:
+        (parts.hostname or "").encode("idna")
+        httpx2.URL(base_url)
+    except (ValueError, httpx2.InvalidURL):
         sound = False
-    if not sound:
-        raise EndpointError(f"{base_url!r} is no server address: give one like http://localhost:8000/v1")
-    if parts.username or parts.password or parts.query:
-        # The address is printed and stored with the run.
-        raise EndpointError(f"--base-url must hold no password or query: put the key into ${KEY_VARIABLE}")
+    if not sound or not base_url.isprintable() or " " in base_url:
+        raise EndpointError(f"{base_url!a} is no server address: give one like http://localhost:8000/v1")
     return base_url.rstrip("/")
 
 

@@ -33,7 +33,7 @@ VERSION: Final = 1
 
 # -- the reply as one object ------------------------------------------------------------------------------------------
 
-_FENCE: Final = re.compile(r"```(?:json)?[ \t]*\n")
+_FENCE: Final = re.compile(r"```(?:json)?[ \t]*\r?\n", re.IGNORECASE)
 
 
 def reply_object(reply: Reply, convention: Convention = CONTRACT) -> dict[str, Any]:

@@ -18,11 +18,15 @@ MOST_BYTES: Final = 16 << 20
 def limit(response: httpx2.Response) -> None:
     """Bound the body of a response that is about to be read: a hook for the transport's client.
 
-    A body over 16 MB raises EndpointError. One that has not ended when the request's read timeout is over raises
+    A body over 16 MB raises EndpointError, and so does a compressed one, of which few bytes may become many: the client
+    asks for plain ones. One that has not ended when the request's read timeout is over raises
     httpx2.ReadTimeout: by itself that timeout bounds each wait alone, and lets a server drip for ever.
     """
     import httpx2
 
+    encoding = response.headers.get("content-encoding", "").strip().lower()
+    if encoding not in ("", "identity"):
+        raise EndpointError("the reply is compressed, though a plain one was asked for: switch compression off there")
     stream = response.stream
     assert isinstance(stream, httpx2.SyncByteStream), "the client is a synchronous one"
     response.stream = _limited(stream, response.request)

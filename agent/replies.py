@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any, Final
 
 import msgspec
@@ -108,8 +109,27 @@ def thought(reply: Reply, convention: Convention) -> str:
 
 def _after_thinking(text: str, convention: Convention) -> str:
     for opening, closing in convention.thinking:
-        # The opening delimiter may stand in the server's template instead of the reply.
-        text = text.rpartition(closing)[2]
-        if text.lstrip().startswith(opening):
-            return ""
+        text = _without_blocks(text, opening, closing)
     return text.strip()
+
+
+def _without_blocks(text: str, opening: str, closing: str) -> str:
+    """The text outside of thinking; empty where the reply only thinks.
+
+    What stands before a block was said, and stays: a reply that answers, thinks and answers again says two things. The
+    opening delimiter may stand in the server's template instead of the reply: then all before the closing one is
+    thought. One that is never closed begins no thinking after words.
+    """
+    said: list[str] = []
+    start, thinks = 0, False
+    # One pass: replies are long, and the delimiters in them many.
+    for found in re.finditer(f"{re.escape(opening)}|{re.escape(closing)}", text):
+        if found[0] == closing:
+            if not thinks:
+                said = []
+            start, thinks = found.end(), False
+        elif not thinks:
+            said.append(text[start : found.start()])
+            start, thinks = found.start(), True
+    words = "".join(said)
+    return words if thinks and not words.strip() else words + text[start:]

@@ -12,6 +12,9 @@ from jrdb_avr.schema.errors import StoreError
 _PATIENCE: Final = ("base_url", "timeout_s", "retries")
 """Settings of an endpoint that shape no reply: a server may have moved, or need more time."""
 
+_UNTOLD: Final = ("server version",)
+"""What a server may not have told, as an empty text: one that is too busy to tell it once is no other server."""
+
 
 def keep_terms(store: Store, manifest: RunManifest) -> None:
     """Write a new run's manifest; of a run that has one, the two must agree in all that shapes a prediction.
@@ -23,7 +26,7 @@ def keep_terms(store: Store, manifest: RunManifest) -> None:
         return
     before, now = (_shaping(terms) for terms in (read_run_manifest(store, manifest.run_id), manifest))
     for what in sorted(before.keys() | now.keys()):
-        if before.get(what) != now.get(what):
+        if before.get(what) != now.get(what) and not (what in _UNTOLD and "" in (before.get(what), now.get(what))):
             raise StoreError(
                 f"run {manifest.run_id!r} had another {what}: resume it as it was, or give another --run-id"
             )

@@ -53,6 +53,7 @@ class Body:
     data: bytes
     content_type: str = "application/json"
     code: int = 200
+    headers: tuple = ()
 
 
 def completion(text, finish_reason="stop", model="fake-1", **message):
@@ -106,7 +107,7 @@ class FakeServer:
                 elif isinstance(what, CutOff | Drip):
                     self.trickle(what)
                 elif isinstance(what, Body):
-                    self.send(what.code, what.data, content_type=what.content_type)
+                    self.send(what.code, what.data, what.headers, what.content_type)
                 else:
                     self.send(200, json.dumps(completion(what) if isinstance(what, str) else what).encode())
 
@@ -244,6 +245,7 @@ def sound(script, model="fake"):
         with lock:
             reached.append(request)
             number = len(reached) - 1
-        return script(request, number)
+        reply = script(request, number)
+        return completion(reply, model=model) if isinstance(reply, str) else reply
 
     return answer

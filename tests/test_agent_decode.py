@@ -34,10 +34,21 @@ def reply(text, finish_reason="stop", reasoning=""):
         f"so, left it is</think>\n\n{OBJECT}",
         f"<|channel>thought\nhm<channel|>{OBJECT}",
         f"<think>\n</think>\n```json\n{OBJECT}\n```",
+        f"```json\r\n{OBJECT}\r\n```\r\n",
+        f"```JSON \n{OBJECT}\n```",
+        f"<think>left</think> <think>or right</think>{OBJECT}",
+        f"<think>a<think>b</think>c</think>{OBJECT}",
+        f"left </think> or right</think>{OBJECT}",
+        f"{OBJECT}\n<think>that was it</think>",
     ],
 )
 def test_one_object_is_read(text):
     assert reply_object(reply(text)) == json.loads(OBJECT)
+
+
+def test_a_delimiter_in_a_text_is_text():
+    said = '{"reasoning": ["the sign reads <think>"]}'
+    assert reply_object(reply(said)) == json.loads(said)
 
 
 def test_a_reply_filed_under_reasoning():
@@ -67,8 +78,17 @@ def test_a_reply_filed_under_reasoning():
         '{"a": 1, "a": 2}',
         '{"a": {"b": 1, "b": 1}}',
         f"<think>I could say {OBJECT}",
+        f"{OBJECT}<think>or else</think>{OBJECT}",
+        f"<think>left</think>{OBJECT}<think>or right</think>{OBJECT}",
+        f"<think>left</think>{OBJECT}<think>or right, {OBJECT}",
+        f"Sure! <think>left</think>{OBJECT}",
+        f"{OBJECT}<think>or else",
+        f"\ufeff{OBJECT}",
+        f"```json {OBJECT}```",
+        f"~~~json\n{OBJECT}\n~~~",
         "[" * 100_000,
         '{"a": ' + "9" * 5000 + "}",
+        '{"a":' * 50_000 + "1" + "}" * 50_000,
     ],
 )
 def test_anything_else_is_invalid(text):
@@ -351,8 +371,10 @@ def test_schemas_close_every_object():
     assert decode.answer_schema("multiple_choice", ["a", "b"])["maximum"] == 2
 
 
-@pytest.mark.parametrize("filler", [" ", "\n", "\t", "`", "{", "```\n", "</think>"])
-@pytest.mark.parametrize("start", ["", "```\n", "```json\n{", "<think>"])
+@pytest.mark.parametrize(
+    "filler", [" ", "\n", "\t", "`", "{", "```\n", "</think>", "<think>", "<think></think>", "<|channel>thought"]
+)
+@pytest.mark.parametrize("start", ["", "```\n", "```json\n{", "<think>", "<think></think>"])
 def test_a_long_reply_is_read_in_a_moment(start, filler):
     """A megabyte took hours where reading was quadratic."""
     started = time.perf_counter()

@@ -9,8 +9,10 @@ from jrdb_avr.agent.conventions import CONTRACT
 from jrdb_avr.agent.messages import Message
 from jrdb_avr.agent.options import Options
 from jrdb_avr.engine.endpoint import connect, serving
+from jrdb_avr.engine.terms import keep_terms
+from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.errors import EndpointError
+from jrdb_avr.schema.errors import EndpointError, StoreError
 
 ASK = [Message("user", ("hello",))]
 
@@ -33,6 +35,24 @@ def test_what_a_run_is_told(tmp_path):
     assert settings["convention"] == CONTRACT.settings()
     assert not settings["convention"]["calibrated"]
     assert len(list((tmp_path / "calls").rglob("*.json"))) == 1, "nothing of the preflight is kept"
+
+
+def test_a_run_is_resumed_with_a_server_that_once_did_not_tell_its_version(tmp_path):
+    store = Store(tmp_path)
+
+    def terms(version, model="fake"):
+        settings = {"server_version": version, "served_model": model}
+        return RunManifest("r", "react", "fake", "0", (), False, settings, "")
+
+    keep_terms(store, terms(""))
+    keep_terms(store, terms("0.12.0"))
+    keep_terms(store, terms(""))
+    with pytest.raises(StoreError, match="another served model"):
+        keep_terms(store, terms("", ""))
+    (tmp_path / "runs" / "r" / "run.json").unlink()
+    keep_terms(store, terms("0.12.0"))
+    with pytest.raises(StoreError, match="another server version"):
+        keep_terms(store, terms("0.13.0"))
 
 
 def test_the_declared_convention_goes_with_the_model():

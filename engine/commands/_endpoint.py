@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -67,6 +68,8 @@ def endpoint_options(function: C) -> C:
     @functools.wraps(function)
     def command(**given: Any) -> Any:
         options = Options(**{name: given.pop(name) for name in names})
+        if math.isnan(options.timeout_s):
+            raise click.UsageError("--timeout must be a number of seconds")
         return function(**given, options=options)
 
     decorated: Any = command
