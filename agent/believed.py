@@ -53,6 +53,20 @@ def name_of(key: str) -> str:
     return key.rpartition("/")[2]
 
 
+def belief_row(edge: Edge) -> tuple[str, dict[str, Any]]:
+    """A current edge as a statement of `queries/reads/world` gives it, and that one's name."""
+    match edge:
+        case SightedRow():
+            box, angle, written = edge.box._asdict(), edge.angle, edge.write
+            seen = {"who": name_of(edge.source), "frame": edge.frame, "box": box, "angle": angle, "written": written}
+            return "sighted", seen
+        case HasRow():
+            told = {"who": name_of(edge.source), "name": edge.name, "value": edge.value, "number": edge.number}
+            return "attributes", told | {"first": edge.first, "last": edge.last}
+    ends = {"source": name_of(edge.source), "name": edge.name, "target": name_of(edge.target)}
+    return "relations", ends | {"first": edge.first, "last": edge.last}
+
+
 def shown_sighting(edge: SightedRow) -> dict[str, Any]:
     """The box in stitched pixels, x, y, w, h."""
     return {

@@ -3,31 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Final
 
-from jrdb_avr.schema.plan import Condition, Plan
+from jrdb_avr.schema.plan import Plan
 
-_MOST_STEPS: Final = 20_000
-"""Bindings tried; those of a real plan are a few dozens."""
+from .parts import Parts
+from .slots import wanted
 
-
-@dataclass(frozen=True)
-class Parts:
-    """Of whom each part of a plan holds: people are those who are seen at all, sighted by node and time, conditions by
-    node and number, edges as pairs from source to target.
-    """
-
-    plan: Plan
-    people: tuple[str, ...]
-    sighted: Mapping[tuple[str, str], frozenset[str]]
-    conditions: Mapping[tuple[str, int], frozenset[str]]
-    edges: tuple[frozenset[tuple[str, str]], ...]
-
-    @property
-    def all(self) -> int:
-        """How many conditions and edges there are."""
-        return len(self.conditions) + len(self.edges)
+_MOST_STEPS: Final = 2_000
+"""Bindings weighed; those of a real plan are a few dozens. Beyond them the best one so far is taken."""
 
 
 def likeliest(parts: Parts, given: Mapping[str, str]) -> tuple[dict[str, str], int]:
@@ -73,6 +57,7 @@ class _Search:
 
     def gain_of(self, bound: Mapping[str, str]) -> int:
         """How many conditions and edges hold under a binding."""
+        self.steps += 1
         return sum(node in bound and bound[node] in who for (node, _), who in self.parts.conditions.items()) + sum(
             (bound.get(edge.source), bound.get(edge.target)) in pairs
             for edge, pairs in zip(self.parts.plan.edges, self.parts.edges, strict=True)
@@ -80,7 +65,6 @@ class _Search:
 
     def bind(self, place: int, bound: dict[str, str], gain: int, taken: frozenset[str]) -> None:
         """Try everybody for the node at `place`, and nobody."""
-        self.steps += 1
         if gain + self.left[place] <= self.most or self.steps > _MOST_STEPS:
             return
         if place == len(self.nodes):
@@ -106,23 +90,12 @@ def rest(parts: Parts, bound: Mapping[str, str]) -> list[str]:
             said += [f"{named}: not seen{_at(parts.plan, time)}" for time in unseen]
         for i, condition in enumerate(node.conditions):
             if who not in parts.conditions[node.id, i]:
-                said.append(f"{named}: {_words(condition)} is not known{_at(parts.plan, condition.at)}")
+                said.append(f"{named}: {' '.join(wanted(condition))} is not known{_at(parts.plan, condition.at)}")
     for edge, pairs in zip(parts.plan.edges, parts.edges, strict=True):
         if (bound.get(edge.source), bound.get(edge.target)) not in pairs:
             ends = [f"{n} ({bound[n]})" if n in bound else n for n in (edge.source, edge.target)]
             said.append(f"edge {ends[0]} -> {ends[1]}: {edge.relation} is not known{_at(parts.plan, edge.at)}")
     return said
-
-
-def _words(condition: Condition) -> str:
-    """An attribute as it is to be written."""
-    if condition.attribute is not None:
-        return f"{condition.attribute} {condition.value}"
-    if condition.object is not None:
-        return f"object {condition.verb}: {condition.object}"
-    if condition.action is not None:
-        return f"action {condition.action}"
-    return f"interaction {condition.interaction}"
 
 
 def _at(plan: Plan, time: str | None) -> str:

@@ -28,7 +28,7 @@ def _slots(plan: Plan) -> Iterator[SlotRow]:
     for node in plan.nodes:
         yield _slot("node", node.id)
         for condition in node.conditions:
-            name, value = _wanted(condition)
+            name, value = wanted(condition)
             yield _slot("condition", node.id, name=name, value=value, frame=_frame(plan, condition.at))
     for edge in plan.edges:
         yield _slot("edge", edge.source, edge.target, edge.relation, frame=_frame(plan, edge.at))
@@ -40,7 +40,7 @@ def _slot(kind: str, node: str, other: str = "", name: str = "", value: str = ""
     return SlotRow("", "", 0, kind, node, other, name, value, frame)
 
 
-def _wanted(condition: Condition) -> tuple[str, str]:
+def wanted(condition: Condition) -> tuple[str, str]:
     """Name and value of the attribute that fulfils a condition, as an agent writes it."""
     if condition.attribute is not None:
         return condition.attribute, str(condition.value)

@@ -9,28 +9,30 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 import msgspec
+import pyarrow as pa
 
 from jrdb_avr.queries.compiler import (
-    WORLD,
     Asked,
     BeliefReader,
     Outcome,
     Queried,
+    Rows,
     Solution,
-    compile_parts,
+    outcome_of_target,
+    read_with,
     solve_with,
 )
 from jrdb_avr.queries.compiler.beliefs import DISTANCE_CUT_M, Moment, notes_of
-from jrdb_avr.queries.compiler.find import Ways
 from jrdb_avr.schema.answers import TIE, Answer, Choice, decode_answer, same_answer
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import Rules
 
-from .likely import Parts, likeliest, rest
+from .likely import likeliest, rest
+from .parts import Parts, bindings, parts_of
 
 TIMEOUT_S: Final = 10.0
 """For each statement."""
@@ -59,35 +61,80 @@ class Belief:
 
 
 def solve_beliefs(graph: Queried, episode: str, plan: Plan, rules: Rules) -> Belief:
-    """Solve a plan over the beliefs of the episode with this key.
+    """Solve a plan over the beliefs of the episode with this key: compiled, by the engine.
 
+    A plan that so many sets of people nearly fit that the engine would be kept from other episodes is not run, and
+    counts as ambiguous.
     Raises PlanError for a plan that cannot be compiled, QueryError where a statement takes too long.
     """
-    cut = DISTANCE_CUT_M - TIE
-    rules = msgspec.structs.replace(rules, distance_changed_m=cut, distance_same_m=cut)
     reader = BeliefReader(graph, episode, TIMEOUT_S)
-    solution = solve_with(reader, [Asked(plan, episode)], rules)[0]
-    answer = solution.answer
-    people = {node: str(who) for node, who in solution.people.items()}
-    if not people:
-        return Belief(solution.outcome, missing=_lacking(reader, plan, solution))
-    seen = _seen(reader.moments(people[plan.target]), reader.shown.get(0, []))
-    missing = () if solution.outcome == "defined" else _unread(reader, plan, people)
-    return Belief(solution.outcome, people, dict(solution.times), answer, seen, missing)
+    parts = parts_of(reader, plan)
+    if bindings(parts) is None:
+        return _TOO_MANY
+    return _belief(reader, parts, solve_with(reader, [Asked(plan, episode)], _cut(rules))[0])
 
 
-def best_guess(graph: Queried, episode: str, plan: Plan, rules: Rules) -> tuple[int, Box] | None:
-    """Frame and newest box of the entity that comes nearest to being the plan's target, None where there is nobody.
+def weigh_beliefs(rows: Rows, plan: Plan, rules: Rules) -> Belief:
+    """The same of an episode whose beliefs are at hand, without the engine: what is missing after every turn. What
+    counts as an answer is what `solve_beliefs` finds.
+    """
+    reader = BeliefReader(_Nothing(), "", TIMEOUT_S, rows)
+    parts = parts_of(reader, plan)
+    found = bindings(parts)
+    if found is None:
+        return _TOO_MANY
+    outcome, people = outcome_of_target(plan, found)
+    solution = read_with(reader, Asked(plan, ""), people, _cut(rules)) if people else Solution(outcome)
+    return _belief(reader, parts, solution)
+
+
+def best_guess(graph: Queried, episode: str, plan: Plan, rules: Rules) -> Belief | None:
+    """What is read of the entity that comes nearest to being the plan's target, None where there is nobody.
 
     That is the one with which most conditions and edges hold, then the one seen at most frames, then the smallest name.
+    Its outcome is defined where the plan's read is known of it, else unknown, and its newest box is seen then. Nothing
+    is read of others.
     """
     reader = BeliefReader(graph, episode, TIMEOUT_S)
-    parts = _parts(reader, plan)
+    parts = parts_of(reader, plan)
+    if not parts.people:
+        return None
     fits = {who: likeliest(parts, {plan.target: who})[1] for who in parts.people}
-    best = [who for who in parts.people if fits[who] == max(fits.values())]
-    seen = {who: reader.moments(who) for who in best}
-    ranked = sorted(best, key=lambda who: (-len({moment.frame for moment in seen[who]}), who))
-    return _seen(seen[ranked[0]], []) if ranked else None
+    best = min(parts.people, key=lambda who: (-fits[who], -len({one.frame for one in reader.moments(who)}), who))
+    solution = read_with(reader, Asked(plan, episode), {plan.target: best}, _cut(rules))
+    if solution.outcome == "unknown":
+        reader.shown.clear()
+    return _belief(reader, parts, solution)
+
+
+class _Nothing:
+    """In the place of a graph, where all that is believed is at hand."""
+
+    def query(
+        self, cypher: str, params: Mapping[str, Any] | None = None, *, timeout_s: float | None = None
+    ) -> pa.Table:
+        raise AssertionError("what is at hand is not asked for")
+
+
+def _cut(rules: Rules) -> Rules:
+    """Rules under which distances are compared as the protocol of the agent says."""
+    cut = DISTANCE_CUT_M - TIE
+    return msgspec.structs.replace(rules, distance_changed_m=cut, distance_same_m=cut)
+
+
+def _belief(reader: BeliefReader, parts: Parts, solution: Solution) -> Belief:
+    plan = parts.plan
+    people = {node: str(who) for node, who in solution.people.items()}
+    if not people:
+        return Belief(solution.outcome, missing=_lacking(reader, parts, solution.outcome))
+    seen = _seen(reader.moments(people[plan.target]), reader.shown.get(0, []))
+    missing = () if solution.outcome == "defined" else _unread(reader, plan, people)
+    return Belief(solution.outcome, people, dict(solution.times), solution.answer, seen, missing)
+
+
+_TOO_MANY: Final = Belief(
+    "ambiguous", missing=("too many sets of people come near to fitting; what tells them apart is missing",)
+)
 
 
 def legal(plan: Plan, belief: Belief, proposed: Answer, entity: str, choices: Sequence[str]) -> str:
@@ -140,31 +187,12 @@ def _seen(moments: Sequence[Moment], frames: Sequence[int]) -> tuple[int, Box] |
 # -- what is missing --------------------------------------------------------------------------------------------------
 
 
-def _parts(reader: BeliefReader, plan: Plan) -> Parts:
-    """Which parts of the plan hold, of whom."""
-    compiled = compile_parts(plan, WORLD)
-    rows = reader.ask(compiled.cypher, [{"id": 0, **compiled.row}])
-
-    def one(ways: Ways) -> frozenset[str]:
-        return frozenset(row[n] for n, _, name in ways for row in rows if row[name])
-
-    return Parts(
-        plan,
-        tuple(sorted({row["id"] for row in rows})),
-        {key: one(ways) for key, ways in compiled.sighted.items()},
-        {key: one(ways) for key, ways in compiled.conditions.items()},
-        tuple(
-            frozenset((row[n], row[m]) for n, m, name in ways for row in rows if row[name]) for ways in compiled.edges
-        ),
-    )
-
-
-def _lacking(reader: BeliefReader, plan: Plan, solution: Solution) -> tuple[str, ...]:
+def _lacking(reader: BeliefReader, parts: Parts, outcome: Outcome) -> tuple[str, ...]:
     """What keeps the plan's people from being found."""
-    parts = _parts(reader, plan)
-    if solution.outcome == "ambiguous":
-        fits = ", ".join(who for who in parts.people if likeliest(parts, {plan.target: who})[1] == parts.all)
-        return (f"several fit as {plan.target}: {fits}; what tells them apart is missing",)
+    if outcome == "ambiguous":
+        target = parts.plan.target
+        fits = ", ".join(sorted({one[target] for one in bindings(parts) or ()}))
+        return (f"several fit as {target}: {fits}; what tells them apart is missing",)
     said = {node: who for who, node in reader.nodes().items() if node}
     named, _ = likeliest(parts, {node: who for node, who in said.items() if who in parts.people})
     return tuple(rest(parts, named)[:_MOST_MISSING])

@@ -38,7 +38,16 @@ from jrdb_avr.schema.world import (
     episode_key,
 )
 
-from .believed import Edge, name_of, place_of, shown_attribute, shown_relation, shown_sighting, sighting_place
+from .believed import (
+    Edge,
+    belief_row,
+    name_of,
+    place_of,
+    shown_attribute,
+    shown_relation,
+    shown_sighting,
+    sighting_place,
+)
 from .grounding import (
     AttributeClaim,
     RelationClaim,
@@ -326,6 +335,28 @@ class Episode:
         self._graph.write(write_statements(self.key, write, fact))
         self._writes += 1
         self._keep(write)
+
+    # -- what is believed ---------------------------------------------------------------------------------------------
+
+    def rows(self) -> dict[str, list[dict[str, Any]]]:
+        """What is currently believed, as the statements of `queries/reads/world` give it, by their names."""
+        rows: dict[str, list[dict[str, Any]]] = {"sighted": [], "attributes": [], "relations": []}
+        for edge in self._edges.values():
+            kind, row = belief_row(edge)
+            rows[kind].append(row)
+        looks = [{"frame": seen.frame, "edge": seen.left, "width": seen.width} for seen in self._observations.values()]
+        entities = [{"who": entity.name, "node": entity.node} for entity in self._entities.values()]
+        return {
+            "sighted": sorted(rows["sighted"], key=lambda row: (row["who"], row["frame"], row["written"])),
+            "attributes": sorted(
+                rows["attributes"], key=lambda row: (row["who"], row["name"], row["first"], row["value"])
+            ),
+            "relations": sorted(
+                rows["relations"], key=lambda row: (row["source"], row["name"], row["target"], row["first"])
+            ),
+            "looks": sorted(looks, key=lambda row: (row["frame"], row["edge"], row["width"])),
+            "entities": sorted(entities, key=lambda row: row["who"]),
+        }
 
     # -- what is shown ------------------------------------------------------------------------------------------------
 

@@ -85,8 +85,8 @@ class Mind:
             if there and all(self.parts(plan, bound)):
                 yield bound
 
-    def guess(self, plan):
-        """The likeliest target's frame and box."""
+    def likeliest(self, plan):
+        """Who comes nearest to being the target."""
         nodes = [node["id"] for node in plan["nodes"]]
         fits = dict.fromkeys(self.people, 0)
         for people in itertools.product([None, *self.people], repeat=len(nodes)):
@@ -97,8 +97,16 @@ class Mind:
                 fits[who] = max(fits[who], sum(self.parts(plan, bound)))
         if not fits:
             return None
-        best = min(self.people, key=lambda who: (-fits[who], -len(self.frames(who)), who))
-        newest = max((self.sighted[best, frame] for frame in self.frames(best)), key=lambda s: s["write"])
+        return min(self.people, key=lambda who: (-fits[who], -len(self.frames(who)), who))
+
+    def guess(self, plan):
+        """The likeliest target and what is read of it: outcome, people, times and answer; None for nobody."""
+        best = self.likeliest(plan)
+        return None if best is None else self.read(plan, {plan["target"]: best})
+
+    def newest(self, who):
+        """Frame and box of the newest sighting."""
+        newest = max((self.sighted[who, frame] for frame in self.frames(who)), key=lambda s: s["write"])
         return newest["frame"], newest["box"]
 
     # -- what ---------------------------------------------------------------------------------------------------------
@@ -109,7 +117,10 @@ class Mind:
         targets = {bound[plan["target"]] for bound in found}
         if len(targets) != 1:
             return ("ambiguous" if targets else "empty"), {}, {}, None
-        people = {node: who for node, who in found[0].items() if all(b[node] == who for b in found)}
+        return self.read(plan, {node: who for node, who in found[0].items() if all(b[node] == who for b in found)})
+
+    def read(self, plan, people):
+        """What is read where these are the people."""
         times = {name: time["frame"] for name, time in plan["times"].items() if "frame" in time}
         for _ in plan["times"]:
             for name, time in plan["times"].items():

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import time
 
 import pytest
 from believed import CIRCLE, Story, parsed, planned, write
@@ -39,7 +40,8 @@ class Site:
         return json.loads(answer) if answer is not None and answer.startswith("{") else answer
 
     def guess(self, story, plan):
-        return best_guess(self.graph, self.begun(story), parsed(plan), Rules())
+        belief = best_guess(self.graph, self.begun(story), parsed(plan), Rules())
+        return None if belief is None else belief.seen
 
 
 @pytest.fixture(scope="module")
@@ -433,6 +435,40 @@ def test_the_likeliest_target_fits_most_then_is_seen_most_then_has_the_smallest_
     even = Story().sees("p2", 0, 15).sees("p10", 0, 15)
     assert site.guess(even, plan) == (15, even.rows["sightings"][-1]["box"])
     assert site.guess(Story(), plan) is None
+
+
+def test_the_likeliest_target_is_read_like_one_that_was_found(site):
+    """Nobody is known to be a woman: of who was seen most the posture is read, or the start of a walk."""
+    story = Story().sees("p1", 0).sees("p2", 0).sees("p2", 30, action="sitting").sees("p2", 60, action="walking")
+    assert site.solve(story, planned()).outcome == "empty"
+    key = site.begun(story)
+    guess = best_guess(site.graph, key, parsed(planned()), Rules())
+    assert (guess.outcome, dict(guess.people), guess.answer, guess.seen[0]) == ("defined", {"a": "p2"}, "sitting", 30)
+    guess = best_guess(site.graph, key, parsed(planned("start", "t1", START)), Rules())
+    assert (json.loads(guess.answer), guess.seen[0]) == ({"frame": 45}, 60)
+    guess = best_guess(site.graph, key, parsed(planned(at="t0")), Rules())
+    assert (guess.outcome, guess.answer, guess.seen[0]) == ("unknown", None, 60)
+    # An event of somebody else waits for who that is, and nobody was found.
+    nodes = {"a": [WOMAN], "b": []}
+    times = {"t0": {"frame": 0}, "t1": START["t1"] | {"of": "a"}}
+    plan = planned("action", "t1", times, nodes, [("a", "conversation", "b", "t0")])
+    assert best_guess(site.graph, key, parsed(plan), Rules()).outcome == "unknown"
+
+
+def test_more_sets_of_people_than_are_tried_are_several(site):
+    """Fifteen people in a row of those who talk with one another: the engine is not asked to try them all."""
+    story, names = Story(), [f"p{n}" for n in range(12)]
+    for name in names:
+        story.sees(name, 0)
+    for one, other in itertools.combinations(names, 2):
+        story.tie(one, "conversation", other, 0)
+    nodes = {f"n{n}": [] for n in range(16)}
+    edges = [(f"n{n}", "conversation", f"n{n + 1}", "t0") for n in range(15)]
+    started = time.process_time()
+    belief = site.solve(story, planned(at="t0", nodes=nodes, edges=edges))
+    assert belief.outcome == "ambiguous" and "too many sets of people" in belief.missing[0]
+    assert best_guess(site.graph, site.begun(story), parsed(planned(at="t0", nodes=nodes, edges=edges)), Rules())
+    assert time.process_time() - started < 5
 
 
 def test_of_several_whole_matches_the_target_is_likely_whose_way_is_whole(site):

@@ -30,6 +30,7 @@ from .shown import Turn, View, view_parts
 if TYPE_CHECKING:
     from jrdb_avr.agent.solver import Belief
     from jrdb_avr.agent.world import Episode as WorldEpisode
+    from jrdb_avr.queries.compiler import Rows
 
 _NAME: Final = {"type": "string", "pattern": "^[A-Za-z0-9_-]{1,32}$"}
 OBSERVATION_SCHEMA: Final = {"type": "string", "pattern": "^o[0-9]+$"}
@@ -48,12 +49,16 @@ class Solver(Protocol):
         """Raises PlanError for a plan that cannot be solved."""
         ...
 
-    def solve(self, plan: Plan) -> Belief:
-        """The plan's people and what is read of them, as far as they are known."""
+    def weigh(self, plan: Plan, rows: Rows) -> Belief:
+        """What the beliefs, `rows`, come to, told at once: for what is missing."""
         ...
 
-    def guess(self, plan: Plan) -> tuple[int, Box] | None:
-        """Frame and stitched box of who comes nearest to the target."""
+    def solve(self, plan: Plan) -> Belief:
+        """The plan's people and what is read of them, as far as they are known: what an answer is judged by."""
+        ...
+
+    def guess(self, plan: Plan) -> Belief | None:
+        """What is read of who comes nearest to the target, None where nobody was seen."""
         ...
 
     def answer(self, plan: Plan, belief: Belief) -> Answer | None:
@@ -69,8 +74,8 @@ class Solver(Protocol):
 class GraphMemory:
     """The world model's episode of one question, and its solver.
 
-    fixed: whether all turns show the same pictures; latest: those that were made last; known: what the beliefs come to,
-    None where something has been seen or written since.
+    fixed: whether all turns show the same pictures; latest: those that were made last; weighed, compiled: what the
+    beliefs come to by the episode and by the compiled plan, None where something has been seen or written since.
     """
 
     attempt: Attempt
@@ -81,7 +86,8 @@ class GraphMemory:
     heading: str
     fixed: bool = False
     latest: tuple[View, ...] = ()
-    known: Belief | None = None
+    weighed: Belief | None = None
+    compiled: Belief | None = None
 
     @property
     def tools(self) -> tuple[str, ...]:
@@ -100,7 +106,7 @@ class GraphMemory:
             self.heading,
             *(pictures if self.fixed else []),
             f"Plan: {canonical(self.plan)}",
-            f"Graph: {one_line(self.world.graph(self._known().missing))}",
+            f"Graph: {one_line(self.world.graph(self._weighed().missing))}",
             turn.result_lines(),
             *([] if self.fixed else pictures),
             turn.state(),
@@ -136,7 +142,7 @@ class GraphMemory:
     # -- what is written down -----------------------------------------------------------------------------------------
 
     def named(self, seen: Observation | Panorama, step: int) -> str:
-        self.known = None
+        self._changed()
         return self.world.observed(seen, step)
 
     def refused(self, call: Call, step: int, reason: str) -> None:
@@ -157,7 +163,7 @@ class GraphMemory:
                 return "done"
         if not result.accepted:
             return refusal(result.said)
-        self.known = None
+        self._changed()
         return "done"
 
     def _with_box(self, arguments: Mapping[str, Any], views: Mapping[str, View]) -> tuple[dict[str, Any], Box | str]:
@@ -181,31 +187,43 @@ class GraphMemory:
         proposed = self.attempt.read_answer(part["answer"])
         if not isinstance(part["entity"], str):
             raise DecodeError("entity must be the id of the plan's target")
-        belief = self._known()
+        belief = self._solved()
         if reason := self.solver.fault(self.plan, belief, proposed, part["entity"]):
             raise DecodeError(reason)
         self.world.noted(FINAL, call.arguments, step, True)
         return Verdict(proposed, _evidence(belief.seen), () if belief.seen else ("the target has no box",))
 
     def solved(self, reason: str) -> Verdict:
-        """What the graph says by itself; else nothing is answered, and the likeliest person's box is kept."""
-        belief = self._known()
-        answer = self.solver.answer(self.plan, belief)
-        if answer is not None and belief.seen is not None:
-            return Verdict(answer, _evidence(belief.seen))
-        started = time.perf_counter()
-        seen = belief.seen or self.solver.guess(self.plan)
-        self.attempt.record("solve", {"guess": "target"}, {"seen": seen}, started)
-        return Verdict(answer, _evidence(seen), (reason,))
-
-    def _known(self) -> Belief:
-        """What the beliefs come to; solved again where something has been seen or written since."""
-        if self.known is None:
+        """What the graph says by itself; where it has no single target, what is read of the likeliest one. An answer
+        that cannot be read is none, and the box is kept.
+        """
+        belief = self._solved()
+        if belief.seen is None:
             started = time.perf_counter()
-            self.known = self.solver.solve(self.plan)
+            belief = self.solver.guess(self.plan) or belief
+            self.attempt.record("solve", {"guess": self.plan.target}, msgspec.to_builtins(belief), started)
+        answer = self.solver.answer(self.plan, belief)
+        faults = () if answer is not None and belief.seen is not None else (reason,)
+        return Verdict(answer, _evidence(belief.seen), faults)
+
+    def _changed(self) -> None:
+        self.weighed = self.compiled = None
+
+    def _weighed(self) -> Belief:
+        """What the beliefs come to by the episode's own state."""
+        if self.weighed is None:
+            self.weighed = self.solver.weigh(self.plan, self.world.rows())
+        return self.weighed
+
+    def _solved(self) -> Belief:
+        """What an answer is judged by: the compiled plan's, which is asked where there may be one."""
+        if self.compiled is None:
+            started = time.perf_counter()
+            weighed = self._weighed()
+            self.compiled = self.solver.solve(self.plan) if weighed.outcome == "defined" else weighed
             asked = {"read": self.plan.answer.read, "of": self.plan.answer.of}
-            self.attempt.record("solve", asked, msgspec.to_builtins(self.known), started)
-        return self.known
+            self.attempt.record("solve", asked, msgspec.to_builtins(self.compiled), started)
+        return self.compiled
 
 
 def _evidence(seen: tuple[int, Box] | None) -> Evidence | None:

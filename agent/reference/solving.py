@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from jrdb_avr.schema.answers import Answer
 from jrdb_avr.schema.method import Question
-from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.world import episode_key
@@ -15,6 +14,7 @@ from jrdb_avr.schema.world import episode_key
 if TYPE_CHECKING:
     from jrdb_avr.agent.solver import Belief
     from jrdb_avr.agent.world import World
+    from jrdb_avr.queries.compiler import Rows
     from jrdb_avr.queries.world import WorldGraph
 
 
@@ -33,14 +33,20 @@ class BeliefSolver:
 
         compile_find(plan, WORLD)
 
+    def weigh(self, plan: Plan, rows: Rows) -> Belief:
+        """What the beliefs come to, told by the episode itself, `rows`, without asking the engine."""
+        from jrdb_avr.agent.solver import weigh_beliefs
+
+        return weigh_beliefs(rows, plan, self.rules)
+
     def solve(self, plan: Plan) -> Belief:
-        """What the beliefs come to."""
+        """What the beliefs come to, by the compiled plan."""
         from jrdb_avr.agent.solver import solve_beliefs
 
         return solve_beliefs(self.graph, self.key, plan, self.rules)
 
-    def guess(self, plan: Plan) -> tuple[int, Box] | None:
-        """The newest box of who comes nearest to being the target."""
+    def guess(self, plan: Plan) -> Belief | None:
+        """What is read of who comes nearest to being the target."""
         from jrdb_avr.agent.solver import best_guess
 
         return best_guess(self.graph, self.key, plan, self.rules)

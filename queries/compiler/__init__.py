@@ -7,11 +7,11 @@ is read of them. `solve` runs all of it for many plans at once.
 
 from __future__ import annotations
 
-from .beliefs import BeliefReader, Sighting
-from .find import Find, Parts, compile_find, compile_parts
+from .beliefs import BeliefReader, Rows
+from .find import Find, compile_find
 from .names import SCENE, WORLD, Names
 from .reads import Queried, Who
-from .solve import Asked, Outcome, Solution, solve, solve_with
+from .solve import Asked, Outcome, Solution, outcome_of_target, read_with, solve, solve_with
 
 __all__ = [
     "SCENE",
@@ -21,13 +21,13 @@ __all__ = [
     "Find",
     "Names",
     "Outcome",
-    "Parts",
     "Queried",
-    "Sighting",
+    "Rows",
     "Solution",
     "Who",
     "compile_find",
-    "compile_parts",
+    "outcome_of_target",
+    "read_with",
     "solve",
     "solve_with",
 ]

@@ -27,6 +27,10 @@ DISTANCE_CUT_M: Final = 1.0
 """Closer or farther from this change of distance on, about the same below it (design, section 6: reference agent)."""
 
 
+Rows = Mapping[str, Sequence[Mapping[str, Any]]]
+"""What is believed in an episode: by the name of a statement of `queries/reads/world`, the rows that it gives."""
+
+
 @dataclass(frozen=True)
 class Sighting:
     """Somebody at a frame: actions and distance in metres, as far as they were written down."""
@@ -55,18 +59,20 @@ class Moment:
 class BeliefReader(Reader):
     """Reads what is believed in one episode. Why something is unknown is kept in `notes`, where the answer can be seen
     in `shown`, the best last: both by the number of the question. One reader serves one solving.
+
+    rows: what is currently believed, where that is known already; the graph is then asked for nothing that is read.
     """
 
-    def __init__(self, graph: Queried, episode: str, timeout_s: float) -> None:
+    def __init__(self, graph: Queried, episode: str, timeout_s: float, rows: Rows | None = None) -> None:
         super().__init__(graph, WORLD, {"scope": episode}, timeout_s)
         self.notes: dict[int, list[tuple[str, str]]] = {}
         self.shown: dict[int, list[int]] = {}
-        self._rows: dict[str, list[dict[str, Any]]] = {}
+        self._rows: dict[str, Sequence[Mapping[str, Any]]] = dict(rows or {})
         self._sightings: dict[Who, list[Sighting]] = {}
 
     # -- what is there --------------------------------------------------------------------------------------------
 
-    def _all(self, name: str) -> list[dict[str, Any]]:
+    def all(self, name: str) -> Sequence[Mapping[str, Any]]:
         """Rows of a statement that asks for something of the whole episode, of what was not replaced."""
         if name not in self._rows:
             rows = self._queried(read_text(self.names, name), {})
@@ -77,7 +83,7 @@ class BeliefReader(Reader):
         """Sightings of somebody, by frame."""
         if who not in self._sightings:
             frames = {moment.frame for moment in self.moments(who)}
-            told = [row for row in self._all("attributes") if row["who"] == who]
+            told = [row for row in self.all("attributes") if row["who"] == who]
             self._sightings[who] = [_sighting(told, frame) for frame in sorted(frames)]
         return self._sightings[who]
 
@@ -85,20 +91,20 @@ class BeliefReader(Reader):
         """Boxes of somebody, by frame, then the newest last."""
         return [
             Moment(row["frame"], Box(*(row["box"][key] for key in "xywh")), row["angle"], row["written"])
-            for row in self._all("sighted")
+            for row in self.all("sighted")
             if row["who"] == who
         ]
 
     def covered(self) -> list[int]:
         """Frames of which the whole panorama was observed, ascending."""
         looks: dict[int, list[tuple[int, int]]] = {}
-        for row in self._all("looks"):
+        for row in self.all("looks"):
             looks.setdefault(row["frame"], []).append((row["edge"], row["width"]))
         return [frame for frame, crops in looks.items() if goes_round(crops)]
 
     def nodes(self) -> dict[str, str]:
         """Names of everybody, with the node that each is said to be, "" for none."""
-        return {row["who"]: row["node"] for row in self._all("entities")}
+        return {row["who"]: row["node"] for row in self.all("entities")}
 
     # -- reads ----------------------------------------------------------------------------------------------------
 
@@ -202,7 +208,7 @@ class BeliefReader(Reader):
             self._show(person, [one.frame for one in self.sightings(person.who) if first <= one.frame <= last][::-1])
             ties = [
                 (row["source"], row["target"])
-                for row in self._all("relations")
+                for row in self.all("relations")
                 if row["name"] == relation and row["first"] <= last and row["last"] >= first
             ]
             met = {target for source, target in ties if source == person.who}

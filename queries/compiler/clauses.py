@@ -180,9 +180,5 @@ class Told:
     def could(self, at: Variables) -> str:
         return self.sure(at)
 
-    def told(self, at: Variables) -> list[tuple[str, str, str]]:
-        """Each way by itself, whoever it is told of: the columns of `n` and `m`, and the expression."""
-        return [(n, m, where.format(**at)) for n, m, where in self.ways]
-
     def _bound(self, n: str, m: str, at: Variables) -> str:
         return f"b.{n} = {at['n']}" + (f" AND b.{m} = {at['m']}" if m else "")

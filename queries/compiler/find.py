@@ -14,7 +14,7 @@ from typing import Any
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.plan import Condition, Edge, Plan, validate
 
-from .clauses import Clause, Told, Variables
+from .clauses import Clause, Variables
 from .names import Names, condition_kind, condition_values, edge_kind, edge_values
 
 
@@ -38,32 +38,6 @@ def compile_find(plan: Plan, names: Names) -> Find:
     return pattern.listed() if names.opening else pattern.compiled()
 
 
-@dataclass(frozen=True)
-class Parts:
-    """A statement that asks of every belief which parts of a plan it tells.
-
-    cypher: gives columns id and other, and booleans; sighted, conditions, edges: for each part, by node and time, by
-    node and number, and in the plan's order, those booleans, with the columns of who it is told of (of an edge two);
-    row: as of `Find`.
-    """
-
-    cypher: str
-    sighted: dict[tuple[str, str], Ways]
-    conditions: dict[tuple[str, int], Ways]
-    edges: list[Ways]
-    row: dict[str, Any]
-
-
-Ways = list[tuple[str, str, str]]
-"""Of a part: column of the first person, of the second ("" for none), and the boolean's name."""
-
-
-def compile_parts(plan: Plan, names: Names) -> Parts:
-    """Compile a plan's parts for a namespace of beliefs. Raises PlanError as `compile_find`."""
-    validate(plan)
-    return _Pattern(plan, names).parts()
-
-
 class _Pattern:
     """Puts the statement together, a person at a time, in the order in which edges reach them."""
 
@@ -75,7 +49,7 @@ class _Pattern:
         self.times = {name: f"t{i}" for i, name in enumerate(sorted(plan.times))}
 
     def compiled(self) -> Find:
-        people = [self._person(node, edges) for node, edges in self._order()]
+        people = [self._person(node, edges) for node, edges in search_order(self.plan)]
         kept = ["id", "scope", *self.row]
         lines = ["UNWIND $plans AS q", f"WITH {', '.join(f'q.{name} AS {name}' for name in kept)}"]
         sure: list[str] = []
@@ -99,10 +73,10 @@ class _Pattern:
         """
         stages: list[tuple[list[str], str]] = []
         people: list[str] = []
-        for place, (node, edges) in enumerate(self._order()):
+        for place, (node, edges) in enumerate(search_order(self.plan)):
             self.nodes.append(node)
             new = f"n{place}"
-            seen = [self.names.there.format(**self._at(node, time)) for time in self._times_of(node)]
+            seen = [self.names.there.format(**self._at(node, time)) for time in times_of(self.plan, node)]
             others = "".join(f" AND b.id <> {one}" for one in people)
             stages.append(([*people, f"b.id AS {new}"], seen[0] + others))
             people.append(new)
@@ -122,63 +96,16 @@ class _Pattern:
         lines.append(f"ORDER BY {', '.join(['id', *who])}")
         return Find("\n".join(lines), tuple(self.nodes), self.row)
 
-    def parts(self) -> Parts:
-        self.nodes = [node.id for node in self.plan.nodes]
-        texts: dict[str, str] = {}
-
-        def columns(part: str, told: list[tuple[str, str, str]]) -> Ways:
-            ways = [(n, m, f"{part}_{i}") for i, (n, m, _) in enumerate(told)]
-            texts.update(zip((name for _, _, name in ways), (text for _, _, text in told), strict=True))
-            return ways
-
-        sighted: dict[tuple[str, str], Ways] = {}
-        conditions: dict[tuple[str, int], Ways] = {}
-        for place, node in enumerate(self.nodes):
-            for time in self._times_of(node):
-                there = self.names.there.format(**self._at(node, time))
-                sighted[node, time] = columns(f"s{place}_{self._time(time)}", [("id", "", there)])
-            for i, condition in enumerate(self._conditions(node)):
-                conditions[node, i] = columns(f"c{place}_{i}", _told(*self._condition(place, node, i, condition)))
-        edges = []
-        for i, edge in enumerate(self.plan.edges):
-            edges.append(columns(f"e{i}", _told(*self._edge(i, edge))))
-        names = ["id", "other", *texts]
-        lines = [
-            *self._header(),
-            "UNWIND beliefs AS b",
-            f"RETURN b.id AS id, b.other AS other, {', '.join(f'{text} AS {name}' for name, text in texts.items())}",
-            f"ORDER BY {', '.join(names)}",
-        ]
-        return Parts("\n".join(lines), sighted, conditions, edges, self.row)
-
     def _header(self) -> list[str]:
         """Lines that gather the facts and bind what the plan puts into `$plans`."""
         bound = ["beliefs", *(f"q.{name} AS {name}" for name in ("id", *self.row))]
         return [*self.names.opening.splitlines(), "UNWIND $plans AS q", f"WITH {', '.join(bound)}"]
 
-    def _order(self) -> list[tuple[str, list[tuple[int, Edge]]]]:
-        """Nodes from the root on, each with the edges that join it to those before."""
-        known = [self.plan.root]
-        while len(known) < len(self.plan.nodes):
-            known.append(next(e.target for e in self.plan.edges if e.source in known and e.target not in known))
-        edges = list(enumerate(self.plan.edges))
-        return [
-            (
-                node,
-                [
-                    (i, e)
-                    for i, e in edges
-                    if node in (e.source, e.target) and {e.source, e.target} <= {*known[: k + 1]}
-                ],
-            )
-            for k, node in enumerate(known)
-        ]
-
     def _person(self, node: str, edges: list[tuple[int, Edge]]) -> tuple[str, list[str], dict[str, str], list[str]]:
         """What to match, what may not be false, what holds for certain by name, and the sightings bound."""
         self.nodes.append(node)
         place = len(self.nodes) - 1
-        sightings = {time: f"s{place}_{self._time(time)}" for time in self._times_of(node)}
+        sightings = {time: f"s{place}_{self._time(time)}" for time in times_of(self.plan, node)}
         match, where = [], [f"n{place}.id <> n{other}.id" for other in range(place)]
         for time, sighting in sightings.items():
             at = {"n": f"n{place}", "s": sighting, "t": self._time(time), "scope": "scope"}
@@ -200,7 +127,7 @@ class _Pattern:
 
     def _condition(self, place: int, node: str, i: int, condition: Condition) -> tuple[Clause, Variables]:
         """The clause of a condition, and what it is bound to."""
-        at = self._at(node, condition.at or self._times_of(node)[0])
+        at = self._at(node, condition.at or times_of(self.plan, node)[0])
         values = self._values(f"c{place}_{i}", condition_values(condition))
         return self.names.conditions[condition_kind(condition)], at | values
 
@@ -222,15 +149,6 @@ class _Pattern:
         self.row |= {names[variable]: value for variable, value in values.items()}
         return names
 
-    def _times_of(self, node: str) -> list[str]:
-        """Names of the times at which something holds of a person; where nothing does, the first stated one."""
-        times = [condition.at for condition in self._conditions(node) if condition.at is not None]
-        times += [edge.at for edge in self.plan.edges if node in (edge.source, edge.target)]
-        stated = sorted(name for name, time in self.plan.times.items() if time.frame is not None)
-        if not times and not stated:
-            raise PlanError("times", "a stated frame is needed, at which people are looked for")
-        return list(dict.fromkeys(times)) or stated[:1]
-
     def _time(self, name: str) -> str:
         """The variable of a stated time."""
         frame = self.plan.times[name].frame
@@ -240,6 +158,27 @@ class _Pattern:
         return self.times[name]
 
 
-def _told(clause: Clause, at: Variables) -> list[tuple[str, str, str]]:
-    assert isinstance(clause, Told), "beliefs are told by rows"
-    return clause.told(at)
+def search_order(plan: Plan) -> list[tuple[str, list[tuple[int, Edge]]]]:
+    """Nodes from the root on, each with the edges, by their places, that join it to those before."""
+    known = [plan.root]
+    while len(known) < len(plan.nodes):
+        known.append(next(e.target for e in plan.edges if e.source in known and e.target not in known))
+    edges = list(enumerate(plan.edges))
+    return [
+        (node, [(i, e) for i, e in edges if node in (e.source, e.target) and {e.source, e.target} <= {*known[: k + 1]}])
+        for k, node in enumerate(known)
+    ]
+
+
+def times_of(plan: Plan, node: str) -> list[str]:
+    """Names of the times at which something holds of a node; where nothing does, the first stated one.
+
+    Raises PlanError where there is none either.
+    """
+    conditions = next(one.conditions for one in plan.nodes if one.id == node)
+    times = [condition.at for condition in conditions if condition.at is not None]
+    times += [edge.at for edge in plan.edges if node in (edge.source, edge.target)]
+    stated = sorted(name for name, time in plan.times.items() if time.frame is not None)
+    if not times and not stated:
+        raise PlanError("times", "a stated frame is needed, at which people are looked for")
+    return list(dict.fromkeys(times)) or stated[:1]

@@ -73,7 +73,7 @@ def solve_with(
     names = reader.names
     finds = [compile_find(one.plan, names) for one in asked]
     solutions: dict[int, Solution] = {}
-    found: dict[int, _Found] = {}
+    found: list[_Found] = []
     together: dict[str, list[int]] = defaultdict(list)
     for i, find in enumerate(finds):
         together[find.cypher].append(i)
@@ -84,24 +84,38 @@ def solve_with(
         for i in members:
             people = [_people(finds[i], row) for row in bindings[i]]
             if names.single == "target":
-                outcome, agreed = _outcome_of_target(asked[i].plan, people)
+                outcome, agreed = outcome_of_target(asked[i].plan, people)
             else:
                 outcome, agreed = _outcome(bindings[i]), people[0] if people else {}
             if outcome == "defined":
-                found[i] = _Found(i, asked[i], agreed)
+                found.append(_Found(i, asked[i], agreed))
             else:
                 solutions[i] = Solution(outcome)
         advance(len(members))
-    _read_events(reader, list(found.values()))
+    solutions |= _read_all(reader, found, rules)
+    return [solutions[i] for i in range(len(asked))]
+
+
+def read_with(reader: Reader, asked: Asked, people: Mapping[str, Who], rules: Rules) -> Solution:
+    """What is read by one plan of people who are taken for its nodes, whatever the plan says of them.
+
+    Of nodes that are not in `people` nothing is read: what waits for their events is unknown.
+    """
+    return _read_all(reader, [_Found(0, asked, people)], rules)[0]
+
+
+def _read_all(reader: Reader, found: Sequence[_Found], rules: Rules) -> dict[int, Solution]:
+    solutions = {}
+    _read_events(reader, found)
     by_read: dict[str, list[_Found]] = defaultdict(list)
-    for one in found.values():
+    for one in found:
         by_read[one.plan.answer.read].append(one)
     for read, ones in by_read.items():
         answers = _READS[read](reader, [one for one in ones if one.plan.answer.of in one.people], rules)
         for one in ones:
             answer = answers.get(one.id)
             solutions[one.id] = Solution("defined" if answer else "unknown", one.people, one.times, answer)
-    return [solutions[i] for i in range(len(asked))]
+    return solutions
 
 
 def _outcome(bindings: Sequence[Mapping[str, Any]]) -> Outcome:
@@ -113,7 +127,7 @@ def _outcome(bindings: Sequence[Mapping[str, Any]]) -> Outcome:
     return "defined" if len(bindings) == certain else "unknown"
 
 
-def _outcome_of_target(plan: Plan, people: Sequence[Mapping[str, Who]]) -> tuple[Outcome, dict[str, Who]]:
+def outcome_of_target(plan: Plan, people: Sequence[Mapping[str, Who]]) -> tuple[Outcome, dict[str, Who]]:
     """The outcome of certain bindings, and of the nodes who they are the same in all of them."""
     if len({one[plan.target] for one in people}) != 1:
         return "ambiguous" if people else "empty", {}
