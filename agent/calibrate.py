@@ -121,12 +121,16 @@ def calibrate(
         if (found := _written(reply, drawn, client.convention)) is not None
     ]
     scores, reason = _judge(written, n, client.convention)
+    served = list(dict.fromkeys(reply.model for reply in replies))
+    if len(served) > 1:
+        scores = [msgspec.structs.replace(score, chosen=False) for score in scores]
+        reason = f"several models replied: {', '.join(map(ascii, served[:3]))}"
     chosen = [score for score in scores if score.chosen]
     way = [client.options.response_format, client.options.thinking]
     whole = [SCHEMA, way, [fingerprint(messages) for messages in asked]]
     return Calibration(
         model=client.model,
-        served_model=replies[0].model if replies else "",
+        served_model=served[0] if served else "",
         response_format=client.options.response_format,
         thinking=client.options.thinking,
         asked_sha256=hashlib.sha256(msgspec.json.encode(whole, order="sorted")).hexdigest(),

@@ -171,6 +171,13 @@ def test_each_corner_shows_its_own_mark():
     assert len({corner_picture(corner).digest for corner in CORNERS}) == 4
 
 
+def test_a_server_that_changes_its_model_is_no_model():
+    write = writer()
+    found = asked(lambda request, n: {**write(request, n), "model": ["fake-1", "other\x1b"][n == 3]})
+    assert "several models replied" in found.reason and found.reason.isprintable()
+    assert not found.boxes and not any(score.chosen for score in found.scores)
+
+
 def test_what_was_asked_is_told_by_its_hash():
     plain = asked(writer(), n=N)
     assert asked(writer(order="yxyx"), n=N).asked_sha256 == plain.asked_sha256

@@ -159,7 +159,9 @@ def test_a_server_that_is_refused(change, check, remedy):
 
 
 @pytest.mark.parametrize(
-    ("change", "check"), [(no_usage, "tokens"), (other_model, "model"), (no_model, "model")], ids=lambda v: getattr(v, "__name__", v)
+    ("change", "check"),
+    [(no_usage, "tokens"), (other_model, "model"), (no_model, "model")],
+    ids=lambda v: getattr(v, "__name__", v),
 )
 def test_a_server_that_is_only_warned_of(change, check):
     found, _ = checks(changed(change))
@@ -269,6 +271,14 @@ def test_the_command_fails_in_one_line():
     (line,) = result.stderr.splitlines()
     assert line.startswith("jrdb-avr: preflight: schema: ")
     assert [row["check"] for row in json.loads(result.stdout) if not row["passed"]] == ["schema"]
+
+
+@pytest.mark.parametrize("seconds", ["nan", "0", "inf", "soon"])
+def test_a_timeout_that_is_none_is_a_usage_error(seconds):
+    arguments = ["preflight", "--model", "x", "--base-url", "http://localhost:1/v1", "--timeout", seconds]
+    result = CliRunner().invoke(group, arguments)
+    assert result.exit_code == 2
+    assert "--timeout" in result.stderr
 
 
 def test_a_hostile_server_cannot_move_the_cursor():
