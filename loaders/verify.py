@@ -4,10 +4,11 @@ The interval tables are the record, and the manifest holds their hashes. So the 
 each scene table is read out of it whole, with every property, once from either end of its edges (the engine keeps both
 directions apart), and compared with the rows that the interval tables give, by a sum of row hashes that no order can
 change. The file's own checksum tells what no scan can see, such as a damaged index over the keys; where agents have
-written beside the scene since, it cannot hold, and every key is looked up instead.
+written beside the scene since, it cannot hold, and every key is looked up instead (the engine joins by scans, so its
+index answers one key at a time).
 
 A damaged graph can crash the engine or keep it busy for ever: it is read in a process of its own, which is ended when
-it takes too long or too much memory.
+it takes too much memory, or is silent for too long. It tells after each piece of a table that it is still at it.
 """
 
 from __future__ import annotations
@@ -36,9 +37,11 @@ from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
 from .scene import scene_rows
 
 TIMEOUT_S: Final = 120.0
-"""For one table, ten times what the largest takes at full scale."""
+"""For one piece of a table, ten times and more what it takes: `BATCH_ROWS` rows, or `BATCH_KEYS` keys looked up."""
 BATCH_ROWS: Final = 250_000
 """Rows read out of the graph at a time, unless one sequence has more."""
+BATCH_KEYS: Final = 1_000
+"""Keys looked up at a time, each in a third of a millisecond and more."""
 
 FILE: Final = "graph file"
 
@@ -181,13 +184,16 @@ def _read(path: Path, tables: Sequence[str], timeout_s: float) -> Iterator[tuple
     """
     with _child(path, tables) as answers:
         for at, table in enumerate(tables):
+            answer = None
             fault = "reading it does not end"
             try:
-                if answers.poll(timeout_s):
-                    yield table, answers.recv()
-                    continue
+                while answer is None and answers.poll(timeout_s):
+                    answer = answers.recv()
             except (EOFError, OSError):
                 fault = "the engine crashed while reading it"
+            if answer is not None:
+                yield table, answer
+                continue
             yield table, fault
             yield from ((other, f"not read, after {table}") for other in tables[at + 1 :])
             return
@@ -209,7 +215,7 @@ def _child(path: Path, tables: Sequence[str]) -> Iterator[Connection]:
 
 
 def _serve(answers: Connection, path: str, tables: Sequence[str]) -> None:
-    """The child: one answer per table, in order."""
+    """The child: one answer per table, in order, and None while it is at one."""
     # What the engine writes when it gives up is said in one line by the parent.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     threading.Thread(target=end_beyond_memory, args=(lambda: None,), daemon=True).start()
@@ -229,7 +235,7 @@ def _serve(answers: Connection, path: str, tables: Sequence[str]) -> None:
                 if table == FILE:
                     answers.send([] if intact or longer or _inhabited(graph) else "it is not the file that was built")
                 else:
-                    answers.send(list(_readings(graph, table, by_key=not intact)))
+                    answers.send(list(_readings(graph, table, not intact, lambda: answers.send(None))))
             except AvrError as error:
                 answers.send(str(error))
             except (pa.ArrowException, UnicodeDecodeError, ValueError, RuntimeError) as error:
@@ -242,8 +248,8 @@ def _inhabited(graph: Graph) -> bool:
     return "Episode" in tables and bool(graph.query("MATCH (e:Episode) RETURN count(*) AS n")["n"][0].as_py())
 
 
-def _readings(graph: Graph, table: str, by_key: bool) -> Iterator[Digests]:
-    """A table's digests by every way that a query may take to it."""
+def _readings(graph: Graph, table: str, by_key: bool, go_on: Callable[[], None]) -> Iterator[Digests]:
+    """A table's digests by every way that a query may take to it; `go_on` is called after each piece."""
     columns = _columns(table)
     if table in SCENE_RELS:
         source, target, _ = SCENE_RELS[table]
@@ -260,19 +266,24 @@ def _readings(graph: Graph, table: str, by_key: bool) -> Iterator[Digests]:
                     timeout_s=TIMEOUT_S,
                 )
                 _add(found, _digests(rows))
+                go_on()
             yield found
         return
     key, listed = columns[0], ", ".join(f"n.{name} AS {name}" for name in columns)
     yield _digests(graph.query(f"MATCH (n:{table}) RETURN {listed}", ordered=False, timeout_s=TIMEOUT_S))
     if by_key:
         keys = graph.query(f"MATCH (n:{table}) RETURN n.{key} AS key", ordered=False)["key"].to_pylist()
+        once = [value for value, times in Counter(keys).items() if times == 1]
         lookup = f"MATCH (n:{table}) WHERE n.{key} = $key RETURN {listed}"
-        rows = [
-            _compact(graph.query(lookup, {"key": value}, ordered=False))
-            for value, times in Counter(keys).items()
-            if times == 1
-        ]
-        yield _digests(pa.concat_tables(rows)) if rows else {}
+        looked_up: Digests = {}
+        for start in range(0, len(once), BATCH_KEYS):
+            go_on()
+            rows = [
+                _compact(graph.query(lookup, {"key": value}, ordered=False))
+                for value in once[start : start + BATCH_KEYS]
+            ]
+            _add(looked_up, _digests(pa.concat_tables(rows)))
+        yield looked_up
 
 
 def _compact(rows: pa.Table) -> pa.Table:
