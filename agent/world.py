@@ -1,8 +1,8 @@
 """The agent's world model: what it saw and believes, written under the grounding rule and never otherwise.
 
 A write is accepted only if it names an observation that its own episode has made; all of it is checked before one
-transaction puts it into the world tables, together with its line of the record. What is refused leaves that line and
-nothing else. Each line is told to `keep` once it is in the tables.
+transaction puts it into the world tables, together with its line of the record (the writes of a turn may share one).
+What is refused leaves that line and nothing else. Each line is told to `keep` once it is in the tables.
 
 An episode knows its current facts by itself: it needs them to check a write, and `graph` shows them without asking the
 engine. The tables, which the solver reads, hold the same.
@@ -10,7 +10,8 @@ engine. The tables, which the solver reads, hold the same.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+import contextlib
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -133,6 +134,9 @@ class Episode:
         self._graph = graph
         self._keep = keep
         self._writes = 0
+        # Writes that are known here, but not in the tables yet.
+        self._waiting: list[tuple[Write, Fact]] = []
+        self._together = False
         self._accepted = 0
         self._observations: dict[str, _Seen] = {}
         self._entities: dict[str, EntityRow] = {}
@@ -332,9 +336,30 @@ class Episode:
         self._line(Write(self._writes, step, tool, as_json(arguments), True, "", text), fact)
 
     def _line(self, write: Write, fact: Fact) -> None:
-        self._graph.write(write_statements(self.key, write, fact))
+        self._waiting.append((write, fact))
         self._writes += 1
-        self._keep(write)
+        if not self._together:
+            self.settle()
+
+    @contextlib.contextmanager
+    def together(self) -> Iterator[None]:
+        """Put what is written inside into the tables as one transaction, at the end or when it is settled: that of one
+        turn costs less than half as much so. An error inside takes nothing of it back.
+        """
+        self._together = True
+        try:
+            yield
+        finally:
+            self._together = False
+            self.settle()
+
+    def settle(self) -> None:
+        """Put what waits into the tables, and tell `keep` of it. Raises as all writes do."""
+        made, self._waiting = self._waiting, []
+        if made:
+            self._graph.write(write_statements(self.key, made))
+            for write, _ in made:
+                self._keep(write)
 
     # -- what is believed ---------------------------------------------------------------------------------------------
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any, Final
 
 from jrdb_avr.schema.errors import QueryError
@@ -60,6 +61,7 @@ def parameters(cypher: str) -> list[str]:
     return sorted({match["name"] for match in _TOKEN.finditer(cypher) if match["name"]})
 
 
+@lru_cache(1024)
 def strip_literals(cypher: str) -> str:
     """The statement with every quoted text, quoted name and comment replaced by a space."""
     return _TOKEN.sub(lambda match: match[0] if match["name"] else " ", cypher)

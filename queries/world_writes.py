@@ -5,6 +5,7 @@ The statements are the files of `queries/world/`; what goes where is said by the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from importlib import resources
 from typing import Any, Final
@@ -16,8 +17,25 @@ from jrdb_avr.schema.world import ALWAYS, Fact, HasRow, RelatedRow, SightedRow, 
 from .world import Statement, WorldGraph
 
 
-def write_statements(episode: str, write: Write, fact: Fact) -> list[Statement]:
-    """What makes a write of an episode true in the tables: its fact, and its line of the record."""
+def write_statements(episode: str, made: Sequence[tuple[Write, Fact]]) -> list[Statement]:
+    """What makes writes of an episode true in the tables: their facts in order, then their lines of the record."""
+    facts = [statement for write, fact in made for statement in _fact_statements(episode, write, fact)]
+    lines = [
+        {
+            "id": f"{episode}/{write.number}",
+            "number": write.number,
+            "step": write.step,
+            "tool": write.tool,
+            "arguments": write.arguments,
+            "accepted": write.accepted,
+            "reason": write.reason,
+        }
+        for write, _ in made
+    ]
+    return [*facts, (_text("write"), {"episode": episode, "writes": lines})]
+
+
+def _fact_statements(episode: str, write: Write, fact: Fact) -> list[Statement]:
     statements: list[Statement] = []
 
     def add(name: str, /, **params: Any) -> None:
@@ -51,17 +69,6 @@ def write_statements(episode: str, write: Write, fact: Fact) -> list[Statement]:
                 for source in sources:
                     add(f"{name}_before", source=source, write=replaced, until=write.step)
             add(name, **_columns(edge), until=ALWAYS)
-    add(
-        "write",
-        id=f"{episode}/{write.number}",
-        episode=episode,
-        number=write.number,
-        step=write.step,
-        tool=write.tool,
-        arguments=write.arguments,
-        accepted=write.accepted,
-        reason=write.reason,
-    )
     return statements
 
 

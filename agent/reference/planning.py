@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
+from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 from jrdb_avr.agent import decode
@@ -23,6 +24,10 @@ if TYPE_CHECKING:
 
 LONGEST_SHOWN: Final = 4000
 """Characters of a refused plan that are shown again."""
+
+MOST_ASKED: Final = 32
+MOST_TIMES: Final = 32
+"""Conditions and edges, and times, of a plan: a question's has a dozen, and the engine's work grows with them."""
 
 
 def make_plan(attempt: Attempt, repairs: int, check: Callable[[Plan], None], episode: WorldEpisode) -> Plan | str:
@@ -76,6 +81,11 @@ def read_plan(text: str, task: Task) -> Plan:
             raise PlanError(f"times.{name}.frame", f"the last frame of the video is {frame_count - 1}")
     if plan.answer.of != plan.target:
         raise PlanError("answer.of", f"the answer is read of the target, {plan.target!r}")
+    asked = sum(len(node.conditions) for node in plan.nodes) + len(plan.edges)
+    if asked > MOST_ASKED:
+        raise PlanError("plan", f"at most {MOST_ASKED} conditions and edges are taken, not {asked}")
+    if len(plan.times) > MOST_TIMES:
+        raise PlanError("times", f"at most {MOST_TIMES} times are taken, not {len(plan.times)}")
     check_labels(plan)
     return plan
 
@@ -93,6 +103,7 @@ def plan_prompt(task: Task) -> str:
     )
 
 
+@cache
 def plan_form() -> dict[str, Any]:
     """The plan's JSON Schema, without prose, and with keys left out where the full one allows null."""
     form: dict[str, Any] = _plain(plan_json_schema())

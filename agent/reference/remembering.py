@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
@@ -139,6 +140,10 @@ class GraphMemory:
         ]
         return turn_schema([*([looks] if looks else []), *calls])
 
+    def turn(self) -> AbstractContextManager[None]:
+        """What a turn writes is one transaction."""
+        return self.world.together()
+
     # -- what is written down -----------------------------------------------------------------------------------------
 
     def named(self, seen: Observation | Panorama, step: int) -> str:
@@ -220,6 +225,7 @@ class GraphMemory:
         if self.compiled is None:
             started = time.perf_counter()
             weighed = self._weighed()
+            self.world.settle()
             self.compiled = self.solver.solve(self.plan) if weighed.outcome == "defined" else weighed
             asked = {"read": self.plan.answer.read, "of": self.plan.answer.of}
             self.attempt.record("solve", asked, msgspec.to_builtins(self.compiled), started)

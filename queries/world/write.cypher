@@ -1,3 +1,4 @@
-// A line of the episode's record, accepted or refused.
+// Lines of the episode's record, accepted or refused.
 MATCH (e:Episode {id: $episode})
-CREATE (e)-[:Wrote]->(:Write {id: $id, episode: $episode, number: $number, step: $step, tool: $tool, arguments: $arguments, accepted: $accepted, reason: $reason})
+UNWIND $writes AS w
+CREATE (e)-[:Wrote]->(:Write {id: w.id, episode: $episode, number: w.number, step: w.step, tool: w.tool, arguments: w.arguments, accepted: w.accepted, reason: w.reason})
