@@ -377,6 +377,7 @@ def test_a_refusal_is_not_kept(tmp_path):
         (completion("{}", finish_reason=None), False),
         (completion("{}", finish_reason="tool_calls"), False),
         (completion("{}", refusal={"odd": 1}, reasoning=["odd"]), True),
+        (completion("{}", refusal="I would rather not."), False),
     ],
 )
 def test_only_a_call_that_said_something_is_kept(tmp_path, reply, kept):
