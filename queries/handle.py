@@ -51,7 +51,8 @@ _ONE_CHUNK: Final = 100_000
 
 _PREPARED: Final = 256
 """Statements that a graph keeps prepared at a time, and uses of one before it is planned anew: the tables grow, and
-with them the best way through them may change."""
+with them the best way through them may change. Also plannings before a connection is given up for a new one: the engine
+keeps every statement that was planned with parameters, half a megabyte each, until its connection ends."""
 
 _SIDE_FILES: Final = (".wal", ".shadow", ".tmp")
 
@@ -111,6 +112,8 @@ class Graph:
         self._plans: dict[str, Plan] = {}
         self._prepares = prepares
         self._prepared: dict[str, _Prepared] = {}
+        self._planned = 0
+        self._in_transaction = False
         self._closed = False
 
     # -- opening ----------------------------------------------------------------------------------------------
@@ -251,14 +254,18 @@ class Graph:
         """One write transaction round the statements inside; an error rolls all of them back."""
         with self._writing(), self._lock:
             self._run("BEGIN TRANSACTION", {}, None)
+            self._in_transaction = True
             try:
-                yield
-            except BaseException:
-                # The engine has already rolled back if one of its own statements failed.
-                with contextlib.suppress(QueryError, StoreError):
-                    self._run("ROLLBACK", {}, None)
-                raise
-            self._run("COMMIT", {}, None)
+                try:
+                    yield
+                except BaseException:
+                    # The engine has already rolled back if one of its own statements failed.
+                    with contextlib.suppress(QueryError, StoreError):
+                        self._run("ROLLBACK", {}, None)
+                    raise
+                self._run("COMMIT", {}, None)
+            finally:
+                self._in_transaction = False
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
@@ -273,18 +280,32 @@ class Graph:
         plan = self._plans.get(text)
         if plan is None:
             plan = Plan(str(self._run(f"EXPLAIN {text}", values, None).column(0)[0].as_py()))
+            if len(self._plans) >= _PREPARED:
+                self._plans.clear()
             self._plans[text] = plan
         return plan
+
+    def _renew(self) -> None:
+        """A new connection in place of one that holds much that was planned; not within a transaction, which is its."""
+        if self._planned >= _PREPARED and not self._in_transaction:
+            import kuzu
+
+            self._prepared.clear()
+            self._connection.close()
+            self._connection = kuzu.Connection(self._database)
+            self._planned = 0
 
     def _statement(self, text: str, values: Mapping[str, Any]) -> Any:
         """What the engine is to execute: the text, or it prepared."""
         if not (self._prepares and values) or text.startswith("EXPLAIN"):
+            self._planned += bool(values)
             return text
         kept = self._prepared.get(text)
         if kept is None or kept.uses >= _PREPARED:
             import kuzu
 
             kept = _Prepared(kuzu.PreparedStatement(self._connection, text, dict(values)))
+            self._planned += 1
             if len(self._prepared) >= _PREPARED:
                 self._prepared.clear()
             self._prepared[text] = kept
@@ -295,6 +316,7 @@ class Graph:
         if self._closed:
             raise QueryError("the graph is closed")
         try:
+            self._renew()
             self._connection.set_query_timeout(0 if timeout_s is None else max(1, round(timeout_s * 1000)))
             result = self._connection.execute(self._statement(text, values), dict(values))
             if isinstance(result, list):

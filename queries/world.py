@@ -33,6 +33,9 @@ from .traps import Plan
 BUFFER_BYTES: Final = 256 << 20
 """Hard limit of the engine's page cache."""
 
+MOST_PASSED: Final = 1_000
+"""Texts that are known to have passed the doors; each plan of an agent makes texts of its own."""
+
 Statement = tuple[str, Mapping[str, Any]]
 """Cypher with its parameters."""
 
@@ -139,6 +142,8 @@ class WorldGraph:
         if (cypher, writes) not in self._passed:
             labels = check_world(cypher, writes=writes)
             check_reach(self._graph.explain(cypher, params), labels)
+            if len(self._passed) >= MOST_PASSED:
+                self._passed.clear()
             self._passed.add((cypher, writes))
 
     def _call(self, work: Callable[[], T]) -> T:
@@ -206,18 +211,19 @@ def check_world(cypher: str, *, writes: bool = False) -> set[str]:
         elif token in _CLOSING.values() and len(open_brackets) > 1:
             open_brackets.pop()
         elif token == _COLON and not (open_brackets[-1] == "{" and at > 1 and tokens[at - 2] in ("{", ",")):
-            for label in _labels(tokens[at + 1 :]):
+            for label in _labels(tokens, at + 1):
                 if label.lower() not in _LABELS:
                     raise QueryError(f"{label!r} is no table of the world model: {', '.join(sorted(_LABELS))}")
                 named.add(label.lower())
     return named
 
 
-def _labels(tokens: Sequence[str]) -> Iterator[str]:
+def _labels(tokens: Sequence[str], at: int) -> Iterator[str]:
     """The label after a colon, and its alternatives: what follows each `|`, with or without a colon."""
-    yield tokens[0] if tokens else ""
-    if tokens[1:2] == ["|"]:
-        yield from _labels(tokens[3:] if tokens[2:3] == [":"] else tokens[2:])
+    yield tokens[at] if at < len(tokens) else ""
+    while tokens[at + 1 : at + 2] == ["|"]:
+        at += 3 if tokens[at + 2 : at + 3] == [_COLON] else 2
+        yield tokens[at] if at < len(tokens) else ""
 
 
 def check_reach(plan: Plan, labels: Collection[str] = ()) -> None:

@@ -104,7 +104,7 @@ class Node(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A person of the pattern. All nodes of a plan are different people."""
 
     id: Name
-    conditions: tuple[Condition, ...] = ()
+    conditions: Annotated[tuple[Condition, ...], msgspec.Meta(max_length=8)] = ()
 
 
 class Edge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -135,7 +135,7 @@ class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     root: Name
     target: Name
-    times: dict[Name, Time]
+    times: Annotated[dict[Name, Time], msgspec.Meta(max_length=16)]
     nodes: Annotated[tuple[Node, ...], msgspec.Meta(min_length=1, max_length=16)]
     edges: Annotated[tuple[Edge, ...], msgspec.Meta(max_length=32)]
     answer: AnswerSpec

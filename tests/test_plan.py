@@ -230,3 +230,16 @@ def test_the_json_schema_names_every_part():
     text = json.dumps(plan_json_schema())
     for word in (*EXAMPLE, "conditions", "relation", "start_view", "leaves", "group_size"):
         assert f'"{word}"' in text
+
+
+@pytest.mark.parametrize("part", ["conditions", "times"])
+def test_a_plan_is_of_a_size_that_the_engine_plans_in_seconds(part):
+    condition = '{"action": "walking", "at": "t0"}'
+    conditions = ", ".join([condition] * (9 if part == "conditions" else 8))
+    times = ", ".join(f'"t{n}": {{"frame": {n}}}' for n in range(17 if part == "times" else 16))
+    text = (
+        f'{{"root": "a", "target": "a", "times": {{{times}}}, "nodes": [{{"id": "a", "conditions": [{conditions}]}}], '
+        '"edges": [], "answer": {"mode": "multiple_choice", "read": "action", "of": "a", "at": "t0"}}'
+    )
+    with pytest.raises(PlanError, match="length <="):
+        parse_plan(text)

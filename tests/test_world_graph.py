@@ -289,6 +289,28 @@ def test_a_killed_writer_leaves_a_graph_that_opens(scene):
     assert scene_rows(scene) == before
 
 
+def test_statements_of_many_texts_do_not_pile_up():
+    """The engine keeps what a connection has planned, so connections change, but never within a transaction."""
+    with WorldGraph.memory() as world:
+        make = "CREATE (:Entity {{id: $id, name: 'n{}'}})"
+        for part in range(3):
+            world.write([(make.format(f"{part}x{n}"), {"id": f"{part}/{n}"}) for n in range(200)])
+            for n in range(100):
+                asked = f"MATCH (n:Entity {{id: $id}}) WHERE n.name <> 'm{part}x{n}' RETURN count(*) AS n"
+                assert world.query(asked, {"id": f"{part}/{n}"})["n"].to_pylist() == [1]
+            assert max(map(len, (world._graph._plans, world._graph._prepared))) <= 256
+            assert world._graph._planned <= 256 + 2 * 200
+        with pytest.raises(QueryError):
+            world.write([(make.format(n), {"id": f"{n % 299}"}) for n in range(300)])
+        assert world.query("MATCH (n:Entity) RETURN count(*) AS n")["n"].to_pylist() == [600]
+
+
+def test_a_label_of_thousands_of_alternatives_is_looked_through():
+    assert check_world(f"MATCH (n:{'|:'.join(['Entity'] * 5000)}) RETURN n.id") == {"entity"}
+    with pytest.raises(QueryError, match="'Person' is no table"):
+        check_world(f"MATCH (n:{'|'.join(['Entity'] * 5000)}|Person) RETURN n.id")
+
+
 def test_check_world_names_what_is_there():
     assert check_world("MATCH (n:Entity)-[:Has|:Sighted]->(:Observation) RETURN n.id") == {
         "entity",
