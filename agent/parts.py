@@ -18,7 +18,7 @@ from jrdb_avr.schema.plan import Condition, Plan
 
 from .slots import wanted
 
-MOST_VISITS: Final = 300_000
+MOST_VISITS: Final = 1_000_000
 """Beliefs that a compiled plan may go through, each as often as it does: the engine has one thread for all episodes."""
 
 _Row = Mapping[str, Any]

@@ -49,6 +49,12 @@ REFUSED = [
     (with_condition(interaction="talking", at="t0"), "nodes[0].conditions[0].interaction: 'talking' is none"),
     (with_edge("left of"), "edges[0].relation: 'left of' is none of the labels"),
     (with_edge("front left, far"), "edges[0].relation: 'front left, far' is none of the labels; perhaps"),
+    (
+        with_edge("hugging")
+        | {"edges": with_edge("hugging")["edges"] * 25}
+        | {"nodes": [{"id": n, "conditions": [{"action": "sitting", "at": "t0"}] * 4} for n in "ab"]},
+        "plan: at most 32 conditions and edges are taken, not 33",
+    ),
     (PLAN | {"answer": PLAN["answer"] | {"of": "b"}}, "answer.of: unknown node 'b'"),
 ]
 
@@ -104,6 +110,11 @@ def test_every_label_is_told():
     assert labels["interaction"] == set(INTERACTIONS)
     assert labels["verb"] == set(VERBS)
     assert labels["object"] == set(OBJECTS)
+    # What a relation of two people's places may say is told in full, and no more.
+    places = {relation.split(", ")[1] for relation in RELATIONS if relation.startswith("front left, ")}
+    assert lines["relation"].rstrip(".").rpartition("a comma and one of ")[2].split(", ") == sorted(
+        places, key=DISTANCE_WORDS.index
+    )
     words = set(told.replace(",", " ").replace(";", " ").split())
     for relation in RELATIONS:
         assert set(relation.replace(",", " ").split()) <= words

@@ -46,6 +46,9 @@ _AGE_WORDS: Final = {
     "late adulthood": "elderly",
 }
 
+_NEAR: Final = tuple(word for word in DISTANCE_WORDS if person_frame_label(PERSON_SECTORS[0], word) in RELATIONS)
+"""How far two people may be from one another who are in a relation."""
+
 
 def vocabulary() -> str:
     """Every label, a line per kind, each with the words of a question where they differ: `bending = bending down`."""
@@ -72,8 +75,8 @@ def _relations() -> str:
     return (
         f"every interaction; {SAME_GROUP}; {FIRST_LEFT}; {FIRST_RIGHT}; {window}, likewise to the right of, and with "
         f"{', '.join(map(str, WINDOW_DEGREES[1:]))} for {WINDOW_DEGREES[0]}; where the target is from the source's own "
-        f"point of view and how far from the source, as in {beside}: one of {', '.join(PERSON_SECTORS)}, a comma and a "
-        "distance"
+        f"point of view and how far from the source, as in {beside}: one of {', '.join(PERSON_SECTORS)}, a comma and "
+        f"one of {', '.join(_NEAR)}"
     )
 
 

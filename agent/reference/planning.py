@@ -26,8 +26,7 @@ LONGEST_SHOWN: Final = 4000
 """Characters of a refused plan that are shown again."""
 
 MOST_ASKED: Final = 32
-MOST_TIMES: Final = 32
-"""Conditions and edges, and times, of a plan: a question's has a dozen, and the engine's work grows with them."""
+"""Conditions and edges of a plan: a question's has a dozen, and the engine's work grows with them."""
 
 
 def make_plan(attempt: Attempt, repairs: int, check: Callable[[Plan], None], episode: WorldEpisode) -> Plan | str:
@@ -84,8 +83,6 @@ def read_plan(text: str, task: Task) -> Plan:
     asked = sum(len(node.conditions) for node in plan.nodes) + len(plan.edges)
     if asked > MOST_ASKED:
         raise PlanError("plan", f"at most {MOST_ASKED} conditions and edges are taken, not {asked}")
-    if len(plan.times) > MOST_TIMES:
-        raise PlanError("times", f"at most {MOST_TIMES} times are taken, not {len(plan.times)}")
     check_labels(plan)
     return plan
 
