@@ -212,8 +212,8 @@ def test_at_the_end_the_likeliest_box_counts_without_an_answer(world, graph):
 
 
 def test_at_the_end_the_likeliest_person_is_read(world, graph):
-    """Nobody is known to be a woman; of who was seen the posture is known: an answer that nobody proposed."""
-    game = play(world, [PLAN, turn(look()), turn(entity(), SEEN[2], final(2)), "x"], graph=graph, solver="real")
+    """Nobody is known to be a woman; of who was seen the posture is known, and is not what was proposed."""
+    game = play(world, [PLAN, turn(look()), turn(entity(), SEEN[2], final(3)), "x"], graph=graph, solver="real")
     assert "nobody in the graph fits the plan" in results(game.requests[3])[-1]
     assert (game.prediction.status, game.prediction.answer, game.prediction.reason) == ("answered", Choice(2), "")
     assert iou(Box(*game.prediction.evidence.box), Box(1845, 120, 70, 220)) > 0.95
