@@ -1,0 +1,56 @@
+"""Writes of one turn: one transaction, and what an episode tells without asking the engine."""
+
+import random
+
+import effort
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+from test_world import PLAN, add, calls_of, play, replay, say
+from world_play import begin, belongs, look, rows_of, tables_of
+
+from jrdb_avr.queries.compiler import WORLD
+from jrdb_avr.queries.compiler.names import read_text
+from jrdb_avr.queries.world import WorldGraph
+
+
+@pytest.fixture(scope="module")
+def graph():
+    with WorldGraph.memory() as made:
+        yield made
+
+
+@settings(max_examples=effort.examples(6), phases=(Phase.explicit, Phase.generate))
+@given(st.integers(0, 2**32))
+def test_an_episode_believes_what_its_tables_say(graph, seed):
+    """Whatever is called, a turn at a time: the rows that an episode tells are those that the solver reads."""
+    rng = random.Random(seed)
+    episode, writes = begin(graph)
+    episode.plan(PLAN, 0)
+    calls = calls_of(rng)
+    while calls:
+        turn, calls = calls[: (most := rng.randrange(1, 20))], calls[most:]
+        with episode.together():
+            play(episode, turn)
+    for name, rows in episode.rows().items():
+        found = graph.query(read_text(WORLD, name), {"scope": episode.key}).to_pylist()
+        held = [{key: row[key] for key in row if key != "current"} for row in found if row.get("current", True)]
+        assert sorted(map(repr, held)) == sorted(map(repr, ({k: row[k] for k in held[0]} for row in rows)))
+    assert tables_of(graph, belongs(episode.key)) == replay(writes, episode.key)
+
+
+def test_the_writes_of_a_turn_are_one_transaction(graph):
+    """They are in the tables, and in the record, at its end or when they are settled, also where something fails."""
+    episode, writes = begin(graph)
+    kept = lambda: [row["number"] for row in rows_of(graph, "Write", belongs(episode.key))]  # noqa: E731
+    with pytest.raises(RuntimeError, match="the camera"), episode.together():
+        episode.observed(look(15), 1)
+        assert add(episode, "p1").accepted and not add(episode, "p1", "o7").accepted
+        assert (len(writes), kept()) == (1, [0])
+        episode.settle()
+        assert (len(writes), sorted(kept())) == (4, [0, 1, 2, 3])
+        assert say(episode, "gender", "female").accepted
+        raise RuntimeError("the camera")
+    assert [(w.number, w.accepted) for w in writes] == [(0, True), (1, True), (2, True), (3, False), (4, True)]
+    assert sorted(kept()) == [0, 1, 2, 3, 4]
+    assert say(episode, "age", "childhood").accepted and len(writes) == 6
