@@ -100,7 +100,7 @@ class BeliefReader(Reader):
         looks: dict[int, list[tuple[int, int]]] = {}
         for row in self.all("looks"):
             looks.setdefault(row["frame"], []).append((row["edge"], row["width"]))
-        return [frame for frame, crops in looks.items() if goes_round(crops)]
+        return sorted(frame for frame, crops in looks.items() if goes_round(crops))
 
     def nodes(self) -> dict[str, str]:
         """Names of everybody, with the node that each is said to be, "" for none."""
