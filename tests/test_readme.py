@@ -32,7 +32,7 @@ def kept(command, lines):
     count; all else is the same everywhere.
     """
     plain = [re.sub(r"[\s─-╿]+", " ", line).strip() for line in lines]
-    of_a_run = re.search(r" (evaluate|score|report|scores_by_family) ", command)
+    of_a_run = re.search(r" (evaluate|score|report|trace|scores_by_family|world_runs) ", command)
     return [line for line in plain if line and not (of_a_run and re.search(r"\d", line))]
 
 
