@@ -308,7 +308,7 @@ def test_a_hundred_thousand_boxes_as_pycocotools_has_them():
         )
         for _ in range(2)
     )
-    turned = [second + [turn * WIDTH, 0, 0, 0] for turn in range(-3, 4)]
+    turned = [np.add(second, [turn * WIDTH, 0, 0, 0]) for turn in range(-3, 4)]
     expected = np.max([coco.iou(first, boxes, [0] * 320) for boxes in turned], axis=0)
     ours = box_ious(np.repeat(first, 320, axis=0), np.tile(second, (320, 1))).reshape(320, 320)
     assert np.abs(ours - expected).max() < 1e-9
