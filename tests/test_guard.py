@@ -405,6 +405,9 @@ def test_every_named_query_runs_on_its_defaults(store, language):
     for name, query in known.items():
         assert query.answers.endswith("."), f"{name}: the first comment line says what it answers"
         assert sorted(query.types) == parameters(query.text) or language == "sql"
+        if "Episode" in query.text:
+            # Of what agents believed, which this graph has no tables for: see test_explore_beliefs.
+            continue
         given = {key: examples[key] for key in query.types if key not in query.defaults}
         table = getattr(store, language)(name, **given)
         assert isinstance(table, pa.Table)

@@ -18,7 +18,13 @@ from jrdb_avr.engine.output import json_option, note, print_json, print_rows, pr
 @store_option
 @click.option("--sample", type=click.IntRange(1, 1000), help="Instead of QUESTIONs: so many, drawn at random.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the random draw.")
-@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), default=Path("inspect.html"), show_default=True)
+@click.option(
+    "--out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    default=Path("inspect.html"),
+    show_default=True,
+    help="HTML file to write.",
+)
 @click.option(
     "--import", "decisions", type=click.Path(dir_okay=False, path_type=Path), help="Store a page's decisions."
 )

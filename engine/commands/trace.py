@@ -13,7 +13,13 @@ from jrdb_avr.engine.output import note, store_option
 @click.argument("run")
 @click.argument("question")
 @store_option
-@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), default=Path("trace.html"), show_default=True)
+@click.option(
+    "--out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    default=Path("trace.html"),
+    show_default=True,
+    help="HTML file to write.",
+)
 def command(run: str, question: str, store: Path, out: Path) -> None:
     """Write a page that shows how RUN came to its answer to QUESTION (an id), step by step, beside the truth.
 
