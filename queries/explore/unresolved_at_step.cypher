@@ -1,4 +1,5 @@
-// What of its plan an agent had not found in one question at a step: nodes without anybody, conditions and edges that
+// What of its plan an agent had not found in one question at a step.
+// Nodes without anybody, conditions and edges that
 // no belief bears out (what two people share holds both ways, but not where one is as seen from the other).
 // Whom a node means is taken from the end of the episode.
 // param run: text
