@@ -25,7 +25,7 @@ FOLDERS: Final = {"cypher": "explore", "sql": "results"}
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _COMMENT = re.compile(r"^(?://|--)\s?(.*)$")
-_QUESTION_ID = re.compile(r"[0-9a-f]{16}")
+_QUESTION_ID = re.compile(r"(?=[0-9e]{16}$)[0-9]+e[0-9]+")
 _PARAMETER = re.compile(r"^param\s+(\w+):\s*(text|integer|number)(?:\s*=\s*(.*))?$")
 
 
@@ -108,7 +108,7 @@ def find_query(language: str, text: str, given: dict[str, Any]) -> tuple[str, di
 
 
 def parse_value(text: str) -> Any:
-    """A parameter's value: JSON where it is JSON, else the text as it stands; a question's id is always text.
+    """A parameter's value: JSON where it is JSON, else the text as it stands; a question's id is text though it may look like 1e23.
 
     >>> parse_value("15"), parse_value("female"), parse_value("[1, 2]"), parse_value("0012345678901e23")
     (15, 'female', [1, 2], '0012345678901e23')
