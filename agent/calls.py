@@ -12,13 +12,16 @@ import hashlib
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 
 from jrdb_avr.schema.errors import StoreError
 
 from .replies import Reply
+
+# Made at import: threads that meet a type first at the same time crash the decoder.
+_REPLY: Final = msgspec.json.Decoder(Reply)
 
 
 class Calls:
@@ -35,7 +38,7 @@ class Calls:
     def read(self, place: Path) -> Reply | None:
         """The reply kept there; None where there is none, or the machine broke it: then the call is made again."""
         try:
-            return msgspec.json.decode(place.read_bytes(), type=Reply)
+            return _REPLY.decode(place.read_bytes())
         except (OSError, msgspec.DecodeError, UnicodeDecodeError):
             return None
 

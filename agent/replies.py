@@ -51,10 +51,14 @@ class _Completion(msgspec.Struct):
     usage: Any = None
 
 
+# Made at import: threads that meet a type first at the same time crash the decoder.
+_COMPLETION: Final = msgspec.json.Decoder(_Completion)
+
+
 def read_completion(data: bytes) -> Reply:
     """The first choice of a chat completion. Raises ValueError, saying what it is instead."""
     try:
-        completion = msgspec.json.decode(data, type=_Completion)
+        completion = _COMPLETION.decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ValueError(str(error) or "nested too deep") from None
     if not completion.choices:

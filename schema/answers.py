@@ -8,7 +8,7 @@ The stored JSON of an answer is one of five payloads, told apart by the question
 from __future__ import annotations
 
 import math
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
 
@@ -67,6 +67,11 @@ ANSWER_TYPES: Final[dict[str, type[Answer]]] = {
     "number": Number,
 }
 
+# Made at import: threads that meet a type first at the same time crash the decoder.
+_DECODERS: Final[dict[type[Answer], msgspec.json.Decoder[Any]]] = {
+    kind: msgspec.json.Decoder(kind) for kind in ANSWER_TYPES.values()
+}
+
 
 class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One box in one frame, in stitched pixels: (x, y, w, h)."""
@@ -86,7 +91,7 @@ def decode_answer(mode: str, text: str) -> Answer:
     if kind is None:
         raise DecodeError(f"{mode!r} is no answer mode; use one of {', '.join(ANSWER_TYPES)}")
     try:
-        answer = msgspec.json.decode(text, type=kind)
+        answer: Answer = _DECODERS[kind].decode(text)
     except (msgspec.DecodeError, UnicodeEncodeError, RecursionError) as error:
         raise DecodeError(f"answer of mode {mode}: {error}") from None
     value = getattr(answer, "angle_deg", getattr(answer, "value", 0.0))

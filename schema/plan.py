@@ -145,10 +145,15 @@ class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return (self.answer.at,) if isinstance(self.answer.at, str) else self.answer.at
 
 
+# Made at import: threads that meet a type first at the same time crash the decoder.
+_DECODER: Final = msgspec.json.Decoder(Plan)
+_TIMES: Final = msgspec.json.Decoder(dict[Name, Time])
+
+
 def parse_plan(text: str | bytes) -> Plan:
     """Read a plan from JSON and validate it. Raises PlanError naming the field."""
     try:
-        plan = msgspec.json.decode(text, type=Plan)
+        plan = _DECODER.decode(text)
     except msgspec.ValidationError as error:
         message, _, where = str(error).partition(" - at `")
         where = where.replace("key` in `$.times", "$.times[...]").strip("`$.")
@@ -166,7 +171,7 @@ def _bad_time(text: str | bytes) -> str:
     times: dict[str, Any] = msgspec.json.decode(text, type=dict[str, Any])["times"]
     for name, time in times.items():
         try:
-            msgspec.convert({name: time}, dict[Name, Time])
+            _TIMES.decode(msgspec.json.encode({name: time}))
         except msgspec.ValidationError:
             return name
     return "..."

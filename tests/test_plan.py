@@ -1,6 +1,8 @@
 """The graph plan: what is refused, and by which field's name."""
 
 import json
+import subprocess
+import sys
 
 import msgspec
 import pytest
@@ -243,3 +245,27 @@ def test_a_plan_is_of_a_size_that_the_engine_plans_in_seconds(part):
     )
     with pytest.raises(PlanError, match="length <="):
         parse_plan(text)
+
+
+RACE = """
+import sys, threading
+from jrdb_avr.schema.plan import parse_plan
+sys.setswitchinterval(1e-6)
+start = threading.Barrier(32)
+def work():
+    start.wait()
+    parse_plan(sys.argv[1])
+threads = [threading.Thread(target=work) for _ in range(32)]
+for thread in threads: thread.start()
+for thread in threads: thread.join()
+"""
+
+
+def test_many_threads_may_read_their_first_plan_at_once():
+    """A decoder that is made while threads decode crashed the process three times in four."""
+    text = (
+        '{"root":"a","target":"a","times":{"t0":{"frame":1}},"nodes":[{"id":"a","conditions":[{"action":"sitting",'
+        '"at":"t0"}]}],"edges":[],"answer":{"mode":"multiple_choice","read":"action","of":"a","at":"t0"}}'
+    )
+    for _ in range(4):
+        assert subprocess.run([sys.executable, "-c", RACE, text], timeout=60).returncode == 0

@@ -63,6 +63,10 @@ class _Graph(msgspec.Struct):
     relations: list[_Relation] = []
 
 
+# Made at import: threads that meet a type first at the same time crash the decoder.
+_GRAPH: Final = msgspec.json.Decoder(_Graph)
+
+
 @dataclass(frozen=True)
 class Notes:
     """What a turn knows: `looks` in the order in which they were made, `newest` of them with their pictures.
@@ -101,7 +105,7 @@ def _identity(name: str) -> int | None:
 def read_notes(request: Request) -> Notes:
     """The notes of a turn of the reference agent. Raises DecodeError for a graph that cannot be read."""
     try:
-        graph = msgspec.json.decode(request.line("Graph: ") or "{}", type=_Graph)
+        graph = _GRAPH.decode(request.line("Graph: ") or "{}")
     except msgspec.DecodeError as error:
         raise DecodeError(f"the prompt's graph cannot be read: {error}") from None
     shown = {look.name: look for look in request.looks}

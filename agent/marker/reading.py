@@ -246,6 +246,10 @@ class _Metadata(msgspec.Struct):
     left: int = 0
 
 
+# Made at import: threads that meet a type first at the same time crash the decoder.
+_METADATA: Final = msgspec.json.Decoder(_Metadata)
+
+
 def _looks(parts: Sequence[dict[str, Any]], reader: Reader, misread: Misread | None) -> list[Look]:
     looks = []
     place: _Metadata | None = None
@@ -255,7 +259,7 @@ def _looks(parts: Sequence[dict[str, Any]], reader: Reader, misread: Misread | N
         announced = _ANNOUNCED.fullmatch(last)
         if announced:
             try:
-                place = msgspec.json.decode(announced[2], type=_Metadata)
+                place = _METADATA.decode(announced[2])
             except msgspec.DecodeError as error:
                 raise DecodeError(f"a picture's line cannot be read: {error}") from None
             name = announced[1] or ""

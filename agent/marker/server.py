@@ -34,6 +34,10 @@ class _Request(msgspec.Struct):
     response_format: Any = None
 
 
+# Made at import: threads that meet a type first at the same time crash the decoder.
+_REQUEST: Final = msgspec.json.Decoder(_Request)
+
+
 class Server(ThreadingHTTPServer):
     """Serves until `shutdown`.
 
@@ -63,7 +67,7 @@ class Server(ThreadingHTTPServer):
     def reply(self, body: bytes) -> dict[str, Any]:
         """The completion for a request's body. Raises DecodeError for what cannot be understood."""
         try:
-            request = msgspec.json.decode(body, type=_Request)
+            request = _REQUEST.decode(body)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             raise DecodeError(f"no chat-completions request: {error}") from None
         knobs = self.knobs
