@@ -335,3 +335,10 @@ def test_sixty_four_at_once_get_what_each_gets_alone(serve):
             one.join()
         server.shutdown()
     assert got == alone
+
+
+def test_a_reply_without_a_box_has_none_to_spoil():
+    look = Look(15, 180.0, (), name="o1")
+    reply = {"calls": [{"tool": "final_answer", "answer": 1, "observation": "o1", "box": []}]}
+    assert with_wrong_boxes(reply, [look], Knobs(wrong_box=1.0), Draws(0, "request")) == (reply, 0)
+    assert with_wrong_boxes({"evidence_bboxes": []}, [look], Knobs(wrong_box=1.0), Draws(0, "request"))[1] == 0

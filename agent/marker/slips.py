@@ -97,7 +97,8 @@ def with_wrong_boxes(
     def entry(number: int, place: Mapping[str, Any], key: str) -> Mapping[str, Any]:
         nonlocal wrong
         look = _look_of(place, looks)
-        if look is None or not isinstance(place.get(key), list) or not draws.happens(knobs.wrong_box, "box", number):
+        # Who was never found has an empty box, and there is nothing to spoil.
+        if look is None or not place.get(key) or not draws.happens(knobs.wrong_box, "box", number):
             return place
         wrong += 1
         return {**place, key: _wrong_box(place[key], look, draws, number)}
