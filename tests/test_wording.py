@@ -507,7 +507,7 @@ def test_a_long_text_is_refused_soon():
         with pytest.raises(PlanError):
             parse(text + ". What is that person's posture or movement at 15.0 s (frame 225)?")
     many = in_order([Condition(action=action, at="t0") for action in ACTIONS] * 10)
-    with pytest.raises(PlanError, match="too many|length <= 8"):
+    with pytest.raises(PlanError, match=r"too many|length <= 8"):
         render("change", make_plan("change", many, [0, 225]), "0" * 64)
     with pytest.raises(PlanError):
         parse(QUESTION.format("10.0 s (frame 150)") * 1000)
