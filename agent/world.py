@@ -1,7 +1,7 @@
 """The agent's world model: what it saw and believes, written under the grounding rule and never otherwise.
 
 A write is accepted only if it names an observation that its own episode has made; all of it is checked before one
-transaction puts it into the world tables, together with its line of the record (the writes of a turn may share one).
+transaction puts it into the world tables, together with its line of the record (several writes may share one).
 What is refused leaves that line and nothing else. Each line is told to `keep` once it is in the tables.
 
 An episode knows its current facts by itself: it needs them to check a write, and `graph` shows them without asking the
@@ -64,6 +64,9 @@ from .slots import slots_of
 MOST_ENTITIES: Final = 64
 MOST_WRITES: Final = 2000
 """Of an episode; writes that are accepted."""
+
+MOST_WAITING: Final = 12
+"""Of an episode; writes that one transaction puts into the tables."""
 
 _MIDDLE_DEG: Final = 180.0
 """The angle of a whole panorama: that of its middle column."""
@@ -338,13 +341,14 @@ class Episode:
     def _line(self, write: Write, fact: Fact) -> None:
         self._waiting.append((write, fact))
         self._writes += 1
-        if not self._together:
+        if not self._together or len(self._waiting) >= MOST_WAITING:
             self.settle()
 
     @contextlib.contextmanager
     def together(self) -> Iterator[None]:
-        """Put what is written inside into the tables as one transaction, at the end or when it is settled: that of one
-        turn costs less than half as much so. An error inside takes nothing of it back.
+        """Put what is written inside into the tables some at a time, `MOST_WAITING` writes in a transaction or fewer
+        where it is settled before: a third of the time goes into beginning and ending one. An error inside takes
+        nothing back.
         """
         self._together = True
         try:

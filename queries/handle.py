@@ -63,7 +63,7 @@ _ROW = re.compile(r"\s*CREATE\s*\(", re.IGNORECASE)
 class _Shared:
     """A Database that the Graphs of this process share, with its lock file and writer lock."""
 
-    def __init__(self, path: Path, read_only: bool, buffer_bytes: int) -> None:
+    def __init__(self, path: Path, read_only: bool, buffer_bytes: int, threads: int) -> None:
         self.read_only = read_only
         self.users = 0
         self.writer = threading.RLock()
@@ -71,7 +71,7 @@ class _Shared:
             _recover(path, buffer_bytes)
         self.lock = lock_graph(path, shared=read_only)
         try:
-            self.database = _open_database(path, read_only, buffer_bytes)
+            self.database = _open_database(path, read_only, buffer_bytes, threads)
         except BaseException:
             if self.lock is not None:
                 self.lock.close()
@@ -125,11 +125,14 @@ class Graph:
         *,
         read_only: bool = False,
         buffer_bytes: int = BUFFER_BYTES,
+        threads: int = 0,
         prepares: bool = False,
     ) -> Graph:
         """Open the graph file at `path`, made by `build_graph`.
 
-        prepares: statements with parameters are planned once for many uses, which halves the time of small ones.
+        threads: of the engine, as many as there are processors where 0; who opens the file first in this process
+        decides. prepares: statements with parameters are planned once for many uses, which halves the time of small
+        ones.
         Raises StoreError where there is none, or one that is cut short or of another version, and LockedError naming
         the holder where another process writes it (or, for writing, reads it).
         """
@@ -137,7 +140,7 @@ class Graph:
         with _registry_lock:
             shared = _registry.get(place)
             if shared is None:
-                shared = _registry[place] = _Shared(place, read_only, buffer_bytes)
+                shared = _registry[place] = _Shared(place, read_only, buffer_bytes, threads)
             elif shared.read_only and not read_only:
                 raise LockedError(f"{path} is open for reading in this process: close it first", holder="this process")
             shared.users += 1
@@ -435,13 +438,13 @@ def _holder(file: IO[str]) -> str:
     return file.read(100).strip() or "another process"
 
 
-def _open_database(path: Path, read_only: bool, buffer_bytes: int) -> Any:
+def _open_database(path: Path, read_only: bool, buffer_bytes: int, threads: int) -> Any:
     # Looks at the file only while this process has no database open here, as the seal asks.
     check_seal(path)
     import kuzu
 
     try:
-        return kuzu.Database(str(path), read_only=read_only, buffer_pool_size=buffer_bytes)
+        return kuzu.Database(str(path), read_only=read_only, buffer_pool_size=buffer_bytes, max_num_threads=threads)
     except RuntimeError as error:
         if "lock" in str(error):
             raise LockedError(f"{path} is in use by another process: wait for it", holder="another process") from None
@@ -454,7 +457,7 @@ def _recover(path: Path, buffer_bytes: int) -> None:
         lock = lock_graph(path, shared=False)
         if lock is not None:
             stack.enter_context(lock)
-        _open_database(path, False, buffer_bytes).close()
+        _open_database(path, False, buffer_bytes, 0).close()
 
 
 def _translated(error: RuntimeError, text: str, timeout_s: float | None, path: Path | None) -> QueryError | StoreError:

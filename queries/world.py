@@ -77,7 +77,8 @@ class WorldGraph:
             if not place.exists():
                 with build_graph(place) as graph:
                     make_world_tables(graph)
-            return Graph.open(place, buffer_bytes=buffer_bytes, prepares=True)
+            # Of small statements, most of what a second thread does is to wait for work: one takes half the time.
+            return Graph.open(place, buffer_bytes=buffer_bytes, threads=1, prepares=True)
 
         return cls(opened)
 

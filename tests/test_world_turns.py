@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from test_world import PLAN, add, calls_of, play, replay, say
 from world_play import begin, belongs, look, rows_of, tables_of
 
+from jrdb_avr.agent.world import MOST_WAITING
 from jrdb_avr.queries.compiler import WORLD
 from jrdb_avr.queries.compiler.names import read_text
 from jrdb_avr.queries.world import WorldGraph
@@ -39,7 +40,7 @@ def test_an_episode_believes_what_its_tables_say(graph, seed):
     assert tables_of(graph, belongs(episode.key)) == replay(writes, episode.key)
 
 
-def test_the_writes_of_a_turn_are_one_transaction(graph):
+def test_writes_together_are_one_transaction(graph):
     """They are in the tables, and in the record, at its end or when they are settled, also where something fails."""
     episode, writes = begin(graph)
     kept = lambda: [row["number"] for row in rows_of(graph, "Write", belongs(episode.key))]  # noqa: E731
@@ -54,3 +55,14 @@ def test_the_writes_of_a_turn_are_one_transaction(graph):
     assert [(w.number, w.accepted) for w in writes] == [(0, True), (1, True), (2, True), (3, False), (4, True)]
     assert sorted(kept()) == [0, 1, 2, 3, 4]
     assert say(episode, "age", "childhood").accepted and len(writes) == 6
+
+
+def test_so_many_writes_wait_at_most(graph):
+    """An episode of any length puts a bounded number of writes into one transaction."""
+    episode, writes = begin(graph)
+    with episode.together():
+        for frame in range(MOST_WAITING - 1):
+            episode.observed(look(15 * frame), 1)
+        assert len(writes) == 1
+        episode.observed(look(15 * MOST_WAITING), 1)
+        assert len(writes) == 1 + MOST_WAITING

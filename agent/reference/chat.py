@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -66,10 +64,6 @@ class ChatMemory:
         answer = decode.answer_schema(question.answer_mode, question.choices)
         final = call_schema(FINAL, {"answer": answer, "observation": OBSERVATION_SCHEMA, "box": BOX_SCHEMA})
         return turn_schema([*([looks] if looks else []), final])
-
-    def turn(self) -> AbstractContextManager[None]:
-        """There is nothing to gather."""
-        return contextlib.nullcontext()
 
     # -- what is kept, and what is read from it -----------------------------------------------------------------------
 

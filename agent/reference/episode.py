@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Any, Final, Protocol
 
@@ -47,10 +46,6 @@ class Memory(Protocol):
 
     def replied(self, reply: Reply) -> None:
         """Told what the model said."""
-        ...
-
-    def turn(self) -> AbstractContextManager[None]:
-        """Round the calls of one turn."""
         ...
 
     def named(self, seen: Observation | Panorama, step: int) -> str:
@@ -109,11 +104,10 @@ class Episode:
                 continue
             results: list[str] = []
             before = len(self.views)
-            with self.memory.turn():
-                for call in calls[: self.limits.calls - self.used]:
-                    verdict = self._call(call, step, results)
-                    if verdict is not None:
-                        return self.attempt.ended(verdict)
+            for call in calls[: self.limits.calls - self.used]:
+                verdict = self._call(call, step, results)
+                if verdict is not None:
+                    return self.attempt.ended(verdict)
             turn = self._turn(results, list(self.views.values())[before:], "")
         return self._ended(f"no legal final answer within {self.limits.calls} calls")
 

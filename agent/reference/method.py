@@ -57,24 +57,19 @@ class ReferenceAgent:
     def answer(self, task: Task) -> Prediction:
         """Play one question, within `limits.model_calls` model calls."""
         attempt = Attempt(task, self.chat, self.convention)
-        memory = self._memory(attempt)
-        if isinstance(memory, str):
-            return attempt.invalid(memory)
+        system = system_prompt(task, self.limits, self.looks, self.remembers)
+        heading = task_heading(task, self.limits, self.looks)
+        if self.world is None:
+            return self._play(attempt, ChatMemory(attempt, system, heading))
+        world, solver = self.world.episode(task.question, task.keep), self.solving(self.world, task.question)
+        with world.together():
+            plan = make_plan(attempt, self.limits.repairs, solver.check, world)
+            if isinstance(plan, str):
+                return attempt.invalid(f"no plan was accepted; the last was refused: {plan}")
+            return self._play(attempt, GraphMemory(attempt, world, solver, plan, system, heading, fixed=not self.looks))
+
+    def _play(self, attempt: Attempt, memory: Memory) -> Prediction:
         episode = Episode(attempt, memory, self.looks, self.limits)
         if not self.looks:
             episode.show(attempt.panoramas(self.limits.panoramas))
         return episode.play()
-
-    def _memory(self, attempt: Attempt) -> Memory | str:
-        """The variant's memory, or why there is no plan to remember by."""
-        task = attempt.task
-        system = system_prompt(task, self.limits, self.looks, self.remembers)
-        heading = task_heading(task, self.limits, self.looks)
-        if self.world is None:
-            return ChatMemory(attempt, system, heading)
-        episode = self.world.episode(task.question, task.keep)
-        solver = self.solving(self.world, task.question)
-        plan = make_plan(attempt, self.limits.repairs, solver.check, episode)
-        if isinstance(plan, str):
-            return f"no plan was accepted; the last was refused: {plan}"
-        return GraphMemory(attempt, episode, solver, plan, system, heading, fixed=not self.looks)

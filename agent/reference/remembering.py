@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
@@ -139,10 +138,6 @@ class GraphMemory:
             ),
         ]
         return turn_schema([*([looks] if looks else []), *calls])
-
-    def turn(self) -> AbstractContextManager[None]:
-        """What a turn writes is one transaction."""
-        return self.world.together()
 
     # -- what is written down -----------------------------------------------------------------------------------------
 
