@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from jrdb_avr.schema.errors import DecodeError
-from jrdb_avr.schema.method import Observation, Prediction, Task
+from jrdb_avr.schema.method import Observation, Prediction, Question, Task
 
 from . import decode
 from .attempt import DUPLICATE_DEG, Attempt, Verdict, duplicate, final_parts, heading, on_crop, shared_settings
@@ -98,7 +98,7 @@ class _Episode:
             frames=frame_ranges(sequence.frames),
             advice=text.advice,
         )
-        self.schema = self._schema()
+        self.schema = turn_schema(question)
 
     # -- one turn -----------------------------------------------------------------------------------------------------
 
@@ -178,22 +178,23 @@ class _Episode:
         )
         return [Message("system", (self.system,)), Message("user", tuple(parts))]
 
-    def _schema(self) -> dict[str, Any]:
-        question = self.task.question
-        return {
-            "anyOf": [
-                decode.closed_object(
-                    {
-                        "action": {"type": "string", "enum": ["observe"]},
-                        "frame_id": decode.FRAME_ID_SCHEMA,
-                        "angle_deg": {"type": "number"},
-                    }
-                ),
-                decode.closed_object(
-                    {
-                        "action": {"type": "string", "enum": ["answer"]},
-                        **final_parts(question),
-                    }
-                ),
-            ]
-        }
+
+def turn_schema(question: Question) -> dict[str, Any]:
+    """The JSON Schema of a turn: a look, or the answer."""
+    return {
+        "anyOf": [
+            decode.closed_object(
+                {
+                    "action": {"type": "string", "enum": ["observe"]},
+                    "frame_id": decode.FRAME_ID_SCHEMA,
+                    "angle_deg": {"type": "number"},
+                }
+            ),
+            decode.closed_object(
+                {
+                    "action": {"type": "string", "enum": ["answer"]},
+                    **final_parts(question),
+                }
+            ),
+        ]
+    }

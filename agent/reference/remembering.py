@@ -6,7 +6,7 @@ Every write, accepted or refused, goes to the episode of the world model, which 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
@@ -19,7 +19,7 @@ from jrdb_avr.agent.messages import Message, Part
 from jrdb_avr.agent.replies import Reply
 from jrdb_avr.schema.answers import Answer, Evidence
 from jrdb_avr.schema.errors import DecodeError
-from jrdb_avr.schema.method import Observation, Panorama
+from jrdb_avr.schema.method import Observation, Panorama, Question
 from jrdb_avr.schema.panorama import HEIGHT, WIDTH, Box
 from jrdb_avr.schema.plan import Plan, canonical
 from jrdb_avr.schema.world import Tool
@@ -118,26 +118,8 @@ class GraphMemory:
 
     def schema(self, looks: Mapping[str, Any] | None) -> dict[str, Any]:
         """The JSON Schema of a turn; `looks` is that of a look, where there are looks."""
-        question = self.attempt.task.question
-        node = {"type": "string", "enum": [node.id for node in self.plan.nodes]}
-        seen = {"observation": OBSERVATION_SCHEMA}
-        calls = [
-            call_schema(
-                "add_entity",
-                {"id": _NAME, "kind": {"type": "string"}, "node": node, **seen, "box": BOX_SCHEMA},
-                optional=("node",),
-            ),
-            call_schema(
-                "add_attribute",
-                {"entity": _NAME, "name": {"type": "string"}, "value": {"type": ["string", "number"]}, **seen},
-            ),
-            call_schema("add_relation", {"source": _NAME, "name": {"type": "string"}, "target": _NAME, **seen}),
-            call_schema("get_graph", {}),
-            call_schema(
-                FINAL, {"answer": decode.answer_schema(question.answer_mode, question.choices), "entity": _NAME}
-            ),
-        ]
-        return turn_schema([*([looks] if looks else []), *calls])
+        nodes = [node.id for node in self.plan.nodes]
+        return graph_turn_schema(self.attempt.task.question, nodes, looks)
 
     # -- what is written down -----------------------------------------------------------------------------------------
 
@@ -225,6 +207,27 @@ class GraphMemory:
             asked = {"read": self.plan.answer.read, "of": self.plan.answer.of}
             self.attempt.record("solve", asked, msgspec.to_builtins(self.compiled), started)
         return self.compiled
+
+
+def graph_turn_schema(question: Question, nodes: Sequence[str], looks: Mapping[str, Any] | None) -> dict[str, Any]:
+    """The JSON Schema of a turn on a plan with these nodes; `looks` is that of a look, where there are looks."""
+    node = {"type": "string", "enum": list(nodes)}
+    seen = {"observation": OBSERVATION_SCHEMA}
+    calls = [
+        call_schema(
+            "add_entity",
+            {"id": _NAME, "kind": {"type": "string"}, "node": node, **seen, "box": BOX_SCHEMA},
+            optional=("node",),
+        ),
+        call_schema(
+            "add_attribute",
+            {"entity": _NAME, "name": {"type": "string"}, "value": {"type": ["string", "number"]}, **seen},
+        ),
+        call_schema("add_relation", {"source": _NAME, "name": {"type": "string"}, "target": _NAME, **seen}),
+        call_schema("get_graph", {}),
+        call_schema(FINAL, {"answer": decode.answer_schema(question.answer_mode, question.choices), "entity": _NAME}),
+    ]
+    return turn_schema([*([looks] if looks else []), *calls])
 
 
 def _evidence(seen: tuple[int, Box] | None) -> Evidence | None:
