@@ -13,8 +13,6 @@ from typing import Any, Final
 
 import msgspec
 
-from jrdb_avr.schema.vocabulary import OCCLUSIONS
-
 MAX_TRACK: Final = 2**31 - 2
 MAX_PIXEL: Final = 1e5
 """No coordinate of a stitched box is that large: the panorama has 3760 columns."""
@@ -83,13 +81,6 @@ def flag(value: object) -> bool:
 def difficulty(value: object) -> int:
     """A difficulty code 1..3, also as 1.0 or "1"."""
     return whole(value, 1, 3)
-
-
-def occlusion(value: object) -> str:
-    """One of the four words of occlusion."""
-    if value not in OCCLUSIONS:
-        raise ValueError("unknown word")
-    return str(value)
 
 
 @functools.lru_cache(maxsize=10_000)

@@ -134,17 +134,17 @@ Column = Callable[[pa.Table], pa.ChunkedArray | pa.Array]
 
 
 def _number_key(name: str) -> Column:
-    """`<sequence>/<number>`, as `person_key` writes it."""
+    """`<sequence>/<number>`: the key of a person or a group."""
     return lambda rows: pc.binary_join_element_wise(rows["sequence"], rows[name].cast(pa.string()), "/")
 
 
 def _frame_key(rows: pa.Table) -> pa.ChunkedArray:
-    """`<sequence>/<six digits>`, as `frame_key` writes it."""
+    """`<sequence>/<six digits>`: the key of a frame."""
     return pc.binary_join_element_wise(rows["sequence"], pc.utf8_lpad(rows["frame"].cast(pa.string()), 6, "0"), "/")
 
 
 def _object_key(rows: pa.Table) -> pa.ChunkedArray:
-    """`<sequence>/<category id>:<track>`, as `object_key` writes it."""
+    """`<sequence>/<category id>:<track>`: the key of a thing."""
     thing = pc.binary_join_element_wise(rows["category_id"].cast(pa.string()), rows["object"].cast(pa.string()), ":")
     return pc.binary_join_element_wise(rows["sequence"], thing, "/")
 

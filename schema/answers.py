@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final, Literal
 import msgspec
 
 from .errors import DecodeError
-from .panorama import Box, angle_error, iou
+from .panorama import angle_error
 from .rules import FPS
 
 AnswerMode = Literal["multiple_choice", "frame", "span", "frame_viewpoint", "number"]
@@ -110,13 +110,13 @@ def frames_iou(a: Span, b: Span) -> float:
     return both / (a.end_frame - a.start_frame + 1 + b.end_frame - b.start_frame + 1 - both)
 
 
-def same_answer(given: Answer | None, truth: Answer, fps: float = FPS) -> bool:
+def same_answer(given: Answer | None, truth: Answer) -> bool:
     """Whether `given` scores against `truth`; every bound is inclusive and a missing answer never scores.
 
     frame: within one second; span: temporal IoU >= 0.5; frame_viewpoint: the frame, and within 20 degrees;
     number: both positive, ratio within [0.5, 2]; choice: equal. Answers of different kinds are never the same.
     """
-    second = round(fps)
+    second = round(FPS)
     match given, truth:
         case Choice(), Choice():
             return given.choice == truth.choice
@@ -134,10 +134,3 @@ def same_answer(given: Answer | None, truth: Answer, fps: float = FPS) -> bool:
             return given.value > 0 and truth.value > 0 and 0.5 <= given.value / truth.value <= 2.0
         case _:
             return False
-
-
-def evidence_hits(evidence: Evidence | None, truth: dict[int, Box], threshold: float = 0.5) -> bool:
-    """Whether the evidence box lies on the target: `truth` maps each frame in which it has a box to that box."""
-    if evidence is None or evidence.frame not in truth or not all(map(math.isfinite, evidence.box)):
-        return False
-    return iou(Box(*evidence.box), truth[evidence.frame]) >= threshold - TIE

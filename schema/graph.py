@@ -82,18 +82,3 @@ def scene_ddl() -> list[str]:
         for name, (source, target, columns) in SCENE_RELS.items()
     ]
     return statements
-
-
-def person_key(sequence: str, track: int) -> str:
-    """Key of a `Person` node."""
-    return f"{sequence}/{track}"
-
-
-def object_key(sequence: str, category_id: int, track: int) -> str:
-    """Key of an `Object` node."""
-    return f"{sequence}/{category_id}:{track}"
-
-
-def frame_key(sequence: str, frame: int) -> str:
-    """Key of a `Frame` node."""
-    return f"{sequence}/{frame:06d}"

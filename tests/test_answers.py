@@ -10,19 +10,16 @@ from hypothesis import strategies as st
 from jrdb_avr.schema.answers import (
     ANSWER_TYPES,
     Choice,
-    Evidence,
     FrameAnswer,
     FrameViewpoint,
     Number,
     Span,
     decode_answer,
     encode_answer,
-    evidence_hits,
     frames_iou,
     same_answer,
 )
 from jrdb_avr.schema.errors import DecodeError
-from jrdb_avr.schema.panorama import Box
 
 frames = st.integers(0, 10_000_000)
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -141,51 +138,9 @@ def test_bounds_are_inclusive(given_answer, truth, expected):
     assert same_answer(given_answer, truth) is expected
 
 
-def test_a_second_follows_the_frame_rate():
-    assert same_answer(FrameAnswer(10), FrameAnswer(0), fps=10.0)
-    assert not same_answer(FrameAnswer(11), FrameAnswer(0), fps=10.0)
-
-
-def test_evidence_needs_the_frame_and_the_place():
-    truth = {7: Box(3750.0, 10.0, 40.0, 100.0)}
-    assert evidence_hits(Evidence(7, (-10.0, 10.0, 40.0, 100.0)), truth)
-    assert evidence_hits(Evidence(7, (3750.0, 10.0, 40.0, 50.0)), truth)
-    assert not evidence_hits(Evidence(7, (3750.0, 10.0, 40.0, 49.0)), truth)
-    assert evidence_hits(Evidence(7, (3750.0, 10.0, 40.0, 49.0)), truth, threshold=0.4)
-    assert not evidence_hits(Evidence(8, (3750.0, 10.0, 40.0, 100.0)), truth)
-    assert not evidence_hits(None, truth)
-    for hole in (math.nan, math.inf, -math.inf):
-        assert not evidence_hits(Evidence(7, (hole, 10.0, 40.0, 100.0)), truth)
-        assert not evidence_hits(Evidence(7, (3750.0, 10.0, hole, 100.0)), truth)
-
-
 @given(st.integers(0, 3599), st.sampled_from([200, -200]))
 def test_twenty_degrees_are_within_twenty_degrees(tenths, turn):
     """Counted in whole tenths, which rounding cannot touch; so is a step beyond."""
     truth = FrameViewpoint(10, tenths / 10)
     assert same_answer(FrameViewpoint(10, (tenths + turn) % 3600 / 10), truth)
     assert not same_answer(FrameViewpoint(10, (tenths + turn + (1 if turn > 0 else -1)) % 3600 / 10), truth)
-
-
-@given(*[st.integers(1, 40_000)] * 2, *[st.integers(2, 4_000)] * 2)
-def test_half_a_box_is_half_a_box(x, y, w, h):
-    truth = Box(x / 10, y / 10, w / 10, h / 10)
-    assert evidence_hits(Evidence(3, (truth.x, truth.y, w / 20, truth.h)), {3: truth})
-    assert evidence_hits(Evidence(3, (truth.x, truth.y, truth.w, h / 20)), {3: truth})
-    assert not evidence_hits(Evidence(3, (truth.x, truth.y, w / 20 * 0.999, truth.h)), {3: truth})
-
-
-@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=4, max_size=4))
-def test_no_box_is_too_large_to_be_judged(box):
-    hit = evidence_hits(Evidence(3, tuple(box)), {3: Box(10, 10, 50, 50)})
-    assert hit in (True, False)
-
-
-def test_boxes_as_large_as_numbers_go_do_not_score():
-    for box in [
-        (1.7e308, 0, 1.7e308, 3),
-        (-1.7e308, 0, 1.7e308, 3),
-        (0, 1.7e308, 3, 1.7e308),
-        (0, 0, 1.7e308, 1.7e308),
-    ]:
-        assert not evidence_hits(Evidence(3, box), {3: Box(10, 10, 50, 50)})

@@ -185,3 +185,18 @@ def test_touching_boxes_do_not_meet():
     assert iou(Box(WIDTH - 10, 0, 10, 10), Box(0, 0, 10, 10)) == 0.0
     assert iou(Box(WIDTH - 5, 0, 10, 10), Box(0, 0, 10, 10)) == pytest.approx(50 / 150)
     assert HEIGHT == CROP == 480
+
+
+@pytest.mark.parametrize(
+    "box",
+    [
+        (1.7e308, 0, 1.7e308, 3),
+        (-1.7e308, 0, 1.7e308, 3),
+        (0, 1.7e308, 3, 1.7e308),
+        (0, 0, 1.7e308, 1.7e308),
+        (math.nan, 10, 50, 50),
+        (10, 10, math.inf, 50),
+    ],
+)
+def test_boxes_as_large_as_numbers_go_do_not_fit_a_person(box):
+    assert not iou(Box(*box), Box(10, 10, 50, 50)) > 0.01

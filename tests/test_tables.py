@@ -5,7 +5,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS, frame_key, person_key, scene_ddl
+from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS, scene_ddl
 from jrdb_avr.schema.tables import ANNOTATIONS, CANDIDATES, INTERVALS, PRIVATE, QUESTIONS, RUNS
 
 ALL = {**ANNOTATIONS, **{f"i_{k}": v for k, v in INTERVALS.items()}, **QUESTIONS, **RUNS, "candidates": CANDIDATES}
@@ -68,8 +68,6 @@ def test_the_scene_names_its_ends():
     statements = scene_ddl()
     assert len(statements) == len(SCENE_NODES) + len(SCENE_RELS)
     assert all(s.startswith("CREATE NODE TABLE") for s in statements[: len(SCENE_NODES)])
-    assert person_key("s", 12) == "s/12"
-    assert frame_key("s", 12) == "s/000012"
 
 
 def test_the_reference_page_is_current():

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from jrdb_avr.schema.panorama import FOCAL_ROWS, HEIGHT, HORIZON_ROW, WIDTH
+from jrdb_avr.schema.panorama import HEIGHT, WIDTH, row_of_height
 
 from .world import FLOOR
 
@@ -46,7 +46,7 @@ def backdrop(rng: np.random.Generator) -> Backdrop:
     image[FOOT:] = np.array(floor, np.float32) * (0.86 + 0.3 * (rows[FOOT:] - FOOT) / (HEIGHT - FOOT))
     # Joints of the tiles: rings at equal distances, and spokes.
     for meters in np.arange(1.0, 24.0, 1.0):
-        row = int(HORIZON_ROW - FOCAL_ROWS * FLOOR / meters)
+        row = int(row_of_height(FLOOR, meters))
         if FOOT < row < HEIGHT:
             image[row] *= 0.9
     canvas = np.clip(image, 0, 175).astype(np.uint8)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.marks import ALONE, HEADING_STEP, MAX_DISTANCE_DM, MAX_GROUP, Mark, draw
-from jrdb_avr.schema.panorama import FOCAL_ROWS, HORIZON_ROW, WIDTH, Box
+from jrdb_avr.schema.panorama import FOCAL_ROWS, WIDTH, Box, row_of_height
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 from jrdb_avr.schema.things import VERBS
 from jrdb_avr.schema.vocabulary import INTERACTIONS, OTHER_ACTIONS, POSES
@@ -217,7 +217,7 @@ class Painter:
         top, bottom = (
             round(row) for row in body_rows(world.motion.z[frame, i], world.distance[frame, i], world.height[frame, i])
         )
-        ground = round(HORIZON_ROW - FOCAL_ROWS * FLOOR / distance)
+        ground = round(row_of_height(FLOOR, distance))
         for left in _copies(x, w):
             if pen is _as_color:
                 _shadow(image, left, ground, w)

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from jrdb_avr.schema.panorama import FOCAL_ROWS, HEIGHT, HORIZON_ROW, WIDTH
+from jrdb_avr.schema.panorama import HEIGHT, WIDTH, row_of_height
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 from jrdb_avr.schema.vocabulary import POSES
 
@@ -45,7 +45,7 @@ GRID: Final = 4
 
 @dataclass(frozen=True)
 class Panel:
-    """An opaque partition that stands on the floor: ends in the world (metres), height, grey level and hue."""
+    """An opaque partition that stands on the floor: its ends in the world and its height, metres."""
 
     x0: float
     y0: float
@@ -179,19 +179,26 @@ def _starts(rng: Rng, frames: int) -> Ints:
 
 def person_boxes(motion: Motion, distance: Floats, height: Floats, width: Floats) -> Ints:
     """Boxes (frames, people, 4) of bodies of these heights and widths, metres."""
-    azimuth = np.arctan2(motion.y, motion.x)
-    column = WIDTH * (0.5 - azimuth / (2 * np.pi))
+    return _upright(_columns(motion.x, motion.y), distance, body_rows(motion.z, distance, height), width)
+
+
+def _columns(x: Floats, y: Floats) -> Floats:
+    """Columns, not wrapped, of points in the robot's frame."""
+    return np.asarray(WIDTH * (0.5 - np.arctan2(y, x) / (2 * np.pi)))
+
+
+def _upright(column: Floats, distance: Floats, rows: Floats, width: Floats) -> Ints:
+    """Boxes (..., 4) in whole pixels of what stands upright round a column and is `width` metres across."""
     half = WIDTH * np.arctan2(width / 2, distance) / (2 * np.pi)
-    top, bottom = np.moveaxis(body_rows(motion.z, distance, height), -1, 0)
     left, right = np.round(column - half), np.round(column + half)
-    top, bottom = np.clip(np.round(top), 0, HEIGHT), np.clip(np.round(bottom), 0, HEIGHT)
+    top, bottom = np.moveaxis(np.clip(np.round(rows), 0, HEIGHT), -1, 0)
     return np.stack([left, top, right - left, bottom - top], axis=-1).astype(np.int64)
 
 
-def body_rows(feet: Floats, distance: Floats, height: Floats) -> Floats:
+def body_rows(feet: Floats, distance: Floats, height: Floats | float) -> Floats:
     """Rows (..., 2) of the top and the bottom of bodies, not cut at the image; `feet` is metres above the floor."""
     low = FLOOR + feet
-    rows = [HORIZON_ROW - FOCAL_ROWS * (low + height) / distance, HORIZON_ROW - FOCAL_ROWS * low / distance]
+    rows = [row_of_height(low + height, distance), row_of_height(low, distance)]
     return np.array(np.stack(rows, axis=-1), np.float64)
 
 
@@ -235,13 +242,8 @@ def _thing_boxes(things: Things, robot: Floats) -> tuple[Ints, Floats]:
     sizes = np.array([SIZES[things.things[k].category] for k in things.stands]).reshape(-1, 2)
     x, y = to_robot(robot[:, None, :], things.x, things.y)
     distance = np.maximum(np.hypot(x, y), 0.8)
-    column = WIDTH * (0.5 - np.arctan2(y, x) / (2 * np.pi))
-    half = WIDTH * np.arctan2(sizes[:, 0] / 2, distance) / (2 * np.pi)
-    top, bottom = np.moveaxis(body_rows(np.zeros_like(distance), distance, sizes[:, 1]), -1, 0)
-    top, bottom = np.clip(np.round(top), 0, HEIGHT), np.clip(np.round(bottom), 0, HEIGHT)
-    left, right = np.round(column - half), np.round(column + half)
-    boxes = np.stack([left, top, right - left, bottom - top], axis=-1).astype(np.int64)
-    return boxes, np.where(things.there, distance, np.inf)
+    rows = body_rows(np.zeros_like(distance), distance, sizes[:, 1])
+    return _upright(_columns(x, y), distance, rows, sizes[:, 0]), np.where(things.there, distance, np.inf)
 
 
 def _panels(rng: Rng, parties: tuple[Party, ...]) -> tuple[Panel, ...]:
@@ -266,13 +268,12 @@ def _panel_boxes(panels: tuple[Panel, ...], robot: Floats) -> tuple[Ints, Floats
         ends = []
         for wx, wy in ((panel.x0, panel.y0), (panel.x1, panel.y1)):
             x, y = to_robot(robot, np.full(frames, wx), np.full(frames, wy))
-            ends.append(WIDTH * (0.5 - np.arctan2(y, x) / (2 * np.pi)))
+            ends.append(_columns(x, y))
         mx, my = to_robot(robot, np.full(frames, (panel.x0 + panel.x1) / 2), np.full(frames, (panel.y0 + panel.y1) / 2))
         distance = np.hypot(mx, my)
         turn = (ends[1] - ends[0] + WIDTH / 2) % WIDTH - WIDTH / 2
         left = np.where(turn > 0, ends[0], ends[0] + turn)
-        top = HORIZON_ROW - FOCAL_ROWS * (FLOOR + panel.height) / distance
-        bottom = HORIZON_ROW - FOCAL_ROWS * FLOOR / distance
+        top, bottom = np.moveaxis(body_rows(np.zeros(frames), distance, panel.height), -1, 0)
         boxes[:, i] = np.round(np.stack([left, top, np.abs(turn), bottom - top], axis=-1)).astype(np.int64)
         away[:, i] = distance
     return boxes, away
@@ -287,7 +288,7 @@ def _clusters(people: tuple[Person, ...], apart: Bools) -> Ints:
 
 def _ground_rows(distance: Floats) -> Ints:
     """Rows of the floor at these distances, inside the image."""
-    return np.clip(np.round(HORIZON_ROW - FOCAL_ROWS * FLOOR / distance), 0, HEIGHT).astype(np.int64)
+    return np.clip(np.round(row_of_height(np.full_like(distance, FLOOR), distance)), 0, HEIGHT).astype(np.int64)
 
 
 def _covered(
