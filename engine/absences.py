@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pyarrow as pa
 
+from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules
 
 from . import views
-from .scene import NOBODY, Bools, Ints, Scene
+from .scene import NOBODY, Ints, Scene
 
 
 def absence_tables(scene: Scene, rules: Rules) -> dict[str, pa.Table]:

@@ -16,11 +16,10 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.rules import Rules
 
 from .bins import answer_bin, wait_bin
-
-Ints = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from jrdb_avr.schema.answers import (
@@ -37,8 +36,6 @@ from .bins import answer_bin, bin_name, wait_bin
 
 AIMS: Final = {"multiple_choice": 0.35, "frame": 0.25, "span": 0.25, "frame_viewpoint": 0.25, "number": 0.58}
 """The most that a blind guesser should score, by answer mode; counts have no aim."""
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,11 +18,11 @@ import pyarrow.compute as pc
 
 from jrdb_avr.queries.binding import parameters
 from jrdb_avr.queries.handle import Graph
-from jrdb_avr.schema.panorama import Floats
+from jrdb_avr.schema.arrays import Bools, Floats
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 
-from .scene import NOBODY, Bools, Ints, coded
+from .scene import NOBODY, Ints, coded
 from .templates import Template, query_text, query_values
 
 RULES: Final = (

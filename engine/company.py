@@ -14,10 +14,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.rules import Rules, frames
 
 from .relations import GROUP, KIND, RELATIONS, SOCIAL, Facts, find_facts, untold_others
-from .scene import NOBODY, Bools, Ints, Scene
+from .scene import NOBODY, Ints, Scene
 
 
 @dataclass(frozen=True)

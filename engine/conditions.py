@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.plan import Attribute, Condition
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES, VERBS
@@ -32,7 +33,7 @@ from jrdb_avr.schema.vocabulary import (
 from jrdb_avr.schema.wording import actions_of
 
 from .relations import KIND, SOCIAL, Facts, untold_others
-from .scene import NOBODY, Bools, Ints, Scene, coded, spread
+from .scene import NOBODY, Ints, Scene, coded, spread
 
 Words = npt.NDArray[np.uint64]
 States = npt.NDArray[np.int8]

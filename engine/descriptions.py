@@ -16,6 +16,7 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
+from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.vocabulary import POSES
@@ -23,7 +24,7 @@ from jrdb_avr.schema.wording import in_order
 
 from .conditions import Conditions, Words, find_conditions
 from .relations import EMPTY, SEVERAL, UNKNOWN, Facts
-from .scene import NOBODY, Bools, Ints, Scene
+from .scene import NOBODY, Ints, Scene
 
 
 @dataclass(frozen=True)

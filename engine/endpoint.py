@@ -55,8 +55,10 @@ def connect(
     base_url: str,
     options: Options = DEFAULTS,
     cache: Path | None = None,
+    method: str | None = None,
 ) -> Endpoint:
-    """Check a server and say how it is to be asked; `cache` is the folder for finished calls.
+    """Check a server and say how it is to be asked; `cache` is the folder for finished calls, and `method` the one that
+    is to ask it (None: any): what it does not need may be lacking.
 
     The convention is the one declared for the model, with what `calibrate` found where the store holds that. Raises
     EndpointError in one line where a check fails, or where the store's calibration is of another way of asking.
@@ -65,7 +67,7 @@ def connect(
     found = None if store is None else read_calibration(store, model)
     convention = declared if found is None else found.convention(declared)
     client = Client(base_url, model, options, convention=convention, cache=cache)
-    warnings = require(preflight(client))
+    warnings = require(preflight(client), method)
     served = client.served[0]
     if store is not None and found is not None:
         asked = (options.response_format, options.thinking, served)

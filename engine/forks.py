@@ -13,13 +13,14 @@ import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.queries.handle import Graph
+from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.rules import FPS, Rules, frames
 
 from . import relations
 from .candidates import AMBIGUOUS, DIFFERENT, EMPTY, OUTSIDE, SAME, UNKNOWN, Codes, Perturbed, ask, ints
 from .joins import Joins, count
 from .paths import Paths, placed
-from .scene import NOBODY, Bools, Ints, Scene
+from .scene import NOBODY, Ints, Scene
 
 
 def find_forks(graph: Graph, joins: Joins, rules: Rules) -> pa.Table:

@@ -16,14 +16,15 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.schema.panorama import Floats, clockwise
+from jrdb_avr.schema.arrays import Bools, Floats
+from jrdb_avr.schema.panorama import clockwise
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.vocabulary import WINDOW_DEGREES, WINDOWS_LEFT, WINDOWS_RIGHT
 from jrdb_avr.schema.wording import RELATIONS_OF
 
 from .conditions import Conditions, Words, packed
 from .relations import EMPTY, KIND, RELATIONS, ROBOT_VIEW, SEVERAL, UNKNOWN, Facts
-from .scene import NOBODY, Bools, Ints, Scene
+from .scene import NOBODY, Ints, Scene
 
 JOINING: Final = np.array([RELATIONS.index(label) for label in RELATIONS_OF["join"]], np.int64)
 """Relations that may hold of several people, as indices into RELATIONS."""

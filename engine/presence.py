@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.queries.handle import Graph
+from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.rules import FPS, Rules, frames
 from jrdb_avr.schema.vocabulary import PRESENCE_ANSWERS
 
@@ -34,7 +35,7 @@ from .candidates import (
     ints,
     proven_rules,
 )
-from .scene import NOBODY, Bools, Ints, Scene
+from .scene import NOBODY, Ints, Scene
 from .templates import Template
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.schema.panorama import Floats
+from jrdb_avr.schema.arrays import Floats
 from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.wording import stated_actions
 

@@ -17,12 +17,12 @@ from typing import Any, Final
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from jrdb_avr.queries.store import Store, write_atomic, write_table
 from jrdb_avr.schema.answers import Choice, encode_answer
+from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, rules_hash
@@ -37,7 +37,6 @@ EVIDENCE_BLOCK: Final = 500
 
 _EVIDENCE: Final = ["frame", "x", "y", "w", "h"]
 
-Ints = npt.NDArray[np.int64]
 
 GENERATION_KEY: Final = "generation"
 """Metadata key of the mark that the tables of one generation share."""

@@ -15,6 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.vocabulary import (
     DISTANCE_BOUNDS_M,
     DISTANCE_WORDS,
@@ -31,7 +32,7 @@ from jrdb_avr.schema.vocabulary import (
 )
 from jrdb_avr.schema.wording import poses_of
 
-from .scene import NOBODY, NOWHERE, Bools, Ints, Scene, coded, spread
+from .scene import NOBODY, NOWHERE, Ints, Scene, coded, spread
 
 _WORDS_WITHIN: Final = DISTANCE_WORDS[: 1 + sum(bound < 5.0 for bound in DISTANCE_BOUNDS_M)]
 PERSON_FRAME: Final = tuple(person_frame_label(sector, word) for sector in PERSON_SECTORS for word in _WORDS_WITHIN)

@@ -33,7 +33,7 @@ import pyarrow.compute as pc
 
 from jrdb_avr.queries.handle import Graph
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.panorama import Floats
+from jrdb_avr.schema.arrays import Bools, Floats
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, frames
 from jrdb_avr.schema.things import OBJECTS
 from jrdb_avr.schema.vocabulary import ACTIONS, POSES
@@ -43,7 +43,6 @@ from . import views
 Ints = npt.NDArray[np.integer[Any]]
 """Whole numbers: 64 bits wide, but for the columns of candidates that are millions."""
 
-Bools = npt.NDArray[np.bool_]
 
 NOWHERE: Final = (-1, -2, -3)
 """Ids of the moments that stand for nobody: none could match, several certainly do, it cannot be told."""

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.queries.handle import Graph
-from jrdb_avr.schema.panorama import Floats
+from jrdb_avr.schema.arrays import Bools, Floats
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.vocabulary import SAME_GROUP
 
@@ -36,7 +36,7 @@ from .joins import Joins, find_joins
 from .paths import Paths, hop_proofs, in_blocks, paths_in_graph, program_proofs
 from .presence import find_presence
 from .relations import RELATIONS, STATED_POSES, Facts, find_steps
-from .scene import NOBODY, Bools, Ints, Scene, coded, scene_graph
+from .scene import NOBODY, Ints, Scene, coded, scene_graph
 from .templates import Template
 
 TIMES = ("t0", "t1", "t2")

@@ -16,10 +16,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.rules import Rules, frames
 from jrdb_avr.schema.wording import FAMILIES
 
-from .balance import Ints, Order, joined, ordered
+from .balance import Order, joined, ordered
 
 CANDIDATE_COLUMNS: Final = (
     "sequence",

@@ -20,6 +20,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.rules import Rules, frames
 from jrdb_avr.schema.tables import CANDIDATES, QUESTIONS
@@ -31,7 +32,7 @@ from .proofs import make_record, needed_boxes, proof
 from .proven import BLOCK, candidate_table, frame_lists, with_selection_columns
 from .rederive import Annotations, rederive
 from .relations import Steps, find_facts, find_steps
-from .scene import Bools, Ints, Scene, load_scene
+from .scene import Ints, Scene, load_scene
 from .search import find_candidates, search_graph
 from .selection import near_duplicates
 from .templates import TEMPLATES, Template, by_name

@@ -10,7 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from jrdb_avr.schema.panorama import CROP, WIDTH, Floats, crop_left
+from jrdb_avr.schema.arrays import Floats
+from jrdb_avr.schema.panorama import CROP, WIDTH, crop_left
 
 AHEAD_DEG: Final = 180.0
 """Angle of the view straight ahead, where somebody looks who does not turn."""

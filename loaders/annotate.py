@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import ANNOTATIONS, LAYERS
 
@@ -36,8 +36,6 @@ from .social import load_social
 from .ties import absent_partners
 from .timestamps import frame_rate, load_timestamps
 from .votes import disagreements
-
-Ints = npt.NDArray[np.int64]
 
 READERS: Final[dict[str, Callable[[Path, str, Problems], Reading]]] = {
     "2d": load_2d,

@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
+from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.panorama import clockwise
 from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules
 from jrdb_avr.schema.tables import INTERVALS
@@ -31,10 +31,6 @@ from .runs import find_runs, span_columns
 from .scene_people import Boxes, Located, wrap
 from .timeline import Timeline
 from .words import SLACK, distance_word, person_sector
-
-Ints = npt.NDArray[np.int64]
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
 
 BLOCK: Final = 1_000_000
 """Pairs of people looked at in one go."""

@@ -18,11 +18,12 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.tables import ANNOTATIONS
 from jrdb_avr.schema.vocabulary import ACTIONS, IMPOSSIBLE, OCCLUSIONS, normal_action
 
 from . import fields
-from .columns import Bools, Distinct, Ints, Refusals, constant, distinct_of, encoded, known_frames
+from .columns import Distinct, Refusals, constant, distinct_of, encoded, known_frames
 from .expand import Decoded, Issue, Value, coded, expand, facts_table, label_pairs
 from .gather import Columns, People, gather, keep_people, numbered
 from .labelfile import RecordReader

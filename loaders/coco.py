@@ -19,10 +19,11 @@ from typing import Annotated, Final, Generic, TypeVar
 import msgspec
 import numpy as np
 
+from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.errors import InputError
 
 from . import fields
-from .columns import Bools, Ints, Refusals
+from .columns import Refusals
 from .jsonscan import MalformedError, elements, end_of_text, members
 from .keys import WrittenKeys
 from .labelfile import BROKEN, MAX_RECORDS, SCAN_FROM, RecordReader, key_text, read_file

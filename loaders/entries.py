@@ -21,11 +21,12 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
+from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.social import plain
 from jrdb_avr.schema.vocabulary import IMPOSSIBLE
 
 from . import fields
-from .columns import Bools, Distinct, Ints, Refusals, ragged
+from .columns import Distinct, Refusals, ragged
 from .expand import Decoded, Issue, Value, bounded, coded, count_issues, expand, label_pairs
 from .gather import Columns, People, numbered
 from .jsonscan import MalformedError, elements, members

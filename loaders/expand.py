@@ -15,11 +15,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import ANNOTATIONS
 
 from . import fields
-from .columns import Bools, Distinct, Ints, Refusals, constant, encoded, ragged
+from .columns import Distinct, Refusals, constant, encoded, ragged
 from .problems import shorten
 
 MAX_FACTS: Final = 2_000_000

@@ -15,9 +15,10 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.errors import InputError
 
-from .columns import Bools, Distinct, Ints, Refusals, first_of_equal, person_keys
+from .columns import Distinct, Refusals, first_of_equal, person_keys
 from .labelfile import Frame, RecordReader, read_frames
 from .problems import Problems
 from .records import BAD, OTHER, track_codes

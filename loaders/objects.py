@@ -10,10 +10,11 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.tables import INTERVALS
 from jrdb_avr.schema.things import PERSON_CATEGORIES
 
-from .columns import TRACK_BITS, Bools, Ints, constant, distinct_of, nullable
+from .columns import TRACK_BITS, constant, distinct_of, nullable
 
 
 def objects_table(sequence: str, panoptic: pa.Table, categories: pa.Table, handles: pa.Table) -> pa.Table:

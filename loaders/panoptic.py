@@ -16,15 +16,15 @@ from typing import Any, Final
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
+from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.tables import ANNOTATIONS
 
 from . import fields
 from .categories import MAX_CATEGORY, categories_table, read_categories
 from .coco import ListReader, Number, crowded, known_images, open_coco, place_of, read_images, repaired_number
-from .columns import Bools, Ints, Refusals, constant, known_frames, mask_of, nullable
+from .columns import Refusals, constant, known_frames, mask_of, nullable
 from .keys import WrittenKeys
 from .problems import Problems
 from .reading import Reading
@@ -34,7 +34,6 @@ MAX_SEGMENTATION: Final = 1 << 20
 """Bytes of a mask that is kept; one of every second pixel of the panorama takes about as much."""
 NO_TRACK: Final = -1
 
-Floats = npt.NDArray[np.float64]
 Box = tuple[float, float, float, float]
 _MaybeNumber = Number | None | msgspec.UnsetType
 _NOTHING: Final = msgspec.Raw(b"")

@@ -14,14 +14,14 @@ from typing import Any, Final
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
+from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.tables import ANNOTATIONS
 
 from . import fields
 from .coco import ListReader, Number, crowded, known_images, open_coco, place_of, read_images, repaired_number
-from .columns import Bools, Ints, Refusals, constant, first_of_equal, known_frames, mask_of, person_keys
+from .columns import Refusals, constant, first_of_equal, known_frames, mask_of, person_keys
 from .problems import Problems
 from .reading import Reading
 from .records import record_parts
@@ -30,7 +30,6 @@ POINTS: Final = 17
 VALUES: Final = 3 * POINTS
 """x, y and visibility of each point."""
 
-Floats = npt.NDArray[np.float64]
 _ABSENT: Final = (b"", b"null")
 
 

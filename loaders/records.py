@@ -7,8 +7,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from jrdb_avr.schema.arrays import Ints
+
 from . import fields
-from .columns import Ints
 from .jsonscan import MalformedError, members
 from .problems import Problems, shorten
 

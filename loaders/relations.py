@@ -21,6 +21,7 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
+from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.social import (
     DEMOGRAPHICS,
     GROUP_INFO,
@@ -35,7 +36,7 @@ from jrdb_avr.schema.vocabulary import INTERACTIONS
 
 from . import fields
 from .boxes2d import SUFFIXES, box_faults, frames_of, take_boxes
-from .columns import Bools, Distinct, Refusals, constant, encoded
+from .columns import Distinct, Refusals, constant, encoded
 from .entries import (
     MAX_ENTRIES,
     Entry,

@@ -12,15 +12,13 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import INTERVALS
 
 from .columns import constant, nullable, texts
 from .scene_people import UNREADABLE, Groups, Labels
 from .timeline import Timeline
-
-Ints = npt.NDArray[np.int64]
-Bools = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

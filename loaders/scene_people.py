@@ -12,19 +12,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.panorama import HEIGHT, center_angle
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.vocabulary import CLEAR_OCCLUSIONS, POSES
 
 from .columns import person_keys, ranked
-
-Ints = npt.NDArray[np.int64]
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
 
 HARD = 3
 UNREADABLE = 9

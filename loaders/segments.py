@@ -13,9 +13,9 @@ from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
+from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules, frames
 from jrdb_avr.schema.tables import INTERVALS
 
@@ -24,9 +24,6 @@ from .runs import Runs
 from .scene_people import Boxes, Labels
 from .sightings import certain_pose
 from .timeline import Grid, Timeline
-
-Ints = npt.NDArray[np.int64]
-Bools = npt.NDArray[np.bool_]
 
 HALF_STEP = KEYFRAME_STEP // 2
 """At one frame per second the truth lies up to half a step outside [first, last]."""

@@ -20,15 +20,12 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.panorama import WIDTH, angle_of_azimuth, column_of_angle
 
 from .columns import person_keys
 from .reading import Reading
 from .report import ShiftCheck
-
-Ints = npt.NDArray[np.int64]
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
 
 TRIED: Final = (0, 1, -1, 2, -2)
 MAX_GAP: Final = 15

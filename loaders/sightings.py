@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import INTERVALS
 from jrdb_avr.schema.vocabulary import DISTANCE_WORDS, ROBOT_SECTORS
@@ -18,8 +19,6 @@ from .scene_people import Boxes, Faces, Groups, Labels, Located, rows_of
 from .timeline import Timeline
 from .words import distance_word, robot_sector
 
-Ints = npt.NDArray[np.int64]
-Bools = npt.NDArray[np.bool_]
 N = TypeVar("N", bound=np.generic)
 
 

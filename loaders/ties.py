@@ -7,10 +7,10 @@ interaction said in one direction holds in both. Only people with a 2D box in th
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import INTERVALS
 from jrdb_avr.schema.things import PERSON_CATEGORIES
@@ -19,9 +19,6 @@ from .columns import constant, person_keys, ranked, texts
 from .runs import Runs, find_runs, span_columns
 from .scene_people import HARD, UNREADABLE, Boxes, rows_of
 from .timeline import Timeline
-
-Ints = npt.NDArray[np.int64]
-Bools = npt.NDArray[np.bool_]
 
 
 def interactions_table(line: Timeline, table: pa.Table, boxes: Boxes, rules: LoadRules) -> pa.Table:

@@ -5,18 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP
 from jrdb_avr.schema.tables import INTERVALS, LAYERS
 
 from .columns import constant
-
-Ints = npt.NDArray[np.int64]
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

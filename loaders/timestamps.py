@@ -19,11 +19,12 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
+from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import ANNOTATIONS
 
 from . import fields
-from .columns import Ints, constant
+from .columns import constant
 from .jsonscan import MalformedError, elements, end_of_text, members
 from .labelfile import read_file
 from .problems import Problems

@@ -11,18 +11,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.tables import INTERVALS
 
 from .columns import constant, distinct_of, person_keys, ranked, texts
 from .report import Disagreement
 from .scene_people import HARD, UNREADABLE, Groups, read_groups, rows_of
-
-Ints = npt.NDArray[np.int64]
-Bools = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,10 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from jrdb_avr.schema.arrays import Floats, Ints
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.vocabulary import DISTANCE_BOUNDS_M, PERSON_SECTORS, ROBOT_SECTORS
-
-Ints = npt.NDArray[np.int64]
-Floats = npt.NDArray[np.float64]
 
 SLACK: Final = 1e-9
 

@@ -15,9 +15,9 @@ import math
 from typing import Final, NamedTuple, TypeVar, cast
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from .arrays import Floats
+
 F = TypeVar("F", float, Floats)
 
 WIDTH: Final = 3760

@@ -9,12 +9,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.vocabulary import INTERACTIONS, POSES
 
 from .script import ACTION, POSE, Party, Rng, Script
-
-Bools = npt.NDArray[np.bool_]
-Ints = npt.NDArray[np.int64]
 
 LABEL: Final = {name: i for i, name in enumerate(INTERACTIONS)}
 

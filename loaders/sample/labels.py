@@ -12,16 +12,13 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.panorama import WIDTH
 from jrdb_avr.schema.vocabulary import OCCLUSIONS, OTHER_ACTIONS, POSES
 
 from .script import NONE, POSE
 from .world import FLOOR, World, rng_of
-
-Bools = npt.NDArray[np.bool_]
-Ints = npt.NDArray[np.int64]
 
 HARD: Final = 3
 NOBODY: Final = 9000

@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from jrdb_avr.schema.arrays import Floats, Ints
 from jrdb_avr.schema.rules import FPS
 from jrdb_avr.schema.vocabulary import POSES
 
 from .script import POSE, SPEED, Rng, Script
-
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
 
 LEAST_DISTANCE = 1.7
 """Metres: nobody comes nearer to the robot."""

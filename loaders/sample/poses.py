@@ -7,15 +7,13 @@ from typing import Any, Final
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 
+from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.panorama import HEIGHT, WIDTH
 
 from .labels import annotated, occlusion, spans
 from .skeleton import JOINTS, L_EYE, LEFT_SIDE, R_EYE, RIGHT_SIDE
 from .world import World, rng_of, turned
-
-Ints = npt.NDArray[np.int64]
 
 _EDGES: Final = (
     *((1, 2), (0, 4), (3, 4), (8, 10), (5, 7), (10, 13), (14, 16), (4, 5)),

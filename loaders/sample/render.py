@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from jrdb_avr.schema.arrays import Bools, Floats
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.marks import ALONE, HEADING_STEP, MAX_DISTANCE_DM, MAX_GROUP, Mark, draw
 from jrdb_avr.schema.panorama import FOCAL_ROWS, WIDTH, Box, row_of_height
@@ -30,8 +31,6 @@ from .things import BELOW, at_tick
 from .world import FARTHEST, FLOOR, World, body_rows, rng_of, turned
 
 Image = npt.NDArray[np.uint8]
-Bools = npt.NDArray[np.bool_]
-Floats = npt.NDArray[np.float64]
 
 QUALITY: Final = 92
 """JPEG quality of the panoramas."""

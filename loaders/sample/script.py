@@ -10,12 +10,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.vocabulary import AGES, GENDERS, OTHER_ACTIONS, POSES
 
-Ints = npt.NDArray[np.int64]
-Bools = npt.NDArray[np.bool_]
 Rng = np.random.Generator
 
 POSE: Final = {name: i for i, name in enumerate(POSES)}

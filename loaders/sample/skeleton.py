@@ -9,12 +9,9 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from jrdb_avr.schema.arrays import Floats, Ints
 from jrdb_avr.schema.vocabulary import OTHER_ACTIONS, POSES
-
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
 
 JOINTS: Final = (
     "head",

@@ -9,17 +9,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.things import OBJECTS, VERBS
 
 from .bonds import runs_of
 from .motion import Motion
 from .script import ACTION, POSE, Party, Rng, Script
-
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
-Bools = npt.NDArray[np.bool_]
 
 NOBODY: Final = -1
 RIGHT_HAND, LEFT_HAND, BELOW = range(3)

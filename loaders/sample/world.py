@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.panorama import HEIGHT, WIDTH, row_of_height
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 from jrdb_avr.schema.vocabulary import POSES
@@ -22,10 +23,6 @@ from .motion import Motion, move, to_robot
 from .script import Party, Person, Rng, write_script
 from .skeleton import joints
 from .things import SIZES, Things, things_of
-
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
-Bools = npt.NDArray[np.bool_]
 
 FLOOR: Final = -0.76
 """Height of the floor in the rig's frame, metres."""

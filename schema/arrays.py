@@ -1,0 +1,10 @@
+"""Types of numpy arrays, as signatures all over the package name them; docstrings give their shapes."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Ints = npt.NDArray[np.int64]
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
