@@ -21,7 +21,7 @@ import hashlib
 import os
 import re
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -150,16 +150,16 @@ class Store:
     def annotation(self, layer: str, sequence: str) -> pa.Table:
         return read_table(self.annotation_path(layer, sequence))
 
-    def interval(self, kind: str, sequence: str) -> pa.Table:
-        return read_table(self.interval_path(kind, sequence))
+    def interval(self, kind: str, sequence: str, columns: Sequence[str] | None = None) -> pa.Table:
+        return read_table(self.interval_path(kind, sequence), columns)
 
-    def questions(self, name: str) -> pa.Table:
+    def questions(self, name: str, columns: Sequence[str] | None = None) -> pa.Table:
         """A question file. Raises StoreError where there is none yet, or nothing is loaded at all."""
         path = self.question_path(name)
         if not path.exists():
             self.manifest()  # A folder that is no store lacks more than questions.
             raise StoreError(f"{self.path} has no questions yet: run 'jrdb-avr generate --store {self.path}'")
-        return read_table(path)
+        return read_table(path, columns)
 
     # -- the manifest -----------------------------------------------------------------------------------------
 
@@ -264,10 +264,14 @@ def _written(schema: pa.Schema) -> dict[str, Any]:
     }
 
 
-def read_table(path: Path) -> pa.Table:
-    """Read a Parquet table. Raises StoreError naming the file if it is missing or broken."""
+def read_table(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
+    """Read a Parquet table, or some of its columns. Raises StoreError naming the file if it is missing or broken."""
     try:
-        return pq.ParquetFile(path).read()
+        file = pq.ParquetFile(path)
+        # Of the columns asked for, the reader would leave out silently what the file does not have.
+        if lacking := set(columns or ()) - set(file.schema_arrow.names):
+            raise pa.ArrowKeyError(f"it lacks the column {min(lacking)}")
+        return file.read(columns)
     except (OSError, pa.ArrowException) as error:
         reason = str(error).splitlines()[0]
         raise StoreError(f"cannot read {path}: {reason}; run the step that writes it again") from None

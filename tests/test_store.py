@@ -132,6 +132,14 @@ def test_a_broken_parquet_file_is_one_error(tmp_path):
         read_table(path)
 
 
+def test_a_column_that_a_table_lacks_is_one_error(tmp_path):
+    path = tmp_path / "t.parquet"
+    write_table(path, TABLE, SCHEMA)
+    assert read_table(path, TABLE.column_names[:1]).column_names == TABLE.column_names[:1]
+    with pytest.raises(StoreError, match=r"t\.parquet: it lacks the column weight"):
+        read_table(path, ["weight"])
+
+
 def test_what_is_no_file_is_not_replaced(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(StoreError, match="no file"):
