@@ -7,6 +7,7 @@ shapes round it. Everything follows from a seed.
 
 from __future__ import annotations
 
+import functools
 import random
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,6 +34,7 @@ _COLORS: Final = {
     "purple": (125, 40, 145),
 }
 _GREY: Final = (105, 105, 105)
+_GRAIN: Final = 8
 _SIDE_PX: Final = (60, 180)
 _HEIGHT_PX: Final = (90, 300)
 _DISTRACTORS: Final = 5
@@ -51,6 +53,7 @@ class Drawn:
     color: str
 
 
+@functools.cache
 def corner_picture(corner: str) -> Picture:
     """A crop-sized picture with a marked rectangle in one of the `CORNERS`."""
     w, h, edge = 150, 190, 15
@@ -59,6 +62,24 @@ def corner_picture(corner: str) -> Picture:
     image = _plain(CROP, CROP)
     _marked(image, Box(x, y, w, h), "red", 0)
     return _picture(f"drawn {corner}", image)
+
+
+@functools.cache
+def plain_crop() -> Picture:
+    """A crop-sized picture that shows nothing."""
+    return _picture("drawn nothing", _plain(CROP, CROP))
+
+
+@functools.cache
+def drawn_panorama(shows: bool) -> Picture:
+    """A panorama of pixels that differ slightly, so that its file is as large as a real one's (650 kB); with a marked
+    rectangle or without.
+    """
+    grain = np.random.default_rng(0).integers(-_GRAIN, _GRAIN + 1, (HEIGHT, WIDTH, 1), dtype=np.int8)
+    image = (_plain(WIDTH, HEIGHT).astype(np.int16) + grain).astype(np.uint8)
+    if shows:
+        _marked(image, Box(1500, 130, 180, 240), "red", 0)
+    return _picture(f"drawn panorama {shows}", image)
 
 
 def drawn_rectangles(n: int, seed: int) -> list[Drawn]:

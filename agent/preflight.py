@@ -3,12 +3,14 @@
     text      the model replies with text, and the reply ends by itself
     schema    the response format that is declared is kept to
     picture   pictures are seen: where in four drawn pictures is the marked rectangle?
+    panoramas, crops, plan   the largest requests of the methods are taken, and all of their pictures seen (`demands`)
     thinking  replies hold thinking where it is declared on, and none where it is declared off
     finish    replies say why they ended: without that a reply that was cut off looks like any other
     tokens    tokens are counted (a warning: the run's counts would be 0)
     model     the model is named, and is the one asked for (a warning: the name is recorded)
 
-Every request is one user message. Whoever keeps to JSON schemas and reads `schema.marks` passes.
+Every request is one user message. Whoever keeps to JSON schemas and reads `schema.marks` passes. What only
+some methods need is no reason to refuse a run of another.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from jrdb_avr.schema.errors import DecodeError, EndpointError
 
 from .client import Client
 from .decode import closed_object, reply_object
+from .demands import Demand, demands
 from .drawn import CORNERS, corner_picture
 from .messages import Message, Part
 from .prompt import render
@@ -38,15 +41,22 @@ SEEN_CORNERS: Final = 3
 and one right."""
 
 
+_PICTURE_REMEDY: Final = "let the server take so many pictures and so long a request (vLLM: --limit-mm-per-prompt)"
+_SCHEMA_REMEDY: Final = "use a server that keeps to such schemas, or declare --response-format json_object or none"
+
+
 @dataclass(frozen=True)
 class Check:
-    """One thing that was looked at. `needed`: a run is refused where it fails; else it is a warning."""
+    """One thing that was looked at. `needed`: a run is refused where it fails; else it is a warning. `methods`: those
+    that need it, all where there are none.
+    """
 
     name: str
     passed: bool
     seen: str
     remedy: str
     needed: bool = True
+    methods: tuple[str, ...] = ()
 
     @property
     def line(self) -> str:
@@ -55,14 +65,16 @@ class Check:
 
 
 def preflight(client: Client) -> list[Check]:
-    """Ask a server seven small things. Raises EndpointError where it does not answer at all."""
+    """Ask a server for small things and for the largest. Raises EndpointError where it does not answer at all."""
     return list(_checks(client))
 
 
-def require(checks: Sequence[Check]) -> list[str]:
-    """The warnings. Raises EndpointError in one line for the first needed check that failed."""
+def require(checks: Sequence[Check], method: str | None = None) -> list[str]:
+    """The warnings. Raises EndpointError in one line for the first needed check that failed, of those that `method`
+    needs (None: any).
+    """
     for check in checks:
-        if check.needed and not check.passed:
+        if check.needed and not check.passed and (method is None or not check.methods or method in check.methods):
             raise EndpointError(f"preflight: {check.line}")
     return [check.line for check in checks if not check.passed]
 
@@ -75,7 +87,12 @@ def _checks(client: Client) -> Iterator[Check]:
     if client.options.response_format == "json_schema" and isinstance(shaped, EndpointError):
         # Each picture would be refused for the same reason.
         return
-    yield _picture(client, [_asked(client, *_corner_request(corner)) for corner in CORNERS])
+    picture = _picture(client, [_asked(client, *_corner_request(corner)) for corner in CORNERS])
+    yield picture
+    for demand in demands():
+        # Where one picture is not seen, many are not; and a schema is only refused where it is sent.
+        if picture.passed if demand.senders else client.options.response_format == "json_schema":
+            yield _demand(client, demand)
     yield _thinking(client, text, shaped)
     yield Check(
         "finish",
@@ -136,6 +153,53 @@ def _schema(client: Client, reply: Reply | EndpointError) -> Check:
     return Check("schema", kept, f"{declared} is " + ("kept to" if kept else "ignored: another object came"), remedy)
 
 
+def _demand(client: Client, demand: Demand) -> Check:
+    strict = client.options.response_format == "json_schema"
+    what = demand.shown or demand.kept
+    for place in demand.places:
+        reply = _asked(client, _message(*demand.parts(place)), demand.schema)
+        if isinstance(reply, EndpointError):
+            return _refused(client, demand, reply)
+        try:
+            told = demand.told(reply_object(reply, client.convention))
+            fault = "another object came" if told is None else ""
+        except DecodeError as error:
+            told, fault = None, str(error)
+        if fault:
+            remedy = _without(
+                demand.keepers, _SCHEMA_REMEDY if strict else "use a model that replies in the form asked"
+            )
+            return Check(demand.name, False, f"{demand.kept} is not kept to ({fault})", remedy, strict, demand.keepers)
+        if told == place:
+            return Check(demand.name, True, f"{what}: taken" + (" and seen" if demand.senders else ""), "")
+    seen = f"of {demand.shown} the one with the marked rectangle was not found"
+    remedy = _without(demand.senders, "check that the server passes every picture on, and in its size")
+    # So many crops are no reason to refuse a run to a model that loses count: most questions need a few.
+    return Check(demand.name, False, seen, remedy, demand.name == "panoramas", demand.senders)
+
+
+def _refused(client: Client, demand: Demand, refusal: EndpointError) -> Check:
+    """Which of the two is refused: so many pictures, or the schema. Where either alone is taken, both are blamed."""
+    parts = demand.parts(demand.places[0])
+    strict, many = client.options.response_format == "json_schema", bool(demand.senders)
+    schema = strict and isinstance(_asked(client, _message(parts[0]), demand.schema), EndpointError)
+    pictures = many and isinstance(_asked(client, _message(*parts)), EndpointError)
+    if not (schema or pictures):
+        schema, pictures = strict, many
+    refused = [
+        *([(demand.shown, _PICTURE_REMEDY, demand.senders)] if pictures else ()),
+        *([(demand.kept, _SCHEMA_REMEDY, demand.keepers)] if schema else ()),
+    ]
+    what, remedies, methods = zip(*refused, strict=True)
+    hurt = tuple(dict.fromkeys(method for some in methods for method in some))
+    seen = f"{' and '.join(what)} refused ({refusal})"
+    return Check(demand.name, False, seen, _without(hurt, "; ".join(remedies)), True, hurt)
+
+
+def _without(methods: Sequence[str], remedy: str) -> str:
+    return f"{remedy}; else do without {', '.join(methods)}"
+
+
 def _corner_request(corner: str) -> tuple[list[Message], Mapping[str, Any]]:
     return _message(render("preflight_picture"), corner_picture(corner), CORNER_LINE), CORNER_SCHEMA
 
@@ -177,7 +241,9 @@ def _thinking(client: Client, text: Reply, shaped: Reply | EndpointError) -> Che
     return Check("thinking", thinks[-1], "declared on, " + ("and there" if thinks[-1] else "but not there"), remedy)
 
 
-def _asked(client: Client, messages: Sequence[Message], schema: Mapping[str, Any]) -> Reply | EndpointError:
+def _asked(
+    client: Client, messages: Sequence[Message], schema: Mapping[str, Any] | None = None
+) -> Reply | EndpointError:
     try:
         return client.ask(messages, schema)
     except EndpointError as error:

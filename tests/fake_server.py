@@ -8,6 +8,7 @@ script that passes every check of a server; tests spoil it in one way at a time.
 import base64
 import functools
 import json
+import re
 import threading
 import time
 from dataclasses import dataclass
@@ -195,8 +196,13 @@ def marked(request):
     return _marked(url)
 
 
-@functools.cache
 def _marked(url):
+    width, height, (box,) = _seen(url)
+    return width, height, box
+
+
+@functools.cache
+def _seen(url):
     import cv2
     import numpy as np
 
@@ -204,8 +210,12 @@ def _marked(url):
 
     data = np.frombuffer(base64.b64decode(url.partition(",")[2]), np.uint8)
     image = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB)
-    (found,) = read(image)
-    return image.shape[1], image.shape[0], tuple(found.box)
+    return image.shape[1], image.shape[0], [tuple(found.box) for found in read(image)]
+
+
+def showing(request):
+    """The number, from 1, of the first picture that shows a marked rectangle; 1 where none does, as a guess."""
+    return next((number for number, url in enumerate(images(request), 1) if _seen(url)[2]), 1)
 
 
 def corner_seen(request):
@@ -224,8 +234,19 @@ def seeing(request, n=0, model="fake"):
         shape = schema_of(request)
         (key,) = shape["required"] if shape else ("",)
         return completion(json.dumps({key: shape["properties"][key]["enum"][0]}) if shape else "Grey.", model=model)
-    if text.startswith("Reply with the JSON object"):
-        return completion('{"ready": true}', model=model)
+    if text.startswith("Reply with the JSON object "):
+        return completion(
+            text.removeprefix("Reply with the JSON object ").removesuffix(" and nothing else."), model=model
+        )
+    if text.endswith("The panorama's number, as one JSON object:"):
+        final = {"tool": "final_answer", "answer": showing(request), "entity": "p1"}
+        return completion(json.dumps({"calls": [final]}), model=model)
+    if text.endswith("The picture's frame, as one JSON object:"):
+        frames = re.findall(r'^Picture \d+: {"frame_id": "(\d{6})"}$', text, re.MULTILINE)
+        frame = frames[showing(request) - 1]
+        return completion(json.dumps({"action": "observe", "frame_id": frame, "angle_deg": 180}), model=model)
+    if text.startswith("Question: Which "):
+        return completion("{}", model=model)
     if text.endswith("The corner, as one JSON object:"):
         return completion(corner_seen(request), model=model)
     return None

@@ -32,7 +32,6 @@ def drawn_once():
     """The pictures are a function of number and seed, and dear to draw."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("jrdb_avr.agent.calibrate.drawn_rectangles", functools.cache(drawn_rectangles))
-        patch.setattr("jrdb_avr.agent.preflight.corner_picture", functools.cache(corner_picture))
         yield
 
 

@@ -1,7 +1,6 @@
 """Preflight: a server is spoiled in one way at a time, and the one check that is about it fails, with a remedy."""
 
 import contextlib
-import functools
 import json
 import threading
 
@@ -11,23 +10,17 @@ from fake_server import FakeServer, Status, completion, images, schema_of, seein
 
 from jrdb_avr.agent.client import Client
 from jrdb_avr.agent.conventions import convention_of
-from jrdb_avr.agent.drawn import corner_picture
+from jrdb_avr.agent.demands import AGENTS, CROPS, FIXED_CONTEXT, LOOKING, PLANNING, demands
 from jrdb_avr.agent.marker.knobs import Knobs
 from jrdb_avr.agent.marker.server import Server
 from jrdb_avr.agent.options import Options
+from jrdb_avr.agent.panoramas import PANORAMAS
 from jrdb_avr.agent.preflight import preflight, require
 from jrdb_avr.engine.cli import group
+from jrdb_avr.engine.methods import METHODS
 from jrdb_avr.schema.errors import EndpointError
 
-
-@pytest.fixture(scope="module", autouse=True)
-def drawn_once():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("jrdb_avr.agent.preflight.corner_picture", functools.cache(corner_picture))
-        yield
-
-
-NAMES = ["text", "schema", "picture", "thinking", "finish", "tokens", "model"]
+NAMES = ["text", "schema", "picture", "panoramas", "crops", "plan", "thinking", "finish", "tokens", "model"]
 
 
 def checks(script, model="fake", **options):
@@ -54,12 +47,14 @@ def said(text, **message):
 @pytest.mark.parametrize("response_format", ["json_schema", "json_object", "none"])
 def test_a_sound_server_passes(response_format):
     found, server = checks(seeing, response_format=response_format)
-    assert list(found) == NAMES
+    strict = response_format == "json_schema"
+    assert list(found) == [name for name in NAMES if strict or name != "plan"]
     assert failed(found) == []
     assert require(list(found.values())) == []
-    assert len(server.requests) == 6
-    assert sum(len(images(request)) for request in server.requests) == 4
-    assert sum("response_format" in request for request in server.requests) == (0 if response_format == "none" else 5)
+    assert len(server.requests) == 9 - (not strict)
+    assert [len(images(request)) for request in server.requests[2:8]] == [1, 1, 1, 1, PANORAMAS, CROPS]
+    formats = sum("response_format" in request for request in server.requests)
+    assert formats == {"json_schema": 8, "json_object": 7, "none": 0}[response_format]
 
 
 def is_picture(request):
@@ -243,6 +238,120 @@ def test_junk_for_a_corner_is_a_wrong_one(corner):
 def test_a_server_that_does_not_answer():
     with pytest.raises(EndpointError, match=r"HTTP 500"):
         checks(lambda request, n: Status(500))
+
+
+# -- the largest requests of the methods ------------------------------------------------------------------------------
+
+
+def takes(most):
+    """Refuses more pictures than so many in one request, as vLLM does."""
+    no = Status(400, f"At most {most} image(s) may be provided in one request.")
+    return lambda request, n: no if len(images(request)) > most else seeing(request)
+
+
+def takes_bytes(most):
+    """Behind a proxy that bounds requests."""
+    no = Status(413, "Request Entity Too Large")
+    return lambda request, n: no if len(json.dumps(request)) > most else seeing(request)
+
+
+def refuses(*words):
+    """Schemas that hold one of these words anywhere."""
+
+    def script(request, n):
+        sent = json.dumps(request.get("response_format"))
+        return Status(400, "schema not supported") if any(f'"{word}"' in sent for word in words) else seeing(request)
+
+    return script
+
+
+def plain_roots(request, n):
+    shape = schema_of(request)
+    return Status(400, "root must be an object") if shape and shape.get("type") != "object" else seeing(request)
+
+
+def passing_on(kept):
+    """Pictures beyond those of the places `kept` are dropped on the way, without a word."""
+
+    def script(request, n):
+        messages = []
+        for message in request["messages"]:
+            parts = message["content"]
+            if not isinstance(parts, str):
+                shown = [part for part in parts if part["type"] == "image_url"]
+                parts = [part for part in parts if part["type"] == "text" or any(part is one for one in shown[kept])]
+            messages.append({**message, "content": parts})
+        return seeing({**request, "messages": messages})
+
+    return script
+
+
+def dull(request, n):
+    """Another object, whatever the schema."""
+    return completion('{"answer": 5}') if '"anyOf"' in json.dumps(request) else seeing(request)
+
+
+@pytest.mark.parametrize(
+    ("script", "refused", "methods"),
+    [
+        (takes(1), ["panoramas", "crops"], METHODS),
+        (takes(PANORAMAS - 1), ["panoramas", "crops"], METHODS),
+        (takes(PANORAMAS), ["crops"], LOOKING),
+        (takes(CROPS - 1), ["crops"], LOOKING),
+        (takes_bytes(1 << 20), ["panoramas"], FIXED_CONTEXT),
+        (refuses("anyOf"), ["panoramas", "crops", "plan"], {*AGENTS, "react"}),
+        (refuses("$ref"), ["plan"], PLANNING),
+        (plain_roots, ["crops", "plan"], {*PLANNING, "react"}),
+        (passing_on(slice(1)), ["panoramas"], FIXED_CONTEXT),
+        (passing_on(slice(-1, None)), ["panoramas"], FIXED_CONTEXT),
+        (dull, ["panoramas", "crops", "plan"], {*AGENTS, "react"}),
+    ],
+)
+def test_a_server_that_the_largest_requests_are_too_much_for(script, refused, methods):
+    """It is refused in one line that names the methods that would suffer, and a run of any other is not."""
+    found, _ = checks(script)
+    checked = list(found.values())
+    assert [name for name in failed(found) if found[name].needed] == refused
+    suffering = {method for name in refused for method in found[name].methods}
+    assert suffering == set(methods)
+    for method in METHODS:
+        if method not in suffering:
+            assert require(checked, method)
+            continue
+        with pytest.raises(EndpointError) as caught:
+            require(checked, method)
+        line = str(caught.value)
+        assert line.startswith(f"preflight: {next(name for name in refused if method in found[name].methods)}: ")
+        assert "\n" not in line and "do without " in line
+        assert method in line.rpartition("do without ")[2].split(", ")
+    with pytest.raises(EndpointError):
+        require(checked)
+
+
+def test_a_server_that_takes_just_as_much_as_is_sent():
+    found, _ = checks(takes(CROPS))
+    assert failed(found) == []
+
+
+def test_a_model_that_finds_the_rectangle_at_the_second_try():
+    found, _ = checks(passing_on(slice(4)))
+    assert failed(found) == ["crops"]
+    (warning,) = require(list(found.values()))
+    assert warning.startswith("crops: of 24 crops in one request the one with the marked rectangle was not found")
+
+
+def test_a_server_without_schemas_is_not_blamed_for_them():
+    found, _ = checks(takes(1), response_format="none")
+    assert found["panoramas"].methods == FIXED_CONTEXT
+    assert found["crops"].methods == LOOKING
+    found, _ = checks(dull, response_format="none")
+    assert failed(found) == []
+
+
+def test_every_method_has_its_largest_request_tried():
+    senders = [method for demand in demands() for method in demand.senders]
+    assert sorted(senders) == sorted(METHODS)
+    assert {method for demand in demands() for method in demand.keepers} == {*AGENTS, "react"}
 
 
 # -- the command ------------------------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from jrdb_avr.schema.errors import DecodeError
 
 from ..boxes import write_box
 from ..calibrate import BOX_LINE
+from ..demands import CROP_LINE, PANORAMA_LINE
 from ..preflight import CORNER_LINE
 from .reading import Picture, Reader, lines_of, uri_of, user_parts
 
@@ -37,10 +38,16 @@ def talk(messages: Sequence[Mapping[str, Any]], response_format: object, reader:
             return _json({"corner": _corner(_picture(parts, reader))})
         case (last,) if last == BOX_LINE:
             return _json({"evidence_bboxes": [_box("\n".join(lines), _picture(parts, reader))]})
+        case (last,) if last == PANORAMA_LINE:
+            number, _ = _marked(parts, reader)
+            return _json({"calls": [{"tool": "final_answer", "answer": number, "entity": "p1"}]})
+        case (last,) if last == CROP_LINE:
+            return _json({"action": "observe", "frame_id": _frame(_marked(parts, reader)[1]), "angle_deg": 180})
+    if asked := _OBJECT.search("\n".join(lines)):
+        return asked[1]
     if (schema := _schema(response_format)) is not None:
         return _json(instance(schema))
-    text = "\n".join(lines)
-    asked = _WORD.search(text) or _OBJECT.search(text)
+    asked = _WORD.search("\n".join(lines))
     return asked[1] if asked else _json({"ok": True})
 
 
@@ -57,6 +64,15 @@ def _picture(parts: Sequence[Mapping[str, Any]], reader: Reader) -> Picture:
     return picture
 
 
+def _marked(parts: Sequence[Mapping[str, Any]], reader: Reader) -> tuple[int, str]:
+    """Of the first picture that shows a mark: its number, from 1, and the text before it. Raises DecodeError."""
+    images = [place for place, part in enumerate(parts) if part.get("type") == "image_url"]
+    for number, place in enumerate(images, 1):
+        if reader.picture(uri_of(parts[place]), wrap=False).readings:
+            return number, str(parts[place - 1].get("text", "")) if place else ""
+    raise DecodeError("none of the pictures shows a mark")
+
+
 def _corner(picture: Picture) -> str:
     box = picture.readings[0].box
     down = "upper" if box.y + box.h / 2 < picture.height / 2 else "lower"
@@ -65,10 +81,14 @@ def _corner(picture: Picture) -> str:
 
 
 def _box(text: str, picture: Picture) -> dict[str, Any]:
+    return {"frame_id": _frame(text), "bbox": write_box(picture.readings[0].box, picture.width, picture.height)}
+
+
+def _frame(text: str) -> str:
     frame = _FRAME.search(text)
     if frame is None:
         raise DecodeError("the request does not name its picture's frame")
-    return {"frame_id": frame[1], "bbox": write_box(picture.readings[0].box, picture.width, picture.height)}
+    return frame[1]
 
 
 def _schema(response_format: object) -> Mapping[Any, Any] | None:
