@@ -3,6 +3,7 @@
 import json
 import re
 import time
+from types import SimpleNamespace
 
 import pytest
 from browser import browser, complaints
@@ -12,6 +13,7 @@ from jrdb_avr.engine.pages.answers import readable
 from jrdb_avr.engine.pages.charts import intervals, scatter, stacked, tags
 from jrdb_avr.engine.pages.diagrams import plan_graph, runs_of, timeline, wrapped
 from jrdb_avr.engine.pages.page import render
+from jrdb_avr.engine.pages.report_page import crossed, told_apart
 from jrdb_avr.engine.reviews import read_reviews
 from jrdb_avr.schema.plan import parse_plan
 
@@ -58,7 +60,7 @@ def test_the_report_shows_its_tables_and_nothing_else_runs(opened, report):
     assert driver.title == "JRDB-AVR report"
     assert not shown(driver, "img")
     assert [row.text.split()[0] for row in shown(driver, "h2 + .scroll tbody tr")][:1] == ["r"]
-    assert len(shown(driver, "svg .answer circle")) == 1
+    assert len(shown(driver, ".intervals .answer circle")) == 1
     assert "right person, loose box" in driver.find_element("tag name", "main").text
 
 
@@ -293,15 +295,53 @@ def test_stretches_and_lines():
 
 def test_charts_are_to_scale():
     rows = [{"run": "r", "answer": 50.0, "answer_low": 0.0, "answer_high": 100.0, "evidence": 10.0, "combined": 5.0}]
-    whisker = intervals(rows).groups[0].whiskers[0]
-    ticks = {text: x for x, text in intervals(rows).ticks}
-    assert (whisker.low, whisker.high) == (ticks["0"], ticks["100"])
-    assert whisker.x == pytest.approx((whisker.low + whisker.high) / 2)
+    (group,) = intervals(rows)
+    assert [(w.kind, w.x, w.low, w.high) for w in group.whiskers] == [
+        ("answer", 50.0, 0.0, 100.0),
+        ("evidence", 10.0, 10.0, 10.0),
+        ("combined", 5.0, 5.0, 5.0),
+    ]
     dots = scatter([rows[0], rows[0] | {"run": "s", "evidence": 11.0}, rows[0] | {"answer": 90.0}, {"run": "none"}])
     assert dots[1].y < dots[0].y and dots[0].x == dots[1].x < dots[2].x
     parts = stacked([("a", 3), ("b", 0), ("c", 1)], 8)
     assert [(part.name, part.x, part.width) for part in parts] == [("a", 0.0, 37.5), ("c", 37.5, 12.5)]
     assert stacked([("a", 0)], 0) == ()
+
+
+def judged(name, **settings):
+    manifest = SimpleNamespace(run_id=name, method="m", model="x", settings=settings)
+    return SimpleNamespace(manifest=manifest)
+
+
+def test_runs_of_a_model_are_told_apart_by_their_settings():
+    noise = {"seed": 3, "wrong_box": 0.1}
+    runs = [
+        judged("plain", endpoint={"base_url": "http://a", "retries": 4}),
+        judged("noisy", endpoint={"base_url": "http://b", "retries": 4}, marker=noise),
+        judged("noisier", endpoint={"base_url": "http://c", "retries": 4}, marker=noise | {"wrong_box": 0.2}),
+    ]
+    assert told_apart(runs) == {
+        "plain": "",
+        "noisy": "marker: seed 3, wrong_box 0.1",
+        "noisier": "marker: seed 3, wrong_box 0.2",
+    }
+    assert told_apart(runs[:1]) == {"plain": ""}
+
+
+def test_a_breakdown_says_how_many_were_asked():
+    def row(run, value, n):
+        return {"family": value, "run": run, "label": "", "n": n}
+
+    rows = [row("r", "a", 8), row("s", "a", 8), row("t", "a", 1), row("r", "b", 3)]
+    table = crossed(rows, "family", ["r", "s", "t"])
+    assert (table.across, table.values_across, table.counts) == (("a", "b"), True, {"a": 8, "b": 3})
+    assert [(run, [cell and cell["n"] for cell in cells]) for run, cells in table.rows] == [
+        ("r", [8, 3]),
+        ("s", [8, None]),
+        ("t", [1, None]),
+    ]
+    turned = crossed(rows[:1] + rows[3:], "family", ["r"])
+    assert (turned.across, turned.values_across) == (("r",), False)
 
 
 def test_dots_on_each_other_share_a_tag_inside_the_square():
@@ -310,13 +350,6 @@ def test_dots_on_each_other_share_a_tag_inside_the_square():
     found = tags(dots)
     assert sorted(tag.text for tag in found) == ["1, 2, 3, 4, 5, 6, 7, 8, 9", "10"]
     assert [tag.anchor for tag in found if len(tag.text) > 5] == ["end"]
-
-
-def test_a_long_name_leaves_room_for_its_interval():
-    rows = [{"run": "r" * 128, "answer": 50.0, "evidence": 1.0, "combined": 0.0}]
-    (group,) = intervals(rows).groups
-    assert len(group.name) == 40 and group.title == "r" * 128
-    assert min(whisker.x for whisker in group.whiskers) >= intervals(rows).left
 
 
 def test_text_of_data_and_models_is_escaped():

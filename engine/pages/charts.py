@@ -1,4 +1,4 @@
-"""Where marks of the charts stand: pure geometry in the units of an SVG view box; templates draw them."""
+"""Where marks of the charts stand: pure geometry in percent of an axis or units of a view box; templates draw them."""
 
 from __future__ import annotations
 
@@ -11,74 +11,53 @@ from jrdb_avr.engine.judged import SCORES
 
 from .diagrams import shortened
 
-WIDTH: Final = 1040.0
-NAME_CHARACTERS: Final = 40
+NAME_CHARACTERS: Final = 64
 """Of a run's name at most; what is longer is cut, and marked so."""
 
 _LETTER: Final = 6.9
-_ROW: Final = 13.0
-_GAP: Final = 10.0
+
+TICKS: Final = (0, 20, 40, 60, 80, 100)
+"""Percents that the axis of the intervals names."""
 
 
 @dataclass(frozen=True)
 class Whisker:
-    """A share as a dot at `x` with its interval from `low` to `high`, at height `y`."""
+    """A share with its interval, places in percent of the axis; `kind` is one of `SCORES`."""
 
     kind: str
     x: float
     low: float
     high: float
-    y: float
     text: str
 
 
 @dataclass(frozen=True)
 class Group:
-    """The whiskers of a run, and its name, in short and whole, at height `y`."""
+    """The whiskers of a run, with its name in short and whole and its label."""
 
     name: str
     title: str
-    y: float
+    label: str
     whiskers: tuple[Whisker, ...]
 
 
-@dataclass(frozen=True)
-class Intervals:
-    """A dot-and-whisker chart over 0 to 100 percent."""
-
-    width: float
-    height: float
-    left: float
-    groups: tuple[Group, ...]
-    ticks: tuple[tuple[float, str], ...]
-
-
-def intervals(rows: Sequence[Mapping[str, Any]]) -> Intervals:
+def intervals(rows: Sequence[Mapping[str, Any]]) -> tuple[Group, ...]:
     """One group per row of the main table: answer, evidence and combined below each other."""
-    names = [shortened(_name(row), NAME_CHARACTERS) for row in rows]
-    left = round(16 + _LETTER * max((len(name) for name in names), default=0), 2)
-
-    def x_of(percent: float) -> float:
-        return round(left + (WIDTH - left - 14) * percent / 100, 2)
-
     groups = []
-    top = 8.0
-    for name, row in zip(names, rows, strict=True):
+    for row in rows:
         whiskers = []
-        for place, kind in enumerate(SCORES):
+        for kind in SCORES:
             value = row.get(kind)
             if value is None:
                 continue
             low, high = row.get(f"{kind}_low"), row.get(f"{kind}_high")
-            text = f"{kind} {value:.2f}"
-            bounds = x_of(value), x_of(value)
+            text, bounds = f"{kind} {value:.2f}", (value, value)
             if low is not None and high is not None:
-                text, bounds = f"{text} [{low:.2f}, {high:.2f}]", (x_of(low), x_of(high))
-            whiskers.append(Whisker(kind, x_of(value), *bounds, top + _ROW * (place + 0.5), text))
-        groups.append(Group(name, _name(row), top + _ROW * 1.5, tuple(whiskers)))
-        top += _ROW * len(SCORES) + _GAP
-    ticks = tuple((x_of(value), f"{value}") for value in range(0, 101, 20))
-    return Intervals(WIDTH, top + 16, left, tuple(groups), ticks)
+                text, bounds = f"{text} [{low:.2f}, {high:.2f}]", (low, high)
+            whiskers.append(Whisker(kind, round(value, 3), round(bounds[0], 3), round(bounds[1], 3), text))
+        name = _name(row)
+        groups.append(Group(shortened(name, NAME_CHARACTERS), name, str(row.get("label") or ""), tuple(whiskers)))
+    return tuple(groups)
 
 
 def _name(row: Mapping[str, Any]) -> str:
@@ -93,6 +72,7 @@ class Dot:
     y: float
     number: int
     name: str
+    label: str
     text: str
 
 
@@ -118,7 +98,16 @@ def scatter(rows: Sequence[Mapping[str, Any]]) -> tuple[Dot, ...]:
         if row.get("answer") is None or row.get("evidence") is None:
             continue
         text = f"answer {row['answer']:.2f}, evidence {row['evidence']:.2f}, combined {row['combined']:.2f}"
-        dots.append(Dot(_place(row["answer"]), round(SQUARE - _place(row["evidence"]), 2), number, _name(row), text))
+        dots.append(
+            Dot(
+                _place(row["answer"]),
+                round(SQUARE - _place(row["evidence"]), 2),
+                number,
+                _name(row),
+                str(row.get("label") or ""),
+                text,
+            )
+        )
     return tuple(dots)
 
 

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import msgspec
 
 from jrdb_avr.engine.failures import CAUSES
-from jrdb_avr.engine.judged import DIMENSIONS, Facts, Judged
+from jrdb_avr.engine.judged import DIMENSIONS, SCORES, Facts, Judged
 from jrdb_avr.engine.report import report_table
 from jrdb_avr.engine.scoring import Truth
 from jrdb_avr.engine.typeset import filled
 from jrdb_avr.queries.store import Store
 
-from .charts import SQUARE, Part, intervals, scatter, stacked, tags
+from .charts import SQUARE, TICKS, Part, intervals, scatter, stacked, tags
 from .page import render
 
 _TITLES: Final = {name: name.replace("_", " ") for name in DIMENSIONS} | {
@@ -28,12 +29,20 @@ _OPEN_PAIRS: Final = 12
 """More pairs of runs than these are folded away."""
 
 
+_ADDRESS: Final = ("endpoint", "base_url")
+
+
 @dataclass(frozen=True)
 class Crossed:
-    """A breakdown by run and value of the dimension, the fewer of the two across: each cell a row or None."""
+    """A breakdown by run and value of the dimension, the fewer of the two across: each cell a row or None.
+
+    counts: the questions of each value, as most runs were asked them; cells that have another `n` say so.
+    """
 
     across: tuple[str, ...]
     rows: tuple[tuple[str, tuple[dict[str, Any] | None, ...]], ...]
+    counts: dict[str, int]
+    values_across: bool
 
 
 def report_page(
@@ -68,7 +77,11 @@ def report_page(
         causes=CAUSES,
         failures=failures,
         titles=_TITLES,
-        wrong=table("wrong_choices"),
+        wrong=wrong_choices(table("wrong_choices"), names),
+        apart=told_apart(runs),
+        labels={row["run"]: row["label"] for row in own},
+        ticks=TICKS,
+        kinds=SCORES,
         cost=table("cost"),
         settings=[(run.manifest.run_id, _pretty(run.manifest.settings)) for run in runs],
     )
@@ -79,10 +92,14 @@ def crossed(rows: Sequence[dict[str, Any]], dimension: str, runs: Sequence[str])
     found: dict[str, dict[str, dict[str, Any]]] = {}
     for row in rows:
         found.setdefault(row[dimension], {})[row["run"] or row["label"]] = row
+    asked = {value: Counter(row["n"] for row in own.values() if row["run"]) for value, own in found.items()}
+    counts = {value: times.most_common(1)[0][0] for value, times in asked.items() if times}
     names, values = (*runs, *(["paper"] if any(not row["run"] for row in rows) else [])), tuple(found)
     if len(names) > len(values):
-        return Crossed(values, tuple((run, tuple(found[value].get(run) for value in values)) for run in names))
-    return Crossed(names, tuple((value, tuple(own.get(run) for run in names)) for value, own in found.items()))
+        lines = tuple((run, tuple(found[value].get(run) for value in values)) for run in names)
+        return Crossed(values, lines, counts, values_across=True)
+    lines = tuple((value, tuple(own.get(run) for run in names)) for value, own in found.items())
+    return Crossed(names, lines, counts, values_across=False)
 
 
 def paired(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -92,6 +109,62 @@ def paired(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         names = {"first": row["first"], "second": row["second"], "n": row["n"]}
         found.setdefault((row["first"], row["second"]), names)[row["score"]] = row
     return list(found.values())
+
+
+@dataclass(frozen=True)
+class WrongChoices:
+    """What the wrong choices of each run are true of: perturbations across, the commonest first; cells are rows."""
+
+    across: tuple[str, ...]
+    rows: tuple[tuple[str, int, tuple[dict[str, Any] | None, ...]], ...]
+
+
+def wrong_choices(rows: Sequence[dict[str, Any]], runs: Sequence[str]) -> WrongChoices:
+    """A row per run that has wrong choices."""
+    times: Counter[str] = Counter()
+    found: dict[str, dict[str, dict[str, Any]]] = {}
+    for row in rows:
+        times[row["perturbation"]] += row["times"]
+        found.setdefault(row["run"], {})[row["perturbation"]] = row
+    across = tuple(sorted(times, key=lambda name: (-times[name], name)))
+    own = [(run, found[run]) for run in runs if run in found]
+    return WrongChoices(
+        across,
+        tuple(
+            (run, next(iter(by.values()))["wrong_choices"], tuple(by.get(name) for name in across)) for run, by in own
+        ),
+    )
+
+
+def told_apart(runs: Sequence[Judged]) -> dict[str, str]:
+    """Run -> the settings in which it differs from others of its method and model, in a line; "" where there are none.
+
+    The server's address is left out: it differs whenever a server is started anew.
+    """
+    flat = {run.manifest.run_id: dict(_leaves((), run.manifest.settings)) for run in runs}
+    texts = {}
+    for run in runs:
+        kind = run.manifest.method, run.manifest.model
+        own = flat[run.manifest.run_id]
+        others = [flat[r.manifest.run_id] for r in runs if (r.manifest.method, r.manifest.model) == kind]
+        grouped: dict[tuple[str, ...], list[str]] = {}
+        for path, value in own.items():
+            if path != _ADDRESS and any(other.get(path) != value for other in others):
+                grouped.setdefault(path[:-1], []).append(f"{path[-1]} {value}")
+        parts = (
+            f"{' '.join(above)}: {', '.join(said)}" if above else ", ".join(said) for above, said in grouped.items()
+        )
+        texts[run.manifest.run_id] = "; ".join(parts)
+    return texts
+
+
+def _leaves(path: tuple[str, ...], settings: Any) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Every setting as its path and its JSON."""
+    if isinstance(settings, dict) and (settings or not path):
+        for name, value in settings.items():
+            yield from _leaves((*path, str(name)), value)
+    else:
+        yield path, msgspec.json.encode(settings).decode()
 
 
 def _causes(rows: Sequence[dict[str, Any]], run: str) -> tuple[Part, ...]:
