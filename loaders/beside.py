@@ -26,7 +26,7 @@ from jrdb_avr.schema.vocabulary import (
     person_frame_label,
 )
 
-from .columns import constant, ragged, texts
+from .columns import constant, paired, ragged, texts, unpaired
 from .runs import find_runs, span_columns
 from .scene_people import Boxes, Located, wrap
 from .timeline import Timeline
@@ -50,14 +50,14 @@ def beside_table(line: Timeline, boxes: Boxes, located: Located, rules: LoadRule
     near = [np.concatenate(parts) for parts in zip(*person_frame(line, located, rules), strict=True)]
     # One row per fact and certainty: the pair and the label are the value of a run.
     frame3, source3, target3, certain3, label3 = near
-    pairs, pair = np.unique((source3 << 31) | target3, return_inverse=True)
+    pairs, pair = np.unique(paired(source3, target3), return_inverse=True)
     value = (pair * len(_LABELS) + label3) * 2 + certain3
     zero = np.zeros(len(frame3), np.int64)
     runs = find_runs(frame3, zero, value, certain3, zero, KEYFRAME_STEP, 0)
-    run_pair = pairs[runs.value // (2 * len(_LABELS))]
+    run_source, run_target = unpaired(pairs[runs.value // (2 * len(_LABELS))])
     columns = {
-        "source": np.concatenate([source, run_pair >> 31]),
-        "target": np.concatenate([target, run_pair & (2**31 - 1)]),
+        "source": np.concatenate([source, run_source]),
+        "target": np.concatenate([target, run_target]),
         "label": np.concatenate([label, runs.value // 2 % len(_LABELS)]),
         "first": np.concatenate([frame, runs.first]),
         "last": np.concatenate([frame, runs.last]),

@@ -23,7 +23,7 @@ from jrdb_avr.schema.tables import ANNOTATIONS
 from jrdb_avr.schema.vocabulary import ACTIONS, IMPOSSIBLE, OCCLUSIONS, normal_action
 
 from . import fields
-from .columns import Distinct, Refusals, constant, distinct_of, encoded, known_frames
+from .columns import Distinct, Refusals, constant, distinct_of, encoded, known_frames, mask_of
 from .expand import Decoded, Issue, Value, coded, expand, facts_table, label_pairs
 from .gather import Columns, People, gather, keep_people, numbered
 from .labelfile import RecordReader
@@ -187,8 +187,7 @@ def _tables(
             if label not in ACTIONS
         }
     )
-    labelled = np.zeros(len(people.frame), np.bool_)
-    labelled[actions.row] = True
+    labelled = mask_of(actions.row, len(people.frame))
 
     def table(layer: str, field: str, names: tuple[str, ...]) -> pa.Table:
         row = facts[field].row

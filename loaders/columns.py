@@ -1,4 +1,4 @@
-"""Numbered values turned into Arrow columns, and counting of what a column refuses."""
+"""Columns of numbers and of Arrow values: keys of rows, runs of equal rows, texts by number, and counts of refusals."""
 
 from __future__ import annotations
 
@@ -14,14 +14,29 @@ from jrdb_avr.schema.errors import InputError
 
 from .problems import Problems
 
-TRACK_BITS: Final = 31
+PAIR_BITS: Final = 31
 MAX_DISTINCT: Final = 100_000
 """Different values of one field in a file: labels repeat from frame to frame, ids within a few hundred."""
 
 
+def paired(high: Ints, low: Ints) -> Ints:
+    """One number per pair of numbers below 2**31, which sorts by the first and then by the second."""
+    return (high << PAIR_BITS) | low
+
+
+def unpaired(pairs: Ints) -> tuple[Ints, Ints]:
+    """The two numbers of each pair that `paired` made."""
+    return pairs >> PAIR_BITS, pairs & ((1 << PAIR_BITS) - 1)
+
+
 def person_keys(frame: Ints, track: Ints) -> Ints:
     """One sortable number per (frame, track)."""
-    return (frame << TRACK_BITS) | track
+    return paired(frame, track)
+
+
+def whole_numbers(table: pa.Table, name: str) -> Ints:
+    """A column of whole numbers without nulls, as 64 bits."""
+    return np.asarray(table[name].to_numpy(), np.int64)
 
 
 def texts(values: Sequence[str], codes: Ints) -> pa.Array:
@@ -106,17 +121,19 @@ def mask_of(rows: Ints, n: int) -> Bools:
 def first_of_equal(keys: Ints) -> tuple[Ints, Bools]:
     """A stable ascending order of `keys`, and a mask over it: True at the first of each run of equal keys."""
     order = np.argsort(keys, kind="stable")
-    ordered = keys[order]
-    first = np.ones(len(ordered), np.bool_)
-    first[1:] = ordered[1:] != ordered[:-1]
-    return order, first
+    return order, begins(keys[order])
 
 
 def distinct_of(ascending: Ints) -> Ints:
     """The distinct values of an ascending array; much faster than sorting or hashing them again."""
-    new = np.ones(len(ascending), np.bool_)
-    new[1:] = ascending[1:] != ascending[:-1]
-    return ascending[new]
+    return ascending[begins(ascending)]
+
+
+def begins(*columns: Ints) -> Bools:
+    """Mask of the rows that differ from the row before in any column; the first row begins too."""
+    new = np.ones(len(columns[0]), np.bool_)
+    new[1:] = np.logical_or.reduce([column[1:] != column[:-1] for column in columns])
+    return new
 
 
 def ragged(counts: Ints) -> tuple[Ints, Ints]:

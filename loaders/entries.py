@@ -26,7 +26,7 @@ from jrdb_avr.schema.social import plain
 from jrdb_avr.schema.vocabulary import IMPOSSIBLE
 
 from . import fields
-from .columns import Distinct, Refusals, ragged
+from .columns import Distinct, Refusals, mask_of, ragged
 from .expand import Decoded, Issue, Value, bounded, coded, count_issues, expand, label_pairs
 from .gather import Columns, People, numbered
 from .jsonscan import MalformedError, elements, members
@@ -176,8 +176,7 @@ def read_lists(
         track = people.track[person]
         refusals.count(oneself, "field", "pair is the person itself", kind.key, lambda row: int(track[row]))
         good &= ~oneself
-    refused = np.zeros(len(people.row), np.bool_)
-    refused[person[~good]] = True
+    refused = mask_of(person[~good], len(people.row))
     person, pair, entry = person[good], pair[good], entry[good]
     missing = Decoded([], [("inter_labels is missing", kind.key, "")], False)
     facts = expand(

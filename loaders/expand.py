@@ -26,9 +26,6 @@ from .problems import shorten
 MAX_FACTS: Final = 2_000_000
 """Labels of one kind in a file; JRDB's fullest sequence has about 1.5 million of its groups."""
 
-ABSENT: Final = (b"", b"null")
-"""Raw values of a key that is not there: a null says no more than a missing key."""
-
 KEY_BITS: Final = 63
 
 Issue = tuple[str, str, object]
@@ -83,7 +80,7 @@ def expand(
     whole: list[bool] = []
     size = 0
     for i, raw in enumerate(raws):
-        decoded = absent if raw in ABSENT else decode(raw)
+        decoded = absent if raw in fields.ABSENT else decode(raw)
         held.append([numbers[value] for value in decoded.values])
         whole.append(decoded.whole)
         size += len(decoded.values)

@@ -19,6 +19,9 @@ MAX_PIXEL: Final = 1e5
 MAX_METRE: Final = 1e4
 MAX_TEXT: Final = 100
 
+ABSENT: Final = (b"", b"null")
+"""Raw values of a key that is not there: a null says no more than a missing key."""
+
 _PERSON: Final = re.compile(r"pedestrian:([0-9]{1,10})")
 _WHOLE: Final = re.compile(r"-?[0-9]{1,19}")
 _PREFIXED: Final = re.compile(r"([A-Za-z_ ]+):(-?[0-9]+)")

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.errors import InputError
 
-from .columns import Distinct, Refusals, first_of_equal, person_keys
+from .columns import Distinct, Refusals, first_of_equal, mask_of, person_keys
 from .labelfile import Frame, RecordReader, read_frames
 from .problems import Problems
 from .records import BAD, OTHER, track_codes
@@ -154,8 +154,7 @@ def keep_people(
         refused |= wrong
     usable = np.flatnonzero(good)
     order, first = first_of_equal(person_keys(frame[usable], track[usable]))
-    again = np.zeros(len(frame), np.bool_)
-    again[usable[order[~first]]] = True
+    again = mask_of(usable[order[~first]], len(frame))
     refusals.count(again, "record", "same person twice in a frame, the first is kept", "label_id", label)
     row = usable[order[first]]
     return People(row, frame[row], track[row], set(frame[refused].tolist()))

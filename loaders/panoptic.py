@@ -37,7 +37,6 @@ NO_TRACK: Final = -1
 Box = tuple[float, float, float, float]
 _MaybeNumber = Number | None | msgspec.UnsetType
 _NOTHING: Final = msgspec.Raw(b"")
-_ABSENT: Final = (b"", b"null")
 
 
 class Attributes(msgspec.Struct, gc=False):
@@ -183,7 +182,7 @@ def _segmentations(chunk: Sequence[Annotation], refusals: Refusals) -> pa.Array:
     texts: list[bytes | None] = []
     for row, raw in enumerate(map(bytes, map(attrgetter("segmentation"), chunk))):
         try:
-            texts.append(None if raw in _ABSENT else _compact(raw))
+            texts.append(None if raw in fields.ABSENT else _compact(raw))
         except ValueError as error:
             refusals.add("field", f"segmentation: {error}", "segmentation", row, raw[:100], 1)
             texts.append(None)
@@ -247,7 +246,7 @@ def _track(parts: dict[str, bytes], where: str, problems: Problems) -> int | Non
 
 
 def _box(raw: bytes, where: str, problems: Problems) -> Box | None:
-    if raw in _ABSENT:
+    if raw in fields.ABSENT:
         return None
     try:
         value = fields.loose(raw)

@@ -30,8 +30,6 @@ POINTS: Final = 17
 VALUES: Final = 3 * POINTS
 """x, y and visibility of each point."""
 
-_ABSENT: Final = (b"", b"null")
-
 
 class Annotation(msgspec.Struct, gc=False):
     """One person in one image. Keypoints stay raw until a chunk of them is decoded."""
@@ -102,7 +100,7 @@ def _decoded(rows: Ints, raws: Sequence[msgspec.Raw], refusals: Refusals) -> tup
     here = []
     for row in rows.tolist():
         raw = bytes(raws[row])
-        if raw in _ABSENT:
+        if raw in fields.ABSENT:
             refusals.add("record", "keypoints: missing", "keypoints", row, raw, 1)
         else:
             here.append(row)

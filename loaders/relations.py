@@ -36,7 +36,7 @@ from jrdb_avr.schema.vocabulary import INTERACTIONS
 
 from . import fields
 from .boxes2d import SUFFIXES, box_faults, frames_of, take_boxes
-from .columns import Distinct, Refusals, constant, encoded
+from .columns import Distinct, Refusals, constant, encoded, mask_of
 from .entries import (
     MAX_ENTRIES,
     Entry,
@@ -142,7 +142,7 @@ def read_relations(
         tables[layer] = facts_table(
             layer, sequence, rows, facts.code, facts.values, ("attribute", "value", "raw", "difficulty")
         )
-        frames[layer] = frames_of(people.frame[_among(facts.row, people)])
+        frames[layer] = frames_of(people.frame[mask_of(facts.row, len(people.row))])
         unknown += _unknown_values(facts, name, keys)
     listed = []
     for kind in kinds:
@@ -150,7 +150,7 @@ def read_relations(
         tables[kind.layer] = _relations_table(found, kind, sequence, people)
         told = ~found.refused if absent_is_empty else found.there & ~found.refused
         listed.append(_listed_table(told, kind, sequence, people))
-        frames[kind.layer] = frames_of(people.frame[told | _among(found.person, people)])
+        frames[kind.layer] = frames_of(people.frame[told | mask_of(found.person, len(people.row))])
         unknown += _unknown_labels(found, kind)
     tables["listed"] = pa.concat_tables(listed) if listed else ANNOTATIONS["listed"].empty_table()
     return Reading(tables, frames, unknown, _boxes(columns["box"][people.row], people, refusals))
@@ -294,13 +294,6 @@ def _listed_table(told: Bools, kind: Kind, sequence: str, people: People) -> pa.
     columns = {"sequence": constant(sequence, n), "layer": constant(kind.layer, n)}
     columns |= {"frame": pa.array(people.frame[told]), "track": pa.array(people.track[told])}
     return encoded(pa.table(columns), ANNOTATIONS["listed"])
-
-
-def _among(rows: Any, people: People) -> Bools:
-    """Mask of the people whose rows are named."""
-    mask = np.zeros(len(people.row), np.bool_)
-    mask[rows] = True
-    return mask
 
 
 def _boxes(box: Any, people: People, refusals: Refusals) -> pa.Table:

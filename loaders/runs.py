@@ -61,12 +61,26 @@ def find_runs(frame: Ints, track: Ints, value: Ints, certain: Bools, difficulty:
     return Runs(*(getattr(runs, name)[order] for name in Runs.__dataclass_fields__))
 
 
+def layer_runs(
+    line: Timeline,
+    layer: str,
+    frame: Ints,
+    track: Ints,
+    value: Ints,
+    certain: Bools,
+    difficulty: Ints,
+    rules: LoadRules,
+) -> Runs:
+    """As `find_runs`, at the step of a layer; gaps are closed where the layer has every frame."""
+    grid = line.grid(layer)
+    step = grid.step if grid else 1
+    return find_runs(frame, track, value, certain, difficulty, step, rules.gap_frames if step == 1 else 0)
+
+
 def action_runs(line: Timeline, labels: Labels, rules: LoadRules) -> Runs:
     """Runs of every action; `value` is the action's code."""
-    grid = line.grid("actions")
-    step = grid.step if grid else 1
-    gap = rules.gap_frames if step == 1 else 0
-    return find_runs(labels.frame, labels.track, labels.action, labels.certain, labels.difficulty, step, gap)
+    columns = (labels.frame, labels.track, labels.action, labels.certain, labels.difficulty)
+    return layer_runs(line, "actions", *columns, rules)
 
 
 def actions_table(line: Timeline, labels: Labels, runs: Runs) -> pa.Table:
@@ -86,11 +100,8 @@ def actions_table(line: Timeline, labels: Labels, runs: Runs) -> pa.Table:
 
 def memberships_table(line: Timeline, groups: Groups, rules: LoadRules) -> pa.Table:
     """The interval table `memberships`."""
-    grid = line.grid("groups")
-    step = grid.step if grid else 1
-    gap = rules.gap_frames if step == 1 else 0
     none = np.zeros(len(groups.frame), np.int64)
-    runs = find_runs(groups.frame, groups.track, groups.cluster, groups.certain, none, step, gap)
+    runs = layer_runs(line, "groups", groups.frame, groups.track, groups.cluster, groups.certain, none, rules)
     return pa.table(
         {
             "sequence": constant(line.sequence, len(runs.track)),

@@ -20,7 +20,7 @@ from jrdb_avr.schema.panorama import HEIGHT, center_angle
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.vocabulary import CLEAR_OCCLUSIONS, POSES
 
-from .columns import person_keys, ranked
+from .columns import begins, person_keys, ranked, whole_numbers
 
 HARD = 3
 UNREADABLE = 9
@@ -146,8 +146,7 @@ def read_labels(table: pa.Table) -> Labels:
     order = np.lexsort((difficulty, action, track, frame))
     frame, track, action, difficulty = frame[order], track[order], action[order], difficulty[order]
     keys = person_keys(frame, track)
-    first = np.ones(len(keys), np.bool_)
-    first[1:] = (keys[1:] != keys[:-1]) | (action[1:] != action[:-1])
+    first = begins(keys, action)
     frame, track, action, difficulty = frame[first], track[first], action[first], difficulty[first]
     pose = np.array([name in POSES for name in names], np.bool_)[action] if len(action) else np.empty(0, np.bool_)
     _, person = np.unique(keys[first], return_inverse=True)
@@ -204,7 +203,7 @@ def wrap(radians: Floats) -> Floats:
 
 
 def _person_columns(table: pa.Table) -> tuple[Ints, Ints]:
-    return table["frame"].to_numpy().astype(np.int64), table["track"].to_numpy().astype(np.int64)
+    return whole_numbers(table, "frame"), whole_numbers(table, "track")
 
 
 def track_spans(tables: Mapping[str, pa.Table]) -> tuple[Ints, Ints, Ints]:

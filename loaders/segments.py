@@ -19,7 +19,7 @@ from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules, frames
 from jrdb_avr.schema.tables import INTERVALS
 
-from .columns import constant, distinct_of, ragged, texts
+from .columns import constant, distinct_of, paired, ragged, texts, unpaired
 from .runs import Runs
 from .scene_people import Boxes, Labels
 from .sightings import certain_pose
@@ -69,17 +69,18 @@ class _Facts:
 
     def __init__(self, grid: Grid, boxes: Boxes, labels: Labels, runs: Runs) -> None:
         self.grid, self.boxes, self.labels, self.runs = grid, boxes, labels, runs
-        self.facts = distinct_of(_fact(runs.track, runs.value))
-        self.of_runs = np.searchsorted(self.facts, _fact(runs.track, runs.value))
+        self.facts = distinct_of(paired(runs.track, runs.value))
+        self.of_runs = np.searchsorted(self.facts, paired(runs.track, runs.value))
         on_grid = np.flatnonzero(grid.holds(boxes.frame))
         self.by_track = on_grid[np.argsort(boxes.track[on_grid], kind="stable")]
         ordered = boxes.track[self.by_track]
-        self.low = np.searchsorted(ordered, self.facts >> 31, "left")
-        self.count = np.searchsorted(ordered, self.facts >> 31, "right") - self.low
+        track, _ = unpaired(self.facts)
+        self.low = np.searchsorted(ordered, track, "left")
+        self.count = np.searchsorted(ordered, track, "right") - self.low
         self.posed = certain_pose(boxes, labels) >= 0
         # Labels without a box would be of refused boxes; there are none in the tables.
         has_box = np.flatnonzero(boxes.rows(labels.frame, labels.track) >= 0)
-        of_labels = np.searchsorted(self.facts, _fact(labels.track[has_box], labels.action[has_box]))
+        of_labels = np.searchsorted(self.facts, paired(labels.track[has_box], labels.action[has_box]))
         order = np.argsort(of_labels, kind="stable")
         self.label_rows, self.of_labels = has_box[order], of_labels[order]
 
@@ -111,7 +112,7 @@ class _Cells:
 
         # Both are ascending; a stable sort merges two runs in linear time.
         self.key = distinct_of(np.sort(np.concatenate([box_keys, gap_keys]), kind="stable"))
-        pose = labels.is_pose[known.facts & (2**31 - 1)]
+        pose = labels.is_pose[unpaired(known.facts)[1]]
         here = slice(*np.searchsorted(known.of_labels, [begin, end]))
         label = known.label_rows[here]
         label_keys = known.of_labels[here] * self.span + grid.index(labels.frame[label])
@@ -130,10 +131,6 @@ class _Cells:
         self.false = listed & told & ~named & ~gap
         self.false_clear = self.false & clear
         self.inside = (true & clear) | gap
-
-
-def _fact(track: Ints, action: Ints) -> Ints:
-    return (track << 31) | action
 
 
 def _find(grid: Grid, boxes: Boxes, labels: Labels, runs: Runs, rules: LoadRules) -> _Segments:
@@ -175,10 +172,10 @@ def _find_in(cells: _Cells, facts: Ints, grid: Grid, rules: LoadRules) -> _Segme
     )
     before = np.maximum(begins - 1, 0)
     quiet_from = key[chain[before]] % cells.span
-    pair = facts[fact[stable]]
+    track, action = unpaired(facts[fact[stable]])
     return _Segments(
-        pair >> 31,
-        pair & (2**31 - 1),
+        track,
+        action,
         grid.first + first[stable] * step,
         grid.first + last[stable] * step,
         grid.first + quiet_from[stable] * step,

@@ -23,7 +23,7 @@ import pyarrow as pa
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.panorama import WIDTH, angle_of_azimuth, column_of_angle
 
-from .columns import person_keys
+from .columns import paired, whole_numbers
 from .reading import Reading
 from .report import ShiftCheck
 
@@ -172,7 +172,7 @@ def slope_of(tracks: Tracks, reference: Tracks, moved: int = 0) -> Slope | None:
     if not len(track):
         return None
     speed, apart = _without_means(speed[usable], track), _without_means(apart[usable], track)
-    spell = _numbered(person_keys(frame // SPELL, track))
+    spell = _numbered(paired(frame // SPELL, track))
     weight = np.bincount(spell, speed * speed)
     # One person who rushes past must not outweigh everybody else.
     most = float(weight.sum()) * MOST
@@ -237,7 +237,7 @@ def _of_3d(table: pa.Table) -> Tracks:
 
 
 def _sorted(table: pa.Table, column: Floats, box: Floats | None, usable: Bools) -> Tracks:
-    frame, track = table["frame"].to_numpy().astype(np.int64), table["track"].to_numpy().astype(np.int64)
+    frame, track = whole_numbers(table, "frame"), whole_numbers(table, "track")
     order = np.lexsort((frame, track))
     order = order[usable[order]]
     return Tracks(frame[order], track[order], column[order], None if box is None else box[order])
@@ -256,7 +256,7 @@ class _Lookup:
 
     def __init__(self, tracks: Tracks) -> None:
         self._tracks = tracks
-        self._keys = person_keys(tracks.track, tracks.frame)
+        self._keys = paired(tracks.track, tracks.frame)
 
     def columns(self, track: Ints, frame: Ints) -> Floats:
         before, after, part = self._between(track, frame)
@@ -273,7 +273,7 @@ class _Lookup:
 
     def _between(self, track: Ints, frame: Ints) -> tuple[Ints, Ints, Floats]:
         """Rows before and after, and the part of the way between them."""
-        wanted = person_keys(track, np.maximum(frame, 0))
+        wanted = paired(track, np.maximum(frame, 0))
         after = np.minimum(np.searchsorted(self._keys, wanted), len(self._keys) - 1)
         before = np.where(self._keys[after] == wanted, after, np.maximum(after - 1, 0))
         start, end = self._keys[before], self._keys[after]

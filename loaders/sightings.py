@@ -14,7 +14,7 @@ from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import INTERVALS
 from jrdb_avr.schema.vocabulary import DISTANCE_WORDS, ROBOT_SECTORS
 
-from .columns import constant, nullable, person_keys, texts
+from .columns import begins, constant, nullable, person_keys, texts
 from .scene_people import Boxes, Faces, Groups, Labels, Located, rows_of
 from .timeline import Timeline
 from .words import distance_word, robot_sector
@@ -91,9 +91,7 @@ def group_sizes(line: Timeline, boxes: Boxes, groups: Groups, cluster_row: Ints)
     # A person without a row takes part in no cluster; -1 - row keeps it apart from its neighbours.
     order = np.lexsort((cluster, ~has_row, boxes.frame))
     frame, cluster, has_row, certain = boxes.frame[order], cluster[order], has_row[order], certain[order]
-    new = np.ones(len(frame), np.bool_)
-    new[1:] = (frame[1:] != frame[:-1]) | (cluster[1:] != cluster[:-1]) | ~has_row[1:]
-    group = np.cumsum(new) - 1
+    group = np.cumsum(begins(frame, cluster) | ~has_row) - 1
     members = np.bincount(group)
     hard = np.bincount(group, weights=~certain) > 0
     complete = np.isin(frame, line.frames_of("2d")) & ~np.isin(frame, frame[~has_row])

@@ -15,8 +15,8 @@ from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import INTERVALS
 from jrdb_avr.schema.things import PERSON_CATEGORIES
 
-from .columns import constant, person_keys, ranked, texts
-from .runs import Runs, find_runs, span_columns
+from .columns import begins, constant, person_keys, ranked, texts, whole_numbers
+from .runs import Runs, layer_runs, span_columns
 from .scene_people import HARD, UNREADABLE, Boxes, rows_of
 from .timeline import Timeline
 
@@ -25,7 +25,7 @@ def interactions_table(line: Timeline, table: pa.Table, boxes: Boxes, rules: Loa
     """The interval table `interactions`, from the annotation table of that name."""
     table = table.filter(pa.array(_both_there(table, boxes.keys)))
     names, label = ranked(table["label"])
-    frame, source, target = (_numbers(table, name) for name in ("frame", "track", "partner"))
+    frame, source, target = (whole_numbers(table, name) for name in ("frame", "track", "partner"))
     low, high = np.minimum(source, target), np.maximum(source, target)
     fact, (low, high, label) = _distinct(low, high, label)
     runs = _runs(line, "interactions", frame, fact, table, rules)
@@ -47,7 +47,7 @@ def interactions_table(line: Timeline, table: pa.Table, boxes: Boxes, rules: Loa
 
 def absent_partners(table: pa.Table, boxes: pa.Table) -> int:
     """Rows of the annotation table `interactions` that give no fact, as one of the two has no 2D box in the frame."""
-    keys = person_keys(_numbers(boxes, "frame"), _numbers(boxes, "track"))
+    keys = person_keys(whole_numbers(boxes, "frame"), whole_numbers(boxes, "track"))
     return int((~_both_there(table, keys)).sum())
 
 
@@ -56,12 +56,12 @@ def handles_table(line: Timeline, table: pa.Table, categories: pa.Table, boxes: 
 
     What is done with people is not among them: they are no things.
     """
-    frame, track, category = (_numbers(table, name) for name in ("frame", "track", "category_id"))
+    frame, track, category = (whole_numbers(table, name) for name in ("frame", "track", "category_id"))
     people = pc.is_in(categories["category"], pa.array(sorted(PERSON_CATEGORIES)))
     person_ids = categories["category_id"].filter(people).to_numpy()
     table = table.filter(pa.array((boxes.rows(frame, track) >= 0) & ~np.isin(category, person_ids)))
     names, verb = ranked(table["verb"])
-    frame, track, thing, category = (_numbers(table, name) for name in ("frame", "track", "object", "category_id"))
+    frame, track, thing, category = (whole_numbers(table, name) for name in ("frame", "track", "object", "category_id"))
     fact, (track, thing, category, verb) = _distinct(track, thing, category, verb)
     runs = _runs(line, "handles", frame, fact, table, rules)
     order = np.lexsort((runs.first, verb[runs.value], category[runs.value], thing[runs.value], track[runs.value]))
@@ -81,7 +81,7 @@ def handles_table(line: Timeline, table: pa.Table, categories: pa.Table, boxes: 
 
 def _both_there(table: pa.Table, keys: Ints) -> Bools:
     """Rows whose two people have a 2D box in the frame; `keys` are those of the boxes, ascending."""
-    frame, source, target = (_numbers(table, name) for name in ("frame", "track", "partner"))
+    frame, source, target = (whole_numbers(table, name) for name in ("frame", "track", "partner"))
     there = [rows_of(keys, person_keys(frame, track)) >= 0 for track in (source, target)]
     return np.asarray(there[0] & there[1])
 
@@ -91,13 +91,10 @@ def _runs(line: Timeline, layer: str, frame: Ints, fact: Ints, table: pa.Table, 
     hard = table["difficulty"].fill_null(UNREADABLE).to_numpy() >= HARD
     order = np.lexsort((hard, frame, fact))
     frame, fact, hard = frame[order], fact[order], hard[order]
-    first = np.ones(len(order), np.bool_)
-    first[1:] = (fact[1:] != fact[:-1]) | (frame[1:] != frame[:-1])
+    first = begins(fact, frame)
     frame, fact, hard = frame[first], fact[first], hard[first]
-    grid = line.grid(layer)
-    step = grid.step if grid else 1
     none = np.zeros(len(frame), np.int64)
-    return find_runs(frame, none, fact, ~hard, none, step, rules.gap_frames if step == 1 else 0)
+    return layer_runs(line, layer, frame, none, fact, ~hard, none, rules)
 
 
 def _distinct(*columns: Ints) -> tuple[Ints, tuple[Ints, ...]]:
@@ -108,7 +105,3 @@ def _distinct(*columns: Ints) -> tuple[Ints, tuple[Ints, ...]]:
         _, code = np.unique(code * max(len(values), 1) + place, return_inverse=True)
     _, first = np.unique(code, return_index=True)
     return code, tuple(column[first] for column in columns)
-
-
-def _numbers(table: pa.Table, name: str) -> Ints:
-    return np.asarray(table[name].to_numpy(), np.int64)

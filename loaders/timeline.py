@@ -12,7 +12,7 @@ from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP
 from jrdb_avr.schema.tables import INTERVALS, LAYERS
 
-from .columns import constant
+from .columns import constant, whole_numbers
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def timeline(sequence: str, frames: pa.Table, box_frames: Ints, timestamps: pa.T
     A keyframe with boxes that the 2D layer does not list holds people who could not be read: nothing unique or absent
     can be told of it, so it is left out of the keyframes.
     """
-    numbers = frames["frame"].to_numpy().astype(np.int64)
+    numbers = whole_numbers(frames, "frame")
     layers = {}
     for layer in LAYERS:
         here = pc.equal(frames["layer"], layer).to_numpy()
@@ -119,7 +119,7 @@ def timeline(sequence: str, frames: pa.Table, box_frames: Ints, timestamps: pa.T
 
 def _clock(timestamps: pa.Table) -> Clock:
     images = timestamps.filter(pc.equal(timestamps["sensor"], "images"))
-    return Clock(images["frame"].to_numpy().astype(np.int64), images["timestamp"].to_numpy())
+    return Clock(whole_numbers(images, "frame"), images["timestamp"].to_numpy())
 
 
 def _leading(layers: dict[str, Ints]) -> str:

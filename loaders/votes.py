@@ -17,7 +17,7 @@ import pyarrow.compute as pc
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.tables import INTERVALS
 
-from .columns import constant, distinct_of, person_keys, ranked, texts
+from .columns import begins, constant, distinct_of, person_keys, ranked, texts, whole_numbers
 from .report import Disagreement
 from .scene_people import HARD, UNREADABLE, Groups, read_groups, rows_of
 
@@ -66,7 +66,7 @@ def chosen_values(demographics: pa.Table, attribute: str, tracks: Ints) -> pa.Ar
     """The chosen value of each person, null where there is none. `demographics` is the interval table."""
     rows = demographics.filter(pc.and_(demographics["chosen"], pc.equal(demographics["attribute"], attribute)))
     values = rows["value"].to_pylist()
-    return texts(values, rows_of(rows["track"].to_numpy().astype(np.int64), tracks))
+    return texts(values, rows_of(whole_numbers(rows, "track"), tracks))
 
 
 def disagreements(tables: Mapping[str, pa.Table]) -> list[Disagreement]:
@@ -110,9 +110,8 @@ def _count(table: pa.Table, subject_of: Callable[[Ints, Ints], tuple[Ints, Bools
     attributes, attribute = ranked(table["attribute"])
     values, value = ranked(table["value"])
     difficulty = table["difficulty"].fill_null(UNREADABLE).to_numpy()
-    frame, track = table["frame"].to_numpy().astype(np.int64), table["track"].to_numpy().astype(np.int64)
-    new = np.ones(len(frame), np.bool_)
-    new[1:] = (frame[1:] != frame[:-1]) | (track[1:] != track[:-1])
+    frame, track = whole_numbers(table, "frame"), whole_numbers(table, "track")
+    new = begins(frame, track)
     record = np.cumsum(new) - 1
     subject, has = subject_of(frame[new], track[new])
     subjects, number = np.unique(subject, return_inverse=True)
