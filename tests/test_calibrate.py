@@ -7,7 +7,7 @@ import threading
 
 import pytest
 from click.testing import CliRunner
-from fake_server import FakeServer, completion, marked, sound, texts
+from fake_server import FakeServer, Status, completion, images, marked, sound, texts
 
 from jrdb_avr.agent.calibrate import calibrate, request
 from jrdb_avr.agent.client import Client
@@ -255,35 +255,62 @@ def test_a_calibration_of_another_model_is_told(tmp_path):
 # -- the command ------------------------------------------------------------------------------------------------------
 
 
+@pytest.fixture
+def public(tmp_path):
+    """A store as it is on a machine without labels."""
+    Store(tmp_path).question_path("questions").parent.mkdir()
+    Store(tmp_path).question_path("questions").touch()
+    return tmp_path
+
+
 def run(server, store, *more):
     arguments = ["calibrate", "--model", "fake", "--base-url", server.url, "--store", str(store), *more]
     return CliRunner().invoke(group, arguments)
 
 
-def test_the_command_stores_what_it_finds(tmp_path):
+def test_the_command_stores_what_it_finds(public):
     with FakeServer(sound(writer(order="yxyx"), model="fake")) as server:
-        result = run(server, tmp_path, "--json")
-        again = run(server, tmp_path)
+        result = run(server, public, "--json")
+        again = run(server, public)
     assert result.exit_code == again.exit_code == 0
     rows = json.loads(result.stdout)
     (chosen,) = [row for row in rows if row["chosen"]]
     assert (chosen["key"], chosen["order"], chosen["scale"], chosen["n"]) == ("bbox", "yxyx", "thousandths", 50)
-    assert read_calibration(Store(tmp_path), "fake").boxes == {"bbox": "yxyx"}
+    assert read_calibration(Store(public), "fake").boxes == {"bbox": "yxyx"}
     assert "yxyx" in again.output
 
 
-def test_the_command_stores_nothing_that_is_not_clear(tmp_path):
+def test_the_command_stores_nothing_that_is_not_clear(public):
     with FakeServer(sound(somewhere)) as server:
-        result = run(server, tmp_path, "--json")
+        result = run(server, public, "--json")
     assert result.exit_code == 1
     assert "nothing is stored: bbox: no reading explains" in result.stderr
     assert len(json.loads(result.stdout)) == 8
+    assert [path.name for path in public.iterdir()] == ["questions"]
+
+
+def test_a_folder_that_is_no_store_is_refused_and_not_made(tmp_path):
+    with FakeServer(sound(writer())) as server:
+        result = run(server, tmp_path / "typo")
+        assert server.requests == []
+    assert isinstance(result.exception, StoreError)
+    assert str(result.exception).startswith(f"{tmp_path / 'typo'} is no store: run 'jrdb-avr load ROOT --store ")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_command_asks_no_server_that_fails_its_preflight(tmp_path):
+def test_a_server_that_takes_one_picture_at_a_time_is_calibrated(public):
+    def one(request, n):
+        return Status(400, "at most 1 image") if len(images(request)) > 1 else sound(writer())(request, n)
+
+    with FakeServer(one) as server:
+        result = run(server, public)
+    assert result.exit_code == 0
+    assert "warning: panoramas: 8 panoramas in one request refused" in result.stderr
+
+
+def test_the_command_asks_no_server_that_fails_its_preflight(public):
     with FakeServer(lambda request, n: "ready" if "ready" in texts(request) else "no") as server:
-        result = run(server, tmp_path)
+        result = run(server, public)
     assert isinstance(result.exception, EndpointError)
     assert str(result.exception).startswith("preflight: schema")
     assert len(server.requests) < 10

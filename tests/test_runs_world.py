@@ -21,7 +21,7 @@ from jrdb_avr.queries.runs import RunManifest, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.world import WorldGraph, make_world_tables
 from jrdb_avr.queries.world_record import merge_world, read_record, replayed
-from jrdb_avr.schema.errors import LockedError, StoreError
+from jrdb_avr.schema.errors import AvrError, LockedError, StoreError
 from jrdb_avr.schema.method import Question, SequenceInfo
 
 ASKED = [
@@ -137,9 +137,29 @@ def test_a_dropped_run_leaves_the_graph_and_keeps_its_record(store, live):
     assert dump(store.graph_path) == live
 
 
-def test_merging_what_is_not_there_is_one_line(store):
-    with pytest.raises(StoreError, match=r"cannot read .*none/world.parquet"):
-        jrdb_avr("world", "merge", "none", "--store", store.path)
+def test_merging_what_is_not_there_is_one_line(store, live, tmp_path):
+    run(store, "half", ASKED[:1], tmp_path / "half.kuzu", finish=False)
+    for run_id, method in (("half", "agent"), ("base", "react"), ("silent", "agent")):
+        manifest = RunManifest(run_id, method, "m", "0" * 64, (), True, {}, "")
+        write_run_manifest(store, manifest)
+    for run_id in ("base", "silent"):
+        runs.write_tables(store, run_id, [])
+    for run_id, words in (
+        ("none", r"has no run 'none'; runs: base, half, one, silent, two"),
+        ("half", r"'half' is not finished: repeat its 'jrdb-avr evaluate' with --resume"),
+        ("base", r"'base' has no world model: of the methods agent and agent-passive"),
+        ("../one", r"cannot be a run id"),
+    ):
+        with pytest.raises(AvrError, match=words) as caught:
+            jrdb_avr("world", "merge", "one", run_id, "--store", store.path)
+        assert "\n" not in str(caught.value) and "Errno" not in str(caught.value)
+        assert dump(store.graph_path) == live, "nothing is merged where one of the runs cannot be"
+        with pytest.raises(StoreError, match="holds nothing of run"):
+            jrdb_avr("world", "drop", run_id, "--store", store.path)
+    (row,) = json.loads(jrdb_avr("world", "merge", "silent", "--store", store.path, "--json").stdout)
+    assert (row["episodes"], row["writes"]) == (0, 0)
+    with pytest.raises(StoreError, match="is no store"):
+        jrdb_avr("world", "merge", "one", "--store", tmp_path / "typo")
     store.graph_path.unlink()
     with pytest.raises(StoreError, match="has no graph"):
         jrdb_avr("world", "merge", "one", "--store", store.path)

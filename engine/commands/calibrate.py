@@ -36,9 +36,14 @@ def command(store: Path, model: str, base_url: str | None, options: Options, as_
     from jrdb_avr.queries.store import Store
 
     need_address(model, base_url)
+    place = Store(store)
+    if not place.question_path("questions").exists():
+        # A machine without labels has questions and no manifest; what has neither is a slip of the pen.
+        place.manifest()
     with serving(model, base_url) as url, progress(f"calibrate {model}", PICTURES) as advance:
         client = Client(url, model, options, convention=convention_of(model))
-        for warning in require(preflight(client)):
+        # One picture at a time is shown: what only methods need may be lacking.
+        for warning in require(preflight(client), "calibrate"):
             note(f"warning: {warning}")
         found = calibrate(client, advance=advance)
     rows = [msgspec.structs.asdict(score) for score in found.scores]
@@ -50,4 +55,4 @@ def command(store: Path, model: str, base_url: str | None, options: Options, as_
     if found.reason:
         note(f"jrdb-avr: nothing is stored: {found.reason}")
         sys.exit(1)
-    note(f"stored in {write_calibration(Store(store), found)}")
+    note(f"stored in {write_calibration(place, found)}")

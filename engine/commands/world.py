@@ -10,6 +10,8 @@ import click
 from jrdb_avr.engine.output import json_option, note, print_json, print_rows, progress, store_option
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from jrdb_avr.queries.handle import Graph
     from jrdb_avr.queries.store import Store
 
@@ -33,10 +35,10 @@ def command() -> None:
 def merge(run_ids: tuple[str, ...], store: Path, as_json: bool) -> None:
     """Bring the world models of finished runs into the store's graph, in place of what it holds of them."""
     from jrdb_avr.queries.store import Store
-    from jrdb_avr.queries.world_record import merge_world, open_to_replay, read_record
+    from jrdb_avr.queries.world_record import merge_world, open_to_replay
 
     place = Store(store)
-    records = {run_id: read_record(place, run_id) for run_id in dict.fromkeys(run_ids)}
+    records = {run_id: _record(place, run_id) for run_id in dict.fromkeys(run_ids)}
     rows = []
     with open_to_replay(_graph_path(place)) as graph, progress("merging", len(records)) as advance:
         for run_id, record in records.items():
@@ -67,6 +69,28 @@ def drop(run_ids: tuple[str, ...], store: Path, as_json: bool) -> None:
     print_json(rows) if as_json else print_rows(rows)
     if not as_json:
         note("dropped; the space is given back by 'jrdb-avr load --rebuild'")
+
+
+def _record(place: Store, run_id: str) -> pa.Table:
+    """A finished run's record. Raises StoreError where there is no such run, or it has none, and what to do then."""
+    from jrdb_avr.engine.methods import WORLD_METHODS
+    from jrdb_avr.queries.runs import read_run_manifest
+    from jrdb_avr.queries.world_record import read_record
+    from jrdb_avr.schema.errors import StoreError
+
+    there = (place.run_path(run_id) / "world.parquet").exists()
+    record = read_record(place, run_id) if there else None
+    if record is not None and record.num_rows:
+        return record
+    if not place.run_path(run_id).exists():
+        # A folder that is no store lacks more than a run.
+        place.manifest()
+    method = read_run_manifest(place, run_id).method
+    if method not in WORLD_METHODS:
+        raise StoreError(f"run {run_id!r} has no world model: of the methods {' and '.join(WORLD_METHODS)} keep one")
+    if record is None:
+        raise StoreError(f"run {run_id!r} is not finished: repeat its 'jrdb-avr evaluate' with --resume, then merge")
+    return record
 
 
 def _graph_path(place: Store) -> Path:
