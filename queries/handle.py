@@ -299,8 +299,11 @@ class Graph:
             self._planned = 0
 
     def _statement(self, text: str, values: Mapping[str, Any]) -> Any:
-        """What the engine is to execute: the text, or it prepared."""
-        if not (self._prepares and values) or text.startswith("EXPLAIN"):
+        """What the engine is to execute: the text, or it prepared; never prepared where rows are handed in, as the
+        engine would keep those of the first use.
+        """
+        rows = any(isinstance(value, pa.Table) for value in values.values())
+        if not (self._prepares and values) or rows or text.startswith("EXPLAIN"):
             self._planned += bool(values)
             return text
         kept = self._prepared.get(text)

@@ -626,3 +626,15 @@ def test_a_table_of_many_small_chunks_is_copied_whole():
         graph.copy("P", rows)
         found = graph.query("MATCH (p:P) RETURN p.id AS id ORDER BY id")
     assert found["id"].to_pylist() == sorted(rows["id"].to_pylist())
+
+
+def test_rows_are_handed_in_anew_each_time_where_statements_are_prepared():
+    """The engine keeps a table of rows with the statement that was prepared with it."""
+    with Graph.memory(prepares=True) as graph:
+        graph.execute("CREATE NODE TABLE P(id INT64 PRIMARY KEY)")
+        for start in (0, 2, 4):
+            graph.copy("P", pa.table({"id": [start, start + 1]}))
+            load = "LOAD FROM $rows WITH id WHERE id < $below RETURN id ORDER BY id"
+            found = graph.query(load, {"rows": pa.table({"id": [start, 9]}), "below": 7})
+            assert found["id"].to_pylist() == [start]
+        assert graph.query("MATCH (p:P) RETURN p.id AS id ORDER BY id")["id"].to_pylist() == list(range(6))
