@@ -5,9 +5,7 @@ A pure function of the sequence's tables and the rules, so sequences can be shar
 
 from __future__ import annotations
 
-import contextlib
-import gc
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -19,6 +17,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from jrdb_avr.loaders.shards import without_collector
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.plan import parse_plan
@@ -67,20 +66,7 @@ class Found:
     faults: tuple[str, ...]
 
 
-@contextlib.contextmanager
-def _no_collector() -> Iterator[None]:
-    """Python's collector of cycles switched off: the second path holds millions of small objects, none of them in a
-    cycle, and to look through them again and again would take a quarter of its time."""
-    was_on = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_on:
-            gc.enable()
-
-
-@_no_collector()
+@without_collector()
 def search_sequence(job: Job) -> Found:
     """Find, prove and thin out the candidates of one sequence."""
     store = Store(job.store)

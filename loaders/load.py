@@ -11,7 +11,6 @@ The new graph also holds what the finished runs of the store say of their agents
 from __future__ import annotations
 
 import contextlib
-import gc
 import hashlib
 import multiprocessing
 import os
@@ -41,7 +40,7 @@ from .layers import Root, SequenceFiles
 from .problems import shorten
 from .report import SequenceReport, frame_range, warnings
 from .scene import build_scene, stage_scene
-from .shards import end_with_parent, map_shards
+from .shards import end_with_parent, map_shards, without_collector
 from .timeline import step_of
 
 STAGING: Final = ".loading"
@@ -135,7 +134,7 @@ def resume(store: Store) -> None:
 
 def load_shard(shard: Shard) -> ShardResult:
     """Read one sequence's files and write its annotation and interval tables into the staging folder."""
-    with _collector_off():
+    with without_collector():
         sequence = shard.files.sequence
         found = annotate(shard.files)
         files = {
@@ -221,18 +220,6 @@ def _write(
     stage_scene(staging, sequence, intervals)
     layers = intervals["sequence"]["layers"][0].as_py()
     return SequenceEntry(tuple(layers), tables)
-
-
-@contextlib.contextmanager
-def _collector_off() -> Iterator[None]:
-    """Decoding makes millions of objects and no cycles: looking for cycles among them would be most of the work."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 # -- the store ---------------------------------------------------------------------------------------------------
