@@ -17,6 +17,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.queries.handle import Graph
+from jrdb_avr.schema.answers import same_answer
 from jrdb_avr.schema.rules import FPS, Rules, frames
 
 from . import relations
@@ -179,7 +180,7 @@ def _read_start(scene: Scene, watched: Watched, paths: Paths, row: int, moment: 
     track = int(scene.tracks[scene.persons(np.array([moment]))[0]])
     start = watched.start(track, action, int(paths.frames["t0"][row]))
     if start is not None:
-        return SAME if stored.near(start.frame, start.angle) else DIFFERENT
+        return SAME if same_answer(start, stored) else DIFFERENT
     return UNKNOWN if watched.could_start(track, action, stored) else EMPTY
 
 

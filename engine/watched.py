@@ -3,27 +3,13 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
 
-from jrdb_avr.schema.panorama import angle_error
-from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP
+from jrdb_avr.schema.answers import FrameViewpoint, same_answer
+from jrdb_avr.schema.rules import KEYFRAME_STEP
 from jrdb_avr.schema.vocabulary import POSES
 
+from .conditions import FALSE, TRUE, UNKNOWN
 from .scene import NOBODY, Scene
-
-FALSE, TRUE, UNKNOWN = 0, 1, 2
-
-
-@dataclass(frozen=True)
-class Start:
-    """An action's start as it is asked for, and the direction in which the person is seen then."""
-
-    frame: int
-    angle: float
-
-    def near(self, frame: int, angle: float) -> bool:
-        """Whether a frame and direction would score against this start."""
-        return abs(frame - self.frame) <= round(FPS) and float(angle_error(angle, self.angle)) <= 20.0
 
 
 class Watched:
@@ -42,18 +28,18 @@ class Watched:
         for track, action, *times in zip(*(scene.segments[name].to_pylist() for name in columns), strict=True):
             self._segments[track, action].append((times[0], times[1], times[2]))
 
-    def start(self, track: int, action: str, after: int) -> Start | None:
+    def start(self, track: int, action: str, after: int) -> FrameViewpoint | None:
         """The first start after a frame at which the action is false, if it is certain."""
         for frame, quiet_from, first in self._segments[track, action]:
             if frame > after and quiet_from <= after:
-                return Start(frame, float(self.scene.geometry["angle"][self.scene.box_of(track, first)]))
+                return viewpoint(self.scene, self.scene.box_of(track, first), frame)
         return None
 
-    def could_start(self, track: int, action: str, stored: Start) -> bool:
+    def could_start(self, track: int, action: str, stored: FrameViewpoint) -> bool:
         """Whether the person could be seen to start the action so near to `stored` that it would score."""
         for frame in range(stored.frame - KEYFRAME_STEP, stored.frame + KEYFRAME_STEP + 1):
             line = self.scene.box_of(track, frame)
-            if line == NOBODY or not stored.near(frame, float(self.scene.geometry["angle"][line])):
+            if line == NOBODY or not same_answer(viewpoint(self.scene, line, frame), stored):
                 continue
             before = self.state(track, action, frame - KEYFRAME_STEP)
             if self.state(track, action, frame) != FALSE and before != TRUE:
@@ -76,7 +62,12 @@ class Watched:
         return UNKNOWN if covering or not self.scene.listed[line] else FALSE
 
 
-def start_of(scene: Scene, segment: int) -> Start:
-    """The start of a stable segment, by its row."""
+def start_of(scene: Scene, segment: int) -> FrameViewpoint:
+    """The start of a stable segment, by its row: the frame asked for, and where the person is seen at the first one."""
     row = {name: scene.segments[name][segment].as_py() for name in ("track", "start", "first")}
-    return Start(row["start"], float(scene.geometry["angle"][scene.box_of(row["track"], row["first"])]))
+    return viewpoint(scene, scene.box_of(row["track"], row["first"]), row["start"])
+
+
+def viewpoint(scene: Scene, line: int, frame: int) -> FrameViewpoint:
+    """A frame, and the angle at which a row of `boxes` is seen, as an answer."""
+    return FrameViewpoint(frame, float(scene.geometry["angle"][line]))
