@@ -180,11 +180,6 @@ def ints(table: pa.Table, name: str) -> Ints:
     return np.asarray(pc.fill_null(table[name], NOBODY).to_numpy(), dtype=np.int64)
 
 
-def flags(table: pa.Table, name: str) -> Bools:
-    """A column of booleans; null is false."""
-    return np.asarray(pc.fill_null(table[name], False).to_numpy(), dtype=bool)
-
-
 def codes(column: pa.ChunkedArray) -> Codes:
     """Choice answers as indices into VALUES."""
     return coded(column.cast(pa.string()), VALUES).astype(np.int8)

@@ -33,7 +33,7 @@ from jrdb_avr.schema.vocabulary import (
 from jrdb_avr.schema.wording import actions_of
 
 from .relations import KIND, SOCIAL, Facts, untold_others
-from .scene import NOBODY, Ints, Scene, coded, spread
+from .scene import NOBODY, Ints, Scene, coded, flags, moments_of, spread
 
 Words = npt.NDArray[np.uint64]
 States = npt.NDArray[np.int8]
@@ -206,10 +206,9 @@ def _actions(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[
     sure = np.zeros((len(ACTIONS), scene.moment_count), dtype=bool)
     maybe = np.zeros_like(sure)
     row, keyframe = spread(scene, scene.actions)
-    person = scene.person_of(scene.actions["track"].to_numpy())[row]
-    moment = person * len(scene.keyframes) + keyframe
+    moment = moments_of(scene, scene.actions, "track", row, keyframe)
     action = coded(scene.actions["action"], ACTIONS)[row]
-    certain = np.asarray(scene.actions["certain"].to_numpy(), dtype=bool)[row]
+    certain = flags(scene.actions, "certain")[row]
     maybe[action, moment] = True
     sure[action[certain], moment[certain]] = True
     pose, listed = scene.poses[rows], scene.flag("listed")[rows]
@@ -225,8 +224,8 @@ def _actions(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[
 def _objects(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[_Column]:
     """What is done with a thing of a category; a thing of unknown category could be any."""
     row, keyframe = spread(scene, scene.handles)
-    moment = scene.person_of(scene.handles["track"].to_numpy())[row] * len(scene.keyframes) + keyframe
-    certain = np.asarray(scene.handles["certain"].to_numpy(), dtype=bool)[row]
+    moment = moments_of(scene, scene.handles, "track", row, keyframe)
+    certain = flags(scene.handles, "certain")[row]
     verb = coded(scene.handles["verb"], VERBS)[row]
     thing = scene.handled_categories[row]
     listed = scene.flag("handles_listed")[rows]

@@ -21,6 +21,7 @@ from jrdb_avr.schema.wording import FAMILIES
 
 from .blind import blind_check, posed
 from .publish import Heads, publish, question_tables, read_heads
+from .scene import weight
 from .selection import CANDIDATE_COLUMNS, Selection, select
 from .shard import EXAMPLES, Found, Job, search_sequence
 from .shortfalls import REFUSALS, shortfalls, tallies
@@ -96,15 +97,10 @@ def _search(
         Job(store.path, sequence, rules, scratch / f"{sequence}.parquet" if scratch else None) for sequence in sequences
     ]
     found: dict[int, Found] = {}
-    for index, result in map_shards(search_sequence, jobs, workers, lambda job: _weight(store, job.sequence)):
+    for index, result in map_shards(search_sequence, jobs, workers, lambda job: weight(store, job.sequence)):
         found[index] = result
         advance(1)
     return [found[index] for index in range(len(jobs))]
-
-
-def _weight(store: Store, sequence: str) -> float:
-    """The more boxes, the longer a sequence takes."""
-    return float(pq.read_metadata(store.interval_path("sightings", sequence)).num_rows)
 
 
 def _gather(parts: Sequence[Path], place: Path) -> None:

@@ -31,11 +31,10 @@ from .candidates import (
     ask,
     codes,
     first_refusing,
-    flags,
     ints,
     proven_rules,
 )
-from .scene import NOBODY, Ints, Scene
+from .scene import NOBODY, Ints, Scene, flags
 from .templates import Template
 
 

@@ -32,7 +32,7 @@ from jrdb_avr.schema.vocabulary import (
 )
 from jrdb_avr.schema.wording import poses_of
 
-from .scene import NOBODY, NOWHERE, Ints, Scene, coded, spread
+from .scene import NOBODY, NOWHERE, Ints, Scene, coded, flags, moments_of, spread
 
 _WORDS_WITHIN: Final = DISTANCE_WORDS[: 1 + sum(bound < 5.0 for bound in DISTANCE_BOUNDS_M)]
 PERSON_FRAME: Final = tuple(person_frame_label(sector, word) for sector in PERSON_SECTORS for word in _WORDS_WITHIN)
@@ -162,7 +162,7 @@ def _told(scene: Scene) -> Bools:
     told[PERSON_VIEW, there] = scene.flag("located")[rows]
     row, keyframe = spread(scene, scene.memberships)
     told[GROUP] = False
-    told[GROUP, scene.person_of(scene.memberships["track"].to_numpy())[row] * len(scene.keyframes) + keyframe] = True
+    told[GROUP, moments_of(scene, scene.memberships, "track", row, keyframe)] = True
     return told
 
 
@@ -177,10 +177,9 @@ def _pairs_of(scene: Scene, table: pa.Table) -> _Part:
     row, keyframe = spread(scene, table)
     known = codes[row] != NOBODY
     row, keyframe = row[known], keyframe[known]
-    source = scene.person_of(table["source"].to_numpy())[row] * len(scene.keyframes) + keyframe
-    target = scene.person_of(table["target"].to_numpy())[row] * len(scene.keyframes) + keyframe
+    source, target = (moments_of(scene, table, who, row, keyframe) for who in ("source", "target"))
     there = (scene.moment_rows[source] != NOBODY) & (scene.moment_rows[target] != NOBODY)
-    certain = np.asarray(table["certain"].to_numpy(), dtype=bool)[row]
+    certain = flags(table, "certain")[row]
     return source[there], codes[row][there], target[there], certain[there]
 
 
@@ -188,11 +187,11 @@ def _groups(scene: Scene) -> _Part:
     """Pairs of members of one cluster: certain where both memberships are."""
     table = scene.memberships
     row, keyframe = spread(scene, table)
-    moment = scene.person_of(table["track"].to_numpy())[row] * len(scene.keyframes) + keyframe
+    moment = moments_of(scene, table, "track", row, keyframe)
     there = scene.moment_rows[moment] != NOBODY
     row, keyframe, moment = row[there], keyframe[there], moment[there]
     cluster = np.unique(table["cluster"].to_numpy(), return_inverse=True)[1][row]
-    certain = np.asarray(table["certain"].to_numpy(), dtype=bool)[row]
+    certain = flags(table, "certain")[row]
     group = keyframe * (int(cluster.max(initial=0)) + 1) + cluster
     order = np.argsort(group, kind="stable")
     moment, certain, group = moment[order], certain[order], group[order]

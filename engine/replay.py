@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import pyarrow.parquet as pq
 
 from jrdb_avr.loaders.shards import map_shards
 from jrdb_avr.queries.store import Store
@@ -28,7 +27,7 @@ from .proofs import make_record, proof
 from .proven import candidate_table
 from .rederive import Annotations, rederive
 from .relations import RELATIONS, Steps, find_facts, find_steps
-from .scene import NOBODY, Ints, Scene, load_scene
+from .scene import NOBODY, Ints, Scene, load_scene, weight
 from .search import find_candidates, search_graph
 from .stored import Difference, Stored, decoded, read_plans, short
 from .templates import Template
@@ -63,15 +62,11 @@ def replay(
         by_sequence.setdefault(question.sequence, []).append(question)
     jobs = [Job(store.path, name, rules, tuple(members)) for name, members in sorted(by_sequence.items())]
     found: dict[str, list[Difference]] = {}
-    for index, differences in map_shards(replay_sequence, jobs, workers, lambda job: _weight(store, job.sequence)):
+    for index, differences in map_shards(replay_sequence, jobs, workers, lambda job: weight(store, job.sequence)):
         for difference in differences:
             found.setdefault(difference.question_id, []).append(difference)
         advance(len(jobs[index].questions))
     return [difference for question in questions for difference in found.pop(question.question_id, [])]
-
-
-def _weight(store: Store, sequence: str) -> float:
-    return float(pq.read_metadata(store.interval_path("sightings", sequence)).num_rows)
 
 
 def replay_sequence(job: Job) -> list[Difference]:

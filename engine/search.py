@@ -25,7 +25,6 @@ from .candidates import (
     ask,
     codes,
     first_refusing,
-    flags,
     ints,
     proven_rules,
 )
@@ -36,7 +35,8 @@ from .joins import Joins, find_joins
 from .paths import Paths, hop_proofs, in_blocks, paths_in_graph, program_proofs
 from .presence import find_presence
 from .relations import RELATIONS, STATED_POSES, Facts, find_steps
-from .scene import NOBODY, Ints, Scene, coded, scene_graph
+from .scene import NOBODY, Ints, Scene, coded, flags
+from .scene_graph import scene_graph
 from .templates import Template
 
 TIMES = ("t0", "t1", "t2")
