@@ -1,16 +1,19 @@
 """The reference agent against models that say anything: it ends within its budget, and says the same again."""
 
 import dataclasses
+import itertools
 import json
 import math
 import threading
+import time
 
 import pytest
 from effort import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from painted_world import World, still
+from painted_world import SEQUENCE, World, still
 from reference_play import (
+    CHOICES,
     GRAPH,
     PLAN,
     Scripted,
@@ -22,6 +25,7 @@ from reference_play import (
     look,
     play,
     proposed,
+    text_of,
     turn,
 )
 
@@ -30,6 +34,7 @@ from jrdb_avr.agent.reference.limits import Limits
 from jrdb_avr.agent.reference.method import ReferenceAgent
 from jrdb_avr.agent.replies import Reply
 from jrdb_avr.agent.world import World as Beliefs
+from jrdb_avr.engine import runs
 from jrdb_avr.queries.world import WorldGraph
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Prediction
@@ -195,3 +200,95 @@ def test_a_list_of_any_calls_is_read(given):
         known = isinstance(raw, dict) and raw.get("tool") in TOOLS
         assert known == (call.tool != "?")
         assert call.fault or {"tool": call.tool, **call.arguments} == raw or raw != raw
+
+
+# -- plans that are much work -----------------------------------------------------------------------------------------
+
+NODES = [f"n{letter}" for letter in "abcdefghijklmnop"]
+
+
+def wide_plan(nodes, joined, conditions=()):
+    """A plan of so many nodes, whose edges are (source, relation, target); the answer is read of the first."""
+    return {
+        "root": NODES[0],
+        "target": NODES[0],
+        "times": {"t0": {"frame": 150}},
+        "nodes": [{"id": node, "conditions": [] if n else list(conditions)} for n, node in enumerate(NODES[:nodes])],
+        "edges": [{"source": a, "relation": relation, "target": b, "at": "t0"} for a, relation, b in joined],
+        "answer": {"mode": "multiple_choice", "read": "action", "of": NODES[0], "at": "t0"},
+    }
+
+
+def crowd(people, ties):
+    """Calls that add people, and say who talks with whom."""
+    added = [entity(f"p{n}", box=(10 + 20 * n, 250, 25 + 20 * n, 708)) for n in range(people)]
+    tie = {"tool": "add_relation", "name": "conversation", "observation": "o1"}
+    return [look(), *added, *({**tie, "source": f"p{a}", "target": f"p{b}"} for a, b in ties)]
+
+
+def in_turns(calls):
+    return [turn(*calls[start : start + MOST_PER_TURN]) for start in range(0, len(calls), MOST_PER_TURN)]
+
+
+ROW = [(a, "conversation", b) for a, b in itertools.pairwise(NODES)]
+BOTH_WAYS = [edge for a, b in itertools.pairwise(NODES) for edge in ((a, "conversation", b), (b, "hugging", a))]
+
+
+@pytest.mark.parametrize(
+    ("joined", "why"), [(ROW, "too many sets of people"), (BOTH_WAYS, "nobody in the graph fits")], ids=["row", "ways"]
+)
+def test_the_widest_plan_over_all_that_a_question_may_write_ends_soon(world, graph, joined, why):
+    """Everybody talks with everybody, so that sets of people who nearly fit are without number."""
+    everybody = crowd(12, itertools.combinations(range(12), 2))[:79]
+    started = time.process_time()
+    game = play(
+        world,
+        [wide_plan(16, joined), *in_turns(everybody), turn(final(1, "p0"))],
+        graph=graph,
+        solver="real",
+    )
+    assert time.process_time() - started < 10
+    assert game.prediction.status == "invalid"
+    assert game.prediction.evidence is not None
+    assert any(why in step.response for step in game.steps)
+
+
+class Voices:
+    """A model that plays each question by its own script."""
+
+    def __init__(self, scripts):
+        self.voices = {question: Scripted(script) for question, script in scripts.items()}
+
+    def complete(self, messages, schema=None):
+        (question,) = (name for name in self.voices if f"Question: {name}\n" in text_of(messages))
+        return self.voices[question].complete(messages, schema)
+
+
+def test_a_solving_that_takes_too_long_is_an_error_of_its_question_alone(world, graph, tmp_path, monkeypatch):
+    """The engine stops, the run goes on, and what was stopped is asked again."""
+    many = wide_plan(
+        4, [(NODES[0], "conversation", b) for b in NODES[1:4]], [{"attribute": "gender", "value": "female"}]
+    )
+    calls = [*crowd(12, ((0, n) for n in range(1, 12))), attribute("gender", "female", "p0")]
+    calls += [attribute("action", "standing", "p0"), final(2, "p0")]
+    questions = [
+        dataclasses.replace(world.task(text, "multiple_choice", CHOICES).question, question_id=f"{n:016x}")
+        for n, text in enumerate(("Who waits?", "Who is planless?"))
+    ]
+    place = tmp_path / "journal.jsonl"
+
+    def run():
+        chat = Voices({"Who waits?": [many, *in_turns(calls)], "Who is planless?": ["no plan"]})
+        agent = ReferenceAgent(chat, world=Beliefs(graph, "late"))
+        with runs.Journal(place) as journal:
+            runs.ask_all(agent, questions, {SEQUENCE: world.info}, world.observe, world.panorama, journal, 2)
+            return [journal.finished[question.question_id].prediction for question in questions]
+
+    with monkeypatch.context() as patch:
+        patch.setattr("jrdb_avr.agent.solver.TIMEOUT_S", 0.001)
+        late, planless = run()
+    assert (late["status"], planless["status"]) == ("error", "invalid")
+    assert late["reason"].startswith("stopped after 0.001 s: ") and "\n" not in late["reason"]
+    answered, kept = run()
+    assert (answered["status"], answered["answer"]) == ("answered", '{"choice":2}')
+    assert kept == planless
