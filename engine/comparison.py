@@ -10,9 +10,9 @@ from typing import Any, Final
 import numpy as np
 import pyarrow.compute as pc
 
-from .judged import SCORES, Facts, Judged, percent, share, values_of
+from .judged import SCORES, Facts, Judged, percent, share
 from .published import ABLATION, BY_GROUP, MAIN, Published
-from .statistics import Interval, cluster_sums, compare, interval, mean_of_ratios, ratio
+from .statistics import Interval, compare, intervals, mean_of_ratios, numbered_sums, ratio
 
 Row = dict[str, Any]
 
@@ -36,24 +36,29 @@ def main_rows(facts: Facts, runs: Sequence[Judged], iou: float) -> list[Row]:
 
 
 def _main_row(facts: Facts, run: Judged, iou: float) -> Row:
-    row = _head(run) | {"n": run.n, "sequences": len(np.unique(facts.texts["sequence"][run.rows]))}
-    clusters = facts.texts["sequence"][run.rows]
     # Columns: the questions, the three scores, the answers without evidence.
     base = np.concatenate([np.ones((run.n, 1)), run.scores, run.scores[:, :1] - run.scores[:, 2:]], axis=1)
-    sums = cluster_sums(clusters, base)
-    for place, name in enumerate(SCORES, 1):
-        row |= _with_bounds(name, interval(sums, ratio(place, 0)))
-    row |= _with_bounds("hallucination", interval(sums, ratio(4, 1)))
-    row["invalid"] = share(int(run.invalid.sum()), run.n)
-    row["errors"] = share(run.errors, run.n)
+    found, cluster = np.unique(facts.labels["sequence"].numbers[run.rows], return_inverse=True)
+    sums = [numbered_sums(cluster, len(found), base)]
+    statistics = {name: ratio(place, 0) for place, name in enumerate(SCORES, 1)} | {"hallucination": ratio(4, 1)}
+    column = base.shape[1]
     for title, dimension in (("families", "family"), ("groups", "group")):
-        values = values_of(facts, dimension, [run])
-        members = facts.texts[dimension][run.rows]
-        parts = np.concatenate([base[:, :4] * (members == value)[:, None] for value in values], axis=1)
-        by_value = cluster_sums(clusters, parts)
+        labels = facts.labels[dimension]
+        count = len(labels.names)
+        parts = numbered_sums(cluster * count + labels.numbers[run.rows], len(found) * count, base[:, :4])
+        sums.append(parts.reshape(len(found), 4 * count))
         for place, name in enumerate(SCORES, 1):
-            macro = mean_of_ratios([(4 * k + place, 4 * k) for k in range(len(values))])
-            row |= _with_bounds(f"{name}_macro_{title}", interval(by_value, macro))
+            places = [(column + 4 * k + place, column + 4 * k) for k in range(count)]
+            statistics[f"{name}_macro_{title}"] = mean_of_ratios(places)
+        column += 4 * count
+    shares = intervals(np.concatenate(sums, axis=1), tuple(statistics.values()))
+    bounds = {name: _with_bounds(name, share) for name, share in zip(statistics, shares, strict=True)}
+    row = _head(run) | {"n": run.n, "sequences": len(found)}
+    for name in (*SCORES, "hallucination"):
+        row |= bounds.pop(name)
+    row |= {"invalid": share(int(run.invalid.sum()), run.n), "errors": share(run.errors, run.n)}
+    for macro in bounds.values():
+        row |= macro
     return row | {"iou": iou}
 
 
@@ -91,14 +96,18 @@ def _published(row: Published) -> Row:
 
 def breakdown_rows(facts: Facts, runs: Sequence[Judged], dimension: str) -> list[Row]:
     """A row per value of a dimension and run, the runs of a value together."""
-    rows = []
-    for value in values_of(facts, dimension, runs):
-        for run in runs:
-            among = facts.texts[dimension][run.rows] == value
-            n = int(among.sum())
-            if n:
-                rows.append({dimension: value, **_head(run), **_shares(n, run.scores[among], run.invalid[among])})
-    return rows
+    labels = facts.labels[dimension]
+    columns = [np.concatenate([np.ones((run.n, 1)), run.scores, run.invalid[:, None]], axis=1) for run in runs]
+    sums = [
+        numbered_sums(labels.numbers[run.rows], len(labels.names), own).astype(np.int64).tolist()
+        for run, own in zip(runs, columns, strict=True)
+    ]
+    return [
+        {dimension: name, **_head(run), **_shares(*own[number])}
+        for number, name in enumerate(labels.names)
+        for run, own in zip(runs, sums, strict=True)
+        if own[number][0]
+    ]
 
 
 def published_groups() -> list[Row]:
@@ -114,19 +123,22 @@ def published_groups() -> list[Row]:
 def score_row(run: Judged, iou: float) -> Row:
     """A run's shares in short."""
     head = {"run": run.manifest.run_id, "label": _head(run)["label"]}
-    errors = {"errors": share(run.errors, run.n), "iou": iou}
-    return head | _shares(run.n, run.scores, run.invalid) | errors
+    return head | _shares(*_totals(run)) | {"errors": share(run.errors, run.n), "iou": iou}
 
 
-def _shares(n: int, scores: Any, invalid: Any) -> Row:
-    answer, evidence, combined = (int(total) for total in scores.sum(axis=0))
+def _totals(run: Judged) -> list[int]:
+    """What `_shares` takes, of a whole run."""
+    return [run.n, *run.scores.sum(axis=0).tolist(), int(run.invalid.sum())]
+
+
+def _shares(n: int, answer: int, evidence: int, combined: int, invalid: int) -> Row:
     return {
         "n": n,
         "answer": share(answer, n),
         "evidence": share(evidence, n),
         "combined": share(combined, n),
         "hallucination": share(answer - combined, answer),
-        "invalid": share(int(invalid.sum()), n),
+        "invalid": share(invalid, n),
     }
 
 
@@ -140,7 +152,7 @@ def ablation_rows(runs: Sequence[Judged], *, published: bool = False) -> list[Ro
         for method, active, world in _CELLS:
             for run in runs:
                 if (run.manifest.model, run.manifest.method) == (model, method):
-                    rows.append(_cell(active, world) | _head(run) | _shares(run.n, run.scores, run.invalid))
+                    rows.append(_cell(active, world) | _head(run) | _shares(*_totals(run)))
     if published:
         rows += [_cell(active, world) | _published(ABLATION[method]) for method, active, world in _CELLS]
     return rows
@@ -155,20 +167,19 @@ def _cell(active: bool, world: bool) -> Row:
 
 def pair_rows(facts: Facts, runs: Sequence[Judged]) -> list[Row]:
     """For each two runs and score, on the questions that both were asked: the exact McNemar test and the difference."""
-    rows = []
+    pairs, shared = [], []
     for first, second in combinations(runs, 2):
         common, mine, yours = np.intersect1d(first.rows, second.rows, assume_unique=True, return_indices=True)
-        if not len(common):
-            continue
-        clusters = facts.texts["sequence"][common]
-        for place, name in enumerate(SCORES):
-            found = compare(clusters, first.scores[mine, place], second.scores[yours, place])
-            rows.append(
-                {"first": first.manifest.run_id, "second": second.manifest.run_id, "score": name, "n": found.n}
-                | {"only_first": found.only_first, "only_second": found.only_second, "p": found.p}
-                | _with_bounds("difference", found.difference)
-            )
-    return rows
+        if len(common):
+            pairs.append((first, second))
+            shared.append((facts.labels["sequence"].numbers[common], first.scores[mine], second.scores[yours]))
+    return [
+        {"first": first.manifest.run_id, "second": second.manifest.run_id, "score": name, "n": pair.n}
+        | {"only_first": pair.only_first, "only_second": pair.only_second, "p": pair.p}
+        | _with_bounds("difference", pair.difference)
+        for (first, second), found in zip(pairs, compare(shared), strict=True)
+        for name, pair in zip(SCORES, found, strict=True)
+    ]
 
 
 # -- cost -------------------------------------------------------------------------------------------------------------

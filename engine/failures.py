@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Sequence
+from itertools import chain
 from typing import Any, Final
 
 import msgspec
@@ -27,8 +28,8 @@ from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.panorama import CROP, WIDTH
 
 from .judged import Facts, Floats, Ints, Judged, share
-from .scoring import MOST_FRAMES, Truth, box_ious, frame_key
-from .tracing import look_asked, look_left
+from .scoring import Truth, box_ious, frame_key, given_boxes, predictions_asked, target_boxes
+from .tracing import look_shown
 
 CAUSES: Final = (
     "no box",
@@ -48,13 +49,16 @@ _SHOWN: Final = 0.5
 # -- wrong choices ----------------------------------------------------------------------------------------------------
 
 
-def wrong_choice_rows(store: Store, runs: Sequence[Judged]) -> list[dict[str, Any]]:
+def wrong_choice_rows(store: Store, facts: Facts, runs: Sequence[Judged]) -> list[dict[str, Any]]:
     """Per run: the perturbation behind each wrong choice that was made, in percent of the wrong choices."""
-    answers = store.questions("answers").select(["question_id", "distractors"])
-    distractors = dict(zip(answers["question_id"].to_pylist(), answers["distractors"].to_pylist(), strict=True))
+    answers = store.questions("answers", ["question_id", "distractors"])
+    known = answers["distractors"].take(pc.index_in(facts.ids, value_set=answers["question_id"].combine_chunks()))
+    perturbations = [_perturbations(text) for text in known.to_pylist()]
     rows = []
     for run in runs:
-        found = Counter(_perturbation(distractors[name], number) for name, number in _wrong_choices(run))
+        found = Counter(
+            perturbations[question].get(choice, NONE_RECORDED) for question, choice in _wrong_choices(facts, run)
+        )
         total = found.total()
         for name, times in sorted(found.items(), key=lambda item: (-item[1], item[0])):
             head = {"run": run.manifest.run_id, "perturbation": name}
@@ -62,14 +66,18 @@ def wrong_choice_rows(store: Store, runs: Sequence[Judged]) -> list[dict[str, An
     return rows
 
 
-def _wrong_choices(run: Judged) -> Iterator[tuple[str, int]]:
-    asked = pa.array(run.manifest.question_ids, pa.string())
-    wrong = asked.filter(pa.array(run.scores[:, 0] == 0))
-    among = run.predictions.filter(pc.is_in(run.predictions["question_id"], value_set=wrong))
-    for name, text in zip(among["question_id"].to_pylist(), among["answer"].to_pylist(), strict=True):
-        number = _choice(text)
-        if number is not None:
-            yield name, number
+def _wrong_choices(facts: Facts, run: Judged) -> list[tuple[int, int]]:
+    """Row of `Facts` and choice of each readable answer that does not score where choices were given."""
+    modes = facts.labels["answer_mode"]
+    among = np.flatnonzero(np.array(modes.names) == "multiple_choice")
+    wrong = (run.scores[:, 0] == 0) & np.isin(modes.numbers[run.rows], among)
+    given, judged = predictions_asked(run.manifest.question_ids, run.predictions)
+    wrong &= judged
+    texts = given["answer"].filter(pa.array(wrong)).to_pylist()
+    read = {text: _choice(text) for text in set(texts)}
+    choices = [read[text] for text in texts]
+    rows = run.rows[wrong].tolist()
+    return [(row, choice) for row, choice in zip(rows, choices, strict=True) if choice is not None]
 
 
 def _choice(text: str | None) -> int | None:
@@ -81,136 +89,122 @@ def _choice(text: str | None) -> int | None:
     return number if isinstance(number, int) else None
 
 
-def _perturbation(distractors: str, number: int) -> str:
-    """The perturbation that yields a choice: its kind, without what it left out."""
+def _perturbations(distractors: str) -> dict[int, str]:
+    """By the number of a choice, the perturbation that yields it: its kind, without what it left out."""
     texts = msgspec.json.decode(distractors, type=list[str | None])
-    text = texts[number - 1] if 1 <= number <= len(texts) else None
-    return NONE_RECORDED if text is None else text.partition(" without ")[0]
+    return {number: text.partition(" without ")[0] for number, text in enumerate(texts, 1) if text is not None}
 
 
 # -- boxes that do not score ------------------------------------------------------------------------------------------
 
+_SCORES: Final = -1
+
 
 def evidence_failure_rows(store: Store, truth: Truth, facts: Facts, runs: Sequence[Judged]) -> list[dict[str, Any]]:
     """Per run and cause: how many boxes do not score, in percent of the questions asked."""
-    people = _People(store)
+    people = _people(store, facts)
     rows = []
     for run in runs:
-        causes = evidence_causes(store, truth, facts, run, people)
-        found = Counter(cause for cause in causes if cause)
-        for cause in CAUSES:
+        causes = _causes(store, truth, facts, run, people)
+        found = np.bincount(causes[causes != _SCORES], minlength=len(CAUSES)).tolist()
+        for cause, times in zip(CAUSES, found, strict=True):
             head = {"run": run.manifest.run_id, "cause": cause, "n": run.n}
-            rows.append(head | {"times": found[cause], "percent": share(found[cause], run.n)})
+            rows.append(head | {"times": times, "percent": share(times, run.n)})
     return rows
 
 
-def evidence_causes(store: Store, truth: Truth, facts: Facts, run: Judged, people: _People | None = None) -> list[str]:
+def evidence_causes(store: Store, truth: Truth, facts: Facts, run: Judged) -> list[str]:
     """The cause per question asked, in the order asked; "" where the box scores."""
-    people = people or _People(store)
-    shown = _shown(store, truth, run)
-    given = {row["question_id"]: row for row in run.predictions.to_pylist()}
-    sequences = facts.texts["sequence"][run.rows].tolist()
-    causes = []
-    for place, (name, sequence) in enumerate(zip(run.manifest.question_ids, sequences, strict=True)):
-        if run.scores[place, 1]:
-            causes.append("")
-            continue
-        frames, boxes = _target(truth, int(run.rows[place]))
-        causes.append(_cause(given.get(name), frames, boxes, bool(shown[place]), people, sequence))
-    return causes
+    causes = _causes(store, truth, facts, run, _people(store, facts))
+    return ["" if cause == _SCORES else CAUSES[cause] for cause in causes.tolist()]
 
 
-def _cause(
-    row: Mapping[str, Any] | None,
-    frames: Ints,
-    boxes: Floats,
-    shown: bool,
-    people: _People,
-    sequence: str,
-) -> str:
-    if row is None or row["status"] == "error" or row["evidence_frame"] is None or row["evidence_w"] is None:
-        return CAUSES[0]
-    if not shown:
-        return CAUSES[1]
-    frame = row["evidence_frame"]
-    at = np.flatnonzero(frames == frame)
-    if not len(at):
-        return CAUSES[2]
-    box = np.array([[row[f"evidence_{key}"] for key in "xywh"]], np.float64)
-    own = float(box_ious(box, boxes[at])[0])
-    others = people.at(sequence, frame)
-    best = float(box_ious(np.repeat(box, len(others), axis=0), others).max(initial=0.0))
-    if own == best == 0.0:
-        return CAUSES[5]
-    # The target is one of the people, so nobody overlaps the box more where these are equal.
-    return CAUSES[3] if own >= best else CAUSES[4]
+def _causes(store: Store, truth: Truth, facts: Facts, run: Judged, people: tuple[Ints, Floats]) -> Ints:
+    """The place of each question's cause in `CAUSES`, `_SCORES` where its box scores."""
+    given, judged = predictions_asked(run.manifest.question_ids, run.predictions)
+    frame, box, boxed = given_boxes(given)
+    present, target = target_boxes(truth, run.rows, frame)
+    own = np.where(present, box_ious(box, target), 0.0)
+    scores = run.scores[:, 1] == 1
+    # Others matter only where nothing before them tells the cause.
+    asked = np.flatnonzero(~scores & judged & boxed & present)
+    best = np.zeros(run.n)
+    best[asked] = _best_ious(people, frame_key(facts.labels["sequence"].numbers[run.rows], frame)[asked], box[asked])
+    causes = np.select(
+        [
+            scores,
+            ~(judged & boxed),
+            ~_shown(store, truth, run),
+            ~present,
+            # The target is one of the people, so nobody overlaps the box more where these are equal.
+            (own >= best) & (own > 0),
+            best > 0,
+        ],
+        [_SCORES, 0, 1, 2, 3, 4],
+        5,
+    )
+    return causes.astype(np.int64)
 
 
-def _target(truth: Truth, row: int) -> tuple[Ints, Floats]:
-    """Frames and boxes of a question's target."""
-    first, last = np.searchsorted(truth.keys, [frame_key(row, 0), frame_key(row + 1, 0)])
-    return truth.keys[first:last] - frame_key(row, 0), truth.boxes[first:last]
+def _people(store: Store, facts: Facts) -> tuple[Ints, Floats]:
+    """Everybody's boxes (n, 4), in the order of their keys: sequence, as the facts number them, and frame."""
+    keys, boxes = [np.zeros(0, np.int64)], [np.zeros((0, 4))]
+    for number, sequence in enumerate(facts.labels["sequence"].names):
+        table = store.interval("sightings", sequence, ["frame", *"xywh"])
+        keys.append(frame_key(number, table["frame"].to_numpy().astype(np.int64)))
+        boxes.append(np.stack([table[key].to_numpy() for key in "xywh"], axis=1).astype(np.float64))
+    key = np.concatenate(keys)
+    order = np.argsort(key, kind="stable")
+    return key[order], np.concatenate(boxes)[order]
+
+
+def _best_ious(people: tuple[Ints, Floats], keys: Ints, boxes: Floats) -> Floats:
+    """The IoU of each box with the person, of those at its key, that it overlaps most."""
+    first, last = (np.searchsorted(people[0], keys, side) for side in ("left", "right"))
+    count = last - first
+    row = np.repeat(np.arange(len(keys)), count)
+    # Each box beside every person at its key: their rows are first, first + 1, ... of each.
+    person = np.arange(len(row)) - np.repeat(np.cumsum(count) - count - first, count)
+    best = np.zeros(len(keys))
+    np.maximum.at(best, row, box_ious(boxes[row], people[1][person]))
+    return best
 
 
 def _shown(store: Store, truth: Truth, run: Judged) -> npt.NDArray[np.bool_]:
     """For each question asked, whether some look of the run's transcript shows enough of the target."""
     found = np.zeros(run.n, dtype=bool)
-    steps = read_table(store.run_path(run.manifest.run_id) / "steps.parquet")
+    # Requests hold whole conversations: what was shown stands in the responses, a hundredth of them.
+    steps = read_table(store.run_path(run.manifest.run_id) / "steps.parquet", ["question_id", "kind", "response"])
     steps = steps.filter(pc.equal(steps["kind"], "observe"))
     place = pc.index_in(steps["question_id"], value_set=pa.array(run.manifest.question_ids, pa.string()))
-    looks = np.concatenate([_distinct(steps["request"], _asked, 2), _distinct(steps["response"], _left, 1)], axis=1)
-    looks = np.concatenate([pc.fill_null(place, -1).to_numpy().astype(np.float64)[:, None], looks], axis=1)
-    looks = looks[np.isfinite(looks).all(axis=1) & (looks[:, 0] >= 0)]
-    if not len(looks) or not len(truth.keys):
-        return found
-    asked, frame, width, left = looks.T
-    asked = asked.astype(np.int64)
-    key = frame_key(run.rows[asked], frame.astype(np.int64))
-    at = np.minimum(np.searchsorted(truth.keys, key), len(truth.keys) - 1)
-    x, w = truth.boxes[at, 0], truth.boxes[at, 2]
+    place = pc.fill_null(place, -1).to_numpy().astype(np.int64)
+    looks = _looks(steps["response"])
+    known = np.isfinite(looks).all(axis=1) & (place >= 0)
+    asked, (frame, left, width) = place[known], looks[known].T
+    present, box = target_boxes(truth, run.rows[asked], frame.astype(np.int64))
+    x, w = box[:, 0], box[:, 2]
     # Columns from the look's left edge on; a box may begin before it and reach in, also over the seam.
-    start = (x - np.where(width < WIDTH, left, 0)) % WIDTH
+    start = (x - left) % WIDTH
     seen = np.maximum(0, np.minimum(start + w, width) - start) + np.maximum(0, np.minimum(start + w - WIDTH, width))
-    found[asked[(truth.keys[at] == key) & (seen >= _SHOWN * w)]] = True
+    found[asked[present & (seen >= _SHOWN * w)]] = True
     return found
 
 
-def _distinct(texts: pa.ChunkedArray, read: Callable[[str], tuple[float, ...]], columns: int) -> Floats:
-    """Numbers read from each text, (n, columns); each distinct text is read once, as runs look alike at much."""
-    encoded = texts.combine_chunks().dictionary_encode()
-    numbers = np.array([read(text) for text in encoded.dictionary.to_pylist()], np.float64).reshape(-1, columns)
+def _looks(responses: pa.ChunkedArray) -> Floats:
+    """Frame, left column and width of each look, (n, 3); not numbers where none can be told.
+
+    Each distinct text is read once, as runs look alike at much.
+    """
+    encoded = responses.combine_chunks().dictionary_encode()
+    read = chain.from_iterable(_look(text) for text in encoded.dictionary.to_pylist())
+    numbers = np.fromiter(read, np.float64).reshape(-1, 3)
     found: Floats = numbers[encoded.indices.to_numpy()]
     return found
 
 
-def _asked(request: str) -> tuple[float, float]:
-    """Frame and width of a look; not a number where it cannot be told."""
-    asked = look_asked(request)
-    if asked is None or not 0 <= asked[0] < MOST_FRAMES:
-        return math.nan, math.nan
-    return asked[0], WIDTH if asked[1] is None else CROP
-
-
-def _left(response: str) -> tuple[float]:
-    left = look_left(response)
-    return (math.nan if left is None else left % WIDTH,)
-
-
-class _People:
-    """Everybody's boxes, read a sequence at a time."""
-
-    def __init__(self, store: Store) -> None:
-        self._store = store
-        self._read: dict[str, tuple[Ints, Floats]] = {}
-
-    def at(self, sequence: str, frame: int) -> Floats:
-        """Boxes (n, 4) at a frame."""
-        if sequence not in self._read:
-            table = self._store.interval("sightings", sequence).select(["frame", "x", "y", "w", "h"])
-            frames = table["frame"].to_numpy().astype(np.int64)
-            boxes = np.stack([table[key].to_numpy() for key in "xywh"], axis=1).astype(np.float64)
-            order = np.argsort(frames, kind="stable")
-            self._read[sequence] = frames[order], boxes[order]
-        frames, boxes = self._read[sequence]
-        first, last = np.searchsorted(frames, [frame, frame + 1])
-        return boxes[first:last]
+def _look(response: str) -> tuple[float, float, float]:
+    shown = look_shown(response)
+    if shown is None:
+        return math.nan, math.nan, math.nan
+    frame, angle, left = shown
+    return frame, left, WIDTH if angle is None else CROP

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -19,7 +19,6 @@ from jrdb_avr.schema.tables import QUESTIONS
 
 from .published import GROUPS
 
-Texts = npt.NDArray[np.str_]
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 
@@ -35,11 +34,19 @@ _GROUP_OF: Final = {family: group for group, families in GROUPS.items() for fami
 
 
 @dataclass(frozen=True)
+class Labels:
+    """A text per question: `names`, each once and in the order in which they are shown, and each question's number."""
+
+    names: tuple[str, ...]
+    numbers: Ints
+
+
+@dataclass(frozen=True)
 class Facts:
-    """What is known of every question of a store: a text per question and dimension, by dimension."""
+    """What is known of every question of a store: its labels by dimension."""
 
     ids: pa.Array
-    texts: dict[str, Texts]
+    labels: dict[str, Labels]
 
     def rows(self, ids: pa.Array) -> Ints:
         """The row of each id."""
@@ -69,8 +76,8 @@ class Judged:
 
 def read_facts(store: Store) -> Facts:
     """The facts of a store's questions. Raises StoreError where there are none."""
-    questions, answers = store.questions("questions"), store.questions("answers")
-    answers = answers.select(["question_id", "hops", "time_gap_s", "separation_deg"])
+    questions = store.questions("questions")
+    answers = store.questions("answers", ["question_id", "hops", "time_gap_s", "separation_deg"])
     return make_facts(questions.select(QUESTIONS["questions"].names), answers)
 
 
@@ -79,12 +86,12 @@ def make_facts(questions: pa.Table, answers: pa.Table) -> Facts:
     ids = questions["question_id"].combine_chunks()
     at = pc.index_in(ids, value_set=answers["question_id"].combine_chunks())
     known = answers.take(at)
-    texts = {name: _texts(questions[name]) for name in ("family", "template", "answer_mode", "sequence")}
-    texts["group"] = np.array([_GROUP_OF[family] for family in texts["family"].tolist()], np.str_)
-    texts["hops"] = np.array([str(hops) for hops in known["hops"].to_pylist()], np.str_)
+    texts = {name: questions[name].to_pylist() for name in ("family", "template", "answer_mode", "sequence")}
+    texts["group"] = [_GROUP_OF[family] for family in texts["family"]]
+    texts["hops"] = [str(hops) for hops in known["hops"].to_pylist()]
     for name, edges in (("time_gap_s", GAP_EDGES_S), ("separation_deg", SEPARATION_EDGES_DEG)):
         texts[name] = _bins(known[name].to_numpy(zero_copy_only=False).astype(np.float64), edges)
-    return Facts(ids, texts)
+    return Facts(ids, {name: _labels(own) for name, own in texts.items()})
 
 
 def judge(facts: Facts, manifest: RunManifest, predictions: pa.Table, scores: pa.Table) -> Judged:
@@ -102,13 +109,6 @@ def judge(facts: Facts, manifest: RunManifest, predictions: pa.Table, scores: pa
     )
 
 
-def values_of(facts: Facts, dimension: str, runs: Iterable[Judged]) -> list[str]:
-    """The values of a dimension among the questions of runs, in the order in which they are shown."""
-    asked = [facts.texts[dimension][run.rows] for run in runs]
-    found = {str(value) for values in asked for value in np.unique(values)}
-    return sorted(found, key=lambda value: (_first_number(value), value))
-
-
 def share(part: float, n: float) -> float | None:
     """Percent with two decimals; None of nothing."""
     return round(100 * part / n, 2) if n else None
@@ -119,15 +119,17 @@ def percent(value: float | None) -> float | None:
     return None if value is None or math.isnan(value) else round(100 * value, 2)
 
 
-def _texts(column: pa.ChunkedArray) -> Texts:
-    return np.array(column.to_pylist(), np.str_)
+def _labels(texts: Sequence[str]) -> Labels:
+    names = tuple(sorted(set(texts), key=lambda name: (_first_number(name), name)))
+    number = {name: number for number, name in enumerate(names)}
+    return Labels(names, np.array([number[text] for text in texts], np.int64))
 
 
-def _bins(values: Floats, edges: Sequence[float]) -> Texts:
+def _bins(values: Floats, edges: Sequence[float]) -> list[str]:
     """The name of each value's bin, `[low, high)`."""
     bounds = (0.0, *edges, math.inf)
-    names = np.array([f"[{low:g}, {high:g})" for low, high in pairwise(bounds)], np.str_)
-    return names[np.searchsorted(edges, values, side="right")]
+    names = [f"[{low:g}, {high:g})" for low, high in pairwise(bounds)]
+    return [names[place] for place in np.searchsorted(edges, values, side="right").tolist()]
 
 
 def _first_number(value: str) -> float:

@@ -28,7 +28,7 @@ def report_table(
         "main": lambda: main_rows(facts, runs, iou) + (published_rows() if published else []),
         "ablation": lambda: ablation_rows(runs, published=published),
         "pairs": lambda: pair_rows(facts, runs),
-        "wrong_choices": lambda: wrong_choice_rows(store, runs),
+        "wrong_choices": lambda: wrong_choice_rows(store, facts, runs),
         "evidence_failures": lambda: evidence_failure_rows(store, truth, facts, runs),
         "cost": lambda: cost_rows(runs),
     }

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -38,8 +38,6 @@ NUMBER_RATIO: Final = 2.0
 _MODES: Final = tuple(ANSWER_TYPES)
 MOST_FRAMES: Final = 1 << 24
 """Above every frame number."""
-
-_Key = TypeVar("_Key", int, Ints)
 
 
 @dataclass(frozen=True)
@@ -122,19 +120,15 @@ def score_predictions(
     if len(np.unique(answered_by)) < len(answered_by):
         raise StoreError(f"run {run_id} has two predictions of one question: evaluate under a new run id")
 
-    given = np.full(len(row), -1, np.int64)
-    given[answered_by] = np.arange(len(answered_by))
-    # A question without a prediction is scored like one that ended in an error: by a row of nulls.
-    table = predictions.select([name for name in predictions.column_names if name != "run_id"])
-    table = table.take(pa.array(given, mask=given < 0))
-    status = table["status"]
-    judged = _flags(pc.is_in(status, value_set=pa.array(["answered", "invalid"])))
+    table, judged = predictions_asked(asked, predictions)
+    invalid = judged & _flags(pc.equal(table["status"], "invalid"))
 
     answers = _payloads(table["answer"], truth.mode[row])
     answer_score = judged & answers_match(truth.mode[row], truth.second[row], answers, truth.answers.take(row))
-    frame, box, boxed = _evidence(table)
-    evidence_score = judged & boxed & _boxes_match(truth, row, frame, box, iou)
-    invalid = judged & (_flags(pc.equal(status, "invalid")) | ~answers.readable | ~boxed)
+    frame, box, boxed = given_boxes(table)
+    present, target = target_boxes(truth, row, frame)
+    evidence_score = judged & boxed & present & (box_ious(box, target) >= iou - TIE)
+    invalid |= judged & (~answers.readable | ~boxed)
     return pa.table(
         {
             "run_id": pa.array([run_id] * len(row), pa.string()),
@@ -148,7 +142,17 @@ def score_predictions(
     )
 
 
-def frame_key(row: _Key, frame: _Key) -> _Key:
+def predictions_asked(asked: Sequence[str], predictions: pa.Table) -> tuple[pa.Table, Bools]:
+    """The predictions in the order asked, and which of them are judged: not those that ended in an error.
+
+    A question without a prediction is one that ended in an error too: its row is null.
+    """
+    given = pc.index_in(pa.array(asked, pa.string()), value_set=predictions["question_id"].combine_chunks())
+    table = predictions.take(given)
+    return table, _flags(pc.is_in(table["status"], value_set=pa.array(["answered", "invalid"])))
+
+
+def frame_key(row: Ints | int, frame: Ints) -> Ints:
     """One number for a question's row and a frame, in which `Truth.keys` are sorted."""
     return row * MOST_FRAMES + frame
 
@@ -169,6 +173,22 @@ def answers_match(mode: Ints, second: Ints, given: Payloads, truth: Payloads) ->
     for number, name in enumerate(_MODES):
         score |= (mode == number) & by_type[ANSWER_TYPES[name]]
     return score & given.readable & truth.readable
+
+
+def given_boxes(predictions: pa.Table) -> tuple[Ints, Floats, Bools]:
+    """Frames (n), boxes (n, 4) and which of them are there and finite."""
+    box = np.stack([predictions[f"evidence_{key}"].to_numpy().astype(np.float64) for key in "xywh"], axis=1)
+    frame = pc.fill_null(predictions["evidence_frame"], -1).to_numpy().astype(np.int64)
+    return frame, box, np.isfinite(box).all(axis=1) & (frame >= 0) & (frame < MOST_FRAMES)
+
+
+def target_boxes(truth: Truth, row: Ints, frame: Ints) -> tuple[Bools, Floats]:
+    """Whether each question's target has a box in a frame, and its box (n, 4); of no meaning where it has none."""
+    if not len(truth.keys):
+        return np.zeros(len(row), dtype=bool), np.zeros((len(row), 4))
+    key = frame_key(row, np.clip(frame, 0, MOST_FRAMES - 1))
+    at = np.minimum(np.searchsorted(truth.keys, key), len(truth.keys) - 1)
+    return truth.keys[at] == key, truth.boxes[at]
 
 
 def box_ious(a: Floats, b: Floats) -> Floats:
@@ -270,25 +290,6 @@ def _span_iou(a: Payloads, b: Payloads) -> Floats:
     both = np.where((a.last >= a.first) & (b.last >= b.first), np.maximum(both, 0), 0)
     share: Floats = both / np.maximum(sizes - both, 1)
     return share
-
-
-def _evidence(table: pa.Table) -> tuple[Ints, Floats, Bools]:
-    """Frames (n), boxes (n, 4) and which of them are there and finite."""
-    frames = table["evidence_frame"]
-    box = np.stack([table[f"evidence_{key}"].to_numpy().astype(np.float64) for key in "xywh"], axis=1)
-    frame = pc.fill_null(frames, -1).to_numpy().astype(np.int64)
-    boxed = np.isfinite(box).all(axis=1) & (frame >= 0) & (frame < MOST_FRAMES)
-    return frame, box, boxed
-
-
-def _boxes_match(truth: Truth, row: Ints, frame: Ints, box: Floats, threshold: float) -> Bools:
-    """Whether each box lies on its question's target in its frame."""
-    if not len(truth.keys):
-        return np.zeros(len(row), dtype=bool)
-    key = frame_key(row, np.clip(frame, 0, MOST_FRAMES - 1))
-    at = np.minimum(np.searchsorted(truth.keys, key), len(truth.keys) - 1)
-    hits: Bools = (truth.keys[at] == key) & (box_ious(box, truth.boxes[at]) >= threshold - TIE)
-    return hits
 
 
 def _rows_of(values: Any, among: Any) -> Ints:

@@ -11,6 +11,7 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Final
 
 import numpy as np
@@ -18,11 +19,13 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
-Labels = npt.NDArray[np.int64] | npt.NDArray[np.str_]
 
 DRAWS: Final = 10_000
 SEED: Final = 0
 LEVEL: Final = 0.95
+
+_BATCH: Final = 32
+"""Comparisons drawn at a time: 10 MB."""
 
 
 @dataclass(frozen=True)
@@ -59,38 +62,46 @@ def draws(clusters: int, n: int = DRAWS, seed: int = SEED) -> Floats:
     return found
 
 
-def interval(
-    sums: Floats,
-    statistic: Callable[[Floats], Floats],
-    n: int = DRAWS,
-    seed: int = SEED,
-) -> Interval:
-    """A statistic of sums over clusters, with its interval.
+Statistic = Callable[[Floats], Floats]
+"""Totals (draws, columns) to values (draws), NaN where undefined."""
 
-    sums: (clusters, columns), what is added up in each cluster; statistic: totals (draws, columns) to values (draws),
-    NaN where undefined. Draws in which it is undefined are left out.
+
+def intervals(sums: Floats, statistics: Sequence[Statistic], n: int = DRAWS, seed: int = SEED) -> list[Interval]:
+    """Statistics of the same sums over clusters, with their intervals.
+
+    sums: (clusters, columns), what is added up in each cluster. Draws in which a statistic is undefined are left out.
     """
-    value = float(statistic(sums.sum(axis=0, keepdims=True))[0]) if len(sums) else math.nan
+    total = sums.sum(axis=0, keepdims=True)
+    values = [float(statistic(total)[0]) if len(sums) else math.nan for statistic in statistics]
+    if len(sums) < 2:
+        return [Interval(None if math.isnan(value) else value, None, None) for value in values]
+    # Laid out by column, as statistics go through columns.
+    drawn = (sums.T @ draws(len(sums), n, seed).T).T
+    return [_interval(value, statistic, drawn) for value, statistic in zip(values, statistics, strict=True)]
+
+
+def _interval(value: float, statistic: Statistic, drawn: Floats) -> Interval:
     if math.isnan(value):
         return Interval(None, None, None)
-    if len(sums) < 2:
-        return Interval(value, None, None)
-    found = statistic(draws(len(sums), n, seed) @ sums)
+    found = statistic(drawn)
     found = found[~np.isnan(found)]
     tail = (1 - LEVEL) / 2
     low, high = np.quantile(found, [tail, 1 - tail])
     return Interval(value, float(low), float(high))
 
 
-def cluster_sums(clusters: Labels, columns: Floats) -> Floats:
+def cluster_sums(clusters: Ints, columns: Floats) -> Floats:
     """Sums of the rows of (n, columns) by cluster, in the clusters' sorted order."""
-    _, number = np.unique(clusters, return_inverse=True)
-    sums = np.zeros((int(number.max(initial=-1)) + 1, columns.shape[1]))
-    np.add.at(sums, number, columns)
-    return sums
+    found, numbers = np.unique(clusters, return_inverse=True)
+    return numbered_sums(numbers, len(found), columns)
 
 
-def ratio(numerator: int, denominator: int) -> Callable[[Floats], Floats]:
+def numbered_sums(numbers: Ints, count: int, columns: Floats) -> Floats:
+    """Sums of the rows of (n, columns) by their number below `count`: (count, columns)."""
+    return np.stack([np.bincount(numbers, weights=column, minlength=count) for column in columns.T], axis=1)
+
+
+def ratio(numerator: int, denominator: int) -> Statistic:
     """The statistic that divides one column's total by another's; NaN over zero."""
 
     def divide(totals: Floats) -> Floats:
@@ -101,7 +112,7 @@ def ratio(numerator: int, denominator: int) -> Callable[[Floats], Floats]:
     return divide
 
 
-def mean_of_ratios(pairs: Sequence[tuple[int, int]]) -> Callable[[Floats], Floats]:
+def mean_of_ratios(pairs: Sequence[tuple[int, int]]) -> Statistic:
     """The mean of several ratios, a macro average: over those whose denominator is not zero."""
 
     def mean(totals: Floats) -> Floats:
@@ -124,14 +135,33 @@ def mcnemar(only_first: int, only_second: int) -> float:
     return min(1.0, 2 * below / (1 << n))
 
 
-def compare(clusters: Labels, first: Ints, second: Ints, n: int = DRAWS, seed: int = SEED) -> Pair:
-    """Two runs' 0/1 scores on the same questions, in the same order."""
-    columns = np.stack([second - first, np.ones(len(first))], axis=1).astype(np.float64)
-    only_first, only_second = int(((first == 1) & (second == 0)).sum()), int(((first == 0) & (second == 1)).sum())
-    return Pair(
-        len(first),
-        only_first,
-        only_second,
-        mcnemar(only_first, only_second),
-        interval(cluster_sums(clusters, columns), ratio(0, 1), n, seed),
-    )
+def compare(runs: Sequence[tuple[Ints, Ints, Ints]], n: int = DRAWS, seed: int = SEED) -> list[list[Pair]]:
+    """Two runs on the same questions, often: for each a pair per score.
+
+    runs: the questions' clusters (questions), and either run's 0/1 scores (questions, scores), in the same order.
+    """
+    sums = [
+        cluster_sums(clusters, np.concatenate([second - first, np.ones((len(first), 1))], axis=1))
+        for clusters, first, second in runs
+    ]
+    differences: dict[int, list[Interval]] = {}
+    for count in {len(own) for own in sums}:
+        # A product of many columns takes hardly longer than one of a few.
+        alike = [number for number, own in enumerate(sums) if len(own) == count]
+        for batch in (alike[start : start + _BATCH] for start in range(0, len(alike), _BATCH)):
+            statistics, column = [], 0
+            for number in batch:
+                n_column = column + sums[number].shape[1] - 1
+                statistics += [ratio(score, n_column) for score in range(column, n_column)]
+                column = n_column + 1
+            found = iter(intervals(np.concatenate([sums[number] for number in batch], axis=1), statistics, n, seed))
+            differences |= {number: list(islice(found, sums[number].shape[1] - 1)) for number in batch}
+    return [_pairs(first, second, differences[number]) for number, (_, first, second) in enumerate(runs)]
+
+
+def _pairs(first: Ints, second: Ints, differences: Sequence[Interval]) -> list[Pair]:
+    only_first, only_second = ((one > other).sum(axis=0).tolist() for one, other in ((first, second), (second, first)))
+    return [
+        Pair(len(first), mine, yours, mcnemar(mine, yours), difference)
+        for mine, yours, difference in zip(only_first, only_second, differences, strict=True)
+    ]

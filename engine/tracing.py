@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 import pyarrow.compute as pc
@@ -13,9 +13,13 @@ import pyarrow.compute as pc
 from jrdb_avr.queries.runs import RunManifest, read_run_manifest
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.errors import InputError, StoreError
+from jrdb_avr.schema.panorama import WIDTH
 from jrdb_avr.schema.world import Fact
 
 Row = Mapping[str, Any]
+
+_DIGITS: Final = 8
+"""More than frame ids have."""
 
 
 @dataclass(frozen=True)
@@ -82,41 +86,34 @@ def read_trace(store: Store, run_id: str, question_id: str) -> Trace:
     )
 
 
-class _Asked(msgspec.Struct):
-    frame_index: int
-    angle_deg: float | None = None
-
-
 class _Shown(msgspec.Struct):
-    left: int = 0
-    refused: str | None = None
+    frame_id: str
+    angle_deg: float | None = None
+    left: int | None = None
+
+
+_SHOWN = msgspec.json.Decoder(_Shown)
 
 
 def look_of(step: Row) -> Look | None:
     """The look that a step of the transcript tells of; None for other steps, and for a look that was refused."""
-    if step["kind"] != "observe":
-        return None
-    asked, left = look_asked(step["request"]), look_left(step["response"])
-    return None if asked is None or left is None else Look(step["step"], *asked, left)
+    shown = look_shown(step["response"]) if step["kind"] == "observe" else None
+    return None if shown is None else Look(step["step"], *shown)
 
 
-def look_asked(request: str) -> tuple[int, float | None] | None:
-    """Frame and angle that a look asked for, no angle for a whole panorama; None where that cannot be read."""
+def look_shown(response: str) -> tuple[int, float | None, int] | None:
+    """Frame, angle and left column of what was shown, no angle and 0 of a whole panorama; None where nothing was.
+
+    A method of somebody's own may tell of its looks otherwise: they cannot be read.
+    """
     try:
-        asked = msgspec.json.decode(request, type=_Asked)
-    except (msgspec.DecodeError, UnicodeEncodeError):
-        # A method of somebody's own may describe its looks otherwise.
-        return None
-    return asked.frame_index, asked.angle_deg
-
-
-def look_left(response: str) -> int | None:
-    """The left column of the crop that was shown, 0 of a whole panorama; None where nothing was shown."""
-    try:
-        shown = msgspec.json.decode(response, type=_Shown)
+        shown = _SHOWN.decode(response)
     except (msgspec.DecodeError, UnicodeEncodeError):
         return None
-    return None if shown.refused is not None else shown.left
+    plain = shown.frame_id.isascii() and shown.frame_id.isdecimal() and len(shown.frame_id) < _DIGITS
+    if not plain or (shown.left is None) != (shown.angle_deg is None):
+        return None
+    return int(shown.frame_id), shown.angle_deg, (shown.left or 0) % WIDTH
 
 
 def _rows(table: Any, question_id: str) -> list[dict[str, Any]]:

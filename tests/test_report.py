@@ -137,7 +137,8 @@ def stored_failures(path, settings=None):
     for name, (_, (frame, left), _) in CASES.items():
         asked = {"sequence": "s", "frame_index": frame} | ({} if left is None else {"angle_deg": 1.0})
         looked = {"run_id": "r", "question_id": name, "kind": "observe", "request": json.dumps(asked)}
-        steps.append(looked | {"response": json.dumps({"frame_id": "x"} if left is None else {"left": left})})
+        shown = {"frame_id": f"{frame:06}"} | ({} if left is None else {"angle_deg": 1.0, "left": left})
+        steps.append(looked | {"response": json.dumps(shown)})
         # A refused look shows nothing, and other steps are no looks.
         steps.append(looked | {"request": '{"frame_index":7,"angle_deg":0}', "response": '{"refused":"twice"}'})
         steps.append(looked | {"kind": "model", "request": "[]", "response": "{}"})
@@ -167,7 +168,7 @@ def test_a_wrong_choice_tells_the_perturbation_it_is_true_of(tmp_path):
     benchmark = Benchmark(FOUR)
     Store(tmp_path).write_questions("answers", benchmark.tables["answers"], {})
     run = benchmark.run([(1, BOX, 7), (2, BOX, 7), (3, BOX, 7), (4, BOX, 7)])
-    rows = {row["perturbation"]: row for row in wrong_choice_rows(Store(tmp_path), [run])}
+    rows = {row["perturbation"]: row for row in wrong_choice_rows(Store(tmp_path), benchmark.facts, [run])}
     assert {name: row["times"] for name, row in rows.items()} == {"time.shift +3 s": 1, "x": 1, "none recorded": 1}
     assert rows["x"]["percent"] == 33.33
 

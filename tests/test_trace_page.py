@@ -69,7 +69,7 @@ def step_rows(sequence, frame):
     reply = {"content": f"I look {HOSTILE}", "reasoning": LONG * 3, "finish_reason": "length"}
     return [
         ("model", json.dumps([{"role": "user", "content": f"{HOSTILE} [image panorama]"}]), json.dumps(reply)),
-        ("observe", json.dumps(asked | {"angle_deg": 0.0}), json.dumps({"left": 3520})),
+        ("observe", json.dumps(asked | {"angle_deg": 0.0}), json.dumps({"frame_id": f"{frame:06}", "angle_deg": 0.0, "left": 3520})),
         ("model", "no JSON " + LONG, HOSTILE),
         ("observe", json.dumps(asked | {"angle_deg": 0.4}), json.dumps({"refused": "a duplicate"})),
         # A method of somebody's own: no form that is known.
@@ -169,7 +169,7 @@ def test_a_page_of_thousands_of_steps_stays_small(benchmark_copy, tmp_path, monk
     """Pictures are shown of the first looks alone; the rest is told."""
     question = benchmark_copy.questions("questions").to_pylist()[0]
     asked = json.dumps({"sequence": question["sequence"], "frame_index": 0, "angle_deg": 1.0})
-    stored_run(benchmark_copy, "long", steps=[("observe", asked, '{"left":5}')] * 3000)
+    stored_run(benchmark_copy, "long", steps=[("observe", asked, '{"frame_id":"000000","angle_deg":1.0,"left":5}')] * 3000)
     monkeypatch.setattr(trace_page, "_PICTURES", 2)
     code, _, err = run(
         "trace", "long", question["question_id"], "--store", benchmark_copy.path, "--out", tmp_path / "t"
