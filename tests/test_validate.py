@@ -9,8 +9,9 @@ import pyarrow.parquet as pq
 import pytest
 from entry import run
 
+from jrdb_avr.engine.checks import CHECKS
 from jrdb_avr.engine.templates import TEMPLATES
-from jrdb_avr.engine.validate import CHECKS, validate
+from jrdb_avr.engine.validate import validate
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.rules import Rules
