@@ -31,8 +31,9 @@ _READ_POSES: Final = ("action", "next_action")
 class Inspected:
     """A question with its answer, plan and proofs.
 
-    people: the plan's nodes as (role, track); moments: named times as frames; boxes: per frame, the plan's people as
-    rows `role`, `x`, `y`, `w`, `h`; decisive: (frame, box) of the box that answers it.
+    people: the plan's nodes as (role, track); counted: further people that the answer counts, as (role, track);
+    moments: named times as frames; shown: the frames whose boxes say what was at these times; boxes: per frame, all
+    these people as rows `role`, `x`, `y`, `w`, `h`; decisive: (frame, box) of the box that answers it.
     """
 
     question: Mapping[str, Any]
@@ -41,7 +42,9 @@ class Inspected:
     proofs: Sequence[Mapping[str, Any]]
     distractors: Sequence[str | None]
     people: Mapping[str, int]
+    counted: Mapping[str, int]
     moments: Mapping[str, int]
+    shown: Mapping[str, int]
     lines: tuple[Line, ...]
     boxes: Mapping[int, Sequence[Mapping[str, Any]]]
     decisive: tuple[int, Mapping[str, Any]]
@@ -50,8 +53,8 @@ class Inspected:
 
     @property
     def frames(self) -> list[int]:
-        """The frames to be shown: those of the named times, and the decisive one."""
-        return sorted({*self.moments.values(), self.decisive[0]})
+        """The frames to be shown: those of the named times, the decisive one, and where people are counted."""
+        return sorted(self.boxes)
 
 
 def choose_questions(store: Store, ids: Sequence[str], sample: int | None, seed: int) -> list[str]:
@@ -92,8 +95,13 @@ class _Sequence:
     def __init__(self, store: Store, sequence: str) -> None:
         names = ("sightings", "actions", "interactions", "memberships", "beside", "handles")
         self.tables = {name: store.interval(name, sequence) for name in names}
-        steps = sorted(set(self.tables["sightings"]["frame"].to_pylist()))
-        self.step = min((b - a for a, b in pairwise(steps)), default=1)
+        self.frames = sorted(set(self.tables["sightings"]["frame"].to_pylist()))
+        self.step = min((b - a for a, b in pairwise(self.frames)), default=1)
+
+    def annotated(self, frame: int) -> int:
+        """The annotated frame that a frame between two of them goes by: an event at 1 Hz lies half a step away."""
+        near = min(self.frames, key=lambda known: abs(known - frame), default=frame)
+        return near if abs(near - frame) <= self.step // 2 else frame
 
     def rows(self, name: str, **equal: int | str) -> list[dict[str, Any]]:
         table = self.tables[name]
@@ -113,12 +121,15 @@ def _inspected(
     needed = msgspec.json.decode(answer["needed"], type=list[dict[str, Any]])
     # A count has none: its target at the first of the two times is what is looked for.
     decisive = next((row for row in needed if row["decisive"]), needed[0])
-    shown = sorted({*moments.values(), decisive["frame"]})
+    shown = {name: sequence.annotated(frame) for name, frame in moments.items()}
+    counted = [row for row in needed if row["node"] not in people]
     sightings = {role: sequence.rows("sightings", track=track) for role, track in people.items()}
-    boxes = {
+    boxes: dict[int, list[Mapping[str, Any]]] = {
         frame: [{"role": role, **row} for role, rows in sightings.items() for row in rows if row["frame"] == frame]
-        for frame in shown
+        for frame in {*shown.values(), decisive["frame"], *(row["frame"] for row in counted)}
     }
+    for row in counted:
+        boxes[row["frame"]].append({"role": row["node"], **row})
     lines = [line for role in people for line in _lines(role, plan, people, moments, sightings[role], sequence)]
     return Inspected(
         question,
@@ -127,7 +138,9 @@ def _inspected(
         msgspec.json.decode(answer["proofs"], type=list[dict[str, Any]]),
         msgspec.json.decode(answer["distractors"], type=list[str | None]),
         people,
+        {row["node"]: row["track"] for row in counted},
         moments,
+        shown,
         tuple(lines),
         boxes,
         (decisive["frame"], decisive),

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import msgspec
+import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.queries.runs import RunManifest, read_run_manifest
@@ -15,6 +16,8 @@ from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.panorama import WIDTH
 from jrdb_avr.schema.world import Fact
+
+from .scoring import make_truth, score_predictions
 
 Row = Mapping[str, Any]
 
@@ -42,7 +45,10 @@ class Written:
 
 @dataclass(frozen=True)
 class Trace:
-    """One question of a run. target: the boxes of the person asked about by frame, (x, y, w, h)."""
+    """One question of a run.
+
+    target: the boxes of the person asked about by frame, (x, y, w, h); scores: its row of the `scores` table.
+    """
 
     manifest: RunManifest
     question: Row
@@ -52,6 +58,7 @@ class Trace:
     looks: Sequence[Look]
     writes: Sequence[Written]
     target: Mapping[int, tuple[float, float, float, float]]
+    scores: Row
     fps: float
 
 
@@ -62,27 +69,31 @@ def read_trace(store: Store, run_id: str, question_id: str) -> Trace:
     path = store.run_path(run_id)
     if not (path / "predictions.parquet").exists():
         raise StoreError(f"run {run_id} has no predictions yet: evaluate it to the end (the same call with --resume)")
-    rows = {name: _rows(read_table(path / f"{name}.parquet"), question_id) for name in ("predictions", "steps")}
-    if not rows["predictions"]:
+    predictions = _own(read_table(path / "predictions.parquet"), question_id)
+    if not predictions.num_rows:
         raise InputError(f"run {run_id} was not asked question {question_id[:40]!r}", field="question_id")
-    own = {name: _rows(store.questions(name), question_id) for name in ("questions", "answers", "evidence")}
-    if not own["questions"]:
+    own = {name: _own(store.questions(name), question_id) for name in ("questions", "answers", "evidence")}
+    if not own["questions"].num_rows:
         raise InputError(f"no question {question_id[:40]!r} in {store.path}", field="question_id")
-    question = own["questions"][0]
-    sequences = {row["sequence"]: row for row in store.questions("sequences").to_pylist()}
-    steps = sorted(rows["steps"], key=lambda row: row["step"])
+    question = own["questions"].to_pylist()[0]
+    sequences = store.questions("sequences")
+    truth = make_truth(own["questions"], sequences, own["answers"], own["evidence"])
+    scores = score_predictions(truth, run_id, [question_id], predictions).to_pylist()[0]
+    fps = {row["sequence"]: row["fps"] for row in sequences.to_pylist()}
+    steps = sorted(_own(read_table(path / "steps.parquet"), question_id).to_pylist(), key=lambda row: row["step"])
     world = path / "world.parquet"
-    writes = sorted(_rows(read_table(world), question_id) if world.exists() else [], key=lambda row: row["number"])
+    written = _own(read_table(world), question_id).to_pylist() if world.exists() else []
     return Trace(
         manifest,
         question,
-        own["answers"][0],
-        rows["predictions"][0],
+        own["answers"].to_pylist()[0],
+        predictions.to_pylist()[0],
         steps,
         tuple(look for step in steps if (look := look_of(step)) is not None),
-        tuple(Written(row, _fact(row["fact"], world)) for row in writes),
-        {row["frame"]: (row["x"], row["y"], row["w"], row["h"]) for row in own["evidence"]},
-        sequences[question["sequence"]]["fps"],
+        tuple(Written(row, _fact(row["fact"], world)) for row in sorted(written, key=lambda row: row["number"])),
+        {row["frame"]: (row["x"], row["y"], row["w"], row["h"]) for row in own["evidence"].to_pylist()},
+        scores,
+        fps[question["sequence"]],
     )
 
 
@@ -116,9 +127,8 @@ def look_shown(response: str) -> tuple[int, float | None, int] | None:
     return int(shown.frame_id), shown.angle_deg, (shown.left or 0) % WIDTH
 
 
-def _rows(table: Any, question_id: str) -> list[dict[str, Any]]:
-    rows: list[dict[str, Any]] = table.filter(pc.equal(table["question_id"], question_id)).to_pylist()
-    return rows
+def _own(table: pa.Table, question_id: str) -> pa.Table:
+    return table.filter(pc.equal(table["question_id"], question_id))
 
 
 def _fact(text: str, path: Path) -> Fact:

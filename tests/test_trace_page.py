@@ -69,7 +69,11 @@ def step_rows(sequence, frame):
     reply = {"content": f"I look {HOSTILE}", "reasoning": LONG * 3, "finish_reason": "length"}
     return [
         ("model", json.dumps([{"role": "user", "content": f"{HOSTILE} [image panorama]"}]), json.dumps(reply)),
-        ("observe", json.dumps(asked | {"angle_deg": 0.0}), json.dumps({"frame_id": f"{frame:06}", "angle_deg": 0.0, "left": 3520})),
+        (
+            "observe",
+            json.dumps(asked | {"angle_deg": 0.0}),
+            json.dumps({"frame_id": f"{frame:06}", "angle_deg": 0.0, "left": 3520}),
+        ),
         ("model", "no JSON " + LONG, HOSTILE),
         ("observe", json.dumps(asked | {"angle_deg": 0.4}), json.dumps({"refused": "a duplicate"})),
         # A method of somebody's own: no form that is known.
@@ -146,16 +150,16 @@ def test_the_world_model_grows_with_the_slider(traced, tmp_path):
         # Two looks have a known form, and one of them was refused.
         assert len(driver.find_elements("css selector", ".map rect.look")) == 2, "a crop over the seam is two parts"
         assert len(visible(".entity")) == 2 and len(visible("circle.given")) == 1
-        assert visible(".entity li.gone") == [t for t in visible(".entity li") if "walking" in t] != []
+        assert visible(".entity .gone") == [t for t in visible(".entity .said") if "walking" in t] != []
         at(1)
         assert visible(".entity") == visible("circle.seen") == visible("td.refused") == []
         at(2)
         assert [text.split()[0] for text in visible(".entity")] == ["p1"]
-        assert any("walking" in t for t in visible(".entity li")) and not visible(".gone")
-        assert len(visible("td.refused")) == 1 and not visible("path.tie")
+        assert any("walking" in t for t in visible(".entity .said")) and not visible(".gone")
+        assert len(visible("td.refused")) == 1 and not visible(".map path.tie")
         assert driver.find_element("id", "at").text == "2 of 6: model"
         at(5)
-        assert len(visible("path.tie")) == 1 and len(visible(".entity li.gone")) == 1
+        assert len(visible(".map path.tie")) == len(visible(".web path.tie")) == len(visible(".entity .gone")) == 1
         # A text of ten thousand letters does not make the page wide.
         assert driver.execute_script("return document.documentElement.scrollWidth") <= 1250
         for other in ("empty", "broken"):
@@ -169,7 +173,9 @@ def test_a_page_of_thousands_of_steps_stays_small(benchmark_copy, tmp_path, monk
     """Pictures are shown of the first looks alone; the rest is told."""
     question = benchmark_copy.questions("questions").to_pylist()[0]
     asked = json.dumps({"sequence": question["sequence"], "frame_index": 0, "angle_deg": 1.0})
-    stored_run(benchmark_copy, "long", steps=[("observe", asked, '{"frame_id":"000000","angle_deg":1.0,"left":5}')] * 3000)
+    stored_run(
+        benchmark_copy, "long", steps=[("observe", asked, '{"frame_id":"000000","angle_deg":1.0,"left":5}')] * 3000
+    )
     monkeypatch.setattr(trace_page, "_PICTURES", 2)
     code, _, err = run(
         "trace", "long", question["question_id"], "--store", benchmark_copy.path, "--out", tmp_path / "t"

@@ -6,16 +6,26 @@ from collections.abc import Sequence
 
 from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, FrameViewpoint, Number, Span, decode_answer
 from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.plan import Plan
 
 
-def readable(mode: str, text: str | None, choices: Sequence[str], fps: float) -> str:
-    """A stored answer in words; what cannot be read under its mode as it stands, "" where there is none."""
+def readable(mode: str, text: str | None, choices: Sequence[str], fps: float, unit: str = "") -> str:
+    """A stored answer in words; what cannot be read under its mode as it stands, "" where there is none.
+
+    `unit` is that of a number, as `unit_of` names it.
+    """
     if not text:
         return ""
     try:
-        return _words(decode_answer(mode, text), choices, fps)
+        said = _words(decode_answer(mode, text), choices, fps)
     except DecodeError:
         return text
+    return f"{said} {unit}" if unit else said
+
+
+def unit_of(plan: Plan) -> str:
+    """What the number that a plan asks for counts."""
+    return {"seconds_between": "s", "count": "people"}.get(plan.answer.read, "")
 
 
 def _words(answer: Answer, choices: Sequence[str], fps: float) -> str:
@@ -30,7 +40,7 @@ def _words(answer: Answer, choices: Sequence[str], fps: float) -> str:
         case FrameViewpoint():
             return f"{_frame(answer.frame, fps)}, angle {answer.angle_deg:.1f}\N{DEGREE SIGN}"
         case Number():
-            return f"{answer.value:.2f}"
+            return f"{answer.value:.2f}".removesuffix(".00")
 
 
 def _frame(frame: int, fps: float) -> str:

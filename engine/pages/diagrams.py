@@ -16,6 +16,7 @@ _NODE_HEAD: Final = 24.0
 _NODE_LINE: Final = 13.0
 _GAP: Final = 150.0
 """Between columns; the words of an edge stand in it."""
+_WIDE_GAP: Final = 230.0
 _GAP_CHARACTERS: Final = 22
 _LANE_GAP: Final = 50.0
 
@@ -23,6 +24,9 @@ TIMELINE_WIDTH: Final = 1040.0
 _LABELS: Final = 262.0
 _ROW: Final = 17.0
 _LABEL_CHARACTERS: Final = 38
+_LEAST: Final = 3.0
+"""Of a bar: what holds in one frame must be seen beside the line of a named time."""
+
 _MOMENT_Y: Final = 11.0
 _MOMENT_ROOM: Final = 28.0
 """Between the names of two times that stand beside each other."""
@@ -52,12 +56,18 @@ class PlanEdge:
     y2: float
     words: tuple[str, ...]
 
+    @property
+    def level(self) -> bool:
+        """Whether the words can stand above the line; else they stand in it."""
+        return self.y1 == self.y2
+
 
 @dataclass(frozen=True)
 class PlanGraph:
-    """A plan as drawn: nodes of one size in columns by their distance from the root."""
+    """A plan as drawn: nodes of one size in columns by their distance from the root, with `top` room above for words."""
 
     node: tuple[float, float]
+    top: float
     width: float
     height: float
     nodes: tuple[PlanNode, ...]
@@ -81,10 +91,12 @@ def plan_graph(plan: Plan) -> PlanGraph:
     lines = {node.id: _node_lines(node.conditions, several) for node in plan.nodes}
     tall = _NODE_HEAD + _NODE_LINE * max(1, *(len(own) for own in lines.values())) + 4
     lane_height = tall + _LANE_GAP
-    height = max(1, *(lane + 1 for _, lane in lanes.values())) * lane_height
+    height = max(1, *(lane + 1 for _, lane in lanes.values())) * lane_height - _LANE_GAP
     counts = {number: sum(c == number for c, _ in lanes.values()) for number in column.values()}
+    # Beside each other they are drawn slanted, and the words of a slanted line stand in it.
+    gap = _GAP if max(counts.values()) == 1 else _WIDE_GAP
     places = {
-        role: (1 + c * (NODE_WIDTH + _GAP), (height - counts[c] * lane_height + _LANE_GAP) / 2 + lane * lane_height)
+        role: (1 + c * (NODE_WIDTH + gap), (height + _LANE_GAP - counts[c] * lane_height) / 2 + lane * lane_height)
         for role, (c, lane) in lanes.items()
     }
     nodes = tuple(PlanNode(node.id, *places[node.id], lines[node.id], node.id == plan.target) for node in plan.nodes)
@@ -94,7 +106,10 @@ def plan_graph(plan: Plan) -> PlanGraph:
         ends = x1 + NODE_WIDTH, y1 + tall / 2, x2, y2 + tall / 2
         edges.append(PlanEdge(*ends, wrapped(_timed(edge.relation, edge.at, several), _GAP_CHARACTERS)))
     width = max(x for x, _ in places.values()) + NODE_WIDTH + 2
-    return PlanGraph((NODE_WIDTH, tall), width, height, nodes, tuple(edges), tuple(_times(plan)), _asks(plan))
+    top = max((_NODE_LINE * len(edge.words) + 10 - tall / 2 for edge in edges), default=0.0)
+    return PlanGraph(
+        (NODE_WIDTH, tall), max(top, 0.0), width, height, nodes, tuple(edges), tuple(_times(plan)), _asks(plan)
+    )
 
 
 def _node_lines(conditions: Sequence[Condition], several: bool) -> tuple[str, ...]:
@@ -231,7 +246,7 @@ def timeline(lines: Sequence[Line], moments: Mapping[str, int], frame_count: int
         bars = tuple(
             Bar(
                 x(span.first),
-                max(x(span.last + 1) - x(span.first), 1.0),
+                max(x(span.last + 1) - x(span.first), _LEAST),
                 span.kind,
                 span.certain,
                 f"{line.label}: frames {span.first} to {span.last}" + ("" if span.certain else " (unknown)"),

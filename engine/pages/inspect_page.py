@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import msgspec
+import numpy as np
 
 from jrdb_avr.engine.inspection import Inspected
 from jrdb_avr.engine.observe import Observer
 from jrdb_avr.schema.errors import ObserveError
+from jrdb_avr.schema.method import Image
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, center_angle, to_crop
 
-from .answers import readable
+from .answers import readable, unit_of
 from .diagrams import plan_graph, proof_rows, timeline
 from .page import jpeg_bytes, jpeg_uri, render
 
 STRIP_WIDTH: Final = 1880
 """Pixels of a panorama in the page: half size, so that twenty questions stay a file that can be sent."""
+
+NEAR: Final = 220
+"""Pixels of a close-up's side."""
+
+_NEAR_LEAST: Final = 110.0
+"""Panorama pixels of a close-up's side at least: some room round a small person."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +52,8 @@ class View:
     boxes: tuple[Framed, ...]
     missing: str = ""
     plate: float = 28.0
+    near: tuple[View, ...] = ()
+    """Close-ups of its people."""
 
 
 def inspect_page(
@@ -60,7 +71,7 @@ def _question(one: Inspected, number: int, observer: Observer) -> dict[str, Any]
     question, stored = one.question, one.answer["answer"]
     right = msgspec.json.decode(stored, type=dict[str, Any]).get("choice")
     choices = [
-        {"text": text, "right": place == right, "from": one.distractors[place - 1] if one.distractors else None}
+        {"text": text, "right": place == right, "from": _wrong(one, place)}
         for place, text in enumerate(question["choices"], 1)
     ]
     return {
@@ -71,20 +82,32 @@ def _question(one: Inspected, number: int, observer: Observer) -> dict[str, Any]
         "family": question["family"],
         "text": question["question"],
         "choices": choices,
-        "answer": "" if choices else readable(question["answer_mode"], stored, (), one.fps),
+        "answer": "" if choices else readable(question["answer_mode"], stored, (), one.fps, unit_of(one.plan)),
         "graph": plan_graph(one.plan),
         "timeline": timeline(one.lines, one.moments, one.frame_count, one.fps),
-        "roles": {role: place for place, role in enumerate(one.people)},
+        "roles": {role: place for place, role in enumerate(one.people)} | dict.fromkeys(one.counted, len(one.people)),
         "people": one.people,
+        "counted": one.counted,
         "views": [_strip(one, frame, observer) for frame in one.frames],
         "crop": _crop(one, observer),
         "proofs": proof_rows(one.proofs),
     }
 
 
+def _wrong(one: Inspected, place: int) -> str:
+    """What a wrong choice is true of: the perturbation by its name, and where it stops at somebody, who that is."""
+    name = one.distractors[place - 1] if one.distractors else None
+    stop = re.fullmatch(r"hop\.stop\((\d)\)", name or "")
+    roles = list(one.people)
+    if stop is not None and int(stop[1]) < len(roles):
+        return f"{roles[int(stop[1])].upper()} ({name})"
+    return name or ""
+
+
 def _strip(one: Inspected, frame: int, observer: Observer) -> View:
-    names = [name for name, at in one.moments.items() if at == frame]
-    title = f"{', '.join(names) or 'decisive'}: frame {frame}, {frame / one.fps:.1f} s"
+    title = f"frame {frame}, {frame / one.fps:.1f} s"
+    if names := [_moment(one, name) for name, at in one.shown.items() if at == frame]:
+        title = f"{', '.join(names)}: {title}"
     try:
         image = observer.panorama(one.question["sequence"], frame)
     except ObserveError as error:
@@ -97,7 +120,27 @@ def _strip(one: Inspected, frame: int, observer: Observer) -> View:
         if row["x"] + shift < WIDTH and row["x"] + shift + row["w"] > 0
     ]
     height = round(HEIGHT * scale)
-    return View(title, jpeg_uri(jpeg_bytes(image, (STRIP_WIDTH, height))), STRIP_WIDTH, height, tuple(boxes))
+    uri = jpeg_uri(jpeg_bytes(image, (STRIP_WIDTH, height)))
+    near = tuple(_near(row, image, frame) for row in one.boxes[frame] if row["role"] in one.people)
+    return View(title, uri, STRIP_WIDTH, height, tuple(boxes), near=near)
+
+
+def _moment(one: Inspected, name: str) -> str:
+    """A named time; where it lies between annotated frames, which it is."""
+    frame = one.moments[name]
+    return name if frame == one.shown[name] else f"{name} (frame {frame}, between two annotated)"
+
+
+def _near(row: Mapping[str, Any], image: Image, frame: int) -> View:
+    """A person with some room round, square; over the seam where it lies there."""
+    side = int(min(max(1.5 * max(row["w"], row["h"]), _NEAR_LEAST), HEIGHT))
+    left = int(row["x"] + row["w"] / 2 - side / 2)
+    top = int(min(max(row["y"] + row["h"] / 2 - side / 2, 0), HEIGHT - side))
+    cut = np.take(image, np.arange(left, left + side), axis=1, mode="wrap")[top : top + side]
+    scale = NEAR / side
+    box = Framed(row["role"], (row["x"] - left) * scale, (row["y"] - top) * scale, row["w"] * scale, row["h"] * scale)
+    title = f"{row['role'].upper()} in frame {frame}"
+    return View(title, jpeg_uri(jpeg_bytes(cut, (NEAR, NEAR))), NEAR, NEAR, (box,), plate=24.0)
 
 
 def _crop(one: Inspected, observer: Observer) -> View:
