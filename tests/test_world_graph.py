@@ -8,25 +8,14 @@ import threading
 from pathlib import Path
 
 import pytest
-from world_play import begin, look, tables_of
+from world_play import SCENE, believe, beside_scene, tables_of
 
 from jrdb_avr.queries.handle import Graph, build_graph
 from jrdb_avr.queries.seal import check_seal
 from jrdb_avr.queries.world import WorldGraph, check_world
 from jrdb_avr.schema.errors import LockedError, QueryError, StoreError
 from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS, scene_ddl
-from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.world import WORLD_NODES, WORLD_RELS
-
-SCENE = (
-    "CREATE (:Person {id: 'secret/1', sequence: 'secret', track: 1, gender: 'female'})",
-    "CREATE (:Person {id: 'secret/2', sequence: 'secret', track: 2})",
-    "CREATE (:Frame {id: 'secret/000000', sequence: 'secret', frame: 0})",
-    "MATCH (p:Person {id: 'secret/1'}), (f:Frame {id: 'secret/000000'}) "
-    "CREATE (p)-[:SeenIn {sequence: 'secret', frame: 0, box: {x: 1.0, y: 2.0, w: 3.0, h: 4.0}}]->(f)",
-    "MATCH (p:Person {id: 'secret/1'}), (q:Person {id: 'secret/2'}) "
-    "CREATE (p)-[:Interacts {sequence: 'secret', label: 'conversation'}]->(q)",
-)
 
 
 @pytest.fixture
@@ -42,27 +31,9 @@ def scene(tmp_path):
 @pytest.fixture(scope="module")
 def world(tmp_path_factory):
     """A handle on a graph that holds a scene and an agent's beliefs."""
-    path = tmp_path_factory.mktemp("world") / "graph.kuzu"
-    with build_graph(path) as graph:
-        for statement in (*scene_ddl(), *SCENE):
-            graph.execute(statement)
-    with WorldGraph.open(path) as world:
+    with beside_scene(tmp_path_factory.mktemp("world")) as world:
         believe(world)
         yield world
-
-
-def believe(world, number=0):
-    """Two people who talk, in an episode of their own."""
-    episode, _ = begin(world, number)
-    name = episode.observed(look(15), 1)
-    for i, person in enumerate(("p1", "p2")):
-        given = {"id": person, "kind": "person", "observation": name, "box": []}
-        assert episode.add_entity(given, Box(10 + 100 * i, 10, 50, 90), 1).accepted
-        told = {"entity": person, "name": "gender", "value": "female", "observation": name}
-        assert episode.add_attribute(told, 1).accepted
-    joined = {"source": "p1", "name": "conversation", "target": "p2", "observation": name}
-    assert episode.add_relation(joined, 1).accepted
-    return episode
 
 
 def scene_rows(path):
@@ -258,7 +229,7 @@ def test_one_thread_of_its_own_makes_all_calls(world):
 KILLED = """
 import sys
 sys.path.insert(0, {tests!r})
-from test_world_graph import believe
+from world_play import believe
 from jrdb_avr.queries.world import WorldGraph
 world = WorldGraph.open({path!r})
 for number in range(1000):

@@ -6,8 +6,8 @@ import effort
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from test_world import PLAN, add, calls_of, play, replay, say
-from world_play import begin, belongs, look, rows_of, tables_of
+from world_calls import calls_of, play
+from world_play import PLAN, add, begin, belongs, look, replay, rows_of, say, tables_of
 
 from jrdb_avr.agent.world import MOST_WAITING
 from jrdb_avr.queries.compiler import WORLD

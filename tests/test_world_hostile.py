@@ -1,0 +1,161 @@
+"""Whatever an agent calls: nothing ungrounded is written, and nobody else's beliefs are touched."""
+
+import json
+import math
+import random
+
+import effort
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+from world_calls import VICTIM, calls_of, play
+from world_play import PLAN, begin, believe, belongs, beside_scene, replay, tables_of
+
+from jrdb_avr.schema.vocabulary import FIRST_LEFT, INTERACTIONS, POSES, SAME_GROUP
+from jrdb_avr.schema.world import ALWAYS
+
+
+@pytest.fixture(scope="module")
+def graph(tmp_path_factory):
+    """World tables beside a scene, and in them an episode that nobody else may touch."""
+    with beside_scene(tmp_path_factory.mktemp("world")) as world:
+        believe(world, 999)
+        yield world
+
+
+@settings(max_examples=effort.examples(10), phases=(Phase.explicit, Phase.generate))
+@given(st.integers(0, 2**32))
+def test_whatever_is_called_nothing_ungrounded_is_written(graph, seed):
+    calls = calls_of(random.Random(seed))
+    others = tables_of(graph, belongs(VICTIM))
+    episode, writes = begin(graph)
+    episode.plan(PLAN, 0)
+    said = play(episode, calls)
+    assert tables_of(graph, belongs(VICTIM)) == others
+    tables = tables_of(graph, belongs(episode.key))
+    check_grounded(tables, episode.key)
+    check_writes(writes)
+    check_current(tables)
+    check_shown(episode.graph(), tables)
+    assert tables == replay(writes, episode.key)
+    assert len(tables["Write"]) == len(writes) == 2 + len(calls)
+    for text in [result.said for result in said] + [json.dumps(episode.graph()).replace("secret/1", "")]:
+        assert "secret/" not in text.replace("secret/1", "")
+        text.encode()
+
+
+def check_grounded(tables, key):
+    """Every fact hangs on an observation that its own episode made, and on nothing else."""
+    made = {row["id"]: row for row in tables["Observation"]}
+    held = {row["id"] for row in tables["Entity"]}
+    assert all(name.startswith(f"{key}/") for name in (*made, *held))
+    sighted = {(row["source"], row["frame"]) for row in tables["Sighted"]}
+    for row in tables["Sighted"]:
+        assert row["source"] in held and row["frame"] == made[row["target"]]["frame"]
+        assert all(math.isfinite(row["box"][side]) for side in "xywh") and 0 <= row["angle"] < 360
+        assert row["box"]["w"] > 0 and row["box"]["h"] > 0
+    for row in tables["Has"]:
+        frame = made[row["target"]]["frame"]
+        assert row["source"] in held and (row["source"], frame) in sighted and math.isfinite(row["number"])
+        always = row["name"] in ("gender", "age")
+        assert (row["first"], row["last"]) == ((0, ALWAYS) if always else (frame, frame))
+    for row in tables["Related"]:
+        frame = made[row["observation"]]["frame"]
+        assert row["source"] != row["target"] and (row["first"], row["last"]) == (frame, frame)
+        assert {(row["source"], frame), (row["target"], frame)} <= sighted
+
+
+def check_writes(writes):
+    """What was accepted named an observation that was made before it; what was refused put nothing into the graph."""
+    made = 0
+    for number, write in enumerate(writes):
+        assert write.number == number
+        if write.tool == "observe":
+            made += 1
+        if write.tool.startswith("add_") and write.accepted:
+            assert json.loads(write.arguments)["observation"] in {f"o{n}" for n in range(1, made + 1)}
+            assert write.fact and not write.reason
+        elif write.tool != "begin" and not write.accepted:
+            assert not write.fact
+        json.loads(write.arguments)
+
+
+def replaces(table, later, earlier):
+    """Whether a fact takes the place of an earlier one, by the words of the contract."""
+    if table == "Sighted":
+        return later["source"] == earlier["source"] and later["frame"] == earlier["frame"]
+    if (later["first"], later["last"]) != (earlier["first"], earlier["last"]):
+        return False
+    if table == "Has":
+        if (later["source"], later["name"]) != (earlier["source"], earlier["name"]):
+            return False
+        if later["name"] not in ("action", "interaction", "object"):
+            return True
+        poses = later["name"] == "action" and {later["value"], earlier["value"]} <= set(POSES)
+        return poses or later["value"] == earlier["value"]
+    ends = (later["source"], later["target"])
+    before = (earlier["source"], earlier["target"])
+    if later["name"] == earlier["name"] == FIRST_LEFT:
+        return ends[0] == before[0]
+    if {later["name"], earlier["name"]} <= {"front left, close", "front, far"}:
+        return ends == before
+    both_ways = later["name"] in (*INTERACTIONS, SAME_GROUP)
+    return later["name"] == earlier["name"] and (ends == before or (both_ways and ends == before[::-1]))
+
+
+def check_current(tables):
+    """A fact is current until the first later one that takes its place."""
+    for table in ("Sighted", "Has", "Related"):
+        rows = sorted(tables[table], key=lambda row: row["write"])
+        for at, row in enumerate(rows):
+            after = [later for later in rows[at + 1 :] if replaces(table, later, row)]
+            assert row["current"] == (not after)
+            assert row["until"] == (after[0]["step"] if after else ALWAYS)
+
+
+def check_shown(shown, tables):
+    """What `get_graph` shows is what the tables hold."""
+    name = {row["id"]: row["name"] for row in tables["Entity"]}
+
+    def current(table):
+        return sorted((row for row in tables[table] if row["current"]), key=lambda row: row["write"])
+
+    def observation(key):
+        return key.rpartition("/")[2]
+
+    assert [(o["observation"], int(o["frame_id"])) for o in shown["observations"]] == [
+        (f"o{row['number']}", row["frame"]) for row in sorted(tables["Observation"], key=lambda row: row["number"])
+    ]
+    assert [(e["id"], e["kind"], e.get("node", "")) for e in shown["entities"]] == [
+        (row["name"], row["kind"], row["node"]) for row in sorted(tables["Entity"], key=lambda row: row["number"])
+    ]
+    nodes = [row["node"] for row in tables["Entity"] if row["node"]]
+    assert len(nodes) == len(set(nodes))
+    for entity in shown["entities"]:
+        sightings = [row for row in current("Sighted") if name[row["source"]] == entity["id"]]
+        assert entity["sightings"] == [
+            {
+                "observation": observation(row["target"]),
+                "frame_id": f"{row['frame']:06d}",
+                "angle_deg": round(row["angle"], 1),
+                "box": [round(row["box"][side], 1) for side in "xywh"],
+            }
+            for row in sightings
+        ]
+        attributes = [row for row in current("Has") if name[row["source"]] == entity["id"]]
+        assert [(a["name"], str(a["value"]).removesuffix(".0"), a["observation"]) for a in entity["attributes"]] == [
+            (row["name"], row["value"], observation(row["target"])) for row in attributes
+        ]
+        assert [a.get("frame_id") for a in entity["attributes"]] == [
+            None if row["last"] == ALWAYS else f"{row['first']:06d}" for row in attributes
+        ]
+    assert shown["relations"] == [
+        {
+            "source": name[row["source"]],
+            "name": row["name"],
+            "target": name[row["target"]],
+            "frame_id": f"{row['first']:06d}",
+            "observation": observation(row["observation"]),
+        }
+        for row in current("Related")
+    ]
