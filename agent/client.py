@@ -28,7 +28,7 @@ from jrdb_avr.schema.errors import EndpointError
 
 from .calls import Calls
 from .conventions import CONTRACT, Convention
-from .limits import limit
+from .limits import limit, within
 from .messages import Message, fingerprint, wire
 from .options import DEFAULTS, Options
 from .replies import Reply as Reply
@@ -225,7 +225,7 @@ class Client:
         import httpx2
         import openai
 
-        try:
+        def post() -> httpx2.Response:
             response: httpx2.Response = self._openai.post(
                 "/chat/completions",
                 content=body,
@@ -235,7 +235,14 @@ class Client:
                     "timeout": httpx2.Timeout(timeout_s, connect=min(timeout_s, _CONNECT_S)),
                 },
             )
+            return response
+
+        try:
+            # To send a request, to wait for the reply, to read it: each has its own time.
+            response = within(min(timeout_s, _CONNECT_S) + 3 * timeout_s, post)
             data = response.content
+        except TimeoutError:
+            raise _BrokenError(f"no whole reply within {timeout_s:g} s") from None
         except openai.APITimeoutError as error:
             if isinstance(error.__cause__, httpx2.ConnectTimeout):
                 raise _BrokenError("cannot reach the server (nothing takes the connection)") from None

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import queue
+import threading
 import time
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from jrdb_avr.schema.errors import EndpointError
 
 if TYPE_CHECKING:
     import httpx2
+
+T = TypeVar("T")
 
 MOST_BYTES: Final = 16 << 20
 """Of a reply: a few thousand tokens are some kilobytes."""
@@ -53,3 +57,29 @@ def _limited(stream: httpx2.SyncByteStream, request: httpx2.Request) -> httpx2.S
             stream.close()
 
     return Limited()
+
+
+def within(seconds: float, work: Callable[[], T]) -> T:
+    """The result of `work`, which a thread of its own does. Raises what that raises, and TimeoutError where it is not
+    done in time: the thread is left to itself then.
+
+    The transport's own timeouts bound each wait for a byte, and it waits for as many as a reply's head and the
+    announcements before it (102 Processing) may have.
+    """
+    done: queue.SimpleQueue[tuple[Any, BaseException | None]] = queue.SimpleQueue()
+
+    def do() -> None:
+        try:
+            done.put((work(), None))
+        except BaseException as error:
+            done.put((None, error))
+
+    threading.Thread(target=do, daemon=True).start()
+    try:
+        result, error = done.get(timeout=seconds)
+    except queue.Empty:
+        raise TimeoutError from None
+    if error is not None:
+        raise error
+    found: T = result
+    return found
