@@ -12,6 +12,7 @@ A question whose box does not score has exactly one cause, the first that fits:
 
 from __future__ import annotations
 
+import functools
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -20,7 +21,6 @@ from typing import Any, Final
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -28,7 +28,7 @@ from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.panorama import CROP, WIDTH
 
 from .judged import Facts, Floats, Ints, Judged, share
-from .scoring import Truth, box_ious, frame_key, given_boxes, predictions_asked, target_boxes
+from .scoring import Bools, Truth, box_ious, frame_key, given_boxes, predictions_asked, target_boxes
 from .tracing import look_shown
 
 CAUSES: Final = (
@@ -126,15 +126,16 @@ def _causes(store: Store, truth: Truth, facts: Facts, run: Judged, people: tuple
     present, target = target_boxes(truth, run.rows, frame)
     own = np.where(present, box_ious(box, target), 0.0)
     scores = run.scores[:, 1] == 1
-    # Others matter only where nothing before them tells the cause.
-    asked = np.flatnonzero(~scores & judged & boxed & present)
+    # Looks, and others, matter only where nothing before them tells the cause.
+    shown = _shown(store, truth, run, ~scores & judged & boxed)
+    asked = np.flatnonzero(~scores & judged & boxed & shown & present)
     best = np.zeros(run.n)
     best[asked] = _best_ious(people, frame_key(facts.labels["sequence"].numbers[run.rows], frame)[asked], box[asked])
     causes = np.select(
         [
             scores,
             ~(judged & boxed),
-            ~_shown(store, truth, run),
+            ~shown,
             ~present,
             # The target is one of the people, so nobody overlaps the box more where these are equal.
             (own >= best) & (own > 0),
@@ -170,16 +171,17 @@ def _best_ious(people: tuple[Ints, Floats], keys: Ints, boxes: Floats) -> Floats
     return best
 
 
-def _shown(store: Store, truth: Truth, run: Judged) -> npt.NDArray[np.bool_]:
-    """For each question asked, whether some look of the run's transcript shows enough of the target."""
+def _shown(store: Store, truth: Truth, run: Judged, among: Bools) -> Bools:
+    """For each question, of those `among` the asked, whether some look of the run's transcript shows enough of the
+    target."""
     found = np.zeros(run.n, dtype=bool)
     # Requests hold whole conversations: what was shown stands in the responses, a hundredth of them.
     steps = read_table(store.run_path(run.manifest.run_id) / "steps.parquet", ["question_id", "kind", "response"])
-    steps = steps.filter(pc.equal(steps["kind"], "observe"))
-    place = pc.index_in(steps["question_id"], value_set=pa.array(run.manifest.question_ids, pa.string()))
-    place = pc.fill_null(place, -1).to_numpy().astype(np.int64)
-    looks = _looks(steps["response"])
-    known = np.isfinite(looks).all(axis=1) & (place >= 0)
+    asked = pc.index_in(steps["question_id"], value_set=pa.array(run.manifest.question_ids, pa.string()))
+    wanted = pc.and_(pc.equal(steps["kind"], "observe"), pc.take(pa.array(among), asked))
+    place = asked.filter(wanted).to_numpy()
+    looks = _looks(steps["response"].filter(wanted))
+    known = np.isfinite(looks).all(axis=1)
     asked, (frame, left, width) = place[known], looks[known].T
     present, box = target_boxes(truth, run.rows[asked], frame.astype(np.int64))
     x, w = box[:, 0], box[:, 2]
@@ -193,7 +195,7 @@ def _shown(store: Store, truth: Truth, run: Judged) -> npt.NDArray[np.bool_]:
 def _looks(responses: pa.ChunkedArray) -> Floats:
     """Frame, left column and width of each look, (n, 3); not numbers where none can be told.
 
-    Each distinct text is read once, as runs look alike at much.
+    Each distinct text is read once, as questions and runs look alike at much.
     """
     encoded = responses.combine_chunks().dictionary_encode()
     read = chain.from_iterable(_look(text) for text in encoded.dictionary.to_pylist())
@@ -202,6 +204,7 @@ def _looks(responses: pa.ChunkedArray) -> Floats:
     return found
 
 
+@functools.lru_cache(maxsize=1 << 18)
 def _look(response: str) -> tuple[float, float, float]:
     shown = look_shown(response)
     if shown is None:

@@ -77,17 +77,16 @@ def intervals(sums: Floats, statistics: Sequence[Statistic], n: int = DRAWS, see
         return [Interval(None if math.isnan(value) else value, None, None) for value in values]
     # Laid out by column, as statistics go through columns.
     drawn = (sums.T @ draws(len(sums), n, seed).T).T
-    return [_interval(value, statistic, drawn) for value, statistic in zip(values, statistics, strict=True)]
-
-
-def _interval(value: float, statistic: Statistic, drawn: Floats) -> Interval:
-    if math.isnan(value):
-        return Interval(None, None, None)
-    found = statistic(drawn)
-    found = found[~np.isnan(found)]
-    tail = (1 - LEVEL) / 2
-    low, high = np.quantile(found, [tail, 1 - tail])
-    return Interval(value, float(low), float(high))
+    found = np.stack([statistic(drawn) for statistic in statistics])
+    tails = [(1 - LEVEL) / 2, (1 + LEVEL) / 2]
+    bounds = np.quantile(found, tails, axis=1)
+    for number in np.flatnonzero(np.isnan(found).any(axis=1)).tolist():
+        known = found[number][~np.isnan(found[number])]
+        bounds[:, number] = np.quantile(known, tails) if len(known) else math.nan
+    return [
+        Interval(None, None, None) if math.isnan(value) else Interval(value, *own)
+        for value, own in zip(values, bounds.T.tolist(), strict=True)
+    ]
 
 
 def cluster_sums(clusters: Ints, columns: Floats) -> Floats:
@@ -116,10 +115,13 @@ def mean_of_ratios(pairs: Sequence[tuple[int, int]]) -> Statistic:
     """The mean of several ratios, a macro average: over those whose denominator is not zero."""
 
     def mean(totals: Floats) -> Floats:
-        shares = np.stack([ratio(above, below)(totals) for above, below in pairs], axis=1)
-        known = ~np.isnan(shares)
-        with np.errstate(invalid="ignore"):
-            return np.where(known.any(axis=1), np.where(known, shares, 0).sum(axis=1) / known.sum(axis=1), np.nan)
+        added, count = np.zeros(len(totals)), np.zeros(len(totals))
+        for above, below in pairs:
+            known = totals[:, below] > 0
+            added += np.divide(totals[:, above], totals[:, below], out=np.zeros(len(totals)), where=known)
+            count += known
+        found: Floats = np.divide(added, count, out=np.full(len(totals), np.nan), where=count > 0)
+        return found
 
     return mean
 

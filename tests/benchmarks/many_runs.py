@@ -1,7 +1,8 @@
 """Made-up runs as large as the paper's: 25 of 2,098 questions, over 27 sequences with 30 people in 900 frames.
 
-All five answer modes, 500 evidence frames each (a million boxes), 810,000 boxes of people. Four of five answers and
-boxes miss. A run looks eight times at a question and asks a model as often, with a request of two thousand letters.
+All five answer modes, 500 evidence frames each (a million boxes), 729,000 boxes of people. Hardly any box scores, so
+that each has a cause to be found. A run looks eight times at a question, and asks a model as often with a request of
+two thousand letters.
 """
 
 import json
