@@ -17,7 +17,8 @@ from jrdb_avr.schema.panorama import Box, from_crop, iou
 
 from ..boxes import write_box
 from .finding import likely
-from .policy import Game, find_target, read_answer
+from .game import Game
+from .policy import find_target, read_answer
 from .reading import Look, Request, Sighting
 from .shown import Shown
 from .turn import Turn

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from .eyes import Eyes, Spent, Want
+from .game import Game
 from .memory import Memory
-from .policy import Game, find_target, read_answer
+from .policy import find_target, read_answer
 from .reading import Look, Request, Sighting
 from .remembering import LEFT, refused
 from .shown import Shown

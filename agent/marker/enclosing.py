@@ -12,8 +12,8 @@ from typing import Final
 
 from jrdb_avr.schema.plan import Plan
 
-from .policy import does
 from .reading import Sighting
+from .searches import does
 
 NEAR: Final = 30
 """Frames between the two sightings, at most."""

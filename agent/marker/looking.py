@@ -8,7 +8,8 @@ from jrdb_avr.schema.panorama import CROP
 
 from ..boxes import write_box
 from .eyes import Eyes, Spent, Want
-from .policy import Game, find_target, read_answer
+from .game import Game
+from .policy import find_target, read_answer
 from .reading import Request, Sighting
 from .turn import Turn
 

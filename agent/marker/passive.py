@@ -7,9 +7,10 @@ is true of that panorama alone, so the solver lacks what the question names.
 from __future__ import annotations
 
 from .finding import among, holds, likely
+from .game import Game
 from .hops import path
 from .notes import Notes, entity_name, read_notes
-from .policy import Game, read_answer
+from .policy import read_answer
 from .reading import Request, Sighting
 from .remembering import hand_in
 from .shown import Shown

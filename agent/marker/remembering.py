@@ -18,10 +18,11 @@ from jrdb_avr.schema.rules import FPS
 from .enclosing import NEAR, Event, between, events
 from .eyes import AROUND, Spent, Want, same
 from .finding import ALONE_SIZE, Found, among, find, holds, possible
+from .game import Game
 from .hops import path, related
 from .memory import Memory, Round
 from .notes import Notes, entity_name, read_notes
-from .policy import Game, read_answer
+from .policy import read_answer
 from .reading import Request, Sighting
 from .turn import Turn
 from .writing import Draft
