@@ -168,14 +168,16 @@ def _lines(
     lines = [Line(role, "in view", tuple(spans))]
     lines += _grouped(role, actions, lambda row: row["action"], "action", _asked(role, plan))
     others = {number: name for name, number in people.items()}
-    # The edges that go out from this person; and of what is counted, everybody it may hold of.
+    # The edges that go out from this person; and of what is counted or describes, everybody it may hold of.
     said = {(edge.relation, people[edge.target]) for edge in plan.edges if edge.source == role}
-    counted = plan.answer.relation if role == plan.answer.of else None
+    conditions = [condition for node in plan.nodes if node.id == role for condition in node.conditions]
+    spoken = {condition.interaction for condition in conditions if condition.interaction}
+    spoken |= {plan.answer.relation} if plan.answer.relation and role == plan.answer.of else set()
     for name in ("interactions", "beside"):
         own = [
             row
             for row in sequence.rows(name, source=track)
-            if (row["label"], row["target"]) in said or row["label"] == counted
+            if (row["label"], row["target"]) in said or row["label"] in spoken
         ]
         lines += _grouped(
             role,
@@ -183,7 +185,6 @@ def _lines(
             lambda row: f"\N{RIGHTWARDS ARROW} {others.get(row['target'], str(row['target'])).upper()} {row['label']}",
             "relation",
         )
-    conditions = [condition for node in plan.nodes if node.id == role for condition in node.conditions]
     if SAME_GROUP in _relations(role, plan) or any(condition.attribute == "group_size" for condition in conditions):
         lines += _grouped(role, sequence.rows("memberships", track=track), lambda r: f"group {r['cluster']}", "group")
     verbs = {condition.verb for condition in conditions if condition.verb}

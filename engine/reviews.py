@@ -61,9 +61,11 @@ def read_decisions(path: Path, store: Store) -> Decisions:
     if found.questions_sha256 != questions_hash(store):
         raise InputError(f"{path} is about another questions file than this store's: inspect again", file=str(path))
     known = set(store.questions("questions")["question_id"].to_pylist())
-    for decision in found.decisions:
-        if decision.question_id not in known:
-            raise InputError(f"{path}: no question {decision.question_id} in the store", file=str(path))
+    for name, times in Counter(decision.question_id for decision in found.decisions).items():
+        if name not in known:
+            raise InputError(f"{path}: no question {name} in the store", file=str(path))
+        if times > 1:
+            raise InputError(f"{path} decides question {name} {times} times: keep one of them", file=str(path))
     return found
 
 

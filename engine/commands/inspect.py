@@ -80,7 +80,7 @@ def _import(store: Path, decisions: Path, reviewer: str, as_json: bool) -> None:
 
     name = reviewer.strip()
     if not 1 <= len(name) <= 80 or not name.isprintable():
-        raise click.UsageError("--reviewer is a name of 1 to 80 letters")
+        raise click.UsageError("--reviewer is a name of 1 to 80 printable characters")
     opened = Store(store)
     read = read_decisions(decisions, opened)
     reviews = import_decisions(opened, name, read.decisions)

@@ -64,7 +64,7 @@ class PlanEdge:
 
 @dataclass(frozen=True)
 class PlanGraph:
-    """A plan as drawn: nodes of one size in columns by their distance from the root, with `top` room above for words."""
+    """A plan as drawn: nodes of one size in columns by their distance from the root, `top` room above for words."""
 
     node: tuple[float, float]
     top: float

@@ -90,8 +90,14 @@ def _question(one: Inspected, number: int, observer: Observer) -> dict[str, Any]
         "counted": one.counted,
         "views": [_strip(one, frame, observer) for frame in one.frames],
         "crop": _crop(one, observer),
-        "proofs": proof_rows(one.proofs),
+        "proofs": proof_rows([proof | {"answer": _then(one, proof["answer"])} for proof in one.proofs]),
     }
+
+
+def _then(one: Inspected, answer: str) -> str:
+    """The answer that a proof came to, in words; a choice stands there as its text."""
+    mode = one.question["answer_mode"]
+    return answer if one.question["choices"] else readable(mode, answer, (), one.fps, unit_of(one.plan))
 
 
 def _wrong(one: Inspected, place: int) -> str:
@@ -108,6 +114,8 @@ def _strip(one: Inspected, frame: int, observer: Observer) -> View:
     title = f"frame {frame}, {frame / one.fps:.1f} s"
     if names := [_moment(one, name) for name, at in one.shown.items() if at == frame]:
         title = f"{', '.join(names)}: {title}"
+    if absent := one.people.keys() - {row["role"] for row in one.boxes[frame]}:
+        title += f"; no box of {', '.join(sorted(absent)).upper()}"
     try:
         image = observer.panorama(one.question["sequence"], frame)
     except ObserveError as error:

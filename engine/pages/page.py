@@ -12,7 +12,7 @@ import msgspec
 
 from jrdb_avr.engine.output import clean
 from jrdb_avr.engine.typeset import cell
-from jrdb_avr.queries.store import write_atomic
+from jrdb_avr.queries.store import write_bytes
 from jrdb_avr.schema.method import Image
 
 from .diagrams import shortened
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 JPEG_QUALITY: Final = 80
 """Of pictures in a page: it must stay a file that can be sent."""
 
+_TURNING: Final = {code: f"[U+{code:04X}]" for code in (*range(0x202A, 0x202F), *range(0x2066, 0x206A))}
+
 
 def render(name: str, **values: Any) -> str:
     """The page of template `<name>.html`, whole: style and scripts are inside, and nothing is fetched."""
@@ -32,12 +34,7 @@ def render(name: str, **values: Any) -> str:
 
 def write_page(path: Path, html: str) -> None:
     """Write a page, atomically. Raises StoreError where the disk refuses."""
-    data = html.encode("utf-8", "replace")
-
-    def write(temporary: Path) -> None:
-        temporary.write_bytes(data)
-
-    write_atomic(path, write)
+    write_bytes(path, html.encode("utf-8", "replace"))
 
 
 def jpeg_bytes(image: Image, size: tuple[int, int]) -> bytes:
@@ -66,12 +63,17 @@ def _environment() -> Environment:
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        # Control characters of model text would not survive as HTML, and may mislead in an editor.
-        finalize=lambda value: value if isinstance(value, Markup) else clean(value),
+        finalize=lambda value: value if isinstance(value, Markup) else _plain(value),
     )
     environment.filters |= {"cell": cell, "json": _json, "shortened": shortened}
     environment.globals["asset"] = lambda name: Markup(_text(name))  # noqa: S704 - files of this package
     return environment
+
+
+def _plain(value: object) -> str:
+    """A value without control characters, which would not survive as HTML and may mislead in an editor, and with the
+    marks that turn the order of what follows them told by number: a reviewer must read what is stored."""
+    return clean(value).translate(_TURNING)
 
 
 def _text(name: str) -> str:
