@@ -19,13 +19,13 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import msgspec
 import pyarrow as pa
 
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.answers import ANSWER_TYPES, encode_answer
+from jrdb_avr.schema.answers import ANSWER_TYPES, decode_answer, encode_answer
 from jrdb_avr.schema.errors import AvrError, InputError, LockedError, StoreError
 from jrdb_avr.schema.method import (
     Method,
@@ -36,6 +36,7 @@ from jrdb_avr.schema.method import (
     Question,
     SequenceInfo,
     Show,
+    Status,
     Step,
     Task,
 )
@@ -58,6 +59,10 @@ class Finished(msgspec.Struct, frozen=True):
     def failed(self) -> bool:
         """Whether the question ended in an error, and is asked again when the run is resumed."""
         return bool(self.prediction["status"] == "error")
+
+
+# Made at import: threads that meet a type first at the same time crash the decoder.
+_FINISHED: Final = msgspec.json.Decoder(Finished)
 
 
 # -- what is asked ----------------------------------------------------------------------------------------------------
@@ -167,7 +172,7 @@ class Journal:
         found: dict[str, Finished] = {}
         for number, line in enumerate(data[:whole].splitlines(), 1):
             try:
-                entry = msgspec.json.decode(line, type=Finished)
+                entry = _FINISHED.decode(line)
                 _tables("", [entry])
             except (msgspec.DecodeError, UnicodeDecodeError, ValueError, TypeError, OverflowError, pa.ArrowException):
                 raise StoreError(f"{self._path}, line {number}, is damaged: evaluate under another --run-id") from None
@@ -243,17 +248,36 @@ def ask(
     try:
         prediction = method.answer(Task(question, sequence, observe, panorama, record, keep))
         finished = _finished(question.question_id, prediction, steps, writes, time.perf_counter() - started)
-        _tables("", [finished])
+        _check(finished, question)
     except Exception as error:
         reason = " ".join(str(error).split())
         prediction = Prediction(
             status="error",
             reason=reason if isinstance(error, AvrError) else f"{type(error).__name__}: {reason}",
             n_observations=len(looks),
-            n_model_calls=sum(step.kind == "model" for step in steps),
+            n_model_calls=sum(isinstance(step, Step) and step.kind == "model" for step in steps),
         )
-        finished = _finished(question.question_id, prediction, steps, writes, time.perf_counter() - started)
+        seconds = time.perf_counter() - started
+        try:
+            finished = _finished(question.question_id, prediction, steps, writes, seconds)
+            _check(finished, question)
+        except Exception:
+            # What was recorded is what cannot be kept.
+            finished = _finished(question.question_id, prediction, [], [], seconds)
     return finished
+
+
+def _check(entry: Finished, question: Question) -> None:
+    """Raises ValueError, or one of pyarrow's errors, for what a journal or the tables would not give back as it was: a
+    method may be anybody's.
+    """
+    if entry.prediction["status"] not in get_args(Status):
+        raise ValueError(f"{entry.prediction['status']!a} is no status of a prediction"[:120])
+    if (answer := entry.prediction["answer"]) is not None:
+        decode_answer(question.answer_mode, answer)
+    if _FINISHED.decode(msgspec.json.encode(entry)) != entry:
+        raise ValueError("what the method returned or recorded holds a number that is none (NaN, infinity)")
+    _tables("", [entry])
 
 
 def _finished(

@@ -22,9 +22,10 @@ from painted_world import SEQUENCE
 from jrdb_avr.engine import runs
 from jrdb_avr.engine.commands.evaluate import command, default_run_id
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.answers import Choice, Evidence
+from jrdb_avr.schema.answers import Choice, Evidence, Number
 from jrdb_avr.schema.errors import AvrError, InputError, LockedError, StoreError
 from jrdb_avr.schema.method import Prediction, SequenceInfo, Step
+from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
 
 
@@ -362,6 +363,43 @@ def test_what_is_no_prediction_is_an_error_row(tmp_path, returned):
     finished = runs.ask(Scripted(lambda task: returned), QUESTIONS_ASKED[0], INFO, no_look, no_look)
     assert finished.failed
     runs.write_tables(Store(tmp_path), "r", [finished])
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    "behave",
+    [
+        lambda task: Prediction("answered", Choice(1), Evidence(0, Box(NAN, 0.0, 1.0, 1.0))),
+        lambda task: Prediction("answered", Choice(1), Evidence(0, Box(0.0, 0.0, float("inf"), 1.0))),
+        lambda task: Prediction("answered", Number(NAN)),
+        lambda task: Prediction("answered", Choice("b")),
+        lambda task: Prediction("right", Choice(1)),
+        lambda task: task.record(Step("model", "{}", "{}", NAN)) or Prediction("answered", Choice(1)),
+        lambda task: task.record(Step("model", b"{}", "{}", 0.1)) or Prediction("answered", Choice(1)),
+        lambda task: task.record("a step") or Prediction("answered", Choice(1)),
+        lambda task: task.keep(7) or Prediction("answered", Choice(1)),
+    ],
+    ids=["NaN", "infinity", "no number", "no choice", "status", "NaN seconds", "bytes", "no step", "no write"],
+)
+def test_what_a_method_leaves_that_cannot_be_kept_is_an_error_row(tmp_path, behave):
+    """A run of a method of somebody's own goes on, and its journal can be read again, to the same."""
+    path = tmp_path / "journal.jsonl"
+    asked = {False: QUESTIONS_ASKED[0], True: QUESTIONS_ASKED[1]}
+
+    def answer(task):
+        return behave(task) if task.question == asked[False] else Prediction("invalid", reason="sound")
+
+    with runs.Journal(path) as journal:
+        runs.ask_all(Scripted(answer), [*asked.values()], {SEQUENCE: INFO}, no_look, no_look, journal, 1)
+        finished = dict(journal.finished)
+    assert {sound: finished[question.question_id].prediction["status"] for sound, question in asked.items()} == {
+        False: "error",
+        True: "invalid",
+    }
+    with runs.Journal(path) as journal:
+        assert journal.finished == finished
 
 
 def test_a_run_that_ends_early_leaves_no_question_at_work(tmp_path):
