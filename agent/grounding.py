@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from jrdb_avr.schema.errors import DecodeError
-from jrdb_avr.schema.social import normal_interaction, normal_verb, plain
+from jrdb_avr.schema.social import normal_interaction, normal_verb
 from jrdb_avr.schema.things import OBJECTS, VERBS, normal_category
 from jrdb_avr.schema.vocabulary import (
     ACTIONS,
@@ -32,6 +32,7 @@ from jrdb_avr.schema.vocabulary import (
     WINDOWS_RIGHT,
     normal_action,
     person_frame_label,
+    plain,
 )
 
 from .decode import only_keys

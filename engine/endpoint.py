@@ -22,7 +22,7 @@ from jrdb_avr.agent.conventions import Convention, convention_of
 from jrdb_avr.agent.marker.knobs import PERFECT, Knobs
 from jrdb_avr.agent.options import DEFAULTS, Options
 from jrdb_avr.agent.preflight import preflight, require
-from jrdb_avr.queries.store import Store, is_plain_name, write_atomic
+from jrdb_avr.queries.store import Store, is_plain_name, write_json
 from jrdb_avr.schema.errors import EndpointError, StoreError
 
 MARKER: Final = "marker"
@@ -134,10 +134,5 @@ def read_calibration(store: Store, model: str) -> Calibration | None:
 def write_calibration(store: Store, calibration: Calibration) -> Path:
     """Write a calibration in which a reading was chosen, atomically; returns where."""
     path = convention_path(store, calibration.model)
-    data = msgspec.json.format(msgspec.json.encode(calibration, order="sorted"), indent=1)
-
-    def write(temporary: Path) -> None:
-        temporary.write_bytes(data)
-
-    write_atomic(path, write)
+    write_json(path, calibration)
     return path

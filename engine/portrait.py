@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from jrdb_avr.queries.store import write_atomic
+from jrdb_avr.queries.store import write_bytes
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.method import Image
 from jrdb_avr.schema.wording import FAMILIES
@@ -63,14 +63,7 @@ def write_portrait(path: Path, tables: Tables) -> None:
     done, data = cv2.imencode(".png", cv2.cvtColor(draw(tables), cv2.COLOR_RGB2BGR))
     if not done:
         raise StoreError(f"cannot draw {path}; give a shorter table")
-    try:
-        write_atomic(path, lambda temporary: _write(temporary, data.tobytes()))
-    except OSError as error:
-        raise StoreError(f"cannot write {path}: {error.strerror}") from None
-
-
-def _write(path: Path, data: bytes) -> None:
-    path.write_bytes(data)
+    write_bytes(path, data.tobytes())
 
 
 def draw(tables: Tables) -> Image:

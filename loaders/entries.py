@@ -22,8 +22,7 @@ import msgspec
 import numpy as np
 
 from jrdb_avr.schema.arrays import Bools, Ints
-from jrdb_avr.schema.social import plain
-from jrdb_avr.schema.vocabulary import IMPOSSIBLE
+from jrdb_avr.schema.vocabulary import IMPOSSIBLE, plain
 
 from . import fields
 from .columns import Distinct, Refusals, mask_of, ragged

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from jrdb_avr.schema.errors import StoreError
 
-from .store import Store, write_atomic
+from .store import Store, write_json
 
 
 class RunManifest(msgspec.Struct, frozen=True):
@@ -45,12 +44,7 @@ def questions_hash(store: Store) -> str:
 
 def write_run_manifest(store: Store, manifest: RunManifest) -> None:
     """Write `run.json`, atomically."""
-    data = msgspec.json.format(msgspec.json.encode(manifest, order="sorted"), indent=1)
-
-    def write(path: Path) -> None:
-        path.write_bytes(data)
-
-    write_atomic(store.run_path(manifest.run_id) / "run.json", write)
+    write_json(store.run_path(manifest.run_id) / "run.json", manifest)
 
 
 def read_run_manifest(store: Store, run_id: str) -> RunManifest:

@@ -100,6 +100,20 @@ def write_atomic(path: Path, write: Callable[[Path], None]) -> None:
             temporary.unlink(missing_ok=True)
 
 
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file whole, as `write_atomic` does. Raises StoreError if the disk refuses."""
+
+    def write(temporary: Path) -> None:
+        temporary.write_bytes(data)
+
+    write_atomic(path, write)
+
+
+def write_json(path: Path, value: msgspec.Struct) -> None:
+    """Write a record as JSON that people can read, keys sorted, as `write_atomic` does. Raises StoreError likewise."""
+    write_bytes(path, msgspec.json.format(msgspec.json.encode(value, order="sorted"), indent=1))
+
+
 class Store:
     """A store folder. Opening checks nothing; `manifest()` raises StoreError where nothing has been loaded."""
 
@@ -177,8 +191,8 @@ class Store:
         return manifest
 
     def write_manifest(self, manifest: Manifest) -> None:
-        data = msgspec.json.format(msgspec.json.encode(manifest, order="sorted"), indent=1)
-        write_atomic(self.path / "store.json", lambda path: _write_bytes(path, data))
+        """Write the manifest, which makes the folder a store. Raises StoreError if the disk refuses."""
+        write_json(self.path / "store.json", manifest)
 
     # -- questions about it -----------------------------------------------------------------------------------
 
@@ -275,7 +289,3 @@ def read_table(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
     except (OSError, pa.ArrowException) as error:
         reason = str(error).splitlines()[0]
         raise StoreError(f"cannot read {path}: {reason}; run the step that writes it again") from None
-
-
-def _write_bytes(path: Path, data: bytes) -> None:
-    path.write_bytes(data)

@@ -11,7 +11,7 @@ import functools
 from typing import Final
 
 from .things import VERBS
-from .vocabulary import AGES, GENDERS, IMPOSSIBLE, INTERACTIONS
+from .vocabulary import AGES, GENDERS, IMPOSSIBLE, INTERACTIONS, plain
 
 ETHNICITIES: Final = ("caucasian/white", "negroid/black", "mongoloid/asian", "others")
 """The annotators' guesses, in the annotation's own terms."""
@@ -168,11 +168,6 @@ _VALUE_SPELLINGS: Final[dict[str, dict[str, str]]] = {
     "aim": {"waiting for someone/sth": "waiting_for_someone/something"},
     "ssc": {"garbage bin": "bin"},
 }
-
-
-def plain(raw: str) -> str:
-    """A label in lower case, with single blanks for `_`, `-` and any run of blanks."""
-    return " ".join(raw.replace("_", " ").replace("-", " ").lower().split())
 
 
 def _spellings(vocabulary: tuple[str, ...], others: dict[str, str]) -> dict[str, str]:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from .vocabulary import plain
+
 OBJECTS: Final = (
     "road",
     "terrain",
@@ -184,9 +186,6 @@ def normal_category(name: str) -> str:
 
     Names outside `OBJECTS` come back in the same spelling.
     """
-    plain = "_".join(name.lower().translate(_BLANKS).split())
-    prefix = next((prefix for prefix in CATEGORY_PREFIXES if plain.startswith(prefix)), "")
-    return plain.removeprefix(prefix)
-
-
-_BLANKS: Final = str.maketrans("-_", "  ")
+    word = plain(name).replace(" ", "_")
+    prefix = next((prefix for prefix in CATEGORY_PREFIXES if word.startswith(prefix)), "")
+    return word.removeprefix(prefix)

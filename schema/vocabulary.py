@@ -128,14 +128,19 @@ DISTANCE_ANSWERS: Final = (
 )
 
 
+def plain(raw: str) -> str:
+    """A label in lower case, with single blanks for `_`, `-` and any run of blanks."""
+    return " ".join(raw.replace("_", " ").replace("-", " ").lower().split())
+
+
 def normal_action(raw: str) -> str:
     """The vocabulary's spelling of an action label; an unknown label comes back stripped and lower-cased.
 
     >>> normal_action("Opening_the_door")
     'interaction with door'
     """
-    plain = " ".join(raw.replace("_", " ").replace("-", " ").lower().split())
-    return _ACTION_SPELLINGS.get(plain, plain)
+    word = plain(raw)
+    return _ACTION_SPELLINGS.get(word, word)
 
 
 def person_frame_label(sector: str, distance_word: str) -> str:

@@ -66,11 +66,7 @@ def _annotated(store: Any, sequence: str, frame: int) -> tuple[list[dict[str, An
 def _write_png(path: Path, image: Any) -> None:
     import cv2
 
-    from jrdb_avr.queries.store import write_atomic
+    from jrdb_avr.queries.store import write_bytes
 
     _, data = cv2.imencode(".png", image[:, :, ::-1])
-
-    def write(temporary: Path) -> None:
-        temporary.write_bytes(data.tobytes())
-
-    write_atomic(path, write)
+    write_bytes(path, data.tobytes())
