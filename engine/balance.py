@@ -26,8 +26,8 @@ from .bins import answer_bin, wait_bin
 class _Limit:
     """The most that one answer should take of the questions of a template and read.
 
-    strict: a rule; else an aim: where too few could be kept under it, all stay. neighbors: what is limited is two bins
-    next to each other.
+    strict: it is a rule; otherwise an aim, and where too few could be kept under it, all stay. neighbors: the limit is
+    on any two bins next to each other.
     """
 
     share: float
@@ -66,7 +66,7 @@ class Order:
     share: float | None
 
     def give(self, wanted: int | None) -> Ints:
-        """The first so many rows (or all), or as few less as it takes that no answer has more than its share."""
+        """The first `wanted` rows (None: all), or as many fewer as it takes for no answer to exceed its share."""
         size = len(self.order) if wanted is None else min(wanted, len(self.order))
         if self.share is None:
             return self.order[:size]

@@ -5,7 +5,7 @@ predictions are: a uniform choice; the most frequent answer; the best constant; 
 time; and a text-only guesser, which for a question of one sequence gives the commonest answer, in all other sequences,
 of questions whose text is alike (action words, choices, waits between stated times in doubling bins). Constants are
 chosen with hindsight, so what is printed is the most that such a guesser can score. For spans and viewpoints the
-constants tried are the answers of the template itself.
+constants tried are the template's own answers.
 """
 
 from __future__ import annotations

@@ -59,7 +59,7 @@ Codes = npt.NDArray[np.int8]
 class Perturbed:
     """What a perturbed program answers: per candidate the outcome and, where it is a choice, the answer.
 
-    either: of the programs of a kind that are marked so, one that proves is enough.
+    either: among the programs of a kind that are marked so, it is enough that one proves.
     """
 
     kind: str
@@ -88,7 +88,7 @@ class Counted:
     seen: Ints
 
     def people(self, row: int, until: int) -> Iterator[tuple[int, int]]:
-        """Everybody whom a candidate counts, by a frame: the person's number and the frame at which to see both."""
+        """Everybody whom a candidate counts up to a frame: the person's number, and the frame that shows both."""
         number = int(self.number[row])
         for place in range(*np.searchsorted(self.company, [number, number + 1]).tolist()):
             if self.met[place] <= until:

@@ -79,7 +79,7 @@ def _perturbed(
     times = [int(frames[row]) for time, frames in sorted(candidates.frames.items()) if time.startswith("t")]
     track = tracks_of(scene, candidates, row)[candidates.template.target]
     for kind in ("hop.stop", "hop.skip"):
-        # The people nearest to the target first.
+        # The people nearest to the target on the path come first.
         for perturbed in reversed(candidates.perturbed):
             if perturbed.kind == kind and perturbed.answer[row] != NOBODY:
                 yield VALUES[perturbed.answer[row]], f"{kind}({perturbed.variant})"

@@ -1,6 +1,6 @@
 """The commands' own help as a page of the documentation: `python -m jrdb_avr.engine.commands_page > docs/commands.md`.
 
-A test holds the page against the commands, so neither says what the other does not.
+A test compares the page with the commands, so that neither says what the other does not.
 """
 
 from __future__ import annotations

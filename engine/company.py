@@ -1,4 +1,4 @@
-"""With whom people are in a relation over time: whom they meet from a keyframe on, as long as it is known.
+"""Whom people are in a relation with over time: everybody they meet from a keyframe on, as long as that is known.
 
 At a keyframe it is known who is in a relation with a person where the person has a box and those who could be in it are
 exactly those who certainly are. A *company* is a person's from one keyframe to the last one through which that is

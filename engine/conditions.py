@@ -1,7 +1,7 @@
 """Conditions of people at keyframes: which hold, which certainly do not, and whom each excludes.
 
 A *sighting* is a person with a box at a keyframe. A condition is coded by its place in `Conditions.vocabulary`, which
-holds every condition that is true of somebody in the scene; its state of a sighting is TRUE, FALSE or UNKNOWN. A *use*
+holds every condition that is true of somebody in the scene; for each sighting it is TRUE, FALSE or UNKNOWN. A *use*
 is a condition at a keyframe, numbered `keyframe * len(vocabulary) + code`. It excludes the people of whom it is
 certainly false; those of whom it is unknown could match. Sets of a keyframe's people are bit masks, 64 to a word.
 """

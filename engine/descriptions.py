@@ -31,8 +31,9 @@ from .scene import NOBODY, Ints, Scene
 class Descriptions:
     """The chosen descriptions of a scene.
 
-    Per name (a description given to a sighting): moment, uses (NOBODY-filled), `left` = how many people, the target
-    included, could match when each of its conditions is dropped, and for which kind of question it was chosen.
+    A *name* is a description given to a sighting. Per name: its moment; its uses, filled up with NOBODY; `left`, how
+    many people, the target included, could match when each of its conditions is dropped; and whether it was chosen for
+    questions in general, and for those that ask for a pose.
     """
 
     conditions: Conditions

@@ -1,5 +1,5 @@
-"""Forks: two people reached from the one described, and the fourth whom a relation of each singles out; and what shows
-that nothing of it can be left out.
+"""Forks: two people reached from the one described, the fourth whom a relation of each singles out, and the proofs that
+no part of this can be left out.
 
 The walks run in the scene's graph, along `Step` and `Fits`; the joins at their ends are read from masks (`joins`). The
 hops of a fork are numbered as its edges are: 1 and 2 lead to b and c, 3 and 4 join d to them.

@@ -1,4 +1,4 @@
-"""Joins: whom two relations of two people single out together, though each of them alone holds of several.
+"""Joins: the one person whom two relations, of two people, single out together, though each alone holds of several.
 
 For every person at a keyframe and every relation that may join, two sets are kept as bit masks, 64 people to a word:
 who could have it, and who certainly does. They hold the facts of `relations`, everybody of whom nothing is told, and

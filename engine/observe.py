@@ -143,7 +143,7 @@ class Observer:
             raise ObserveError("there are no images: load a root that holds images/image_stitched")
         path = self._root / sequence / f"{frame:06d}.jpg"
         try:
-            # A pipe or a device would be waited for without end.
+            # Reading a pipe or a device might never end.
             data = path.read_bytes() if path.is_file() or not path.exists() else b""
         except OSError as error:
             raise ObserveError(f"cannot read {path}: {os.strerror(error.errno or 0)}") from None

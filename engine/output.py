@@ -100,7 +100,7 @@ def note(message: str) -> None:
 
 @contextmanager
 def progress(what: str, total: int | None, beside: Callable[[], str] = lambda: "") -> Iterator[Callable[[int], None]]:
-    """A progress bar on stderr, silent where that is no terminal; yields a function that advances it.
+    """A progress bar on stderr, silent where stderr is no terminal; yields a function that advances it.
 
     `beside` is asked for the text that stands beside the bar, a few times a second.
     """

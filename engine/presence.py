@@ -1,8 +1,8 @@
-"""Candidates of presence: somebody described at t0, and whether the person is in view at two later times.
+"""Candidates of the template presence: somebody described at t0, and whether that person is in view at two later times.
 
-Every description goes with every pair of later times, so candidates are as many as the cube of a sequence's keyframes;
-what can be said of them hangs on the description, on the pair, or on the description and how far apart the two times
-are. The graph gives the descriptions and the pairs; the candidates are put together here, as small numbers.
+Every description goes with every pair of later times, so the number of candidates grows with the cube of a sequence's
+keyframes; whether one stands depends on the description, on the pair, or on the description and how far apart the two
+times are. The graph gives the descriptions and the pairs; the candidates are put together here, as small numbers.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 A *fact* joins two moments of one keyframe: certain, or possible (a hard label, a closed gap, an edge of a sector).
 Where a person's list was not read, or a 3D box has no lidar points, every relation of that kind with anybody is
-possible. A *step* is what a relation leads to from a moment: exactly one person who
-certainly has it while nobody else could, or the reason why there is none. Every moment has a step for every relation.
+possible. A *step* is what a relation leads to from a moment: the one person who certainly has it while nobody else
+could, or the reason why there is none. Every moment has a step for every relation.
 """
 
 from __future__ import annotations

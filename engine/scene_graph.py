@@ -64,7 +64,7 @@ _GIVEN: Final = ("Description", "Absence", "Company", "Names", "Fits", "Step", "
 def scene_graph(scene: Scene, tables: Mapping[str, pa.Table], rules: Rules) -> Graph:
     """The searchable graph of a sequence, in memory; the caller closes it.
 
-    `tables` hold the columns of what is not of the scene alone, by the names in `_GIVEN`.
+    `tables` are those in `_GIVEN` by name: what was found in the scene, and is not of the scene alone.
     """
     graph = Graph.memory()
     for statement in _DDL:

@@ -1,4 +1,4 @@
-"""Stored questions as they are judged again: the record, its plan, and what comes out otherwise."""
+"""Stored questions, read to be judged again: the record, its plan, and the differences found."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Stored:
 
 @dataclass(frozen=True)
 class Difference:
-    """What comes out otherwise than it is stored; `where` names the proof, or the column."""
+    """Something that comes out otherwise than it is stored; `where` names the proof or the column."""
 
     question_id: str
     where: str

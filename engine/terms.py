@@ -10,10 +10,10 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 
 _PATIENCE: Final = ("base_url", "timeout_s", "retries")
-"""Settings of an endpoint that shape no reply: a server may have moved, or need more time."""
+"""Settings of an endpoint that do not shape replies: a server may have moved, or need more time."""
 
 _UNTOLD: Final = ("server version",)
-"""What a server may not have told, as an empty text: one that is too busy to tell it once is no other server."""
+"""What is an empty text where the server did not tell it: one too busy to answer once is not another server."""
 
 
 def keep_terms(store: Store, manifest: RunManifest) -> None:

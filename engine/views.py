@@ -14,7 +14,7 @@ from jrdb_avr.schema.arrays import Floats
 from jrdb_avr.schema.panorama import CROP, WIDTH, crop_left
 
 AHEAD_DEG: Final = 180.0
-"""Angle of the view straight ahead, where somebody looks who does not turn."""
+"""Angle of the view straight ahead, which is all that somebody sees who does not turn."""
 
 
 def shares(x: Floats, w: Floats, left: float | Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""When somebody starts an action after t0, and where: the read of action_search, of others than its target."""
+"""When and where somebody starts an action after t0: what action_search reads, here of people other than its target."""
 
 from __future__ import annotations
 

@@ -46,16 +46,16 @@ READERS: Final[dict[str, Callable[[Path, str, Problems], Reading]]] = {
     "timestamps": load_timestamps,
     "calibration": load_calibration,
 }
-"""Loaders of single files. That of the reasoning file must know what the social file gave."""
+"""Loaders of single files, but for the reasoning file: its loader has to know what the social file gave."""
 
 SOCIAL_FACTS: Final = ("demographics", "interactions", "group_info")
 NOT_LABELS: Final = ("timestamps", "images")
-"""Layers whose frames are no annotated ones."""
+"""Layers that hold no labels: that they know a frame does not make it annotated."""
 
 
 @dataclass(frozen=True)
 class Annotated:
-    """All annotation tables of a sequence, and what is to be reported of it."""
+    """All annotation tables of a sequence, and what the load report says of it."""
 
     tables: dict[str, pa.Table]
     """Every table of `ANNOTATIONS`; empty where nothing could be read."""
@@ -74,14 +74,17 @@ class Annotated:
 
     @property
     def disagreements(self) -> list[Disagreement]:
+        """People and groups of whom the labels do not say the same everywhere."""
         return disagreements(self.tables)
 
     @property
     def absent_partners(self) -> int:
+        """Interactions that gave no fact, as one of the two people has no 2D box in the frame."""
         return absent_partners(self.tables["interactions"], self.tables["boxes_2d"])
 
     @property
     def stamps(self) -> Stamps | None:
+        """What the timestamps say; None without any."""
         table = self.tables["timestamps"]
         images = table.filter(pc.equal(table["sensor"], "images"))
         rate = frame_rate(images["frame"].to_numpy(), images["timestamp"].to_numpy())
@@ -89,6 +92,7 @@ class Annotated:
 
     @property
     def cameras(self) -> Cameras | None:
+        """The cameras' medians beside the panorama's constants; None without a calibration."""
         return cameras_check(self.tables["calibration"])
 
 
@@ -105,7 +109,7 @@ def annotate(files: SequenceFiles) -> Annotated:
         try:
             reading = _read(layer, path, files.sequence, readings, problems[-1])
         except InputError as error:
-            # What was said of its frames and records until then is no news: nothing of them was kept.
+            # Problems counted in its frames and records no longer matter: none of them was kept.
             problems[-1] = Problems(path.name, layer)
             problems[-1].add("file", str(error))
             continue
@@ -143,7 +147,7 @@ def _together(
     frames: dict[str, tuple[Ints, Ints]] = {}
     unknown: Counter[tuple[str, str]] = Counter()
     for reading in readings.values():
-        # Lists that could be read are told by two files: of interactions by one, of things by another.
+        # Two files may say which lists could be read: one those of interactions, another those of things.
         both = [part["listed"] for part in (tables, reading.tables) if "listed" in part]
         tables |= reading.tables
         if both:

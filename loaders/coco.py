@@ -2,7 +2,7 @@
 
 Frames come from the base name of an image's `file_name` and from nothing else: image numbers follow the frames by
 rules that differ from release to release, and `width` and `height` are those of another camera. What names another
-sequence, or shares its number with another image, is refused with all its annotations.
+sequence, or shares its number with another image, is refused together with its annotations.
 
 Memory is bounded by the file's size: long values stay raw until a chunk of records is turned into columns.
 """
@@ -34,7 +34,7 @@ SECTIONS: Final = ("images", "annotations", "categories")
 MAX_KEYS: Final = 1000
 """Members of the outermost object."""
 MAX_LISTED: Final = 400_000
-"""Images or annotations of one file; twice as many as people have boxes in JRDB's fullest sequence."""
+"""The most images or annotations of one file: twice the boxes of people in JRDB's fullest sequence."""
 CHUNK: Final = 10_000
 """Records that are handed on at once."""
 MAX_BATCH: Final = 4 << 20

@@ -16,7 +16,7 @@ from .problems import Problems
 
 PAIR_BITS: Final = 31
 MAX_DISTINCT: Final = 100_000
-"""Different values of one field in a file: labels repeat from frame to frame, ids within a few hundred."""
+"""The most different values of one field in a file: labels repeat from frame to frame, and ids are a few hundred."""
 
 
 def paired(high: Ints, low: Ints) -> Ints:
@@ -61,8 +61,10 @@ def constant(value: str, n: int) -> pa.Array:
 
 
 def encoded(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """A table under a schema, texts that are numbered staying so: few of them differ, and written out they would be
-    most of the memory of a load."""
+    """A table under a schema; texts that are numbered (dictionaries) stay so.
+
+    Few of them differ, and written out they would be most of the memory of a load.
+    """
     fields = [
         schema.field(name).with_type(column.type) if pa.types.is_dictionary(column.type) else schema.field(name)
         for name, column in zip(table.column_names, table.columns, strict=True)

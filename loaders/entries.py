@@ -5,8 +5,8 @@ can be stale) is not read. Entries change from frame to frame, but their pairs a
 and each distinct one is decoded once.
 
 A list is *whole* when nothing of it was refused: then what it does not hold is false. An entry is refused where it is
-no object, its pair cannot be read or is the person itself, or its labels are no object. A label that says "impossible"
-leaves no fact, and the list not whole. A difficulty that cannot be read leaves the label, unknown.
+no object, its pair cannot be read or is the person itself, or its labels are no object. A label "impossible" gives no
+fact, and its list is then not whole. Where a difficulty cannot be read, the label is kept as an unknown fact.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ from .columns import Distinct, Refusals, constant, encoded, ragged
 from .problems import shorten
 
 MAX_FACTS: Final = 2_000_000
-"""Labels of one kind in a file; JRDB's fullest sequence has about 1.5 million of its groups."""
+"""The most labels of one kind in a file; JRDB's fullest sequence has about 1.5 million labels of its groups."""
 
 KEY_BITS: Final = 63
 
@@ -100,7 +100,7 @@ def expand(
 
 
 def bounded(facts: int) -> None:
-    """Raises InputError where a file says more than memory is for."""
+    """Raise InputError where a file holds more labels than there is memory for."""
     if facts > MAX_FACTS:
         raise InputError(f"more than {MAX_FACTS:,} labels of one kind: is it a file of one sequence?")
 

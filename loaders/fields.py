@@ -15,7 +15,7 @@ import msgspec
 
 MAX_TRACK: Final = 2**31 - 2
 MAX_PIXEL: Final = 1e5
-"""No coordinate of a stitched box is that large: the panorama has 3760 columns."""
+"""No coordinate of a stitched box is as large as this: the panorama has 3760 columns."""
 MAX_METRE: Final = 1e4
 MAX_TEXT: Final = 100
 

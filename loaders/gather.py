@@ -28,10 +28,10 @@ MAX_GATHERED: Final = 400_000
 CHUNK: Final = 20_000
 """Records whose columns are taken at once."""
 CHUNK_BYTES: Final = 32 << 20
-"""As much text as a chunk is made of at most: an adverse record holds thousands of objects."""
+"""The most text of a chunk: a hostile record may hold thousands of objects."""
 
 BATCH_BYTES: Final = 1 << 19
-"""Text of the frames that are looked at together."""
+"""Bytes of text of the frames that are read together."""
 
 Columns = dict[str, npt.NDArray[Any]]
 R = TypeVar("R", bound=msgspec.Struct)
@@ -53,6 +53,7 @@ class Gathered(Generic[R]):
         self._size = 0
 
     def add(self, frame: int, records: list[R], complete: bool, size: int) -> None:
+        """Add a frame's usable records; `size` is the bytes of its text."""
         self.known.append(frame)
         if complete:
             self.complete.append(frame)

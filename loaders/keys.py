@@ -1,7 +1,7 @@
 """How often keys are written in a JSON text, told from the bytes before its colons.
 
-A record that repeats a key is told by its text holding more keys than decoding gave. Searching the text for every key
-would take as long as decoding it; here it is read once, and of each colon the eight bytes before it are compared.
+Where a record repeats a key, its text holds more keys than decoding gave. Searching the text for every key would take
+as long as decoding it; here the text is read once, and the eight bytes before each colon are compared with the keys.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 SHORT: Final = 4096
-"""Bytes below which a text, of one record say, is searched for every key in less time than its colons take."""
+"""A text shorter than this, such as one record, is faster searched for every key than for its colons."""
 _WIDTH: Final = 8
 _COLON: Final = ord(":")
 _SHORTEST: Final = 5

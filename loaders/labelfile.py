@@ -35,7 +35,7 @@ MAX_FRAME: Final = 4 << 20
 MAX_RECORDS: Final = 1000
 """Records of one frame: JRDB's fullest have about a hundred, and pairs of people grow with the square."""
 SCAN_FROM: Final = 64 << 20
-"""Lists from this size on are cut by the scanner, whose memory does not depend on the number of members."""
+"""Lists of this many bytes or more are cut by the scanner, whose memory does not depend on the number of members."""
 
 R = TypeVar("R", bound=msgspec.Struct)
 
@@ -252,6 +252,7 @@ def _scan(data: bytes, name: str, problems: Problems) -> Iterator[tuple[str, byt
 
 
 def key_text(key: bytes) -> str:
+    """The text of a quoted key; what is no JSON text is read as it stands."""
     try:
         return msgspec.json.decode(key, type=str)
     except BROKEN:

@@ -1,8 +1,8 @@
 """Where a JRDB root keeps the layers, and which sequences it has.
 
-Releases differ: with or without a `labels/` level, train and test under other names, and the stitched 2D boxes come
-also inside the richer label files. Folders are chosen per sequence: a layer's later folder serves the sequences that
-the earlier ones lack. Folders of single cameras, of heads and whatever else a root holds are left alone.
+Releases differ: some have a `labels/` level, some name the folders of train and test differently, and the stitched 2D
+boxes also come inside the richer label files. Folders are chosen per sequence: where the first folder of a layer lacks
+a sequence, the next one serves it. Folders of single cameras, of heads and anything else in a root are ignored.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ LAYER_FILES: Final = (*LABEL_DIRS, TIMESTAMPS, CALIBRATION)
 """Layers by their files, in the order in which they are read."""
 
 BOXES_ELSEWHERE: Final = ("social", "reasoning")
-"""Layers whose files hold the 2D layer's records too: they stand in where a sequence has no file of its own."""
+"""Layers whose files hold the 2D layer's records too; they serve a sequence that has no file of 2D boxes."""
 
 CAMERAS_FILE: Final = "cameras.yaml"
 IMAGE_DIRS: Final = ("images/image_stitched", "image_stitched")
@@ -79,7 +79,7 @@ class Root:
     problems: tuple[Problem, ...]
     """Folders that could not be read, and label files whose names cannot be sequence names."""
     notes: tuple[str, ...]
-    """Folders without anything in them."""
+    """Folders in which there are no label files."""
 
 
 def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None = None) -> Root:
@@ -123,7 +123,7 @@ def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None =
 
 
 class _Search:
-    """Looks into folders, and keeps what is to be said of them."""
+    """Looks into folders, and keeps the problems and notes for the report."""
 
     def __init__(self, root: Path) -> None:
         self.root = root

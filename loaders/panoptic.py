@@ -1,6 +1,6 @@
 """The panoptic layer: `labels_2d_panoptic_stitched_CW/<sequence>.json` -> the tables `panoptic` and `categories`.
 
-Masks of things and of what surrounds them, once per second. A thing is known by its track and its category together:
+Masks of things and of their surroundings, once per second. A thing is known by its track and its category together:
 tracks restart in each category. Category numbers are the file's own, so that each file's list of names is kept beside.
 People are annotated here too; they stay in the table, but it is the box layers that count them.
 """
@@ -31,7 +31,7 @@ from .reading import Reading
 from .records import record_parts, unpacked
 
 MAX_SEGMENTATION: Final = 1 << 20
-"""Bytes of a mask that is kept; one of every second pixel of the panorama takes about as much."""
+"""The most bytes of a mask that is kept; a mask of every second pixel of the panorama takes about as much."""
 NO_TRACK: Final = -1
 
 Box = tuple[float, float, float, float]

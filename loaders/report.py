@@ -12,7 +12,7 @@ from .problems import Problem
 
 MIN_MOVES: Final = 100
 MAX_TURN_DEG: Final = 90.0
-"""A median angle between heading and displacement beyond it speaks against the headings; a driving robot blurs it."""
+"""A median angle between heading and displacement above this speaks against the headings; a moving robot blurs it."""
 
 
 class UnknownLabel(msgspec.Struct):

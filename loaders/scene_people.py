@@ -163,7 +163,7 @@ def read_groups(table: pa.Table) -> Groups:
 
 
 def read_located(table: pa.Table) -> Located:
-    """From the annotation table `boxes_3d`: boxes with lidar points only."""
+    """From the annotation table `boxes_3d`: only the boxes with lidar points."""
     table = table.filter(pa.array(table["num_points"].fill_null(0).to_numpy() > 0))
     frame, track = _person_columns(table)
     center = np.stack([table[name].to_numpy() for name in ("cx", "cy", "cz")], axis=1)

@@ -1,9 +1,10 @@
 """Stable segments of actions: stretches that visibly begin, last and (where closed) end.
 
-Per action layer's grid frame an action of a person is true, false or unknown. A run is a maximal chain of consecutive
-grid frames in which it is true and the person in clear view, or which lie in a closed gap. A run is a stable segment if
-it lasts, the action is false and the person clear for a second before, and no frame is true or unknown for three
-seconds before and after. A grid frame that is not annotated is unknown; frames beyond the grid do not exist.
+At each frame of the action layer's grid, an action of a person is true, false or unknown. A run is a maximal chain of
+consecutive grid frames in which it is true and the person in clear view, or which lie in a closed gap. A run is a
+stable segment if it lasts, the action is false and the person clear for a second before, and no frame is true or
+unknown for three seconds before and after. A grid frame that is not annotated is unknown; frames beyond the grid do
+not exist.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ HALF_STEP = KEYFRAME_STEP // 2
 """At one frame per second the truth lies up to half a step outside [first, last]."""
 
 BLOCK: Final = 500_000
-"""Cells looked at in one go; one person's many actions may make more."""
+"""Cells worked on at once; the many actions of one person may make more."""
 
 
 def segments_table(line: Timeline, boxes: Boxes, labels: Labels, runs: Runs, rules: LoadRules) -> pa.Table:

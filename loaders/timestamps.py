@@ -34,7 +34,7 @@ from .records import record_parts
 MAX_ENTRIES: Final = 100_000
 MAX_FRAME: Final = 999_999
 MAX_SECONDS: Final = 1e11
-"""A stamp beyond it counts something else than seconds since the epoch."""
+"""A larger stamp counts something other than seconds since the epoch."""
 
 
 class Sensor(NamedTuple):

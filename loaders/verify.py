@@ -8,7 +8,7 @@ written beside the scene since, it cannot hold, and every key is looked up inste
 index answers one key at a time).
 
 A damaged graph can crash the engine or keep it busy for ever: it is read in a process of its own, which is ended when
-it takes too much memory, or is silent for too long. It tells after each piece of a table that it is still at it.
+it takes too much memory, or is silent for too long. After each piece of a table it reports that it is still reading.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
 from .scene import scene_rows
 
 TIMEOUT_S: Final = 120.0
-"""For one piece of a table, ten times and more what it takes: `BATCH_ROWS` rows, or `BATCH_KEYS` keys looked up."""
+"""For one piece of a table, at least ten times what it needs: `BATCH_ROWS` rows, or `BATCH_KEYS` keys looked up."""
 BATCH_ROWS: Final = 250_000
 """Rows read out of the graph at a time, unless one sequence has more."""
 BATCH_KEYS: Final = 1_000
@@ -215,7 +215,7 @@ def _child(path: Path, tables: Sequence[str]) -> Iterator[Connection]:
 
 
 def _serve(answers: Connection, path: str, tables: Sequence[str]) -> None:
-    """The child: one answer per table, in order, and None while it is at one."""
+    """The child: one answer per table, in order, and None for each piece while it reads one."""
     # What the engine writes when it gives up is said in one line by the parent.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     threading.Thread(target=end_beyond_memory, args=(lambda: None,), daemon=True).start()

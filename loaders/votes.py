@@ -117,7 +117,7 @@ def _count(table: pa.Table, subject_of: Callable[[Ints, Ints], tuple[Ints, Bools
     subjects, number = np.unique(subject, return_inverse=True)
     votes = np.flatnonzero((difficulty < HARD) & (value >= 0) & (has[record] if len(record) else new))
     record, attribute, value = record[votes], attribute[votes], value[votes]
-    # Two spellings of one value in a record are one vote.
+    # Two spellings of one value in a record count as one vote.
     words, topics = len(attributes) * len(values) + 1, len(attributes) + 1
     record, word = np.divmod(distinct_of(np.sort(record * words + attribute * len(values) + value)), words)
     attribute = word // max(len(values), 1)

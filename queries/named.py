@@ -108,8 +108,8 @@ def find_query(language: str, text: str, given: dict[str, Any]) -> tuple[str, di
 
 
 def parse_value(text: str) -> Any:
-    """A parameter's value: JSON where it is JSON, else the text as it stands. A question's id is text, also one that
-    looks like a power of ten.
+    """A parameter's value: JSON where it is JSON, else the text as it stands. A question's id stays text even where it
+    looks like a number with an exponent.
 
     >>> parse_value("15"), parse_value("female"), parse_value("[1, 2]"), parse_value("0012345678901e23")
     (15, 'female', [1, 2], '0012345678901e23')

@@ -1,6 +1,6 @@
 """Statements that the engine is known to answer wrongly, told by their plan and their words.
 
-Each was measured against brute force; the tests say when the engine has learnt better.
+Each was found by comparison with brute force; tests will tell when a later engine answers rightly.
 
 - *Cyclic patterns lose parallel edges* where the plan holds INTERSECT: 2 rows for a true 4.
 - *A bare boolean after WHEN takes the wrong branch*: in `CASE WHEN x.flag THEN`, but also where the condition is an

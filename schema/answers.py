@@ -19,7 +19,7 @@ from .rules import FPS
 AnswerMode = Literal["multiple_choice", "frame", "span", "frame_viewpoint", "number"]
 
 TIE: Final = 1e-9
-"""What rounding may take from, or add to, an angle in degrees or a share that lies exactly at an inclusive bound."""
+"""Tolerance at inclusive bounds: rounding may move an angle in degrees, or a share, that lies exactly on one."""
 
 _FRAME_LIMIT: Final = 10_000_000
 _Frame = Annotated[int, msgspec.Meta(ge=0, le=_FRAME_LIMIT)]

@@ -4,7 +4,7 @@ Names of tables and the properties written here are public. Node keys: `Person` 
 `<sequence>/<number>`, `Frame` is `<sequence>/<six digits>`, `Object` is `<sequence>/<category id>:<track>` (tracks
 restart per category). Every relationship carries `sequence`, by which queries filter (ten times faster than by a
 property of the node). Relations are intervals of frames, inclusive, with seconds beside them; `certain` is false where
-the fact is unknown: it could be so.
+the fact is unknown, that is, where it may or may not hold.
 """
 
 from __future__ import annotations

@@ -151,6 +151,6 @@ class Method(Protocol):
 
 
 class Settled(Method, Protocol):
-    """A method whose settings a run's manifest keeps: what is not equal in them does not resume the run."""
+    """A method whose settings are kept in the run's manifest: a run is resumed only under equal settings."""
 
     def settings(self) -> dict[str, Any]: ...

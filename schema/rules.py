@@ -31,7 +31,7 @@ Pixels = Annotated[float, msgspec.Meta(ge=0, le=10_000)]
 Metres = Annotated[float, msgspec.Meta(ge=0, le=1000)]
 Seconds = Annotated[float, msgspec.Meta(ge=0, le=3600)]
 Wait = Annotated[float, msgspec.Meta(ge=1, le=3600)]
-"""Seconds between two asked times: a keyframe at least, or they would be one."""
+"""Seconds between two asked times: one keyframe step at least, or both would be the same time."""
 Share = Annotated[float, msgspec.Meta(gt=0, le=1)]
 
 CONDITION_KINDS: Final = (
@@ -90,9 +90,9 @@ class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     long_wait_s: Wait = 10.0
     """Least time that long-range questions reach over."""
     search_wait_s: Wait = 2.0
-    """Least time from the description to the start of an action that somebody found by hops is watched for."""
+    """Least time from the description to the start of the action for which a person found by hops is watched."""
     turn_deg: Annotated[float, msgspec.Meta(ge=0, lt=180)] = 20.0
-    """Who is watched for an action must have moved by more than this, as the robot sees it."""
+    """A person watched for an action must have moved by more than this angle, as the robot sees it."""
     gap_min_s: Seconds = 5.0
     """Least time between two events whose distance in time is asked for."""
     count_min: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 4
@@ -101,7 +101,7 @@ class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How far time.shift moves the asked times."""
     distance_changed_m: Metres = 1.5
     distance_same_m: Metres = 0.5
-    """Closer or farther from 1.5 m on, about the same below 0.5 m, no question in between."""
+    """Closer or farther when it changes by 1.5 m or more, about the same below 0.5 m; in between nothing is asked."""
     visible_share: Share = 0.5
     """A box counts as shown by a view when at least this share of its width lies inside."""
     near_duplicate_s: Seconds = 2.0

@@ -2,7 +2,7 @@
 
 Values keep the spelling of the annotation format, so that "food-truck", "food truck" and "food_truck" are one value.
 A label that no table knows comes back in plain spelling (lower case, blanks for `_` and `-`) and is reported by the
-loader. None stands for "cannot be told", which is no value.
+loader. None stands for "cannot be told", which is not a value.
 """
 
 from __future__ import annotations
@@ -225,7 +225,7 @@ def _value(attribute: str, word: str) -> str:
     if attribute == "inter":
         return normal_interaction(word)
     if attribute == "venue" and word.startswith(("indoor ", "outdoor ")):
-        # Also of a place that is unknown: whether it is indoors is told.
+        # Even of an unknown place the label says whether it is indoors.
         side, place = word.split(" ", 1)
         return f"{side}_{_PLACE.get(place, place)}"
     return _VALUE[attribute].get(word, word)

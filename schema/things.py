@@ -178,7 +178,7 @@ VERBS: Final = (
 """What a person does with a thing."""
 
 CATEGORY_PREFIXES: Final = ("t_", "m_")
-"""Stand before names in some files, and say nothing of the thing."""
+"""Prefixes of names in some files; they say nothing about the thing."""
 
 
 def normal_category(name: str) -> str:

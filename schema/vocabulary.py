@@ -45,7 +45,7 @@ OTHER_ACTIONS: Final = (
 ACTIONS: Final = POSES + OTHER_ACTIONS
 
 IMPOSSIBLE: Final = "impossible"
-"""Annotators' "cannot be told", of actions and demographics: no fact."""
+"""The annotators' word for "cannot be told", of actions and demographics; it states no fact."""
 
 _ACTION_SPELLINGS: Final = {
     "opening the door": "interaction with door",

@@ -1,9 +1,9 @@
 """The world namespace: what an agent saw and believes, in tables beside the scene's, keyed by episode.
 
 An episode is one question of one run. Everything believed is tied to an observation of its own episode: a sighting and
-an attribute are edges from an entity to the observation, a relation names it. A belief holds for the frame of its
-observation (`first` = `last`), but for gender and age, which hold always (0 to `ALWAYS`). What a later write replaces
-stays, with `current` false and `until` the step of that write: at step k an edge was believed where
+an attribute are edges from an entity to the observation; a relation carries the observation's key. A belief holds for
+the frame of its observation (`first` = `last`), but for gender and age, which hold always (0 to `ALWAYS`). What a later
+write replaces stays, with `current` false and `until` the step of that write: at step k an edge was believed where
 `step <= k AND until > k`. Keys: `Episode` is `<run>/<question>`; `Observation` `<episode>/o<number>`; `Entity`
 `<episode>/<the agent's own name for it>`; `Slot` and `Write` `<episode>/<number>`.
 """

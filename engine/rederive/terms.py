@@ -19,7 +19,7 @@ FALSE, TRUE, UNKNOWN = 0, 1, 2
 """Values of a fact."""
 
 SLACK: Final = 1e-9
-"""Decimals such as 0.55 lie on the edge they name."""
+"""Tolerance at edges, so that decimals such as 0.55 lie on the edge they name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ def in_closed_gap(named: Callable[[int], bool], frame: int, longest: int) -> boo
 
 
 def among(wanted: str, possible: list[str]) -> int:
-    """The fact that a word of which one is right is the wanted one."""
+    """Whether the wanted word is right, where one of the possible words is."""
     if wanted not in possible:
         return FALSE
     return TRUE if len(possible) == 1 else UNKNOWN

@@ -1,8 +1,8 @@
 """What is read of people over beliefs, as the protocol of the reference agent defines each read.
 
 A person is looked at only now and then. Whoever is seen at a frame and is not said to do a thing is taken not to do it
-there: a model has no way to write that somebody does not. Absent is who is seen in no observation of a frame of which
-the whole panorama was observed; of any other frame nothing is known.
+there: a model has no way to write that somebody does not. A person is absent from a frame if the whole panorama of it
+was observed and the person was not seen; of any other frame nothing is known.
 
 A moment lies between two looks, and is known where these are at most `RESOLVED_FRAMES` apart; it is the middle of them.
 """
@@ -48,7 +48,7 @@ class Sighting:
 
 @dataclass(frozen=True)
 class Moment:
-    """The frame of a sighting, its box in stitched pixels the angle of its centre; `written` orders writes."""
+    """A sighting: its frame, its box in stitched pixels, the angle of its centre, and the number of its write."""
 
     frame: int
     box: Box

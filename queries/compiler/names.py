@@ -38,8 +38,9 @@ class Names:
 
     opening: lines that gather the facts of one scope, `$scope`, in the list `beliefs`. Clauses are then `Told` by its
     rows, `b`, of which `there` says what makes one a sighting; a person is a name, and no sightings are bound.
-    single: of what there must be one, of all people of a plan together or of its target alone. turned: whether windows
-    are told by the angles of two people, so that an edge's value is how many degrees; else it is the window's label.
+    single: what there must be exactly one of: of all people of a plan together, or of its target alone. turned: whether
+    windows are told by the angles of two people, so that an edge's value is how many degrees; else it is the window's
+    label.
     """
 
     pattern: str

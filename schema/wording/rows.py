@@ -29,8 +29,8 @@ class Slots:
 class Template:
     """A row of the table.
 
-    times: the stated ones, that of the description first; events: the others, in whose place of an action stands its
-    number; path: the edges, as pairs of nodes; uses: what each relation of the text is used for.
+    times: the stated ones, that of the description first; events: the others, whose `action` is a number in braces that
+    stands for the question's action; path: the edges, as pairs of nodes; uses: what each relation of the text is for.
     """
 
     template: str

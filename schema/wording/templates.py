@@ -1,8 +1,8 @@
 """The template table: which plan a template's words stand for, and its paraphrases.
 
 A row is data. Its plan is put together from what the text says (`rows.Slots`): the description of "a", the stated
-frames, the actions asked about and the relations along the path; `{1}` and `{2}` in a row stand for the actions in
-their order. A template with several forms, such as `gap`, has a row for each.
+frames, the actions asked about and the relations along the path; `{1}` and `{2}` in a row stand for the first and
+the second of the actions. A template with several forms, such as `gap`, has a row for each.
 
 In paraphrases, `{who}` is the description, `{t0}` a stated time, `{action1}` an action; people along a path are
 called A, B, C and D, and `{says1}`, `{the1}` and `{holds1}` are the first relation's phrases (`relations`), `{Says1}`

@@ -22,11 +22,11 @@ _ABOUT: Final = {"At": "At about", "at": "at about", "When": "About when", "How"
 """Words for events: the second set where an action is annotated once a second."""
 
 _COUNTED: Final = "that person"
-"""The described person, where a relation is said of that person alone."""
+"""What the described person is called where a relation is counted, and nobody has a letter."""
 
 
 LONGEST: Final = 4000
-"""Characters of a question at most: several times what any question needs, and soon read whatever it says."""
+"""The most characters of a question: several times what any needs, and few enough that any text is read quickly."""
 
 
 def moment(frame: int) -> str:
@@ -64,7 +64,7 @@ def render(template: str, plan: Plan, key: str, about: bool = False) -> str:
 
 
 def _check(row: Template, slots: Slots) -> None:
-    """Refuse the plans that say what another, or none, should say: equal questions have one plan."""
+    """Refuse plans that say what another plan should say, or that none should: a question has exactly one plan."""
     if in_order(slots.conditions) != slots.conditions:
         raise PlanError("nodes[0].conditions", "must stand in the order that in_order gives")
     if any(condition.at not in (None, row.times[0]) for condition in slots.conditions):
@@ -147,7 +147,7 @@ def parse(text: str) -> tuple[str, Plan]:
                     continue
                 for found in _readings(row, _pieces(paraphrase, about), text):
                     slots = _slots(row, found)
-                    # What was read must be what would be written: a list in another order, for one, is not ours.
+                    # What was read must be what would be written; a list in another order, for example, would not be.
                     if _written(row, paraphrase, slots, about) == text:
                         return row.template, row.build(slots)
     raise PlanError("question", f"{text[:80]!r} is no question of this benchmark")
