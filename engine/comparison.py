@@ -3,7 +3,7 @@ in percent of `n`, the questions asked; None where nothing was asked (shown as n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import Any, Final
 
@@ -32,10 +32,11 @@ _COSTS: Final = ("n_observations", "n_model_calls", "prompt_tokens", "completion
 
 def main_rows(facts: Facts, runs: Sequence[Judged], iou: float) -> list[Row]:
     """A row per run: shares with 95 % intervals over sequences, and macro averages over families and paper groups."""
-    return [_main_row(facts, run, iou) for run in runs]
+    settings = told_apart(runs)
+    return [_main_row(facts, run, iou, settings[run.manifest.run_id]) for run in runs]
 
 
-def _main_row(facts: Facts, run: Judged, iou: float) -> Row:
+def _main_row(facts: Facts, run: Judged, iou: float, setting: str) -> Row:
     # Columns: the questions, the three scores, the answers without evidence.
     base = np.concatenate([np.ones((run.n, 1)), run.scores, run.scores[:, :1] - run.scores[:, 2:]], axis=1)
     found, cluster = np.unique(facts.labels["sequence"].numbers[run.rows], return_inverse=True)
@@ -53,13 +54,38 @@ def _main_row(facts: Facts, run: Judged, iou: float) -> Row:
         column += 4 * count
     shares = intervals(np.concatenate(sums, axis=1), tuple(statistics.values()))
     bounds = {name: _with_bounds(name, share) for name, share in zip(statistics, shares, strict=True)}
-    row = _head(run) | {"n": run.n, "sequences": len(found)}
+    row = _head(run) | {"setting": setting, "n": run.n, "sequences": len(found)}
     for name in (*SCORES, "hallucination"):
         row |= bounds.pop(name)
     row |= {"invalid": share(int(run.invalid.sum()), run.n), "errors": share(run.errors, run.n)}
     for macro in bounds.values():
         row |= macro
     return row | {"iou": iou}
+
+
+def told_apart(runs: Sequence[Judged]) -> dict[str, str]:
+    """By run id, the settings in which a run differs from others of its method and model; "" where there are none."""
+    leaves = {run.manifest.run_id: dict(_leaves(run.manifest.settings)) for run in runs}
+    texts = {}
+    for run in runs:
+        alike = [leaves[other.manifest.run_id] for other in runs if _asked_of(other) == _asked_of(run)]
+        own = leaves[run.manifest.run_id]
+        differing = [name for name in sorted(own) if any(name not in one or one[name] != own[name] for one in alike)]
+        texts[run.manifest.run_id] = ", ".join(f"{name} {own[name]}" for name in differing)
+    return texts
+
+
+def _asked_of(run: Judged) -> tuple[str, str]:
+    return run.manifest.method, run.manifest.model
+
+
+def _leaves(settings: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
+    """Settings by their path, `marker.seed`; not a server's address, which is another one each time."""
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{above}{name}.")
+        elif name != "base_url":
+            yield f"{above}{name}", str(value)
 
 
 def _head(run: Judged) -> Row:
@@ -147,12 +173,16 @@ def _shares(n: int, answer: int, evidence: int, combined: int, invalid: int) -> 
 
 def ablation_rows(runs: Sequence[Judged], *, published: bool = False) -> list[Row]:
     """The four cells, active observation by world model, of every model that ran one of them."""
+    settings = told_apart(runs)
+    places = {method: place for place, (method, _, _) in enumerate(_CELLS)}
+    among = [run for run in runs if run.manifest.method in places]
+    # The cells of a model stand together, and of those the ones of one setting.
+    among.sort(key=lambda run: (run.manifest.model, settings[run.manifest.run_id], places[run.manifest.method]))
     rows: list[Row] = []
-    for model in sorted({run.manifest.model for run in runs if run.manifest.method in ABLATION}):
-        for method, active, world in _CELLS:
-            for run in runs:
-                if (run.manifest.model, run.manifest.method) == (model, method):
-                    rows.append(_cell(active, world) | _head(run) | _shares(*_totals(run)))
+    for run in among:
+        _, active, world = _CELLS[places[run.manifest.method]]
+        own = {"setting": settings[run.manifest.run_id]}
+        rows.append(_cell(active, world) | _head(run) | own | _shares(*_totals(run)))
     if published:
         rows += [_cell(active, world) | _published(ABLATION[method]) for method, active, world in _CELLS]
     return rows

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -77,6 +78,26 @@ def test_the_ablation_is_active_by_world(paper):
     ]
     assert rows[0]["combined"] == rows[-1]["combined"]
     assert ablation_rows([benchmark.run([(1, BOX, 7)] * 2098)]) == []
+
+
+def test_settings_of_one_model_are_told_apart():
+    benchmark = Benchmark([("a", "s1", "long_range")])
+    noise = {"marker": {"wrong_box": 0.1}, "temperature": 0, "endpoint": {"base_url": "http://one"}}
+    plain = {"temperature": 0, "endpoint": {"base_url": "http://two"}}
+    runs = []
+    for name, settings in (("noisy", noise), ("plain", plain)):
+        for method in ("agent", "agent-passive"):
+            run = benchmark.run([(1, BOX, 7)], f"{name}-{method}", method)
+            runs.append(replace(run, manifest=msgspec.structs.replace(run.manifest, settings=settings)))
+    assert [row["setting"] for row in main_rows(benchmark.facts, runs, 0.5)] == ["marker.wrong_box 0.1"] * 2 + [""] * 2
+    # The cells of one setting stand together.
+    assert [(row["setting"], row["world_model"], row["active"]) for row in ablation_rows(runs)] == [
+        ("", "on", "off"),
+        ("", "on", "on"),
+        ("marker.wrong_box 0.1", "on", "off"),
+        ("marker.wrong_box 0.1", "on", "on"),
+    ]
+    assert main_rows(benchmark.facts, runs[:2], 0.5)[0]["setting"] == ""
 
 
 FOUR = [("a", "s1", "long_range"), ("b", "s1", "long_range"), ("c", "s2", "chain_2hop"), ("d", "s2", "chain_2hop")]

@@ -120,7 +120,7 @@ BOUNDS = [
     ("span", {"start_frame": 10, "end_frame": 10}, {"start_frame": 10, "end_frame": 10}, 1),  # one frame
     ("span", {"start_frame": 10, "end_frame": 10}, {"start_frame": 10, "end_frame": 11}, 1),
     ("frame_viewpoint", {"frame": 9, "angle_deg": 350.0}, {"frame": 24, "angle_deg": 10.0}, 1),
-    ("frame_viewpoint", {"frame": 9, "angle_deg": 350.0}, {"frame": 24, "angle_deg": 10.5}, 0),
+    ("frame_viewpoint", {"frame": 9, "angle_deg": 350.0}, {"frame": 24, "angle_deg": 10.1}, 0),
     ("frame_viewpoint", {"frame": 9, "angle_deg": 350.0}, {"frame": 24, "angle_deg": -30.0}, 1),
     ("frame_viewpoint", {"frame": 9, "angle_deg": 350.0}, {"frame": 24, "angle_deg": -31.0}, 0),
     ("frame_viewpoint", {"frame": 9, "angle_deg": 350.0}, {"frame": 25, "angle_deg": 350.0}, 0),
@@ -132,6 +132,9 @@ BOUNDS = [
     ("number", {"value": 8.0}, {"value": 3.9}, 0),
     ("number", {"value": 8.0}, {"value": 0.0}, 0),
     ("number", {"value": 8.0}, {"value": -8.0}, 0),
+    ("number", {"value": -8.0}, {"value": -8.0}, 0),
+    ("number", {"value": 0.0}, {"value": 0.0}, 0),
+    ("number", {"value": 0.5}, {"value": 0.4}, 1),
 ]
 
 
@@ -428,6 +431,28 @@ def test_set_wise_equals_the_comparison_of_the_proofs(world):
         assert scores[said["question_id"]][1] == (own is not None and iou(Box(*box), Box(*own)) >= 0.5)
 
 
+@given(worlds(), st.data())
+@settings(max_examples=60, deadline=None)
+def test_missing_and_degenerate_never_help(world, data):
+    """Whatever is taken from predictions, or made of no size, no score of any question rises."""
+    rows, predicted = world
+    before = score(rows, predicted)
+    worse = []
+    for said in predicted:
+        change = data.draw(st.sampled_from(["keep", "drop", "answer", "box", "flat", "thin", "error"]))
+        changes = {
+            "answer": {"answer": None},
+            "box": {"evidence_frame": None},
+            "flat": {"evidence_h": 0.0},
+            "thin": {"evidence_w": -1.0},
+            "error": {"status": "error"},
+        }
+        if change != "drop":
+            worse.append(said | changes.get(change, {}))
+    for one, other in zip(before, score(rows, worse), strict=True):
+        assert all(now <= was for was, now in zip(one[:3], other[:3], strict=True))
+
+
 def test_shuffled_predictions_score_the_same():
     rows = [(f"q{n}", "frame", {"frame": n}, {7: BOX}) for n in range(50)]
     predicted = [prediction(f"q{n}", {"frame": 2 * n}, (7, BOX)) for n in range(50)]
@@ -509,6 +534,11 @@ MUTANTS = [
     ("judged & boxed & present & ", "judged & boxed & "),
     ("invalid |= judged & (~answers.readable | ~boxed)", ""),
     ("np.round(fps)", "np.full(len(fps), 15.0)"),
+    ("(given.number > 0)", "(given.number >= 1)"),
+    ("(frame >= 0)", "(frame > 0)"),
+    ("(aw > 0) & (ah > 0)", "(aw > 1) & (ah > 1)"),
+    ("DEFAULT_IOU: Final = 0.5", "DEFAULT_IOU: Final = 0.4"),
+    ("ANGLE_DEG: Final = 20.0", "ANGLE_DEG: Final = 20.2"),
 ]
 
 
@@ -541,7 +571,11 @@ def scores_as_specified(module):
     wrong.append(run(rows, [b | {"status": "error"}])[1] != (0, 0, 0, False))
     wrong.append(run(rows, [b | {"status": "invalid", "answer": None}])[1] != (0, 1, 0, True))
     wrong.append(run(rows, [b | {"answer": None}])[1] != (0, 1, 0, True))
-    return not any(wrong)
+    start = [("q", "frame", {"frame": 0}, {0: (100.0, 50.0, 0.5, 0.5)})]
+    small = prediction("q", {"frame": 0}, (0, (100.0, 50.0, 0.5, 0.5)))
+    wrong.append(run(start, [small]) != [(1, 1, 1, False)])
+    wrong.append(run(start, [small | {"evidence_w": 0.0}], 1e-6)[0][1] != 0)
+    return not any(wrong) and module.DEFAULT_IOU == 0.5
 
 
 def test_battery_passes_the_scorer():

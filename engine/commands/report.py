@@ -110,8 +110,13 @@ def _for_paper(name: str, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """What a paper's table shows: no intervals and no macro averages, models first."""
     if name != "main":
         return [{key: value for key, value in row.items() if not key.endswith(("_low", "_high"))} for row in rows]
-    columns = ("model", "method", "label", "n", "answer", "evidence", "combined", "hallucination", "invalid")
-    return [{key: row.get(key) for key in columns} for row in sorted(rows, key=lambda row: str(row["model"]))]
+    rows = sorted(rows, key=lambda row: (str(row["model"]), str(row.get("setting", ""))))
+    names = [(row["model"], row["method"], row.get("setting", "")) for row in rows]
+    # Runs that nothing else tells apart are told apart by their ids.
+    columns = ["run"] if len(set(names)) < len(names) else []
+    columns += ["model", "method", *(["setting"] if any(row.get("setting") for row in rows) else []), "label", "n"]
+    columns += ["answer", "evidence", "combined", "hallucination", "invalid"]
+    return [{key: row.get(key, "") if key == "setting" else row.get(key) for key in columns} for row in rows]
 
 
 def _print_table(name: str, rows: list[dict[str, Any]], title: str) -> None:
