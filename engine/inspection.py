@@ -98,11 +98,6 @@ class _Sequence:
         self.frames = sorted(set(self.tables["sightings"]["frame"].to_pylist()))
         self.step = min((b - a for a, b in pairwise(self.frames)), default=1)
 
-    def annotated(self, frame: int) -> int:
-        """The annotated frame that a frame between two of them goes by: an event at 1 Hz lies half a step away."""
-        near = min(self.frames, key=lambda known: abs(known - frame), default=frame)
-        return near if abs(near - frame) <= self.step // 2 else frame
-
     def rows(self, name: str, **equal: int | str) -> list[dict[str, Any]]:
         table = self.tables[name]
         for column, value in equal.items():
@@ -121,7 +116,7 @@ def _inspected(
     needed = msgspec.json.decode(answer["needed"], type=list[dict[str, Any]])
     # A count has none: its target at the first of the two times is what is looked for.
     decisive = next((row for row in needed if row["decisive"]), needed[0])
-    shown = {name: sequence.annotated(frame) for name, frame in moments.items()}
+    shown = {name: annotated(frame, sequence.frames, sequence.step) for name, frame in moments.items()}
     counted = [row for row in needed if row["node"] not in people]
     sightings = {role: sequence.rows("sightings", track=track) for role, track in people.items()}
     boxes: dict[int, list[Mapping[str, Any]]] = {
@@ -147,6 +142,12 @@ def _inspected(
         info["fps"],
         info["frame_count"],
     )
+
+
+def annotated(frame: int, frames: Sequence[int], step: int) -> int:
+    """The frame of the annotated ones that a frame goes by: at 1 Hz an event lies half a step from its keyframe."""
+    near = min(frames, key=lambda known: abs(known - frame), default=frame)
+    return near if abs(near - frame) <= step // 2 else frame
 
 
 def _lines(

@@ -8,7 +8,7 @@ import pytest
 
 
 @contextlib.contextmanager
-def browser(folder, *, dark=False):
+def browser(folder):
     """A selenium driver of Chromium that downloads into `folder`."""
     program, driver = (shutil.which(name) for name in ("chromium", "chromedriver"))
     if not (program and driver):
@@ -30,7 +30,6 @@ def browser(folder, *, dark=False):
         "--hide-scrollbars",
         "--window-size=1250,1000",
         f"--user-data-dir={folder}/profile",
-        *(["--blink-settings=preferredColorScheme=0"] if dark else []),
     ):
         options.add_argument(argument)
     options.add_experimental_option("prefs", {"download.default_directory": str(folder)})

@@ -1,20 +1,29 @@
 """The pages in a real browser: nothing on the console, nothing fetched, and the keyboard works."""
 
+import base64
+import contextlib
+import dataclasses
 import json
 import re
 import time
+from importlib.resources import files
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from browser import browser, complaints
 from entry import run
 
+from jrdb_avr.engine.inspection import annotated, choose_questions, inspect_questions
+from jrdb_avr.engine.observe import Observer
 from jrdb_avr.engine.pages.answers import readable
 from jrdb_avr.engine.pages.charts import intervals, scatter, stacked, tags
 from jrdb_avr.engine.pages.diagrams import plan_graph, runs_of, timeline, wrapped
-from jrdb_avr.engine.pages.page import render
-from jrdb_avr.engine.pages.report_page import crossed, told_apart
+from jrdb_avr.engine.pages.inspect_page import close_up, inspect_page
+from jrdb_avr.engine.pages.page import render, write_page
+from jrdb_avr.engine.pages.report_page import crossed, told_apart, wrong_choices
 from jrdb_avr.engine.reviews import read_reviews
+from jrdb_avr.engine.runs import read_sequences
 from jrdb_avr.schema.plan import parse_plan
 
 HOSTILE = '</script><script>document.title="hit"</script><img src=x onerror=\'document.title="hit"\'>\x1b[31m'
@@ -33,6 +42,27 @@ def visit(driver, path):
     # Nothing but the file itself has been asked for.
     fetched = driver.execute_script("return performance.getEntriesByType('resource').map(e => e.name)")
     assert [name for name in fetched if not name.startswith("data:")] == []
+
+
+@contextlib.contextmanager
+def narrow(driver, width=400):
+    """The window of a telephone."""
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    try:
+        yield
+    finally:
+        driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+@contextlib.contextmanager
+def emulated(driver, *features):
+    """What the reader likes, or that it is printed."""
+    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": list(features)})
+    try:
+        yield
+    finally:
+        driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
 
 
 def shown(driver, selector):
@@ -66,18 +96,46 @@ def test_the_report_shows_its_tables_and_nothing_else_runs(opened, report):
 
 def test_pages_are_readable_on_a_small_screen(opened, report):
     driver, _ = opened
-    driver.set_window_size(500, 900)
-    visit(driver, report)
-    width = driver.execute_script("return document.documentElement.scrollWidth")
-    driver.set_window_size(1250, 1000)
-    assert width <= 510
+    with narrow(driver):
+        visit(driver, report)
+        assert driver.execute_script("return document.documentElement.scrollWidth") == 400
 
 
-def test_a_page_is_dark_where_the_reader_likes_it(tmp_path, report):
-    with browser(tmp_path, dark=True) as driver:
+def test_a_page_is_dark_where_the_reader_likes_it(opened, report):
+    driver, _ = opened
+    with emulated(driver, {"name": "prefers-color-scheme", "value": "dark"}):
         visit(driver, report)
         color = driver.execute_script("return getComputedStyle(document.body).backgroundColor")
     assert sum(map(int, re.findall(r"\d+", color))) < 150
+
+
+def test_colours_of_words_are_told_from_what_lies_behind():
+    """WCAG 2 AA: 4.5 to 1, in light, dark and print; the roles' colours too, that name people."""
+    folder = files("jrdb_avr.engine.pages")
+    style, roles = (folder.joinpath(name).read_text() for name in ("style.css", "roles.css"))
+    themes = [dict(re.findall(r"--(\w+): (#\w+)", block)) for block in re.findall(r":root \{(.*?)\}", style, re.DOTALL)]
+    people = [re.findall(r"--role: (#\w+)", part) for part in re.split(r"@media (?:\(prefers|print)", roles)[:2]]
+    people.append(re.findall(r"--role: (#\w+)", roles[roles.rindex("@media print") :]))
+    assert len(themes) == len(people) == 3
+    for theme, own in zip(themes, people, strict=True):
+        assert len(own) >= 6
+        words = [theme[name] for name in ("ink", "soft", "answer", "evidence", "combined", "wrong", "accent")] + own[:6]
+        for behind in (theme["paper"], theme["card"], theme["faint"]):
+            assert min(contrast(word, behind) for word in words) >= 4.5
+        assert contrast(theme["unknown"], theme["faint"]) >= 3
+
+
+def contrast(first, second):
+    def luminance(color):
+        color = color[1:] if len(color) == 7 else "".join(letter * 2 for letter in color[1:])
+        parts = [int(color[k : k + 2], 16) / 255 for k in (0, 2, 4)]
+        return sum(
+            weight * (part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4)
+            for weight, part in zip((0.2126, 0.7152, 0.0722), parts, strict=True)
+        )
+
+    dark, light = sorted((luminance(first), luminance(second)))
+    return (light + 0.05) / (dark + 0.05)
 
 
 # -- inspect ----------------------------------------------------------------------------------------------------------
@@ -91,13 +149,33 @@ def inspected(sample_benchmark, tmp_path_factory):
     return path
 
 
-def test_a_sample_is_seeded(sample_benchmark, tmp_path):
-    def drawn(*more):
-        ask = ("inspect", "--sample", 3, *more, "--store", sample_benchmark.path, "--out", tmp_path / "i.html")
-        return run(*ask, "--json")[1]
+def test_a_sample_is_seeded(sample_benchmark):
+    def drawn(seed):
+        return choose_questions(sample_benchmark, (), 3, seed)
 
-    assert drawn() == drawn()
-    assert drawn("--seed", 5) != drawn()
+    assert drawn(0) == drawn(0) != drawn(5)
+
+
+def test_no_text_of_a_question_runs_or_breaks_the_page(opened, sample_benchmark, tmp_path):
+    driver, _ = opened
+    text = f"{HOSTILE}{{{{7*7}}}}\u202e{'x' * 10_000}"
+    multiple = next(r for r in sample_benchmark.questions("questions").to_pylist() if r["choices"])
+    (one,) = inspect_questions(sample_benchmark, [multiple["question_id"]])
+    spoiled = dataclasses.replace(
+        one,
+        question={**one.question, "question": text, "choices": [text] * 4},
+        distractors=[text] * 4,
+        proofs=[{**proof, "variant": text, "answer": text} for proof in one.proofs],
+        lines=tuple(dataclasses.replace(line, label=text) for line in one.lines),
+    )
+    html = inspect_page([spoiled], Observer(None, read_sequences(sample_benchmark).values()), "0", lambda _: None)
+    write_page(tmp_path / "h.html", html)
+    with narrow(driver):
+        visit(driver, tmp_path / "h.html")
+        assert driver.execute_script("return document.documentElement.scrollWidth") == 400
+    assert driver.title == "JRDB-AVR: 1 questions to inspect" and not shown(driver, "img")
+    said = driver.find_element("class name", "question").text
+    assert "{{7*7}}[U+202E]xxx" in said and "\u202e" not in html and "\x1b" not in html
 
 
 def test_questions_are_judged_by_keyboard_and_imported(opened, inspected, benchmark_copy):
@@ -342,6 +420,39 @@ def test_a_breakdown_says_how_many_were_asked():
     ]
     turned = crossed(rows[:1] + rows[3:], "family", ["r"])
     assert (turned.across, turned.values_across) == (("r",), False)
+
+
+def test_wrong_choices_stand_by_run_and_perturbation():
+    def row(run, name, times, total):
+        return {"run": run, "perturbation": name, "wrong_choices": total, "times": times, "percent": 1.0}
+
+    rows = [row("r", "hop.stop(1)", 2, 3), row("r", "none", 1, 3), row("s", "none", 4, 4)]
+    table = wrong_choices(rows, ["s", "r", "t"])
+    assert table.across == ("none", "hop.stop(1)")
+    assert [(run, total, [cell and cell["times"] for cell in cells]) for run, total, cells in table.rows] == [
+        ("s", 4, [4, None]),
+        ("r", 3, [1, 2]),
+    ]
+
+
+def test_a_time_between_annotations_goes_by_the_nearest():
+    hertz = [0, 15, 30, 60]
+    assert [annotated(frame, hertz, 15) for frame in (8, 22, 30, 45, 67, 70)] == [15, 15, 30, 45, 60, 70]
+    assert annotated(8, range(20), 1) == 8 and annotated(30, range(20), 1) == 30 and annotated(3, [], 1) == 3
+
+
+def test_a_close_up_reaches_over_the_seam():
+    import cv2
+
+    image = np.zeros((480, 3760, 3), np.uint8)
+    image[:, 3745:], image[:, :15] = (255, 0, 0), (255, 0, 0)
+    seen = close_up({"role": "a", "x": 3745.0, "y": 200.0, "w": 30.0, "h": 80.0}, image, 7)
+    (box,) = seen.boxes
+    picture = cv2.imdecode(np.frombuffer(base64.b64decode(seen.uri.partition(",")[2]), np.uint8), cv2.IMREAD_COLOR)
+    assert picture.shape == (seen.height, seen.width, 3)
+    red = np.flatnonzero(picture[int(box.y + box.h / 2), :, 2] > 128)
+    assert (red[0], red[-1] + 1) == pytest.approx((box.x, box.x + box.w), abs=2)
+    assert box.h / box.w == pytest.approx(80 / 30)
 
 
 def test_dots_on_each_other_share_a_tag_inside_the_square():

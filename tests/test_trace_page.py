@@ -146,6 +146,7 @@ def test_the_world_model_grows_with_the_slider(traced, tmp_path):
                 step,
             )
 
+        assert visible(".verdict b") == ["answer \N{BALLOT X}", "evidence \N{CHECK MARK}", "combined \N{BALLOT X}"]
         assert len(driver.find_elements("css selector", "section.step")) == 7
         # Two looks have a known form, and one of them was refused.
         assert len(driver.find_elements("css selector", ".map rect.look")) == 2, "a crop over the seam is two parts"

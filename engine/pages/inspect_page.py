@@ -129,7 +129,7 @@ def _strip(one: Inspected, frame: int, observer: Observer) -> View:
     ]
     height = round(HEIGHT * scale)
     uri = jpeg_uri(jpeg_bytes(image, (STRIP_WIDTH, height)))
-    near = tuple(_near(row, image, frame) for row in one.boxes[frame] if row["role"] in one.people)
+    near = tuple(close_up(row, image, frame) for row in one.boxes[frame] if row["role"] in one.people)
     return View(title, uri, STRIP_WIDTH, height, tuple(boxes), near=near)
 
 
@@ -139,7 +139,7 @@ def _moment(one: Inspected, name: str) -> str:
     return name if frame == one.shown[name] else f"{name} (frame {frame}, between two annotated)"
 
 
-def _near(row: Mapping[str, Any], image: Image, frame: int) -> View:
+def close_up(row: Mapping[str, Any], image: Image, frame: int) -> View:
     """A person with some room round, square; over the seam where it lies there."""
     side = int(min(max(1.5 * max(row["w"], row["h"]), _NEAR_LEAST), HEIGHT))
     left = int(row["x"] + row["w"] / 2 - side / 2)
