@@ -60,14 +60,14 @@ class Belief:
     missing: tuple[str, ...] = ()
 
 
-def solve_beliefs(graph: Queried, episode: str, plan: Plan, rules: Rules) -> Belief:
+def solve_beliefs(graph: Queried, episode: str, plan: Plan, rules: Rules, rows: Rows | None = None) -> Belief:
     """Solve a plan over the beliefs of the episode with this key: compiled, by the engine.
 
-    A plan that so many sets of people nearly fit that the engine would be kept from other episodes is not run, and
-    counts as ambiguous.
+    rows: what is believed, where that is at hand: the engine then only looks for the people. A plan that so many sets
+    of people nearly fit that the engine would be kept from other episodes is not run, and counts as ambiguous.
     Raises PlanError for a plan that cannot be compiled, QueryError where a statement takes too long.
     """
-    reader = BeliefReader(graph, episode, TIMEOUT_S)
+    reader = BeliefReader(graph, episode, TIMEOUT_S, rows)
     parts = parts_of(reader, plan)
     if bindings(parts) is None:
         return _TOO_MANY
@@ -88,14 +88,14 @@ def weigh_beliefs(rows: Rows, plan: Plan, rules: Rules) -> Belief:
     return _belief(reader, parts, solution)
 
 
-def best_guess(graph: Queried, episode: str, plan: Plan, rules: Rules) -> Belief | None:
+def best_guess(graph: Queried, episode: str, plan: Plan, rules: Rules, rows: Rows | None = None) -> Belief | None:
     """What is read of the entity that comes nearest to being the plan's target, None where there is nobody.
 
     That is the one with which most conditions and edges hold, then the one seen at most frames, then the smallest name.
     Its outcome is defined where the plan's read is known of it, else unknown, and its newest box is seen then. Nothing
-    is read of others.
+    is read of others. rows: as of `solve_beliefs`.
     """
-    reader = BeliefReader(graph, episode, TIMEOUT_S)
+    reader = BeliefReader(graph, episode, TIMEOUT_S, rows)
     parts = parts_of(reader, plan)
     if not parts.people:
         return None

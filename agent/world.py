@@ -1,8 +1,8 @@
 """The agent's world model: what it saw and believes, written under the grounding rule and never otherwise.
 
-A write is accepted only if it names an observation that its own episode has made; all of it is checked before one
-transaction puts it into the world tables, together with its line of the record (several writes may share one).
-What is refused leaves that line and nothing else. Each line is told to `keep` once it is in the tables.
+A write is accepted only if it names an observation that its own episode has made; all of it is checked before it goes
+into the world tables, with its line of the record. What is refused leaves that line and nothing else. Each line is told
+to `keep` once it is in the tables.
 
 An episode knows its current facts by itself: it needs them to check a write, and `graph` shows them without asking the
 engine. The tables, which the solver reads, hold the same.
@@ -65,8 +65,8 @@ MOST_ENTITIES: Final = 64
 MOST_WRITES: Final = 2000
 """Of an episode; writes that are accepted."""
 
-MOST_WAITING: Final = 12
-"""Of an episode; writes that one transaction puts into the tables."""
+MOST_WAITING: Final = 100
+"""Of an episode; writes that are known to it, but not in the tables yet."""
 
 _MIDDLE_DEG: Final = 180.0
 """The angle of a whole panorama: that of its middle column."""
@@ -346,9 +346,8 @@ class Episode:
 
     @contextlib.contextmanager
     def together(self) -> Iterator[None]:
-        """Put what is written inside into the tables some at a time, `MOST_WAITING` writes in a transaction or fewer
-        where it is settled before: a third of the time goes into beginning and ending one. An error inside takes
-        nothing back.
+        """Put what is written inside into the tables at the end, when it is settled, or when `MOST_WAITING` writes
+        wait: a statement takes as long for many rows as for a few. An error inside takes nothing back.
         """
         self._together = True
         try:
@@ -361,7 +360,8 @@ class Episode:
         """Put what waits into the tables, and tell `keep` of it. Raises as all writes do."""
         made, self._waiting = self._waiting, []
         if made:
-            self._graph.write(write_statements(self.key, made))
+            for statements in write_statements(self.key, made):
+                self._graph.write(statements)
             for write, _ in made:
                 self._keep(write)
 

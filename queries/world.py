@@ -132,6 +132,10 @@ class WorldGraph:
         def written() -> None:
             for cypher, params in statements:
                 self._admit(cypher, params, writes=True)
+            if len(statements) == 1:
+                # It is a transaction by itself, in half the time.
+                self._graph.execute(*statements[0])
+                return
             with self._graph.transaction():
                 for cypher, params in statements:
                     self._graph.execute(cypher, params)

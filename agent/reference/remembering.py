@@ -53,11 +53,11 @@ class Solver(Protocol):
         """What the beliefs, `rows`, come to, told at once: for what is missing."""
         ...
 
-    def solve(self, plan: Plan) -> Belief:
-        """The plan's people and what is read of them, as far as they are known: what an answer is judged by."""
+    def solve(self, plan: Plan, rows: Rows) -> Belief:
+        """What the beliefs come to by the compiled plan: what an answer is judged by."""
         ...
 
-    def guess(self, plan: Plan) -> Belief | None:
+    def guess(self, plan: Plan, rows: Rows) -> Belief | None:
         """What is read of who comes nearest to the target, None where nobody was seen."""
         ...
 
@@ -182,7 +182,7 @@ class GraphMemory:
         belief = self._solved()
         if belief.seen is None:
             started = time.perf_counter()
-            belief = self.solver.guess(self.plan) or belief
+            belief = self.solver.guess(self.plan, self.world.rows()) or belief
             self.attempt.record("solve", {"guess": self.plan.target}, msgspec.to_builtins(belief), started)
         answer = self.solver.answer(self.plan, belief)
         faults = () if answer is not None and belief.seen is not None else (reason,)
@@ -203,7 +203,8 @@ class GraphMemory:
             started = time.perf_counter()
             weighed = self._weighed()
             self.world.settle()
-            self.compiled = self.solver.solve(self.plan) if weighed.outcome == "defined" else weighed
+            defined = weighed.outcome == "defined"
+            self.compiled = self.solver.solve(self.plan, self.world.rows()) if defined else weighed
             asked = {"read": self.plan.answer.read, "of": self.plan.answer.of}
             self.attempt.record("solve", asked, msgspec.to_builtins(self.compiled), started)
         return self.compiled

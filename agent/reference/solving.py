@@ -39,17 +39,17 @@ class BeliefSolver:
 
         return weigh_beliefs(rows, plan, self.rules)
 
-    def solve(self, plan: Plan) -> Belief:
-        """What the beliefs come to, by the compiled plan."""
+    def solve(self, plan: Plan, rows: Rows) -> Belief:
+        """What the beliefs, `rows`, come to, by the compiled plan."""
         from jrdb_avr.agent.solver import solve_beliefs
 
-        return solve_beliefs(self.graph, self.key, plan, self.rules)
+        return solve_beliefs(self.graph, self.key, plan, self.rules, rows)
 
-    def guess(self, plan: Plan) -> Belief | None:
+    def guess(self, plan: Plan, rows: Rows) -> Belief | None:
         """What is read of who comes nearest to being the target."""
         from jrdb_avr.agent.solver import best_guess
 
-        return best_guess(self.graph, self.key, plan, self.rules)
+        return best_guess(self.graph, self.key, plan, self.rules, rows)
 
     def answer(self, plan: Plan, belief: Belief) -> Answer | None:
         """The answer that is read from the beliefs, None where there is none or no choice says it."""

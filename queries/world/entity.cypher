@@ -1,3 +1,4 @@
-// A new entity.
+// New entities.
 MATCH (e:Episode {id: $episode})
-CREATE (e)-[:Holds]->(:Entity {id: $id, episode: $episode, name: $name, number: $number, kind: $kind, node: $node, step: $step})
+UNWIND $rows AS r
+CREATE (e)-[:Holds]->(:Entity {id: r.id, episode: r.episode, name: r.name, number: r.number, kind: r.kind, node: r.node, step: r.step})

@@ -1,3 +1,4 @@
-// A look, or a whole panorama.
+// Looks, or whole panoramas.
 MATCH (e:Episode {id: $episode})
-CREATE (e)-[:Made]->(:Observation {id: $id, episode: $episode, number: $number, step: $step, frame: $frame, angle: $angle, left: $left, width: $width})
+UNWIND $rows AS r
+CREATE (e)-[:Made]->(:Observation {id: r.id, episode: r.episode, number: r.number, step: r.step, frame: r.frame, angle: r.angle, left: r.left, width: r.width})

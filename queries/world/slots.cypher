@@ -1,4 +1,4 @@
 // What the plan asks for.
 MATCH (e:Episode {id: $episode})
-UNWIND $slots AS s
-CREATE (e)-[:Asks]->(:Slot {id: s.id, episode: s.episode, number: s.number, kind: s.kind, node: s.node, other: s.other, name: s.name, value: s.value, frame: s.frame})
+UNWIND $rows AS r
+CREATE (e)-[:Asks]->(:Slot {id: r.id, episode: r.episode, number: r.number, kind: r.kind, node: r.node, other: r.other, name: r.name, value: r.value, frame: r.frame})

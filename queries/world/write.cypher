@@ -1,4 +1,4 @@
 // Lines of the episode's record, accepted or refused.
 MATCH (e:Episode {id: $episode})
-UNWIND $writes AS w
-CREATE (e)-[:Wrote]->(:Write {id: w.id, episode: $episode, number: w.number, step: w.step, tool: w.tool, arguments: w.arguments, accepted: w.accepted, reason: w.reason})
+UNWIND $rows AS r
+CREATE (e)-[:Wrote]->(:Write {id: r.id, episode: $episode, number: r.number, step: r.step, tool: r.tool, arguments: r.arguments, accepted: r.accepted, reason: r.reason})

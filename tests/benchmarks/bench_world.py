@@ -75,18 +75,20 @@ def play(world, number, start):
     solver = beliefs_of(world, question)
     episode.plan(PLAN, 0)
     start.wait()
-    for step in range(1, TURNS + 1):
-        frame, angle = 15 * step, 180.0
-        look = Observation("s", frame, f"{frame:06d}", frame / 15, angle, FOV_DEG, int(crop_left(angle)), None)
-        seen = {"observation": episode.observed(look, step)}
-        for name in ("p1", "p2", "p3"):
-            entity = {"id": name, "kind": "person", "box": [1, 2, 3, 4], **seen}
-            assert episode.add_entity(entity, Box(10, 10, 40, 90), step).accepted
-            said = {"entity": name, "name": "action", "value": "sitting", **seen}
-            assert episode.add_attribute(said, step).accepted
-        talks = {"source": "p1", "name": "conversation", "target": "p2", **seen}
-        assert episode.add_relation(talks, step).accepted
-        solver.solve(PLAN)
+    with episode.together():
+        for step in range(1, TURNS + 1):
+            frame, angle = 15 * step, 180.0
+            look = Observation("s", frame, f"{frame:06d}", frame / 15, angle, FOV_DEG, int(crop_left(angle)), None)
+            seen = {"observation": episode.observed(look, step)}
+            for name in ("p1", "p2", "p3"):
+                entity = {"id": name, "kind": "person", "box": [1, 2, 3, 4], **seen}
+                assert episode.add_entity(entity, Box(10, 10, 40, 90), step).accepted
+                said = {"entity": name, "name": "action", "value": "sitting", **seen}
+                assert episode.add_attribute(said, step).accepted
+            talks = {"source": "p1", "name": "conversation", "target": "p2", **seen}
+            assert episode.add_relation(talks, step).accepted
+            episode.settle()
+            solver.solve(PLAN, episode.rows())
 
 
 def main():
