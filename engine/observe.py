@@ -270,9 +270,10 @@ def _shown(value: object) -> str:
         return "of thousands of digits"
 
 
-def _some(names: list[str], limit: int = 30) -> str:
-    shown = ", ".join(names[:limit]) or "none"
-    return shown if len(names) <= limit else f"{shown} and {len(names) - limit} more"
+def _some(names: list[str]) -> str:
+    """Names in a message, the first thirty of many."""
+    shown = ", ".join(names[:30]) or "none"
+    return shown if len(names) <= 30 else f"{shown} and {len(names) - 30} more"
 
 
 def _near(frames: tuple[int, ...], wanted: int) -> str:

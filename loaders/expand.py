@@ -51,11 +51,11 @@ class Facts(NamedTuple):
     whole: Bools
     """Per row of the column: something was written, and none of it was refused."""
 
-    def labels(self, place: int = 0) -> Counter[Any]:
-        """How often each value occurs at a place of the value tuples."""
+    def labels(self) -> Counter[Any]:
+        """How often each label occurs: the first of the value tuples."""
         found: Counter[Any] = Counter()
         for code, n in enumerate(np.bincount(self.code, minlength=len(self.values)).tolist()):
-            found[self.values[code][place]] += n
+            found[self.values[code][0]] += n
         return +found
 
 
