@@ -11,6 +11,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
+from jrdb_avr.schema.social import AIMS
 from jrdb_avr.schema.things import VERBS
 from jrdb_avr.schema.vocabulary import AGES, GENDERS, INTERACTIONS
 
@@ -33,19 +34,7 @@ _VENUES: Final = {
     "campus": "outdoor_open_area/campus",
     "market": "outdoor_cafeteria/dining_hall/food_court",
 }
-_AIMS: Final = (
-    "wandering",
-    "discussing_an_object/matter",
-    "studying/writing/reading/working",
-    "waiting_for_someone/something",
-    "socializing",
-    "excursion",
-    "attending_class/lecture/seminar",
-    "eating/ordering_food",
-    "commuting",
-    "navigating",
-    "socializing&eating/ordering_food",
-)
+_AIMS: Final = (*AIMS, "socializing&eating/ordering_food")
 _BODY_ON: Final = ("floor", "chair", "ground", "pathway", "sidewalk", "bench")
 _NEAR: Final = ("table", "wall", "board", "pillar", "door", "poster", "trolley", "window", "robot", "baggage")
 
