@@ -90,7 +90,7 @@ def _question(one: Inspected, number: int, observer: Observer) -> dict[str, Any]
         "counted": one.counted,
         "views": [_strip(one, frame, observer) for frame in one.frames],
         "crop": _crop(one, observer),
-        "proofs": proof_rows([proof | {"answer": _then(one, proof["answer"])} for proof in one.proofs]),
+        "proofs": proof_rows([{**proof, "answer": _then(one, proof["answer"])} for proof in one.proofs]),
     }
 
 
