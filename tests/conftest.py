@@ -74,6 +74,24 @@ def cheap_loads():
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def cheap_processes():
+    """Workers, readers of a graph and statements run in processes of their own that have everything imported.
+
+    Commands that the tests run as processes start theirs from nothing, as users' do.
+    """
+    import warm
+
+    from jrdb_avr.loaders import shards, verify
+    from jrdb_avr.queries import guard
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(guard, "subprocess", warm.STATEMENTS)
+        patch.setattr(shards, "multiprocessing", warm.PROCESSES)
+        patch.setattr(verify, "multiprocessing", warm.PROCESSES)
+        yield
+
+
 @pytest.fixture(scope="module")
 def known_plans():
     """A statement's plan is looked at in the first of a module's graphs, and taken as known in the others.

@@ -1,0 +1,115 @@
+"""Processes that begin with everything imported: each is forked off one that has, where starting Python anew would cost
+more than what the process is for."""
+
+import multiprocessing
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from types import SimpleNamespace
+
+from jrdb_avr.queries import guard
+
+IMPORTED = (
+    "cv2",
+    "duckdb",
+    "kuzu",
+    "openai",
+    "httpx2",
+    "pyarrow.parquet",
+    "jrdb_avr.agent.client",
+    "jrdb_avr.agent.react",
+    "jrdb_avr.agent.reference.method",
+    "jrdb_avr.agent.world",
+    "jrdb_avr.engine.cli",
+    "jrdb_avr.engine.generate",
+    "jrdb_avr.engine.methods",
+    "jrdb_avr.engine.running",
+    "jrdb_avr.engine.validate",
+    "jrdb_avr.loaders.load",
+    "jrdb_avr.loaders.sample.writer",
+    "jrdb_avr.loaders.verify",
+)
+
+
+def context():
+    """Of multiprocessing: its processes are new ones, without the threads and files of this, like spawned ones."""
+    found = multiprocessing.get_context("forkserver")
+    found.set_forkserver_preload(list(IMPORTED))
+    return found
+
+
+def started(function, *arguments, stdin=b"", limit=None, folder):
+    """Start `function` in a process of its own, its streams the files `in`, `out` and `err` of `folder`.
+
+    `limit`: resources as for `resource.setrlimit`, {which: bytes}.
+    """
+    (folder / "in").write_bytes(stdin)
+    process = context().Process(target=_child, args=(function, arguments, str(folder), limit or {}))
+    process.start()
+    return process
+
+
+def run(function, *arguments, stdin=b"", limit=None, timeout=300):
+    """As `subprocess.run` that captures: return code, stdout and stderr as bytes. Raises TimeoutExpired."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        process = started(function, *arguments, stdin=stdin, limit=limit, folder=folder)
+        process.join(timeout)
+        late = process.is_alive()
+        if late:
+            process.kill()
+            process.join()
+        code = process.exitcode
+        process.close()
+        if late:
+            raise subprocess.TimeoutExpired(function.__name__, timeout)
+        return subprocess.CompletedProcess(
+            function.__name__, code, (folder / "out").read_bytes(), (folder / "err").read_bytes()
+        )
+
+
+def command_line(*arguments):
+    """The command line, to be run in such a process."""
+    from jrdb_avr.engine.cli import main
+
+    sys.argv = ["jrdb-avr", *map(str, arguments)]
+    main()
+
+
+def _child(function, arguments, folder, limit):
+    import resource
+
+    for number, name in enumerate(("in", "out", "err")):
+        opened = os.open(f"{folder}/{name}", os.O_WRONLY | os.O_CREAT | os.O_TRUNC if number else os.O_RDONLY)
+        os.dup2(opened, number)
+        os.close(opened)
+    sys.stdin = open(0, closefd=False)  # noqa: SIM115
+    sys.stdout, sys.stderr = (open(number, "w", closefd=False) for number in (1, 2))
+    for which, size in limit.items():
+        resource.setrlimit(which, (size, size))
+    function(*arguments)
+
+
+class _Processes:
+    """The module multiprocessing, with this context for the one that starts from nothing."""
+
+    def __getattr__(self, name):
+        return getattr(multiprocessing, name)
+
+    def get_context(self, method):
+        assert method == "spawn"
+        return context()
+
+
+PROCESSES = _Processes()
+
+
+def _served(command, *, input, capture_output, timeout, check):
+    assert command[-1].endswith("serve()") and capture_output and not check
+    return run(guard.serve, stdin=input, timeout=timeout)
+
+
+STATEMENTS = SimpleNamespace(run=_served, TimeoutExpired=subprocess.TimeoutExpired)
+"""For `guard.subprocess`: the child that runs a Cypher statement."""
