@@ -10,6 +10,7 @@ import pytest
 from entry import run
 
 from jrdb_avr.engine.checks import CHECKS
+from jrdb_avr.engine.rederive.annotations import Annotations
 from jrdb_avr.engine.templates import TEMPLATES
 from jrdb_avr.engine.validate import validate
 from jrdb_avr.queries.store import Store
@@ -44,9 +45,23 @@ def one_of_each(sample_benchmark, tmp_path_factory):
     return store
 
 
+@pytest.fixture(scope="module")
+def known_annotations():
+    """What was read of a sequence, so that it is read once: the questions alone are spoiled here."""
+    return {}
+
+
 @pytest.fixture
-def few(one_of_each, tmp_path):
+def few(one_of_each, tmp_path, known_annotations, monkeypatch):
     """The same, to be spoiled."""
+    read = Annotations.read
+
+    def remembered(store, sequence, rules):
+        if sequence not in known_annotations:
+            known_annotations[sequence] = read(store, sequence, rules)
+        return known_annotations[sequence]
+
+    monkeypatch.setattr(Annotations, "read", remembered)
     return Store(shutil.copytree(one_of_each.path, tmp_path / "store"))
 
 
