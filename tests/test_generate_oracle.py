@@ -159,7 +159,7 @@ def form(template, program):
     return next((name for mark, name in forms.items() if template == "gap" and mark in program), template)
 
 
-@settings(max_examples=examples(6), deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=examples(3), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.integers(0, 10**9))
 def test_awkward_worlds_give_exactly_the_proven_candidates(seed):
     compare(seed)
