@@ -11,7 +11,7 @@ from jrdb_avr.engine.cli import group
 from jrdb_avr.schema.marks import read
 from jrdb_avr.schema.panorama import Box, iou
 
-N = 60
+N = 36
 
 
 def run(*arguments):
@@ -27,7 +27,7 @@ def rows(store, *path):
 @pytest.fixture(scope="module")
 def store(tmp_path_factory):
     root = tmp_path_factory.mktemp("sample")
-    run("sample", root / "root", "--sequences", 1, "--frames", 360, "--people", 16, "--workers", 1)
+    run("sample", root / "root", "--sequences", 1, "--frames", 300, "--people", 14, "--workers", 1)
     run("load", root / "root", "--store", root / "store", "--workers", 1)
     run("generate", "--store", root / "store", "--workers", 1)
     questions = rows(root / "store", "questions", "questions.parquet")
