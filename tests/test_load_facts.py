@@ -142,7 +142,7 @@ def check_tables(world):
         return expected
 
 
-@settings(max_examples=examples(10), deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=examples(3), deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.integers(0, 2**32))
 def test_random_worlds_have_the_facts_of_the_oracle(seed):
     check_tables(random_world(random.Random(seed)))
@@ -164,7 +164,7 @@ def test_a_pose_file_without_poses_has_its_frames():
 def test_random_worlds_are_not_empty_of_facts():
     """The comparison is worth something only if every kind of fact occurs in it."""
     seen = Counter()
-    for seed in range(20):
+    for seed in range(12):
         expected = check_tables(random_world(random.Random(seed)))
         seen.update(("gap", row["gap"], row["certain"]) for row in expected["actions"])
         seen.update(("member", row["gap"], row["certain"]) for row in expected["memberships"])
@@ -186,7 +186,7 @@ def test_random_worlds_are_not_empty_of_facts():
     assert min(seen.values()) >= 3, seen
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_graph_has_the_facts_of_the_oracle(seed, tmp_path):
     """Three sequences in one graph: each has its own rows and no other's."""
     worlds = [random_world(random.Random(1000 * seed + i), f"yard-2020-01-0{i}_0") for i in range(1, 4)]
@@ -207,7 +207,7 @@ def test_a_synthetic_sample_has_the_facts_of_the_oracle(tmp_path):
     from jrdb_avr.loaders.sample.writer import plan, write
 
     root = tmp_path / "root"
-    for _ in write(plan(root, [(200, 12)], 3, images="none"), 1):
+    for _ in write(plan(root, [(150, 10)], 3, images="none"), 1):
         pass
     store = Store(tmp_path / "store")
     load(find_root(root), store, LoadRules(), 1)
