@@ -110,7 +110,7 @@ EXPECTED = {
 }
 
 
-@pytest.fixture(scope="module", params=range(3))
+@pytest.fixture(scope="module", params=range(2))
 def store(request, tmp_path_factory):
     return table_store(tmp_path_factory.mktemp("explore"), seed=request.param)
 
