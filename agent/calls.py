@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import tempfile
+import os
+import threading
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -44,15 +45,16 @@ class Calls:
 
     def keep(self, place: Path, reply: Reply) -> None:
         """Write a reply. Raises StoreError where the disk refuses."""
-        temporary: Path | None = None
+        temporary = place.with_name(f".{place.stem}.{os.getpid()}.{threading.get_ident()}.tmp")
         try:
-            place.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.NamedTemporaryFile(prefix=".", suffix=".tmp", dir=place.parent, delete=False) as file:
-                temporary = Path(file.name)
-                file.write(msgspec.json.encode(reply))
+            data = msgspec.json.encode(reply)
+            try:
+                temporary.write_bytes(data)
+            except FileNotFoundError:
+                place.parent.mkdir(parents=True, exist_ok=True)
+                temporary.write_bytes(data)
             temporary.replace(place)
         except OSError as error:
-            if temporary is not None:
-                with contextlib.suppress(OSError):
-                    temporary.unlink()
+            with contextlib.suppress(OSError):
+                temporary.unlink()
             raise StoreError(f"cannot keep a finished call in {self._folder}: {error.strerror}") from None

@@ -111,8 +111,9 @@ class Client:
         self._pause = pause
         self._served: dict[str, None] = {}
         self._lock = threading.Lock()
-        self._http = _transport(self.base_url)
-        self._openai = self._connect()
+        # A connection each for calls in flight: the library's pool looks at all of its connections, the idle ones by a
+        # poll, twice a call. The first is made at once, as an environment may be refused.
+        self._idle = [self._connect()]
 
     def _connect(self) -> openai.OpenAI:
         import openai
@@ -122,7 +123,7 @@ class Client:
             api_key=self._key or "none",
             max_retries=0,
             timeout=self.options.timeout_s,
-            http_client=self._http,
+            http_client=_transport(self.base_url),
         )
 
     def settings(self) -> dict[str, Any]:
@@ -176,7 +177,8 @@ class Client:
 
         parts = urlsplit(self.base_url)
         try:
-            answer = self._http.get(f"{parts.scheme}://{parts.netloc}/version", timeout=_VERSION_TIMEOUT_S)
+            with _transport(self.base_url) as http:
+                answer = http.get(f"{parts.scheme}://{parts.netloc}/version", timeout=_VERSION_TIMEOUT_S)
             version = msgspec.json.decode(answer.content, type=dict[str, Any]).get("version")
         except (httpx2.HTTPError, EndpointError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             return ""
@@ -226,16 +228,23 @@ class Client:
         import openai
 
         def post() -> httpx2.Response:
-            response: httpx2.Response = self._openai.post(
-                "/chat/completions",
-                content=body,
-                cast_to=httpx2.Response,
-                options={
-                    "headers": {"Content-Type": "application/json"},
-                    "timeout": httpx2.Timeout(timeout_s, connect=min(timeout_s, _CONNECT_S)),
-                },
-            )
-            return response
+            try:
+                connection = self._idle.pop()
+            except IndexError:
+                connection = self._connect()
+            try:
+                response: httpx2.Response = connection.post(
+                    f"{self.base_url}/chat/completions",
+                    content=body,
+                    cast_to=httpx2.Response,
+                    options={
+                        "headers": {"Content-Type": "application/json"},
+                        "timeout": httpx2.Timeout(timeout_s, connect=min(timeout_s, _CONNECT_S)),
+                    },
+                )
+                return response
+            finally:
+                self._idle.append(connection)
 
         try:
             # To send a request, to wait for the reply, to read it: each has its own time.

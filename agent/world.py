@@ -18,7 +18,7 @@ from typing import Any, Final
 import msgspec
 
 from jrdb_avr.queries.world import WorldGraph
-from jrdb_avr.queries.world_writes import drop_episode, write_statements
+from jrdb_avr.queries.world_writes import drop_episode, episodes_of, write_statements
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Keep, Observation, Panorama, Question
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, center_angle, from_crop
@@ -114,18 +114,24 @@ class _Seen:
 DONE: Final = Result(True, "done")
 
 
-@dataclass(frozen=True)
 class World:
     """The world model of a run; its episodes may be used from several threads, each from one."""
 
-    graph: WorldGraph
-    run_id: str
+    def __init__(self, graph: WorldGraph, run_id: str) -> None:
+        """Raises QueryError or StoreError, as all that reads the graph does."""
+        self.graph = graph
+        self.run_id = run_id
+        self._begun = episodes_of(graph, run_id)
 
     def episode(self, question: Question, keep: Keep) -> Episode:
         """Begin a question's episode; what an earlier try of it left is taken away.
 
         Raises QueryError or StoreError, as all writes of an episode do, where the graph cannot be written.
         """
+        key = episode_key(self.run_id, question.question_id)
+        if key in self._begun:
+            drop_episode(self.graph, key)
+        self._begun.add(key)
         return Episode(self.graph, self.run_id, question, keep)
 
 
@@ -147,7 +153,6 @@ class Episode:
         # The edges that are current, each under what it is that a later write of the same replaces.
         self._edges: dict[Hashable, Edge] = {}
         self._row = EpisodeRow(self.key, run_id, question.question_id, question.sequence, "")
-        drop_episode(graph, self.key)
         self._write("begin", {"question_id": question.question_id}, 0, Fact(episode=self._row))
 
     # -- what is not the model's own ----------------------------------------------------------------------------------
@@ -360,8 +365,7 @@ class Episode:
         """Put what waits into the tables, and tell `keep` of it. Raises as all writes do."""
         made, self._waiting = self._waiting, []
         if made:
-            for statements in write_statements(self.key, made):
-                self._graph.write(statements)
+            self._graph.write(*write_statements(self.key, made))
             for write, _ in made:
                 self._keep(write)
 

@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, get_args
+from typing import Annotated, Any, Final, get_args
 
 import msgspec
 import pyarrow as pa
@@ -63,6 +63,34 @@ class Finished(msgspec.Struct, frozen=True):
 
 # Made at import: threads that meet a type first at the same time crash the decoder.
 _FINISHED: Final = msgspec.json.Decoder(Finished)
+
+
+def _row_type(table: str) -> type:
+    """What a row of a table of `RUNS` may be, but for its run id."""
+    fields = [field for field in RUNS[table] if field.name != "run_id"]
+    kinds = [(f.name, _KINDS[f.type] | None if f.nullable else _KINDS[f.type]) for f in fields]
+    return msgspec.defstruct(table, kinds, forbid_unknown_fields=True)
+
+
+_KINDS: Final[dict[pa.DataType, Any]] = {
+    pa.string(): str,
+    pa.int32(): Annotated[int, msgspec.Meta(ge=-(2**31), le=2**31 - 1)],
+    pa.int64(): Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)],
+    pa.float64(): float,
+    pa.bool_(): bool,
+}
+_STORABLE: Final = msgspec.json.Decoder(
+    msgspec.defstruct(
+        "Storable",
+        [
+            ("question_id", str),
+            ("prediction", _row_type("predictions")),
+            ("steps", list[_row_type("steps")]),  # type: ignore[misc]
+            ("world", list[_row_type("world")], []),  # type: ignore[misc]
+        ],
+    )
+)
+"""Of lines of the journal that the tables can hold."""
 
 
 # -- what is asked ----------------------------------------------------------------------------------------------------
@@ -268,16 +296,15 @@ def ask(
 
 
 def _check(entry: Finished, question: Question) -> None:
-    """Raises ValueError, or one of pyarrow's errors, for what a journal or the tables would not give back as it was: a
-    method may be anybody's.
-    """
+    """Raises ValueError for what a journal or the tables would not give back as it was: a method may be anybody's."""
     if entry.prediction["status"] not in get_args(Status):
         raise ValueError(f"{entry.prediction['status']!a} is no status of a prediction"[:120])
     if (answer := entry.prediction["answer"]) is not None:
         decode_answer(question.answer_mode, answer)
-    if _FINISHED.decode(msgspec.json.encode(entry)) != entry:
+    line = msgspec.json.encode(entry)
+    _STORABLE.decode(line)
+    if _FINISHED.decode(line) != entry:
         raise ValueError("what the method returned or recorded holds a number that is none (NaN, infinity)")
-    _tables("", [entry])
 
 
 def _finished(

@@ -28,8 +28,8 @@ import pyarrow as pa
 from jrdb_avr.queries.handle import build_graph, remove_graph
 from jrdb_avr.queries.runs import run_ids
 from jrdb_avr.queries.store import Manifest, SequenceEntry, Store
-from jrdb_avr.queries.world import make_world_tables
 from jrdb_avr.queries.world_record import copy_all
+from jrdb_avr.queries.world_tables import make_world_tables
 from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.rules import LoadRules, rules_hash
 from jrdb_avr.schema.tables import ANNOTATIONS

@@ -27,8 +27,9 @@ from typing import Final
 
 import pyarrow as pa
 
+from jrdb_avr.queries.graph_lock import lock_graph
 from jrdb_avr.queries.guard import end_beyond_memory
-from jrdb_avr.queries.handle import Graph, lock_graph
+from jrdb_avr.queries.handle import Graph
 from jrdb_avr.queries.seal import check_seal, seal_of
 from jrdb_avr.queries.store import Manifest, Store
 from jrdb_avr.schema.errors import AvrError, QueryError, StoreError

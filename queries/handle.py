@@ -18,7 +18,6 @@ A `Graph` may be used from several threads, which then wait for each other; open
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import re
 import threading
@@ -26,7 +25,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, Final, Self
+from typing import Any, Final, Self
 
 import msgspec
 import pyarrow as pa
@@ -34,6 +33,7 @@ import pyarrow as pa
 from jrdb_avr.schema.errors import LockedError, QueryError, StoreError
 
 from .binding import bind, strip_literals
+from .graph_lock import lock_graph
 from .seal import check_seal, rebuild_hint, seal_of, seal_path
 from .traps import Plan, refuse_wrong_answers
 
@@ -397,48 +397,6 @@ def remove_graph(path: str | Path) -> None:
     finally:
         if lock is not None:
             lock.close()
-
-
-def lock_graph(path: Path, *, shared: bool) -> IO[str] | None:
-    """Take the side-file lock of a graph, until the file returned is closed.
-
-    Raises LockedError naming the holder. Returns None for reading in a folder where nobody can write.
-    """
-    place = path.with_name(path.name + ".lock")
-    try:
-        file = place.open("a+")
-    except OSError as error:
-        if shared and path.exists():
-            try:
-                file = place.open("r")
-            except OSError:
-                return None
-        else:
-            raise StoreError(f"cannot use {path}: {error.strerror}; check the --store folder") from None
-    try:
-        fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-    except OSError:
-        holder = _holder(file)
-        file.close()
-        raise LockedError(f"{path} is in use by {holder}: wait for it, or end it", holder=holder) from None
-    if not shared:
-        file.truncate(0)
-        file.write(f"process {os.getpid()}")
-        file.flush()
-    return file
-
-
-def _holder(file: IO[str]) -> str:
-    """Who holds the lock: by the kernel's table where there is one, else by what the last writer noted."""
-    inode = str(os.fstat(file.fileno()).st_ino)
-    with contextlib.suppress(OSError):
-        for line in Path("/proc/locks").read_text().splitlines():
-            fields = line.split()
-            if "FLOCK" in fields and len(fields) > 5 and fields[5].rpartition(":")[2] == inode and fields[4] != "-1":
-                command = Path(f"/proc/{fields[4]}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
-                return f"process {fields[4]} ({_short(command)})"
-    file.seek(0)
-    return file.read(100).strip() or "another process"
 
 
 def _open_database(path: Path, read_only: bool, buffer_bytes: int, threads: int) -> Any:

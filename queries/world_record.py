@@ -37,7 +37,7 @@ from jrdb_avr.schema.world import (
 
 from .handle import Graph, build_graph
 from .store import Store, read_table
-from .world import make_world_tables
+from .world_tables import make_world_tables
 
 BATCH_WRITES: Final = 150_000
 """Writes from which on runs are copied: every further COPY of a table of edges rewrites what is there, and a million

@@ -26,7 +26,8 @@ from jrdb_avr.schema.world import (
     Write,
 )
 
-from .world import Statement, WorldGraph
+from .world import WorldGraph
+from .world_tables import Statement
 
 T = TypeVar("T")
 
@@ -188,9 +189,13 @@ DROPPED: Final = ("entity", "observation", "slot", "write", "episode")
 
 
 def drop_episode(graph: WorldGraph, episode: str) -> None:
-    """Take an episode and all that it holds out of the tables, if it is there. Raises as `WorldGraph.write`."""
-    if graph.query(_text("there"), {"episode": episode})["episodes"][0].as_py():
-        graph.write([(_text(f"drop_{name}"), {"episode": episode}) for name in DROPPED])
+    """Take an episode and all that it holds out of the tables. Raises as `WorldGraph.write`."""
+    graph.write([(_text(f"drop_{name}"), {"episode": episode}) for name in DROPPED])
+
+
+def episodes_of(graph: WorldGraph, run_id: str) -> set[str]:
+    """Keys of the episodes of a run that the tables hold."""
+    return set(graph.query(_text("episodes"), {"run": run_id})["episode"].to_pylist())
 
 
 @cache

@@ -23,8 +23,8 @@ from believing import PLAN, world_dump
 from fake_server import FakeServer, images, sound, texts
 
 from jrdb_avr.queries.handle import Graph, build_graph
-from jrdb_avr.queries.world import make_world_tables
 from jrdb_avr.queries.world_record import replayed
+from jrdb_avr.queries.world_tables import make_world_tables
 from jrdb_avr.schema.plan import canonical
 
 AT_ONCE = 3

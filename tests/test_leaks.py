@@ -24,7 +24,7 @@ from jrdb_avr.engine.commands.evaluate import command
 from jrdb_avr.engine.methods import METHODS, WORLD_METHODS
 from jrdb_avr.queries.handle import build_graph
 from jrdb_avr.queries.store import Store
-from jrdb_avr.queries.world import make_world_tables
+from jrdb_avr.queries.world_tables import make_world_tables
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.graph import scene_ddl
 from jrdb_avr.schema.tables import PRIVATE

@@ -19,8 +19,9 @@ from jrdb_avr.engine.methods import open_world
 from jrdb_avr.queries.handle import Graph
 from jrdb_avr.queries.runs import RunManifest, write_run_manifest
 from jrdb_avr.queries.store import Store
-from jrdb_avr.queries.world import WorldGraph, make_world_tables
+from jrdb_avr.queries.world import WorldGraph
 from jrdb_avr.queries.world_record import merge_world, read_record, replayed
+from jrdb_avr.queries.world_tables import make_world_tables
 from jrdb_avr.schema.errors import AvrError, LockedError, StoreError
 from jrdb_avr.schema.method import Question, SequenceInfo
 

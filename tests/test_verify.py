@@ -6,11 +6,11 @@ import os
 import random
 import shutil
 import subprocess
-import sys
 import time
 
 import pyarrow as pa
 import pytest
+import warm
 from entry import run
 from scene_tables import table_store
 
@@ -23,7 +23,7 @@ from jrdb_avr.queries.handle import Graph
 from jrdb_avr.queries.named import named_queries
 from jrdb_avr.queries.seal import PAGE, check_seal, seal_of, seal_path
 from jrdb_avr.queries.store import Store
-from jrdb_avr.queries.world import make_world_tables
+from jrdb_avr.queries.world_tables import make_world_tables
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
 from jrdb_avr.schema.rules import LoadRules
@@ -53,7 +53,7 @@ with Graph.open(sys.argv[1], read_only=True) as graph:
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory):
-    return table_store(tmp_path_factory.mktemp("verify"))
+    return table_store(tmp_path_factory.mktemp("verify"), frames=91, people=10)
 
 
 @pytest.fixture(scope="module")
@@ -86,12 +86,9 @@ def faults(store, timeout_s=60):
 def dump(store):
     """What queries answer; ends early where one fails, crashes or does not end."""
     try:
-        done = subprocess.run(
-            [sys.executable, "-c", DUMP, str(store.graph_path)], capture_output=True, text=True, timeout=60, check=False
-        )
+        return warm.run(warm.script, DUMP, store.graph_path, timeout=60).stdout.decode()
     except subprocess.TimeoutExpired:
         return "timeout"
-    return done.stdout
 
 
 def overwrite(path, rng, page=None):
@@ -292,7 +289,7 @@ def test_what_is_opened_checkpointed_or_copied_raises_no_alarm(copy, tmp_path):
 
 
 def test_a_deleted_graph_of_every_layer_is_rebuilt_to_the_same_kept_queries(tmp_path):
-    list(write(plan(tmp_path / "root", [(150, 8)], 0, "none"), 1))
+    list(write(plan(tmp_path / "root", [(120, 8)], 0, "none"), 1))
     store = Store(tmp_path / "store")
     load(find_root(tmp_path / "root"), store, LoadRules(), 1)
     (sequence,) = store.manifest().sequences

@@ -1,3 +1,0 @@
-// Is there an episode of this key?
-MATCH (e:Episode {id: $episode})
-RETURN count(*) AS episodes
