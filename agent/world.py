@@ -145,7 +145,8 @@ class Episode:
         self._writes = 0
         # Writes that are known here, but not in the tables yet.
         self._waiting: list[tuple[Write, Fact]] = []
-        self._together = False
+        # The beginning waits for what follows it.
+        self._together = True
         self._accepted = 0
         self._observations: dict[str, _Seen] = {}
         self._entities: dict[str, EntityRow] = {}
@@ -154,6 +155,7 @@ class Episode:
         self._edges: dict[Hashable, Edge] = {}
         self._row = EpisodeRow(self.key, run_id, question.question_id, question.sequence, "")
         self._write("begin", {"question_id": question.question_id}, 0, Fact(episode=self._row))
+        self._together = False
 
     # -- what is not the model's own ----------------------------------------------------------------------------------
 

@@ -33,8 +33,8 @@ T = TypeVar("T")
 
 Edge = SightedRow | HasRow | RelatedRow
 
-SHORT: Final = 12
-"""Writes that are one transaction at most."""
+LONGEST: Final = 6
+"""Weight of the statements that share a transaction at most, so that none takes long: see `_weight`."""
 
 FEW: Final = 5
 """Edges of a table that are made one by one at most: to make more together takes as long as these."""
@@ -49,10 +49,23 @@ _EDGES: Final[dict[type[Edge], str]] = {SightedRow: "sighted", HasRow: "has", Re
 def write_statements(episode: str, made: Sequence[tuple[Write, Fact]]) -> list[list[Statement]]:
     """What makes writes of an episode, given in order, true in the tables, with their lines of the record.
 
-    Each list is to be one transaction, in order: `SHORT` writes are a single one, of more each statement is its own.
+    Each list is to be one transaction, in order.
     """
-    statements = [*_changes(made).statements(episode), *_lines(episode, made)]
-    return [statements] if len(made) <= SHORT else [[statement] for statement in statements]
+    transactions: list[list[Statement]] = []
+    weight = LONGEST
+    for statement in (*_changes(made).statements(episode), *_lines(episode, made)):
+        weight += _weight(statement)
+        if weight > LONGEST:
+            transactions.append([])
+            weight = _weight(statement)
+        transactions[-1].append(statement)
+    return transactions
+
+
+def _weight(statement: Statement) -> int:
+    """About how many milliseconds a statement takes: of one row, of many, of many pairs that are to be found."""
+    params = statement[1]
+    return 6 if "sources" in params else 3 if "rows" in params else 1
 
 
 @dataclass
@@ -78,7 +91,7 @@ class _Changes:
     def add(self, write: Write, fact: Fact) -> None:
         """Take the next write."""
         if fact.episode is not None:
-            if write.tool == "begin":
+            if write.tool == "begin" or self.begun is not None:
                 self.begun = fact.episode
             else:
                 self.planned = fact.episode

@@ -210,6 +210,8 @@ def test_an_interrupted_try_is_taken_away(graph):
     assert join(first, "conversation").accepted
     others = tables_of(graph, lambda row: not belongs(first.key)(row))
     second, writes = begin(graph, 7)
+    assert not any(tables_of(graph, belongs(second.key)).values())
+    second.settle()
     tables = tables_of(graph, belongs(second.key))
     assert {table: len(rows) for table, rows in tables.items() if rows} == {"Episode": 1, "Write": 1, "Wrote": 1}
     assert tables == replay(writes, second.key)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Collection
+from functools import cache
 from typing import Final
 
 from jrdb_avr.schema.errors import PlanError
@@ -50,6 +51,7 @@ _NEAR: Final = tuple(word for word in DISTANCE_WORDS if person_frame_label(PERSO
 """How far two people may be from one another who are in a relation."""
 
 
+@cache
 def vocabulary() -> str:
     """Every label, a line per kind, each with the words of a question where they differ: `bending = bending down`."""
     lines = {

@@ -30,7 +30,7 @@ from jrdb_avr.schema.method import Observation, Question, SequenceInfo
 from jrdb_avr.schema.panorama import FOV_DEG, crop_left
 from jrdb_avr.schema.tables import RUNS
 
-QUESTIONS = 128
+QUESTIONS = 256
 IN_FLIGHT = 64
 
 
