@@ -12,6 +12,7 @@ from types import SimpleNamespace
 from jrdb_avr.queries import guard
 
 IMPORTED = (
+    "warm",
     "cv2",
     "duckdb",
     "kuzu",
@@ -41,7 +42,7 @@ def context():
 
 
 def started(function, *arguments, stdin=b"", limit=None, folder):
-    """Start `function` in a process of its own, its streams the files `in`, `out` and `err` of `folder`.
+    """Start `function` in a process and a group of its own, its streams the files `in`, `out` and `err` of `folder`.
 
     `limit`: resources as for `resource.setrlimit`, {which: bytes}.
     """
@@ -78,15 +79,21 @@ def command_line(*arguments):
     main()
 
 
+def script(text, *arguments):
+    """A program's text, as `python -c` takes it."""
+    sys.argv = ["-c", *map(str, arguments)]
+    exec(text, {"__name__": "__main__"})
+
+
 def _child(function, arguments, folder, limit):
     import resource
 
+    os.setsid()
     for number, name in enumerate(("in", "out", "err")):
         opened = os.open(f"{folder}/{name}", os.O_WRONLY | os.O_CREAT | os.O_TRUNC if number else os.O_RDONLY)
         os.dup2(opened, number)
         os.close(opened)
-    sys.stdin = open(0, closefd=False)  # noqa: SIM115
-    sys.stdout, sys.stderr = (open(number, "w", closefd=False) for number in (1, 2))
+    sys.stdin, sys.stdout, sys.stderr = (os.fdopen(n, "w" if n else "r", closefd=False) for n in range(3))
     for which, size in limit.items():
         resource.setrlimit(which, (size, size))
     function(*arguments)
