@@ -34,8 +34,8 @@ from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS
 
 NAME = "yard-2020-01-01_0"
-SEEDS = range(400)
-WORLD_SEEDS = range(30)
+SEEDS = range(200)
+WORLD_SEEDS = range(15)
 LONGEST = 4000
 """Frames of a sequence whose derived tables are compared: the oracle walks from the first to the last."""
 
