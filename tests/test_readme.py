@@ -38,7 +38,7 @@ def kept(command, lines):
 
 
 def typed(command, folder):
-    """(exit code, what is shown) of a command in a shell, where `jrdb-avr` is that of the Python that runs the tests."""
+    """(exit code, what is shown) of a command in a shell; `jrdb-avr` is that of the Python that runs the tests."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     done = subprocess.run(
         ["bash", "-o", "pipefail", "-c", command],
