@@ -14,6 +14,7 @@ import msgspec
 
 from .answers import AnswerMode
 from .errors import PlanError
+from .world import TIMELESS
 
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern="^[a-z][a-z0-9_]*$")]
 Label = Annotated[str, msgspec.Meta(min_length=1, max_length=120)]
@@ -66,8 +67,6 @@ _EVENT_READS: Final[dict[str, tuple[tuple[str, ...], ...]]] = {
     "seconds_between": (("start", "leaves"), ("start", "returns")),
 }
 """The kinds of event that a read can be asked at, per time; other reads take any time."""
-
-_TIMELESS: Final = frozenset({"gender", "age"})
 
 
 class Time(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
@@ -255,7 +254,7 @@ def _check_condition(field: str, condition: Condition, plan: Plan) -> None:
         raise PlanError(f"{field}.value", "is a whole number for group_size and a text for all else")
     if (condition.object is None) != (condition.verb is None):
         raise PlanError(f"{field}.verb", "goes with 'object', and only with it")
-    if condition.attribute in _TIMELESS:
+    if condition.attribute in TIMELESS:
         if condition.at is not None:
             raise PlanError(f"{field}.at", f"{condition.attribute} holds at any time")
     elif condition.at is None:
