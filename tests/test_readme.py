@@ -81,9 +81,10 @@ def test_the_tour_runs_as_written(tmp_path, monkeypatch):
     assert done.returncode == 0, done.stderr
     assert all(int(number) > 0 for number in done.stdout.split())
     assert set(ran) >= {"sample", "load", "cypher", "sql", "observe", "generate", "validate", "evaluate", "report"}
-    drawn, shown = (cv2.imread(str(path)).astype(int) for path in (tmp_path / "tour/look.png", ROOT / "docs/look.png"))
-    # The picture at the top is what the command draws; decoders of JPEG may differ by a grain.
-    assert drawn.shape == shown.shape and abs(drawn - shown).mean() < 1
+    for name in ("look", "stats"):
+        made, shown = (cv2.imread(str(path / f"{name}.png")).astype(int) for path in (tmp_path / "tour", ROOT / "docs"))
+        # Pictures are what the commands draw; decoders of JPEG may differ by a grain.
+        assert made.shape == shown.shape and abs(made - shown).mean() < 1, name
 
 
 def test_two_commands_set_it_up():
