@@ -14,7 +14,7 @@ from jrdb_avr.schema.errors import LockedError, StoreError
 WORLD_PROCESS: Final = "jrdb_avr.queries.world_process"
 """The module that runs as the process of a world model; the last argument is its parent's number."""
 
-_ENDING_S: Final = 5.0
+ENDING_S: Final = 5.0
 """Longest wait for a lock whose holder is about to end."""
 
 
@@ -34,7 +34,7 @@ def lock_graph(path: Path, *, shared: bool) -> IO[str] | None:
                 return None
         else:
             raise StoreError(f"cannot use {path}: {error.strerror}; check the --store folder") from None
-    end = time.monotonic() + _ENDING_S
+    end = time.monotonic() + ENDING_S
     while True:
         try:
             fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
@@ -54,24 +54,28 @@ def lock_graph(path: Path, *, shared: bool) -> IO[str] | None:
 
 def _holder(file: IO[str]) -> tuple[str, bool]:
     """Who holds the lock, by the kernel's table where there is one, else by what the last writer noted; and whether
-    that process is about to end: it has no command any more, or was the helper of one that is gone.
+    that process is about to end: it has no command any more, or was the helper of one that is gone. One that the
+    kernel's table does not name, or that is gone before it is looked at, has let go of the lock meanwhile.
     """
+    ends = False
     inode = str(os.fstat(file.fileno()).st_ino)
     with contextlib.suppress(OSError):
-        for line in Path("/proc/locks").read_text().splitlines():
+        locks = Path("/proc/locks").read_text()
+        ends = True
+        for line in locks.splitlines():
             fields = line.split()
             if "FLOCK" in fields and len(fields) > 5 and fields[5].rpartition(":")[2] == inode and fields[4] != "-1":
-                holder, ends = fields[4], False
+                holder, leaves = fields[4], False
                 command = _command(holder)
                 if WORLD_PROCESS in command:
                     # It works for its parent, which is the one to wait for.
-                    ends = Path("/proc", holder, "stat").read_text().rpartition(")")[2].split()[1] != command[-1]
-                    if not ends:
+                    leaves = Path("/proc", holder, "stat").read_text().rpartition(")")[2].split()[1] != command[-1]
+                    if not leaves:
                         holder = command[-1]
                         command = _command(holder)
-                return f"process {holder} ({' '.join(command)[:120]})", ends or not command
+                return f"process {holder} ({' '.join(command)[:120]})", leaves or not command
     file.seek(0)
-    return file.read(100).strip() or "another process", False
+    return file.read(100).strip() or "another process", ends
 
 
 def _command(process: str) -> list[str]:

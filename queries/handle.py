@@ -21,6 +21,7 @@ import contextlib
 import os
 import re
 import threading
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,7 +34,7 @@ import pyarrow as pa
 from jrdb_avr.schema.errors import LockedError, QueryError, StoreError
 
 from .binding import bind, strip_literals
-from .graph_lock import lock_graph
+from .graph_lock import ENDING_S, lock_graph
 from .seal import check_seal, rebuild_hint, seal_of, seal_path
 from .traps import Plan, refuse_wrong_answers
 
@@ -404,12 +405,17 @@ def _open_database(path: Path, read_only: bool, buffer_bytes: int, threads: int)
     check_seal(path)
     import kuzu
 
-    try:
-        return kuzu.Database(str(path), read_only=read_only, buffer_pool_size=buffer_bytes, max_num_threads=threads)
-    except RuntimeError as error:
-        if "lock" in str(error):
-            raise LockedError(f"{path} is in use by another process: wait for it", holder="another process") from None
-        raise StoreError(f"cannot open {path} ({_short(str(error))}): {rebuild_hint(path)}") from None
+    end = time.monotonic() + ENDING_S
+    while True:
+        try:
+            return kuzu.Database(str(path), read_only=read_only, buffer_pool_size=buffer_bytes, max_num_threads=threads)
+        except RuntimeError as error:
+            if "Could not set lock" not in str(error):
+                raise StoreError(f"cannot open {path} ({_short(str(error))}): {rebuild_hint(path)}") from None
+        # A process that is killed lets go of the side file's lock a moment before it lets go of the engine's.
+        if time.monotonic() > end:
+            raise LockedError(f"{path} is in use by another process: wait for it", holder="another process")
+        time.sleep(0.02)
 
 
 def _recover(path: Path, buffer_bytes: int) -> None:

@@ -2,20 +2,23 @@
 
 A run's threads take turns at Python's interpreter, so that an engine in their process would wait for them after each
 statement: several times as long as the statement takes. Requests and replies go through pipes, one at a time, as a
-length and MessagePack; tables as Arrow's stream. The process ends with its parent, however that ends: what was not
-checkpointed is replayed by the next opening.
+length and MessagePack; tables as Arrow's stream. The process ends with its parent, however that ends and whatever is
+asked at the time: what was not checkpointed is replayed by the next opening. A request that fails in any way is an
+error of its caller, and the next one is answered.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
-import signal
 import struct
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import IO, Any, Final, NoReturn
 
 import msgspec
 import pyarrow as pa
@@ -27,6 +30,9 @@ from .graph_lock import WORLD_PROCESS
 from .world_tables import Statement, WorldTables
 
 _LENGTH: Final = struct.Struct("<Q")
+
+_LOOK_S: Final = 0.2
+"""Between looks at whether the parent is there."""
 
 
 class _Read(msgspec.Struct, tag="read", frozen=True):
@@ -58,10 +64,17 @@ class _Failed(msgspec.Struct, tag="failed", frozen=True):
     holder: str = ""
 
 
+def _bound(value: Any) -> Any:
+    """A parameter that MessagePack does not know. Raises TypeError where it is no number or text of numpy's either."""
+    if (plain := scalar(value)) is value:
+        raise TypeError(f"a {type(value).__name__} is no value")
+    return plain
+
+
 # Made at import: threads that meet a type first at the same time crash the decoder.
 _REQUEST: Final = msgspec.msgpack.Decoder(_Read | _Write | _Close)
 _REPLY: Final = msgspec.msgpack.Decoder(_Done | _Failed)
-_ENCODER: Final = msgspec.msgpack.Encoder(enc_hook=scalar)
+_ENCODER: Final = msgspec.msgpack.Encoder(enc_hook=_bound)
 
 
 class WorldProcess:
@@ -69,11 +82,19 @@ class WorldProcess:
 
     def __init__(self, path: Path) -> None:
         """Raises StoreError and LockedError as `WorldTables.open`."""
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", WORLD_PROCESS, str(path), str(os.getpid())],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-        )
+        # Modules are looked for where this process finds them, and nowhere else: not in the working directory.
+        modules = os.pathsep.join(place or "." for place in sys.path)
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", WORLD_PROCESS, str(path), str(os.getpid())],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                env={**os.environ, "PYTHONPATH": modules},
+                # An interrupt at the terminal is this process's to take.
+                process_group=0,
+            )
+        except (OSError, ValueError) as error:
+            raise StoreError(f"cannot start the process of the world model of {str(path)!a}: {error}") from None
         try:
             self._reply()
         except BaseException:
@@ -126,7 +147,9 @@ class WorldProcess:
     def _end(self) -> None:
         for pipe in (self._process.stdin, self._process.stdout):
             assert pipe is not None
-            pipe.close()
+            # What a process that has ended did not take is still to be written.
+            with contextlib.suppress(OSError):
+                pipe.close()
         self._process.wait()
 
 
@@ -150,32 +173,62 @@ def _receive(pipe: IO[bytes]) -> bytes | None:
 
 
 def serve(path: Path, requests: IO[bytes], replies: IO[bytes]) -> None:
-    """Open the tables and answer requests until one says to close them, or the parent has ended."""
-    asked: _Read | _Write | _Close | None = None
-    tables: WorldTables | None = None
-    while not isinstance(asked, _Close):
-        reply: _Done | _Failed = _Done()
-        try:
-            match asked:
-                case None:
-                    tables = WorldTables.open(path)
-                case _Read(cypher, params, ordered, timeout_s):
-                    assert tables is not None
-                    reply = _Done(_stream(tables.query(cypher, params, ordered, timeout_s)))
-                case _Write(transactions):
-                    assert tables is not None
-                    tables.write(transactions)
-        except AvrError as error:
-            reply = _Failed(type(error).__name__, str(error), getattr(error, "holder", ""))
-        _send(replies, _ENCODER.encode(reply))
+    """Open the tables and answer requests until one says to close them. Does not return where the parent has ended."""
+    tables = _opened(path, replies)
+    while tables is not None:
         data = _receive(requests)
         if data is None:
-            # Nobody waits for a checkpoint, and whoever runs again needs the file at once.
-            os._exit(1)
-        asked = _REQUEST.decode(data)
-    if tables is not None:
-        tables.close()
-    _send(replies, _ENCODER.encode(_Done()))
+            _end()
+        reply: _Done | _Failed = _Done()
+        try:
+            match _REQUEST.decode(data):
+                case _Read(cypher, params, ordered, timeout_s):
+                    reply = _Done(_stream(tables.query(cypher, params, ordered, timeout_s)))
+                case _Write(transactions):
+                    tables.write(transactions)
+                case _Close():
+                    tables.close()
+                    tables = None
+        except Exception as error:
+            reply = _failed(error, QueryError)
+        _answer(replies, reply)
+
+
+def _opened(path: Path, replies: IO[bytes]) -> WorldTables | None:
+    try:
+        tables = WorldTables.open(path)
+    except Exception as error:
+        _answer(replies, _failed(error, StoreError))
+        return None
+    _answer(replies, _Done())
+    return tables
+
+
+def _failed(error: Exception, other: type[AvrError]) -> _Failed:
+    """The error as a reply; `other`: what one is that is not of the tree."""
+    message = " ".join(str(error).encode("utf-8", "backslashreplace").decode().split())
+    if isinstance(error, AvrError):
+        return _Failed(type(error).__name__, message, getattr(error, "holder", ""))
+    return _Failed(other.__name__, f"{type(error).__name__}: {message[:300]}")
+
+
+def _answer(replies: IO[bytes], reply: _Done | _Failed) -> None:
+    try:
+        _send(replies, _ENCODER.encode(reply))
+    except OSError:
+        _end()
+
+
+def _end() -> NoReturn:
+    """End where the parent has: nobody waits for a checkpoint, and whoever runs again needs the file at once."""
+    os._exit(1)
+
+
+def _follow(parent: int) -> None:
+    """End with the parent, also in the middle of a statement."""
+    while os.getppid() == parent:
+        time.sleep(_LOOK_S)
+    _end()
 
 
 def _stream(table: pa.Table) -> bytes:
@@ -188,8 +241,7 @@ def _stream(table: pa.Table) -> bytes:
 
 def main() -> None:
     """Serve the graph file that the command line names."""
-    # An interrupt is the parent's to take; what it does not close ends with its pipe.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_follow, args=(int(sys.argv[2]),), daemon=True).start()
     replies = os.fdopen(os.dup(1), "wb")
     # Whatever else writes to standard output would break the messages.
     os.dup2(2, 1)
