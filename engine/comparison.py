@@ -3,7 +3,7 @@ in percent of `n`, the questions asked; None where nothing was asked (shown as n
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from itertools import combinations
 from typing import Any, Final
 
@@ -12,6 +12,7 @@ import pyarrow.compute as pc
 
 from .judged import SCORES, Facts, Judged, percent, share
 from .published import ABLATION, BY_GROUP, MAIN, Published
+from .settings import told_apart
 from .statistics import Interval, compare, intervals, mean_of_ratios, numbered_sums, ratio
 
 Row = dict[str, Any]
@@ -61,31 +62,6 @@ def _main_row(facts: Facts, run: Judged, iou: float, setting: str) -> Row:
     for macro in bounds.values():
         row |= macro
     return row | {"iou": iou}
-
-
-def told_apart(runs: Sequence[Judged]) -> dict[str, str]:
-    """By run id, the settings in which a run differs from others of its method and model; "" where there are none."""
-    leaves = {run.manifest.run_id: dict(_leaves(run.manifest.settings)) for run in runs}
-    texts = {}
-    for run in runs:
-        alike = [leaves[other.manifest.run_id] for other in runs if _asked_of(other) == _asked_of(run)]
-        own = leaves[run.manifest.run_id]
-        differing = [name for name in sorted(own) if any(name not in one or one[name] != own[name] for one in alike)]
-        texts[run.manifest.run_id] = ", ".join(f"{name} {own[name]}" for name in differing)
-    return texts
-
-
-def _asked_of(run: Judged) -> tuple[str, str]:
-    return run.manifest.method, run.manifest.model
-
-
-def _leaves(settings: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
-    """Settings by their path, `marker.seed`; not a server's address, which is another one each time."""
-    for name, value in settings.items():
-        if isinstance(value, Mapping):
-            yield from _leaves(value, f"{above}{name}.")
-        elif name != "base_url":
-            yield f"{above}{name}", str(value)
 
 
 def _head(run: Judged) -> Row:

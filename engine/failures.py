@@ -25,10 +25,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.queries.store import Store, read_table
+from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.panorama import CROP, WIDTH
 
-from .judged import Facts, Floats, Ints, Judged, share
-from .scoring import Bools, Truth, box_ious, frame_key, given_boxes, predictions_asked, target_boxes
+from .judged import Facts, Judged, share
+from .scoring import Truth, box_ious, frame_key, given_boxes, predictions_asked, target_boxes
 from .tracing import look_shown
 
 CAUSES: Final = (

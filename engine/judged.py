@@ -9,18 +9,15 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.arrays import Floats, Ints
 from jrdb_avr.schema.tables import QUESTIONS
 
 from .published import GROUPS
-
-Ints = npt.NDArray[np.int64]
-Floats = npt.NDArray[np.float64]
 
 SCORES: Final = ("answer", "evidence", "combined")
 

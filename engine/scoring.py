@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -22,13 +21,10 @@ from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest
 from jrdb_avr.queries.store import Store, read_table, write_table
 from jrdb_avr.schema.answers import ANSWER_TYPES, TIE, Answer, Choice, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.answers import decode_answer as decode
+from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.errors import DecodeError, InputError, StoreError
 from jrdb_avr.schema.panorama import WIDTH, angle_error
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
-
-Ints = npt.NDArray[np.int64]
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
 
 DEFAULT_IOU: Final = 0.5
 SPAN_IOU: Final = 0.5
@@ -91,10 +87,14 @@ def make_truth(questions: pa.Table, sequences: pa.Table, answers: pa.Table, evid
         raise StoreError("an answer of the store cannot be read under its mode: generate again")
     row = _find(ids, evidence["question_id"], "questions")
     keys = frame_key(row, evidence["frame"].to_numpy().astype(np.int64))
-    order = np.argsort(keys, kind="stable")
-    boxes = np.stack([evidence[name].to_numpy() for name in "xywh"], axis=1).astype(np.float64)
+    boxes = np.empty((len(keys), 4))
+    for place, name in enumerate("xywh"):
+        boxes[:, place] = evidence[name].to_numpy()
+    if (keys[1:] < keys[:-1]).any():  # `generate` writes them sorted, and a million are dear to copy.
+        order = np.argsort(keys, kind="stable")
+        keys, boxes = keys[order], boxes[order]
     fps = sequences["fps"].to_numpy()[sequence_row]
-    return Truth(ids, mode, np.round(fps).astype(np.int64), payloads, keys[order], boxes[order])
+    return Truth(ids, mode, np.round(fps).astype(np.int64), payloads, keys, boxes)
 
 
 def score_predictions(

@@ -15,10 +15,8 @@ from itertools import islice
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
+from jrdb_avr.schema.arrays import Floats, Ints
 
 DRAWS: Final = 10_000
 SEED: Final = 0

@@ -77,7 +77,11 @@ def markdown(rows: Rows) -> str:
 
 
 def latex(rows: Rows) -> str:
-    """A LaTeX table for the package booktabs; a rule where the first column's value changes."""
+    """A LaTeX table for the package booktabs; a rule where the first column's value changes.
+
+    A column of settings, which are long, has numbers, and lines below the table say what they stand for.
+    """
+    rows, notes = _numbered(rows)
     columns = columns_of(rows)
     layout = "".join("r" if _is_number(rows, name) else "l" for name in columns)
     lines = [rf"\begin{{tabular}}{{{layout}}}", r"\toprule", _latex_row([name.replace("_", " ") for name in columns])]
@@ -87,7 +91,18 @@ def latex(rows: Rows) -> str:
         lines += [r"\midrule"] if first != before else []
         lines.append(_latex_row([cell(row.get(name), name) for name in columns]))
         before = first
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+    lines += [r"\bottomrule", r"\end{tabular}"]
+    lines += [rf"\par{{\footnotesize {number}: {_in_latex(note)}}}" for number, note in enumerate(notes, 1)]
+    return "\n".join([*lines, ""])
+
+
+def _numbered(rows: Rows) -> tuple[Rows, list[str]]:
+    """Rows with each distinct setting as its number, and the settings in the order of their numbers."""
+    notes = list(dict.fromkeys(row["setting"] for row in rows if row.get("setting")))
+    if not notes:
+        return rows, []
+    places = {note: str(number) for number, note in enumerate(notes, 1)}
+    return [{**row, "setting": places.get(row.get("setting", ""), "")} for row in rows], notes
 
 
 def csv_text(rows: Rows) -> str:
@@ -113,7 +128,11 @@ def _in_markdown(text: str) -> str:
 
 
 def _latex_row(cells: Sequence[str]) -> str:
-    return " & ".join("".join(_LATEX.get(letter, letter) for letter in _in_a_line(text)) for text in cells) + r" \\"
+    return " & ".join(map(_in_latex, cells)) + r" \\"
+
+
+def _in_latex(text: str) -> str:
+    return "".join(_LATEX.get(letter, letter) for letter in _in_a_line(text))
 
 
 def _in_a_line(text: str) -> str:

@@ -7,7 +7,6 @@ import json
 import re
 import time
 from importlib.resources import files
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ from jrdb_avr.engine.pages.charts import intervals, scatter, stacked, tags
 from jrdb_avr.engine.pages.diagrams import plan_graph, runs_of, timeline, wrapped
 from jrdb_avr.engine.pages.inspect_page import close_up, inspect_page
 from jrdb_avr.engine.pages.page import render, write_page
-from jrdb_avr.engine.pages.report_page import crossed, told_apart, wrong_choices
+from jrdb_avr.engine.pages.report_page import crossed, wrong_choices
 from jrdb_avr.engine.reviews import read_reviews
 from jrdb_avr.engine.runs import read_sequences
 from jrdb_avr.schema.plan import parse_plan
@@ -384,26 +383,6 @@ def test_charts_are_to_scale():
     parts = stacked([("a", 3), ("b", 0), ("c", 1)], 8)
     assert [(part.name, part.x, part.width) for part in parts] == [("a", 0.0, 37.5), ("c", 37.5, 12.5)]
     assert stacked([("a", 0)], 0) == ()
-
-
-def judged(name, **settings):
-    manifest = SimpleNamespace(run_id=name, method="m", model="x", settings=settings)
-    return SimpleNamespace(manifest=manifest)
-
-
-def test_runs_of_a_model_are_told_apart_by_their_settings():
-    noise = {"seed": 3, "wrong_box": 0.1}
-    runs = [
-        judged("plain", endpoint={"base_url": "http://a", "retries": 4}),
-        judged("noisy", endpoint={"base_url": "http://b", "retries": 4}, marker=noise),
-        judged("noisier", endpoint={"base_url": "http://c", "retries": 4}, marker=noise | {"wrong_box": 0.2}),
-    ]
-    assert told_apart(runs) == {
-        "plain": "",
-        "noisy": "marker: seed 3, wrong_box 0.1",
-        "noisier": "marker: seed 3, wrong_box 0.2",
-    }
-    assert told_apart(runs[:1]) == {"plain": ""}
 
 
 def test_a_breakdown_says_how_many_were_asked():

@@ -3,8 +3,13 @@
 import csv
 import io
 import json
+import os
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
+import entry
 import msgspec
 import numpy as np
 import pytest
@@ -13,6 +18,8 @@ from known_runs import BOX, ELSEWHERE, Benchmark, table
 from jrdb_avr.engine.comparison import ablation_rows, breakdown_rows, cost_rows, main_rows, pair_rows, published_groups
 from jrdb_avr.engine.failures import CAUSES, evidence_causes, evidence_failure_rows, wrong_choice_rows
 from jrdb_avr.engine.published import ABLATION, BY_GROUP, GROUPS
+from jrdb_avr.engine.report import TABLES
+from jrdb_avr.engine.settings import told_apart
 from jrdb_avr.engine.typeset import cell, csv_text, joined, latex, markdown
 from jrdb_avr.queries.runs import questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
@@ -89,15 +96,33 @@ def test_settings_of_one_model_are_told_apart():
         for method in ("agent", "agent-passive"):
             run = benchmark.run([(1, BOX, 7)], f"{name}-{method}", method)
             runs.append(replace(run, manifest=msgspec.structs.replace(run.manifest, settings=settings)))
-    assert [row["setting"] for row in main_rows(benchmark.facts, runs, 0.5)] == ["marker.wrong_box 0.1"] * 2 + [""] * 2
+    assert [row["setting"] for row in main_rows(benchmark.facts, runs, 0.5)] == ["marker: wrong_box 0.1"] * 2 + [""] * 2
     # The cells of one setting stand together.
     assert [(row["setting"], row["world_model"], row["active"]) for row in ablation_rows(runs)] == [
         ("", "on", "off"),
         ("", "on", "on"),
-        ("marker.wrong_box 0.1", "on", "off"),
-        ("marker.wrong_box 0.1", "on", "on"),
+        ("marker: wrong_box 0.1", "on", "off"),
+        ("marker: wrong_box 0.1", "on", "on"),
     ]
     assert main_rows(benchmark.facts, runs[:2], 0.5)[0]["setting"] == ""
+
+
+def test_settings_stand_together_behind_their_parts_name():
+    noise = {"seed": 3, "wrong_box": 0.1}
+    benchmark = Benchmark([("a", "s1", "long_range")])
+    told = {
+        "plain": {"endpoint": {"base_url": "http://a", "retries": 4}, "thinking": "off"},
+        "noisy": {"endpoint": {"base_url": "http://b", "retries": 4}, "marker": noise, "thinking": "off"},
+        "noisier": {"endpoint": {"base_url": "http://c", "retries": 0}, "marker": noise, "thinking": "on"},
+    }
+    runs = [benchmark.run([(1, BOX, 7)], name) for name in told]
+    runs = [replace(r, manifest=msgspec.structs.replace(r.manifest, settings=told[r.manifest.run_id])) for r in runs]
+    assert told_apart(runs) == {
+        "plain": "endpoint: retries 4; thinking off",
+        "noisy": "endpoint: retries 4; marker: seed 3, wrong_box 0.1; thinking off",
+        "noisier": "endpoint: retries 0; marker: seed 3, wrong_box 0.1; thinking on",
+    }
+    assert told_apart(runs[:1]) == {"plain": ""}
 
 
 FOUR = [("a", "s1", "long_range"), ("b", "s1", "long_range"), ("c", "s2", "chain_2hop"), ("d", "s2", "chain_2hop")]
@@ -222,6 +247,15 @@ def test_latex_compiles_as_text():
     assert text.endswith("\\bottomrule\n\\end{tabular}\n")
 
 
+def test_latex_numbers_settings_and_says_below_what_they_are():
+    rows = [{"model": "m", "setting": text} for text in ("b_1: x 1", "", "a: y 2", "b_1: x 1")]
+    text = latex(rows)
+    assert [line for line in text.splitlines() if line.startswith("m &")] == [
+        f"m & {n} \\\\" for n in ("1", "", "2", "1")
+    ]
+    assert text.endswith("\\par{\\footnotesize 1: b\\_1: x 1}\n\\par{\\footnotesize 2: a: y 2}\n")
+
+
 HOSTILE = [
     '=HYPERLINK("x")',
     "+1",
@@ -262,3 +296,51 @@ def test_csv_is_read_back():
     assert [row["answer"] for row in rows] == ["12.5", ""]
     assert rows[1]["model"] == "50% {x} \\ #1"
     assert np.isclose(float(rows[0]["answer_high"]), 20.0)
+
+
+# -- the same twice ---------------------------------------------------------------------------------------------------
+
+
+def write_every_format(path, folder):
+    """Reports of a store, as the files of a new folder."""
+    folder = Path(folder)
+    folder.mkdir()
+    calls = {form: ("--table", "all", f"--{form}") for form in ("markdown", "latex", "json")}
+    calls |= {f"{name}.csv": ("--table", name, "--csv") for name in TABLES}
+    for name, options in calls.items():
+        code, text, err = entry.run("report", "--store", path, "--paper", *options)
+        assert code == 0, err
+        (folder / name).write_text(text)
+    assert entry.run("report", "--store", path, "--paper", "--html", folder / "html")[0] == 0
+
+
+def test_a_report_is_the_same_under_any_hash_seed(tmp_path):
+    _, run, store = stored_failures(tmp_path / "S")
+    right = run.predictions.slice(0, 1).to_pylist()[0]
+    for number, method in enumerate(("agent", "react")):
+        name = f"{method}-run"
+        # One answers wrongly, and differently from question to question, so that every table has rows.
+        rows = [
+            row | {"run_id": name, "answer": json.dumps({"choice": 2 + (place + number) % 3})}
+            for place, row in enumerate(run.predictions.to_pylist())
+        ]
+        rows[0] |= {"answer": right["answer"]}
+        store.write_run(name, "predictions", table(rows, RUNS["predictions"]))
+        store.write_run(name, "steps", table([], RUNS["steps"]))
+        manifest = msgspec.structs.replace(
+            run.manifest,
+            run_id=name,
+            method=method,
+            questions_sha256=questions_hash(store),
+            settings={"x": {"a": number}},
+        )
+        write_run_manifest(store, manifest)
+    write_every_format(store.path, tmp_path / "here")
+    seed = "2" if os.environ.get("PYTHONHASHSEED") == "1" else "1"
+    again = f"from test_report import *; write_every_format({str(store.path)!r}, {str(tmp_path / 'again')!r})"
+    environment = os.environ | {"PYTHONHASHSEED": seed, "PYTHONPATH": str(Path(__file__).parent)}
+    subprocess.run([sys.executable, "-c", again], env=environment, check=True)
+    here, there = ({path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("here", "again"))
+    assert len(here) == len(TABLES) + 4
+    assert all(here.values())
+    assert here == there

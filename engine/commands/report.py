@@ -112,9 +112,9 @@ def _for_paper(name: str, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
         return [{key: value for key, value in row.items() if not key.endswith(("_low", "_high"))} for row in rows]
     rows = sorted(rows, key=lambda row: (str(row["model"]), str(row.get("setting", ""))))
     names = [(row["model"], row["method"], row.get("setting", "")) for row in rows]
+    columns = ["model", "method", *(["setting"] if any(row.get("setting") for row in rows) else [])]
     # Runs that nothing else tells apart are told apart by their ids.
-    columns = ["run"] if len(set(names)) < len(names) else []
-    columns += ["model", "method", *(["setting"] if any(row.get("setting") for row in rows) else []), "label", "n"]
+    columns += [*(["run"] if len(set(names)) < len(names) else []), "label", "n"]
     columns += ["answer", "evidence", "combined", "hallucination", "invalid"]
     return [{key: row.get(key, "") if key == "setting" else row.get(key) for key in columns} for row in rows]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -13,6 +13,7 @@ from jrdb_avr.engine.failures import CAUSES
 from jrdb_avr.engine.judged import DIMENSIONS, SCORES, Facts, Judged
 from jrdb_avr.engine.report import report_table
 from jrdb_avr.engine.scoring import Truth
+from jrdb_avr.engine.settings import told_apart
 from jrdb_avr.engine.typeset import filled
 from jrdb_avr.queries.store import Store
 
@@ -27,9 +28,6 @@ _TITLES: Final = {name: name.replace("_", " ") for name in DIMENSIONS} | {
 
 _OPEN_PAIRS: Final = 12
 """More pairs of runs than these are folded away."""
-
-
-_ADDRESS: Final = ("endpoint", "base_url")
 
 
 @dataclass(frozen=True)
@@ -134,37 +132,6 @@ def wrong_choices(rows: Sequence[dict[str, Any]], runs: Sequence[str]) -> WrongC
             (run, next(iter(by.values()))["wrong_choices"], tuple(by.get(name) for name in across)) for run, by in own
         ),
     )
-
-
-def told_apart(runs: Sequence[Judged]) -> dict[str, str]:
-    """Run -> the settings in which it differs from others of its method and model, in a line; "" where there are none.
-
-    The server's address is left out: it differs whenever a server is started anew.
-    """
-    flat = {run.manifest.run_id: dict(_leaves((), run.manifest.settings)) for run in runs}
-    texts = {}
-    for run in runs:
-        kind = run.manifest.method, run.manifest.model
-        own = flat[run.manifest.run_id]
-        others = [flat[r.manifest.run_id] for r in runs if (r.manifest.method, r.manifest.model) == kind]
-        grouped: dict[tuple[str, ...], list[str]] = {}
-        for path, value in own.items():
-            if path != _ADDRESS and any(other.get(path) != value for other in others):
-                grouped.setdefault(path[:-1], []).append(f"{path[-1]} {value}")
-        parts = (
-            f"{' '.join(above)}: {', '.join(said)}" if above else ", ".join(said) for above, said in grouped.items()
-        )
-        texts[run.manifest.run_id] = "; ".join(parts)
-    return texts
-
-
-def _leaves(path: tuple[str, ...], settings: Any) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Every setting as its path and its JSON."""
-    if isinstance(settings, dict) and (settings or not path):
-        for name, value in settings.items():
-            yield from _leaves((*path, str(name)), value)
-    else:
-        yield path, msgspec.json.encode(settings).decode()
 
 
 def _causes(rows: Sequence[dict[str, Any]], run: str) -> tuple[Part, ...]:
