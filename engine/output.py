@@ -89,7 +89,7 @@ def print_rows(rows: Sequence[dict[str, Any]], title: str = "", columns: Sequenc
 
 def _cell(value: object) -> str:
     if isinstance(value, float):
-        return f"{value:.6g}"
+        return f"{value:.0f}" if 1e6 <= abs(value) < 1e15 else f"{value:.6g}"
     return clean(value)
 
 
