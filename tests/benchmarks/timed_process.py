@@ -1,0 +1,29 @@
+"""The process of a world model that notes what each read and each transaction takes, for bench_world.py."""
+
+import json
+import sys
+import time
+from pathlib import Path
+
+from jrdb_avr.queries import world_process
+from jrdb_avr.queries.world_tables import WorldTables
+
+TIMES = {"write": [], "read": []}
+
+
+def timed(kind, call):
+    def noted(*arguments):
+        began = time.perf_counter()
+        try:
+            return call(*arguments)
+        finally:
+            TIMES[kind].append(time.perf_counter() - began)
+
+    return noted
+
+
+if __name__ == "__main__":
+    WorldTables.query = timed("read", WorldTables.query)
+    WorldTables._write = timed("write", WorldTables._write)
+    world_process.main()
+    Path(f"{sys.argv[1]}.times").write_text(json.dumps(TIMES))
