@@ -20,7 +20,7 @@ from jrdb_avr.queries.handle import Graph
 from jrdb_avr.queries.runs import RunManifest, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.world import WorldGraph
-from jrdb_avr.queries.world_record import merge_world, read_record, replayed
+from jrdb_avr.queries.world_record import merge_world, read_record, replayed, restore_world
 from jrdb_avr.queries.world_tables import make_world_tables
 from jrdb_avr.schema.errors import AvrError, LockedError, StoreError
 from jrdb_avr.schema.method import Question, SequenceInfo
@@ -84,6 +84,22 @@ def live(template):
     # Nothing here can hold of an empty table.
     assert all(len(rows) > 5 for rows in found.values()), {name: len(rows) for name, rows in found.items()}
     return found
+
+
+def test_an_episode_that_was_interrupted_before_its_lines_is_taken_away(template):
+    """Facts come before the lines of the record: a killed run may leave an episode without any."""
+    with Graph.memory() as graph:
+        make_world_tables(graph)
+        restore_world(graph, "one", read_record(template, "one"))
+        before = world_dump(graph)
+        graph.execute(
+            "CREATE (:Episode {id: 'one/x', run: 'one', question: 'x', sequence: 's', plan: ''})-[:Made]->"
+            "(:Observation {id: 'one/x/o1', episode: 'one/x', number: 1, step: 1, frame: 0, angle: 0.0, left: 0, "
+            "width: 480})"
+        )
+        assert world_dump(graph) != before
+        assert restore_world(graph, "one", read_record(template, "one")) == 0
+        assert world_dump(graph) == before
 
 
 def test_the_record_gives_back_every_row_of_a_live_run(template, live):
