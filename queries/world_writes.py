@@ -33,13 +33,13 @@ T = TypeVar("T")
 
 Edge = SightedRow | HasRow | RelatedRow
 
-LONGEST: Final = 6
+LONGEST: Final = 5
 """Weight of the statements that share a transaction at most, so that none takes long: see `_weight`."""
 
-FEW: Final = 5
+FEW: Final = 2
 """Edges of a table that are made one by one at most: to make more together takes as long as these."""
 
-MANY: Final = 32
+MANY: Final = 24
 """Rows that one statement makes at most: it is done in a few milliseconds, and others need not wait for it longer."""
 
 _EDGES: Final[dict[type[Edge], str]] = {SightedRow: "sighted", HasRow: "has", RelatedRow: "related"}
@@ -63,9 +63,9 @@ def write_statements(episode: str, made: Sequence[tuple[Write, Fact]]) -> list[l
 
 
 def _weight(statement: Statement) -> int:
-    """About how many milliseconds a statement takes: of one row, of many, of many pairs that are to be found."""
-    params = statement[1]
-    return 6 if "sources" in params else 3 if "rows" in params else 1
+    """About how many milliseconds a statement takes: of one row, of many nodes, of many edges."""
+    cypher, params = statement
+    return 2 if "rows" not in params else 4 if "r.source" in cypher else 3
 
 
 @dataclass
@@ -152,9 +152,7 @@ class _Changes:
         if len(edges) <= FEW:
             yield from ((_text(name), edge) for edge in edges)
             return
-        for some in _some(edges):
-            ends = {f"{end}s": sorted({edge[end] for edge in some}) for end in ("source", "target")}
-            yield _text(f"{name}_many"), {"episode": episode, **ends, "rows": some}
+        yield from _rows(f"{name}_many", episode, edges)
 
     def _columns(self, edge: Edge) -> dict[str, Any]:
         values = msgspec.structs.asdict(edge)

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from jrdb_avr.queries.binding import parameters
 from jrdb_avr.schema.panorama import WIDTH, Box
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.vocabulary import POSES
@@ -69,6 +70,11 @@ class BeliefReader(Reader):
         self.shown: dict[int, list[int]] = {}
         self._rows: dict[str, Sequence[Mapping[str, Any]]] = dict(rows or {})
         self._sightings: dict[Who, list[Sighting]] = {}
+
+    def ask(self, cypher: str, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+        """The rows of a compiled statement, asked for one plan after the other. Raises QueryError."""
+        own = [name for name in parameters(cypher) if name != "scope"]
+        return [{"id": row["id"], **found} for row in rows for found in self._queried(cypher, {n: row[n] for n in own})]
 
     # -- what is there --------------------------------------------------------------------------------------------
 

@@ -14,7 +14,7 @@ from typing import Any
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.plan import Condition, Edge, Plan, validate
 
-from .clauses import Clause, Variables
+from .clauses import Variables
 from .names import Names, condition_kind, condition_values, edge_kind, edge_values
 
 
@@ -23,7 +23,8 @@ class Find:
     """A plan's statement.
 
     cypher: gives columns id, who0, who1, ... and sure0, sure1, ..., ordered; nodes: the plan's nodes in the order of
-    `who`; row: what the plan puts into `$plans`, but for `id` and `scope`.
+    `who`; row: what the plan puts into `$plans`, but for `id` and `scope`. Where the facts are rows, there is no `id`
+    and nothing that is not sure, and the values of `row` are the parameters.
     """
 
     cypher: str
@@ -31,7 +32,7 @@ class Find:
     row: dict[str, Any]
 
 
-def compile_find(plan: Plan, names: Names) -> Find:
+def compile_find(plan: Plan, names: Names[Any]) -> Find:
     """Compile a plan's conditions and edges. Raises PlanError where the plan is invalid or not of stated times."""
     validate(plan)
     pattern = _Pattern(plan, names)
@@ -41,12 +42,14 @@ def compile_find(plan: Plan, names: Names) -> Find:
 class _Pattern:
     """Puts the statement together, a person at a time, in the order in which edges reach them."""
 
-    def __init__(self, plan: Plan, names: Names) -> None:
+    def __init__(self, plan: Plan, names: Names[Any]) -> None:
         self.plan = plan
         self.names = names
         self.nodes: list[str] = []
         self.row: dict[str, Any] = {}
         self.times = {name: f"t{i}" for i, name in enumerate(sorted(plan.times))}
+        # Where the facts are rows, no other plan is asked at the same time.
+        self.mark = "$" if names.opening else ""
 
     def compiled(self) -> Find:
         people = [self._person(node, edges) for node, edges in search_order(self.plan)]
@@ -67,39 +70,42 @@ class _Pattern:
         return Find("\n".join(lines), tuple(self.nodes), self.row)
 
     def listed(self) -> Find:
-        """Where the facts are a list: its rows are gone through for a person, and again for each clause.
+        """Where the facts are rows: a list of the names that each clause holds of, and people tried by these lists.
 
         (The engine scans whole tables for a pattern in a subquery, and loses rows of a filtered list.)
         """
-        stages: list[tuple[list[str], str]] = []
-        people: list[str] = []
+        lists: dict[str, str] = {}
+
+        def listed(where: str, what: str) -> str:
+            return lists.setdefault(f"collect(CASE WHEN {where} THEN {what} END)", f"l{len(lists)}")
+
+        people = []
         for place, (node, edges) in enumerate(search_order(self.plan)):
             self.nodes.append(node)
             new = f"n{place}"
-            seen = [self.names.there.format(**self._at(node, time)) for time in times_of(self.plan, node)]
-            others = "".join(f" AND b.id <> {one}" for one in people)
-            stages.append(([*people, f"b.id AS {new}"], seen[0] + others))
-            people.append(new)
+            first, *others = [
+                listed(self.names.there.format(**self._at(node, time)), "id") for time in times_of(self.plan, node)
+            ]
             clauses = [self._condition(place, node, i, one) for i, one in enumerate(self._conditions(node))]
             clauses += [self._edge(i, edge) for i, edge in edges]
-            holds = [f"b.id = {new} AND {text}" for text in seen[1:]] + [clause.sure(at) for clause, at in clauses]
-            stages += [(people[:], text) for text in holds]
-        lines = self._header()
-        carried = ", ".join(["beliefs", "id", *self.row])
-        bound: list[str] = []
-        for shown, where in stages:
-            lines += ["UNWIND beliefs AS b", f"WITH {', '.join([carried, *bound, 'b'])}", f"WHERE {where}"]
-            bound = [name.removeprefix("b.id AS ") for name in shown]
-            lines.append(f"WITH {', '.join([carried, *shown])}")
+            holds = [f"{new} <> n{other}" for other in range(place)]
+            holds += [f"list_contains({other}, {new})" for other in others]
+            for clause, at in clauses:
+                holds.append(f"({clause.sure(at, listed)})")
+            people.append((first, holds))
+        lines = [
+            *self.names.opening.splitlines(),
+            "WITH " + ", ".join(f"{text} AS {name}" for text, name in lists.items()),
+        ]
+        bound = list(lists.values())
+        for place, (first, holds) in enumerate(people):
+            bound.append(f"n{place}")
+            lines += [f"UNWIND {first} AS n{place}", f"WITH {', '.join(bound)}"]
+            lines += [f"WHERE {' AND '.join(holds)}"] if holds else []
         who = [f"who{i}" for i in range(len(people))]
-        lines.append(f"RETURN DISTINCT {', '.join(['id', *(f'{n} AS {w}' for n, w in zip(people, who, strict=True))])}")
-        lines.append(f"ORDER BY {', '.join(['id', *who])}")
+        lines.append(f"RETURN DISTINCT {', '.join(f'n{i} AS {name}' for i, name in enumerate(who))}")
+        lines.append(f"ORDER BY {', '.join(who)}")
         return Find("\n".join(lines), tuple(self.nodes), self.row)
-
-    def _header(self) -> list[str]:
-        """Lines that gather the facts and bind what the plan puts into `$plans`."""
-        bound = ["beliefs", *(f"q.{name} AS {name}" for name in ("id", *self.row))]
-        return [*self.names.opening.splitlines(), "UNWIND $plans AS q", f"WITH {', '.join(bound)}"]
 
     def _person(self, node: str, edges: list[tuple[int, Edge]]) -> tuple[str, list[str], dict[str, str], list[str]]:
         """What to match, what may not be false, what holds for certain by name, and the sightings bound."""
@@ -125,13 +131,13 @@ class _Pattern:
     def _conditions(self, node: str) -> tuple[Condition, ...]:
         return next(one.conditions for one in self.plan.nodes if one.id == node)
 
-    def _condition(self, place: int, node: str, i: int, condition: Condition) -> tuple[Clause, Variables]:
+    def _condition(self, place: int, node: str, i: int, condition: Condition) -> tuple[Any, Variables]:
         """The clause of a condition, and what it is bound to."""
         at = self._at(node, condition.at or times_of(self.plan, node)[0])
         values = self._values(f"c{place}_{i}", condition_values(condition))
         return self.names.conditions[condition_kind(condition)], at | values
 
-    def _edge(self, i: int, edge: Edge) -> tuple[Clause, Variables]:
+    def _edge(self, i: int, edge: Edge) -> tuple[Any, Variables]:
         """The clause of an edge, and what it is bound to."""
         to = self._at(edge.target, edge.at)
         at = self._at(edge.source, edge.at) | {"m": to["n"], "z": to["s"]}
@@ -147,7 +153,7 @@ class _Pattern:
     def _values(self, prefix: str, values: dict[str, Any]) -> dict[str, str]:
         names = {variable: f"{prefix}_{variable}" for variable in values}
         self.row |= {names[variable]: value for variable, value in values.items()}
-        return names
+        return {variable: self.mark + name for variable, name in names.items()}
 
     def _time(self, name: str) -> str:
         """The variable of a stated time."""
@@ -155,7 +161,7 @@ class _Pattern:
         if frame is None:
             raise PlanError(f"times.{name}", "conditions and edges hold at stated frames; an event is only read")
         self.row[self.times[name]] = frame
-        return self.times[name]
+        return self.mark + self.times[name]
 
 
 def search_order(plan: Plan) -> list[tuple[str, list[tuple[int, Edge]]]]:

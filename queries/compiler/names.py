@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
-from typing import Final, Literal
+from typing import Any, Final, Generic, Literal, TypeVar
 
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.vocabulary import (
@@ -28,16 +28,20 @@ from .clauses import Clause, Known, Listed, Rows, Somebody, Tie, Told, Within
 _DEGREES: Final = dict(zip((*WINDOWS_LEFT, *WINDOWS_RIGHT), WINDOW_DEGREES * 2, strict=True))
 
 
+C = TypeVar("C")
+"""How a namespace's clauses tell: by patterns (`Clause`), or by rows (`Told`)."""
+
+
 @dataclass(frozen=True)
-class Names:
+class Names(Generic[C]):
     """A namespace's names. People are told apart by their property `id`.
 
     pattern, there: a person `n` with a sighting `s`, and what makes it one at frame `t` of `scope`; who: the person's
     number or name in its scope; conditions, edges: clauses by kind, see `condition_kind` and `edge_kind`; reads: folder
     of the statements that read answers.
 
-    opening: lines that gather the facts of one scope, `$scope`, in the list `beliefs`. Clauses are then `Told` by its
-    rows, `b`, of which `there` says what makes one a sighting; a person is a name, and no sightings are bound.
+    opening: lines that give the facts of one scope, `$scope`, as rows. Clauses are then `Told` by these, `there` says
+    what makes one a sighting; a person is a name, and no sightings are bound.
     single: what there must be exactly one of: of all people of a plan together, or of its target alone. turned: whether
     windows are told by the angles of two people, so that an edge's value is how many degrees; else it is the window's
     label.
@@ -46,15 +50,15 @@ class Names:
     pattern: str
     there: str
     who: str
-    conditions: Mapping[str, Clause]
-    edges: Mapping[str, Clause]
+    conditions: Mapping[str, C]
+    edges: Mapping[str, C]
     reads: str
     opening: str = ""
     single: Literal["people", "target"] = "people"
     turned: bool = True
 
 
-def read_text(names: Names, name: str) -> str:
+def read_text(names: Names[Any], name: str) -> str:
     """The text of a packaged statement of a namespace."""
     return _packaged(names.reads, name)
 
@@ -92,7 +96,7 @@ def edge_kind(relation: str) -> str:
     return "person"
 
 
-def edge_values(relation: str, names: Names) -> dict[str, str | float]:
+def edge_values(relation: str, names: Names[Any]) -> dict[str, str | float]:
     """The values an edge's clause compares with, by variable; "in the same group as" has none."""
     if relation == SAME_GROUP:
         return {}
@@ -110,7 +114,7 @@ _GROUPED: Final = Rows("({n})-[r:MemberOf]->(g:SocialGroup)", then=Rows("(g)<-[o
 _MEMBER: Final = "EXISTS {{ MATCH ({n})-[r:MemberOf]->(:SocialGroup) WHERE r.first <= {t} AND r.last >= {t} }}"
 _SOCIAL: Final = Tie(_INTERACTS, "{s}.interactions_listed")
 
-SCENE: Final = Names(
+SCENE: Final[Names[Clause]] = Names(
     pattern=_PATTERN,
     there=_THERE,
     who="{n}.track",
@@ -143,33 +147,33 @@ SYMMETRIC: Final = frozenset((*INTERACTIONS, SAME_GROUP))
 """Relations that hold both ways; an agent writes them once."""
 
 
-_DURING: Final = "b.first <= {t} AND b.last >= {t}"
+_DURING: Final = "first <= {t} AND last >= {t}"
 
 
-def _attribute(name: str, value: str = "b.value = {v}") -> Told:
-    return Told((("id", "", f"b.other = '' AND b.name = '{name}' AND {value} AND {_DURING}"),))
+def _attribute(name: str, value: str = "value = {v}") -> Told:
+    return Told((("id", "", f"other = '' AND name = '{name}' AND {value} AND {_DURING}"),))
 
 
 def _relation(name: str, *, both: bool = False) -> Told:
-    where = f"b.other <> '' AND b.name = {name} AND {_DURING}"
+    where = f"other <> '' AND name = {name} AND {_DURING}"
     return Told((("id", "other", where), ("other", "id", where)) if both else (("id", "other", where),))
 
 
 _BELIEVED: Final = _relation("{v}")
 _WITH_ANYBODY: Final = tuple((n, "", where) for n, _, where in _relation("{v}", both=True).ways)
 
-WORLD: Final = Names(
-    pattern="beliefs",
-    there="b.name = '' AND b.first = {t}",
+WORLD: Final[Names[Told]] = Names(
+    pattern="",
+    there="name = '' AND first = {t}",
     who="{n}",
     conditions={
         "gender": _attribute("gender"),
         "age": _attribute("age"),
         "pose": _attribute("action"),
         "action": _attribute("action"),
-        "object": _attribute("object", "b.value = concat({w}, ': ', {v})"),
+        "object": _attribute("object", "value = concat({w}, ': ', {v})"),
         "interaction": Told((*_attribute("interaction").ways, *_WITH_ANYBODY)),
-        "group_size": _attribute("group_size", "b.number = {v}"),
+        "group_size": _attribute("group_size", "number = {v}"),
         "sector": _attribute("sector"),
         "distance": _attribute("distance"),
     },

@@ -19,6 +19,7 @@ from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules, frames
 from jrdb_avr.schema.vocabulary import POSES
 
+from .clauses import Clause
 from .names import Names, edge_kind, edge_values, read_text
 
 Who = int | str
@@ -71,7 +72,7 @@ class Reader(ABC):
     `timeout_s` is for each statement.
     """
 
-    def __init__(self, graph: Queried, names: Names, values: Mapping[str, Any], timeout_s: float) -> None:
+    def __init__(self, graph: Queried, names: Names[Any], values: Mapping[str, Any], timeout_s: float) -> None:
         self.graph = graph
         self.names = names
         self.timeout_s = timeout_s
@@ -119,7 +120,7 @@ class Reader(ABC):
 class SceneReader(Reader):
     """Reads what was annotated, under the rules of its load."""
 
-    def __init__(self, graph: Queried, names: Names, rules: LoadRules, timeout_s: float) -> None:
+    def __init__(self, graph: Queried, names: Names[Clause], rules: LoadRules, timeout_s: float) -> None:
         values = {
             "margin": rules.neighbor_margin_deg,
             "least": frames(rules.segment_min_s),
@@ -199,7 +200,7 @@ class SceneReader(Reader):
 _NEIGHBOURS: Final = (-KEYFRAME_STEP, 0, KEYFRAME_STEP)
 
 
-def compile_count(relation: str, names: Names) -> str:
+def compile_count(relation: str, names: Names[Clause]) -> str:
     """The statement for everybody who is, or could be, in a relation with a person at any frame from t1 to t2."""
     values = edge_values(relation, names)
     clause = names.edges[edge_kind(relation)]

@@ -16,6 +16,7 @@ from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import FPS, Rules
 from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 
+from .clauses import Clause
 from .find import Find, compile_find
 from .names import Names
 from .reads import Person, Queried, Reader, SceneReader, Seen, Segment, Who, events_of
@@ -52,7 +53,7 @@ class Solution:
 
 def solve(
     graph: Queried,
-    names: Names,
+    names: Names[Clause],
     asked: Sequence[Asked],
     rules: Rules,
     *,

@@ -1,8 +1,9 @@
-// Where entities are in observations. The engine finds no key by a row's value: an episode's few nodes are paired, and the pairs matched.
-MATCH (n:Entity)<-[:Holds]-(e:Episode {id: $episode})-[:Made]->(o:Observation)
-WHERE n.id IN $sources AND o.id IN $targets
-WITH n, o
+// Where entities are in observations. The engine finds no key by a row's value, and takes longer for pairs of an episode's nodes: one end is found after the other.
 UNWIND $rows AS r
-WITH n, o, r
-WHERE n.id = r.source AND o.id = r.target
+MATCH (:Episode {id: $episode})-[:Holds]->(n:Entity)
+WITH r, n
+WHERE n.id = r.source
+MATCH (:Episode {id: $episode})-[:Made]->(o:Observation)
+WITH r, n, o
+WHERE o.id = r.target
 CREATE (n)-[:Sighted {episode: r.episode, write: r.write, step: r.step, frame: r.frame, box: {x: r.x, y: r.y, w: r.w, h: r.h}, angle: r.angle, current: r.current, until: r.until}]->(o)

@@ -5,4 +5,3 @@ WITH n.name AS id, coalesce(o.name, '') AS other, coalesce(r.name, '') AS name, 
      coalesce(r.number, 0.0) AS number, coalesce(r.first, r.frame) AS first, coalesce(r.last, r.frame) AS last,
      r.current AS current
 WHERE current
-WITH collect({id: id, other: other, name: name, value: value, number: number, first: first, last: last}) AS beliefs
