@@ -111,7 +111,12 @@ class _Nothing:
     """In the place of a graph, where all that is believed is at hand."""
 
     def query(
-        self, cypher: str, params: Mapping[str, Any] | None = None, *, timeout_s: float | None = None
+        self,
+        cypher: str,
+        params: Mapping[str, Any] | None = None,
+        *,
+        ordered: bool = True,
+        timeout_s: float | None = None,
     ) -> pa.Table:
         raise AssertionError("what is at hand is not asked for")
 

@@ -30,10 +30,18 @@ def bind(cypher: str, params: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
     `LOAD FROM $name`). A final semicolon is taken off. Raises QueryError where there are two statements, the names
     given are not the names used, or a value cannot be bound.
     """
+    values = {name: _plain(name, value) for name, value in params.items()}
+    kinds = [(n, _type(n, value) if isinstance(value, int | list | dict) else None) for n, value in values.items()]
+    return _typed(cypher, tuple(kinds)), values
+
+
+@lru_cache(1024)
+def _typed(cypher: str, kinds: tuple[tuple[str, str | None], ...]) -> str:
+    """The statement with parameters of these names and types, None for those that need not be said."""
     cypher = cypher.strip().removesuffix(";")
     if ";" in strip_literals(cypher):
         raise QueryError("one statement at a time: there is a ';' inside")
-    values = {name: _plain(name, value) for name, value in params.items()}
+    given = dict(kinds)
     used: set[str] = set()
 
     def typed(match: re.Match[str]) -> str:
@@ -42,18 +50,15 @@ def bind(cypher: str, params: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
             return match[0]
         used.add(name)
         # LIMIT and SKIP take a bare parameter only, and convert it themselves.
-        if match["count"] or name not in values:
-            return match[0]
-        value = values[name]
-        kind = _type(name, value) if isinstance(value, int | list | dict) else None
+        kind = None if match["count"] else given.get(name)
         return f"CAST(${name} AS {kind})" if kind else match[0]
 
     text = _TOKEN.sub(typed, cypher)
-    if used != values.keys():
-        missing = ", ".join(f"${name}" for name in sorted(used - values.keys()))
-        extra = ", ".join(sorted(values.keys() - used))
+    if used != given.keys():
+        missing = ", ".join(f"${name}" for name in sorted(used - given.keys()))
+        extra = ", ".join(sorted(given.keys() - used))
         raise QueryError(f"give a value for {missing}" if missing else f"the statement has no parameter {extra}")
-    return text, values
+    return text
 
 
 def parameters(cypher: str) -> list[str]:

@@ -72,9 +72,13 @@ class BeliefReader(Reader):
         self._sightings: dict[Who, list[Sighting]] = {}
 
     def ask(self, cypher: str, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-        """The rows of a compiled statement, asked for one plan after the other. Raises QueryError."""
+        """The rows of a compiled statement, asked for one plan after the other, in any order. Raises QueryError."""
         own = [name for name in parameters(cypher) if name != "scope"]
-        return [{"id": row["id"], **found} for row in rows for found in self._queried(cypher, {n: row[n] for n in own})]
+        return [
+            {"id": row["id"], **found}
+            for row in rows
+            for found in self._queried(cypher, {name: row[name] for name in own}, ordered=False)
+        ]
 
     # -- what is there --------------------------------------------------------------------------------------------
 

@@ -24,7 +24,7 @@ class Find:
 
     cypher: gives columns id, who0, who1, ... and sure0, sure1, ..., ordered; nodes: the plan's nodes in the order of
     `who`; row: what the plan puts into `$plans`, but for `id` and `scope`. Where the facts are rows, there is no `id`
-    and nothing that is not sure, and the values of `row` are the parameters.
+    and nothing that is not sure, rows have no order and may come twice, and the values of `row` are the parameters.
     """
 
     cypher: str
@@ -103,8 +103,7 @@ class _Pattern:
             lines += [f"UNWIND {first} AS n{place}", f"WITH {', '.join(bound)}"]
             lines += [f"WHERE {' AND '.join(holds)}"] if holds else []
         who = [f"who{i}" for i in range(len(people))]
-        lines.append(f"RETURN DISTINCT {', '.join(f'n{i} AS {name}' for i, name in enumerate(who))}")
-        lines.append(f"ORDER BY {', '.join(who)}")
+        lines.append(f"RETURN {', '.join(f'n{i} AS {name}' for i, name in enumerate(who))}")
         return Find("\n".join(lines), tuple(self.nodes), self.row)
 
     def _person(self, node: str, edges: list[tuple[int, Edge]]) -> tuple[str, list[str], dict[str, str], list[str]]:

@@ -147,15 +147,15 @@ SYMMETRIC: Final = frozenset((*INTERACTIONS, SAME_GROUP))
 """Relations that hold both ways; an agent writes them once."""
 
 
-_DURING: Final = "first <= {t} AND last >= {t}"
+_DURING: Final = "r.first <= {t} AND r.last >= {t}"
 
 
-def _attribute(name: str, value: str = "value = {v}") -> Told:
-    return Told((("id", "", f"other = '' AND name = '{name}' AND {value} AND {_DURING}"),))
+def _attribute(name: str, value: str = "r.value = {v}") -> Told:
+    return Told((("id", "", f"r.name = '{name}' AND {value} AND {_DURING}"),))
 
 
 def _relation(name: str, *, both: bool = False) -> Told:
-    where = f"other <> '' AND name = {name} AND {_DURING}"
+    where = f"other IS NOT NULL AND r.name = {name} AND {_DURING}"
     return Told((("id", "other", where), ("other", "id", where)) if both else (("id", "other", where),))
 
 
@@ -164,16 +164,16 @@ _WITH_ANYBODY: Final = tuple((n, "", where) for n, _, where in _relation("{v}", 
 
 WORLD: Final[Names[Told]] = Names(
     pattern="",
-    there="name = '' AND first = {t}",
+    there="r.frame = {t}",
     who="{n}",
     conditions={
         "gender": _attribute("gender"),
         "age": _attribute("age"),
         "pose": _attribute("action"),
         "action": _attribute("action"),
-        "object": _attribute("object", "value = concat({w}, ': ', {v})"),
+        "object": _attribute("object", "r.value = concat({w}, ': ', {v})"),
         "interaction": Told((*_attribute("interaction").ways, *_WITH_ANYBODY)),
-        "group_size": _attribute("group_size", "number = {v}"),
+        "group_size": _attribute("group_size", "r.number = {v}"),
         "sector": _attribute("sector"),
         "distance": _attribute("distance"),
     },

@@ -30,7 +30,12 @@ class Queried(Protocol):
     """A graph as far as it is read here: `Graph`, or the world model's handle."""
 
     def query(
-        self, cypher: str, params: Mapping[str, Any] | None = None, *, timeout_s: float | None = None
+        self,
+        cypher: str,
+        params: Mapping[str, Any] | None = None,
+        *,
+        ordered: bool = True,
+        timeout_s: float | None = None,
     ) -> pa.Table: ...
 
 
@@ -84,10 +89,11 @@ class Reader(ABC):
             return []
         return self._queried(cypher, {"plans": list(rows)})
 
-    def _queried(self, cypher: str, given: dict[str, Any]) -> list[dict[str, Any]]:
+    def _queried(self, cypher: str, given: dict[str, Any], *, ordered: bool = True) -> list[dict[str, Any]]:
         values = {name: self._values[name] for name in parameters(cypher) if name not in given}
-        found: list[dict[str, Any]] = self.graph.query(cypher, given | values, timeout_s=self.timeout_s).to_pylist()
-        return found
+        found = self.graph.query(cypher, given | values, ordered=ordered, timeout_s=self.timeout_s)
+        rows: list[dict[str, Any]] = found.to_pylist()
+        return rows
 
     def _read(self, name: str, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         return self.ask(read_text(self.names, name), rows)
