@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import queue
 import threading
 import time
@@ -60,21 +61,20 @@ def _limited(stream: httpx2.SyncByteStream, request: httpx2.Request) -> httpx2.S
 
 
 def within(seconds: float, work: Callable[[], T]) -> T:
-    """The result of `work`, which a thread of its own does. Raises what that raises, and TimeoutError where it is not
-    done in time: the thread is left to itself then.
+    """The result of `work`, which another thread does. Raises what that raises, and TimeoutError where it is not done
+    in time: the thread is left to itself then.
 
     The transport's own timeouts bound each wait for a byte, and it waits for as many as a reply's head and the
     announcements before it (102 Processing) may have.
     """
-    done: queue.SimpleQueue[tuple[Any, BaseException | None]] = queue.SimpleQueue()
-
-    def do() -> None:
-        try:
-            done.put((work(), None))
-        except BaseException as error:
-            done.put((None, error))
-
-    threading.Thread(target=do, daemon=True).start()
+    done: _Done = queue.SimpleQueue()
+    try:
+        # Threads are kept: to make one takes longer than much of a call.
+        given = _idle.pop()
+    except IndexError:
+        given = queue.SimpleQueue()
+        threading.Thread(target=_serve, args=(given,), daemon=True).start()
+    given.put((work, done))
     try:
         result, error = done.get(timeout=seconds)
     except queue.Empty:
@@ -83,3 +83,26 @@ def within(seconds: float, work: Callable[[], T]) -> T:
         raise error
     found: T = result
     return found
+
+
+_Done = queue.SimpleQueue[tuple[Any, BaseException | None]]
+
+_idle: Final[list[queue.SimpleQueue[tuple[Callable[[], Any], _Done]]]] = []
+"""What threads that have nothing to do wait for."""
+
+# A forked process has none of them.
+os.register_at_fork(after_in_child=_idle.clear)
+
+
+def _serve(given: queue.SimpleQueue[tuple[Callable[[], Any], _Done]]) -> None:
+    while True:
+        work, done = given.get()
+        outcome: tuple[Any, BaseException | None]
+        try:
+            outcome = work(), None
+        except BaseException as error:
+            outcome = None, error
+        _idle.append(given)
+        done.put(outcome)
+        # Nothing of the work is kept while waiting for more.
+        del work, done, outcome

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import base64
-import functools
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
 import msgspec
@@ -19,18 +18,20 @@ JPEG_QUALITY: Final = 95
 
 @dataclass(frozen=True)
 class Picture:
-    """JPEG bytes that travel inline; `name` stands for them wherever bytes are left out."""
+    """JPEG bytes that travel inline; `name` stands for them wherever bytes are left out.
+
+    uri, digest: of the bytes, made with the picture: a cached property would be made under a lock that all pictures of
+    a run share.
+    """
 
     name: str
     data: bytes
+    uri: str = field(init=False, repr=False, compare=False)
+    digest: str = field(init=False, repr=False, compare=False)
 
-    @functools.cached_property
-    def uri(self) -> str:
-        return "data:image/jpeg;base64," + base64.b64encode(self.data).decode()
-
-    @functools.cached_property
-    def digest(self) -> str:
-        return "sha256:" + hashlib.sha256(self.data).hexdigest()
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "uri", "data:image/jpeg;base64," + base64.b64encode(self.data).decode())
+        object.__setattr__(self, "digest", "sha256:" + hashlib.sha256(self.data).hexdigest())
 
 
 Part = str | Picture

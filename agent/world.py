@@ -399,7 +399,17 @@ class Episode:
         """What `get_graph` shows: observations and what is currently believed, and `missing`: what the plan still
         lacks.
         """
-        edges = sorted(self._edges.values(), key=lambda edge: edge.write)
+        sightings: dict[str, list[dict[str, Any]]] = {entity.id: [] for entity in self._entities.values()}
+        attributes: dict[str, list[dict[str, Any]]] = {key: [] for key in sightings}
+        relations = []
+        for edge in sorted(self._edges.values(), key=lambda edge: edge.write):
+            match edge:
+                case SightedRow():
+                    sightings[edge.source].append(shown_sighting(edge))
+                case HasRow():
+                    attributes[edge.source].append(shown_attribute(edge))
+                case RelatedRow():
+                    relations.append(shown_relation(edge))
         return {
             "observations": [{"observation": name, **seen.said} for name, seen in self._observations.items()],
             "entities": [
@@ -407,15 +417,11 @@ class Episode:
                     "id": entity.name,
                     "kind": entity.kind,
                     **({"node": entity.node} if entity.node else {}),
-                    "sightings": [
-                        shown_sighting(e) for e in edges if isinstance(e, SightedRow) and e.source == entity.id
-                    ],
-                    "attributes": [
-                        shown_attribute(e) for e in edges if isinstance(e, HasRow) and e.source == entity.id
-                    ],
+                    "sightings": sightings[entity.id],
+                    "attributes": attributes[entity.id],
                 }
                 for entity in self._entities.values()
             ],
-            "relations": [shown_relation(e) for e in edges if isinstance(e, RelatedRow)],
+            "relations": relations,
             "missing": list(missing),
         }

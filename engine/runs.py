@@ -373,6 +373,10 @@ def ask_all(
     The threads are daemons and one thread writes: an interrupt ends the process within seconds, and loses only what is
     in flight.
     """
+    import cv2
+
+    # Its pool's threads go on spinning after each small piece of work, and the questions in flight are threads enough.
+    cv2.setNumThreads(1)
     waiting: queue.SimpleQueue[Question] = queue.SimpleQueue()
     done: queue.SimpleQueue[Finished | BaseException] = queue.SimpleQueue()
     held = {name for name, entry in journal.finished.items() if not entry.failed}
