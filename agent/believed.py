@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from jrdb_avr.schema.vocabulary import FIRST_LEFT, FIRST_RIGHT, INTERACTIONS, POSES, SAME_GROUP
@@ -53,21 +54,45 @@ def name_of(key: str) -> str:
     return key.rpartition("/")[2]
 
 
-def belief_row(edge: Edge) -> tuple[str, dict[str, Any]]:
-    """A current edge as a statement of `queries/reads/world` gives it, and that one's name."""
-    match edge:
-        case SightedRow():
-            box, angle, written = edge.box._asdict(), edge.angle, edge.write
-            seen = {"who": name_of(edge.source), "frame": edge.frame, "box": box, "angle": angle, "written": written}
-            return "sighted", seen
-        case HasRow():
-            told = {"who": name_of(edge.source), "name": edge.name, "value": edge.value, "number": edge.number}
-            return "attributes", told | {"first": edge.first, "last": edge.last}
+@dataclass(frozen=True, slots=True)
+class Believed:
+    """A current edge. kind, row: the name of the statement of `queries/reads/world` that gives it, and what it gives;
+    shown: what the model is shown of it. Made once: both are asked for after every turn.
+    """
+
+    edge: Edge
+    kind: str
+    row: Mapping[str, Any]
+    shown: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, edge: Edge) -> Believed:
+        """What is believed by this edge."""
+        match edge:
+            case SightedRow():
+                return cls(edge, "sighted", _sighted_row(edge), _shown_sighting(edge))
+            case HasRow():
+                return cls(edge, "attributes", _attribute_row(edge), _shown_attribute(edge))
+            case RelatedRow():
+                return cls(edge, "relations", _relation_row(edge), _shown_relation(edge))
+
+
+def _sighted_row(edge: SightedRow) -> dict[str, Any]:
+    box, written = edge.box._asdict(), edge.write
+    return {"who": name_of(edge.source), "frame": edge.frame, "box": box, "angle": edge.angle, "written": written}
+
+
+def _attribute_row(edge: HasRow) -> dict[str, Any]:
+    told = {"who": name_of(edge.source), "name": edge.name, "value": edge.value, "number": edge.number}
+    return told | {"first": edge.first, "last": edge.last}
+
+
+def _relation_row(edge: RelatedRow) -> dict[str, Any]:
     ends = {"source": name_of(edge.source), "name": edge.name, "target": name_of(edge.target)}
-    return "relations", ends | {"first": edge.first, "last": edge.last}
+    return ends | {"first": edge.first, "last": edge.last}
 
 
-def shown_sighting(edge: SightedRow) -> dict[str, Any]:
+def _shown_sighting(edge: SightedRow) -> dict[str, Any]:
     """The box in stitched pixels, x, y, w, h."""
     return {
         "observation": name_of(edge.target),
@@ -77,7 +102,7 @@ def shown_sighting(edge: SightedRow) -> dict[str, Any]:
     }
 
 
-def shown_attribute(edge: HasRow) -> dict[str, Any]:
+def _shown_attribute(edge: HasRow) -> dict[str, Any]:
     """Name and value, at the frame where it holds at one only."""
     return {
         "name": edge.name,
@@ -87,7 +112,7 @@ def shown_attribute(edge: HasRow) -> dict[str, Any]:
     }
 
 
-def shown_relation(edge: RelatedRow) -> dict[str, Any]:
+def _shown_relation(edge: RelatedRow) -> dict[str, Any]:
     """Who stands in which relation to whom, at which frame."""
     return {
         "source": name_of(edge.source),

@@ -11,7 +11,7 @@ engine. The tables, which the solver reads, hold the same.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -40,13 +40,10 @@ from jrdb_avr.schema.world import (
 )
 
 from .believed import (
+    Believed,
     Edge,
-    belief_row,
     name_of,
     place_of,
-    shown_attribute,
-    shown_relation,
-    shown_sighting,
     sighting_place,
 )
 from .grounding import (
@@ -152,7 +149,7 @@ class Episode:
         self._entities: dict[str, EntityRow] = {}
         self._nodes: frozenset[str] = frozenset()
         # The edges that are current, each under what it is that a later write of the same replaces.
-        self._edges: dict[Hashable, Edge] = {}
+        self._edges: dict[Hashable, Believed] = {}
         self._row = EpisodeRow(self.key, run_id, question.question_id, question.sequence, "")
         self._write("begin", {"question_id": question.question_id}, 0, Fact(episode=self._row))
         self._together = False
@@ -322,7 +319,7 @@ class Episode:
     def _replaced(self, edge: Edge) -> tuple[int, ...]:
         """The write of the edge that this one takes the place of, if there is one."""
         before = self._edges.get(place_of(edge))
-        return () if before is None else (before.write,)
+        return () if before is None else (before.edge.write,)
 
     # -- writing ------------------------------------------------------------------------------------------------------
 
@@ -338,7 +335,7 @@ class Episode:
                 self._entities[entity.name] = entity
         for edge in (fact.sighted, fact.has, fact.related):
             if edge is not None:
-                self._edges[place_of(edge)] = edge
+                self._edges[place_of(edge)] = Believed.of(edge)
         return DONE
 
     def _write(self, tool: Tool, arguments: object, step: int, fact: Fact) -> None:
@@ -373,14 +370,17 @@ class Episode:
 
     # -- what is believed ---------------------------------------------------------------------------------------------
 
-    def rows(self) -> dict[str, list[dict[str, Any]]]:
+    def rows(self) -> dict[str, list[Mapping[str, Any]]]:
         """What is currently believed, as the statements of `queries/reads/world` give it, by their names."""
-        rows: dict[str, list[dict[str, Any]]] = {"sighted": [], "attributes": [], "relations": []}
-        for edge in self._edges.values():
-            kind, row = belief_row(edge)
-            rows[kind].append(row)
-        looks = [{"frame": seen.frame, "edge": seen.left, "width": seen.width} for seen in self._observations.values()]
-        entities = [{"who": entity.name, "node": entity.node} for entity in self._entities.values()]
+        rows: dict[str, list[Mapping[str, Any]]] = {"sighted": [], "attributes": [], "relations": []}
+        for one in self._edges.values():
+            rows[one.kind].append(one.row)
+        looks: list[Mapping[str, Any]] = [
+            {"frame": seen.frame, "edge": seen.left, "width": seen.width} for seen in self._observations.values()
+        ]
+        entities: list[Mapping[str, Any]] = [
+            {"who": entity.name, "node": entity.node} for entity in self._entities.values()
+        ]
         return {
             "sighted": sorted(rows["sighted"], key=lambda row: (row["who"], row["frame"], row["written"])),
             "attributes": sorted(
@@ -399,17 +399,17 @@ class Episode:
         """What `get_graph` shows: observations and what is currently believed, and `missing`: what the plan still
         lacks.
         """
-        sightings: dict[str, list[dict[str, Any]]] = {entity.id: [] for entity in self._entities.values()}
-        attributes: dict[str, list[dict[str, Any]]] = {key: [] for key in sightings}
+        sightings: dict[str, list[Mapping[str, Any]]] = {entity.id: [] for entity in self._entities.values()}
+        attributes: dict[str, list[Mapping[str, Any]]] = {key: [] for key in sightings}
         relations = []
-        for edge in sorted(self._edges.values(), key=lambda edge: edge.write):
-            match edge:
-                case SightedRow():
-                    sightings[edge.source].append(shown_sighting(edge))
-                case HasRow():
-                    attributes[edge.source].append(shown_attribute(edge))
+        for one in sorted(self._edges.values(), key=lambda one: one.edge.write):
+            match one.edge:
+                case SightedRow(source=source):
+                    sightings[source].append(one.shown)
+                case HasRow(source=source):
+                    attributes[source].append(one.shown)
                 case RelatedRow():
-                    relations.append(shown_relation(edge))
+                    relations.append(one.shown)
         return {
             "observations": [{"observation": name, **seen.said} for name, seen in self._observations.items()],
             "entities": [

@@ -12,6 +12,7 @@ error. Only the public question tables and images are read here.
 from __future__ import annotations
 
 import fcntl
+import math
 import os
 import queue
 import threading
@@ -79,18 +80,16 @@ _KINDS: Final[dict[pa.DataType, Any]] = {
     pa.float64(): float,
     pa.bool_(): bool,
 }
-_STORABLE: Final = msgspec.json.Decoder(
-    msgspec.defstruct(
-        "Storable",
-        [
-            ("question_id", str),
-            ("prediction", _row_type("predictions")),
-            ("steps", list[_row_type("steps")]),  # type: ignore[misc]
-            ("world", list[_row_type("world")], []),  # type: ignore[misc]
-        ],
-    )
+_STORABLE: Final = msgspec.defstruct(
+    "Storable",
+    [
+        ("question_id", str),
+        ("prediction", _row_type("predictions")),
+        ("steps", list[_row_type("steps")]),  # type: ignore[misc]
+        ("world", list[_row_type("world")], []),  # type: ignore[misc]
+    ],
 )
-"""Of lines of the journal that the tables can hold."""
+"""What the tables can hold of a finished question."""
 
 
 # -- what is asked ----------------------------------------------------------------------------------------------------
@@ -301,9 +300,10 @@ def _check(entry: Finished, question: Question) -> None:
         raise ValueError(f"{entry.prediction['status']!a} is no status of a prediction"[:120])
     if (answer := entry.prediction["answer"]) is not None:
         decode_answer(question.answer_mode, answer)
-    line = msgspec.json.encode(entry)
-    _STORABLE.decode(line)
-    if _FINISHED.decode(line) != entry:
+    msgspec.json.encode(entry)
+    msgspec.convert(entry, _STORABLE, from_attributes=True)
+    values = (value for row in (entry.prediction, *entry.steps, *entry.world) for value in row.values())
+    if not all(math.isfinite(value) for value in values if isinstance(value, float)):
         raise ValueError("what the method returned or recorded holds a number that is none (NaN, infinity)")
 
 
