@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import msgspec
 
@@ -29,8 +29,6 @@ from jrdb_avr.schema.world import (
 from .world import WorldGraph
 from .world_tables import Statement
 
-T = TypeVar("T")
-
 Edge = SightedRow | HasRow | RelatedRow
 
 LONGEST: Final = 5
@@ -39,8 +37,11 @@ LONGEST: Final = 5
 FEW: Final = 2
 """Edges of a table that are made one by one at most: to make more together takes as long as these."""
 
-MANY: Final = 24
-"""Rows that one statement makes at most: it is done in a few milliseconds, and others need not wait for it longer."""
+MANY: Final = 48
+MANY_EDGES: Final = 24
+"""Nodes and edges that one statement makes at most: it is done in a few milliseconds, and others need not wait for it
+longer.
+"""
 
 _EDGES: Final[dict[type[Edge], str]] = {SightedRow: "sighted", HasRow: "has", RelatedRow: "related"}
 """The name of an edge's statements."""
@@ -152,7 +153,7 @@ class _Changes:
         if len(edges) <= FEW:
             yield from ((_text(name), edge) for edge in edges)
             return
-        yield from _rows(f"{name}_many", episode, edges)
+        yield from _rows(f"{name}_many", episode, edges, MANY_EDGES)
 
     def _columns(self, edge: Edge) -> dict[str, Any]:
         values = msgspec.structs.asdict(edge)
@@ -186,14 +187,10 @@ def _lines(episode: str, made: Sequence[tuple[Write, Fact]]) -> Iterator[Stateme
     return _rows("write", episode, lines)
 
 
-def _rows(name: str, episode: str, rows: Sequence[Mapping[str, Any]]) -> Iterator[Statement]:
-    for some in _some(rows):
-        yield _text(name), {"episode": episode, "rows": some}
-
-
-def _some(rows: Sequence[T]) -> Iterator[Sequence[T]]:
-    """The rows, `MANY` at a time."""
-    return (rows[start : start + MANY] for start in range(0, len(rows), MANY))
+def _rows(name: str, episode: str, rows: Sequence[Mapping[str, Any]], most: int = MANY) -> Iterator[Statement]:
+    """Statements that make rows, `most` of them at a time."""
+    for start in range(0, len(rows), most):
+        yield _text(name), {"episode": episode, "rows": rows[start : start + most]}
 
 
 DROPPED: Final = ("entity", "observation", "slot", "write", "episode")
