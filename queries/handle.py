@@ -23,7 +23,6 @@ import re
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -51,9 +50,9 @@ _ONE_CHUNK: Final = 100_000
 """Rows up to which a result is one chunk of its own size; the engine's own are of ten million cells, full or not."""
 
 _PREPARED: Final = 256
-"""Statements that a graph keeps prepared at a time, and uses of one before it is planned anew: the tables grow, and
-with them the best way through them may change. Also plannings before a connection is given up for a new one: the engine
-keeps every statement that was planned with parameters, half a megabyte each, until its connection ends."""
+"""Statements that a graph keeps prepared at a time: parsed, that is; the engine plans them at each use. Also plannings
+before a connection is given up for a new one: the engine keeps every statement that was given to it with parameters,
+half a megabyte each, until its connection ends."""
 
 _SIDE_FILES: Final = (".wal", ".shadow", ".tmp")
 
@@ -88,14 +87,6 @@ _registry: dict[Path, _Shared] = {}
 _registry_lock = threading.Lock()
 
 
-@dataclass
-class _Prepared:
-    """A statement of the engine, planned, and how often it has been used."""
-
-    statement: Any
-    uses: int = 0
-
-
 class Graph:
     """A session on a graph. Made by `Graph.open` or `Graph.memory`; a context manager; closed once used."""
 
@@ -112,7 +103,7 @@ class Graph:
         self._connection = kuzu.Connection(database)
         self._plans: dict[str, Plan] = {}
         self._prepares = prepares
-        self._prepared: dict[str, _Prepared] = {}
+        self._prepared: dict[str, Any] = {}
         self._planned = 0
         self._in_transaction = False
         self._closed = False
@@ -132,7 +123,7 @@ class Graph:
         """Open the graph file at `path`, made by `build_graph`.
 
         threads: of the engine, as many as there are processors where 0; who opens the file first in this process
-        decides. prepares: statements with parameters are planned once for many uses, which halves the time of small
+        decides. prepares: statements with parameters are parsed once for many uses, which halves the time of small
         ones.
         Raises StoreError where there is none, or one that is cut short or of another version, and LockedError naming
         the holder where another process writes it (or, for writing, reads it).
@@ -308,16 +299,15 @@ class Graph:
             self._planned += bool(values)
             return text
         kept = self._prepared.get(text)
-        if kept is None or kept.uses >= _PREPARED:
+        if kept is None:
             import kuzu
 
-            kept = _Prepared(kuzu.PreparedStatement(self._connection, text, dict(values)))
+            kept = kuzu.PreparedStatement(self._connection, text, dict(values))
             self._planned += 1
             if len(self._prepared) >= _PREPARED:
                 self._prepared.clear()
             self._prepared[text] = kept
-        kept.uses += 1
-        return kept.statement
+        return kept
 
     def _run(self, text: str, values: Mapping[str, Any], timeout_s: float | None) -> pa.Table:
         if self._closed:
