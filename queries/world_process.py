@@ -236,8 +236,10 @@ def _stay() -> None:
     processor that rests takes longer than most of these steps.
     """
     if hasattr(os, "sched_setaffinity"):
-        processors = sorted(os.sched_getaffinity(0))
-        os.sched_setaffinity(0, {processors[os.getpid() % len(processors)]})
+        # A sandbox may refuse it.
+        with contextlib.suppress(OSError):
+            processors = sorted(os.sched_getaffinity(0))
+            os.sched_setaffinity(0, {processors[os.getpid() % len(processors)]})
 
 
 def _stream(table: pa.Table) -> bytes:
