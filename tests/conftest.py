@@ -101,16 +101,18 @@ def cheap_loads():
 
 @pytest.fixture(scope="session", autouse=True)
 def cheap_processes():
-    """Workers, readers of a graph and statements run in processes of their own that have everything imported.
+    """Workers, readers of a graph, statements and the marker model run in processes that have everything imported.
 
     Commands that the tests run as processes start theirs from nothing, as users' do.
     """
     import warm
 
+    from jrdb_avr.agent.marker import child
     from jrdb_avr.loaders import shards, verify
     from jrdb_avr.queries import guard
 
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(child, "subprocess", warm.MARKERS)
         patch.setattr(guard, "subprocess", warm.STATEMENTS)
         patch.setattr(shards, "multiprocessing", warm.PROCESSES)
         patch.setattr(verify, "multiprocessing", warm.PROCESSES)

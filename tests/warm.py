@@ -1,6 +1,7 @@
 """Processes that begin with everything imported: each is forked off one that has, where starting Python anew would cost
 more than what the process is for."""
 
+import contextlib
 import multiprocessing
 import os
 import subprocess
@@ -20,6 +21,7 @@ IMPORTED = (
     "httpx2",
     "pyarrow.parquet",
     "jrdb_avr.agent.client",
+    "jrdb_avr.agent.marker.__main__",
     "jrdb_avr.agent.react",
     "jrdb_avr.agent.reference.method",
     "jrdb_avr.agent.world",
@@ -120,3 +122,36 @@ def _served(command, *, input, capture_output, timeout, check):
 
 STATEMENTS = SimpleNamespace(run=_served, TimeoutExpired=subprocess.TimeoutExpired)
 """For `guard.subprocess`: the child that runs a Cypher statement."""
+
+
+@contextlib.contextmanager
+def _serving(command, *, stdin, stdout, text):
+    """As `subprocess.Popen` of `python -m jrdb_avr.agent.marker`: what is said, and the lifeline, are pipes as well."""
+    assert command[1:3] == ["-m", "jrdb_avr.agent.marker"] and stdin == stdout == subprocess.PIPE and text
+    held, lifeline = multiprocessing.Pipe(duplex=False)
+    said, told = multiprocessing.Pipe(duplex=False)
+    process = context().Process(target=_marker, args=(command[3:], held, told), daemon=True)
+    process.start()
+    held.close()
+    told.close()
+    with lifeline, said, open(said.fileno(), closefd=False) as lines:
+        try:
+            yield SimpleNamespace(stdout=lines, kill=process.kill)
+        finally:
+            process.join()
+            process.close()
+
+
+def _marker(arguments, held, told):
+    from jrdb_avr.agent.marker.__main__ import main
+
+    for number, pipe in enumerate((held, told)):
+        os.dup2(pipe.fileno(), number)
+        pipe.close()
+    sys.stdin, sys.stdout = open(0, closefd=False), open(1, "w", closefd=False)
+    sys.argv = ["marker", *arguments]
+    main()
+
+
+MARKERS = SimpleNamespace(Popen=_serving, PIPE=subprocess.PIPE)
+"""For `child.subprocess`: the child that serves the marker model."""
