@@ -1,24 +1,106 @@
-"""The tables of small worlds without the graph and the manifest: all that searching a sequence reads."""
+"""Small worlds loaded without what a test does not look at: the graph, the manifest, or the files of the tables.
 
+store = quick_store(tmp_path, world)    # all that searching a sequence reads
+store = memory_store(tmp_path, world)   # the same, the tables in memory
+store = graphless_store(tmp_path, world)    # all that generation reads
+"""
+
+import contextlib
 from pathlib import Path
 
 import pytest
-from worlds import write_root
+from worlds import load_world, write_root
 
 from jrdb_avr.loaders import load
 from jrdb_avr.loaders.layers import find_root
 from jrdb_avr.loaders.load import Shard, load_shard
-from jrdb_avr.queries.store import Store
+from jrdb_avr.queries.store import SequenceEntry, Store, write_table
 from jrdb_avr.schema.rules import LoadRules
+from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS
 
 
 def quick_store(folder, world):
     """Write a world, load its sequences one by one, and return the store. Raises InputError for unusable worlds."""
-    root = write_root(Path(folder) / "root", world)
     store = Store(Path(folder) / "store")
-    with pytest.MonkeyPatch.context() as patch:
-        # What a graph would be built from.
-        patch.setattr(load, "stage_scene", lambda *arguments: None)
-        for files in find_root(root).sequences:
-            load_shard(Shard(files, str(store.path), LoadRules()))
+    with _instead(stage_scene=_nothing):
+        _load_each(folder, world, store)
     return store
+
+
+def memory_store(folder, world):
+    """As `quick_store`; its tables are as their files would give them."""
+    store = MemoryStore(Path(folder) / "store")
+    with _instead(_write=store.keep):
+        _load_each(folder, world, store)
+    return store
+
+
+def graphless_store(folder, world):
+    """A world loaded as the command does, manifest and all, without its graph."""
+
+    def build(index):
+        Store(index.staging).write_manifest(index.manifest)
+        return []
+
+    with _instead(stage_scene=_nothing, _build=build):
+        return load_world(folder, world)
+
+
+class MemoryStore(Store):
+    """A store with tables in memory. An annotation table's file is written when somebody asks where it is."""
+
+    def __init__(self, path):
+        super().__init__(path)
+        self._annotations, self._intervals = {}, {}
+
+    @property
+    def sequences(self):
+        """Those with anything to read, by name."""
+        return sorted({name for _, name in self._intervals})
+
+    def keep(self, staging, sequence, annotations, intervals):
+        """In place of writing what a sequence's files gave."""
+        for kept, tables, schemas in (
+            (self._annotations, annotations, ANNOTATIONS),
+            (self._intervals, intervals, INTERVALS),
+        ):
+            for name, table in tables.items():
+                schema = schemas[name]
+                kept[name, sequence] = table.select(schema.names).cast(schema).replace_schema_metadata(None)
+        return SequenceEntry(tuple(intervals["sequence"]["layers"][0].as_py()), {})
+
+    def interval(self, kind, sequence, columns=None):
+        table = self._intervals[kind, sequence]
+        return table if columns is None else table.select(columns)
+
+    def annotation_path(self, layer, sequence):
+        path = super().annotation_path(layer, sequence)
+        if (layer, sequence) in self._annotations and not path.exists():
+            write_table(path, self._annotations[layer, sequence], ANNOTATIONS[layer])
+        return path
+
+    def written(self):
+        """The same store with all of its files."""
+        for layer, sequence in self._annotations:
+            self.annotation_path(layer, sequence)
+        for (kind, sequence), table in self._intervals.items():
+            self.write_interval(kind, sequence, table)
+        return Store(self.path)
+
+
+def _load_each(folder, world, store):
+    for files in find_root(write_root(Path(folder) / "root", world)).sequences:
+        load_shard(Shard(files, str(store.path), LoadRules()))
+
+
+@contextlib.contextmanager
+def _instead(**parts):
+    """Something else in place of parts of the load."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, part in parts.items():
+            patch.setattr(load, name, part)
+        yield
+
+
+def _nothing(*arguments):
+    """In place of writing down what a graph is built from."""

@@ -12,7 +12,7 @@ import pytest
 from effort import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from quick_store import quick_store
+from quick_store import memory_store, quick_store
 from worlds import member, person, person_3d
 
 from jrdb_avr.engine.candidates import PASSED
@@ -174,7 +174,7 @@ def tried(scene, store, names):
 def compare(seed):
     """Check one world; returns how many questions of each form it has."""
     with tempfile.TemporaryDirectory() as folder:
-        store = quick_store(folder, busy_world(random.Random(seed)))
+        store = memory_store(folder, busy_world(random.Random(seed)))
         scene = load_scene(store, NAME)
         names, found = searched(scene)
         expected = tried(scene, store, names)

@@ -15,8 +15,8 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from quick_store import graphless_store
 from test_generate_oracle import lively_world
-from worlds import load_world
 
 from jrdb_avr.engine import views
 from jrdb_avr.engine.commands.generate import command
@@ -54,7 +54,7 @@ def files(store):
 def made(tmp_path_factory):
     """(store, report, path of the candidates file) of a generation over three worlds."""
     folder = tmp_path_factory.mktemp("made")
-    store = load_world(folder, three_worlds())
+    store = graphless_store(folder, three_worlds())
     report = generate(store, Rules(), candidates=folder / "candidates.parquet", **HOW)
     return store, report, folder / "candidates.parquet"
 
@@ -63,7 +63,7 @@ def made(tmp_path_factory):
 def one(tmp_path_factory):
     """The same as `made`, over one world with much to ask: for tests that generate again. Not to be written to."""
     folder = tmp_path_factory.mktemp("one")
-    store = load_world(folder, lively_world(random.Random(0), NAMES[0]))
+    store = graphless_store(folder, lively_world(random.Random(0), NAMES[0]))
     report = generate(store, Rules(), candidates=folder / "candidates.parquet", **HOW)
     return store, report
 
@@ -246,7 +246,7 @@ def shuffled(world, seed):
 
 
 def test_files_do_not_depend_on_workers_input_order_or_hash_seed(made, tmp_path):
-    load_world(tmp_path, shuffled(three_worlds(), 1))
+    graphless_store(tmp_path, shuffled(three_worlds(), 1))
     environment = os.environ | {"PYTHONHASHSEED": "77"}
     call = [Path(sys.executable).parent / "jrdb-avr", "generate", "--store", tmp_path / "store", "--workers", "3"]
     subprocess.run(call, check=True, env=environment, capture_output=True, timeout=300)
@@ -308,7 +308,7 @@ def test_a_second_writer_is_refused(made):
 
 def test_missing_layers_are_named(tmp_path):
     world = {NAMES[0]: {"2d": lively_world(random.Random(3), NAMES[0])[NAMES[0]]["2d"]}}
-    store = load_world(tmp_path, world)
+    store = graphless_store(tmp_path, world)
     result = CliRunner().invoke(command, ["--store", str(store.path), "--workers", "1"])
     assert result.exit_code == 0, result.output
     assert "distance: skipped, the layer 3d is missing" in result.output
@@ -319,7 +319,7 @@ def test_missing_layers_are_named(tmp_path):
 
 
 def test_a_world_without_anything_gives_empty_tables(tmp_path):
-    store = load_world(tmp_path, {NAMES[0]: {"2d": {0: [], 15: []}}})
+    store = graphless_store(tmp_path, {NAMES[0]: {"2d": {0: [], 15: []}}})
     report = generate(store, Rules(), **HOW)
     assert all(row["questions"] == 0 for row in report.templates)
     assert store.questions("questions").num_rows == 0
@@ -412,7 +412,7 @@ def test_real_sequences(tmp_path):
     labels = REAL / "labels" / "labels_2d_stitched"
     chosen = sorted(labels.glob("*.json"), key=lambda path: path.stat().st_size)[:2]
     world = {path.stem: {"2d": path.read_bytes()} for path in chosen}
-    store = load_world(tmp_path, world)
+    store = graphless_store(tmp_path, world)
     report = generate(store, Rules(), **HOW)
     assert report.faults == ()
     assert {row["template"]: row["skipped"] for row in report.shortfalls if row["skipped"]} == {

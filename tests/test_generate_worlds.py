@@ -6,7 +6,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from quick_store import quick_store
+from quick_store import memory_store
 from worlds import member, person, person_3d
 
 from jrdb_avr.engine.candidates import OUTCOMES, PASSED, RULES, VALUES
@@ -198,7 +198,7 @@ CLAIM = re.compile(
 @pytest.mark.parametrize("title", read_worlds())
 def test_world(title, tmp_path):
     lines = read_worlds()[title]
-    store = quick_store(tmp_path, build(lines))
+    store = memory_store(tmp_path, build(lines))
     claimed = {match[2] for line in lines if (match := CLAIM.fullmatch(line))}
     assert claimed <= {template.query for template in TEMPLATES}
     found, described = judge(store, claimed)
@@ -211,7 +211,7 @@ def test_world(title, tmp_path):
             assert described.get((int(match[1]), int(match[2])), "nothing") == match[3], line
             continue
         if match := re.fullmatch(r"keeps (\d+) of (\w+) (\d+)", line):
-            assert kept(store)[match[2], int(match[3])] == int(match[1]), line
+            assert kept(store.written())[match[2], int(match[3])] == int(match[1]), line
             continue
         match = CLAIM.fullmatch(line)
         assert match, f"cannot read: {line}"

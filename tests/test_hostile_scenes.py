@@ -11,8 +11,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from oracle_questions import proven
-from quick_store import quick_store
-from worlds import member, person, person_3d, write_root
+from quick_store import graphless_store, quick_store
+from worlds import member, person, person_3d
 
 from jrdb_avr.engine import paths
 from jrdb_avr.engine.descriptions import describe_people
@@ -24,11 +24,10 @@ from jrdb_avr.engine.search import find_candidates, search_graph
 from jrdb_avr.engine.shard import Job, search_sequence
 from jrdb_avr.engine.templates import TEMPLATES
 from jrdb_avr.engine.validate import validate
-from jrdb_avr.loaders.layers import find_root
-from jrdb_avr.loaders.load import load
-from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.plan import parse_plan
-from jrdb_avr.schema.rules import LoadRules, Rules
+from jrdb_avr.schema.rules import Rules
+
+pytestmark = pytest.mark.usefixtures("known_plans")
 
 RULES = Rules(max_answer_share=1.0)
 """A handful of questions is not to be balanced away."""
@@ -164,9 +163,7 @@ def sequence_of(scene):
 def made(tmp_path_factory):
     """(root, store, {scene: its questions with their private columns}, {scene: its proven candidates})."""
     folder = tmp_path_factory.mktemp("hostile")
-    root = write_root(folder / "root", {sequence_of(scene): layers for scene, layers in SCENES.items()})
-    store = Store(folder / "store")
-    load(find_root(root), store, LoadRules(), 1)
+    store = graphless_store(folder, {sequence_of(scene): layers for scene, layers in SCENES.items()})
     generate(store, RULES, workers=1, candidates=folder / "candidates.parquet")
     private = {row["question_id"]: row for row in store.questions("answers").to_pylist()}
     questions = {scene: [] for scene in SCENES}
@@ -175,7 +172,7 @@ def made(tmp_path_factory):
     candidates = {scene: [] for scene in SCENES}
     for row in pq.read_table(folder / "candidates.parquet").to_pylist():
         candidates[row["sequence"].partition("-2020")[0]].append(row)
-    return root, store, questions, candidates
+    return folder / "root", store, questions, candidates
 
 
 def test_the_questions_are_sound(made):

@@ -5,10 +5,9 @@ import random
 import numpy as np
 import pytest
 from effort import DEEP
-from quick_store import quick_store
+from quick_store import memory_store
 from random_worlds import random_world
 from test_generate_oracle import lively_world
-from worlds import load_world
 
 from jrdb_avr.engine.candidates import PASSED
 from jrdb_avr.engine.conditions import find_conditions
@@ -25,6 +24,8 @@ from jrdb_avr.schema.plan import Condition, parse_plan
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.vocabulary import DISTANCE_WORDS, POSES, ROBOT_SECTORS
 
+pytestmark = pytest.mark.usefixtures("known_plans")
+
 RULES = Rules()
 
 
@@ -37,13 +38,13 @@ def random_store(tmp_path_factory):
     world = {}
     for seed in range(40 if DEEP else 20):
         world |= random_world(random.Random(seed), f"yard-{seed:02d}")
-    return load_world(tmp_path_factory.mktemp("random"), world)
+    return memory_store(tmp_path_factory.mktemp("random"), world)
 
 
 def test_both_paths_see_the_same_facts_in_random_worlds(random_store):
     """Facts of the per-frame tables and of the interval tables, worked out by programs that share nothing."""
     seen = 0
-    for sequence in sorted(random_store.manifest().sequences):
+    for sequence in random_store.sequences:
         annotations = Annotations.read(random_store, sequence, RULES)
         for row in random_store.interval("sightings", sequence).to_pylist():
             track, frame = row["track"], row["frame"]
@@ -67,7 +68,7 @@ def test_both_paths_see_the_same_facts_in_random_worlds(random_store):
 
 def test_both_paths_see_the_same_actions_in_random_worlds(random_store):
     segments = 0
-    for sequence in sorted(random_store.manifest().sequences):
+    for sequence in random_store.sequences:
         annotations = Annotations.read(random_store, sequence, RULES)
         values = {}
         for row in random_store.interval("actions", sequence).to_pylist():
@@ -96,7 +97,7 @@ def test_both_paths_see_the_same_relations_in_random_worlds(random_store):
     """Every relation that leads to somebody anywhere, from everybody at every keyframe."""
     outcomes = {EMPTY: ("empty", None), SEVERAL: ("ambiguous", None), CANNOT_BE_TOLD: ("unknown", None)}
     seen = {}
-    for sequence in sorted(random_store.manifest().sequences):
+    for sequence in random_store.sequences:
         annotations = Annotations.read(random_store, sequence, RULES)
         scene = load_scene(random_store, sequence)
         steps = find_steps(scene, find_facts(scene))
@@ -119,7 +120,7 @@ def test_both_paths_see_the_same_relations_in_random_worlds(random_store):
 
 def test_both_paths_see_the_same_conditions_in_random_worlds(random_store):
     seen = {}
-    for sequence in sorted(random_store.manifest().sequences):
+    for sequence in random_store.sequences:
         annotations = Annotations.read(random_store, sequence, RULES)
         scene = load_scene(random_store, sequence)
         conditions = find_conditions(scene, find_facts(scene), RULES)
@@ -164,7 +165,7 @@ def test_the_second_path_confirms_all_that_is_proven(tmp_path):
     counts = {}
     for seed in range(4 if DEEP else 3):
         sequence = f"yard-{seed:02d}"
-        store = quick_store(tmp_path / sequence, lively_world(random.Random(seed), sequence))
+        store = memory_store(tmp_path / sequence, lively_world(random.Random(seed), sequence))
         for name, count in compare(store, sequence).items():
             counts[name] = counts.get(name, 0) + count
     assert {"start", "span", "change", "presence", "distance", "two_hop"} <= set(counts)
