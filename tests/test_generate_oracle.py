@@ -13,7 +13,7 @@ from effort import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from oracle_questions import proven
-from quick_store import quick_store
+from quick_store import memory_store
 from random_worlds import random_world
 from worlds import member, person, person_3d, pose
 
@@ -141,10 +141,10 @@ def compare(seed, make=random_world):
     with tempfile.TemporaryDirectory() as folder:
         world = make(random.Random(seed), name)
         try:
-            store = quick_store(folder, world)
+            store = memory_store(folder, world)
         except InputError:
             return Counter()
-        if not store.interval_path("sightings", name).exists():
+        if name not in store.sequences:
             return Counter()
         expected = rounded(proven(Path(folder) / "root", name))
         found = rounded(candidates(store, name))
@@ -169,7 +169,7 @@ def test_lively_and_sociable_worlds_give_exactly_the_proven_candidates_of_every_
     # Worlds in which there is much to ask; `test_many_worlds` takes them as they come.
     lively = sum((compare(seed, lively_world) for seed in (0, 2, 5)), Counter())
     assert set(lively) >= SIMPLE
-    sociable = sum((compare(seed, sociable_world) for seed in (0, 2, 4)), Counter())
+    sociable = sum((compare(seed, sociable_world) for seed in (7, 42)), Counter())
     assert min(sociable[chain] for chain in CHAINED | FORMS) >= 8, sociable
 
 
