@@ -18,6 +18,8 @@ import jrdb_avr
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import Rules
 
+pytestmark = pytest.mark.usefixtures("known_plans")
+
 CYPHER = Path(jrdb_avr.__file__).parent / "queries"
 GENERATORS = sorted(path.stem for path in (SQL / "generators").glob("*.sql"))
 NECESSITY = sorted(path.stem for path in (SQL / "necessity").glob("*.sql"))

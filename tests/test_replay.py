@@ -16,6 +16,8 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.rules import Rules
 
+pytestmark = pytest.mark.usefixtures("known_plans")
+
 RULES = Rules()
 
 
