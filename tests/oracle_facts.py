@@ -80,6 +80,7 @@ class Oracle:
             (row["frame"], row["track"]): (row["cluster"], row["difficulty"]) for row in found.rows("groups")
         }
         self.action_frames = self._known("actions")
+        self.action_step = step_of(self.action_frames) if self.action_frames else None
         self.group_frames = self._known("groups")
         self.poses = {(row["frame"], row["track"]): row["keypoints"] for row in found.rows("poses")}
         self.listed = {(row["layer"], row["frame"], row["track"]) for row in found.rows("listed")}
@@ -132,7 +133,7 @@ class Oracle:
 
     def gap(self, frame, track, action):
         """Inside a closed gap: listed at most seven frames apart on both sides, at one frame per step."""
-        if not self.action_frames or step_of(self.action_frames) == 15:
+        if self.action_step in (None, 15):
             return False
         if action in self.actions.get((frame, track), {}):
             return False
