@@ -134,7 +134,7 @@ def _serving(command, *, stdin, stdout, text):
     process.start()
     held.close()
     told.close()
-    with lifeline, said, open(said.fileno(), closefd=False) as lines:
+    with lifeline, said, os.fdopen(said.fileno(), closefd=False) as lines:
         try:
             yield SimpleNamespace(stdout=lines, kill=process.kill)
         finally:
@@ -148,7 +148,7 @@ def _marker(arguments, held, told):
     for number, pipe in enumerate((held, told)):
         os.dup2(pipe.fileno(), number)
         pipe.close()
-    sys.stdin, sys.stdout = open(0, closefd=False), open(1, "w", closefd=False)
+    sys.stdin, sys.stdout = os.fdopen(0, closefd=False), os.fdopen(1, "w", closefd=False)
     sys.argv = ["marker", *arguments]
     main()
 
