@@ -30,20 +30,30 @@ def quick_store(folder, world):
 def memory_store(folder, world):
     """As `quick_store`; its tables are as their files would give them."""
     store = MemoryStore(Path(folder) / "store")
-    with _instead(_write=store.keep):
+    with kept_in(store):
         _load_each(folder, world, store)
     return store
 
 
 def graphless_store(folder, world):
     """A world loaded as the command does, manifest and all, without its graph."""
+    with without_graph():
+        return load_world(folder, world)
+
+
+def without_graph():
+    """A context in which loads make everything but the graph."""
 
     def build(index):
         Store(index.staging).write_manifest(index.manifest)
         return []
 
-    with _instead(stage_scene=_nothing, _build=build):
-        return load_world(folder, world)
+    return _instead(stage_scene=_nothing, _build=build)
+
+
+def kept_in(store):
+    """A context in which a sequence's tables stay in a MemoryStore."""
+    return _instead(_write=store.keep)
 
 
 class MemoryStore(Store):

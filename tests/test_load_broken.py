@@ -15,6 +15,7 @@ import time
 import msgspec
 import pyarrow.compute as pc
 import pytest
+from quick_store import MemoryStore, kept_in, without_graph
 from worlds import load_reported, person, person_3d, write_root
 
 from jrdb_avr.loaders import gather, labelfile, spans
@@ -39,9 +40,22 @@ def raw_2d(*records, frame="000015.jpg"):
 def loaded(tmp_path, content, layer="2d"):
     """Tables and report of a world of one file (beside good 2D labels, where the file is 3D); no graph is built."""
     layers = {layer: content} if layer == "2d" else {"2d": {0: [GOOD], 15: [GOOD]}, layer: content}
+    return loaded_layers(tmp_path, layers)
+
+
+def loaded_layers(tmp_path, layers):
     (files,) = find_root(write_root(tmp_path / "root", {NAME: layers})).sequences
-    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules())).report
-    return Store(tmp_path / "store"), report
+    store = MemoryStore(tmp_path / "store")
+    with kept_in(store):
+        report = load_shard(Shard(files, str(store.path), LoadRules())).report
+    return store, report
+
+
+@pytest.fixture
+def graphless():
+    """For loads whose reports and tables alone are looked at."""
+    with without_graph():
+        yield
 
 
 def boxes(store, layer="boxes_2d"):
@@ -450,10 +464,9 @@ def test_a_bad_file_is_refused_as_a_whole(tmp_path, content):
 @pytest.mark.parametrize("name", ["empty", "truncated", "not UTF-8", "a list", "zeros", "nested deeply", "a picture"])
 def test_a_bad_file_of_another_layer_costs_that_layer_alone(tmp_path, layer, name):
     content = {"images": BAD_FILES[name]} if layer == "timestamps" else BAD_FILES[name]
-    (files,) = find_root(write_root(tmp_path / "root", {NAME: {"2d": {0: [GOOD]}, layer: content}})).sequences
-    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules())).report
+    store, report = loaded_layers(tmp_path, {"2d": {0: [GOOD]}, layer: content})
     assert report.layers == ["2d", "actions", "groups"]
-    assert boxes(Store(tmp_path / "store")) == [(0, 1)]
+    assert boxes(store) == [(0, 1)]
     (problem,) = report.problems
     assert (problem.kind, problem.count) == ("file", 1)
     assert problem.file and "\n" not in problem.reason
@@ -465,9 +478,8 @@ def test_a_stamp_that_is_no_json_number_is_refused(tmp_path, text):
     entry = f'{{{text}, "timestamp": 1549500000.0}}' if "timestamp" not in text else f"{{{text}}}"
     stamps = f'{{"data": [{{"frame_id": 0, "timestamp": 1549500000.0}}, {entry}]}}'
     world = {"2d": {0: [GOOD]}, "timestamps": {"images": stamps}}
-    (files,) = find_root(write_root(tmp_path / "root", {NAME: world})).sequences
-    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules())).report
-    assert Store(tmp_path / "store").annotation("timestamps", NAME)["frame"].to_pylist() == [0]
+    store, report = loaded_layers(tmp_path, world)
+    assert store.annotation("timestamps", NAME)["frame"].to_pylist() == [0]
     assert [(p.kind, p.count) for p in report.problems] == [("record", 1)]
 
 
@@ -486,7 +498,7 @@ def test_a_deeply_nested_record_costs_itself(tmp_path):
     assert report.problems
 
 
-def test_what_is_no_file_is_refused(tmp_path):
+def test_what_is_no_file_is_refused(tmp_path, graphless):
     world = {"good-1": {"2d": {0: [GOOD]}}}
     folder = write_root(tmp_path / "root", world) / "labels" / "labels_2d_stitched"
     (folder / "folder-1.json").mkdir()
@@ -501,7 +513,7 @@ def test_what_is_no_file_is_refused(tmp_path):
     assert refused == {"folder-1.json", "loop-1.json", "gone-1.json", "pipe-1.json", "bad name!.json"}
 
 
-def test_images_that_cannot_be_read_are_no_images(tmp_path, monkeypatch):
+def test_images_that_cannot_be_read_are_no_images(tmp_path, monkeypatch, graphless):
     world = {"good-1": {"2d": {0: [GOOD]}, "images": [0]}, "good-2": {"2d": {0: [GOOD]}, "images": [0]}}
     images = write_root(tmp_path / "root", world) / "images" / "image_stitched"
     (images / "good-1" / "000001.jpg").symlink_to("000001.jpg")
@@ -523,7 +535,7 @@ def test_images_that_cannot_be_read_are_no_images(tmp_path, monkeypatch):
     ]
 
 
-def test_a_file_name_that_is_no_unicode_can_be_reported(tmp_path):
+def test_a_file_name_that_is_no_unicode_can_be_reported(tmp_path, graphless):
     world = {"good-1": {"2d": {0: [GOOD]}}}
     folder = write_root(tmp_path / "root", world) / "labels" / "labels_2d_stitched"
     (folder / os.fsdecode(b"bad\xff.json")).write_text("{}")
@@ -533,7 +545,7 @@ def test_a_file_name_that_is_no_unicode_can_be_reported(tmp_path):
 
 
 @pytest.mark.parametrize(("limit", "text"), [("MAX_FRAMED", WHOLE + " " * 1000), ("MAX_FILE", WHOLE + "x" * 1000)])
-def test_a_file_over_the_limit_is_refused(tmp_path, monkeypatch, limit, text):
+def test_a_file_over_the_limit_is_refused(tmp_path, monkeypatch, limit, text, graphless):
     monkeypatch.setattr(labelfile, limit, 1000)
     world = {NAME: {"2d": text}, "good-1": {"2d": {0: [GOOD]}}}
     _, reports = load_reported(tmp_path, world)
