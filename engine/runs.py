@@ -77,19 +77,22 @@ _KINDS: Final[dict[pa.DataType, Any]] = {
     pa.string(): str,
     pa.int32(): Annotated[int, msgspec.Meta(ge=-(2**31), le=2**31 - 1)],
     pa.int64(): Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)],
-    pa.float64(): float,
+    # From there on not every whole number is one, and Arrow takes none.
+    pa.float64(): Annotated[float, msgspec.Meta(gt=-(2.0**53), lt=2.0**53)],
     pa.bool_(): bool,
 }
-_STORABLE: Final = msgspec.defstruct(
-    "Storable",
-    [
-        ("question_id", str),
-        ("prediction", _row_type("predictions")),
-        ("steps", list[_row_type("steps")]),  # type: ignore[misc]
-        ("world", list[_row_type("world")], []),  # type: ignore[misc]
-    ],
+_STORABLE: Final = msgspec.json.Decoder(
+    msgspec.defstruct(
+        "Storable",
+        [
+            ("question_id", str),
+            ("prediction", _row_type("predictions")),
+            ("steps", list[_row_type("steps")]),  # type: ignore[misc]
+            ("world", list[_row_type("world")], []),  # type: ignore[misc]
+        ],
+    )
 )
-"""What the tables can hold of a finished question."""
+"""Of lines of the journal that the tables can hold."""
 
 
 # -- what is asked ----------------------------------------------------------------------------------------------------
@@ -277,12 +280,13 @@ def ask(
         finished = _finished(question.question_id, prediction, steps, writes, time.perf_counter() - started)
         _check(finished, question)
     except Exception as error:
-        reason = " ".join(str(error).split())
+        reason = " ".join(str(error).split()).encode("utf-8", "backslashreplace").decode()
+        kinds = [step.kind for step in steps if isinstance(step, Step) and isinstance(step.kind, str)]
         prediction = Prediction(
             status="error",
             reason=reason if isinstance(error, AvrError) else f"{type(error).__name__}: {reason}",
             n_observations=len(looks),
-            n_model_calls=sum(isinstance(step, Step) and step.kind == "model" for step in steps),
+            n_model_calls=kinds.count("model"),
         )
         seconds = time.perf_counter() - started
         try:
@@ -300,11 +304,13 @@ def _check(entry: Finished, question: Question) -> None:
         raise ValueError(f"{entry.prediction['status']!a} is no status of a prediction"[:120])
     if (answer := entry.prediction["answer"]) is not None:
         decode_answer(question.answer_mode, answer)
-    msgspec.json.encode(entry)
-    msgspec.convert(entry, _STORABLE, from_attributes=True)
-    values = (value for row in (entry.prediction, *entry.steps, *entry.world) for value in row.values())
-    if not all(math.isfinite(value) for value in values if isinstance(value, float)):
-        raise ValueError("what the method returned or recorded holds a number that is none (NaN, infinity)")
+    _STORABLE.decode(msgspec.json.encode(entry))
+    for value in (value for row in (entry.prediction, *entry.steps, *entry.world) for value in row.values()):
+        # Others are written as texts.
+        if not isinstance(value, str | int | float | None):
+            raise ValueError(f"what the method returned or recorded holds a {type(value).__name__}")
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ValueError("what the method returned or recorded holds a number that is none (NaN, infinity)")
 
 
 def _finished(

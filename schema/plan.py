@@ -18,6 +18,9 @@ from .world import TIMELESS
 
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern="^[a-z][a-z0-9_]*$")]
 Label = Annotated[str, msgspec.Meta(min_length=1, max_length=120)]
+MOST_PEOPLE: Final = 10_000
+"""Of a group, as far as a plan may ask for it."""
+
 _Frame = Annotated[int, msgspec.Meta(ge=0, le=10_000_000)]
 
 Event = Literal["start", "end", "leaves", "returns"]
@@ -252,6 +255,8 @@ def _check_condition(field: str, condition: Condition, plan: Plan) -> None:
         raise PlanError(f"{field}.value", "goes with 'attribute', and only with it")
     if condition.attribute is not None and (condition.attribute == "group_size") != isinstance(condition.value, int):
         raise PlanError(f"{field}.value", "is a whole number for group_size and a text for all else")
+    if isinstance(condition.value, int) and not 0 <= condition.value <= MOST_PEOPLE:
+        raise PlanError(f"{field}.value", f"is a number of people, from 0 to {MOST_PEOPLE}")
     if (condition.object is None) != (condition.verb is None):
         raise PlanError(f"{field}.verb", "goes with 'object', and only with it")
     if condition.attribute in TIMELESS:

@@ -6,9 +6,11 @@ import subprocess
 import sys
 import threading
 import time
+from decimal import Decimal
 
 import duckdb
 import msgspec
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -378,10 +380,29 @@ NAN = float("nan")
         lambda task: Prediction("right", Choice(1)),
         lambda task: task.record(Step("model", "{}", "{}", NAN)) or Prediction("answered", Choice(1)),
         lambda task: task.record(Step("model", b"{}", "{}", 0.1)) or Prediction("answered", Choice(1)),
+        lambda task: task.record(Step("model", "{}", "{}", Decimal("0.1"))) or Prediction("answered", Choice(1)),
+        lambda task: task.record(Step(np.int64(1), "{}", "{}", 0.1)) or Prediction("answered", Choice(1)),
+        lambda task: Prediction("answered", Choice(1), Evidence(0, Box(*map(Decimal, (0, 0, 1, 1))))),
+        lambda task: Prediction("answered", Choice(1), Evidence(0, Box(2**53 + 1, 0.0, 1.0, 1.0))),
+        lambda task: (_ for _ in ()).throw(ValueError("\ud800")),
         lambda task: task.record("a step") or Prediction("answered", Choice(1)),
         lambda task: task.keep(7) or Prediction("answered", Choice(1)),
     ],
-    ids=["NaN", "infinity", "no number", "no choice", "status", "NaN seconds", "bytes", "no step", "no write"],
+    ids=[
+        *(
+            "NaN",
+            "infinity",
+            "no number",
+            "no choice",
+            "status",
+            "NaN seconds",
+            "bytes",
+            "decimal",
+            "numpy's",
+            "decimals",
+        ),
+        *("huge", "half a character", "no step", "no write"),
+    ],
 )
 def test_what_a_method_leaves_that_cannot_be_kept_is_an_error_row(tmp_path, behave):
     """A run of a method of somebody's own goes on, and its journal can be read again, to the same."""

@@ -6,13 +6,10 @@ that cannot be carried out carries its fault, and what is handed on is small and
 
 from __future__ import annotations
 
-import contextlib
 import json
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
-
-import msgspec
 
 from jrdb_avr.agent import decode
 from jrdb_avr.schema.errors import DecodeError
@@ -84,10 +81,6 @@ def read_look(arguments: Mapping[str, Any], legal: Collection[int]) -> tuple[int
 
 def one_line(value: object) -> str:
     """A value that was read from JSON as JSON on one line, in ASCII."""
-    # What it can hold, msgspec writes ten times faster; numbers of any length and odd surrogates it cannot.
-    with contextlib.suppress(RecursionError, ValueError, TypeError, OverflowError):
-        if (text := msgspec.json.encode(value)).isascii():
-            return text.decode()
     try:
         return json.dumps(value, separators=(",", ":"))
     except (RecursionError, ValueError):
