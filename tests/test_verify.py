@@ -8,6 +8,8 @@ import shutil
 import subprocess
 import time
 
+import duckdb
+import one_database
 import pyarrow as pa
 import pytest
 import warm
@@ -49,6 +51,14 @@ with Graph.open(sys.argv[1], read_only=True) as graph:
     for track in range(36):
         ask("MATCH (p:Person) WHERE p.id = $key RETURN p", key=f"yard-1_0/{track}")
 """
+
+
+@pytest.fixture(autouse=True)
+def cheap_hashes(monkeypatch):
+    """Rows are hashed, here and in the child, without a database for each table."""
+    one_database.connect(":memory:").close()
+    monkeypatch.setattr(duckdb, "connect", one_database.connect)
+    monkeypatch.setattr(verify, "_serve", one_database.serve)
 
 
 @pytest.fixture(scope="module")
