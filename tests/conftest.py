@@ -178,7 +178,7 @@ def make_benchmark(folder):
     from jrdb_avr.queries.store import Store
     from jrdb_avr.schema.rules import LoadRules, Rules
 
-    list(write(plan(folder / "root", [(450, 15)] * 3, 0, "none"), 1))
+    list(write(plan(folder / "root", [(450, 15)] * 2, 4, "none"), 1))
     store = Store(folder / "store")
     load(find_root(folder / "root"), store, LoadRules(), 1)
     generate(store, Rules(), workers=1)

@@ -39,8 +39,7 @@ def one_of_each(sample_benchmark, tmp_path_factory):
     kept = set(chosen.values())
     for name in ("questions", "answers", "evidence"):
         keep_only(store, name, kept)
-    # In half a minute hardly anybody keeps a posture for ten seconds and then changes it.
-    assert set(chosen) >= {template.name for template in TEMPLATES} - {"consequence"}
+    assert set(chosen) == {template.name for template in TEMPLATES}
     assert faulty(store) <= {"selection"}
     return store
 
