@@ -20,6 +20,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import shutil
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -54,6 +55,10 @@ _PREPARED: Final = 256
 before a connection is given up for a new one: the engine keeps every statement that was given to it with parameters,
 half a megabyte each, until its connection ends."""
 
+_LEAST_FREE: Final = 32 << 20
+"""Bytes that must be free on the disk of a graph that is to be written: where the engine runs out of them in the middle
+of a transaction or a checkpoint, it may abort the whole process."""
+
 _SIDE_FILES: Final = (".wal", ".shadow", ".tmp")
 
 _MATCH = re.compile(r"\bMATCH\b", re.IGNORECASE)
@@ -69,6 +74,8 @@ class _Shared:
         self.writer = threading.RLock()
         if read_only and path.with_name(path.name + ".shadow").exists():
             _recover(path, buffer_bytes)
+        if not read_only:
+            _check_room(path)
         self.lock = lock_graph(path, shared=read_only)
         try:
             self.database = _open_database(path, read_only, buffer_bytes, threads)
@@ -345,6 +352,7 @@ def build_graph(path: str | Path, *, buffer_bytes: int = BUILD_BYTES) -> Iterato
         if place in _registry:
             raise LockedError(f"{path} is open in this process: close it first", holder="this process")
     _make_parent(place)
+    _check_room(place)
     lock = lock_graph(place, shared=False)
     temporary = place.with_name(f".{place.name}.building")
     try:
@@ -441,6 +449,16 @@ def _identifier(name: str) -> str:
 def _short(text: str, limit: int = 120) -> str:
     plain = " ".join(text.split())
     return plain if len(plain) <= limit else plain[: limit - 3] + "..."
+
+
+def _check_room(place: Path) -> None:
+    """Raise StoreError where the disk is as good as full."""
+    with contextlib.suppress(OSError):
+        if shutil.disk_usage(place.parent).free < _LEAST_FREE:
+            raise StoreError(
+                f"cannot write {place}: less than {_LEAST_FREE >> 20} MB are free on its disk; "
+                "free some space and run it again"
+            )
 
 
 def _make_parent(place: Path) -> None:

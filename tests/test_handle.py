@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -638,3 +639,16 @@ def test_rows_are_handed_in_anew_each_time_where_statements_are_prepared():
             found = graph.query(load, {"rows": pa.table({"id": [start, 9]}), "below": 7})
             assert found["id"].to_pylist() == [start]
         assert graph.query("MATCH (p:P) RETURN p.id AS id ORDER BY id")["id"].to_pylist() == list(range(6))
+
+
+def test_a_full_disk_is_told_before_anything_is_written_and_hinders_no_reading(path, monkeypatch):
+    """In the middle of a transaction or a checkpoint the engine may abort the process where the disk is full."""
+    before = path.read_bytes()
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=1 << 20))
+    with pytest.raises(StoreError, match="free some space"):
+        Graph.open(path)
+    with pytest.raises(StoreError, match="free some space"), build_graph(path):
+        pass
+    with Graph.open(path, read_only=True) as graph:
+        assert graph.query("RETURN 1 AS one", ordered=False)["one"].to_pylist() == [1]
+    assert path.read_bytes() == before
