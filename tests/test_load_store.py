@@ -10,8 +10,6 @@ import random
 import resource
 import shutil
 import signal
-import subprocess
-import sys
 import time
 from functools import cache
 
@@ -30,7 +28,6 @@ from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
 from jrdb_avr.schema.rules import LoadRules
 
 GOOD = {"2d": {f: [person(1, (100 + f, 60, 50, 200), {"walking": 1}, (5, 1))] for f in range(40)}}
-RUN = "import sys; from jrdb_avr.engine.cli import main; sys.argv[0] = 'jrdb-avr'; main()"
 
 
 @pytest.fixture(scope="module")
@@ -38,13 +35,6 @@ def world():
     """Three sequences of different lengths and layers."""
     worlds = [random_world(random.Random(seed), f"yard-2020-01-0{seed}_0") for seed in (1, 2, 3)]
     return {name: layers for one in worlds for name, layers in one.items()}
-
-
-def command(*arguments):
-    """Run the command line in a process of its own, begun from nothing."""
-    return subprocess.run(
-        [sys.executable, "-c", RUN, *map(str, arguments)], capture_output=True, text=True, timeout=300
-    )
 
 
 @pytest.fixture(scope="module")
@@ -115,12 +105,11 @@ def test_the_number_of_workers_does_not_show(tmp_path, loaded_world):
 def test_rebuild_gives_the_same_tables_and_graph_without_the_root(tmp_path, loaded_world):
     # The root was never beside this copy.
     store = copied(loaded_world, tmp_path / "store")
-    before = files(store), answers(store)
     store.graph_path.unlink()
     for path in (store.path / "intervals").rglob("*.parquet"):
         path.unlink()
     loading.rebuild(store, LoadRules(), 1)
-    assert (files(store), answers(store)) == before
+    same(store, loaded_world)
 
 
 def test_rebuild_under_other_rules_and_back(tmp_path, world, loaded_world):
@@ -273,11 +262,8 @@ def test_killed_between_any_two_moves_no_table_is_lost(
 
 
 @pytest.mark.parametrize("limit_kb", [20, 300])
-def test_a_full_disk_is_one_line_and_leaves_the_old_store(tmp_path, limit_kb):
-    small = write_root(tmp_path / "small", {"yard-1": GOOD})
-    store = Store(tmp_path / "store")
-    assert run("load", small, "--store", store.path)[0] == 0
-    before = files(store), answers(store)
+def test_a_full_disk_is_one_line_and_leaves_the_old_store(tmp_path, loaded_one, limit_kb):
+    store = copied(loaded_one, tmp_path / "store")
     large = {f"yard-{i}": {"2d": {f: crowd(f) for f in range(40)}} for i in range(2)}
     root = write_root(tmp_path / "large", large)
     size = {resource.RLIMIT_FSIZE: limit_kb << 10}
@@ -286,7 +272,7 @@ def test_a_full_disk_is_one_line_and_leaves_the_old_store(tmp_path, limit_kb):
     assert result.returncode == 1, said
     assert len(said.strip().splitlines()) == 1 and said.startswith("jrdb-avr: ")
     assert "Traceback" not in said
-    assert (files(store), answers(store)) == before
+    same(store, loaded_one)
     assert run("load", root, "--store", store.path, "--workers", 1)[0] == 0
     assert list(store.manifest().sequences) == ["yard-0", "yard-1"]
 
@@ -360,10 +346,9 @@ def test_json_is_one_array_of_rows_and_strict_fails_on_a_bad_record(tmp_path):
     (problem,) = rows[1]["problems"]
     assert (problem["kind"], problem["count"], problem["file"]) == ("record", 1, "yard-2.json")
     assert (problem["frame"], problem["field"], problem["detail"]) == ("000000.jpg", "box", "[1.0, 1.0, 0.0, 0.0]")
-    # A process of its own, as the users' shells see it.
-    strict = command("load", root, "--store", tmp_path / "store", "--workers", 1, "--strict")
-    assert strict.returncode == 1
-    assert "yard-2" in strict.stdout and "2 sequences" in strict.stdout
+    code, out, _ = run("load", root, "--store", tmp_path / "store", "--workers", 1, "--strict")
+    assert code == 1
+    assert "yard-2" in out and "2 sequences" in out
     # The good part is loaded all the same.
     assert len(Store(tmp_path / "store").manifest().sequences) == 2
 
