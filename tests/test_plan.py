@@ -88,9 +88,12 @@ def test_the_example_is_valid_and_comes_back():
         ({"nodes__0__conditions__1": {"at": "t0"}}, "nodes[0].conditions[1]"),
         ({"nodes__0__conditions__1": {"object": "bag", "at": "t0"}}, "nodes[0].conditions[1].verb"),
         ({"nodes__0__conditions__1": {"attribute": "hair", "value": "x"}}, "nodes[0].conditions[1].attribute"),
-        (
-            {"nodes__0__conditions__1": {"attribute": "group_size", "value": "3", "at": "t0"}},
-            "nodes[0].conditions[1].value",
+        *(
+            (
+                {"nodes__0__conditions__1": {"attribute": "group_size", "value": size, "at": "t0"}},
+                "nodes[0].conditions[1].value",
+            )
+            for size in ("3", -1, 2**63)
         ),
         ({"times__t0": {}}, "times.t0"),
         ({"times__t0__event": "start"}, "times.t0"),
