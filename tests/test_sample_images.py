@@ -244,12 +244,13 @@ def test_changes_have_an_image_on_either_side(root):
     [(("--images", "keyframes"), 16), (("--images", "all", "--frames", "60"), 60), (("--no-images",), 0)],
 )
 def test_fewer_images(tmp_path, option, count):
-    folder = sample(tmp_path / "root", "--sequences", "1", *option)
+    folder = sample(tmp_path / "root", "--sequences", "1", "--people", "3", *option)
     assert len(list(folder.rglob("*.jpg"))) == count
 
 
 def test_images_do_not_depend_on_the_workers(tmp_path):
-    one, two = (sample(tmp_path / workers, "--frames", "60", "--workers", workers) for workers in ("1", "2"))
+    sizes = ("--frames", "60", "--people", "8")
+    one, two = (sample(tmp_path / workers, *sizes, "--workers", workers) for workers in ("1", "2"))
     mine = sorted(path.relative_to(one) for path in one.rglob("*.jpg"))
     assert len(mine) > 20
     assert mine == sorted(path.relative_to(two) for path in two.rglob("*.jpg"))
