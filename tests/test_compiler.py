@@ -22,6 +22,8 @@ from jrdb_avr.schema.errors import PlanError, QueryError
 from jrdb_avr.schema.plan import Plan, parse_plan
 from jrdb_avr.schema.rules import Rules
 
+pytestmark = pytest.mark.usefixtures("known_plans")
+
 NAME = "yard-2020-01-01_0"
 READ = {"mode": "multiple_choice", "read": "action", "of": "a", "at": "t0"}
 
@@ -47,7 +49,7 @@ class Site:
 
 @pytest.fixture(scope="module")
 def sites(tmp_path_factory):
-    worlds = ((sociable_world, 2), (sociable_world, 4), (random_world, 26), (random_world, 48), (lively_world, 1))
+    worlds = ((sociable_world, 7), (sociable_world, 4), (random_world, 26), (random_world, 48), (lively_world, 1))
     made = [Site(tmp_path_factory.mktemp("site"), make, seed) for make, seed in worlds]
     yield made
     for site in made:
