@@ -14,7 +14,7 @@ from jrdb_avr.engine.cli import group
 from jrdb_avr.schema.marks import read
 from jrdb_avr.schema.vocabulary import POSES, normal_action
 
-SIZES = ("--sequences", "2", "--frames", "240", "--people", "26")
+SIZES = ("--sequences", "2", "--frames", "180", "--people", "26")
 
 
 def sample(folder, *options):
@@ -217,7 +217,7 @@ def test_images_stand_at_keyframes_and_once_per_second_round_a_moment(root):
     """Three per second, also where nothing changes, and the pairs at many places: they do not tell when."""
     for folder in (root / "images" / "image_stitched").iterdir():
         frames = sorted(int(path.stem) for path in folder.glob("*.jpg"))
-        seconds = [[frame - start for frame in frames if 0 <= frame - start < 15] for start in range(0, 240, 15)]
+        seconds = [[frame - start for frame in frames if 0 <= frame - start < 15] for start in range(0, 180, 15)]
         assert all(places[0] == 0 and places[2] == places[1] + 1 and len(places) == 3 for places in seconds)
         assert len({places[1] for places in seconds}) > 4
 
@@ -241,7 +241,7 @@ def test_changes_have_an_image_on_either_side(root):
 
 @pytest.mark.parametrize(
     ("option", "count"),
-    [(("--images", "keyframes"), 16), (("--images", "all", "--frames", "60"), 60), (("--no-images",), 0)],
+    [(("--images", "keyframes"), 12), (("--images", "all", "--frames", "60"), 60), (("--no-images",), 0)],
 )
 def test_fewer_images(tmp_path, option, count):
     folder = sample(tmp_path / "root", "--sequences", "1", "--people", "3", *option)
