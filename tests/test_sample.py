@@ -471,7 +471,7 @@ def test_changes_fall_between_keyframes_once_a_second(flat):
 
 
 def test_shares_lie_near_those_of_jrdb(root, flat, solid, seen, frames):
-    """Counted from the JSON, beside 56 %, 26-42 %, 30 %, 34, 3 % and 1.7; and the rows that are printed say the same."""
+    """Counted from the JSON, beside 56 %, 26-42 %, 30 %, 34, 3 % and 1.7; and the printed rows say the same."""
     printed = [float(row["here"].split()[0]) for row in json.loads(root.with_suffix(".json").read_text())]
     boxes = occluded = labels = hard = shown = 0
     with_gap, tracks = {}, {}
