@@ -4,8 +4,8 @@
 sightings, attributes and relations by the agent's own class, and solves its plan after every turn. Service time is what
 the process of the world model takes for a read or a transaction (timed_process.py); the time that a call waits, for
 others and for its turn in this process, is printed beside. All plans are of one shape: the first use of a statement,
-when it is planned and looked through, takes 15 to 80 ms, and is among the times. Exit code 1 where the 99th percentile of writes or of the
-solver's reads is over 10 ms.
+when it is planned and looked through, takes 15 to 80 ms, and is among the times. Exit code 1 where the 99th percentile
+of writes or of the solver's reads is over 10 ms.
 """
 
 import contextlib
