@@ -113,6 +113,7 @@ class Graph:
         self._prepared: dict[str, Any] = {}
         self._planned = 0
         self._in_transaction = False
+        self._failed = False
         self._closed = False
 
     # -- opening ----------------------------------------------------------------------------------------------
@@ -160,6 +161,10 @@ class Graph:
         with self._lock:
             if self._closed:
                 return
+            if self._failed:
+                # A full disk: the engine may never come back from trying the checkpoint, and its log holds all.
+                with contextlib.suppress(RuntimeError):
+                    self._connection.execute("CALL force_checkpoint_on_close=false")
             self._closed = True
             self._prepared.clear()
             self._connection.close()
@@ -337,7 +342,9 @@ class Graph:
             finally:
                 result.close()
         except RuntimeError as error:
-            raise _translated(error, text, timeout_s, self.path) from None
+            translated = _translated(error, text, timeout_s, self.path)
+            self._failed |= isinstance(translated, StoreError)
+            raise translated from None
 
 
 @contextlib.contextmanager
