@@ -652,3 +652,29 @@ def test_a_full_disk_is_told_before_anything_is_written_and_hinders_no_reading(p
     with Graph.open(path, read_only=True) as graph:
         assert graph.query("RETURN 1 AS one", ordered=False)["one"].to_pylist() == [1]
     assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(("error", "tried"), [("No space left on device", False), ("Binder exception: no", True)])
+def test_after_a_write_that_failed_for_the_disk_no_checkpoint_is_tried(error, tried):
+    """The engine may never come back from it; its log holds what was committed."""
+    said = []
+
+    class Disk:
+        def __init__(self, connection):
+            self.connection = connection
+
+        def __getattr__(self, name):
+            return getattr(self.connection, name)
+
+        def execute(self, text, *given):
+            said.append(text)
+            if text.startswith("CREATE"):
+                raise RuntimeError(error)
+            return self.connection.execute(text, *given)
+
+    graph = Graph.memory()
+    graph._connection = Disk(graph._connection)
+    with pytest.raises(QueryError if tried else StoreError):
+        graph.execute("CREATE NODE TABLE Thing(id INT64 PRIMARY KEY)")
+    graph.close()
+    assert ("CALL force_checkpoint_on_close=false" not in said) == tried
