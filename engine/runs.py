@@ -15,6 +15,7 @@ import fcntl
 import math
 import os
 import queue
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -45,6 +46,8 @@ from jrdb_avr.schema.tables import QUESTIONS, RUNS
 from jrdb_avr.schema.world import Write
 
 _STOP_S: Final = 1.0
+_SWITCH_S: Final = 0.05
+"""Between the wake-ups of a thread that waits for the interpreter, which the others leave long before."""
 """Longest wait for the threads of a run that ends early."""
 
 
@@ -383,6 +386,8 @@ def ask_all(
 
     # Its pool's threads go on spinning after each small piece of work, and the questions in flight are threads enough.
     cv2.setNumThreads(1)
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH_S)
     waiting: queue.SimpleQueue[Question] = queue.SimpleQueue()
     done: queue.SimpleQueue[Finished | BaseException] = queue.SimpleQueue()
     held = {name for name, entry in journal.finished.items() if not entry.failed}
@@ -420,6 +425,7 @@ def ask_all(
         deadline = time.monotonic() + _STOP_S
         for thread in threads:
             thread.join(max(0.0, deadline - time.monotonic()))
+        sys.setswitchinterval(interval)
 
 
 def write_tables(store: Store, run_id: str, entries: Iterable[Finished]) -> None:
