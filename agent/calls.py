@@ -1,16 +1,17 @@
 """Finished calls on disk: each under the sha256 of its whole request, so that none is paid for twice.
 
-A file is written beside its place and renamed in: whoever reads sees a whole reply or none, after a kill at any point,
-and with several processes writing the same call. It is not synced: a machine that loses power may lose its newest
-calls, and makes them again. Nothing of a key is in a request, so none is in a file.
+One file of lines for all calls of a run, as to make a file of its own takes a file system longer than most of what a
+call needs. A line is appended by one write, and counts only if it is whole: of a kill at any point, and of several
+processes that append at once, nothing remains but lines that nobody reads. It is not synced: a machine that loses power
+may lose its newest calls, and makes them again. Nothing of a key is in a request, so none is in the file.
 """
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import os
 import threading
+import weakref
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -21,40 +22,94 @@ from jrdb_avr.schema.errors import StoreError
 
 from .replies import Reply
 
+
+class _Line(msgspec.Struct):
+    request: str
+
+
+class _Kept(msgspec.Struct):
+    request: str
+    reply: Reply
+
+
 # Made at import: threads that meet a type first at the same time crash the decoder.
-_REPLY: Final = msgspec.json.Decoder(Reply)
+_LINE: Final = msgspec.json.Decoder(_Line)
+_KEPT: Final = msgspec.json.Decoder(_Kept)
+_UNREADABLE: Final = (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 
 class Calls:
-    """A folder of finished calls; used by many threads and processes at once."""
+    """A file of finished calls; used by many threads at once. The last line of a request counts.
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    What other processes append is found when the file is opened, by the first call.
+    """
 
-    def place(self, request: Mapping[str, Any]) -> Path:
-        """Where the reply to a request lies: the request with each picture as its sha256, in canonical JSON."""
-        key = hashlib.sha256(msgspec.json.encode(request, order="sorted")).hexdigest()
-        return self._folder / key[:2] / f"{key}.json"
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._lock = threading.Lock()
+        self._file: int | None = None
+        self._places: dict[str, tuple[int, int]] = {}
+        """Of a request's line: its first byte, and how many it has."""
+        self._read_to = 0
+        self._unread: set[str] = set()
+        """Requests whose lines this process has appended behind what was read."""
 
-    def read(self, place: Path) -> Reply | None:
-        """The reply kept there; None where there is none, or the machine broke it: then the call is made again."""
+    def digest(self, request: Mapping[str, Any]) -> str:
+        """What a call is kept under: the sha256 of its request, each picture given as its own, in canonical JSON."""
+        return hashlib.sha256(msgspec.json.encode(request, order="sorted")).hexdigest()
+
+    def read(self, digest: str) -> Reply | None:
+        """The reply kept for a request; None where there is none, or the machine broke it: the call is made again."""
         try:
-            return _REPLY.decode(place.read_bytes())
-        except (OSError, msgspec.DecodeError, UnicodeDecodeError):
+            file = self._opened(os.O_RDWR | os.O_APPEND)
+            if digest in self._unread:
+                with self._lock:
+                    self._index()
+            if (place := self._places.get(digest)) is None:
+                return None
+            at, size = place
+            kept = _KEPT.decode(os.pread(file, size, at))
+            return kept.reply if kept.request == digest else None
+        except _UNREADABLE:
             return None
 
-    def keep(self, place: Path, reply: Reply) -> None:
-        """Write a reply. Raises StoreError where the disk refuses."""
-        temporary = place.with_name(f".{place.stem}.{os.getpid()}.{threading.get_ident()}.tmp")
+    def keep(self, digest: str, reply: Reply) -> None:
+        """Append a reply. Raises StoreError where the disk refuses."""
+        # A line end before the line, too: the last line may have been cut short.
+        line = b"\n" + msgspec.json.encode({"request": digest, "reply": reply}) + b"\n"
         try:
-            data = msgspec.json.encode(reply)
-            try:
-                temporary.write_bytes(data)
-            except FileNotFoundError:
-                place.parent.mkdir(parents=True, exist_ok=True)
-                temporary.write_bytes(data)
-            temporary.replace(place)
+            file = self._opened(os.O_RDWR | os.O_APPEND | os.O_CREAT)
+            while line:
+                line = line[os.write(file, line) :]
         except OSError as error:
-            with contextlib.suppress(OSError):
-                temporary.unlink()
-            raise StoreError(f"cannot keep a finished call in {self._folder}: {error.strerror}") from None
+            raise StoreError(f"cannot keep a finished call in {self._path}: {error.strerror}") from None
+        self._unread.add(digest)
+
+    def _opened(self, flags: int) -> int:
+        if self._file is None:
+            with self._lock:
+                if self._file is None:
+                    if flags & os.O_CREAT:
+                        self._path.parent.mkdir(parents=True, exist_ok=True)
+                    file = os.open(self._path, flags | os.O_CLOEXEC, 0o666)
+                    weakref.finalize(self, os.close, file)
+                    self._index()
+                    self._file = file
+        return self._file
+
+    def _index(self) -> None:
+        """Note the places of the whole lines behind those already read."""
+        # Not by the descriptor that is written to: a write would move the place where the other reads.
+        with self._path.open("rb") as lines:
+            lines.seek(self._read_to)
+            for line in lines:
+                if not line.endswith(b"\n"):
+                    break
+                try:
+                    request = _LINE.decode(line).request
+                except _UNREADABLE:
+                    pass
+                else:
+                    self._unread.discard(request)
+                    self._places[request] = self._read_to, len(line)
+                self._read_to += len(line)

@@ -44,6 +44,24 @@ KEY_VARIABLE: Final = "OPENAI_API_KEY"
 _ACCOUNT_VARIABLES: Final = ("OPENAI_ORG_ID", "OPENAI_PROJECT_ID")
 """What the client's library reads of the environment by itself, and sends along."""
 
+_UNSAID: Final = tuple(
+    f"X-Stainless-{name}"
+    for name in (
+        "Arch",
+        "Async",
+        "Lang",
+        "OS",
+        "Package-Version",
+        "Read-Timeout",
+        "Retry-Count",
+        "Runtime",
+        "Runtime-Version",
+    )
+)
+"""Headers by which the client's library would tell of itself and this machine: nothing that a model's server needs, and
+each takes time in every call.
+"""
+
 _LONGEST_PAUSE_S: Final = 60.0
 _LONGEST_BUSY_S: Final = 4.0
 """Before a busy server is asked again, if it does not say when: a place becomes free as soon as any reply is done."""
@@ -85,7 +103,7 @@ class _BrokenError(Exception):
 class Client:
     """Completes chats at `base_url` with `model`; used by many threads at once.
 
-    `convention` says how the model is told to think or not, and what of a reply is its answer. `cache` is a folder for
+    `convention` says how the model is told to think or not, and what of a reply is its answer. `cache` is a file for
     finished calls.
     """
 
@@ -149,13 +167,13 @@ class Client:
         request = self._request(schema)
         if self._calls is None:
             return self._noted(self._send({**request, "messages": wire(messages)}, self.options.retries))
-        place = self._calls.place({**request, "messages": fingerprint(messages)})
-        kept = self._calls.read(place)
+        digest = self._calls.digest({**request, "messages": fingerprint(messages)})
+        kept = self._calls.read(digest)
         if kept is not None and self._stands(kept):
             return self._noted(kept)
         reply = self._noted(self._send({**request, "messages": wire(messages)}, self.options.retries))
         if self._stands(reply):
-            self._calls.keep(place, reply)
+            self._calls.keep(digest, reply)
         return reply
 
     def _stands(self, reply: Reply) -> bool:
@@ -238,7 +256,7 @@ class Client:
                     content=body,
                     cast_to=httpx2.Response,
                     options={
-                        "headers": {"Content-Type": "application/json"},
+                        "headers": dict.fromkeys(_UNSAID, openai.Omit()),
                         "timeout": httpx2.Timeout(timeout_s, connect=min(timeout_s, _CONNECT_S)),
                     },
                 )

@@ -57,7 +57,7 @@ def connect(
     cache: Path | None = None,
     method: str | None = None,
 ) -> Endpoint:
-    """Check a server and say how it is to be asked; `cache` is the folder for finished calls, and `method` the one that
+    """Check a server and say how it is to be asked; `cache` is the file for finished calls, and `method` the one that
     is to ask it (None: any): what it does not need may be lacking.
 
     The convention is the one declared for the model, with what `calibrate` found where the store holds that. Raises

@@ -2,7 +2,7 @@
 
     runs/<run_id>/run.json            what was asked, of whom, how; written first
     runs/<run_id>/journal.jsonl       one line per finished question, synced as it finishes
-    runs/<run_id>/calls/              model calls that finished cleanly
+    runs/<run_id>/calls.jsonl         model calls that finished cleanly
     runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from the journal at the end
 
 A run killed at any point loses nothing that is in the journal; resumed, it asks what is not, and what ended in an
@@ -179,7 +179,8 @@ class Journal:
         self._path = path
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = path.open("a+b")
+            # Not buffered: what the disk did not take would be tried once more at the end.
+            self._file = path.open("a+b", buffering=0)
         except OSError as error:
             raise StoreError(f"cannot write {path}: {error.strerror}; choose another --store") from None
         try:
@@ -215,8 +216,9 @@ class Journal:
     def append(self, entry: Finished) -> None:
         """Add a finished question; returns when it is on disk."""
         try:
-            self._file.write(msgspec.json.encode(entry) + b"\n")
-            self._file.flush()
+            line = msgspec.json.encode(entry) + b"\n"
+            while line:
+                line = line[self._file.write(line) :]
             os.fsync(self._file.fileno())
         except OSError as error:
             raise StoreError(f"cannot write {self._path}: {error.strerror}; then run again with --resume") from None

@@ -340,40 +340,45 @@ def test_few_bytes_that_would_become_many_are_not_unpacked():
 # -- the cache --------------------------------------------------------------------------------------------------------
 
 
-def files(folder):
-    return [path for path in folder.rglob("*") if path.is_file()]
+CALLS = "calls.jsonl"
+
+
+def kept_in(folder):
+    """The lines of finished calls."""
+    path = folder / CALLS
+    return [json.loads(line) for line in path.read_text().splitlines() if line] if path.exists() else []
 
 
 def test_a_finished_call_is_made_once(tmp_path):
     with FakeServer(sequence_of("hi")) as server:
-        first, _ = client(server, cache=tmp_path)
+        first, _ = client(server, cache=tmp_path / CALLS)
         a = first.complete(ASK, {"type": "object"})
-        second, _ = client(server, cache=tmp_path)
+        second, _ = client(server, cache=tmp_path / CALLS)
         assert second.complete(ASK, {"type": "object"}) == a
         assert len(server.requests) == 1
         second.complete(ASK, {"type": "array"})
         second.complete([Message("user", ("hello", Picture("n", b"1")))])
         second.complete([Message("user", ("hello", Picture("n", b"2")))])
         assert len(server.requests) == 4
-    assert len(files(tmp_path)) == 4
+    assert len(kept_in(tmp_path)) == 4
 
 
 @pytest.mark.parametrize("reply", ["", completion("half", "length"), completion("", "content_filter")])
 def test_what_did_not_finish_cleanly_is_not_kept(tmp_path, reply):
     with FakeServer(sequence_of(reply)) as server:
-        made, _ = client(server, cache=tmp_path)
+        made, _ = client(server, cache=tmp_path / CALLS)
         made.complete(ASK)
         made.complete(ASK)
     assert len(server.requests) == 2
-    assert files(tmp_path) == []
+    assert kept_in(tmp_path) == []
 
 
 def test_a_broken_cache_file_is_a_call(tmp_path):
     with FakeServer(sequence_of("hi")) as server:
-        made, _ = client(server, cache=tmp_path)
+        made, _ = client(server, cache=tmp_path / CALLS)
         made.complete(ASK)
-        (kept,) = files(tmp_path)
-        kept.write_bytes(kept.read_bytes()[:5])
+        kept = tmp_path / CALLS
+        kept.write_bytes(kept.read_bytes()[:-5])
         assert made.complete(ASK).content == "hi"
         assert made.complete(ASK).content == "hi"
     assert len(server.requests) == 2
@@ -382,11 +387,11 @@ def test_a_broken_cache_file_is_a_call(tmp_path):
 def test_a_refusal_is_not_kept(tmp_path):
     """Of a model that declines in the field made for it, while the reply as such ends well."""
     with FakeServer(sequence_of(completion("", refusal="I cannot help with that."))) as server:
-        made, _ = client(server, cache=tmp_path)
+        made, _ = client(server, cache=tmp_path / CALLS)
         assert made.complete(ASK).refusal == "I cannot help with that."
         assert made.complete(ASK).content == ""
     assert len(server.requests) == 2
-    assert files(tmp_path) == []
+    assert kept_in(tmp_path) == []
 
 
 @pytest.mark.parametrize(
@@ -406,7 +411,7 @@ def test_a_refusal_is_not_kept(tmp_path):
 )
 def test_only_a_call_that_said_something_is_kept(tmp_path, reply, kept):
     with FakeServer(sequence_of(reply)) as server:
-        made, _ = client(server, cache=tmp_path)
+        made, _ = client(server, cache=tmp_path / CALLS)
         made.complete(ASK)
         made.complete(ASK)
     assert len(server.requests) == (1 if kept else 2)
@@ -417,13 +422,13 @@ def test_whatever_shapes_a_reply_is_in_its_key(tmp_path):
     qwen = convention_of("Qwen/Qwen3.5-9B")
 
     def made(model="fake", convention=qwen, **options):
-        return Client(server.url, model, Options(**options), convention=convention, cache=tmp_path)
+        return Client(server.url, model, Options(**options), convention=convention, cache=tmp_path / CALLS)
 
     with FakeServer(sequence_of("{}")) as server, FakeServer(sequence_of("{}")) as moved:
         made().complete(ASK, {"type": "object"})
         for same in ({}, {"timeout_s": 5.0}, {"retries": 0}):
             made(**same).complete(ASK, {"type": "object"})
-        Client(moved.url, "fake", convention=qwen, cache=tmp_path).complete(ASK, {"type": "object"})
+        Client(moved.url, "fake", convention=qwen, cache=tmp_path / CALLS).complete(ASK, {"type": "object"})
         assert (len(server.requests), len(moved.requests)) == (1, 0)
         others = (
             {"model": "fake-2"},
@@ -439,24 +444,25 @@ def test_whatever_shapes_a_reply_is_in_its_key(tmp_path):
 
 
 WRITER = """
-import sys
+import sys, time
 from pathlib import Path
 from jrdb_avr.agent.calls import Calls
 from jrdb_avr.agent.replies import Reply
 
 calls = Calls(Path(sys.argv[1]))
-place = calls.place({"model": "x"})
+digest = calls.digest({"model": "x"})
 print("ready", flush=True)
 while True:
-    calls.keep(place, Reply(sys.argv[2] * 300_000, finish_reason="stop"))
+    calls.keep(digest, Reply(sys.argv[2] * 300_000, finish_reason="stop"))
+    time.sleep(0.01)
 """
 
 
 def test_calls_survive_kills_and_two_processes(tmp_path):
-    """Two processes write the same call over and over, and are killed: every read finds one reply, whole."""
-    calls = Calls(tmp_path)
-    place = calls.place({"model": "x"})
-    command = [sys.executable, "-c", WRITER, str(tmp_path)]
+    """Two processes keep the same call over and over, and are killed: every read finds one reply, whole."""
+    path = tmp_path / CALLS
+    digest = Calls(path).digest({"model": "x"})
+    command = [sys.executable, "-c", WRITER, str(path)]
     for _ in range(2):
         writers = [subprocess.Popen([*command, letter], stdout=subprocess.PIPE) for letter in "ab"]
         for writer in writers:
@@ -464,8 +470,7 @@ def test_calls_survive_kills_and_two_processes(tmp_path):
         seen = set()
         end = time.monotonic() + 30
         while len(seen) < 2 and time.monotonic() < end:
-            if place.exists():
-                reply = calls.read(place)
+            if (reply := Calls(path).read(digest)) is not None:
                 assert len(reply.content) == 300_000
                 assert len(set(reply.content)) == 1
                 seen.add(reply.content[0])
@@ -474,13 +479,47 @@ def test_calls_survive_kills_and_two_processes(tmp_path):
             writer.wait()
             writer.stdout.close()
         assert seen == {"a", "b"}
-        assert len(calls.read(place).content) == 300_000
+        assert len(Calls(path).read(digest).content) == 300_000
+
+
+def test_a_line_that_was_cut_short_costs_one_call(tmp_path):
+    """Wherever a kill cut the last line, the calls before it and those kept after it are found."""
+    path = tmp_path / CALLS
+    calls = Calls(path)
+    names = [calls.digest({"n": number}) for number in range(3)]
+    for name in names[:2]:
+        calls.keep(name, Reply(name))
+    whole = path.read_bytes()
+    first = whole.index(b"\n\n") + 1
+    for size in range(first, len(whole) + 1):
+        path.write_bytes(whole[:size])
+        again = Calls(path)
+        again.keep(names[2], Reply(names[2]))
+        for reader in (again, Calls(path)):
+            assert reader.read(names[2]).content == names[2]
+            assert reader.read(names[0]).content == names[0]
+            # Whole but for its line end is as good as whole, once another line follows.
+            cut = size < len(whole) - 1
+            assert (reader.read(names[1]) is None) is cut
+
+
+def test_many_threads_keep_and_find_calls(tmp_path):
+    calls = Calls(tmp_path / CALLS)
+
+    def work(number):
+        digest = calls.digest({"n": number % 50})
+        calls.keep(digest, Reply(f"{number % 50} " * 200))
+        return calls.read(digest).content == f"{number % 50} " * 200
+
+    with ThreadPoolExecutor(16) as pool:
+        assert all(pool.map(work, range(800)))
+    assert len(kept_in(tmp_path)) == 800
 
 
 def test_a_full_disk_is_told(tmp_path):
-    (tmp_path / "calls").write_text("no folder")
+    (tmp_path / CALLS).mkdir()
     with FakeServer(sequence_of("hi")) as server, pytest.raises(StoreError, match="cannot keep a finished call"):
-        client(server, cache=tmp_path / "calls")[0].complete(ASK)
+        client(server, cache=tmp_path / CALLS)[0].complete(ASK)
 
 
 def test_sixty_four_are_in_flight_at_once():
@@ -499,7 +538,7 @@ def test_sixty_four_are_in_flight_at_once():
 
 def test_many_threads_share_a_client(tmp_path):
     with FakeServer(lambda request, n: request["messages"][0]["content"]) as server:
-        made, _ = client(server, cache=tmp_path)
+        made, _ = client(server, cache=tmp_path / CALLS)
         replies = {}
 
         def work(i):
@@ -520,7 +559,7 @@ def test_the_key_is_sent_and_goes_nowhere_else(tmp_path, monkeypatch, caplog):
     monkeypatch.setenv("OPENAI_API_KEY", SECRET)
     caplog.set_level(logging.DEBUG)
     with FakeServer(sequence_of("hi", Status(401, f"bad key {SECRET}"))) as server:
-        made, _ = client(server, cache=tmp_path)
+        made, _ = client(server, cache=tmp_path / CALLS)
         made.complete(ASK)
         with pytest.raises(EndpointError) as caught:
             made.complete([Message("user", ("again",))])
@@ -528,18 +567,17 @@ def test_the_key_is_sent_and_goes_nowhere_else(tmp_path, monkeypatch, caplog):
     assert SECRET not in str(caught.value)
     assert SECRET not in caplog.text
     assert SECRET not in json.dumps(made.settings())
-    for path in files(tmp_path):
-        assert SECRET.encode() not in path.read_bytes()
+    assert SECRET not in json.dumps(kept_in(tmp_path))
 
 
 def test_a_server_that_echoes_the_key_does_not_get_it_stored(monkeypatch, tmp_path):
     monkeypatch.setenv("OPENAI_API_KEY", SECRET)
     with FakeServer(lambda request, n: completion(f"key {SECRET}", model=SECRET, reasoning=SECRET)) as server:
-        made, _ = client(server, cache=tmp_path)
+        made, _ = client(server, cache=tmp_path / CALLS)
         reply = made.complete(ASK)
     assert reply.content == "key [key]"
     assert SECRET not in str(reply) + str(made.served)
-    assert all(SECRET.encode() not in path.read_bytes() for path in files(tmp_path))
+    assert SECRET not in json.dumps(kept_in(tmp_path))
 
 
 def test_a_key_in_jsons_escapes_is_not_stored_either(monkeypatch, tmp_path):
@@ -550,7 +588,7 @@ def test_a_key_in_jsons_escapes_is_not_stored_either(monkeypatch, tmp_path):
     body = body.replace("/", "\\/").replace("+", "\\u002B")
     assert key not in body and key in json.loads(body)["model"]
     with FakeServer(sequence_of(Body(body.encode())), version=json.dumps({"version": key}).encode()) as server:
-        made, _ = client(server, cache=tmp_path)
+        made, _ = client(server, cache=tmp_path / CALLS)
         assert key not in str(made.complete(ASK)) + str(made.served) + made.server_version()
     assert made.served == ("[key]",)
 
@@ -566,7 +604,7 @@ def test_the_key_is_in_no_request_that_is_kept(monkeypatch, tmp_path):
     with FakeServer(sequence_of("hi")) as server:
         for key in (SECRET, SECRET + "-other"):
             monkeypatch.setenv("OPENAI_API_KEY", key)
-            client(server, cache=tmp_path)[0].complete(ASK)
+            client(server, cache=tmp_path / CALLS)[0].complete(ASK)
     assert len(server.requests) == 1
 
 
@@ -597,10 +635,10 @@ def test_a_reply_that_is_not_utf8_is_tried_again():
 
 def test_a_cached_call_that_is_not_utf8_is_made_again(tmp_path):
     with FakeServer(sequence_of("hi")) as server:
-        made, _ = client(server, cache=tmp_path)
+        made, _ = client(server, cache=tmp_path / CALLS)
         made.complete(ASK)
-        (kept,) = tmp_path.rglob("*.json")
-        kept.write_bytes(b'{"content": "\xff"}')
+        kept = tmp_path / CALLS
+        kept.write_bytes(kept.read_bytes().replace(b'"hi"', b'"\xff"'))
         assert made.complete(ASK).content == "hi"
     assert len(server.requests) == 2
 
@@ -650,21 +688,21 @@ def test_a_probe_does_not_wait_as_long_as_a_question(monkeypatch):
 
 def test_another_model_than_asked_is_told(tmp_path):
     with FakeServer(lambda request, n: completion("hi", model=["a", "a", "b", None][n])) as server:
-        made, _ = client(server, cache=tmp_path)
+        made, _ = client(server, cache=tmp_path / CALLS)
         for number in range(4):
             made.complete([Message("user", (f"q{number}",))])
         assert made.served == ("a", "b", "")
-        again, _ = client(server, cache=tmp_path)
+        again, _ = client(server, cache=tmp_path / CALLS)
         again.complete([Message("user", ("q0",))])
         assert again.served == ("a",)
-    assert len(files(tmp_path)) == 2, "of the model that the run is of, and of no other"
+    assert len(kept_in(tmp_path)) == 2, "of the model that the run is of, and of no other"
 
 
 def test_a_kept_call_of_another_model_is_made_again(tmp_path):
     """A folder of calls may have outlived its run, or a server its model."""
     with FakeServer(lambda request, n: completion(f"reply {n}", model=["a", "b", "b"][n])) as server:
-        client(server, cache=tmp_path)[0].complete(ASK)
-        made, _ = client(server, cache=tmp_path)
+        client(server, cache=tmp_path / CALLS)[0].complete(ASK)
+        made, _ = client(server, cache=tmp_path / CALLS)
         made.ask([Message("user", ("who are you",))])
         assert made.complete(ASK).content == "reply 2"
         assert made.served == ("b",)
@@ -673,10 +711,10 @@ def test_a_kept_call_of_another_model_is_made_again(tmp_path):
 @pytest.mark.parametrize("kept", ["{}", '{"content":"half","finish_reason":"length","model":"fake-1"}'])
 def test_a_kept_call_that_is_no_finished_one_is_made_again(tmp_path, kept):
     with FakeServer(sequence_of("hi")) as server:
-        made, _ = client(server, cache=tmp_path)
+        made, _ = client(server, cache=tmp_path / CALLS)
         made.complete(ASK)
-        (path,) = files(tmp_path)
-        path.write_text(kept)
+        (line,) = kept_in(tmp_path)
+        (tmp_path / CALLS).write_text(json.dumps({**line, "reply": json.loads(kept)}) + "\n")
         assert made.complete(ASK).content == "hi"
         assert len(server.requests) == 2
 

@@ -19,7 +19,7 @@ ASK = [Message("user", ("hello",))]
 
 def test_what_a_run_is_told(tmp_path):
     with FakeServer(sound(lambda request, n: "hi"), version=b'{"version": "0.12.0"}') as server:
-        endpoint = connect(Store(tmp_path), "fake", server.url, Options(max_tokens=99), tmp_path / "calls")
+        endpoint = connect(Store(tmp_path), "fake", server.url, Options(max_tokens=99), tmp_path / "calls.jsonl")
         assert endpoint.client.complete(ASK).content == "hi"
         assert endpoint.client.complete(ASK).content == "hi"
         assert sum(texts(request) == "hello" for request in server.requests) == 1
@@ -34,7 +34,8 @@ def test_what_a_run_is_told(tmp_path):
     assert settings["endpoint"]["temperature"] == 0
     assert settings["convention"] == CONTRACT.settings()
     assert not settings["convention"]["calibrated"]
-    assert len(list((tmp_path / "calls").rglob("*.json"))) == 1, "nothing of the preflight is kept"
+    kept = (tmp_path / "calls.jsonl").read_text().split()
+    assert len(kept) == 1, "nothing of the preflight is kept"
 
 
 def test_a_run_is_resumed_with_a_server_that_once_did_not_tell_its_version(tmp_path):

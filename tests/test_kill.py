@@ -1,8 +1,8 @@
 """Runs that are killed at random points: resumed, they end as if nothing had been, and no finished call is made again.
 
-A call is finished once its reply is in the run's `calls/`. What a server has served and the run has not kept when it is
-killed was in flight: at most one call of each question at work. The server here counts by content, so the number of
-times that it serves anything twice must be that of the calls in flight at the kills, to the very call.
+A call is finished once its reply is in the run's `calls.jsonl`. What a server has served and the run has not kept when
+it is killed was in flight: at most one call of each question at work. The server here counts by content, so the number
+of times that it serves anything twice must be that of the calls in flight at the kills, to the very call.
 """
 
 import json
@@ -152,6 +152,10 @@ def new_store(path, asked_world):
     return store
 
 
+def finished_calls(path):
+    return len({line for line in path.read_bytes().splitlines(True) if line.strip()}) if path.exists() else 0
+
+
 def kill_and_resume(launcher, asked_world, folder, method, script, kills, seed):
     whole, killed = (new_store(folder / name, asked_world) for name in ("whole", "killed"))
     with FakeServer(sound(script_of := Counted(script))) as server:
@@ -172,7 +176,7 @@ def kill_and_resume(launcher, asked_world, folder, method, script, kills, seed):
             assert code in (0, -signal.SIGKILL)
             deaths += code != 0
             time.sleep(0.05)  # A request that was on its way is counted.
-            finished = len(list((killed.run_path("r") / "calls").rglob("*.json")))
+            finished = finished_calls(killed.run_path("r") / "calls.jsonl")
             flying = len(counted.served) - finished
             assert 0 <= flying <= AT_ONCE
             in_flight += flying

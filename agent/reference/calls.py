@@ -79,10 +79,13 @@ def read_look(arguments: Mapping[str, Any], legal: Collection[int]) -> tuple[int
     return frame, angle
 
 
+_COMPACT: Final = json.JSONEncoder(separators=(",", ":"))
+
+
 def one_line(value: object) -> str:
     """A value that was read from JSON as JSON on one line, in ASCII."""
     try:
-        return json.dumps(value, separators=(",", ":"))
+        return _COMPACT.encode(value)
     except (RecursionError, ValueError):
         raise DecodeError("the reply is too deep or too long") from None
 

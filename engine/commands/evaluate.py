@@ -156,7 +156,7 @@ def command(
         endpoint = None
         if model != NO_MODEL:
             url = stack.enter_context(serving(model, base_url, folder / "marker.jsonl", knobs))
-            endpoint = connect(place, model, url, options, folder / "calls", method_name)
+            endpoint = connect(place, model, url, options, folder / "calls.jsonl", method_name)
             for warning in endpoint.warnings:
                 note(f"preflight: {warning}")
         method = _method(method_name, endpoint, world)

@@ -136,7 +136,7 @@ def measure(looks, name):
     shape = ("a", "b"), "multiple_choice"
     asked = [Question(f"{i:016x}", "s", "f", "t", f"Question {i}?", *shape) for i in range(QUESTIONS)]
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
-        client = Client(f"http://127.0.0.1:{port.value}/v1", "x", cache=Path(folder) / "calls")
+        client = Client(f"http://127.0.0.1:{port.value}/v1", "x", cache=Path(folder) / "calls.jsonl")
         world = None
         if name == "agent":
             with open_to_replay(Path(folder) / "world.kuzu") as graph:
