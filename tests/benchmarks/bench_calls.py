@@ -30,8 +30,9 @@ from jrdb_avr.schema.method import Observation, Question, SequenceInfo
 from jrdb_avr.schema.panorama import FOV_DEG, crop_left
 from jrdb_avr.schema.tables import RUNS
 
-QUESTIONS = 256
 IN_FLIGHT = 64
+QUESTIONS = 8 * IN_FLIGHT
+"""The first ones begin and end together, as few of the two thousand questions of a run do."""
 
 
 class Instant(asyncio.Protocol):
