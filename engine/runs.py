@@ -11,6 +11,7 @@ error. Only the public question tables and images are read here.
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import math
 import os
@@ -18,7 +19,7 @@ import queue
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Annotated, Any, Final, get_args
@@ -369,6 +370,22 @@ def _storable(text: str) -> str:
     return text.encode("utf-8", "backslashreplace").decode()
 
 
+@contextlib.contextmanager
+def _for_many_threads() -> Iterator[None]:
+    import cv2
+
+    pool, interval = cv2.getNumThreads(), sys.getswitchinterval()
+    # Its pool's threads go on spinning after each small piece of work, and the questions in flight are threads enough.
+    cv2.setNumThreads(1)
+    sys.setswitchinterval(_SWITCH_S)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(pool)
+        sys.setswitchinterval(interval)
+
+
+@_for_many_threads()
 def ask_all(
     method: Method,
     questions: Sequence[Question],
@@ -384,12 +401,6 @@ def ask_all(
     The threads are daemons and one thread writes: an interrupt ends the process within seconds, and loses only what is
     in flight.
     """
-    import cv2
-
-    # Its pool's threads go on spinning after each small piece of work, and the questions in flight are threads enough.
-    cv2.setNumThreads(1)
-    interval = sys.getswitchinterval()
-    sys.setswitchinterval(_SWITCH_S)
     waiting: queue.SimpleQueue[Question] = queue.SimpleQueue()
     done: queue.SimpleQueue[Finished | BaseException] = queue.SimpleQueue()
     held = {name for name, entry in journal.finished.items() if not entry.failed}
@@ -427,7 +438,6 @@ def ask_all(
         deadline = time.monotonic() + _STOP_S
         for thread in threads:
             thread.join(max(0.0, deadline - time.monotonic()))
-        sys.setswitchinterval(interval)
 
 
 def write_tables(store: Store, run_id: str, entries: Iterable[Finished]) -> None:

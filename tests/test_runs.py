@@ -8,6 +8,7 @@ import threading
 import time
 from decimal import Decimal
 
+import cv2
 import duckdb
 import msgspec
 import numpy as np
@@ -478,6 +479,30 @@ def test_many_questions_in_flight(tmp_path):
         assert time.monotonic() - started < 3
     assert len(journal.finished) == 64
     assert most > 32
+
+
+def test_threads_are_left_as_they_were(tmp_path):
+    """A run tells the interpreter and OpenCV of its many threads, and takes it back, however it ends."""
+
+    def state():
+        return sys.getswitchinterval(), cv2.getNumThreads()
+
+    seen = []
+
+    def behave(task):
+        seen.append(state())
+        return Prediction("invalid")
+
+    def fail(steps):
+        if steps:
+            raise KeyboardInterrupt
+
+    cv2.setNumThreads(2)
+    before = state()
+    with runs.Journal(tmp_path / "journal.jsonl") as journal, pytest.raises(KeyboardInterrupt):
+        runs.ask_all(Scripted(behave), QUESTIONS_ASKED[:1], {SEQUENCE: INFO}, no_look, no_look, journal, 1, fail)
+    assert seen == [(pytest.approx(0.05), 1)]
+    assert state() == before == (pytest.approx(0.005), 2)
 
 
 def test_unknown_ids_are_refused():
