@@ -92,8 +92,13 @@ class Calls:
                     if flags & os.O_CREAT:
                         self._path.parent.mkdir(parents=True, exist_ok=True)
                     file = os.open(self._path, flags | os.O_CLOEXEC, 0o666)
-                    weakref.finalize(self, os.close, file)
-                    self._index()
+                    try:
+                        self._index()
+                    except BaseException:
+                        os.close(file)
+                        raise
+                    # Not at the interpreter's end: a thread that still waits for a server would then write elsewhere.
+                    weakref.finalize(self, os.close, file).atexit = False
                     self._file = file
         return self._file
 
@@ -110,6 +115,7 @@ class Calls:
                 except _UNREADABLE:
                     pass
                 else:
-                    self._unread.discard(request)
+                    # In this order: whoever no longer finds it unread finds its place.
                     self._places[request] = self._read_to, len(line)
+                    self._unread.discard(request)
                 self._read_to += len(line)

@@ -47,9 +47,10 @@ from jrdb_avr.schema.tables import QUESTIONS, RUNS
 from jrdb_avr.schema.world import Write
 
 _STOP_S: Final = 1.0
+"""Longest wait for the threads of a run that ends early."""
+
 _SWITCH_S: Final = 0.05
 """Between the wake-ups of a thread that waits for the interpreter, which the others leave long before."""
-"""Longest wait for the threads of a run that ends early."""
 
 
 class Finished(msgspec.Struct, frozen=True):
@@ -216,12 +217,16 @@ class Journal:
 
     def append(self, entry: Finished) -> None:
         """Add a finished question; returns when it is on disk."""
+        line = msgspec.json.encode(entry) + b"\n"
+        end = self._file.seek(0, os.SEEK_END)
         try:
-            line = msgspec.json.encode(entry) + b"\n"
             while line:
                 line = line[self._file.write(line) :]
             os.fsync(self._file.fileno())
         except OSError as error:
+            # No part of a line is to stand before another. (At the end, opening drops it.)
+            with contextlib.suppress(OSError):
+                self._file.truncate(end)
             raise StoreError(f"cannot write {self._path}: {error.strerror}; then run again with --resume") from None
         self.finished[entry.question_id] = entry
 

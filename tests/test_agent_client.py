@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 from fake_server import Body, CutOff, Drip, FakeServer, Slow, Status, completion
@@ -501,6 +502,23 @@ def test_a_line_that_was_cut_short_costs_one_call(tmp_path):
             # Whole but for its line end is as good as whole, once another line follows.
             cut = size < len(whole) - 1
             assert (reader.read(names[1]) is None) is cut
+
+
+def test_what_cannot_be_read_leaves_no_file_open(tmp_path, monkeypatch):
+    path = tmp_path / CALLS
+    Calls(path).keep("a", Reply("hi"))
+    calls = Calls(path)
+
+    def refuse(*_):
+        raise OSError(24, "Too many open files")
+
+    monkeypatch.setattr(Path, "open", refuse)
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    for _ in range(20):
+        assert calls.read("a") is None
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
+    monkeypatch.undo()
+    assert calls.read("a").content == "hi"
 
 
 def test_many_threads_keep_and_find_calls(tmp_path):

@@ -108,10 +108,10 @@ def kept(store, method):
     """All that a run keeps, as text."""
     folder = store.run_path(method)
     tables = [pq.read_table(path).to_pylist() for path in sorted(folder.glob("*.parquet"))]
-    files = [path.read_text() for path in folder.rglob("*") if path.suffix in (".json", ".jsonl")]
+    files = {path.name: path.read_text() for path in folder.rglob("*") if path.suffix in (".json", ".jsonl")}
     assert len(tables) == 3
-    assert len(files) > 3
-    return json.dumps(tables) + "".join(files)
+    assert {"run.json", "journal.jsonl", "calls.jsonl"} <= files.keys()
+    return json.dumps(tables) + "".join(files.values())
 
 
 def said(body):

@@ -1,6 +1,7 @@
 """Runs: the journal, resuming, what is opened, what is kept; over real sockets and in real processes."""
 
 import json
+import resource
 import shutil
 import subprocess
 import sys
@@ -233,8 +234,6 @@ def test_questions_of_another_form_are_one_line(store, change):
 
 def test_a_run_that_cannot_be_written_ends_with_one_line(store):
     """Also while other questions are at work in the image decoder: no abort, exit code 1."""
-    import resource
-
     command = [sys.executable, "-c", "from jrdb_avr.engine.cli import main; main()", "evaluate"]
     command += ["--store", str(store.path), "--method", "react", "--model", "marker", "--concurrency", "12"]
 
@@ -273,6 +272,23 @@ def test_the_journal_keeps_what_was_appended(tmp_path):
         journal.append(entry("a"))
     with runs.Journal(path) as journal:
         assert journal.finished == {"a": entry("a"), "b": entry("b")}
+
+
+def test_a_line_that_the_disk_took_in_part_is_none(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with runs.Journal(path) as journal:
+        journal.append(entry("a"))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 10, hard))
+        try:
+            with pytest.raises(StoreError, match="File too large; then run again with --resume"):
+                journal.append(entry("b"))
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        journal.append(entry("c"))
+        assert journal.finished.keys() == {"a", "c"}
+    with runs.Journal(path) as journal:
+        assert journal.finished == {"a": entry("a"), "c": entry("c")}
 
 
 @given(st.integers(0, 1000))
