@@ -61,7 +61,7 @@ class Calls:
     def read(self, digest: str) -> Reply | None:
         """The reply kept for a request; None where there is none, or the machine broke it: the call is made again."""
         try:
-            file = self._opened(os.O_RDWR | os.O_APPEND)
+            file = self._opened()
             if digest in self._unread:
                 with self._lock:
                     self._index()
@@ -78,20 +78,20 @@ class Calls:
         # A line end before the line, too: the last line may have been cut short.
         line = b"\n" + msgspec.json.encode({"request": digest, "reply": reply}) + b"\n"
         try:
-            file = self._opened(os.O_RDWR | os.O_APPEND | os.O_CREAT)
+            file = self._opened(make=True)
             while line:
                 line = line[os.write(file, line) :]
         except OSError as error:
             raise StoreError(f"cannot keep a finished call in {self._path}: {error.strerror}") from None
         self._unread.add(digest)
 
-    def _opened(self, flags: int) -> int:
+    def _opened(self, *, make: bool = False) -> int:
         if self._file is None:
             with self._lock:
                 if self._file is None:
-                    if flags & os.O_CREAT:
+                    if make:
                         self._path.parent.mkdir(parents=True, exist_ok=True)
-                    file = os.open(self._path, flags | os.O_CLOEXEC, 0o666)
+                    file = os.open(self._path, os.O_RDWR | os.O_APPEND | (os.O_CREAT if make else 0), 0o666)
                     try:
                         self._index()
                     except BaseException:

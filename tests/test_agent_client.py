@@ -521,6 +521,39 @@ def test_what_cannot_be_read_leaves_no_file_open(tmp_path, monkeypatch):
     assert calls.read("a").content == "hi"
 
 
+def test_a_call_just_kept_is_found_by_whoever_reads_meanwhile(tmp_path):
+    """Once its line is no longer noted as unread, its place is known."""
+    calls, found = Calls(tmp_path / CALLS), []
+
+    class Unread(set):
+        def discard(self, digest):
+            super().discard(digest)
+            found.append(calls.read(digest))
+
+    calls.keep("a", Reply("hi"))
+    calls._unread = Unread(calls._unread)
+    assert calls.read("a").content == "hi"
+    assert [reply.content for reply in found] == ["hi"]
+
+
+LATE = """
+import atexit, sys
+from pathlib import Path
+from jrdb_avr.agent.calls import Calls
+from jrdb_avr.agent.replies import Reply
+
+atexit.register(lambda: calls.keep("b", Reply("late")))
+calls = Calls(Path(sys.argv[1]))
+calls.keep("a", Reply("hi"))
+"""
+
+
+def test_a_reply_that_comes_at_the_very_end_is_kept(tmp_path):
+    path = tmp_path / CALLS
+    subprocess.run([sys.executable, "-c", LATE, str(path)], check=True)
+    assert [line["request"] for line in kept_in(tmp_path)] == ["a", "b"]
+
+
 def test_many_threads_keep_and_find_calls(tmp_path):
     calls = Calls(tmp_path / CALLS)
 
@@ -609,6 +642,14 @@ def test_a_key_in_jsons_escapes_is_not_stored_either(monkeypatch, tmp_path):
         made, _ = client(server, cache=tmp_path / CALLS)
         assert key not in str(made.complete(ASK)) + str(made.served) + made.server_version()
     assert made.served == ("[key]",)
+
+
+def test_nothing_of_this_machine_is_told():
+    with FakeServer(sequence_of("hi")) as server:
+        client(server)[0].complete(ASK)
+    (headers,) = server.headers
+    assert headers["content-type"] == "application/json"
+    assert not [name for name in headers if name.startswith("x-stainless")]
 
 
 def test_a_key_that_is_a_word_leaves_replies_alone(monkeypatch):
