@@ -9,6 +9,7 @@ import base64
 import functools
 import json
 import re
+import socket
 import threading
 import time
 from dataclasses import dataclass
@@ -77,6 +78,7 @@ class FakeServer:
         self.requests = []
         self.headers = []
         self._lock = threading.Lock()
+        self._idle, self._connections = threading.Condition(), 0
         fake = self
 
         class Handler(BaseHTTPRequestHandler):
@@ -145,6 +147,19 @@ class FakeServer:
             def handle_error(self, request, client_address):
                 pass
 
+            def process_request(self, request, client_address):
+                with fake._idle:
+                    fake._connections += 1
+                super().process_request(request, client_address)
+
+            def process_request_thread(self, request, client_address):
+                try:
+                    super().process_request_thread(request, client_address)
+                finally:
+                    with fake._idle:
+                        fake._connections -= 1
+                        fake._idle.notify_all()
+
         self._server = Server(("127.0.0.1", 0), Handler)
         self.url = f"http://127.0.0.1:{self._server.server_port}/v1"
         self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
@@ -152,6 +167,15 @@ class FakeServer:
     def __enter__(self):
         self._thread.start()
         return self
+
+    def hear_out(self):
+        """Wait until all that clients said, who have ended, is heard."""
+        # Connections are taken in turn: when this one is, all that were made before it are.
+        with socket.create_connection(self._server.server_address) as last:
+            last.sendall(b"GET / HTTP/1.0\r\n\r\n")
+            assert last.recv(1)
+        with self._idle:
+            assert self._idle.wait_for(lambda: not self._connections, timeout=60)
 
     def __exit__(self, *error):
         self._server.shutdown()

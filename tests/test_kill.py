@@ -13,7 +13,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections import Counter
 from hashlib import sha256
 
@@ -115,12 +114,14 @@ class Counted:
             self.kill()
         elif due:
             # While the reply is read, kept, acted upon, or the line of the journal written.
-            threading.Timer(random.uniform(0, 0.02), os.kill, (self.pid, signal.SIGKILL)).start()
+            threading.Timer(random.uniform(0, 0.02), self.kill).start()
         return self.script(request)
 
     def kill(self):
-        if self.pid:
-            os.kill(self.pid, signal.SIGKILL)
+        # It may have ended by itself meanwhile.
+        with contextlib.suppress(ProcessLookupError):
+            if self.pid:
+                os.kill(self.pid, signal.SIGKILL)
 
 
 def start(launcher, store, url, method):
@@ -163,42 +164,54 @@ def finished_calls(path):
 
 
 def kill_and_resume(launcher, asked_world, folder, method, script, kills, seed):
-    whole, killed = (new_store(folder / name, asked_world) for name in ("whole", "killed"))
-    with FakeServer(sound(script_of := Counted(script))) as server:
+    """Kill runs until so many were killed; each one is resumed until it ends. The store of an undisturbed one."""
+    whole = new_store(folder / "whole", asked_world)
+    with FakeServer(sound(counted := Counted(script))) as server:
         start(launcher, whole, server.url, method)
         assert ended(launcher) == 0
-        calls = script_of.seen
-        assert set(script_of.served.values()) == {1}
-    rng = random.Random(seed)
-    counted = Counted(script)
-    with FakeServer(sound(counted)) as server:
-        in_flight = deaths = 0
-        for _ in range(kills):
-            left = calls - len(counted.served)
-            counted.at = counted.seen + rng.randint(1, max(1, min(left, 2 * calls // kills + 1)))
-            counted.before = rng.random() < 0.4
-            counted.pid = start(launcher, killed, server.url, method)
-            code, counted.pid = ended(launcher), 0
-            assert code in (0, -signal.SIGKILL)
-            deaths += code != 0
-            time.sleep(0.05)  # A request that was on its way is counted.
-            finished = finished_calls(killed.run_path("r") / "calls.jsonl")
-            flying = len(counted.served) - finished
-            assert 0 <= flying <= AT_ONCE
-            in_flight += flying
-        counted.at = 0
-        start(launcher, killed, server.url, method)
-        assert ended(launcher) == 0
-        assert sum(counted.served.values()) - len(counted.served) <= in_flight
-        assert len(counted.served) == calls
-        served = counted.seen
-        start(launcher, killed, server.url, method)
-        assert ended(launcher) == 0
-        assert counted.seen == served
-    assert deaths >= kills // 2
-    assert kept(killed) == kept(whole)
-    assert in_graph(killed) == in_graph(whole)
+        calls = counted.seen
+        assert set(counted.served.values()) == {1}
+    expected = kept(whole), in_graph(whole)
+    rng, run, deaths = random.Random(seed), 0, 0
+    while deaths < kills:
+        killed = new_store(folder / f"killed_{run}", asked_world)
+        before = deaths
+        with FakeServer(sound(counted := Counted(script))) as server:
+            in_flight = 0
+            while deaths < kills:
+                flying = killed_once(launcher, killed, server, counted, method, rng)
+                if flying is None:
+                    break
+                in_flight += flying
+                deaths += 1
+            counted.at = 0
+            start(launcher, killed, server.url, method)
+            assert ended(launcher) == 0
+            assert sum(counted.served.values()) - len(counted.served) <= in_flight
+            assert len(counted.served) == calls
+            served = counted.seen
+            start(launcher, killed, server.url, method)
+            assert ended(launcher) == 0
+            assert counted.seen == served
+        assert deaths > before, "a run of a few calls was never killed"
+        assert (kept(killed), in_graph(killed)) == expected
+        run += 1
     return whole
+
+
+def killed_once(launcher, store, server, counted, method, rng):
+    """Run, and be killed: how many calls are in flight then. None where the run ended before."""
+    counted.at = counted.seen + rng.randint(1, AT_ONCE)
+    counted.before = rng.random() < 0.4
+    counted.pid = start(launcher, store, server.url, method)
+    code, counted.pid = ended(launcher), 0
+    assert code in (0, -signal.SIGKILL)
+    if not code:
+        return None
+    server.hear_out()
+    flying = len(counted.served) - finished_calls(store.run_path("r") / "calls.jsonl")
+    assert 0 <= flying <= AT_ONCE
+    return flying
 
 
 def test_react_killed_and_resumed(launcher, asked_world, tmp_path):
