@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from jrdb_avr.schema.vocabulary import FIRST_LEFT, FIRST_RIGHT, INTERACTIONS, POSES, SAME_GROUP
-from jrdb_avr.schema.world import TIMELESS, HasRow, RelatedRow, SightedRow
+from jrdb_avr.schema.world import TIMELESS, HasRow, RelatedRow, SightedRow, name_of
 
 from .grounding import NUMBERS, PERSON_FRAME_LABELS
 
@@ -47,11 +47,6 @@ def place_of(edge: Edge) -> Hashable:
 def sighting_place(entity: str, frame: int) -> Hashable:
     """The place of an entity's sighting at a frame."""
     return ("sighted", entity, frame)
-
-
-def name_of(key: str) -> str:
-    """The agent's own name of an entity or observation, from its key."""
-    return key.rpartition("/")[2]
 
 
 @dataclass(frozen=True, slots=True)

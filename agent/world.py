@@ -37,15 +37,10 @@ from jrdb_avr.schema.world import (
     Tool,
     Write,
     episode_key,
+    name_of,
 )
 
-from .believed import (
-    Believed,
-    Edge,
-    name_of,
-    place_of,
-    sighting_place,
-)
+from .believed import Believed, Edge, place_of, sighting_place
 from .grounding import (
     AttributeClaim,
     RelationClaim,
@@ -364,7 +359,7 @@ class Episode:
         """Put what waits into the tables, and tell `keep` of it. Raises as all writes do."""
         made, self._waiting = self._waiting, []
         if made:
-            self._graph.write(*write_statements(self.key, made))
+            self._graph.write(*write_statements(self.key, made, self._entities))
             for write, _ in made:
                 self._keep(write)
 

@@ -22,6 +22,9 @@ _TOKEN = re.compile(
 
 _INT64: Final = range(-(2**63), 2**63)
 
+_SCALARS: Final = {bool: "BOOL", int: "INT64", float: "DOUBLE", str: "STRING"}
+_FIELD: Final = re.compile("[A-Za-z_][A-Za-z0-9_]*")
+
 
 def bind(cypher: str, params: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
     """The statement with typed parameters, and the values to bind.
@@ -95,9 +98,9 @@ def _plain(name: str, value: Any) -> Any:
 
 def _type(name: str, value: Any) -> str | None:
     """The engine's type of a plain value; None where nothing tells (None, an empty list's items)."""
+    if kind := _SCALARS.get(type(value)):
+        return kind
     match value:
-        case bool():
-            return "BOOL"
         case int():
             return "INT64"
         case float():
@@ -128,6 +131,6 @@ def _common(name: str, items: list[Any]) -> str:
 
 
 def _field(name: str, key: Any) -> str:
-    if not isinstance(key, str) or not re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", key):
+    if not isinstance(key, str) or not _FIELD.fullmatch(key):
         raise QueryError(f"${name}: {key!r} cannot be a field's name: use letters, digits and '_'")
     return key

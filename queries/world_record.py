@@ -32,6 +32,7 @@ from jrdb_avr.schema.world import (
     RelatedRow,
     SightedRow,
     SlotRow,
+    episode_hash,
     episode_key,
 )
 
@@ -48,6 +49,8 @@ _TYPES: Final[dict[str, pa.DataType]] = {
     "INT64": pa.int64(),
     "DOUBLE": pa.float64(),
     "BOOLEAN": pa.bool_(),
+    # As text, which the engine reads.
+    "UUID": pa.string(),
     "STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)": pa.struct([(name, pa.float64()) for name in "xywh"]),
 }
 
@@ -211,11 +214,13 @@ class _Episode:
             ("Entity", "Holds", self.entities),
             ("Slot", "Asks", self.slots),
         )
+        of_episode = episode_hash(self.key)
         for node, edge, found in held:
             for key, row in found.items():
                 if row.episode != self.key or not key.startswith(f"{self.key}/"):
                     raise self.broken(f"holds {key[:80]!r} of another episode")
-                rows[node].append(msgspec.structs.astuple(row))
+                columns = msgspec.structs.astuple(row)
+                rows[node].append(columns if isinstance(row, SlotRow) else (*columns, of_episode))
                 rows[edge].append((self.key, key))
         for number, made in self.edges.items():
             self.close_edge(rows, number, made)
@@ -226,7 +231,10 @@ class _Episode:
         if edge.episode != self.key or edge.source not in self.entities or edge.target not in targets:
             raise self.broken(f"makes an edge in write {number} between what it does not hold")
         until = self.until.get(number)
-        rows[table].append((*msgspec.structs.astuple(edge), until is None, ALWAYS if until is None else until))
+        ends = [self.entities[edge.source].name]
+        if isinstance(edge, RelatedRow):
+            ends.append(self.entities[edge.target].name)
+        rows[table].append((*msgspec.structs.astuple(edge), until is None, ALWAYS if until is None else until, *ends))
 
     def broken(self, why: str) -> StoreError:
         return StoreError(f"the record of episode {self.key[:120]} {why}: evaluate its run again")

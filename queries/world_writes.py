@@ -5,10 +5,11 @@ The statements are the files of `queries/world/`; what goes where is said by the
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
+from itertools import islice
 from typing import Any, Final
 
 import msgspec
@@ -24,6 +25,8 @@ from jrdb_avr.schema.world import (
     SightedRow,
     SlotRow,
     Write,
+    episode_hash,
+    name_of,
 )
 
 from .world import WorldGraph
@@ -31,11 +34,8 @@ from .world_tables import Statement
 
 Edge = SightedRow | HasRow | RelatedRow
 
-LONGEST: Final = 5
-"""Weight of the statements that share a transaction at most, so that none takes long: see `_weight`."""
-
-FEW: Final = 2
-"""Edges of a table that are made one by one at most: to make more together takes as long as these."""
+FEW: Final = 1
+"""Edges of a table that are made one by one at most: to make more together takes as long as two."""
 
 MANY: Final = 48
 MANY_EDGES: Final = 24
@@ -47,26 +47,16 @@ _EDGES: Final[dict[type[Edge], str]] = {SightedRow: "sighted", HasRow: "has", Re
 """The name of an edge's statements."""
 
 
-def write_statements(episode: str, made: Sequence[tuple[Write, Fact]]) -> list[list[Statement]]:
+def write_statements(
+    episode: str, made: Sequence[tuple[Write, Fact]], entities: Mapping[str, EntityRow]
+) -> list[list[Statement]]:
     """What makes writes of an episode, given in order, true in the tables, with their lines of the record.
 
-    Each list is to be one transaction, in order.
+    entities: all of the episode, by name. Each list is to be one transaction, in order: of one statement, as the engine
+    needs twice the time for a transaction that is begun and ended by statements of its own, and others wait for it.
     """
-    transactions: list[list[Statement]] = []
-    weight = LONGEST
-    for statement in (*_changes(made).statements(episode), *_lines(episode, made)):
-        weight += _weight(statement)
-        if weight > LONGEST:
-            transactions.append([])
-            weight = _weight(statement)
-        transactions[-1].append(statement)
-    return transactions
-
-
-def _weight(statement: Statement) -> int:
-    """About how many milliseconds a statement takes: of one row, of many nodes, of many edges."""
-    cypher, params = statement
-    return 2 if "rows" not in params else 4 if "r.source" in cypher else 3
+    statements = (*_changes(made).statements(episode, entities), *_lines(episode, made))
+    return [[statement] for statement in statements]
 
 
 @dataclass
@@ -129,15 +119,17 @@ class _Changes:
         sources = (by.source, by.target) if isinstance(by, RelatedRow) else (by.source,)
         self.ended.extend((_EDGES[type(by)], source, number, step) for source in sources)
 
-    def statements(self, episode: str) -> Iterator[Statement]:
+    def statements(self, episode: str, entities: Mapping[str, EntityRow]) -> Iterator[Statement]:
         """The statements, nodes before edges."""
+        begun = {"episode": episode}
+        hashed = {"hash": episode_hash(episode)}
         if self.begun is not None:
             yield _text("begin"), msgspec.structs.asdict(self.begun)
         if self.planned is not None:
             yield _text("plan"), {"id": episode, "plan": self.planned.plan}
-        for name, nodes in (("slots", self.slots), ("observation", self.observations), ("entity", self.entities)):
-            rows = nodes.values() if isinstance(nodes, dict) else nodes
-            yield from _rows(name, episode, [msgspec.structs.asdict(row) for row in rows])
+        yield from _rows("slots", begun, map(msgspec.structs.asdict, self.slots))
+        yield from _rows("observation", begun | hashed, map(msgspec.structs.asdict, self.observations))
+        yield from _rows("entity", begun | hashed, map(msgspec.structs.asdict, self.entities.values()))
         for row in self.named.values():
             yield _text("changed"), {"id": row.id, "kind": row.kind, "node": row.node}
         for key in self.freed:
@@ -145,23 +137,34 @@ class _Changes:
         for name, source, number, step in self.ended:
             yield _text(f"{name}_before"), {"source": source, "write": number, "until": step}
         for kind, name in _EDGES.items():
-            yield from self._edge_statements(
-                name, episode, [self._columns(edge) for edge in self.edges.values() if isinstance(edge, kind)]
-            )
-
-    def _edge_statements(self, name: str, episode: str, edges: Sequence[dict[str, Any]]) -> Iterator[Statement]:
-        if len(edges) <= FEW:
-            yield from ((_text(name), edge) for edge in edges)
-            return
-        yield from _rows(f"{name}_many", episode, edges, MANY_EDGES)
+            edges = [edge for edge in self.edges.values() if isinstance(edge, kind)]
+            if len(edges) <= FEW:
+                yield from ((_text(name), self._columns(edge)) for edge in edges)
+            else:
+                rows = [self._columns(edge) | _numbers(edge, entities) for edge in edges]
+                yield from _rows(f"{name}_many", begun | hashed, map(_short, rows), MANY_EDGES)
 
     def _columns(self, edge: Edge) -> dict[str, Any]:
         values = msgspec.structs.asdict(edge)
         if isinstance(edge, SightedRow):
             del values["box"]
             values |= edge.box._asdict()
+        if isinstance(edge, RelatedRow):
+            values["whom"] = name_of(edge.target)
         until = self.until.get(edge.write, ALWAYS)
-        return {**values, "current": until == ALWAYS, "until": until}
+        return {**values, "current": until == ALWAYS, "until": until, "who": name_of(edge.source)}
+
+
+def _short(edge: Mapping[str, Any]) -> dict[str, Any]:
+    """Without what is said once for all edges, or by their numbers: each column costs the engine time."""
+    return {name: value for name, value in edge.items() if name not in ("episode", "source", "target")}
+
+
+def _numbers(edge: Edge, entities: Mapping[str, EntityRow]) -> dict[str, int]:
+    """The numbers of the edge's ends in their episode; that of an observation is in its name."""
+    target = name_of(edge.target)
+    number = entities[target].number if isinstance(edge, RelatedRow) else int(target.removeprefix("o"))
+    return {"source_number": entities[name_of(edge.source)].number, "target_number": number}
 
 
 def _changes(made: Sequence[tuple[Write, Fact]]) -> _Changes:
@@ -184,13 +187,16 @@ def _lines(episode: str, made: Sequence[tuple[Write, Fact]]) -> Iterator[Stateme
         }
         for write, _ in made
     ]
-    return _rows("write", episode, lines)
+    return _rows("write", {"episode": episode}, lines)
 
 
-def _rows(name: str, episode: str, rows: Sequence[Mapping[str, Any]], most: int = MANY) -> Iterator[Statement]:
+def _rows(
+    name: str, given: Mapping[str, Any], rows: Iterable[Mapping[str, Any]], most: int = MANY
+) -> Iterator[Statement]:
     """Statements that make rows, `most` of them at a time."""
-    for start in range(0, len(rows), most):
-        yield _text(name), {"episode": episode, "rows": rows[start : start + most]}
+    left = iter(rows)
+    while some := list(islice(left, most)):
+        yield _text(name), {**given, "rows": some}
 
 
 DROPPED: Final = ("entity", "observation", "slot", "write", "episode")

@@ -70,8 +70,8 @@ SCENE_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
 }
 """Per relationship table: from, to, and its columns as name and type."""
 
-STORAGE_VERSION: Final = 2
-"""Raised when the tables above change: a graph of another version is rebuilt."""
+STORAGE_VERSION: Final = 3
+"""Raised when the tables above change, or the world namespace's: a graph of another version is rebuilt."""
 
 
 def scene_ddl() -> list[str]:

@@ -6,12 +6,18 @@ the frame of its observation (`first` = `last`), but for gender and age, which h
 write replaces stays, with `current` false and `until` the step of that write: at step k an edge was believed where
 `step <= k AND until > k`. Keys: `Episode` is `<run>/<question>`; `Observation` `<episode>/o<number>`; `Entity`
 `<episode>/<the agent's own name for it>`; `Slot` and `Write` `<episode>/<number>`.
+
+An agent's edges are read and written after almost every look, so that the engine must find an episode's nodes without
+going from the episode to them, which takes it longer than all the rest: nodes that have edges carry a hash of the
+episode's key, found in one pass over a column of numbers, and edges say by name whose they are.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from hashlib import sha256
 from typing import Final, Literal, NamedTuple
+from uuid import UUID
 
 import msgspec
 
@@ -25,8 +31,9 @@ WORLD_NODES: Final[dict[str, str]] = {
     "Episode": "id STRING PRIMARY KEY, run STRING, question STRING, sequence STRING, plan STRING",
     # A crop covers columns [left, left + width) of the panorama, over the seam; a whole panorama all 3760.
     "Observation": "id STRING PRIMARY KEY, episode STRING, number INT64, step INT64, frame INT64, angle DOUBLE, "
-    "left INT64, width INT64",
-    "Entity": "id STRING PRIMARY KEY, episode STRING, name STRING, number INT64, kind STRING, node STRING, step INT64",
+    "left INT64, width INT64, episode_hash UUID",
+    "Entity": "id STRING PRIMARY KEY, episode STRING, name STRING, number INT64, kind STRING, node STRING, step INT64, "
+    "episode_hash UUID",
     # What the plan asks for: a node (somebody is to be found), a condition, an edge, or the read. What a kind lacks is
     # "", and -1 for the frame of what is asked at no stated one.
     "Slot": "id STRING PRIMARY KEY, episode STRING, number INT64, kind STRING, node STRING, other STRING, "
@@ -54,6 +61,7 @@ WORLD_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
             "angle DOUBLE",
             "current BOOLEAN",
             "until INT64",
+            "who STRING",
         ),
     ),
     "Has": (
@@ -71,6 +79,7 @@ WORLD_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
             "last INT64",
             "current BOOLEAN",
             "until INT64",
+            "who STRING",
         ),
     ),
     "Related": (
@@ -86,6 +95,9 @@ WORLD_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
             "last INT64",
             "current BOOLEAN",
             "until INT64",
+            # The two ends, by name.
+            "who STRING",
+            "whom STRING",
         ),
     ),
 }
@@ -124,7 +136,7 @@ class EpisodeRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ObservationRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A row of `Observation`, and of `Made` from its episode."""
+    """A row of `Observation` but for the hash, and of `Made` from its episode."""
 
     id: str
     episode: str
@@ -137,7 +149,9 @@ class ObservationRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class EntityRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A row of `Entity`, and of `Holds` from its episode. `kind` and `node` may change, the rest does not."""
+    """A row of `Entity` but for the hash, and of `Holds` from its episode. `kind` and `node` may change, the rest does
+    not.
+    """
 
     id: str
     episode: str
@@ -245,3 +259,13 @@ def world_ddl() -> list[str]:
 def episode_key(run_id: str, question_id: str) -> str:
     """Key of an `Episode` node."""
     return f"{run_id}/{question_id}"
+
+
+def episode_hash(episode: str) -> str:
+    """128 bits of the SHA-256 of an episode's key, as text of the engine's type for such numbers."""
+    return str(UUID(bytes=sha256(episode.encode()).digest()[:16]))
+
+
+def name_of(key: str) -> str:
+    """The agent's own name of an entity or observation, from its key."""
+    return key.rpartition("/")[2]

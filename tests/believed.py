@@ -1,6 +1,8 @@
 """Episodes of beliefs for tests: written straight into the world tables, readable ones and random ones."""
 
 import json
+import uuid
+from hashlib import sha256
 
 import pyarrow as pa
 
@@ -9,6 +11,7 @@ from jrdb_avr.schema.world import WORLD_NODES, WORLD_RELS
 
 ALWAYS = 10_000_000
 _TYPES = {"STRING": pa.string(), "INT64": pa.int64(), "DOUBLE": pa.float64(), "BOOLEAN": pa.bool_()}
+_TYPES["UUID"] = pa.string()
 _BOX = pa.struct([(name, pa.float64()) for name in "xywh"])
 _EMPTY = {"STRING": "", "INT64": 0, "DOUBLE": 0.0, "BOOLEAN": True}
 CIRCLE = tuple(470 * k for k in range(8))
@@ -70,31 +73,38 @@ def write(graph, stories):
     tables = {name: [] for name in (*WORLD_NODES, *WORLD_RELS)}
     for key, story in stories.items():
         tables["Episode"].append({"id": key})
+        of_episode = {"episode": key, "episode_hash": hash_of(key)}
         at = {}
         for number, one in enumerate(story.rows["observations"], 1):
             name = f"{key}/{one['name']}"
             at.setdefault(one["frame"], name)
-            row = {"id": name, "episode": key, "number": number, "frame": one["frame"], "left": one["left"]}
+            row = {"id": name, **of_episode, "number": number, "frame": one["frame"], "left": one["left"]}
             tables["Observation"].append({**row, "width": one["width"]})
             tables["Made"].append({"from": key, "to": name})
         for number, name in enumerate(sorted({one["entity"] for one in story.rows["sightings"]})):
-            row = {"id": f"{key}/{name}", "episode": key, "name": name, "number": number}
+            row = {"id": f"{key}/{name}", **of_episode, "name": name, "number": number}
             tables["Entity"].append({**row, "node": story.nodes.get(name, "")})
             tables["Holds"].append({"from": key, "to": f"{key}/{name}"})
         for one in story.rows["sightings"]:
             box = dict(zip("xywh", one["box"], strict=True))
-            edge = {"from": f"{key}/{one['entity']}", "to": at[one["frame"]], "episode": key}
+            edge = {"from": f"{key}/{one['entity']}", "to": at[one["frame"]], "episode": key, "who": one["entity"]}
             tables["Sighted"].append({**one, **edge, "box": box})
         for one in story.rows["attributes"]:
-            edge = {"from": f"{key}/{one['entity']}", "to": at[one["seen"]], "episode": key}
+            edge = {"from": f"{key}/{one['entity']}", "to": at[one["seen"]], "episode": key, "who": one["entity"]}
             tables["Has"].append({**one, **edge})
         for one in story.rows["relations"]:
             edge = {"from": f"{key}/{one['source']}", "to": f"{key}/{one['target']}", "episode": key}
             span = {"first": one["frame"], "last": one["frame"], "observation": at[one["frame"]]}
-            tables["Related"].append({**one, **edge, **span})
+            ends = {"who": one["source"], "whom": one["target"]}
+            tables["Related"].append({**one, **edge, **span, **ends})
     for name, rows in tables.items():
         if rows:
             graph.copy(name, _table(name, rows))
+
+
+def hash_of(key):
+    """Half of an episode's SHA-256, written as a UUID."""
+    return str(uuid.UUID(bytes=sha256(key.encode()).digest()[:16]))
 
 
 def _table(name, rows):

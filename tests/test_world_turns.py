@@ -1,4 +1,4 @@
-"""Writes of one turn: one transaction, and what an episode tells without asking the engine."""
+"""Writes of one turn: made together, and what an episode tells without asking the engine."""
 
 import random
 
@@ -40,7 +40,7 @@ def test_an_episode_believes_what_its_tables_say(graph, seed):
     assert tables_of(graph, belongs(episode.key)) == replay(writes, episode.key)
 
 
-def test_writes_together_are_one_transaction(graph):
+def test_writes_together_are_made_together(graph):
     """They are in the tables, and in the record, at its end or when they are settled, also where something fails."""
     episode, writes = begin(graph)
     kept = lambda: [row["number"] for row in rows_of(graph, "Write", belongs(episode.key))]  # noqa: E731
@@ -58,7 +58,7 @@ def test_writes_together_are_one_transaction(graph):
 
 
 def test_so_many_writes_wait_at_most(graph):
-    """An episode of any length puts a bounded number of writes into one transaction."""
+    """An episode of any length makes a bounded number of writes together."""
     episode, writes = begin(graph)
     with episode.together():
         for frame in range(MOST_WAITING - 2):
@@ -66,3 +66,16 @@ def test_so_many_writes_wait_at_most(graph):
         assert not writes, "its beginning waits as well"
         episode.observed(look(15 * MOST_WAITING), 1)
         assert len(writes) == MOST_WAITING
+
+
+def test_an_entity_may_be_called_like_an_observation(graph):
+    """Edges made together find their ends by numbers, and each end by its own."""
+    episode, writes = begin(graph)
+    with episode.together():
+        for step, frame in enumerate((15, 30, 45), 1):
+            episode.observed(look(frame), step)
+        for name in ("p1", "o3", "o1"):
+            assert add(episode, name).accepted
+            assert say(episode, "action", "sitting", entity=name).accepted
+    assert {row["target"] for row in rows_of(graph, "Has", belongs(episode.key))} == {f"{episode.key}/o1"}
+    assert tables_of(graph, belongs(episode.key)) == replay(writes, episode.key)

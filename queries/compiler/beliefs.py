@@ -17,6 +17,7 @@ from jrdb_avr.queries.binding import parameters
 from jrdb_avr.schema.panorama import WIDTH, Box
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.vocabulary import POSES
+from jrdb_avr.schema.world import episode_hash
 
 from .names import SYMMETRIC, WORLD, read_text
 from .reads import Person, Queried, Reader, Seen, Segment, Who
@@ -65,7 +66,7 @@ class BeliefReader(Reader):
     """
 
     def __init__(self, graph: Queried, episode: str, timeout_s: float, rows: Rows | None = None) -> None:
-        super().__init__(graph, WORLD, {"scope": episode}, timeout_s)
+        super().__init__(graph, WORLD, {"scope": episode, "hash": episode_hash(episode)}, timeout_s)
         self.notes: dict[int, list[tuple[str, str]]] = {}
         self.shown: dict[int, list[int]] = {}
         self._rows: dict[str, Sequence[Mapping[str, Any]]] = dict(rows or {})
@@ -73,7 +74,7 @@ class BeliefReader(Reader):
 
     def ask(self, cypher: str, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         """The rows of a compiled statement, asked for one plan after the other, in any order. Raises QueryError."""
-        own = [name for name in parameters(cypher) if name != "scope"]
+        own = [name for name in parameters(cypher) if name not in self._values]
         return [
             {"id": row["id"], **found}
             for row in rows

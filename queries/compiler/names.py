@@ -40,8 +40,9 @@ class Names(Generic[C]):
     number or name in its scope; conditions, edges: clauses by kind, see `condition_kind` and `edge_kind`; reads: folder
     of the statements that read answers.
 
-    opening: lines that give the facts of one scope, `$scope`, as rows. Clauses are then `Told` by these, `there` says
-    what makes one a sighting; a person is a name, and no sightings are bound.
+    opening: lines that give the facts of one scope as rows; what they are given is bound by the namespace's reader.
+    Clauses are then `Told` by these, `there` says what makes one a sighting; a person is a name, and no sightings are
+    bound.
     single: what there must be exactly one of: of all people of a plan together, or of its target alone. turned: whether
     windows are told by the angles of two people, so that an edge's value is how many degrees; else it is the window's
     label.

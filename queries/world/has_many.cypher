@@ -1,9 +1,9 @@
-// What is seen of entities in observations. The engine finds no key by a row's value, and takes longer for pairs of an episode's nodes: one end is found after the other.
+// What is seen of entities in observations. (The engine finds no key by a row's value.)
+MATCH (n:Entity {episode_hash: UUID($hash)})
 UNWIND $rows AS r
-MATCH (:Episode {id: $episode})-[:Holds]->(n:Entity)
 WITH r, n
-WHERE n.id = r.source
-MATCH (:Episode {id: $episode})-[:Made]->(o:Observation)
+WHERE n.number = r.source_number
+MATCH (o:Observation {episode_hash: UUID($hash)})
 WITH r, n, o
-WHERE o.id = r.target
-CREATE (n)-[:Has {episode: r.episode, write: r.write, step: r.step, name: r.name, value: r.value, number: r.number, first: r.first, last: r.last, current: r.current, until: r.until}]->(o)
+WHERE o.number = r.target_number
+CREATE (n)-[:Has {episode: $episode, write: r.write, step: r.step, name: r.name, value: r.value, number: r.number, first: r.first, last: r.last, current: r.current, until: r.until, who: r.who}]->(o)

@@ -1,9 +1,9 @@
-// What joins entities in observations. The engine finds no key by a row's value, and takes longer for pairs of an episode's nodes: one end is found after the other.
+// What joins entities in observations. (The engine finds no key by a row's value.)
+MATCH (n:Entity {episode_hash: UUID($hash)})
 UNWIND $rows AS r
-MATCH (:Episode {id: $episode})-[:Holds]->(n:Entity)
 WITH r, n
-WHERE n.id = r.source
-MATCH (:Episode {id: $episode})-[:Holds]->(m:Entity)
+WHERE n.number = r.source_number
+MATCH (m:Entity {episode_hash: UUID($hash)})
 WITH r, n, m
-WHERE m.id = r.target
-CREATE (n)-[:Related {episode: r.episode, write: r.write, step: r.step, name: r.name, observation: r.observation, first: r.first, last: r.last, current: r.current, until: r.until}]->(m)
+WHERE m.number = r.target_number
+CREATE (n)-[:Related {episode: $episode, write: r.write, step: r.step, name: r.name, observation: r.observation, first: r.first, last: r.last, current: r.current, until: r.until, who: r.who, whom: r.whom}]->(m)

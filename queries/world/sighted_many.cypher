@@ -1,9 +1,9 @@
-// Where entities are in observations. The engine finds no key by a row's value, and takes longer for pairs of an episode's nodes: one end is found after the other.
+// Where entities are in observations. (The engine finds no key by a row's value.)
+MATCH (n:Entity {episode_hash: UUID($hash)})
 UNWIND $rows AS r
-MATCH (:Episode {id: $episode})-[:Holds]->(n:Entity)
 WITH r, n
-WHERE n.id = r.source
-MATCH (:Episode {id: $episode})-[:Made]->(o:Observation)
+WHERE n.number = r.source_number
+MATCH (o:Observation {episode_hash: UUID($hash)})
 WITH r, n, o
-WHERE o.id = r.target
-CREATE (n)-[:Sighted {episode: r.episode, write: r.write, step: r.step, frame: r.frame, box: {x: r.x, y: r.y, w: r.w, h: r.h}, angle: r.angle, current: r.current, until: r.until}]->(o)
+WHERE o.number = r.target_number
+CREATE (n)-[:Sighted {episode: $episode, write: r.write, step: r.step, frame: r.frame, box: {x: r.x, y: r.y, w: r.w, h: r.h}, angle: r.angle, current: r.current, until: r.until, who: r.who}]->(o)

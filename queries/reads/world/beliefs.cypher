@@ -1,5 +1,5 @@
 // All that is believed in an episode, one row each: of a sighting the frame, of a relation the other one.
-// (What narrows the pattern comes after it: with an equality inside, the engine begins at the whole table.)
-MATCH (:Episode {id: $scope})-[:Holds]->(n:Entity)-[r:Sighted|Has|Related]->(o:Observation:Entity)
-WITH n.name AS id, o.name AS other, r
+// (From the episode itself, or to the names of people, the engine scans nodes and edges of other episodes.)
+MATCH (n:Entity {episode_hash: UUID($hash)})-[r:Sighted|Has|Related]->(:Observation:Entity)
+WITH r.who AS id, r.whom AS other, r
 WHERE r.current
