@@ -319,8 +319,7 @@ class Episode:
     # -- writing ------------------------------------------------------------------------------------------------------
 
     def _accept(self, tool: Tool, arguments: object, step: int, fact: Fact) -> Result:
-        """Write what has been found good, and know it from then on."""
-        self._write(tool, arguments, step, fact)
+        """Know what has been found good from now on, and write it."""
         self._accepted += 1
         for key in fact.freed:
             name = name_of(key)
@@ -331,6 +330,8 @@ class Episode:
         for edge in (fact.sighted, fact.has, fact.related):
             if edge is not None:
                 self._edges[place_of(edge)] = Believed.of(edge)
+        # Last: all that waits may be put into the tables now, and this with it.
+        self._write(tool, arguments, step, fact)
         return DONE
 
     def _write(self, tool: Tool, arguments: object, step: int, fact: Fact) -> None:

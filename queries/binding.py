@@ -20,7 +20,7 @@ _TOKEN = re.compile(
     re.DOTALL | re.IGNORECASE,
 )
 
-_INT64: Final = range(-(2**63), 2**63)
+_INT64: Final = 2**63
 
 _SCALARS: Final = {bool: "BOOL", int: "INT64", float: "DOUBLE", str: "STRING"}
 _FIELD: Final = re.compile("[A-Za-z_][A-Za-z0-9_]*")
@@ -84,9 +84,9 @@ def _plain(name: str, value: Any) -> Any:
     if value is None or isinstance(value, bool | str | float) or type(value).__module__.startswith("pyarrow"):
         return value
     if isinstance(value, int):
-        if value not in _INT64:
-            raise QueryError(f"${name}: {value} does not fit 64 bits")
-        return value
+        if not -_INT64 <= value < _INT64:
+            raise QueryError(f"${name}: {int(value)} does not fit 64 bits")
+        return int(value)
     if isinstance(value, list | tuple):
         return [_plain(name, item) for item in value]
     if isinstance(value, dict):
@@ -101,8 +101,6 @@ def _type(name: str, value: Any) -> str | None:
     if kind := _SCALARS.get(type(value)):
         return kind
     match value:
-        case int():
-            return "INT64"
         case float():
             return "DOUBLE"
         case str():

@@ -7,8 +7,8 @@ write replaces stays, with `current` false and `until` the step of that write: a
 `step <= k AND until > k`. Keys: `Episode` is `<run>/<question>`; `Observation` `<episode>/o<number>`; `Entity`
 `<episode>/<the agent's own name for it>`; `Slot` and `Write` `<episode>/<number>`.
 
-An agent's edges are read and written after almost every look, so that the engine must find an episode's nodes without
-going from the episode to them, which takes it longer than all the rest: nodes that have edges carry a hash of the
+An agent's edges are read and written after almost every look. From the episode to its nodes and on to their edges the
+engine would scan edges and names of other episodes, half of what it does: so nodes that have edges carry a hash of the
 episode's key, found in one pass over a column of numbers, and edges say by name whose they are.
 """
 

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import threading
+from enum import IntEnum
 from types import SimpleNamespace
 
 import numpy as np
@@ -330,6 +331,8 @@ def test_small_integers_are_bound_wide(memory):
     assert wide["i"].to_pylist() == [3]
     numpy_given = memory.query("MATCH (n:N) WHERE n.id = $i RETURN count(*) AS c", {"i": np.int64(3)})
     assert numpy_given["c"].to_pylist() == [1]
+    member_given = memory.query("MATCH (n:N) WHERE n.id = $i RETURN count(*) AS c", {"i": IntEnum("E", {"A": 3}).A})
+    assert member_given["c"].to_pylist() == [1]
 
 
 def test_rows_come_in_as_arrow(memory):

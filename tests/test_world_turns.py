@@ -79,3 +79,17 @@ def test_an_entity_may_be_called_like_an_observation(graph):
             assert say(episode, "action", "sitting", entity=name).accepted
     assert {row["target"] for row in rows_of(graph, "Has", belongs(episode.key))} == {f"{episode.key}/o1"}
     assert tables_of(graph, belongs(episode.key)) == replay(writes, episode.key)
+
+
+@pytest.mark.parametrize("place", range(MOST_WAITING - 4, MOST_WAITING + 1))
+def test_the_write_that_is_too_many_to_wait_may_be_a_new_entity(graph, place):
+    """What waits is made when it is complete: the newest entity is known to the sightings made with it."""
+    episode, writes = begin(graph)
+    with episode.together():
+        episode.observed(look(15), 1)
+        for n in range(place - 2 - 4):
+            episode.noted("get_graph", {"n": n}, 1, True)
+        for n in range(6):
+            assert add(episode, f"p{n}").accepted
+    assert len(writes) == place + 2
+    assert tables_of(graph, belongs(episode.key)) == replay(writes, episode.key)

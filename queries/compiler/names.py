@@ -191,4 +191,4 @@ WORLD: Final[Names[Told]] = Names(
     single="target",
     turned=False,
 )
-"""The world namespace: what is believed in the episode `$scope`. `who` is the agent's own name for an entity."""
+"""The world namespace: what is believed in one episode. `who` is the agent's own name for an entity."""

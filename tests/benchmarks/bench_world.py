@@ -5,7 +5,7 @@ sightings, attributes and relations by the agent's own class, and solves its pla
 the process of the world model takes for a read or a transaction (timed_process.py), by the clock. Printed beside: how
 much of that it is on a processor, which leaves out the disk and what other processes and, on a rented machine, other
 tenants take (`stolen`, of this machine's time while the episodes run); and the time that a call waits, for others and
-for its turn in this process. All plans are of one shape: the first use of a statement,
+for its turn in this process. A write is a transaction: one statement, of one row or many. All plans are of one shape: the first use of a statement,
 when it is planned and looked through, takes 15 to 80 ms, and is among the times. Exit code 1 where the 99th percentile
 of writes or of the solver's reads is over 10 ms.
 """
@@ -109,14 +109,14 @@ def main():
                 thread.join()
             stolen, whole = (now - then for now, then in zip(stolen_and_all(), before, strict=True))
         served, waited = json.loads(Path(f"{path}.times").read_text()), Timed.waited
-    print("        calls  service ms: p50    p99  processor ms: p50    p99  waited ms: p50     p99  p99 / bar")
+    print("        calls  seconds  service ms: p50    p99  processor ms: p50    p99  waited ms: p50     p99  p99 / bar")
     worst = 0.0
     for kind in ("write", "read"):
         service, processor = np.array(served[kind]).T
         figures = [p for times in (service, processor, waited[kind]) for p in 1000 * np.percentile(times, (50, 99))]
         worst = max(worst, figures[1] / BAR_MS)
         shown = "{:16.2f} {:6.2f} {:18.2f} {:6.2f} {:15.1f} {:7.1f}".format(*figures)
-        print(f"{kind:6} {len(service):6} {shown} {figures[1] / BAR_MS:10.2f}")
+        print(f"{kind:6} {len(service):6} {service.sum():8.1f} {shown} {figures[1] / BAR_MS:10.2f}")
     print(f"stolen: {100 * stolen / max(whole, 1):.1f} %")
     sys.exit(int(worst > 1))
 
