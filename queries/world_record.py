@@ -289,8 +289,9 @@ def restore_world(graph: Graph, run_id: str, record: pa.Table) -> int:
     """Bring a run's episodes in a graph to what its record says: replay those that it lacks or holds in part, take away
     those that the record does not hold. Returns how many were replayed.
 
-    Their number of writes tells: the record holds episodes that have ended, and what a write made is in the graph before
-    its line, so where the numbers are equal, nothing is missing and nothing over. Raises StoreError as `replayed` does.
+    Their number of writes tells: the record holds episodes that have ended, and what a write made is in the graph
+    before its line, so where the numbers are equal, nothing is missing and nothing over. Raises StoreError as
+    `replayed` does.
     """
     there = writes_held(graph, run_id)
     counts = record.group_by("question_id").aggregate([("number", "count")]).to_pylist()
