@@ -18,7 +18,7 @@ from typing import Any, Final
 import msgspec
 
 from jrdb_avr.queries.world import WorldGraph
-from jrdb_avr.queries.world_writes import drop_episode, episodes_of, write_statements
+from jrdb_avr.queries.world_writes import common_statements, drop_episode, episodes_of, write_statements
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Keep, Observation, Panorama, Question
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, center_angle, from_crop
@@ -114,6 +114,8 @@ class World:
         self.graph = graph
         self.run_id = run_id
         self._begun = episodes_of(graph, run_id)
+        # The engine needs 20 to 40 ms for the first use of a text, in which nobody else is served.
+        graph.prepare(common_statements())
 
     def episode(self, question: Question, keep: Keep) -> Episode:
         """Begin a question's episode; what an earlier try of it left is taken away.

@@ -46,6 +46,10 @@ class _Write(msgspec.Struct, tag="write", frozen=True):
     transactions: list[list[tuple[str, dict[str, Any]]]]
 
 
+class _Prepare(msgspec.Struct, tag="prepare", frozen=True):
+    statements: list[tuple[str, dict[str, Any]]]
+
+
 class _Close(msgspec.Struct, tag="close", frozen=True):
     """Give the graph back, and end."""
 
@@ -72,7 +76,7 @@ def _bound(value: Any) -> Any:
 
 
 # Made at import: threads that meet a type first at the same time crash the decoder.
-_REQUEST: Final = msgspec.msgpack.Decoder(_Read | _Write | _Close)
+_REQUEST: Final = msgspec.msgpack.Decoder(_Read | _Write | _Prepare | _Close)
 _REPLY: Final = msgspec.msgpack.Decoder(_Done | _Failed)
 _ENCODER: Final = msgspec.msgpack.Encoder(enc_hook=_bound)
 
@@ -101,6 +105,10 @@ class WorldProcess:
             self._end()
             raise
 
+    def prepare(self, statements: Sequence[Statement]) -> None:
+        """As `WorldTables.prepare`. Raises QueryError, StoreError where the process has ended."""
+        self._ask(_Prepare([(cypher, dict(params)) for cypher, params in statements]))
+
     def query(self, cypher: str, params: Mapping[str, Any], ordered: bool, timeout_s: float | None) -> pa.Table:
         """Run one reading statement. Raises QueryError, StoreError where the process has ended."""
         data = self._ask(_Read(cypher, dict(params), ordered, timeout_s))
@@ -120,7 +128,7 @@ class WorldProcess:
         finally:
             self._end()
 
-    def _ask(self, request: _Read | _Write | _Close) -> bytes:
+    def _ask(self, request: _Read | _Write | _Prepare | _Close) -> bytes:
         try:
             data = _ENCODER.encode(request)
         except (TypeError, ValueError, OverflowError, RecursionError) as error:
@@ -186,6 +194,8 @@ def serve(path: Path, requests: IO[bytes], replies: IO[bytes]) -> None:
                     reply = _Done(_stream(tables.query(cypher, params, ordered, timeout_s)))
                 case _Write(transactions):
                     tables.write(transactions)
+                case _Prepare(statements):
+                    tables.prepare(statements)
                 case _Close():
                     tables.close()
                     tables = None

@@ -53,6 +53,12 @@ class WorldTables:
         """Give the graph back."""
         self.graph.close()
 
+    def prepare(self, statements: Sequence[Statement]) -> None:
+        """Let writing statements through the doors and plan them, for values of these types. Raises QueryError."""
+        for cypher, params in statements:
+            self._admit(cypher, params, writes=True)
+            self.graph.prepare(cypher, params)
+
     def query(self, cypher: str, params: Mapping[str, Any], ordered: bool, timeout_s: float | None) -> pa.Table:
         """Run one reading statement. Raises QueryError."""
         self._admit(cypher, params, writes=False)

@@ -269,7 +269,7 @@ def test_a_solving_that_takes_too_long_is_an_error_of_its_question_alone(world, 
     many = wide_plan(
         4, [(NODES[0], "conversation", b) for b in NODES[1:4]], [{"attribute": "gender", "value": "female"}]
     )
-    calls = [*crowd(12, ((0, n) for n in range(1, 12))), attribute("gender", "female", "p0")]
+    calls = [*crowd(20, ((0, n) for n in range(1, 20))), attribute("gender", "female", "p0")]
     calls += [attribute("action", "standing", "p0"), final(2, "p0")]
     questions = [
         dataclasses.replace(world.task(text, "multiple_choice", CHOICES).question, question_id=f"{n:016x}")
