@@ -6,9 +6,9 @@ the process of the world model takes for a read or a transaction (timed_process.
 much of that it is on a processor, which leaves out the disk and what other processes and, on a rented machine, other
 tenants take (`stolen`, of this machine's time while the episodes run); and the time that a call waits, for others and
 for its turn in this process. A write is a transaction: one statement, of one row or many. All plans are of one shape:
-the first read, when its statement is planned and looked through, takes 50 to 80 ms and is among the times; what is
-commonly written is planned before. Exit code 1 where the 99th percentile of writes or of the solver's reads is over
-10 ms.
+the first read, when its statement is planned and looked through, takes 50 to 80 ms and is among the times. A run's
+plans are of many shapes, and this says nothing of their first reads. What is commonly written is planned before.
+Exit code 1 where the 99th percentile of writes or of the solver's reads is over 10 ms.
 """
 
 import contextlib
