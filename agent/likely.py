@@ -8,7 +8,6 @@ from typing import Final
 from jrdb_avr.schema.plan import Plan
 
 from .parts import Parts
-from .slots import wanted
 
 _MOST_STEPS: Final = 2_000
 """Bindings weighed; those of a real plan are a few dozens. Beyond them the best one so far is taken."""
@@ -90,7 +89,7 @@ def rest(parts: Parts, bound: Mapping[str, str]) -> list[str]:
             said += [f"{named}: not seen{_at(parts.plan, time)}" for time in unseen]
         for i, condition in enumerate(node.conditions):
             if who not in parts.conditions[node.id, i]:
-                said.append(f"{named}: {' '.join(wanted(condition))} is not known{_at(parts.plan, condition.at)}")
+                said.append(f"{named}: {' '.join(condition.wanted)} is not known{_at(parts.plan, condition.at)}")
     for edge, pairs in zip(parts.plan.edges, parts.edges, strict=True):
         if (bound.get(edge.source), bound.get(edge.target)) not in pairs:
             ends = [f"{n} ({bound[n]})" if n in bound else n for n in (edge.source, edge.target)]

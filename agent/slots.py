@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import msgspec
 
-from jrdb_avr.schema.plan import Condition, Plan
+from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.world import SlotRow
 
 NO_FRAME = -1
@@ -28,7 +28,7 @@ def _slots(plan: Plan) -> Iterator[SlotRow]:
     for node in plan.nodes:
         yield _slot("node", node.id)
         for condition in node.conditions:
-            name, value = wanted(condition)
+            name, value = condition.wanted
             yield _slot("condition", node.id, name=name, value=value, frame=_frame(plan, condition.at))
     for edge in plan.edges:
         yield _slot("edge", edge.source, edge.target, edge.relation, frame=_frame(plan, edge.at))
@@ -38,17 +38,6 @@ def _slots(plan: Plan) -> Iterator[SlotRow]:
 
 def _slot(kind: str, node: str, other: str = "", name: str = "", value: str = "", frame: int = NO_FRAME) -> SlotRow:
     return SlotRow("", "", 0, kind, node, other, name, value, frame)
-
-
-def wanted(condition: Condition) -> tuple[str, str]:
-    """Name and value of the attribute that fulfils a condition, as an agent writes it."""
-    if condition.attribute is not None:
-        return condition.attribute, str(condition.value)
-    if condition.action is not None:
-        return "action", condition.action
-    if condition.object is not None:
-        return "object", f"{condition.verb}: {condition.object}"
-    return "interaction", condition.interaction or ""
 
 
 def _frame(plan: Plan, time: str | None) -> int:

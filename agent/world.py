@@ -17,6 +17,7 @@ from typing import Any, Final
 
 import msgspec
 
+from jrdb_avr.queries.compiler import common_finds
 from jrdb_avr.queries.world import WorldGraph
 from jrdb_avr.queries.world_writes import common_statements, drop_episode, episodes_of, write_statements
 from jrdb_avr.schema.errors import DecodeError
@@ -115,7 +116,8 @@ class World:
         self.run_id = run_id
         self._begun = episodes_of(graph, run_id)
         # The engine needs 20 to 40 ms for the first use of a text, in which nobody else is served.
-        graph.prepare(common_statements())
+        graph.prepare(common_statements(), writes=True)
+        graph.prepare(common_finds(), writes=False)
 
     def episode(self, question: Question, keep: Keep) -> Episode:
         """Begin a question's episode; what an earlier try of it left is taken away.

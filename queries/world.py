@@ -29,8 +29,8 @@ T = TypeVar("T")
 class Tables(Protocol):
     """World tables for one thread: in this process, or in one of their own."""
 
-    def prepare(self, statements: Sequence[Statement]) -> None:
-        """Plan writing statements for values of these types."""
+    def prepare(self, statements: Sequence[Statement], writes: bool) -> None:
+        """Plan statements for values of these types."""
         ...
 
     def query(self, cypher: str, params: Mapping[str, Any], ordered: bool, timeout_s: float | None) -> pa.Table:
@@ -93,13 +93,13 @@ class WorldGraph:
 
     # -- statements -----------------------------------------------------------------------------------------------
 
-    def prepare(self, statements: Sequence[Statement]) -> None:
-        """Plan writing statements that will be run with values of these types, before what is asked after this; nobody
-        waits for it, and what cannot be planned is told when it is run.
+    def prepare(self, statements: Sequence[Statement], *, writes: bool) -> None:
+        """Plan statements that will be run with values of these types, by `write` or by `query`, before what is asked
+        after this; nobody waits for it, and what cannot be planned is told when it is run.
         """
         with self._closing:
             if not self._closed:
-                self._engine.submit(self._tables.prepare, statements)
+                self._engine.submit(self._tables.prepare, statements, writes)
 
     def query(
         self,

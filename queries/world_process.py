@@ -48,6 +48,7 @@ class _Write(msgspec.Struct, tag="write", frozen=True):
 
 class _Prepare(msgspec.Struct, tag="prepare", frozen=True):
     statements: list[tuple[str, dict[str, Any]]]
+    writes: bool
 
 
 class _Close(msgspec.Struct, tag="close", frozen=True):
@@ -105,9 +106,9 @@ class WorldProcess:
             self._end()
             raise
 
-    def prepare(self, statements: Sequence[Statement]) -> None:
+    def prepare(self, statements: Sequence[Statement], writes: bool) -> None:
         """As `WorldTables.prepare`. Raises QueryError, StoreError where the process has ended."""
-        self._ask(_Prepare([(cypher, dict(params)) for cypher, params in statements]))
+        self._ask(_Prepare([(cypher, dict(params)) for cypher, params in statements], writes))
 
     def query(self, cypher: str, params: Mapping[str, Any], ordered: bool, timeout_s: float | None) -> pa.Table:
         """Run one reading statement. Raises QueryError, StoreError where the process has ended."""
@@ -194,8 +195,8 @@ def serve(path: Path, requests: IO[bytes], replies: IO[bytes]) -> None:
                     reply = _Done(_stream(tables.query(cypher, params, ordered, timeout_s)))
                 case _Write(transactions):
                     tables.write(transactions)
-                case _Prepare(statements):
-                    tables.prepare(statements)
+                case _Prepare(statements, writes):
+                    tables.prepare(statements, writes)
                 case _Close():
                     tables.close()
                     tables = None

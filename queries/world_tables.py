@@ -53,10 +53,10 @@ class WorldTables:
         """Give the graph back."""
         self.graph.close()
 
-    def prepare(self, statements: Sequence[Statement]) -> None:
-        """Let writing statements through the doors and plan them, for values of these types. Raises QueryError."""
+    def prepare(self, statements: Sequence[Statement], writes: bool) -> None:
+        """Let statements through the doors and plan them, for values of these types. Raises QueryError."""
         for cypher, params in statements:
-            self._admit(cypher, params, writes=True)
+            self._admit(cypher, params, writes=writes)
             self.graph.prepare(cypher, params)
 
     def query(self, cypher: str, params: Mapping[str, Any], ordered: bool, timeout_s: float | None) -> pa.Table:

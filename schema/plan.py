@@ -101,6 +101,17 @@ class Condition(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_
     interaction: Label | None = None
     at: Name | None = None
 
+    @property
+    def wanted(self) -> tuple[str, str]:
+        """Name and value of the attribute that fulfils it, as an agent writes it."""
+        if self.attribute is not None:
+            return self.attribute, str(self.value)
+        if self.action is not None:
+            return "action", self.action
+        if self.object is not None:
+            return "object", f"{self.verb}: {self.object}"
+        return "interaction", self.interaction or ""
+
 
 class Node(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A person of the pattern. All nodes of a plan are different people."""

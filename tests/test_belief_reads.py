@@ -8,7 +8,7 @@ import pytest
 from believed import CIRCLE, Story, parsed, planned, write
 
 from jrdb_avr.agent.solver import best_guess, legal, solve_beliefs
-from jrdb_avr.queries.compiler import WORLD, compile_find
+from jrdb_avr.queries.compiler import find_believed
 from jrdb_avr.queries.compiler.names import read_text
 from jrdb_avr.queries.handle import Graph
 from jrdb_avr.queries.world import WorldGraph
@@ -192,7 +192,7 @@ def test_another_episode_tells_nothing(site):
 def test_what_holds_at_an_event_is_refused_by_name():
     times = {"t0": {"frame": 0}, "t1": {"event": "start", "of": "a", "action": "walking", "after": "t0"}}
     with pytest.raises(PlanError, match=r"times\.t1"):
-        compile_find(parsed(planned("start", "t1", times, {"a": [{"action": "walking", "at": "t1"}]})), WORLD)
+        find_believed(parsed(planned("start", "t1", times, {"a": [{"action": "walking", "at": "t1"}]})))
 
 
 def test_every_statement_passes_the_world_models_door():
@@ -202,13 +202,13 @@ def test_every_statement_passes_the_world_models_door():
         belief = solve_beliefs(world, "none", parsed(plan), Rules())
         assert belief.outcome == "empty" and best_guess(world, "none", parsed(plan), Rules()) is None
         for name in ("sighted", "attributes", "relations", "looks", "entities"):
-            assert world.query(read_text(WORLD, name), {"scope": "none"}).num_rows == 0
+            assert world.query(read_text("world", name), {"scope": "none"}).num_rows == 0
 
 
 def test_nothing_of_a_plan_stands_in_the_statement():
-    strange = compile_find(parsed(planned(nodes={"match": [{"action": "x' OR true //", "at": "t0"}]})), WORLD)
-    plain = compile_find(parsed(planned(nodes={"a": [{"action": "walking", "at": "t0"}]})), WORLD)
-    assert strange.cypher == plain.cypher and "x' OR true //" in strange.row.values()
+    strange = find_believed(parsed(planned(nodes={"match": [{"action": "x' OR true //", "at": "t0"}]})))
+    plain = find_believed(parsed(planned(nodes={"a": [{"action": "walking", "at": "t0"}]})))
+    assert strange.cypher == plain.cypher and "/action=x' OR true //@0/" in strange.row.values()
 
 
 # -- what is read -----------------------------------------------------------------------------------------------------

@@ -10,7 +10,6 @@ from world_calls import calls_of, play
 from world_play import PLAN, add, begin, belongs, join, look, replay, rows_of, say, tables_of
 
 from jrdb_avr.agent.world import MOST_WAITING
-from jrdb_avr.queries.compiler import WORLD
 from jrdb_avr.queries.compiler.names import read_text
 from jrdb_avr.queries.world import WorldGraph
 from jrdb_avr.schema.vocabulary import FIRST_RIGHT
@@ -35,7 +34,7 @@ def test_an_episode_believes_what_its_tables_say(graph, seed):
         with episode.together():
             play(episode, turn)
     for name, rows in episode.rows().items():
-        found = graph.query(read_text(WORLD, name), {"scope": episode.key}).to_pylist()
+        found = graph.query(read_text("world", name), {"scope": episode.key}).to_pylist()
         held = [{key: row[key] for key in row if key != "current"} for row in found if row.get("current", True)]
         assert sorted(map(repr, held)) == sorted(map(repr, ({k: row[k] for k in held[0]} for row in rows)))
     assert tables_of(graph, belongs(episode.key)) == replay(writes, episode.key)

@@ -29,9 +29,9 @@ class BeliefSolver:
 
     def check(self, plan: Plan) -> None:
         """Raises PlanError for a plan that cannot be compiled."""
-        from jrdb_avr.queries.compiler import WORLD, compile_find
+        from jrdb_avr.queries.compiler import find_believed
 
-        compile_find(plan, WORLD)
+        find_believed(plan)
 
     def weigh(self, plan: Plan, rows: Rows) -> Belief:
         """What the beliefs come to, told by the episode itself, `rows`, without asking the engine."""

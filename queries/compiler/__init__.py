@@ -1,21 +1,22 @@
 """The compiler from graph plan to Cypher, and the solver that runs it.
 
-`clauses` holds the clause templates of conditions and edges, `names` a table of names per namespace that fills them,
-`find` puts them together to the statement that finds a plan's people, and `reads` (over beliefs: `beliefs`) asks what
-is read of them. `solve` runs all of it for many plans at once.
+`clauses` holds the clause templates of conditions and edges, `names` a table of names that fills them, `find` puts them
+together to the statement that finds a plan's people, and `reads` asks what is read of them; over beliefs these two are
+`believed_find` and `beliefs`. `solve` runs all of it for many plans at once.
 """
 
 from __future__ import annotations
 
 from .beliefs import BeliefReader, Rows
+from .believed_find import common_finds, find_believed
 from .find import Find, compile_find
-from .names import SCENE, WORLD, Names
-from .reads import Queried, Who
-from .solve import Asked, Outcome, Solution, outcome_of_target, read_with, solve, solve_with
+from .names import SCENE, Names
+from .outcome import Outcome, Who, outcome_of_target
+from .reads import Queried
+from .solve import Asked, Solution, read_with, solve, solve_with
 
 __all__ = [
     "SCENE",
-    "WORLD",
     "Asked",
     "BeliefReader",
     "Find",
@@ -25,7 +26,9 @@ __all__ = [
     "Rows",
     "Solution",
     "Who",
+    "common_finds",
     "compile_find",
+    "find_believed",
     "outcome_of_target",
     "read_with",
     "solve",

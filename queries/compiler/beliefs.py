@@ -19,8 +19,11 @@ from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.vocabulary import POSES
 from jrdb_avr.schema.world import episode_hash
 
-from .names import SYMMETRIC, WORLD, read_text
-from .reads import Person, Queried, Reader, Seen, Segment, Who
+from .believed_find import READS, SYMMETRIC, find_believed
+from .find import Find
+from .names import read_text
+from .outcome import Agreed, Who, outcome_of_target, people_of
+from .reads import Person, Queried, Reader, Seen, Segment
 
 RESOLVED_FRAMES: Final = 30
 """Looks farther apart leave a moment unresolved (design, section 6: reference agent)."""
@@ -66,11 +69,17 @@ class BeliefReader(Reader):
     """
 
     def __init__(self, graph: Queried, episode: str, timeout_s: float, rows: Rows | None = None) -> None:
-        super().__init__(graph, WORLD, {"scope": episode, "hash": episode_hash(episode)}, timeout_s)
+        super().__init__(graph, {"scope": episode, "hash": episode_hash(episode)}, timeout_s)
         self.notes: dict[int, list[tuple[str, str]]] = {}
         self.shown: dict[int, list[int]] = {}
         self._rows: dict[str, Sequence[Mapping[str, Any]]] = dict(rows or {})
         self._sightings: dict[Who, list[Sighting]] = {}
+
+    def find(self, plan: Plan) -> Find:
+        return find_believed(plan)
+
+    def agreed(self, plan: Plan, find: Find, rows: Sequence[Mapping[str, Any]]) -> Agreed:
+        return outcome_of_target(plan, [people_of(find, row) for row in rows])
 
     def ask(self, cypher: str, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         """The rows of a compiled statement, asked for one plan after the other, in any order. Raises QueryError."""
@@ -86,7 +95,7 @@ class BeliefReader(Reader):
     def all(self, name: str) -> Sequence[Mapping[str, Any]]:
         """Rows of a statement that asks for something of the whole episode, of what was not replaced."""
         if name not in self._rows:
-            rows = self._queried(read_text(self.names, name), {})
+            rows = self._queried(read_text(READS, name), {})
             self._rows[name] = [row for row in rows if row.get("current", True)]
         return self._rows[name]
 

@@ -8,7 +8,6 @@ or episode, and `v`, `w` the wanted values. Values are variables, never text: no
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Protocol
 
@@ -162,30 +161,3 @@ class Somebody:
 
 
 _INNER: Final[Variables] = {"m": "other", "z": "seen"}
-
-
-@dataclass(frozen=True)
-class Told:
-    """A belief: a row tells it, or it is unknown, and what is unknown is no match.
-
-    ways: how a row may tell it: which of its columns `id` and `other` are the person `n` and the other one `m` of an
-    edge ("" where there is none), and what else holds of the row.
-    """
-
-    ways: tuple[tuple[str, str, str], ...]
-
-    def sure(self, at: Variables, listed: Callable[[str, str], str]) -> str:
-        """Whether a row tells it; `listed` gives the name of the list of what a row holds (the second) where the first
-        is true of it.
-        """
-        return " OR ".join(self._among(n, m, where.format(**at), at, listed) for n, m, where in self.ways)
-
-    def _among(self, n: str, m: str, where: str, at: Variables, listed: Callable[[str, str], str]) -> str:
-        if not m:
-            return f"list_contains({listed(where, n)}, {at['n']})"
-        ends = {n: at["n"], m: at["m"]}
-        return f"list_contains({listed(where, _PAIR.format('id', 'other'))}, {_PAIR.format(ends['id'], ends['other'])})"
-
-
-_PAIR: Final = "concat({}, '/', {})"
-"""Two names as one; none holds a stroke."""

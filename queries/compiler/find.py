@@ -23,8 +23,7 @@ class Find:
     """A plan's statement.
 
     cypher: gives columns id, who0, who1, ... and sure0, sure1, ..., ordered; nodes: the plan's nodes in the order of
-    `who`; row: what the plan puts into `$plans`, but for `id` and `scope`. Where the facts are rows, there is no `id`
-    and nothing that is not sure, rows have no order and may come twice, and the values of `row` are the parameters.
+    `who`; row: what the plan puts into `$plans`, but for `id` and `scope`.
     """
 
     cypher: str
@@ -32,24 +31,21 @@ class Find:
     row: dict[str, Any]
 
 
-def compile_find(plan: Plan, names: Names[Any]) -> Find:
+def compile_find(plan: Plan, names: Names) -> Find:
     """Compile a plan's conditions and edges. Raises PlanError where the plan is invalid or not of stated times."""
     validate(plan)
-    pattern = _Pattern(plan, names)
-    return pattern.listed() if names.opening else pattern.compiled()
+    return _Pattern(plan, names).compiled()
 
 
 class _Pattern:
     """Puts the statement together, a person at a time, in the order in which edges reach them."""
 
-    def __init__(self, plan: Plan, names: Names[Any]) -> None:
+    def __init__(self, plan: Plan, names: Names) -> None:
         self.plan = plan
         self.names = names
         self.nodes: list[str] = []
         self.row: dict[str, Any] = {}
         self.times = {name: f"t{i}" for i, name in enumerate(sorted(plan.times))}
-        # Where the facts are rows, no other plan is asked at the same time.
-        self.mark = "$" if names.opening else ""
 
     def compiled(self) -> Find:
         people = [self._person(node, edges) for node, edges in search_order(self.plan)]
@@ -67,43 +63,6 @@ class _Pattern:
         certain = [f"{name} AS sure{i}" for i, name in enumerate(sure)]
         lines.append(f"RETURN {', '.join(['id', *who, *certain])}")
         lines.append(f"ORDER BY {', '.join(['id', *(f'who{i}' for i in range(len(self.nodes)))])}")
-        return Find("\n".join(lines), tuple(self.nodes), self.row)
-
-    def listed(self) -> Find:
-        """Where the facts are rows: a list of the names that each clause holds of, and people tried by these lists.
-
-        (The engine scans whole tables for a pattern in a subquery, and loses rows of a filtered list.)
-        """
-        lists: dict[str, str] = {}
-
-        def listed(where: str, what: str) -> str:
-            return lists.setdefault(f"collect(CASE WHEN {where} THEN {what} END)", f"l{len(lists)}")
-
-        people = []
-        for place, (node, edges) in enumerate(search_order(self.plan)):
-            self.nodes.append(node)
-            new = f"n{place}"
-            first, *others = [
-                listed(self.names.there.format(**self._at(node, time)), "id") for time in times_of(self.plan, node)
-            ]
-            clauses = [self._condition(place, node, i, one) for i, one in enumerate(self._conditions(node))]
-            clauses += [self._edge(i, edge) for i, edge in edges]
-            holds = [f"{new} <> n{other}" for other in range(place)]
-            holds += [f"list_contains({other}, {new})" for other in others]
-            for clause, at in clauses:
-                holds.append(f"({clause.sure(at, listed)})")
-            people.append((first, holds))
-        lines = [
-            *self.names.opening.splitlines(),
-            "WITH " + ", ".join(f"{text} AS {name}" for text, name in lists.items()),
-        ]
-        bound = list(lists.values())
-        for place, (first, holds) in enumerate(people):
-            bound.append(f"n{place}")
-            lines += [f"UNWIND {first} AS n{place}", f"WITH {', '.join(bound)}"]
-            lines += [f"WHERE {' AND '.join(holds)}"] if holds else []
-        who = [f"who{i}" for i in range(len(people))]
-        lines.append(f"RETURN {', '.join(f'n{i} AS {name}' for i, name in enumerate(who))}")
         return Find("\n".join(lines), tuple(self.nodes), self.row)
 
     def _person(self, node: str, edges: list[tuple[int, Edge]]) -> tuple[str, list[str], dict[str, str], list[str]]:
@@ -140,9 +99,7 @@ class _Pattern:
         """The clause of an edge, and what it is bound to."""
         to = self._at(edge.target, edge.at)
         at = self._at(edge.source, edge.at) | {"m": to["n"], "z": to["s"]}
-        return self.names.edges[edge_kind(edge.relation)], at | self._values(
-            f"e{i}", edge_values(edge.relation, self.names)
-        )
+        return self.names.edges[edge_kind(edge.relation)], at | self._values(f"e{i}", edge_values(edge.relation))
 
     def _at(self, node: str, time: str) -> Variables:
         place = self.nodes.index(node)
@@ -152,15 +109,12 @@ class _Pattern:
     def _values(self, prefix: str, values: dict[str, Any]) -> dict[str, str]:
         names = {variable: f"{prefix}_{variable}" for variable in values}
         self.row |= {names[variable]: value for variable, value in values.items()}
-        return {variable: self.mark + name for variable, name in names.items()}
+        return names
 
     def _time(self, name: str) -> str:
         """The variable of a stated time."""
-        frame = self.plan.times[name].frame
-        if frame is None:
-            raise PlanError(f"times.{name}", "conditions and edges hold at stated frames; an event is only read")
-        self.row[self.times[name]] = frame
-        return self.mark + self.times[name]
+        self.row[self.times[name]] = stated_frame(self.plan, name)
+        return self.times[name]
 
 
 def search_order(plan: Plan) -> list[tuple[str, list[tuple[int, Edge]]]]:
@@ -173,6 +127,14 @@ def search_order(plan: Plan) -> list[tuple[str, list[tuple[int, Edge]]]]:
         (node, [(i, e) for i, e in edges if node in (e.source, e.target) and {e.source, e.target} <= {*known[: k + 1]}])
         for k, node in enumerate(known)
     ]
+
+
+def stated_frame(plan: Plan, time: str) -> int:
+    """The frame of a time at which conditions or edges hold. Raises PlanError where it is an event."""
+    frame = plan.times[time].frame
+    if frame is None:
+        raise PlanError(f"times.{time}", "conditions and edges hold at stated frames; an event is only read")
+    return frame
 
 
 def times_of(plan: Plan, node: str) -> list[str]:

@@ -19,11 +19,9 @@ from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules, frames
 from jrdb_avr.schema.vocabulary import POSES
 
-from .clauses import Clause
+from .find import Find, compile_find
 from .names import Names, edge_kind, edge_values, read_text
-
-Who = int | str
-"""Who somebody is in a scope: the number of a track, or the name of an entity."""
+from .outcome import Agreed, Who, outcome_of_people
 
 
 class Queried(Protocol):
@@ -77,11 +75,18 @@ class Reader(ABC):
     `timeout_s` is for each statement.
     """
 
-    def __init__(self, graph: Queried, names: Names[Any], values: Mapping[str, Any], timeout_s: float) -> None:
+    def __init__(self, graph: Queried, values: Mapping[str, Any], timeout_s: float) -> None:
         self.graph = graph
-        self.names = names
         self.timeout_s = timeout_s
         self._values = values
+
+    @abstractmethod
+    def find(self, plan: Plan) -> Find:
+        """The statement that finds a plan's people. Raises PlanError for a plan that cannot be compiled."""
+
+    @abstractmethod
+    def agreed(self, plan: Plan, find: Find, rows: Sequence[Mapping[str, Any]]) -> Agreed:
+        """What the rows of that statement come to."""
 
     def ask(self, cypher: str, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         """The rows of a compiled statement for the rows of `$plans`. Raises QueryError, as after the timeout."""
@@ -94,9 +99,6 @@ class Reader(ABC):
         found = self.graph.query(cypher, given | values, ordered=ordered, timeout_s=self.timeout_s)
         rows: list[dict[str, Any]] = found.to_pylist()
         return rows
-
-    def _read(self, name: str, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-        return self.ask(read_text(self.names, name), rows)
 
     @abstractmethod
     def poses(self, asked: Sequence[tuple[Person, int]]) -> dict[int, str]:
@@ -126,15 +128,24 @@ class Reader(ABC):
 class SceneReader(Reader):
     """Reads what was annotated, under the rules of its load."""
 
-    def __init__(self, graph: Queried, names: Names[Clause], rules: LoadRules, timeout_s: float) -> None:
+    def __init__(self, graph: Queried, names: Names, rules: LoadRules, timeout_s: float) -> None:
         values = {
             "margin": rules.neighbor_margin_deg,
             "least": frames(rules.segment_min_s),
             "edge": frames(rules.segment_edge_s),
             "quiet": frames(rules.segment_quiet_s),
         }
-        super().__init__(graph, names, values, timeout_s)
+        super().__init__(graph, values, timeout_s)
+        self.names = names
         self._grids: dict[str, dict[str, int]] | None = None
+
+    def find(self, plan: Plan) -> Find:
+        """The statement that finds a plan's people."""
+        return compile_find(plan, self.names)
+
+    def agreed(self, plan: Plan, find: Find, rows: Sequence[Mapping[str, Any]]) -> Agreed:
+        """One certain binding, while no other is possible."""
+        return outcome_of_people(find, rows)
 
     def poses(self, asked: Sequence[tuple[Person, int]]) -> dict[int, str]:
         """Postures at frames."""
@@ -186,7 +197,7 @@ class SceneReader(Reader):
         known = {row["id"] for row in self._read("company", rows)}
         by_text: dict[str, list[dict[str, Any]]] = {}
         for person, relation, first, last in asked:
-            row = person.row(t1=first, t2=last, **edge_values(relation, self.names))
+            row = person.row(t1=first, t2=last, **edge_values(relation))
             by_text.setdefault(compile_count(relation, self.names), []).append(row)
         could: dict[int, set[int]] = {i: set() for i in known}
         does: dict[int, set[int]] = {i: set() for i in known}
@@ -195,10 +206,13 @@ class SceneReader(Reader):
                 (does if row["sure"] else could)[row["id"]].add(row["other"])
         return {i: len(does[i]) for i in known if could[i] <= does[i]}
 
+    def _read(self, name: str, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+        return self.ask(read_text(self.names.reads, name), rows)
+
     def _grid(self, scope: str) -> dict[str, int] | None:
         """Which frames of a sequence tell of actions, None where none does."""
         if self._grids is None:
-            found = self.graph.query(read_text(self.names, "grid"), timeout_s=self.timeout_s).to_pylist()
+            found = self.graph.query(read_text(self.names.reads, "grid"), timeout_s=self.timeout_s).to_pylist()
             self._grids = {row.pop("scope"): row for row in found}
         return self._grids.get(scope)
 
@@ -206,9 +220,9 @@ class SceneReader(Reader):
 _NEIGHBOURS: Final = (-KEYFRAME_STEP, 0, KEYFRAME_STEP)
 
 
-def compile_count(relation: str, names: Names[Clause]) -> str:
+def compile_count(relation: str, names: Names) -> str:
     """The statement for everybody who is, or could be, in a relation with a person at any frame from t1 to t2."""
-    values = edge_values(relation, names)
+    values = edge_values(relation)
     clause = names.edges[edge_kind(relation)]
     carried = ", ".join(["id", "scope", *values])
     at = {"n": "n", "s": "s", "m": "m", "z": "z", "t": "t", "scope": "scope"} | {name: name for name in values}

@@ -9,19 +9,16 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 from jrdb_avr.schema.answers import Answer, FrameAnswer, FrameViewpoint, Number, Span, encode_answer
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import FPS, Rules
 from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 
-from .clauses import Clause
-from .find import Find, compile_find
 from .names import Names
-from .reads import Person, Queried, Reader, SceneReader, Seen, Segment, Who, events_of
-
-Outcome = Literal["defined", "ambiguous", "empty", "unknown"]
+from .outcome import Outcome, Who
+from .reads import Person, Queried, Reader, SceneReader, Seen, Segment, events_of
 
 TIMEOUT_S: Final = 60.0
 """For each statement."""
@@ -53,7 +50,7 @@ class Solution:
 
 def solve(
     graph: Queried,
-    names: Names[Clause],
+    names: Names,
     asked: Sequence[Asked],
     rules: Rules,
     *,
@@ -71,8 +68,7 @@ def solve_with(
     reader: Reader, asked: Sequence[Asked], rules: Rules, advance: Callable[[int], None] = lambda steps: None
 ) -> list[Solution]:
     """Solve plans by a namespace's reader, as `solve`. The plans' numbers, by which it reads, are their places."""
-    names = reader.names
-    finds = [compile_find(one.plan, names) for one in asked]
+    finds = [reader.find(one.plan) for one in asked]
     solutions: dict[int, Solution] = {}
     found: list[_Found] = []
     together: dict[str, list[int]] = defaultdict(list)
@@ -83,11 +79,7 @@ def solve_with(
         for row in reader.ask(cypher, [{"id": i, "scope": asked[i].scope, **finds[i].row} for i in members]):
             bindings[row["id"]].append(row)
         for i in members:
-            people = [_people(finds[i], row) for row in bindings[i]]
-            if names.single == "target":
-                outcome, agreed = outcome_of_target(asked[i].plan, people)
-            else:
-                outcome, agreed = _outcome(bindings[i]), people[0] if people else {}
+            outcome, agreed = reader.agreed(asked[i].plan, finds[i], bindings[i])
             if outcome == "defined":
                 found.append(_Found(i, asked[i], agreed))
             else:
@@ -117,26 +109,6 @@ def _read_all(reader: Reader, found: Sequence[_Found], rules: Rules) -> dict[int
             answer = answers.get(one.id)
             solutions[one.id] = Solution("defined" if answer else "unknown", one.people, one.times, answer)
     return solutions
-
-
-def _outcome(bindings: Sequence[Mapping[str, Any]]) -> Outcome:
-    certain = sum(all(row[name] for name in row if name.startswith("sure")) for row in bindings)
-    if certain > 1:
-        return "ambiguous"
-    if not bindings:
-        return "empty"
-    return "defined" if len(bindings) == certain else "unknown"
-
-
-def outcome_of_target(plan: Plan, people: Sequence[Mapping[str, Who]]) -> tuple[Outcome, dict[str, Who]]:
-    """The outcome of certain bindings, and of the nodes who they are the same in all of them."""
-    if len({one[plan.target] for one in people}) != 1:
-        return "ambiguous" if people else "empty", {}
-    return "defined", {node: who for node, who in people[0].items() if all(one[node] == who for one in people)}
-
-
-def _people(find: Find, row: Mapping[str, Any]) -> dict[str, Who]:
-    return {node: row[f"who{place}"] for place, node in enumerate(find.nodes)}
 
 
 class _Found:
