@@ -1,8 +1,8 @@
 """The reference agent's solver: what a plan comes to over the beliefs of one episode.
 
-The plan is compiled to Cypher by the compiler that also runs the stored plans on the scene. What was not written down
-is unknown, and what is unknown is no match. Where the graph does not give an answer yet, `Belief.missing` says in words
-what it lacks.
+The plan is compiled to Cypher, and solved and read by the solver that also runs the stored plans on the scene. What was
+not written down is unknown, and what is unknown is no match. Where the graph does not give an answer yet,
+`Belief.missing` says in words what it lacks.
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ _ONE_CHUNK: Final = 100_000
 _PREPARED: Final = 256
 """Statements that a graph keeps prepared at a time: parsed, that is; the engine plans them at each use. Also plannings
 before a connection is given up for a new one: the engine keeps every statement that was given to it with parameters,
-half a megabyte each, until its connection ends."""
+half a megabyte each and more, until its connection ends."""
 
 _LEAST_FREE: Final = 32 << 20
 """Bytes that must be free on the disk of a graph that is to be written: where the engine runs out of them in the middle

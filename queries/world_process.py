@@ -267,7 +267,7 @@ def _stay() -> None:
 
 def _keep_memory() -> None:
     """Keep what is freed. Each statement takes a few megabytes and frees them; to give them back to the kernel and be
-    given pages of zeros for the next one takes up to a third of its time.
+    given pages of zeros for the next one takes, as the heap happens to lie, nothing or a third of a read's time.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:

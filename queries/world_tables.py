@@ -17,7 +17,7 @@ BUFFER_BYTES: Final = 256 << 20
 """Hard limit of the engine's page cache."""
 
 MOST_PASSED: Final = 1_000
-"""Texts that are known to have passed the doors; each plan of an agent makes texts of its own."""
+"""Texts that are known to have passed the doors; plans of many shapes make many."""
 
 Statement = tuple[str, Mapping[str, Any]]
 """Cypher with its parameters."""

@@ -9,7 +9,7 @@ of an agent have one plan, most have one of a few shapes. What is not believed i
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final
@@ -19,7 +19,7 @@ from jrdb_avr.schema.plan import Edge, Plan, validate
 from jrdb_avr.schema.vocabulary import INTERACTIONS, SAME_GROUP
 from jrdb_avr.schema.world import TIMELESS, episode_hash
 
-from .find import Find, search_order, stated_frame, times_of
+from .find import Find, joined, search_order, stated_frame, times_of
 from .names import read_text
 
 READS: Final = "world"
@@ -30,6 +30,9 @@ SYMMETRIC: Final = frozenset((*INTERACTIONS, SAME_GROUP))
 
 MANY: Final = 4
 """A statement asks for so many texts of each person, or for the next multiple of it."""
+
+_SMALL: Final = 5
+"""People up to whom all orders of a plan are tried."""
 
 _ENDS: Final = ("who", "whom")
 
@@ -59,7 +62,7 @@ def find_believed(plan: Plan) -> Find:
     Raises PlanError where the plan is invalid or not of stated times.
     """
     validate(plan)
-    places = {node: place for place, (node, _) in enumerate(search_order(plan))}
+    places = {node: place for place, (node, _) in enumerate(believed_order(plan))}
     people = [_asked_of(plan, node) for node in places]
     edges = sorted(_asked_between(plan, edge, places) for edge in plan.edges)
     conditions = [one for node in plan.nodes for one in node.conditions if one.interaction is not None]
@@ -67,18 +70,44 @@ def find_believed(plan: Plan) -> Find:
     shape = Shape(
         people=len(people),
         edges=tuple(pair for pair, _, _ in edges),
-        texts=-(-max(map(len, people)) // MANY) * MANY,
+        texts=filled(max(map(len, people))),
         anybody=bool(ties),
     )
     row: dict[str, Any] = {}
     for place, texts in enumerate(people):
         # What is asked for once more changes nothing.
-        filled = texts + texts[:1] * (shape.texts - len(texts))
-        row |= {f"c{place}_{i}": f"/{text}/" for i, text in enumerate(filled)}
+        asked = texts + texts[:1] * (shape.texts - len(texts))
+        row |= {f"c{place}_{i}": f"/{text}/" for i, text in enumerate(asked)}
     for i, (_, there, back) in enumerate(edges):
         row |= {f"e{i}": f"/{there}/", f"b{i}": f"/{back}/"}
     row["wanted"] = sorted(({text[1:-1] for text in row.values()} | ties) - {_NOTHING})
     return Find(statement(shape), tuple(places), row)
+
+
+def filled(texts: int) -> int:
+    """How many texts of each person a statement asks for where there are so many."""
+    return -(-texts // MANY) * MANY
+
+
+def believed_order(plan: Plan) -> list[tuple[str, list[tuple[int, Edge]]]]:
+    """Nodes in the order in which they are looked for, as `search_order`. Of the orders of a small plan it is the one
+    with the smallest places in its shape: how the plan lists its edges does not matter then.
+    """
+    if len(plan.nodes) > _SMALL:
+        return search_order(plan)
+
+    def pairs(order: Sequence[str]) -> list[list[int]]:
+        return sorted(sorted((order.index(edge.source), order.index(edge.target))) for edge in plan.edges)
+
+    return joined(plan, min(_orders(plan, [plan.root]), key=pairs))
+
+
+def _orders(plan: Plan, known: Sequence[str]) -> Iterator[Sequence[str]]:
+    """All orders in which edges lead from the known nodes to the others."""
+    if len(known) == len(plan.nodes):
+        yield known
+    for node in sorted({e.target for e in plan.edges if e.source in known} - {*known}):
+        yield from _orders(plan, [*known, node])
 
 
 def common_finds() -> list[tuple[str, dict[str, Any]]]:
@@ -142,7 +171,7 @@ def _asked_of(plan: Plan, node: str) -> list[str]:
     for condition in next(one.conditions for one in plan.nodes if one.id == node):
         name, value = condition.wanted
         texts.append(_said(name, value, 0 if name in TIMELESS else stated_frame(plan, condition.at or times[0])))
-    return texts
+    return list(dict.fromkeys(texts))
 
 
 def _asked_between(plan: Plan, edge: Edge, places: Mapping[str, int]) -> tuple[tuple[int, int], str, str]:

@@ -8,6 +8,7 @@ compiler's own.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -122,10 +123,15 @@ def search_order(plan: Plan) -> list[tuple[str, list[tuple[int, Edge]]]]:
     known = [plan.root]
     while len(known) < len(plan.nodes):
         known.append(next(e.target for e in plan.edges if e.source in known and e.target not in known))
+    return joined(plan, known)
+
+
+def joined(plan: Plan, order: Sequence[str]) -> list[tuple[str, list[tuple[int, Edge]]]]:
+    """Nodes in this order, each with the edges, by their places, that join it to those before."""
     edges = list(enumerate(plan.edges))
     return [
-        (node, [(i, e) for i, e in edges if node in (e.source, e.target) and {e.source, e.target} <= {*known[: k + 1]}])
-        for k, node in enumerate(known)
+        (node, [(i, e) for i, e in edges if node in (e.source, e.target) and {e.source, e.target} <= {*order[: k + 1]}])
+        for k, node in enumerate(order)
     ]
 
 
