@@ -205,12 +205,6 @@ def test_every_statement_passes_the_world_models_door():
             assert world.query(read_text("world", name), {"scope": "none"}).num_rows == 0
 
 
-def test_nothing_of_a_plan_stands_in_the_statement():
-    strange = find_believed(parsed(planned(nodes={"match": [{"action": "x' OR true //", "at": "t0"}]})))
-    plain = find_believed(parsed(planned(nodes={"a": [{"action": "walking", "at": "t0"}]})))
-    assert strange.cypher == plain.cypher and "/action=x' OR true //@0/" in strange.row.values()
-
-
 # -- what is read -----------------------------------------------------------------------------------------------------
 
 

@@ -1,5 +1,6 @@
 """Beliefs as texts: no two are mistaken for each other, however they are worded, and whatever the shape of a plan."""
 
+import itertools
 import random
 
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle_beliefs import Mind
 
-from jrdb_avr.agent.solver import solve_beliefs
+from jrdb_avr.agent.solver import solve_beliefs, weigh_beliefs
 from jrdb_avr.queries.compiler import common_finds, find_believed
 from jrdb_avr.queries.world import WorldGraph
 from jrdb_avr.queries.world_tables import WorldTables
@@ -136,3 +137,26 @@ def test_statements_planned_ahead_pass_the_doors():
     tables.prepare(common_finds(), writes=False)
     assert len(tables.graph._prepared) == 10
     tables.close()
+
+
+def test_how_a_small_plan_lists_its_edges_does_not_matter():
+    fork = [("a", "conversation", "b"), ("a", "hugging", "c"), ("b", "conversation", "d"), ("c", "hugging", "d")]
+    nodes = {name: [] for name in "abcd"}
+    plans = [planned(nodes=nodes, edges=[(*e, "t0") for e in order]) for order in itertools.permutations(fork)]
+    assert len(plans) == 24
+    assert {find_believed(parsed(plan)).cypher for plan in plans} <= {text for text, _ in common_finds()}
+
+
+def test_a_plan_that_would_keep_the_engine_is_not_run():
+    """Everybody talks with everybody: each relation is told of both ends, and each pair is tried."""
+    people = [f"p{n}" for n in range(64)]
+    seen = [{"who": who, "frame": 0, "box": dict.fromkeys("xywh", 1.0), "angle": 1.0, "written": 0} for who in people]
+    ties = [{"source": a, "target": b, "name": "conversation"} for a, b in itertools.combinations(people, 2)]
+    ties = [{**tie, "first": 0, "last": 0} for tie in [*ties, {"source": "p0", "target": "p1", "name": "hugging"}]]
+    rows = {"sighted": seen, "attributes": [], "relations": ties, "looks": [], "entities": []}
+    talks = {"a": [{"interaction": "conversation", "at": "t0"}], "b": []}
+    for nodes, many in ((talks, True), ({"a": [], "b": []}, False)):
+        plan = parsed(planned(nodes=nodes, edges=[("a", "hugging", "b", "t0")]))
+        belief = weigh_beliefs(rows, plan, Rules())
+        assert any("too many sets of people" in line for line in belief.missing) == many
+        assert belief.outcome == "ambiguous"

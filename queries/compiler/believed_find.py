@@ -111,8 +111,8 @@ def _orders(plan: Plan, known: Sequence[str]) -> Iterator[Sequence[str]]:
 
 
 def common_finds() -> list[tuple[str, dict[str, Any]]]:
-    """Statements of the shapes that the benchmark's own questions have, with values of their parameters' types: chains
-    of up to four people, and two people who lead to the same one.
+    """Statements of the shapes that the benchmark's own questions have, or are near to, with values of their
+    parameters' types: chains of up to four people, and two people who lead to the same one.
     """
     chains = [tuple((place, place + 1) for place in range(steps)) for steps in range(4)]
     shapes = [

@@ -2,7 +2,7 @@
 
 64 episodes are in flight in one process, over 20,000 entities of older runs in a graph on disk. Each makes looks,
 sightings, attributes and relations of four people by the agent's own class, and solves its plan after every turn. The
-plans are of the twelve templates' shapes, each with values of its own; all are solved in the end.
+plans are of the twelve templates' shapes, at times that differ; all are solved in the end.
 
 Service time is what the process of the world model takes for a read or a transaction (timed_process.py), by the clock.
 Printed beside: how much of that it is on a processor, which leaves out the disk and what other processes and, on a
@@ -49,7 +49,7 @@ ACTIONS = ("sitting", "standing", "walking")
 
 
 def plan_of(number, edges):
-    """A plan with these edges, whose words and times are its own; in every eighth somebody talks with anybody."""
+    """A plan with these edges, whose times and action go by its number; in every eighth somebody talks with anybody."""
     first, second = 1 + number % TURNS, 1 + (number + 3) % TURNS
     nodes = sorted({"a", *(node for source, _, target in edges for node in (source, target))})
     conditions = {node: [Condition(action=ACTIONS[first % 3], at="t0")] for node in nodes}
