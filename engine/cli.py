@@ -76,7 +76,7 @@ def main() -> None:
         click.echo("stopped", err=True)
         sys.exit(130)
     except AvrError as error:
-        from jrdb_avr.engine.output import note
+        from jrdb_avr.engine.console import note
 
         # The words may be those of a server or a file: `note` keeps them from moving the terminal's cursor.
         note(f"jrdb-avr: {' '.join(str(error).split())}")

@@ -25,23 +25,22 @@ from typing import Final
 import msgspec
 import pyarrow as pa
 
-from jrdb_avr.queries.handle import build_graph, remove_graph
+from jrdb_avr.loaders.graph import build_scene, stage_scene
+from jrdb_avr.loaders.intervals.derive import derive
+from jrdb_avr.loaders.intervals.timeline import step_of
+from jrdb_avr.loaders.problems import shorten
+from jrdb_avr.loaders.report import SequenceReport, frame_range, warnings
+from jrdb_avr.loaders.root import Root, SequenceFiles
+from jrdb_avr.loaders.sequence import NOT_LABELS, annotate
+from jrdb_avr.queries.beliefs.record import copy_all
+from jrdb_avr.queries.beliefs.tables import make_world_tables
+from jrdb_avr.queries.graph.handle import build_graph, remove_graph
 from jrdb_avr.queries.runs import run_ids
 from jrdb_avr.queries.store import Manifest, SequenceEntry, Store
-from jrdb_avr.queries.world_record import copy_all
-from jrdb_avr.queries.world_tables import make_world_tables
+from jrdb_avr.queries.workers import end_with_parent, map_shards, without_collector
 from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.rules import LoadRules, rules_hash
 from jrdb_avr.schema.tables import ANNOTATIONS
-
-from .annotate import NOT_LABELS, annotate
-from .intervals import derive
-from .layers import Root, SequenceFiles
-from .problems import shorten
-from .report import SequenceReport, frame_range, warnings
-from .scene import build_scene, stage_scene
-from .shards import end_with_parent, map_shards, without_collector
-from .timeline import step_of
 
 STAGING: Final = ".loading"
 """Folder inside the store where a load prepares everything."""

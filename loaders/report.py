@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from .problems import Problem
+from jrdb_avr.loaders.problems import Problem
 
 MIN_MOVES: Final = 100
 MAX_TURN_DEG: Final = 90.0

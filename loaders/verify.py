@@ -27,15 +27,13 @@ from typing import Final
 
 import pyarrow as pa
 
-from jrdb_avr.queries.graph_lock import lock_graph
-from jrdb_avr.queries.guard import end_beyond_memory
-from jrdb_avr.queries.handle import Graph
-from jrdb_avr.queries.seal import check_seal, seal_of
+from jrdb_avr.loaders.graph import scene_rows
+from jrdb_avr.queries.graph.file import check_seal, lock_graph, seal_of
+from jrdb_avr.queries.graph.guard import end_beyond_memory
+from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Manifest, Store
 from jrdb_avr.schema.errors import AvrError, QueryError, StoreError
 from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
-
-from .scene import scene_rows
 
 TIMEOUT_S: Final = 120.0
 """For one piece of a table, at least ten times what it needs: `BATCH_ROWS` rows, or `BATCH_KEYS` keys looked up."""

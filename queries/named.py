@@ -16,10 +16,9 @@ from typing import Any, Final
 
 import msgspec
 
+from jrdb_avr.queries.graph.parameters import scalar
 from jrdb_avr.schema.errors import QueryError
 from jrdb_avr.schema.rules import FPS
-
-from .binding import scalar
 
 FOLDERS: Final = {"cypher": "explore", "sql": "results"}
 

@@ -7,9 +7,8 @@ from typing import Any
 
 import msgspec
 
+from jrdb_avr.queries.store import Store, write_json
 from jrdb_avr.schema.errors import StoreError
-
-from .store import Store, write_json
 
 
 class RunManifest(msgspec.Struct, frozen=True):

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import ObserveError
 from jrdb_avr.schema.method import SequenceInfo
-
-from .store import Store
 
 
 def loaded_sequence(store: Store, name: str) -> SequenceInfo:

@@ -14,11 +14,10 @@ from typing import Any, Final
 
 import pyarrow as pa
 
+from jrdb_avr.queries.graph.parameters import scalar
+from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import QueryError, StoreError
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, QUESTIONS, RUNS
-
-from .binding import scalar
-from .store import Store
 
 TIMEOUT_S: Final = 60.0
 

@@ -29,11 +29,10 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from jrdb_avr.queries.graph.file import STORE_GRAPH
 from jrdb_avr.schema.errors import InputError, LockedError, QueryError, StoreError
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, QUESTIONS, RUNS
-
-from .seal import STORE_GRAPH
 
 MANIFEST_VERSION: Final = 1
 ROW_GROUP: Final = 1 << 18
@@ -203,8 +202,8 @@ class Store:
 
             store.cypher("who_is_where", sequence="gates-ai-lab-2019-02-08_0", seconds=10).to_pandas()
         """
-        from .guard import ask_graph
-        from .named import find_query
+        from jrdb_avr.queries.graph.guard import ask_graph
+        from jrdb_avr.queries.named import find_query
 
         return ask_graph(self.graph_path, *find_query("cypher", query, self.known(params)))
 
@@ -223,8 +222,8 @@ class Store:
 
         Raises QueryError where the statement is refused or fails, StoreError where there is no store.
         """
-        from .named import find_query
-        from .sql import ask_tables
+        from jrdb_avr.queries.named import find_query
+        from jrdb_avr.queries.sql import ask_tables
 
         return ask_tables(self, *find_query("sql", query, params))
 

@@ -12,9 +12,9 @@ from typing import Annotated, Any, Final, Literal
 
 import msgspec
 
-from .errors import DecodeError
-from .panorama import angle_error
-from .rules import FPS
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.panorama import angle_error
+from jrdb_avr.schema.rules import FPS
 
 AnswerMode = Literal["multiple_choice", "frame", "span", "frame_viewpoint", "number"]
 

@@ -13,8 +13,8 @@ from typing import Any, Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from .answers import Answer, AnswerMode, Evidence
-from .world import Write
+from jrdb_avr.schema.answers import Answer, AnswerMode, Evidence
+from jrdb_avr.schema.beliefs import Write
 
 Image = npt.NDArray[np.uint8]
 

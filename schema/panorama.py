@@ -16,7 +16,7 @@ from typing import Final, NamedTuple, TypeVar, cast
 
 import numpy as np
 
-from .arrays import Floats
+from jrdb_avr.schema.arrays import Floats
 
 F = TypeVar("F", float, Floats)
 

@@ -12,9 +12,9 @@ from typing import Annotated, Any, Final, Literal
 
 import msgspec
 
-from .answers import AnswerMode
-from .errors import PlanError
-from .world import TIMELESS
+from jrdb_avr.schema.answers import AnswerMode
+from jrdb_avr.schema.beliefs import TIMELESS
+from jrdb_avr.schema.errors import PlanError
 
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern="^[a-z][a-z0-9_]*$")]
 Label = Annotated[str, msgspec.Meta(min_length=1, max_length=120)]

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final
 
 import msgspec
 
-from .errors import InputError
+from jrdb_avr.schema.errors import InputError
 
 FPS: Final = 15.0
 """Frames per second of every JRDB sequence."""

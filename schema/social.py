@@ -10,8 +10,7 @@ from __future__ import annotations
 import functools
 from typing import Final
 
-from .things import VERBS
-from .vocabulary import AGES, GENDERS, IMPOSSIBLE, INTERACTIONS, plain
+from jrdb_avr.schema.labels import AGES, GENDERS, IMPOSSIBLE, INTERACTIONS, VERBS, plain
 
 ETHNICITIES: Final = ("caucasian/white", "negroid/black", "mongoloid/asian", "others")
 """The annotators' guesses, in the annotation's own terms."""

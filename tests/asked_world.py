@@ -7,7 +7,7 @@ import pytest
 from painted_world import SEQUENCE, Actor, World, still
 
 from jrdb_avr.queries.store import Manifest, Store
-from jrdb_avr.schema.marks import Mark
+from jrdb_avr.schema.markers import Mark
 from jrdb_avr.schema.method import Question
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time

@@ -6,8 +6,8 @@ from hashlib import sha256
 
 import pyarrow as pa
 
+from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS
 from jrdb_avr.schema.plan import parse_plan
-from jrdb_avr.schema.world import WORLD_NODES, WORLD_RELS
 
 ALWAYS = 10_000_000
 _TYPES = {"STRING": pa.string(), "INT64": pa.int64(), "DOUBLE": pa.float64(), "BOOLEAN": pa.bool_()}

@@ -2,10 +2,10 @@
 
 import random
 
+from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS
 from jrdb_avr.schema.method import Observation, Panorama, Prediction
 from jrdb_avr.schema.panorama import FOV_DEG, Box, crop_left
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
-from jrdb_avr.schema.world import WORLD_NODES, WORLD_RELS
 
 PLAN = Plan(
     "a",

@@ -107,9 +107,10 @@ def cheap_processes():
     """
     import warm
 
-    from jrdb_avr.agent.marker import child
-    from jrdb_avr.loaders import shards, verify
-    from jrdb_avr.queries import guard
+    from jrdb_avr.agent.simulated import child
+    from jrdb_avr.loaders import verify
+    from jrdb_avr.queries import workers as shards
+    from jrdb_avr.queries.graph import guard
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(child, "subprocess", warm.MARKERS)
@@ -126,7 +127,7 @@ def known_plans():
     For tests that hold what many small graphs answer against brute force or what is written by hand: looking at a plan
     takes as long as the answer. `HYPOTHESIS_PROFILE=deep` looks at all of them.
     """
-    from jrdb_avr.queries.handle import Graph
+    from jrdb_avr.queries.graph.handle import Graph
 
     plans, look = {}, Graph._plan
 
@@ -171,10 +172,10 @@ def sample_benchmark(once):
 
 
 def make_benchmark(folder):
-    from jrdb_avr.engine.generate import generate
-    from jrdb_avr.loaders.layers import find_root
+    from jrdb_avr.engine.generate.run import generate
     from jrdb_avr.loaders.load import load
-    from jrdb_avr.loaders.sample.writer import plan, write
+    from jrdb_avr.loaders.root import find_root
+    from jrdb_avr.loaders.synthetic.write import plan, write
     from jrdb_avr.queries.store import Store
     from jrdb_avr.schema.rules import LoadRules, Rules
 

@@ -230,7 +230,7 @@ def _seen(url):
     import cv2
     import numpy as np
 
-    from jrdb_avr.schema.marks import read
+    from jrdb_avr.schema.markers import read
 
     data = np.frombuffer(base64.b64decode(url.partition(",")[2]), np.uint8)
     image = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB)

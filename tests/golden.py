@@ -28,7 +28,7 @@ from pathlib import Path
 
 RECORD = Path(__file__).with_name("golden.json")
 REAL = Path(os.environ.get("JRDB_REAL", Path(__file__).parents[2] / "shared" / "jrdb-real"))
-MODEL_SERVER = "jrdb_avr.agent.marker"
+MODEL_SERVER = "jrdb_avr.agent.simulated"
 METHODS = (
     "monolithic",
     "chain-of-thought",

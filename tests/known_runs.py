@@ -4,8 +4,8 @@ import json
 
 import pyarrow as pa
 
-from jrdb_avr.engine.judged import judge, make_facts
-from jrdb_avr.engine.scoring import make_truth, score_predictions
+from jrdb_avr.engine.report.scored_runs import judge, make_facts
+from jrdb_avr.engine.report.scoring import make_truth, score_predictions
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
 

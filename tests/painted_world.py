@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from jrdb_avr.engine.observe import Observer
-from jrdb_avr.schema.marks import Mark, draw
+from jrdb_avr.engine.observe.observer import Observer
+from jrdb_avr.schema.markers import Mark, draw
 from jrdb_avr.schema.method import Question, SequenceInfo, Task
 from jrdb_avr.schema.panorama import HEIGHT, WIDTH, Box
 

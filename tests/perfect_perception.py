@@ -12,8 +12,8 @@ import math
 import pyarrow as pa
 from oracle_facts import POSES, distance_words, person_sectors
 
-from jrdb_avr.engine.runs import ask
-from jrdb_avr.engine.scoring import read_truth, score_predictions
+from jrdb_avr.engine.report.scoring import read_truth, score_predictions
+from jrdb_avr.engine.run.evaluate import ask
 from jrdb_avr.schema.answers import Choice, Evidence, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.method import Prediction
 from jrdb_avr.schema.tables import RUNS

@@ -12,8 +12,8 @@ import pytest
 from worlds import load_world, write_root
 
 from jrdb_avr.loaders import load
-from jrdb_avr.loaders.layers import find_root
 from jrdb_avr.loaders.load import Shard, load_shard
+from jrdb_avr.loaders.root import find_root
 from jrdb_avr.queries.store import SequenceEntry, Store, write_table
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS

@@ -4,12 +4,12 @@ import json
 from dataclasses import dataclass
 from types import SimpleNamespace
 
-from jrdb_avr.agent.messages import Picture
+from jrdb_avr.agent.beliefs.solver import Belief, answer_of
+from jrdb_avr.agent.beliefs.solving import beliefs_of
+from jrdb_avr.agent.beliefs.world_model import World as Beliefs
+from jrdb_avr.agent.model.messages import Picture
+from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.agent.reference.method import ReferenceAgent
-from jrdb_avr.agent.reference.solving import beliefs_of
-from jrdb_avr.agent.replies import Reply
-from jrdb_avr.agent.solver import Belief, answer_of
-from jrdb_avr.agent.world import World as Beliefs
 from jrdb_avr.queries.compiler import SCENE, compile_find
 
 CHOICES = ("walking", "standing", "sitting", "lying")

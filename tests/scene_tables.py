@@ -13,12 +13,10 @@ import itertools
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.loaders.scene import build_scene
-from jrdb_avr.queries.handle import build_graph
+from jrdb_avr.loaders.graph import build_scene
+from jrdb_avr.queries.graph.handle import build_graph
 from jrdb_avr.queries.store import Manifest, SequenceEntry, Store
-from jrdb_avr.schema.rules import LoadRules, rules_hash
-from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, LAYERS
-from jrdb_avr.schema.vocabulary import (
+from jrdb_avr.schema.labels import (
     ACTIONS,
     AGES,
     FIRST_LEFT,
@@ -29,6 +27,8 @@ from jrdb_avr.schema.vocabulary import (
     POSES,
     ROBOT_SECTORS,
 )
+from jrdb_avr.schema.rules import LoadRules, rules_hash
+from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, LAYERS
 
 CATEGORIES = ("bag", "chair/sofa", "door", "phone", None)
 VERBS = ("holding", "sitting", "opening", "looking at")

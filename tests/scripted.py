@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from painted_world import World
 
-from jrdb_avr.agent.messages import Picture
-from jrdb_avr.agent.replies import Reply
+from jrdb_avr.agent.model.messages import Picture
+from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.schema.method import Observation, Panorama, Question, SequenceInfo, Task
 
 MODES = ("multiple_choice", "frame", "span", "frame_viewpoint", "number")

@@ -12,17 +12,17 @@ import duckdb
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.engine.candidates import RULES, VALUES, ask, codes, ints
-from jrdb_avr.engine.descriptions import describe_people
-from jrdb_avr.engine.forks import find_forks
-from jrdb_avr.engine.joins import find_joins
-from jrdb_avr.engine.paths import Paths, paths_in_graph
-from jrdb_avr.engine.relations import RELATIONS, find_facts
-from jrdb_avr.engine.scene import coded, load_scene
-from jrdb_avr.engine.search import find_candidates, search_graph
-from jrdb_avr.engine.templates import TEMPLATES
-from jrdb_avr.schema import vocabulary as words
-from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES, VERBS
+from jrdb_avr.engine.generate.candidates import RULES, VALUES, ask, codes, ints
+from jrdb_avr.engine.generate.chains import Paths, paths_in_graph
+from jrdb_avr.engine.generate.descriptions import describe_people
+from jrdb_avr.engine.generate.fork_join import find_joins
+from jrdb_avr.engine.generate.forks import find_forks
+from jrdb_avr.engine.generate.relations import RELATIONS, find_facts
+from jrdb_avr.engine.generate.scene import coded, load_scene
+from jrdb_avr.engine.generate.search import find_candidates, search_graph
+from jrdb_avr.engine.generate.templates import TEMPLATES
+from jrdb_avr.schema import labels as words
+from jrdb_avr.schema.labels import OBJECTS, PERSON_CATEGORIES, VERBS
 from jrdb_avr.schema.wording.phrases import POSES_OF_INTERACTIONS, POSES_OF_VERBS
 
 SQL = Path(__file__).parent / "sql"

@@ -17,12 +17,12 @@ from fake_server import Body, CutOff, Drip, FakeServer, Slow, Status, completion
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jrdb_avr.agent.calls import Calls
-from jrdb_avr.agent.client import Client, Reply
-from jrdb_avr.agent.conventions import convention_of
-from jrdb_avr.agent.messages import Message, Picture, fingerprint, transcript, wire
-from jrdb_avr.agent.options import Options
-from jrdb_avr.agent.replies import read_completion
+from jrdb_avr.agent.model.cache import Calls
+from jrdb_avr.agent.model.client import Client, Reply
+from jrdb_avr.agent.model.conventions import convention_of
+from jrdb_avr.agent.model.messages import Message, Picture, fingerprint, transcript, wire
+from jrdb_avr.agent.model.options import Options
+from jrdb_avr.agent.model.reply import read_completion
 from jrdb_avr.schema.errors import EndpointError, StoreError
 
 ASK = [Message("user", ("hello",))]
@@ -189,7 +189,7 @@ def test_json_of_another_content_type_is_heard():
 
 
 def test_a_reply_without_end_is_not_read_to_its_end(monkeypatch):
-    monkeypatch.setattr("jrdb_avr.agent.limits.MOST_BYTES", 100_000)
+    monkeypatch.setattr("jrdb_avr.agent.model.limits.MOST_BYTES", 100_000)
     with FakeServer(sequence_of("x" * 90_000, "x" * 200_000)) as server:
         made, _ = client(server)
         assert len(made.complete(ASK).content) == 90_000
@@ -269,7 +269,7 @@ def test_nobody_there_is_one_line():
 
 def test_a_host_that_takes_no_connection_is_not_waited_for_as_for_a_reply(monkeypatch):
     """A full queue of connections: the kernel answers no further one."""
-    monkeypatch.setattr("jrdb_avr.agent.client._CONNECT_S", 0.3)
+    monkeypatch.setattr("jrdb_avr.agent.model.client._CONNECT_S", 0.3)
     with socket.socket() as full, contextlib.ExitStack() as stack:
         full.bind(("127.0.0.1", 0))
         full.listen(0)
@@ -735,7 +735,7 @@ def test_a_refusal_says_what_to_do(code, remedy):
 
 
 def test_a_probe_does_not_wait_as_long_as_a_question(monkeypatch):
-    monkeypatch.setattr("jrdb_avr.agent.client._PROBE_TIMEOUT_S", 0.2)
+    monkeypatch.setattr("jrdb_avr.agent.model.client._PROBE_TIMEOUT_S", 0.2)
     with FakeServer(sequence_of(Slow(1.0, "hi"))) as server:
         with pytest.raises(EndpointError, match="no reply within"):
             client(server)[0].ask(ASK)

@@ -8,10 +8,12 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from jrdb_avr.agent import boxes, conventions, decode, replies
-from jrdb_avr.agent.conventions import BACKBONES
-from jrdb_avr.agent.decode import CONTRACT, convention_of, read_answer, read_evidence, reply_object, write_box
-from jrdb_avr.agent.replies import Reply, spoken, thought
+from jrdb_avr.agent.model import conventions, decode
+from jrdb_avr.agent.model import decode as boxes
+from jrdb_avr.agent.model import reply as replies
+from jrdb_avr.agent.model.conventions import BACKBONES
+from jrdb_avr.agent.model.decode import CONTRACT, convention_of, read_answer, read_evidence, reply_object, write_box
+from jrdb_avr.agent.model.reply import Reply, spoken, thought
 from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import CROP, WIDTH, Box, crop_left, from_crop, iou, to_crop

@@ -10,9 +10,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from painted_world import World, still
 
-from jrdb_avr.agent.client import Client
-from jrdb_avr.agent.prompt import frame_ranges, mode_text, read_frame_ranges
-from jrdb_avr.agent.react import ReAct
+from jrdb_avr.agent.methods.prompts import frame_ranges, mode_text, read_frame_ranges
+from jrdb_avr.agent.methods.react import ReAct
+from jrdb_avr.agent.model.client import Client
 from jrdb_avr.schema.answers import Choice, Evidence
 from jrdb_avr.schema.panorama import Box, crop_left, iou
 
@@ -217,7 +217,7 @@ def test_prompts_are_as_they_were(world, mode):
 
 
 def test_every_example_answer_is_legal():
-    from jrdb_avr.agent.decode import read_answer
+    from jrdb_avr.agent.model.decode import read_answer
 
     for mode in ("multiple_choice", "frame", "span", "frame_viewpoint", "number"):
         read_answer(json.loads(mode_text(mode, 1000).form), mode, 4, 1000)
@@ -240,7 +240,7 @@ def test_frame_ranges_are_short():
 @example(27, -10)
 def test_one_degree_is_a_duplicate_whatever_rounding_says(tenths, turn):
     """Two looks, counted in whole tenths of a degree: ten apart are one look, eleven are two."""
-    from jrdb_avr.agent.client import Reply
+    from jrdb_avr.agent.model.client import Reply
     from jrdb_avr.schema.method import Observation, Question, SequenceInfo, Task
 
     image = np.zeros((480, 480, 3), np.uint8)

@@ -10,9 +10,9 @@ import math
 import pytest
 from worlds import VISIBLE, load_reported, member, person, person_3d, pose, thing, write_root
 
-from jrdb_avr.loaders.layers import find_root
 from jrdb_avr.loaders.load import Shard, load_shard
-from jrdb_avr.queries.handle import Graph
+from jrdb_avr.loaders.root import find_root
+from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import LoadRules, Rules
 
@@ -439,7 +439,7 @@ def test_case_26_tracks_with_gaps(tmp_path):
 
 
 def test_case_27_short_tracks_give_no_question_of_change(tmp_path):
-    from jrdb_avr.engine.generate import generate
+    from jrdb_avr.engine.generate.run import generate
 
     def here(frame):
         someone = person(1, (100, 60, 50, 200), {"walking" if frame < 150 else "sitting": 1}, (1, 1))

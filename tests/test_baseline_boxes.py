@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scripted import MODES, RedWorld, blank_task, evidence, final, play, proposal, red_eyes, shown
 
-from jrdb_avr.agent.chain_of_thought import ChainOfThought
-from jrdb_avr.agent.monolithic import Monolithic
-from jrdb_avr.agent.search_recognize import SearchRecognize
+from jrdb_avr.agent.methods.chain_of_thought import ChainOfThought
+from jrdb_avr.agent.methods.monolithic import Monolithic
+from jrdb_avr.agent.methods.search_recognize import SearchRecognize
 from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.panorama import Box, iou
 

@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from painted_world import World, still
 from scripted import CHOICES, MODES, Chat, blank_task, evidence, final, play, proposal
 
-from jrdb_avr.agent.chain_of_thought import LONGEST_FACT, MOST_FACTS, ChainOfThought
-from jrdb_avr.agent.decode import convention_of
-from jrdb_avr.agent.messages import Picture
-from jrdb_avr.agent.monolithic import Monolithic
-from jrdb_avr.agent.panoramas import uniform_frames
-from jrdb_avr.agent.replies import Reply
-from jrdb_avr.agent.search_recognize import SearchRecognize
-from jrdb_avr.engine.methods import METHODS, make_method
+from jrdb_avr.agent.methods.attempt import uniform_frames
+from jrdb_avr.agent.methods.chain_of_thought import LONGEST_FACT, MOST_FACTS, ChainOfThought
+from jrdb_avr.agent.methods.monolithic import Monolithic
+from jrdb_avr.agent.methods.search_recognize import SearchRecognize
+from jrdb_avr.agent.model.decode import convention_of
+from jrdb_avr.agent.model.messages import Picture
+from jrdb_avr.agent.model.reply import Reply
+from jrdb_avr.engine.run.methods import METHODS, make_method
 from jrdb_avr.schema.answers import Choice, Evidence, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.errors import ObserveError
 

@@ -7,15 +7,15 @@ import time
 import pytest
 from believed import CIRCLE, Story, parsed, planned, write
 
-from jrdb_avr.agent.solver import best_guess, legal, solve_beliefs
+from jrdb_avr.agent.beliefs.solver import best_guess, legal, solve_beliefs
+from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.compiler import find_believed
-from jrdb_avr.queries.compiler.names import read_text
-from jrdb_avr.queries.handle import Graph
-from jrdb_avr.queries.world import WorldGraph
+from jrdb_avr.queries.compiler.mapping import read_text
+from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span
+from jrdb_avr.schema.beliefs import world_ddl
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.rules import Rules
-from jrdb_avr.schema.world import world_ddl
 
 KEYS = itertools.count()
 WOMAN = {"attribute": "gender", "value": "female"}

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle_beliefs import Mind
 
-from jrdb_avr.agent.solver import solve_beliefs, weigh_beliefs
+from jrdb_avr.agent.beliefs.solver import solve_beliefs, weigh_beliefs
+from jrdb_avr.queries.beliefs.graph import WorldGraph
+from jrdb_avr.queries.beliefs.tables import WorldTables
 from jrdb_avr.queries.compiler import common_finds, find_believed
-from jrdb_avr.queries.world import WorldGraph
-from jrdb_avr.queries.world_tables import WorldTables
 from jrdb_avr.schema.rules import Rules
 
 WORDS = (

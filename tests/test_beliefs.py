@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from oracle_beliefs import Mind, plain
 from random_beliefs import READS, random_plan, random_story
 
-from jrdb_avr.agent.solver import best_guess, solve_beliefs, weigh_beliefs
-from jrdb_avr.queries.handle import Graph
+from jrdb_avr.agent.beliefs.solver import best_guess, solve_beliefs, weigh_beliefs
+from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.schema.beliefs import world_ddl
 from jrdb_avr.schema.rules import Rules
-from jrdb_avr.schema.world import world_ddl
 
 RULES = Rules()
 ALL_READS = (*READS, "count")

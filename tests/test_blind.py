@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jrdb_avr.engine.blind import Posed, best_guess, blind_check, posed
+from jrdb_avr.engine.generate.blind import Posed, best_guess, blind_check, posed
 from jrdb_avr.schema.answers import Choice, FrameAnswer, Number, Span, encode_answer, same_answer
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.tables import QUESTIONS

@@ -9,15 +9,14 @@ import pytest
 from click.testing import CliRunner
 from fake_server import FakeServer, Status, completion, images, marked, sound, texts
 
-from jrdb_avr.agent.calibrate import calibrate, request
-from jrdb_avr.agent.client import Client
-from jrdb_avr.agent.conventions import CONTRACT, Reading, convention_of
-from jrdb_avr.agent.drawn import CORNERS, corner_picture, drawn_rectangles
-from jrdb_avr.agent.marker.server import Server
-from jrdb_avr.agent.messages import wire
-from jrdb_avr.agent.options import Options
+from jrdb_avr.agent.model.calibrate import CORNERS, calibrate, corner_picture, drawn_rectangles, request
+from jrdb_avr.agent.model.client import Client
+from jrdb_avr.agent.model.conventions import CONTRACT, Reading, convention_of
+from jrdb_avr.agent.model.messages import wire
+from jrdb_avr.agent.model.options import Options
+from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.engine.cli import group
-from jrdb_avr.engine.endpoint import connect, convention_path, read_calibration, write_calibration
+from jrdb_avr.engine.run.endpoint import connect, convention_path, read_calibration, write_calibration
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import EndpointError, StoreError
 from jrdb_avr.schema.panorama import iou
@@ -31,7 +30,7 @@ QWEN = "Qwen/Qwen3-VL-8B-Instruct"
 def drawn_once():
     """The pictures are a function of number and seed, and dear to draw."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("jrdb_avr.agent.calibrate.drawn_rectangles", functools.cache(drawn_rectangles))
+        patch.setattr("jrdb_avr.agent.model.calibrate.drawn_rectangles", functools.cache(drawn_rectangles))
         yield
 
 

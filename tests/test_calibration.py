@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from worlds import person, write_root
 
-from jrdb_avr.loaders.layers import find_root
 from jrdb_avr.loaders.load import Shard, load_shard
+from jrdb_avr.loaders.root import find_root
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.panorama import FOCAL_ROWS, HORIZON_ROW
 from jrdb_avr.schema.rules import LoadRules

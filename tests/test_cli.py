@@ -16,7 +16,7 @@ from entry import run
 from worlds import person, write_root
 
 from jrdb_avr.engine.cli import COMMANDS, group
-from jrdb_avr.queries.handle import build_graph
+from jrdb_avr.queries.graph.handle import build_graph
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Manifest, SequenceEntry, Store
 from jrdb_avr.schema.errors import EndpointError

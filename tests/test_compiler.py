@@ -14,10 +14,10 @@ from quick_store import quick_store
 from random_worlds import random_world
 from test_generate_oracle import form, lively_world, sociable_world
 
-from jrdb_avr.loaders.scene import build_scene
+from jrdb_avr.loaders.graph import build_scene
 from jrdb_avr.queries.compiler import SCENE, Asked, Names, compile_find, solve
 from jrdb_avr.queries.compiler.clauses import Known, Listed, Rows, Tie
-from jrdb_avr.queries.handle import Graph
+from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.errors import PlanError, QueryError
 from jrdb_avr.schema.plan import Plan, parse_plan
 from jrdb_avr.schema.rules import Rules

@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from jrdb_avr.engine.covering import crops_needed, fewest_crops
-from jrdb_avr.engine.views import single_view
+from jrdb_avr.engine.generate.views import single_view
+from jrdb_avr.engine.validate.statistics import crops_needed, fewest_crops
 
 WIDTH = 3760
 COLUMNS = st.one_of(

@@ -6,8 +6,8 @@ import pyarrow.parquet as pq
 import pytest
 import warm
 
-from jrdb_avr.engine import demo
-from jrdb_avr.engine.demo import Size, run_demo, steps
+from jrdb_avr.engine.commands import demo_run as demo
+from jrdb_avr.engine.commands.demo_run import Size, run_demo, steps
 from jrdb_avr.schema.errors import InputError
 
 

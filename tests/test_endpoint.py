@@ -5,11 +5,11 @@ import json
 import pytest
 from fake_server import FakeServer, completion, sound, texts
 
-from jrdb_avr.agent.conventions import CONTRACT
-from jrdb_avr.agent.messages import Message
-from jrdb_avr.agent.options import Options
-from jrdb_avr.engine.endpoint import connect, serving
-from jrdb_avr.engine.terms import keep_terms
+from jrdb_avr.agent.model.conventions import CONTRACT
+from jrdb_avr.agent.model.messages import Message
+from jrdb_avr.agent.model.options import Options
+from jrdb_avr.engine.run.endpoint import connect, serving
+from jrdb_avr.engine.run.resume import keep_terms
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import EndpointError, StoreError

@@ -5,7 +5,7 @@ import pytest
 from believing import BELIEF_QUERIES
 from scene_tables import table_store
 
-from jrdb_avr.queries.handle import Graph
+from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.named import named_queries
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import QueryError
@@ -161,7 +161,7 @@ def test_kept_queries_agree_with_the_tables(store, graph, views, name):
 
 
 def test_answers_come_in_order_and_fit_a_terminal(store, graph, capsys):
-    from jrdb_avr.engine.output import print_rows
+    from jrdb_avr.engine.console import print_rows
 
     for name in EXPECTED:
         query = named_queries("cypher")[name]

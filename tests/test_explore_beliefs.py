@@ -9,11 +9,11 @@ import pytest
 from believing import BELIEF_QUERIES, Believer
 from test_runs_world import ASKED
 
-from jrdb_avr.agent.world import World
-from jrdb_avr.engine import runs
-from jrdb_avr.queries.guard import check_cypher
+from jrdb_avr.agent.beliefs.world_model import World
+from jrdb_avr.engine.run import evaluate as runs
+from jrdb_avr.queries.beliefs.graph import WorldGraph
+from jrdb_avr.queries.graph.guard import check_cypher
 from jrdb_avr.queries.named import find_query, named_queries
-from jrdb_avr.queries.world import WorldGraph
 
 STEPS = (0, 3, 9, 15, 24, 40)
 ALWAYS = 10_000_000

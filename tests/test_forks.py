@@ -12,12 +12,12 @@ import pytest
 from quick_store import quick_store
 from worlds import person
 
-from jrdb_avr.engine.candidates import PASSED, RULES, VALUES
-from jrdb_avr.engine.descriptions import describe_people
-from jrdb_avr.engine.relations import RELATIONS, find_facts, find_steps
-from jrdb_avr.engine.scene import load_scene
-from jrdb_avr.engine.search import find_candidates, search_graph
-from jrdb_avr.engine.templates import TEMPLATES
+from jrdb_avr.engine.generate.candidates import PASSED, RULES, VALUES
+from jrdb_avr.engine.generate.descriptions import describe_people
+from jrdb_avr.engine.generate.relations import RELATIONS, find_facts, find_steps
+from jrdb_avr.engine.generate.scene import load_scene
+from jrdb_avr.engine.generate.search import find_candidates, search_graph
+from jrdb_avr.engine.generate.templates import TEMPLATES
 from jrdb_avr.schema.rules import Rules
 
 pytestmark = pytest.mark.usefixtures("known_plans")

@@ -15,22 +15,21 @@ from hypothesis import strategies as st
 from quick_store import memory_store, quick_store
 from worlds import member, person, person_3d
 
-from jrdb_avr.engine.candidates import PASSED
-from jrdb_avr.engine.candidates import RULES as RULES_OF_CANDIDATES
-from jrdb_avr.engine.descriptions import describe_people
-from jrdb_avr.engine.proofs import make_record
-from jrdb_avr.engine.proven import candidate_table
+from jrdb_avr.engine.generate.candidates import PASSED, candidate_table
+from jrdb_avr.engine.generate.candidates import RULES as RULES_OF_CANDIDATES
+from jrdb_avr.engine.generate.descriptions import describe_people
+from jrdb_avr.engine.generate.proofs import make_record
+from jrdb_avr.engine.generate.relations import find_facts
+from jrdb_avr.engine.generate.scene import load_scene
+from jrdb_avr.engine.generate.search import find_candidates, search_graph
+from jrdb_avr.engine.generate.sequence import Job, search_sequence
+from jrdb_avr.engine.generate.templates import TEMPLATES
 from jrdb_avr.engine.rederive import UNKNOWN, Annotations, rederive
-from jrdb_avr.engine.relations import find_facts
-from jrdb_avr.engine.scene import load_scene
-from jrdb_avr.engine.search import find_candidates, search_graph
-from jrdb_avr.engine.shard import Job, search_sequence
-from jrdb_avr.engine.templates import TEMPLATES
 from jrdb_avr.schema.answers import decode_answer, encode_answer
+from jrdb_avr.schema.labels import SAME_GROUP
 from jrdb_avr.schema.panorama import visible_share
 from jrdb_avr.schema.plan import canonical, parse_plan
 from jrdb_avr.schema.rules import Rules
-from jrdb_avr.schema.vocabulary import SAME_GROUP
 from jrdb_avr.schema.wording import TEMPLATES as WORDS
 from jrdb_avr.schema.wording import Slots, render
 
@@ -190,7 +189,7 @@ def test_every_form_is_found():
 
 
 def test_forms_are_judged_together(tmp_path, monkeypatch):
-    monkeypatch.setattr("jrdb_avr.engine.shard.TEMPLATES", tuple(FORMS))
+    monkeypatch.setattr("jrdb_avr.engine.generate.sequence.TEMPLATES", tuple(FORMS))
     store = quick_store(tmp_path, busy_world(random.Random(9)))
     file = tmp_path / "candidates.parquet"
     rules = msgspec.structs.replace(RULES, max_per_person=2)
@@ -216,7 +215,7 @@ def test_forms_are_judged_together(tmp_path, monkeypatch):
 
 
 def test_without_actions_absences_and_counts_are_asked_about(tmp_path, monkeypatch):
-    monkeypatch.setattr("jrdb_avr.engine.shard.TEMPLATES", tuple(FORMS))
+    monkeypatch.setattr("jrdb_avr.engine.generate.sequence.TEMPLATES", tuple(FORMS))
     world = busy_world(random.Random(9))
     for rows in world[NAME]["2d"].values():
         for row in rows:
@@ -226,7 +225,7 @@ def test_without_actions_absences_and_counts_are_asked_about(tmp_path, monkeypat
 
 
 def test_without_boxes_there_is_nothing_to_ask(tmp_path, monkeypatch):
-    monkeypatch.setattr("jrdb_avr.engine.shard.TEMPLATES", tuple(FORMS))
+    monkeypatch.setattr("jrdb_avr.engine.generate.sequence.TEMPLATES", tuple(FORMS))
     store = quick_store(tmp_path, {NAME: {"3d": {0: [person_3d(1, 3.0, 0.0)], 15: []}}})
     found = search_sequence(Job(store.path, NAME, RULES))
     assert found.lacking == {"gap": ("2d",)} and found.counts == {} and found.kept is None

@@ -19,19 +19,19 @@ from hypothesis import strategies as st
 from quick_store import graphless_store
 from test_generate_oracle import lively_world
 
-from jrdb_avr.engine import views
 from jrdb_avr.engine.commands.generate import command
-from jrdb_avr.engine.generate import REFUSALS, generate
-from jrdb_avr.engine.publish import GENERATION_KEY, TABLES
-from jrdb_avr.engine.templates import TEMPLATES, plan_texts
+from jrdb_avr.engine.generate import views
+from jrdb_avr.engine.generate.publish import GENERATION_KEY, TABLES
+from jrdb_avr.engine.generate.run import REFUSALS, generate
+from jrdb_avr.engine.generate.templates import TEMPLATES, plan_texts
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Span, decode_answer
 from jrdb_avr.schema.errors import LockedError, StoreError
+from jrdb_avr.schema.labels import DISTANCE_ANSWERS, FIRST_LEFT, FIRST_RIGHT, POSES, PRESENCE_ANSWERS, SAME_GROUP
 from jrdb_avr.schema.panorama import Box, visible_share
 from jrdb_avr.schema.plan import Condition, canonical, parse_plan
 from jrdb_avr.schema.rules import Rules, override, rules_hash
 from jrdb_avr.schema.tables import CANARY, CANDIDATES, QUESTIONS
-from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, FIRST_LEFT, FIRST_RIGHT, POSES, PRESENCE_ANSWERS, SAME_GROUP
 from jrdb_avr.schema.wording import TEMPLATES as WORDS
 from jrdb_avr.schema.wording import Slots, in_order, question_id, question_key
 
@@ -264,7 +264,7 @@ def test_a_kill_between_the_files_is_repaired_by_another_run(one, tmp_path):
     script = (
         "import os, signal, sys\n"
         "from pathlib import Path\n"
-        "from jrdb_avr.engine.generate import generate\n"
+        "from jrdb_avr.engine.generate.run import generate\n"
         "from jrdb_avr.queries.store import Store\n"
         "from jrdb_avr.schema.rules import Rules\n"
         "moves, move = [], Path.replace\n"
@@ -361,8 +361,8 @@ CONDITIONS = st.lists(
 def test_plans_made_from_columns_are_canonical(template, conditions, frames):
     import pyarrow as pa
 
-    from jrdb_avr.engine.descriptions import conditions_json
-    from jrdb_avr.engine.proven import hashed, joined
+    from jrdb_avr.engine.generate.candidates import hashed, joined
+    from jrdb_avr.engine.generate.descriptions import conditions_json
 
     words = WORDS[template.query]
     times = dict(zip(words.times, frames, strict=False))

@@ -6,7 +6,7 @@ from quick_store import quick_store
 from test_generate_worlds import SEQUENCE, build
 from worlds import person
 
-from jrdb_avr.engine.shard import Job, search_sequence
+from jrdb_avr.engine.generate.sequence import Job, search_sequence
 from jrdb_avr.schema.rules import Rules
 
 

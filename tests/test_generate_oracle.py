@@ -17,16 +17,15 @@ from quick_store import memory_store
 from random_worlds import random_world
 from worlds import member, person, person_3d, pose
 
-from jrdb_avr.engine.candidates import PASSED
-from jrdb_avr.engine.descriptions import describe_people
-from jrdb_avr.engine.proven import candidate_table
-from jrdb_avr.engine.relations import find_facts
-from jrdb_avr.engine.scene import load_scene
-from jrdb_avr.engine.search import find_candidates, search_graph
-from jrdb_avr.engine.templates import TEMPLATES
-from jrdb_avr.loaders.layers import find_root
+from jrdb_avr.engine.generate.candidates import PASSED, candidate_table
+from jrdb_avr.engine.generate.descriptions import describe_people
+from jrdb_avr.engine.generate.relations import find_facts
+from jrdb_avr.engine.generate.scene import load_scene
+from jrdb_avr.engine.generate.search import find_candidates, search_graph
+from jrdb_avr.engine.generate.templates import TEMPLATES
 from jrdb_avr.loaders.load import Shard, load_shard
-from jrdb_avr.loaders.sample.writer import plan, write
+from jrdb_avr.loaders.root import find_root
+from jrdb_avr.loaders.synthetic.write import plan, write
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.rules import LoadRules, Rules

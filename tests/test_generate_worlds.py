@@ -9,22 +9,15 @@ import pytest
 from quick_store import memory_store
 from worlds import member, person, person_3d
 
-from jrdb_avr.engine.candidates import OUTCOMES, PASSED, RULES, VALUES
-from jrdb_avr.engine.descriptions import describe_people
-from jrdb_avr.engine.relations import RELATIONS, find_facts
-from jrdb_avr.engine.scene import NOBODY, load_scene
-from jrdb_avr.engine.search import find_candidates, search_graph
-from jrdb_avr.engine.shard import Job, search_sequence
-from jrdb_avr.engine.templates import TEMPLATES
+from jrdb_avr.engine.generate.candidates import OUTCOMES, PASSED, RULES, VALUES
+from jrdb_avr.engine.generate.descriptions import describe_people
+from jrdb_avr.engine.generate.relations import RELATIONS, find_facts
+from jrdb_avr.engine.generate.scene import NOBODY, load_scene
+from jrdb_avr.engine.generate.search import find_candidates, search_graph
+from jrdb_avr.engine.generate.sequence import Job, search_sequence
+from jrdb_avr.engine.generate.templates import TEMPLATES
+from jrdb_avr.schema.labels import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP, WINDOW_DEGREES, WINDOWS_LEFT, WINDOWS_RIGHT
 from jrdb_avr.schema.rules import Rules
-from jrdb_avr.schema.vocabulary import (
-    FIRST_LEFT,
-    FIRST_RIGHT,
-    SAME_GROUP,
-    WINDOW_DEGREES,
-    WINDOWS_LEFT,
-    WINDOWS_RIGHT,
-)
 
 pytestmark = pytest.mark.usefixtures("known_plans")
 

@@ -14,10 +14,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from jrdb_avr.queries import guard
-from jrdb_avr.queries.binding import parameters
-from jrdb_avr.queries.guard import ask_graph, check_cypher
-from jrdb_avr.queries.handle import Graph, build_graph
+from jrdb_avr.queries.graph import guard
+from jrdb_avr.queries.graph.guard import ask_graph, check_cypher
+from jrdb_avr.queries.graph.handle import Graph, build_graph
+from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.named import find_query, named_queries, parse_value
 from jrdb_avr.queries.sql import JOINED, ask_tables, views
 from jrdb_avr.queries.store import Store

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jrdb_avr.queries import handle
-from jrdb_avr.queries.binding import bind, parameters, strip_literals
-from jrdb_avr.queries.handle import Graph, build_graph
-from jrdb_avr.queries.seal import check_seal, seal_of
+from jrdb_avr.queries.graph import handle
+from jrdb_avr.queries.graph.file import check_seal, seal_of
+from jrdb_avr.queries.graph.handle import Graph, build_graph
+from jrdb_avr.queries.graph.parameters import bind, parameters, strip_literals
 from jrdb_avr.schema.errors import LockedError, QueryError, StoreError
 from jrdb_avr.schema.graph import STORAGE_VERSION, scene_ddl
 

@@ -14,16 +14,16 @@ from oracle_questions import proven
 from quick_store import graphless_store, quick_store
 from worlds import member, person, person_3d
 
-from jrdb_avr.engine import paths
-from jrdb_avr.engine.descriptions import describe_people
-from jrdb_avr.engine.generate import generate
+from jrdb_avr.engine.generate import chains as paths
+from jrdb_avr.engine.generate.descriptions import describe_people
+from jrdb_avr.engine.generate.relations import find_facts
+from jrdb_avr.engine.generate.run import generate
+from jrdb_avr.engine.generate.scene import load_scene
+from jrdb_avr.engine.generate.search import find_candidates, search_graph
+from jrdb_avr.engine.generate.sequence import Job, search_sequence
+from jrdb_avr.engine.generate.templates import TEMPLATES
 from jrdb_avr.engine.rederive import Annotations, rederive
-from jrdb_avr.engine.relations import find_facts
-from jrdb_avr.engine.scene import load_scene
-from jrdb_avr.engine.search import find_candidates, search_graph
-from jrdb_avr.engine.shard import Job, search_sequence
-from jrdb_avr.engine.templates import TEMPLATES
-from jrdb_avr.engine.validate import validate
+from jrdb_avr.engine.validate.checks import validate
 from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.rules import Rules
 

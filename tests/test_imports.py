@@ -20,9 +20,8 @@ MAY_IMPORT = {
 }
 # The run and command-line edge: only here a method is picked and handed its questions.
 AGENT_USERS = {
-    "engine/methods.py",
-    "engine/own_methods.py",
-    "engine/endpoint.py",
+    "engine/run/methods.py",
+    "engine/run/endpoint.py",
     "engine/commands/_endpoint.py",
     "engine/commands/preflight.py",
     "engine/commands/calibrate.py",

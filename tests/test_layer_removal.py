@@ -16,8 +16,8 @@ import pytest
 from random_worlds import random_world
 from worlds import CAMERAS, VISIBLE, member, person, person_3d, pose, thing, write_root
 
-from jrdb_avr.loaders.layers import find_root
 from jrdb_avr.loaders.load import Shard, load_shard
+from jrdb_avr.loaders.root import find_root
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS

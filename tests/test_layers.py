@@ -10,8 +10,8 @@ from click.testing import CliRunner
 from worlds import coco_file, member, person, person_3d, pose, write_root
 
 from jrdb_avr.engine.commands.load import command
-from jrdb_avr.loaders.layers import LAYER_FILES, find_root
 from jrdb_avr.loaders.load import Shard, load_shard
+from jrdb_avr.loaders.root import LAYER_FILES, find_root
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.rules import LoadRules

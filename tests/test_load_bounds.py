@@ -11,9 +11,9 @@ import os
 import pytest
 from worlds import member, person, write_root
 
-from jrdb_avr.loaders import columns, expand, gather
-from jrdb_avr.loaders.layers import find_root
+from jrdb_avr.loaders.labelfiles import columns, expand, gather
 from jrdb_avr.loaders.load import Shard, load_shard
+from jrdb_avr.loaders.root import find_root
 from jrdb_avr.schema.rules import LoadRules
 
 NAME = "yard-2020-01-01_0"

@@ -18,11 +18,13 @@ import pytest
 from quick_store import MemoryStore, kept_in, without_graph
 from worlds import load_reported, person, person_3d, write_root
 
-from jrdb_avr.loaders import gather, labelfile, spans
-from jrdb_avr.loaders.layers import find_root
+from jrdb_avr.loaders.labelfiles import frames as labelfile
+from jrdb_avr.loaders.labelfiles import gather
+from jrdb_avr.loaders.labelfiles import json as spans
 from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.loaders.report import as_row
+from jrdb_avr.loaders.root import find_root
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError, InputError
 from jrdb_avr.schema.rules import LoadRules

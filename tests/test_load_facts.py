@@ -18,9 +18,9 @@ from random_worlds import random_world
 from worlds import load_world, person, write_root
 
 from jrdb_avr.loaders import load as loading
-from jrdb_avr.loaders.layers import find_root
 from jrdb_avr.loaders.load import Shard, load, load_shard
-from jrdb_avr.queries.handle import Graph
+from jrdb_avr.loaders.root import find_root
+from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS
@@ -207,7 +207,7 @@ def test_the_graph_has_the_facts_of_the_oracle(seed, tmp_path):
 
 
 def test_a_synthetic_sample_has_the_facts_of_the_oracle(tmp_path):
-    from jrdb_avr.loaders.sample.writer import plan, write
+    from jrdb_avr.loaders.synthetic.write import plan, write
 
     root = tmp_path / "root"
     for _ in write(plan(root, [(120, 8)], 3, images="none"), 1):

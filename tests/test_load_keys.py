@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jrdb_avr.loaders.keys import WrittenKeys
+from jrdb_avr.loaders.labelfiles.keys import WrittenKeys
 
 KEYS = ("id", "box", "pair", "box_pair", "label_id", "demographics_info", "group_info", "keypoints", "num_keypoints")
 words = st.sampled_from([*KEYS, "", ":", '"box":', "a :b", "pedestrian:1", "\u00e9"])
@@ -43,7 +43,7 @@ def test_keys_that_stand_more_often_than_allowed_are_noticed(text, keys, limit, 
 
     json.loads(text, object_pairs_hook=members)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("jrdb_avr.loaders.keys.SHORT", short)
+        patch.setattr("jrdb_avr.loaders.labelfiles.keys.SHORT", short)
         exceed = WrittenKeys(text.encode()).exceed(limit, *(f'"{key}"'.encode() for key in keys))
     if sum(map(found.count, keys)) > limit:
         assert exceed

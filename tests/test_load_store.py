@@ -20,8 +20,8 @@ from random_worlds import random_world
 from worlds import load_reported, load_world, person, person_3d, write_root
 
 from jrdb_avr.loaders import load as loading
-from jrdb_avr.loaders.layers import find_root
-from jrdb_avr.queries.handle import Graph
+from jrdb_avr.loaders.root import find_root
+from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError, LockedError, StoreError
 from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS

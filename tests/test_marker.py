@@ -21,24 +21,23 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from painted_world import Actor, World, still
 
-from jrdb_avr.agent.calibrate import BOX_LINE
-from jrdb_avr.agent.client import Client
-from jrdb_avr.agent.marker.baselines import ANSWER, BOX, CHOICE, FACTS
-from jrdb_avr.agent.marker.baselines import PLACE as PLACE_STAGE
-from jrdb_avr.agent.marker.child import marker_server
-from jrdb_avr.agent.marker.eyes import Eyes, Spent, Want
-from jrdb_avr.agent.marker.finding import distance_word, holds
-from jrdb_avr.agent.marker.looking import REACT
-from jrdb_avr.agent.marker.reading import Look, Sighting
-from jrdb_avr.agent.marker.server import Server
-from jrdb_avr.agent.messages import Message
-from jrdb_avr.agent.preflight import CORNER_LINE
-from jrdb_avr.agent.react import ReAct
+from jrdb_avr.agent.methods.react import ReAct
+from jrdb_avr.agent.model.calibrate import BOX_LINE
+from jrdb_avr.agent.model.client import Client
+from jrdb_avr.agent.model.messages import Message
+from jrdb_avr.agent.model.preflight import CORNER_LINE
+from jrdb_avr.agent.policy.explorer import Eyes, Spent, Want
+from jrdb_avr.agent.policy.finding import distance_word, holds
+from jrdb_avr.agent.simulated.child import marker_server
+from jrdb_avr.agent.simulated.play import ANSWER, BOX, CHOICE, FACTS, REACT
+from jrdb_avr.agent.simulated.play import PLACE as PLACE_STAGE
+from jrdb_avr.agent.simulated.requests import Look, Sighting
+from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.schema.answers import FrameAnswer, Span, frames_iou
-from jrdb_avr.schema.marks import Mark
+from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS
+from jrdb_avr.schema.markers import Mark
 from jrdb_avr.schema.panorama import WIDTH, Box, iou
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time
-from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 from jrdb_avr.schema.wording import in_order, render
 
 FRAMES = tuple(range(0, 601))
@@ -459,7 +458,7 @@ def test_the_child_process_serves_and_ends(tmp_path):
 
 def test_the_server_ends_with_its_parent():
     code = (
-        "import sys, time\nfrom jrdb_avr.agent.marker.child import marker_server\n"
+        "import sys, time\nfrom jrdb_avr.agent.simulated.child import marker_server\n"
         "with marker_server() as url:\n    print(url, flush=True)\n    time.sleep(60)\n"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:
@@ -485,7 +484,7 @@ def watch(event, args):
 sys.addaudithook(watch)
 open(os.devnull).close()
 sys.argv = ["marker"]
-runpy.run_module("jrdb_avr.agent.marker", run_name="__main__")
+runpy.run_module("jrdb_avr.agent.simulated", run_name="__main__")
 """
 
 
@@ -519,7 +518,7 @@ def test_the_marker_reads_nothing_but_what_it_is_sent(tmp_path):
 
 
 def test_a_client_that_goes_away_is_no_traceback():
-    code = "import sys, runpy; sys.argv = ['m']; runpy.run_module('jrdb_avr.agent.marker', run_name='__main__')"
+    code = "import sys, runpy; sys.argv = ['m']; runpy.run_module('jrdb_avr.agent.simulated', run_name='__main__')"
     with serving(code) as (url, told):
         place = urllib.parse.urlsplit(url)
         for sent in (b"", b"POST /v1/chat/completions HTTP/1.1\r\nContent-Length: 100\r\n\r\n{"):
@@ -536,7 +535,7 @@ def test_a_client_that_goes_away_is_no_traceback():
 
 def test_the_marker_loads_neither_loaders_nor_engines():
     code = (
-        "import sys, jrdb_avr.agent.marker.server\n"
+        "import sys, jrdb_avr.agent.simulated.server\n"
         "bad = ('jrdb_avr.engine', 'jrdb_avr.loaders', 'jrdb_avr.queries', 'kuzu', 'duckdb', 'pyarrow')\n"
         "print([m for m in sys.modules if m.startswith(bad)])\n"
     )

@@ -6,18 +6,18 @@ import msgspec
 import pytest
 from painted_world import Actor, World, still
 
-from jrdb_avr.agent.marker.knobs import Knobs
-from jrdb_avr.agent.marker.server import Server
-from jrdb_avr.agent.messages import wire
+from jrdb_avr.agent.beliefs.world_model import World as Beliefs
+from jrdb_avr.agent.model.messages import wire
+from jrdb_avr.agent.model.reply import read_completion
 from jrdb_avr.agent.reference.method import ReferenceAgent
-from jrdb_avr.agent.replies import read_completion
-from jrdb_avr.agent.world import World as Beliefs
-from jrdb_avr.queries.world import WorldGraph
+from jrdb_avr.agent.simulated.noise import Knobs
+from jrdb_avr.agent.simulated.server import Server
+from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span, same_answer
-from jrdb_avr.schema.marks import Mark
+from jrdb_avr.schema.labels import DISTANCE_ANSWERS, FIRST_LEFT, FIRST_RIGHT, PRESENCE_ANSWERS, SAME_GROUP
+from jrdb_avr.schema.markers import Mark
 from jrdb_avr.schema.panorama import WIDTH, Box, iou
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
-from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, FIRST_LEFT, FIRST_RIGHT, PRESENCE_ANSWERS, SAME_GROUP
 from jrdb_avr.schema.wording import in_order, render
 
 FRAMES = tuple(range(0, 601, 5))

@@ -6,17 +6,17 @@ import threading
 import pytest
 from painted_world import Actor, World, still
 
-from jrdb_avr.agent.chain_of_thought import ChainOfThought
-from jrdb_avr.agent.client import Client
-from jrdb_avr.agent.marker.knobs import Knobs
-from jrdb_avr.agent.marker.server import Server
-from jrdb_avr.agent.monolithic import Monolithic
-from jrdb_avr.agent.search_recognize import SearchRecognize
+from jrdb_avr.agent.methods.chain_of_thought import ChainOfThought
+from jrdb_avr.agent.methods.monolithic import Monolithic
+from jrdb_avr.agent.methods.search_recognize import SearchRecognize
+from jrdb_avr.agent.model.client import Client
+from jrdb_avr.agent.simulated.noise import Knobs
+from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.schema.answers import frames_iou
-from jrdb_avr.schema.marks import Mark
+from jrdb_avr.schema.labels import DISTANCE_ANSWERS, FIRST_RIGHT, PRESENCE_ANSWERS, SAME_GROUP
+from jrdb_avr.schema.markers import Mark
 from jrdb_avr.schema.panorama import WIDTH, Box, angle_error, iou
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
-from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, FIRST_RIGHT, PRESENCE_ANSWERS, SAME_GROUP
 from jrdb_avr.schema.wording import in_order, render
 
 POSES = ("walking", "sitting", "standing", "lying")

@@ -12,20 +12,19 @@ import msgspec
 import numpy as np
 import pytest
 
-from jrdb_avr.agent.client import Client
-from jrdb_avr.agent.decode import reply_object
-from jrdb_avr.agent.marker.child import marker_server
-from jrdb_avr.agent.marker.knobs import PERFECT, Draws, Knobs, parse, settings
-from jrdb_avr.agent.marker.looking import REACT
-from jrdb_avr.agent.marker.reading import Look, Sighting
-from jrdb_avr.agent.marker.server import Server
-from jrdb_avr.agent.marker.slips import misread, with_wrong_boxes
-from jrdb_avr.agent.messages import Message
-from jrdb_avr.agent.replies import Reply
+from jrdb_avr.agent.model.client import Client
+from jrdb_avr.agent.model.decode import reply_object
+from jrdb_avr.agent.model.messages import Message
+from jrdb_avr.agent.model.reply import Reply
+from jrdb_avr.agent.simulated.child import marker_server
+from jrdb_avr.agent.simulated.noise import PERFECT, Draws, Knobs, misread, parse, settings, with_wrong_boxes
+from jrdb_avr.agent.simulated.play import REACT
+from jrdb_avr.agent.simulated.requests import Look, Sighting
+from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.schema.errors import DecodeError, InputError
-from jrdb_avr.schema.marks import Mark, encode
+from jrdb_avr.schema.labels import OBJECTS, VERBS
+from jrdb_avr.schema.markers import Mark, encode
 from jrdb_avr.schema.panorama import Box, iou
-from jrdb_avr.schema.things import OBJECTS, VERBS
 
 N = 500
 RATE = 0.2

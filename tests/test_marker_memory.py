@@ -4,14 +4,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jrdb_avr.agent.marker.enclosing import Event, between, events
-from jrdb_avr.agent.marker.eyes import AROUND, NEARBY, Spent, Want
-from jrdb_avr.agent.marker.memory import Memory
-from jrdb_avr.agent.marker.notes import read_notes
-from jrdb_avr.agent.marker.reading import Look, Request, Sighting
-from jrdb_avr.agent.marker.writing import Draft, attribute_of
+from jrdb_avr.agent.policy.enclosing import Event, between, events
+from jrdb_avr.agent.policy.explorer import AROUND, NEARBY, Spent, Want
+from jrdb_avr.agent.simulated.memory import Memory
+from jrdb_avr.agent.simulated.notes import read_notes
+from jrdb_avr.agent.simulated.requests import Look, Request, Sighting
+from jrdb_avr.agent.simulated.writing import Draft, attribute_of
 from jrdb_avr.schema.errors import DecodeError
-from jrdb_avr.schema.marks import Mark
+from jrdb_avr.schema.markers import Mark
 from jrdb_avr.schema.panorama import WIDTH, Box, center_angle, crop_left, from_crop
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time, canonical
 

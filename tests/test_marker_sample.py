@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from jrdb_avr.engine.cli import group
-from jrdb_avr.schema.marks import read
+from jrdb_avr.schema.markers import read
 from jrdb_avr.schema.panorama import Box, iou
 
 N = 36

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jrdb_avr.engine.drawing import draw_on_crop, draw_on_panorama
-from jrdb_avr.engine.observe import Observer, decode_panorama
+from jrdb_avr.engine.observe.observer import Observer, decode_panorama
+from jrdb_avr.engine.observe.overlay import draw_on_crop, draw_on_panorama
 from jrdb_avr.schema.errors import InputError, ObserveError
 from jrdb_avr.schema.method import SequenceInfo
 from jrdb_avr.schema.panorama import crop_left
@@ -206,7 +206,7 @@ def test_without_images():
 
 
 def test_the_cache_is_bounded_and_used(root, monkeypatch):
-    from jrdb_avr.engine import observe as module
+    from jrdb_avr.engine.observe import observer as module
 
     decoded = []
     decode = module.decode_panorama
@@ -224,7 +224,7 @@ def test_the_cache_is_bounded_and_used(root, monkeypatch):
 
 
 def test_many_threads_see_what_one_sees(root, monkeypatch):
-    from jrdb_avr.engine import observe as module
+    from jrdb_avr.engine.observe import observer as module
 
     decoded = []
     decode = module.decode_panorama

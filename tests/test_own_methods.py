@@ -7,7 +7,7 @@ import pytest
 from entry import run
 from fake_server import FakeServer, images, sound, texts
 
-from jrdb_avr.engine.own_methods import is_own, own_method
+from jrdb_avr.engine.run.methods import is_own, own_method
 from jrdb_avr.queries.runs import read_run_manifest
 from jrdb_avr.schema.errors import InputError
 

@@ -13,16 +13,15 @@ import pytest
 from browser import browser, complaints
 from entry import run
 
-from jrdb_avr.engine.inspection import annotated, choose_questions, inspect_questions
-from jrdb_avr.engine.observe import Observer
+from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.pages.answers import readable
-from jrdb_avr.engine.pages.charts import intervals, scatter, stacked, tags
-from jrdb_avr.engine.pages.diagrams import plan_graph, runs_of, timeline, wrapped
+from jrdb_avr.engine.pages.inspect_data import annotated, choose_questions, inspect_questions
 from jrdb_avr.engine.pages.inspect_page import close_up, inspect_page
 from jrdb_avr.engine.pages.page import render, write_page
 from jrdb_avr.engine.pages.report_page import crossed, wrong_choices
-from jrdb_avr.engine.reviews import read_reviews
-from jrdb_avr.engine.runs import read_sequences
+from jrdb_avr.engine.pages.svg import intervals, plan_graph, runs_of, scatter, stacked, tags, timeline, wrapped
+from jrdb_avr.engine.run.evaluate import read_sequences
+from jrdb_avr.engine.validate.reviews import read_reviews
 from jrdb_avr.schema.plan import parse_plan
 
 HOSTILE = '</script><script>document.title="hit"</script><img src=x onerror=\'document.title="hit"\'>\x1b[31m'
@@ -307,7 +306,7 @@ def test_a_plan_goes_from_left_to_right():
 
 
 def test_a_timeline_is_to_scale():
-    from jrdb_avr.engine.pages.diagrams import Line, Span
+    from jrdb_avr.engine.pages.svg import Line, Span
 
     lines = [Line("a", "walking", (Span(0, 49, "action"), Span(50, 99, "action", False))), Line("b", "x", ())]
     drawn = timeline(lines, {"t1": 50, "t0": 0}, 100, 15.0)

@@ -17,15 +17,16 @@ from pycocotools import mask as masks
 from pycocotools.coco import COCO
 from worlds import coco_file, person, thing
 
-from jrdb_avr.loaders import coco, panoptic
-from jrdb_avr.loaders.boxes2d import load_2d
-from jrdb_avr.loaders.intervals import derive
-from jrdb_avr.loaders.panoptic import load_panoptic
+from jrdb_avr.loaders.intervals.derive import derive
+from jrdb_avr.loaders.labelfiles import coco
+from jrdb_avr.loaders.layers import panoptic
+from jrdb_avr.loaders.layers.boxes_2d import load_2d
+from jrdb_avr.loaders.layers.panoptic import load_panoptic
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.errors import InputError
+from jrdb_avr.schema.labels import OBJECTS, PERSON_CATEGORIES, normal_category
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS
-from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES, normal_category
 
 NAME = "yard-2020-01-01_0"
 SHELF, DOOR, WALL, PERSON, TEAPOT = 57, 71, 4, 63, 900

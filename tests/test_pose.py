@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 from pycocotools.coco import COCO
 from worlds import coco_file, load_world, person, pose
 
-from jrdb_avr.loaders import coco, labelfile
-from jrdb_avr.loaders.boxes2d import load_2d
-from jrdb_avr.loaders.intervals import derive
-from jrdb_avr.loaders.pose import load_pose
+from jrdb_avr.loaders.intervals.derive import derive
+from jrdb_avr.loaders.labelfiles import coco
+from jrdb_avr.loaders.labelfiles import frames as labelfile
+from jrdb_avr.loaders.layers.boxes_2d import load_2d
+from jrdb_avr.loaders.layers.pose import load_pose
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.rules import LoadRules

@@ -8,16 +8,15 @@ import pytest
 from click.testing import CliRunner
 from fake_server import FakeServer, Status, completion, images, schema_of, seeing, texts
 
-from jrdb_avr.agent.client import Client
-from jrdb_avr.agent.conventions import convention_of
-from jrdb_avr.agent.demands import AGENTS, CROPS, FIXED_CONTEXT, LOOKING, PLANNING, demands
-from jrdb_avr.agent.marker.knobs import Knobs
-from jrdb_avr.agent.marker.server import Server
-from jrdb_avr.agent.options import Options
-from jrdb_avr.agent.panoramas import PANORAMAS
-from jrdb_avr.agent.preflight import preflight, require
+from jrdb_avr.agent.methods.attempt import PANORAMAS
+from jrdb_avr.agent.model.client import Client
+from jrdb_avr.agent.model.conventions import convention_of
+from jrdb_avr.agent.model.options import Options
+from jrdb_avr.agent.model.preflight import AGENTS, CROPS, FIXED_CONTEXT, LOOKING, PLANNING, demands, preflight, require
+from jrdb_avr.agent.simulated.noise import Knobs
+from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.engine.cli import group
-from jrdb_avr.engine.methods import METHODS
+from jrdb_avr.engine.run.methods import METHODS
 from jrdb_avr.schema.errors import EndpointError
 
 NAMES = ["text", "schema", "picture", "panoramas", "crops", "plan", "thinking", "finish", "tokens", "model"]

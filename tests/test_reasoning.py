@@ -10,10 +10,10 @@ from test_social import BOX, NAME, read, reasons, record, rows
 from test_social_intervals import placed
 from worlds import member, person, thing, write_root
 
-from jrdb_avr.loaders import relations
-from jrdb_avr.loaders.layers import find_root
+from jrdb_avr.loaders.layers import social as relations
+from jrdb_avr.loaders.layers.social_files import load_reasoning
 from jrdb_avr.loaders.load import Shard, load_shard
-from jrdb_avr.loaders.reasoning import load_reasoning
+from jrdb_avr.loaders.root import find_root
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import LoadRules
 

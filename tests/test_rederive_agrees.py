@@ -9,20 +9,19 @@ from quick_store import memory_store
 from random_worlds import random_world
 from test_generate_oracle import lively_world
 
-from jrdb_avr.engine.candidates import PASSED
-from jrdb_avr.engine.conditions import find_conditions
-from jrdb_avr.engine.descriptions import describe_people
-from jrdb_avr.engine.proofs import make_record
-from jrdb_avr.engine.proven import candidate_table
+from jrdb_avr.engine.generate.candidates import PASSED, candidate_table
+from jrdb_avr.engine.generate.conditions import find_conditions
+from jrdb_avr.engine.generate.descriptions import describe_people
+from jrdb_avr.engine.generate.proofs import make_record
+from jrdb_avr.engine.generate.relations import EMPTY, RELATIONS, SEVERAL, find_facts, find_steps
+from jrdb_avr.engine.generate.relations import UNKNOWN as CANNOT_BE_TOLD
+from jrdb_avr.engine.generate.scene import load_scene
+from jrdb_avr.engine.generate.search import find_candidates, search_graph
+from jrdb_avr.engine.generate.templates import TEMPLATES
 from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN, Annotations, rederive
-from jrdb_avr.engine.relations import EMPTY, RELATIONS, SEVERAL, find_facts, find_steps
-from jrdb_avr.engine.relations import UNKNOWN as CANNOT_BE_TOLD
-from jrdb_avr.engine.scene import load_scene
-from jrdb_avr.engine.search import find_candidates, search_graph
-from jrdb_avr.engine.templates import TEMPLATES
+from jrdb_avr.schema.labels import DISTANCE_WORDS, POSES, ROBOT_SECTORS
 from jrdb_avr.schema.plan import Condition, parse_plan
 from jrdb_avr.schema.rules import Rules
-from jrdb_avr.schema.vocabulary import DISTANCE_WORDS, POSES, ROBOT_SECTORS
 
 pytestmark = pytest.mark.usefixtures("known_plans")
 

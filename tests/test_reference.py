@@ -23,7 +23,7 @@ from reference_play import (
 )
 
 from jrdb_avr.agent.reference.method import ReferenceAgent
-from jrdb_avr.queries.world import WorldGraph
+from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.schema.answers import Choice, FrameAnswer
 from jrdb_avr.schema.panorama import Box, iou
 

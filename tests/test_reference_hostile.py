@@ -29,14 +29,14 @@ from reference_play import (
     turn,
 )
 
-from jrdb_avr.agent.reference.calls import MOST_PER_TURN, read_calls
+from jrdb_avr.agent.beliefs.world_model import World as Beliefs
+from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.agent.reference.limits import Limits
 from jrdb_avr.agent.reference.method import ReferenceAgent
-from jrdb_avr.agent.replies import Reply
-from jrdb_avr.agent.world import World as Beliefs
-from jrdb_avr.engine import runs
+from jrdb_avr.agent.reference.tool_calls import MOST_PER_TURN, read_calls
+from jrdb_avr.engine.run import evaluate as runs
+from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.compiler import Find
-from jrdb_avr.queries.world import WorldGraph
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Prediction
 
@@ -291,7 +291,7 @@ def test_a_solving_that_takes_too_long_is_an_error_of_its_question_alone(world, 
             return [journal.finished[question.question_id].prediction for question in questions]
 
     with monkeypatch.context() as patch:
-        patch.setattr("jrdb_avr.agent.solver.TIMEOUT_S", 0.02)
+        patch.setattr("jrdb_avr.agent.beliefs.solver.TIMEOUT_S", 0.02)
         patch.setattr("jrdb_avr.queries.compiler.beliefs.find_believed", slow_find)
         late, planless = run()
     assert (late["status"], planless["status"]) == ("error", "invalid")

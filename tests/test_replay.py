@@ -9,9 +9,9 @@ import pytest
 from entry import run as run_command
 from test_validate import keep_only, rewrite
 
-from jrdb_avr.engine.checks import CHECKS, REPLAY_CHECKS, Report
-from jrdb_avr.engine.validate import check_replay
-from jrdb_avr.queries.handle import Graph
+from jrdb_avr.engine.validate.checks import check_replay
+from jrdb_avr.engine.validate.outcomes import CHECKS, REPLAY_CHECKS, Report
+from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.rules import Rules

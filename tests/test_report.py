@@ -15,12 +15,19 @@ import numpy as np
 import pytest
 from known_runs import BOX, ELSEWHERE, Benchmark, table
 
-from jrdb_avr.engine.comparison import ablation_rows, breakdown_rows, cost_rows, main_rows, pair_rows, published_groups
-from jrdb_avr.engine.failures import CAUSES, evidence_causes, evidence_failure_rows, wrong_choice_rows
-from jrdb_avr.engine.published import ABLATION, BY_GROUP, GROUPS
-from jrdb_avr.engine.report import TABLES
-from jrdb_avr.engine.settings import told_apart
-from jrdb_avr.engine.typeset import cell, csv_text, joined, latex, markdown
+from jrdb_avr.engine.report.failures import CAUSES, evidence_causes, evidence_failure_rows, wrong_choice_rows
+from jrdb_avr.engine.report.formats import cell, csv_text, joined, latex, markdown
+from jrdb_avr.engine.report.paper import ABLATION, BY_GROUP, GROUPS
+from jrdb_avr.engine.report.scored_runs import told_apart
+from jrdb_avr.engine.report.tables import (
+    TABLES,
+    ablation_rows,
+    breakdown_rows,
+    cost_rows,
+    main_rows,
+    pair_rows,
+    published_groups,
+)
 from jrdb_avr.queries.runs import questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.tables import INTERVALS, RUNS

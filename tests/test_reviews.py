@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from statsmodels.stats.inter_rater import cohens_kappa
 
-from jrdb_avr.engine import generate as generating
-from jrdb_avr.engine.reviews import Agreement, agreements, kappa, read_reviews, rejected
-from jrdb_avr.loaders.layers import find_root
+from jrdb_avr.engine.generate import run as generating
+from jrdb_avr.engine.validate.reviews import Agreement, agreements, kappa, read_reviews, rejected
 from jrdb_avr.loaders.load import load
-from jrdb_avr.loaders.sample.writer import plan, write
+from jrdb_avr.loaders.root import find_root
+from jrdb_avr.loaders.synthetic.write import plan, write
 from jrdb_avr.queries.runs import questions_hash
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import LoadRules

@@ -14,17 +14,17 @@ from click.testing import CliRunner
 from fake_server import FakeServer, Slow, images, sound, texts
 from painted_world import SEQUENCE
 
-from jrdb_avr.engine import runs
 from jrdb_avr.engine.commands.evaluate import command
-from jrdb_avr.engine.running import Standing, running_scores, standings
-from jrdb_avr.engine.scoring import read_truth, score_run
+from jrdb_avr.engine.report.scoring import read_truth, score_run
+from jrdb_avr.engine.run import evaluate as runs
+from jrdb_avr.engine.run.live_scores import Standing, running_scores, standings
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
 from jrdb_avr.schema.answers import Choice, Evidence
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.method import Prediction, SequenceInfo
 from jrdb_avr.schema.tables import QUESTIONS
 
-PROGRAM = [sys.executable, "-m", "jrdb_avr.engine.running"]
+PROGRAM = [sys.executable, "-m", "jrdb_avr.engine.run.live_scores"]
 
 
 def asked_frame(question):

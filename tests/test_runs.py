@@ -23,8 +23,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from painted_world import SEQUENCE
 
-from jrdb_avr.engine import runs
 from jrdb_avr.engine.commands.evaluate import command, default_run_id
+from jrdb_avr.engine.run import evaluate as runs
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice, Evidence, Number
 from jrdb_avr.schema.errors import AvrError, InputError, LockedError, StoreError
@@ -103,7 +103,7 @@ def test_predictions_do_not_depend_on_concurrency(store):
 
 
 def test_the_sample_is_known_by_its_sequences():
-    from jrdb_avr.loaders.sample.writer import sequence_name
+    from jrdb_avr.loaders.synthetic.write import sequence_name
 
     assert all(runs.is_of_sample(question(0, 90, sequence_name(index))) for index in range(30))
     assert not runs.is_of_sample(question(0, 90, "gates-ai-lab-2019-02-08_0"))

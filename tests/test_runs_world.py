@@ -13,15 +13,15 @@ from believing import Believer, world_dump
 from click.testing import CliRunner
 from scene_tables import table_store
 
-from jrdb_avr.engine import runs
 from jrdb_avr.engine.cli import group
-from jrdb_avr.engine.methods import open_world
-from jrdb_avr.queries.handle import Graph
+from jrdb_avr.engine.run import evaluate as runs
+from jrdb_avr.engine.run.methods import open_world
+from jrdb_avr.queries.beliefs.graph import WorldGraph
+from jrdb_avr.queries.beliefs.record import merge_world, read_record, replayed, restore_world
+from jrdb_avr.queries.beliefs.tables import make_world_tables
+from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.runs import RunManifest, write_run_manifest
 from jrdb_avr.queries.store import Store
-from jrdb_avr.queries.world import WorldGraph
-from jrdb_avr.queries.world_record import merge_world, read_record, replayed, restore_world
-from jrdb_avr.queries.world_tables import make_world_tables
 from jrdb_avr.schema.errors import AvrError, LockedError, StoreError
 from jrdb_avr.schema.method import Question, SequenceInfo
 
@@ -205,7 +205,7 @@ class Task:
 
 def test_what_another_process_writes_is_refused_by_name(store):
     code = (
-        "import sys; from jrdb_avr.queries.world import WorldGraph\n"
+        "import sys; from jrdb_avr.queries.beliefs.graph import WorldGraph\n"
         "with WorldGraph.open(sys.argv[1]): print('open', flush=True); sys.stdin.read()"
     )
     command = [sys.executable, "-c", code, str(store.graph_path)]

@@ -17,13 +17,13 @@ from click.testing import CliRunner
 
 from jrdb_avr.engine.cli import group
 from jrdb_avr.loaders import load
-from jrdb_avr.loaders.layers import find_root
 from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.report import as_row
-from jrdb_avr.loaders.sample.summary import rows as printed_rows
-from jrdb_avr.loaders.sample.writer import plan, sequence_name, write
+from jrdb_avr.loaders.root import find_root
+from jrdb_avr.loaders.synthetic.write import plan, sequence_name, write
+from jrdb_avr.loaders.synthetic.write import rows as printed_rows
+from jrdb_avr.schema.labels import ACTIONS, POSES, normal_action
 from jrdb_avr.schema.rules import LoadRules
-from jrdb_avr.schema.vocabulary import ACTIONS, POSES, normal_action
 
 LONG = 600
 """Frames of a sequence; in a shorter one most tracks are cut before they have a gap."""

@@ -11,8 +11,8 @@ import pytest
 from click.testing import CliRunner
 
 from jrdb_avr.engine.cli import group
-from jrdb_avr.schema.marks import read
-from jrdb_avr.schema.vocabulary import POSES, normal_action
+from jrdb_avr.schema.labels import POSES, normal_action
+from jrdb_avr.schema.markers import read
 
 SIZES = ("--sequences", "2", "--frames", "180", "--people", "26")
 

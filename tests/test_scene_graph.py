@@ -11,9 +11,9 @@ import pyarrow.parquet as pq
 import pytest
 from scene_tables import scene_tables, table_store
 
-from jrdb_avr.loaders import scene
-from jrdb_avr.loaders.scene import STAGE, build_scene, scene_rows, stage_scene
-from jrdb_avr.queries.handle import Graph, build_graph
+from jrdb_avr.loaders import graph as scene
+from jrdb_avr.loaders.graph import STAGE, build_scene, scene_rows, stage_scene
+from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError, QueryError
 from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS

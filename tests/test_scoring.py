@@ -14,10 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pycocotools import mask as coco
 
-from jrdb_avr.engine import scoring
-from jrdb_avr.engine.comparison import score_row
-from jrdb_avr.engine.judged import judge, make_facts
-from jrdb_avr.engine.scoring import box_ious, make_truth, score_predictions
+from jrdb_avr.engine.report import scoring
+from jrdb_avr.engine.report.scored_runs import judge, make_facts
+from jrdb_avr.engine.report.scoring import box_ious, make_truth, score_predictions
+from jrdb_avr.engine.report.tables import score_row
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.schema.answers import decode_answer, same_answer
 from jrdb_avr.schema.errors import DecodeError, InputError, StoreError

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jrdb_avr.engine.bins import answer_bin, wait_bin
-from jrdb_avr.engine.selection import PROFILES, near_duplicates, select
+from jrdb_avr.engine.generate.balance import answer_bin, wait_bin
+from jrdb_avr.engine.generate.selection import PROFILES, near_duplicates, select
 from jrdb_avr.schema.plan import Condition, canonical
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.tables import CANDIDATES

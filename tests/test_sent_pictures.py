@@ -10,11 +10,11 @@ import pytest
 from painted_world import SEQUENCE, World, still
 from reference_play import CHOICES, PLAN, Scripted, look, turn
 
-from jrdb_avr.agent.conventions import CONTRACT
-from jrdb_avr.agent.messages import wire
-from jrdb_avr.agent.world import World as Beliefs
-from jrdb_avr.engine.methods import METHODS, WORLD_METHODS, make_method
-from jrdb_avr.queries.world import WorldGraph
+from jrdb_avr.agent.beliefs.world_model import World as Beliefs
+from jrdb_avr.agent.model.conventions import CONTRACT
+from jrdb_avr.agent.model.messages import wire
+from jrdb_avr.engine.run.methods import METHODS, WORLD_METHODS, make_method
+from jrdb_avr.queries.beliefs.graph import WorldGraph
 
 # The example tables of the JPEG standard (ITU-T T.81, annex K.1), row by row, which every encoder scales by quality.
 LUMINANCE = """

@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from jrdb_avr.loaders.shards import map_shards
+from jrdb_avr.queries.workers import map_shards
 from jrdb_avr.schema.errors import InputError, StoreError
 
 

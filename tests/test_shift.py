@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from worlds import load_reported, member, person, person_3d
 
-from jrdb_avr.loaders.layers import find_root
+from jrdb_avr.loaders.layers.frame_offset import Tracks, check_shift
 from jrdb_avr.loaders.load import Shard, load_shard
-from jrdb_avr.loaders.shift import Tracks, check_shift
+from jrdb_avr.loaders.root import find_root
 from jrdb_avr.schema.rules import LoadRules
 
 NAME = "yard-2020-01-01_0"

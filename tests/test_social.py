@@ -10,11 +10,12 @@ import json
 import pytest
 from worlds import member, write_root
 
-from jrdb_avr.loaders.layers import find_root
+from jrdb_avr.loaders.layers.social_files import load_social
 from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.problems import Problems
-from jrdb_avr.loaders.social import load_social
+from jrdb_avr.loaders.root import find_root
 from jrdb_avr.schema.errors import InputError
+from jrdb_avr.schema.labels import AGES, GENDERS, INTERACTIONS, VERBS
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.social import (
     AIMS,
@@ -27,8 +28,6 @@ from jrdb_avr.schema.social import (
     normal_values,
     normal_verb,
 )
-from jrdb_avr.schema.things import VERBS
-from jrdb_avr.schema.vocabulary import AGES, GENDERS, INTERACTIONS
 
 NAME = "yard-2020-01-01_0"
 BOX = (100, 60, 50, 200)

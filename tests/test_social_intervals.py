@@ -7,9 +7,9 @@ import pyarrow as pa
 import pytest
 from worlds import member, person, write_root
 
-from jrdb_avr.loaders.intervals import derive
-from jrdb_avr.loaders.layers import find_root
+from jrdb_avr.loaders.intervals.derive import derive
 from jrdb_avr.loaders.load import Shard, load_shard
+from jrdb_avr.loaders.root import find_root
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import LoadRules
 

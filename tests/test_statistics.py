@@ -8,8 +8,17 @@ from hypothesis import strategies as st
 from scipy import stats
 from statsmodels.stats.contingency_tables import mcnemar as exact_mcnemar
 
-from jrdb_avr.engine.published import ABLATION, BY_GROUP, GROUPS, MAIN
-from jrdb_avr.engine.statistics import Interval, cluster_sums, compare, draws, intervals, mcnemar, mean_of_ratios, ratio
+from jrdb_avr.engine.report.bootstrap import (
+    Interval,
+    cluster_sums,
+    compare,
+    draws,
+    intervals,
+    mcnemar,
+    mean_of_ratios,
+    ratio,
+)
+from jrdb_avr.engine.report.paper import ABLATION, BY_GROUP, GROUPS, MAIN
 from jrdb_avr.schema.wording import FAMILIES
 
 

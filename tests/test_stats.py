@@ -11,8 +11,8 @@ import pytest
 from click.testing import CliRunner
 
 from jrdb_avr.engine.commands.stats import command
-from jrdb_avr.engine.portrait import draw
-from jrdb_avr.engine.stats import TITLES, statistics
+from jrdb_avr.engine.pages.stats_page import draw
+from jrdb_avr.engine.validate.statistics import TITLES, statistics
 from jrdb_avr.schema.wording import FAMILIES
 
 JOINED = "questions JOIN answers USING (question_id)"

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from worlds import person, write_root
 
-from jrdb_avr.loaders.layers import find_root
+from jrdb_avr.loaders.intervals.timeline import Clock
 from jrdb_avr.loaders.load import Shard, load_shard
-from jrdb_avr.loaders.timeline import Clock
+from jrdb_avr.loaders.root import find_root
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import LoadRules
 

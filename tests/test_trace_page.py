@@ -10,12 +10,12 @@ from entry import run
 from known_runs import table
 
 from jrdb_avr.engine.pages import trace_page
-from jrdb_avr.engine.tracing import look_of, read_trace
+from jrdb_avr.engine.report.traces import look_of, read_trace
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.beliefs import EntityRow, Fact, HasRow, RelatedRow, SightedRow
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.tables import RUNS
-from jrdb_avr.schema.world import EntityRow, Fact, HasRow, RelatedRow, SightedRow
 
 HOSTILE = (
     '</script><script>document.title="hit"</script><img src=x onerror=\'document.title="hit"\'>\x1b[31m\u202e\u05d0'

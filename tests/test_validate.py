@@ -9,10 +9,10 @@ import pyarrow.parquet as pq
 import pytest
 from entry import run
 
-from jrdb_avr.engine.checks import CHECKS
-from jrdb_avr.engine.rederive.annotations import Annotations
-from jrdb_avr.engine.templates import TEMPLATES
-from jrdb_avr.engine.validate import validate
+from jrdb_avr.engine.generate.templates import TEMPLATES
+from jrdb_avr.engine.rederive.labels import Annotations
+from jrdb_avr.engine.validate.checks import validate
+from jrdb_avr.engine.validate.outcomes import CHECKS
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.rules import Rules

@@ -17,15 +17,15 @@ from entry import run
 from scene_tables import table_store
 
 from jrdb_avr.loaders import verify
-from jrdb_avr.loaders.layers import find_root
 from jrdb_avr.loaders.load import load, rebuild
-from jrdb_avr.loaders.sample.writer import plan, write
+from jrdb_avr.loaders.root import find_root
+from jrdb_avr.loaders.synthetic.write import plan, write
 from jrdb_avr.loaders.verify import FILE, STEPS, checks_of
-from jrdb_avr.queries.handle import Graph
+from jrdb_avr.queries.beliefs.tables import make_world_tables
+from jrdb_avr.queries.graph.file import PAGE, check_seal, seal_of, seal_path
+from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.named import named_queries
-from jrdb_avr.queries.seal import PAGE, check_seal, seal_of, seal_path
 from jrdb_avr.queries.store import Store
-from jrdb_avr.queries.world_tables import make_world_tables
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
 from jrdb_avr.schema.rules import LoadRules

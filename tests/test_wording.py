@@ -10,9 +10,7 @@ from hypothesis import strategies as st
 
 from jrdb_avr.schema import wording
 from jrdb_avr.schema.errors import PlanError
-from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time, canonical, parse_plan
-from jrdb_avr.schema.things import OBJECTS, VERBS
-from jrdb_avr.schema.vocabulary import (
+from jrdb_avr.schema.labels import (
     ACTIONS,
     AGES,
     DISTANCE_WORDS,
@@ -20,14 +18,17 @@ from jrdb_avr.schema.vocabulary import (
     FIRST_RIGHT,
     GENDERS,
     INTERACTIONS,
+    OBJECTS,
     OTHER_ACTIONS,
     PERSON_SECTORS,
     POSES,
     ROBOT_SECTORS,
     SAME_GROUP,
+    VERBS,
     WINDOWS_LEFT,
     WINDOWS_RIGHT,
 )
+from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time, canonical, parse_plan
 from jrdb_avr.schema.wording import (
     FAMILIES,
     TEMPLATES,

@@ -27,11 +27,11 @@ from world_play import (
     whole,
 )
 
-from jrdb_avr.agent.world import MOST_ENTITIES, MOST_WRITES
-from jrdb_avr.queries.world import WorldGraph
+from jrdb_avr.agent.beliefs.world_model import MOST_ENTITIES, MOST_WRITES
+from jrdb_avr.queries.beliefs.graph import WorldGraph
+from jrdb_avr.schema.labels import FIRST_LEFT, POSES
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import validate
-from jrdb_avr.schema.vocabulary import FIRST_LEFT, POSES
 
 
 @pytest.fixture(scope="module")
@@ -200,7 +200,7 @@ def test_there_is_an_end_of_entities_and_writes(graph, episode, monkeypatch):
     assert "no more are taken" in add(episode, "one-more").said
     assert add(episode, "p1").accepted
     assert MOST_WRITES == 2000
-    monkeypatch.setattr("jrdb_avr.agent.world.MOST_WRITES", MOST_ENTITIES + 1)
+    monkeypatch.setattr("jrdb_avr.agent.beliefs.world_model.MOST_WRITES", MOST_ENTITIES + 1)
     assert "no more are taken" in say(episode, "coat", "red").said
 
 

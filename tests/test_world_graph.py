@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 from world_play import SCENE, believe, beside_scene, tables_of
 
-from jrdb_avr.queries.handle import Graph, build_graph
-from jrdb_avr.queries.seal import check_seal
-from jrdb_avr.queries.world import WorldGraph
-from jrdb_avr.queries.world_doors import check_world
+from jrdb_avr.queries.beliefs.checks import check_world
+from jrdb_avr.queries.beliefs.graph import WorldGraph
+from jrdb_avr.queries.graph.file import check_seal
+from jrdb_avr.queries.graph.handle import Graph, build_graph
+from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS
 from jrdb_avr.schema.errors import LockedError, QueryError, StoreError
 from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS, scene_ddl
-from jrdb_avr.schema.world import WORLD_NODES, WORLD_RELS
 
 
 @pytest.fixture
@@ -194,7 +194,7 @@ def test_a_file_that_is_no_graph_is_refused(tmp_path):
 
 def test_a_graph_has_one_writer(scene):
     with WorldGraph.open(scene):
-        code = f"from jrdb_avr.queries.world import WorldGraph; WorldGraph.open({str(scene)!r})"
+        code = f"from jrdb_avr.queries.beliefs.graph import WorldGraph; WorldGraph.open({str(scene)!r})"
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert f"process {os.getpid()}" in done.stderr.splitlines()[-1]
     with Graph.open(scene, read_only=True), pytest.raises(LockedError):

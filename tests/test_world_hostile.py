@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from world_calls import VICTIM, calls_of, play
 from world_play import PLAN, begin, believe, belongs, beside_scene, replay, tables_of
 
-from jrdb_avr.schema.vocabulary import FIRST_LEFT, INTERACTIONS, POSES, SAME_GROUP
-from jrdb_avr.schema.world import ALWAYS
+from jrdb_avr.schema.beliefs import ALWAYS
+from jrdb_avr.schema.labels import FIRST_LEFT, INTERACTIONS, POSES, SAME_GROUP
 
 
 @pytest.fixture(scope="module")

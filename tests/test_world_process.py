@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jrdb_avr.queries.world import WorldGraph
+from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.schema.errors import QueryError, StoreError
 
 NESTED = []

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from world_calls import calls_of, play
 from world_play import PLAN, add, begin, belongs, join, look, replay, rows_of, say, tables_of
 
-from jrdb_avr.agent.solver import solve_beliefs
-from jrdb_avr.agent.world import MOST_WAITING
-from jrdb_avr.queries.compiler.names import read_text
-from jrdb_avr.queries.world import WorldGraph
+from jrdb_avr.agent.beliefs.solver import solve_beliefs
+from jrdb_avr.agent.beliefs.world_model import MOST_WAITING
+from jrdb_avr.queries.beliefs.graph import WorldGraph
+from jrdb_avr.queries.compiler.mapping import read_text
+from jrdb_avr.schema.labels import FIRST_RIGHT
 from jrdb_avr.schema.plan import Node
 from jrdb_avr.schema.rules import Rules
-from jrdb_avr.schema.vocabulary import FIRST_RIGHT
 
 
 @pytest.fixture(scope="module")

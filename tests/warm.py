@@ -10,7 +10,7 @@ import tempfile
 from pathlib import Path
 from types import SimpleNamespace
 
-from jrdb_avr.queries import guard
+from jrdb_avr.queries.graph import guard
 
 IMPORTED = (
     "warm",
@@ -20,18 +20,18 @@ IMPORTED = (
     "openai",
     "httpx2",
     "pyarrow.parquet",
-    "jrdb_avr.agent.client",
-    "jrdb_avr.agent.marker.__main__",
-    "jrdb_avr.agent.react",
+    "jrdb_avr.agent.model.client",
+    "jrdb_avr.agent.simulated.__main__",
+    "jrdb_avr.agent.methods.react",
     "jrdb_avr.agent.reference.method",
-    "jrdb_avr.agent.world",
+    "jrdb_avr.agent.beliefs.world_model",
     "jrdb_avr.engine.cli",
-    "jrdb_avr.engine.generate",
-    "jrdb_avr.engine.methods",
-    "jrdb_avr.engine.running",
-    "jrdb_avr.engine.validate",
+    "jrdb_avr.engine.generate.run",
+    "jrdb_avr.engine.run.methods",
+    "jrdb_avr.engine.run.live_scores",
+    "jrdb_avr.engine.validate.checks",
     "jrdb_avr.loaders.load",
-    "jrdb_avr.loaders.sample.writer",
+    "jrdb_avr.loaders.synthetic.write",
     "jrdb_avr.loaders.verify",
 )
 
@@ -126,8 +126,8 @@ STATEMENTS = SimpleNamespace(run=_served, TimeoutExpired=subprocess.TimeoutExpir
 
 @contextlib.contextmanager
 def _serving(command, *, stdin, stdout, text):
-    """As `subprocess.Popen` of `python -m jrdb_avr.agent.marker`: what is said, and the lifeline, are pipes as well."""
-    assert command[1:3] == ["-m", "jrdb_avr.agent.marker"] and stdin == stdout == subprocess.PIPE and text
+    """As `subprocess.Popen` of `python -m jrdb_avr.agent.simulated`: its output and its lifeline are pipes too."""
+    assert command[1:3] == ["-m", "jrdb_avr.agent.simulated"] and stdin == stdout == subprocess.PIPE and text
     held, lifeline = multiprocessing.Pipe(duplex=False)
     said, told = multiprocessing.Pipe(duplex=False)
     process = context().Process(target=_marker, args=(command[3:], held, told), daemon=True)
@@ -143,7 +143,7 @@ def _serving(command, *, stdin, stdout, text):
 
 
 def _marker(arguments, held, told):
-    from jrdb_avr.agent.marker.__main__ import main
+    from jrdb_avr.agent.simulated.__main__ import main
 
     for number, pipe in enumerate((held, told)):
         os.dup2(pipe.fileno(), number)

@@ -5,16 +5,16 @@ import contextlib
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.agent.world import World
-from jrdb_avr.queries.handle import build_graph
-from jrdb_avr.queries.world import WorldGraph
-from jrdb_avr.queries.world_record import replayed
+from jrdb_avr.agent.beliefs.world_model import World
+from jrdb_avr.queries.beliefs.graph import WorldGraph
+from jrdb_avr.queries.beliefs.record import replayed
+from jrdb_avr.queries.graph.handle import build_graph
+from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS
 from jrdb_avr.schema.graph import scene_ddl
 from jrdb_avr.schema.method import Observation, Panorama, Question
 from jrdb_avr.schema.panorama import FOV_DEG, Box, crop_left
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
 from jrdb_avr.schema.tables import RUNS
-from jrdb_avr.schema.world import WORLD_NODES, WORLD_RELS
 
 NOTHING = np.zeros((1, 1, 3), np.uint8)
 PLAN = Plan(

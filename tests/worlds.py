@@ -176,8 +176,8 @@ def load_world(folder, world, workers=1, rules=None):
 
 def load_reported(folder, world, workers=1, rules=None):
     """As `load_world`, with the load reports beside the store."""
-    from jrdb_avr.loaders.layers import find_root
     from jrdb_avr.loaders.load import load
+    from jrdb_avr.loaders.root import find_root
     from jrdb_avr.queries.store import Store
     from jrdb_avr.schema.rules import LoadRules
 

@@ -3,6 +3,8 @@
 The loop is the same in all variants. What differs is the memory, which says what a turn shows, takes what is written
 down and judges the final answer, and whether there is anything to look with. Nothing but the task and the model's
 replies decides what happens: a run that was killed replays its finished calls to the same transcript.
+
+What a turn shows: observations under their names, results, and what is left of the budget.
 """
 
 from __future__ import annotations
@@ -14,16 +16,81 @@ from typing import Any, Final, Protocol
 
 import msgspec
 
-from jrdb_avr.agent import decode
-from jrdb_avr.agent.attempt import Attempt, Verdict, duplicate
-from jrdb_avr.agent.client import Reply
-from jrdb_avr.agent.messages import Message
+from jrdb_avr.agent.methods.attempt import Attempt, Verdict, duplicate, panorama_line, panorama_picture
+from jrdb_avr.agent.methods.prompts import render
+from jrdb_avr.agent.model import decode
+from jrdb_avr.agent.model.client import Reply
+from jrdb_avr.agent.model.messages import Message, Part, Picture, crop_line, crop_picture
+from jrdb_avr.agent.reference.limits import LIMITS, Limits
+from jrdb_avr.agent.reference.tool_calls import FINAL, Call, call_schema, printable, read_calls, read_look, refusal
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Panorama, Prediction
+from jrdb_avr.schema.panorama import CROP, WIDTH
 
-from .calls import FINAL, Call, call_schema, printable, read_calls, read_look, refusal
-from .limits import LIMITS, Limits
-from .shown import Turn, View, crop_view, panorama_view
+
+@dataclass(frozen=True)
+class View:
+    """An observation as it is named and shown. left, width: its columns in the panorama; line: its metadata."""
+
+    name: str
+    kind: str
+    frame: int
+    left: int
+    width: int
+    line: str
+    picture: Picture
+
+
+def crop_view(name: str, observation: Observation) -> View:
+    """A look."""
+    line, picture = crop_line(observation), crop_picture(observation)
+    return View(name, "Picture", observation.frame_index, observation.left, CROP, line, picture)
+
+
+def panorama_view(name: str, panorama: Panorama) -> View:
+    """A panorama of a fixed context."""
+    line, picture = panorama_line(panorama), panorama_picture(panorama)
+    return View(name, "Panorama", panorama.frame_index, 0, WIDTH, line, picture)
+
+
+def view_parts(views: Sequence[View]) -> list[Part]:
+    """Each picture behind the line that numbers, names and places it."""
+    parts: list[Part] = []
+    for number, view in enumerate(views, 1):
+        parts += [f"{view.kind} {number}, observation {view.name}: {view.line}", view.picture]
+    return parts
+
+
+@dataclass(frozen=True)
+class Turn:
+    """What has changed since the last turn, and what is left.
+
+    results: of the last turn's calls; fresh: the pictures that they made; looks, calls: made and left.
+    """
+
+    results: Sequence[str]
+    fresh: Sequence[View]
+    error: str
+    looks: tuple[int, int]
+    calls: tuple[int, int]
+
+    def result_lines(self) -> str:
+        """The results as numbered lines."""
+        lines = [f"{number}. {result}" for number, result in enumerate(self.results, 1)]
+        return "\n".join(["Results of your last calls:", *(lines or ["none"])])
+
+    def state(self) -> str:
+        """The lines that close every turn."""
+        error = f"Your last turn was malformed, and a second such turn ends the question: {self.error}"
+        return render(
+            "agent_state",
+            looks=self.looks[0],
+            looks_left=self.looks[1],
+            calls=self.calls[0],
+            calls_left=self.calls[1],
+            error=error if self.error else "",
+        )
+
 
 LOOK_SCHEMA: Final = call_schema("observe", {"frame_id": decode.FRAME_ID_SCHEMA, "angle_deg": {"type": "number"}})
 

@@ -8,9 +8,7 @@ from functools import cache
 from typing import Final
 
 from jrdb_avr.schema.errors import PlanError
-from jrdb_avr.schema.plan import Condition, Plan
-from jrdb_avr.schema.things import OBJECTS, VERBS
-from jrdb_avr.schema.vocabulary import (
+from jrdb_avr.schema.labels import (
     ACTIONS,
     AGES,
     DISTANCE_WORDS,
@@ -18,18 +16,20 @@ from jrdb_avr.schema.vocabulary import (
     FIRST_RIGHT,
     GENDERS,
     INTERACTIONS,
+    OBJECTS,
     OTHER_ACTIONS,
     PERSON_SECTORS,
     POSES,
     ROBOT_SECTORS,
     SAME_GROUP,
+    VERBS,
     WINDOW_DEGREES,
     WINDOWS_LEFT,
     person_frame_label,
 )
-from jrdb_avr.schema.wording.phrases import ACTION_PHRASES, FAR_AWAY, INTERACTION_PHRASES, VERB_PHRASES
+from jrdb_avr.schema.plan import Condition, Plan
+from jrdb_avr.schema.wording.phrases import ACTION_PHRASES, FAR_AWAY, INTERACTION_PHRASES, THINGS, VERB_PHRASES
 from jrdb_avr.schema.wording.relations import RELATIONS, RELATIONS_OF
-from jrdb_avr.schema.wording.things import THINGS
 
 VALUES: Final[dict[str, tuple[str, ...]]] = {
     "gender": GENDERS,

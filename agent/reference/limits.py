@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Final
 
-from jrdb_avr.agent.attempt import DUPLICATE_DEG
-from jrdb_avr.agent.panoramas import PANORAMAS, fixed_settings
-
-from .calls import MOST_PER_TURN
+from jrdb_avr.agent.methods.attempt import DUPLICATE_DEG, PANORAMAS, fixed_settings
+from jrdb_avr.agent.reference.tool_calls import MOST_PER_TURN
 
 
 @dataclass(frozen=True)

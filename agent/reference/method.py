@@ -6,22 +6,21 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from jrdb_avr.agent import decode
-from jrdb_avr.agent.attempt import Attempt, shared_settings
-from jrdb_avr.agent.client import Chat
-from jrdb_avr.agent.decode import Convention
+from jrdb_avr.agent.beliefs.solving import beliefs_of
+from jrdb_avr.agent.methods.attempt import Attempt, shared_settings
+from jrdb_avr.agent.model import decode
+from jrdb_avr.agent.model.client import Chat
+from jrdb_avr.agent.model.conventions import Convention
+from jrdb_avr.agent.reference.chat_memory import ChatMemory
+from jrdb_avr.agent.reference.episode import Episode, Memory
+from jrdb_avr.agent.reference.graph_memory import GraphMemory, Solver
+from jrdb_avr.agent.reference.limits import LIMITS, Limits
+from jrdb_avr.agent.reference.planning import make_plan
+from jrdb_avr.agent.reference.prompts import system_prompt, task_heading
 from jrdb_avr.schema.method import Prediction, Question, Task
 
-from .chat import ChatMemory
-from .episode import Episode, Memory
-from .limits import LIMITS, Limits
-from .planning import make_plan
-from .prompts import system_prompt, task_heading
-from .remembering import GraphMemory, Solver
-from .solving import beliefs_of
-
 if TYPE_CHECKING:
-    from jrdb_avr.agent.world import World
+    from jrdb_avr.agent.beliefs.world_model import World
 
 
 @dataclass(frozen=True)

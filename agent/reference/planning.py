@@ -8,19 +8,18 @@ from collections.abc import Callable
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
-from jrdb_avr.agent import decode
-from jrdb_avr.agent.attempt import Attempt, heading
-from jrdb_avr.agent.messages import Message
-from jrdb_avr.agent.prompt import frame_ranges, render
+from jrdb_avr.agent.methods.attempt import Attempt, heading
+from jrdb_avr.agent.methods.prompts import frame_ranges, render
+from jrdb_avr.agent.model import decode
+from jrdb_avr.agent.model.messages import Message
+from jrdb_avr.agent.reference.labels import check_labels, vocabulary
+from jrdb_avr.agent.reference.tool_calls import one_line, printable
 from jrdb_avr.schema.errors import DecodeError, PlanError
 from jrdb_avr.schema.method import Task
 from jrdb_avr.schema.plan import Plan, canonical, parse_plan, plan_json_schema
 
-from .calls import one_line, printable
-from .labels import check_labels, vocabulary
-
 if TYPE_CHECKING:
-    from jrdb_avr.agent.world import Episode as WorldEpisode
+    from jrdb_avr.agent.beliefs.world_model import Episode as WorldEpisode
 
 LONGEST_SHOWN: Final = 4000
 """Characters of a refused plan that are shown again."""

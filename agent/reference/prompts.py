@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
-from jrdb_avr.agent.attempt import heading
-from jrdb_avr.agent.panoramas import uniform_frames
-from jrdb_avr.agent.prompt import frame_ranges, mode_text, render
+from jrdb_avr.agent.methods.attempt import heading, uniform_frames
+from jrdb_avr.agent.methods.prompts import frame_ranges, mode_text, render
+from jrdb_avr.agent.reference.limits import Limits
+from jrdb_avr.agent.reference.tool_calls import MOST_PER_TURN
+from jrdb_avr.schema.labels import AGES, DISTANCE_WORDS, OTHER_ACTIONS, POSES, ROBOT_SECTORS
 from jrdb_avr.schema.method import Task
-from jrdb_avr.schema.vocabulary import AGES, DISTANCE_WORDS, OTHER_ACTIONS, POSES, ROBOT_SECTORS
-
-from .calls import MOST_PER_TURN
-from .limits import Limits
 
 _LOOK_CALL: Final = '{"tool": "observe", "frame_id": "000150", "angle_deg": 210}'
 

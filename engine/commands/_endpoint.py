@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import click
 
-from jrdb_avr.agent.options import DEFAULTS, RESPONSE_FORMATS, THINKING, Options
+from jrdb_avr.agent.model.options import DEFAULTS, RESPONSE_FORMATS, THINKING, Options
 
 C = TypeVar("C", bound=Callable[..., Any])
 
@@ -55,7 +55,7 @@ _OPTIONS = (
 
 def need_address(model: str, base_url: str | None) -> None:
     """Raises UsageError for a model without an address, unless it is the built-in one."""
-    from jrdb_avr.engine.endpoint import MARKER
+    from jrdb_avr.engine.run.endpoint import MARKER
 
     if base_url is None and model != MARKER:
         raise click.UsageError(f"--model {model} needs --base-url, the address of the server that has it")

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import click
 
-from jrdb_avr.agent.options import Options
+from jrdb_avr.agent.model.options import Options
 from jrdb_avr.engine.commands._endpoint import endpoint_options, need_address
-from jrdb_avr.engine.output import json_option, note, print_json, print_rows, progress, store_option
+from jrdb_avr.engine.console import json_option, note, print_json, print_rows, progress, store_option
 
 
 @click.command(
@@ -28,11 +28,11 @@ def command(store: Path, model: str, base_url: str | None, options: Options, as_
     """
     import msgspec
 
-    from jrdb_avr.agent.calibrate import PICTURES, calibrate
-    from jrdb_avr.agent.client import Client
-    from jrdb_avr.agent.conventions import convention_of
-    from jrdb_avr.agent.preflight import preflight, require
-    from jrdb_avr.engine.endpoint import serving, write_calibration
+    from jrdb_avr.agent.model.calibrate import PICTURES, calibrate
+    from jrdb_avr.agent.model.client import Client
+    from jrdb_avr.agent.model.conventions import convention_of
+    from jrdb_avr.agent.model.preflight import preflight, require
+    from jrdb_avr.engine.run.endpoint import serving, write_calibration
     from jrdb_avr.queries.store import Store
 
     need_address(model, base_url)

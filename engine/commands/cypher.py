@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from ._asking import asking_options, run_asking
+from jrdb_avr.engine.commands._query_options import asking_options, run_asking
 
 
 @click.command(
@@ -19,7 +19,7 @@ def command(**options: Any) -> None:
     """Ask the scene graph: QUERY is one reading Cypher statement, or the name of a kept one (see --list)."""
 
     def ask(store: Path, cypher: str, params: dict[str, Any], timeout_s: float) -> Any:
-        from jrdb_avr.queries.guard import ask_graph
+        from jrdb_avr.queries.graph.guard import ask_graph
         from jrdb_avr.queries.store import Store
 
         opened = Store(store)

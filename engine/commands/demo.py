@@ -23,6 +23,6 @@ def command(out: Path) -> None:
 
     Every step is printed as the command that you would type. Takes about a minute on two cores.
     """
-    from jrdb_avr.engine.demo import Size, run_demo
+    from jrdb_avr.engine.commands.demo_run import Size, run_demo
 
     run_demo(out, Size(), click.echo)

@@ -13,18 +13,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from jrdb_avr.agent.options import Options
+from jrdb_avr.agent.model.options import Options
 from jrdb_avr.engine.commands._endpoint import endpoint_options, need_address
-from jrdb_avr.engine.methods import METHODS, WORLD_METHODS
-from jrdb_avr.engine.output import json_option, note, print_json, print_rows, progress, store_option
-from jrdb_avr.engine.own_methods import is_own, own_method
+from jrdb_avr.engine.console import json_option, note, print_json, print_rows, progress, store_option
+from jrdb_avr.engine.run.methods import METHODS, WORLD_METHODS, is_own, own_method
 
 if TYPE_CHECKING:
-    from jrdb_avr.agent.marker.knobs import Knobs
-    from jrdb_avr.agent.world import World
-    from jrdb_avr.engine.endpoint import Endpoint
-    from jrdb_avr.engine.running import Standing
-    from jrdb_avr.engine.runs import Finished, Journal
+    from jrdb_avr.agent.beliefs.world_model import World
+    from jrdb_avr.agent.simulated.noise import Knobs
+    from jrdb_avr.engine.run.endpoint import Endpoint
+    from jrdb_avr.engine.run.evaluate import Finished, Journal
+    from jrdb_avr.engine.run.live_scores import Standing
     from jrdb_avr.queries.runs import RunManifest
     from jrdb_avr.queries.store import Store
     from jrdb_avr.schema.method import Question, Settled
@@ -122,11 +121,11 @@ def command(
     The model's key is read from the environment (OPENAI_API_KEY). Its server is checked first, as by 'preflight'. The
     run can be stopped at any time and resumed. Exit code 1 while any question ends in an error.
     """
-    from jrdb_avr.agent.marker.knobs import parse
-    from jrdb_avr.engine import runs
-    from jrdb_avr.engine.endpoint import MARKER, connect, serving
-    from jrdb_avr.engine.observe import Observer
-    from jrdb_avr.engine.terms import keep_terms
+    from jrdb_avr.agent.simulated.noise import parse
+    from jrdb_avr.engine.observe.observer import Observer
+    from jrdb_avr.engine.run import evaluate as runs
+    from jrdb_avr.engine.run.endpoint import MARKER, connect, serving
+    from jrdb_avr.engine.run.resume import keep_terms
     from jrdb_avr.queries.store import Store
     from jrdb_avr.schema.errors import StoreError
 
@@ -190,7 +189,7 @@ def _questions(
     place: Store, run_id: str, picked: str | None, limit: int | None, resume: bool, image_root: str | None
 ) -> list[Question]:
     """What is asked: the options' choice, or what the run that is resumed asked."""
-    from jrdb_avr.engine import runs
+    from jrdb_avr.engine.run import evaluate as runs
     from jrdb_avr.queries.runs import questions_hash, read_run_manifest
     from jrdb_avr.schema.errors import StoreError
 
@@ -250,8 +249,8 @@ def _world(
     place: Store, run_id: str, method_name: str, world_db: Path | None, journal: Journal
 ) -> Iterator[World | None]:
     """The run's world model, holding what the journal holds; None for a method without one."""
-    from jrdb_avr.engine.methods import open_world
-    from jrdb_avr.engine.runs import world_rows
+    from jrdb_avr.engine.run.evaluate import world_rows
+    from jrdb_avr.engine.run.methods import open_world
     from jrdb_avr.schema.errors import LockedError, StoreError
 
     if method_name not in WORLD_METHODS:
@@ -276,7 +275,7 @@ def _world(
 @contextlib.contextmanager
 def _running_scores(place: Store, run_id: str, wanted: bool | None) -> Iterator[Callable[[], str]]:
     """Yields what stands beside the bar: the scores so far, once there are any."""
-    from jrdb_avr.engine.running import running_scores
+    from jrdb_avr.engine.run.live_scores import running_scores
 
     terminal = sys.stderr.isatty()
     latest, printed = "", 0.0
@@ -296,7 +295,7 @@ def _running_scores(place: Store, run_id: str, wanted: bool | None) -> Iterator[
 
 
 def _method(name: str, endpoint: Endpoint | None, world: World | None) -> Settled:
-    from jrdb_avr.engine.methods import make_method
+    from jrdb_avr.engine.run.methods import make_method
 
     if is_own(name):
         return own_method(name, None if endpoint is None else endpoint.client)
@@ -313,9 +312,9 @@ def _manifest(
     questions: list[Question],
     knobs: Knobs,
 ) -> RunManifest:
-    from jrdb_avr.agent.marker.knobs import turned
-    from jrdb_avr.engine.endpoint import MARKER
-    from jrdb_avr.engine.runs import is_of_sample
+    from jrdb_avr.agent.simulated.noise import turned
+    from jrdb_avr.engine.run.endpoint import MARKER
+    from jrdb_avr.engine.run.evaluate import is_of_sample
     from jrdb_avr.queries.runs import RunManifest, questions_hash
 
     shown = turned(knobs)

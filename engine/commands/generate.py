@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from jrdb_avr.engine.output import (
+from jrdb_avr.engine.console import (
     clean,
     json_option,
     note,
@@ -60,13 +60,12 @@ def command(
     guesser scores; with --profile paper also how many of each family were reached. The result is the same for any
     number of workers.
     """
-    from jrdb_avr.engine.generate import generate
-    from jrdb_avr.engine.reviews import rejected
-    from jrdb_avr.engine.shortfalls import fillings
+    from jrdb_avr.engine.commands._print import print_blind, print_shortfalls
+    from jrdb_avr.engine.generate.diagnostics import fillings
+    from jrdb_avr.engine.generate.run import generate
+    from jrdb_avr.engine.validate.reviews import rejected
     from jrdb_avr.queries.store import Store
     from jrdb_avr.schema.rules import Rules, override
-
-    from ._figures import print_blind, print_shortfalls
 
     place = Store(store)
     rules = override(Rules(), pairs("--rule", rule_texts))

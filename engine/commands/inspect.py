@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from jrdb_avr.engine.output import json_option, note, print_json, print_rows, progress, store_option
+from jrdb_avr.engine.console import json_option, note, print_json, print_rows, progress, store_option
 
 
 @click.command(
@@ -55,11 +55,11 @@ def command(
     if bool(questions) == (sample is not None):
         raise click.UsageError("give QUESTION ids or --sample N")
 
-    from jrdb_avr.engine.inspection import choose_questions, inspect_questions
-    from jrdb_avr.engine.observe import Observer
+    from jrdb_avr.engine.observe.observer import Observer
+    from jrdb_avr.engine.pages.inspect_data import choose_questions, inspect_questions
     from jrdb_avr.engine.pages.inspect_page import inspect_page
     from jrdb_avr.engine.pages.page import write_page
-    from jrdb_avr.engine.runs import read_sequences
+    from jrdb_avr.engine.run.evaluate import read_sequences
     from jrdb_avr.queries.runs import questions_hash
     from jrdb_avr.queries.store import Store
 
@@ -75,7 +75,7 @@ def command(
 
 
 def _import(store: Path, decisions: Path, reviewer: str, as_json: bool) -> None:
-    from jrdb_avr.engine.reviews import agreements, import_decisions, read_decisions
+    from jrdb_avr.engine.validate.reviews import agreements, import_decisions, read_decisions
     from jrdb_avr.queries.store import Store
 
     name = reviewer.strip()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from jrdb_avr.engine.output import (
+from jrdb_avr.engine.console import (
     clean,
     json_option,
     note,
@@ -77,8 +77,8 @@ def command(
         _verify(store, as_json)
         return
     from jrdb_avr.loaders import load as loading
-    from jrdb_avr.loaders.layers import find_root
     from jrdb_avr.loaders.report import as_row, totals
+    from jrdb_avr.loaders.root import find_root
     from jrdb_avr.queries.store import Store
 
     place = Store(store)

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from jrdb_avr.engine.output import note, store_option
+from jrdb_avr.engine.console import note, store_option
 
 
 @click.command(
@@ -30,8 +30,8 @@ def command(
     if panorama == (angle is not None):
         raise click.UsageError("give either an ANGLE or --panorama")
 
-    from jrdb_avr.engine.drawing import draw_on_crop, draw_on_panorama
-    from jrdb_avr.engine.observe import Observer
+    from jrdb_avr.engine.observe.observer import Observer
+    from jrdb_avr.engine.observe.overlay import draw_on_crop, draw_on_panorama
     from jrdb_avr.queries.sequences import loaded_sequence
     from jrdb_avr.queries.store import Store
 

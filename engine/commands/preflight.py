@@ -6,9 +6,9 @@ import sys
 
 import click
 
-from jrdb_avr.agent.options import Options
+from jrdb_avr.agent.model.options import Options
 from jrdb_avr.engine.commands._endpoint import endpoint_options, need_address
-from jrdb_avr.engine.output import json_option, note, print_json, print_rows
+from jrdb_avr.engine.console import json_option, note, print_json, print_rows
 
 
 @click.command(
@@ -23,10 +23,10 @@ def command(model: str, base_url: str | None, options: Options, as_json: bool) -
 
     'evaluate' makes the same checks before a run. Exit code 1 where one fails that a run needs.
     """
-    from jrdb_avr.agent.client import Client
-    from jrdb_avr.agent.conventions import convention_of
-    from jrdb_avr.agent.preflight import preflight, require
-    from jrdb_avr.engine.endpoint import serving
+    from jrdb_avr.agent.model.client import Client
+    from jrdb_avr.agent.model.conventions import convention_of
+    from jrdb_avr.agent.model.preflight import preflight, require
+    from jrdb_avr.engine.run.endpoint import serving
     from jrdb_avr.schema.errors import EndpointError
 
     need_address(model, base_url)

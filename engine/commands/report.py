@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import click
 
-from jrdb_avr.engine.output import json_option, note, print_json, print_rows, store_option
+from jrdb_avr.engine.console import json_option, note, print_json, print_rows, store_option
 
 _ALL: Final = "all"
 
@@ -59,11 +59,10 @@ def command(
     if as_json + as_csv + as_markdown + as_latex + (html is not None) > 1:
         raise click.UsageError("choose one of --json, --csv, --markdown, --latex and --html")
 
-    from jrdb_avr.engine import typeset
-    from jrdb_avr.engine.report import TABLES, report_table
+    from jrdb_avr.engine.commands._scored_runs import judged_runs
+    from jrdb_avr.engine.report import formats as typeset
+    from jrdb_avr.engine.report.tables import TABLES, report_table
     from jrdb_avr.queries.store import Store
-
-    from ._judging import judged_runs
 
     names = TABLES if _ALL in tables else tables or ("main",)
     for name in names:
@@ -120,7 +119,7 @@ def _for_paper(name: str, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _print_table(name: str, rows: list[dict[str, Any]], title: str) -> None:
-    from jrdb_avr.engine import typeset
+    from jrdb_avr.engine.report import formats as typeset
 
     shown = typeset.joined(rows)
     if name != "main":

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from jrdb_avr.engine.output import json_option, note, print_json, print_rows, progress, workers_option
+from jrdb_avr.engine.console import json_option, note, print_json, print_rows, progress, workers_option
 
 
 @click.command()
@@ -45,8 +45,7 @@ def command(
       jrdb-avr sample ./sample
       jrdb-avr sample ./big --full-scale
     """
-    from jrdb_avr.loaders.sample.summary import rows
-    from jrdb_avr.loaders.sample.writer import FULL_SCALE, plan, write
+    from jrdb_avr.loaders.synthetic.write import FULL_SCALE, plan, rows, write
 
     sizes = list(FULL_SCALE) if full_scale else [(frames, people)] * sequences
     orders = plan(folder, sizes, seed, images="none" if no_images or full_scale else images)

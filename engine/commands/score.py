@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from jrdb_avr.engine.output import json_option, note, print_json, print_rows, store_option
+from jrdb_avr.engine.console import json_option, note, print_json, print_rows, store_option
 
 
 @click.command(epilog="Example: jrdb-avr score --store S react-marker   (without a RUN: all runs)")
@@ -16,11 +16,10 @@ from jrdb_avr.engine.output import json_option, note, print_json, print_rows, st
 @json_option
 def command(runs: tuple[str, ...], store: Path, iou: float, as_json: bool) -> None:
     """Write runs/RUN/scores.parquet: answer, evidence and combined score of every question asked."""
-    from jrdb_avr.engine.comparison import score_row
-    from jrdb_avr.engine.scoring import write_scores
+    from jrdb_avr.engine.commands._scored_runs import judged_runs
+    from jrdb_avr.engine.report.scoring import write_scores
+    from jrdb_avr.engine.report.tables import score_row
     from jrdb_avr.queries.store import Store
-
-    from ._judging import judged_runs
 
     opened = Store(store)
     _, _, judged = judged_runs(opened, runs, iou)

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from ._asking import asking_options, run_asking
+from jrdb_avr.engine.commands._query_options import asking_options, run_asking
 
 
 @click.command(

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from jrdb_avr.engine.output import json_option, note, print_json, print_rows, store_option
+from jrdb_avr.engine.console import json_option, note, print_json, print_rows, store_option
 
 
 @click.command(
@@ -28,15 +28,14 @@ def command(store: Path, picture: Path | None, as_json: bool) -> None:
     Says for each template what became of its candidates and, where there are few questions, why. With --json each row
     object names its table under "table".
     """
-    from jrdb_avr.engine.shortfalls import REFUSALS
-    from jrdb_avr.engine.stats import TITLES, statistics
+    from jrdb_avr.engine.commands._print import print_blind, print_shortfalls, rounded
+    from jrdb_avr.engine.generate.diagnostics import REFUSALS
+    from jrdb_avr.engine.validate.statistics import TITLES, statistics
     from jrdb_avr.queries.store import Store
-
-    from ._figures import print_blind, print_shortfalls, rounded
 
     tables = statistics(Store(store))
     if picture is not None:
-        from jrdb_avr.engine.portrait import write_portrait
+        from jrdb_avr.engine.pages.stats_page import write_portrait
 
         write_portrait(picture, tables)
         note(f"picture: {picture}")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from jrdb_avr.engine.output import note, store_option
+from jrdb_avr.engine.console import note, store_option
 
 
 @click.command(epilog="Example: jrdb-avr trace react-marker 0098303b6414dec4 --store S --out trace.html")
@@ -26,11 +26,11 @@ def command(run: str, question: str, store: Path, out: Path) -> None:
     Each look is drawn on the panorama; of an agent the world model is shown as it grew, with the writes that were
     refused.
     """
-    from jrdb_avr.engine.observe import Observer
+    from jrdb_avr.engine.observe.observer import Observer
     from jrdb_avr.engine.pages.page import write_page
     from jrdb_avr.engine.pages.trace_page import trace_page
-    from jrdb_avr.engine.runs import read_sequences
-    from jrdb_avr.engine.tracing import read_trace
+    from jrdb_avr.engine.report.traces import read_trace
+    from jrdb_avr.engine.run.evaluate import read_sequences
     from jrdb_avr.queries.store import Store
 
     opened = Store(store)

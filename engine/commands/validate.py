@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from jrdb_avr.engine.output import (
+from jrdb_avr.engine.console import (
     json_option,
     note,
     pairs,
@@ -39,7 +39,7 @@ def command(store: Path, replayed: bool, workers: int, rule_texts: tuple[str, ..
     to find the stored people and answer in the graph; whatever comes out otherwise than stored is named with its
     question and proof. Exit code 1 on any fault.
     """
-    from jrdb_avr.engine.validate import check_replay, validate
+    from jrdb_avr.engine.validate.checks import check_replay, validate
     from jrdb_avr.queries.store import Store
     from jrdb_avr.schema.rules import Rules, override
 

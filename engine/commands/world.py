@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jrdb_avr.engine.output import json_option, note, print_json, print_rows, progress, store_option
+from jrdb_avr.engine.console import json_option, note, print_json, print_rows, progress, store_option
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from jrdb_avr.queries.handle import Graph
+    from jrdb_avr.queries.graph.handle import Graph
     from jrdb_avr.queries.store import Store
 
 
@@ -34,8 +34,8 @@ def command() -> None:
 @json_option
 def merge(run_ids: tuple[str, ...], store: Path, as_json: bool) -> None:
     """Bring the world models of finished runs into the store's graph, in place of what it holds of them."""
+    from jrdb_avr.queries.beliefs.record import merge_world, open_to_replay
     from jrdb_avr.queries.store import Store
-    from jrdb_avr.queries.world_record import merge_world, open_to_replay
 
     place = Store(store)
     records = {run_id: _record(place, run_id) for run_id in dict.fromkeys(run_ids)}
@@ -54,8 +54,8 @@ def merge(run_ids: tuple[str, ...], store: Path, as_json: bool) -> None:
 @json_option
 def drop(run_ids: tuple[str, ...], store: Path, as_json: bool) -> None:
     """Take runs' world models out of the store's graph. Their records stay, and the next load brings them back."""
+    from jrdb_avr.queries.beliefs.record import drop_world, open_to_replay
     from jrdb_avr.queries.store import Store
-    from jrdb_avr.queries.world_record import drop_world, open_to_replay
     from jrdb_avr.schema.errors import StoreError
 
     place = Store(store)
@@ -73,9 +73,9 @@ def drop(run_ids: tuple[str, ...], store: Path, as_json: bool) -> None:
 
 def _record(place: Store, run_id: str) -> pa.Table:
     """A finished run's record. Raises StoreError where there is no such run, or it has none, and what to do then."""
-    from jrdb_avr.engine.methods import WORLD_METHODS
+    from jrdb_avr.engine.run.methods import WORLD_METHODS
+    from jrdb_avr.queries.beliefs.record import read_record
     from jrdb_avr.queries.runs import read_run_manifest
-    from jrdb_avr.queries.world_record import read_record
     from jrdb_avr.schema.errors import StoreError
 
     there = (place.run_path(run_id) / "world.parquet").exists()
@@ -104,7 +104,7 @@ def _graph_path(place: Store) -> Path:
 
 def _row(graph: Graph, run_id: str) -> dict[str, Any]:
     """What a graph holds of a run."""
-    from jrdb_avr.queries.world_record import writes_held
+    from jrdb_avr.queries.beliefs.record import writes_held
 
     held = writes_held(graph, run_id)
     return {"run": run_id, "episodes": len(held), "writes": sum(held.values())}

@@ -10,15 +10,14 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from jrdb_avr.engine.inspection import Inspected
-from jrdb_avr.engine.observe import Observer
+from jrdb_avr.engine.observe.observer import Observer
+from jrdb_avr.engine.pages.answers import readable, unit_of
+from jrdb_avr.engine.pages.inspect_data import Inspected
+from jrdb_avr.engine.pages.page import jpeg_bytes, jpeg_uri, render
+from jrdb_avr.engine.pages.svg import plan_graph, proof_rows, timeline
 from jrdb_avr.schema.errors import ObserveError
 from jrdb_avr.schema.method import Image
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, center_angle, to_crop
-
-from .answers import readable, unit_of
-from .diagrams import plan_graph, proof_rows, timeline
-from .page import jpeg_bytes, jpeg_uri, render
 
 STRIP_WIDTH: Final = 1880
 """Pixels of a panorama in the page: half size, so that twenty questions stay a file that can be sent."""

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from jrdb_avr.engine.output import clean
-from jrdb_avr.engine.typeset import cell
+from jrdb_avr.engine.console import clean
+from jrdb_avr.engine.pages.svg import shortened
+from jrdb_avr.engine.report.formats import cell
 from jrdb_avr.queries.store import write_bytes
 from jrdb_avr.schema.method import Image
-
-from .diagrams import shortened
 
 if TYPE_CHECKING:
     from jinja2 import Environment

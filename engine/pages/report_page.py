@@ -9,16 +9,14 @@ from typing import Any, Final
 
 import msgspec
 
-from jrdb_avr.engine.failures import CAUSES
-from jrdb_avr.engine.judged import DIMENSIONS, SCORES, Facts, Judged
-from jrdb_avr.engine.report import report_table
-from jrdb_avr.engine.scoring import Truth
-from jrdb_avr.engine.settings import told_apart
-from jrdb_avr.engine.typeset import filled
+from jrdb_avr.engine.pages.page import render
+from jrdb_avr.engine.pages.svg import SQUARE, TICKS, Part, intervals, scatter, stacked, tags
+from jrdb_avr.engine.report.failures import CAUSES
+from jrdb_avr.engine.report.formats import filled
+from jrdb_avr.engine.report.scored_runs import DIMENSIONS, SCORES, Facts, Judged, told_apart
+from jrdb_avr.engine.report.scoring import Truth
+from jrdb_avr.engine.report.tables import report_table
 from jrdb_avr.queries.store import Store
-
-from .charts import SQUARE, TICKS, Part, intervals, scatter, stacked, tags
-from .page import render
 
 _TITLES: Final = {name: name.replace("_", " ") for name in DIMENSIONS} | {
     "group": "the paper's groups",

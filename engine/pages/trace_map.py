@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from jrdb_avr.engine.tracing import Look, Trace
+from jrdb_avr.engine.report.traces import Look, Trace
 from jrdb_avr.schema.answers import FrameAnswer, FrameViewpoint, Span, decode_answer
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import CROP, WIDTH, Box

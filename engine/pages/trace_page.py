@@ -6,16 +6,15 @@ from typing import Any, Final
 
 import msgspec
 
-from jrdb_avr.engine.observe import Observer
-from jrdb_avr.engine.tracing import Look, Row, Trace
+from jrdb_avr.engine.observe.observer import Observer
+from jrdb_avr.engine.pages.answers import readable, unit_of
+from jrdb_avr.engine.pages.page import jpeg_bytes, jpeg_uri, render
+from jrdb_avr.engine.pages.trace_map import MAP_HEIGHT, MAP_WIDTH, given_box, trace_map
+from jrdb_avr.engine.pages.trace_world import cards, entities, relations, web
+from jrdb_avr.engine.report.traces import Look, Row, Trace
 from jrdb_avr.schema.errors import ObserveError
 from jrdb_avr.schema.panorama import CROP, WIDTH, Box, center_angle, iou, to_crop
 from jrdb_avr.schema.plan import parse_plan
-
-from .answers import readable, unit_of
-from .page import jpeg_bytes, jpeg_uri, render
-from .trace_map import MAP_HEIGHT, MAP_WIDTH, given_box, trace_map
-from .trace_world import cards, entities, relations, web
 
 _STRIP: Final = (1128, 144)
 _SMALL: Final = (240, 240)

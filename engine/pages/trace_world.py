@@ -6,10 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from jrdb_avr.engine.tracing import Trace, Written
-from jrdb_avr.schema.world import ALWAYS
-
-from .diagrams import shortened
+from jrdb_avr.engine.pages.svg import shortened
+from jrdb_avr.engine.report.traces import Trace, Written
+from jrdb_avr.schema.beliefs import ALWAYS
 
 ROLES: Final = 6
 """Colours of people in `roles.css`."""

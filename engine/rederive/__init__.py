@@ -14,14 +14,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+from jrdb_avr.engine.rederive.events import (
+    read_next_action,
+    read_seconds_between,
+    read_span,
+    read_start,
+    read_start_view,
+)
+from jrdb_avr.engine.rederive.labels import Annotations
+from jrdb_avr.engine.rederive.plan import Asked, find_people
+from jrdb_avr.engine.rederive.reads import Reading, read_action, read_count, read_distance, read_presence
+from jrdb_avr.engine.rederive.truth import FALSE, TRUE, UNKNOWN, NeededBox, Outcome, Undefined
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import Rules
-
-from .annotations import Annotations
-from .asked import Asked, find_people
-from .events import read_next_action, read_seconds_between, read_span, read_start, read_start_view
-from .reads import Reading, read_action, read_count, read_distance, read_presence
-from .terms import FALSE, TRUE, UNKNOWN, NeededBox, Outcome, Undefined
 
 __all__ = ["FALSE", "TRUE", "UNKNOWN", "Annotations", "NeededBox", "Outcome", "rederive"]
 

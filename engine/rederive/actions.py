@@ -11,11 +11,10 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from jrdb_avr.engine.rederive.people import People
+from jrdb_avr.engine.rederive.truth import FALSE, TRUE, UNKNOWN, in_closed_gap, rows, step_of
+from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, frames
-from jrdb_avr.schema.vocabulary import POSES
-
-from .people import People
-from .terms import FALSE, TRUE, UNKNOWN, in_closed_gap, rows, step_of
 
 States = npt.NDArray[np.int8]
 

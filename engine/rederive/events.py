@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+from jrdb_avr.engine.rederive.actions import Segment
+from jrdb_avr.engine.rederive.plan import Asked
+from jrdb_avr.engine.rederive.reads import Reading
+from jrdb_avr.engine.rederive.truth import FALSE, Undefined
 from jrdb_avr.schema.answers import FrameAnswer, FrameViewpoint, Number, Span, encode_answer
 from jrdb_avr.schema.panorama import angle_error
 from jrdb_avr.schema.plan import Time
 from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP, frames
-
-from .actions import Segment
-from .asked import Asked
-from .reads import Reading
-from .terms import FALSE, Undefined
 
 
 def read_start(asked: Asked) -> Reading:

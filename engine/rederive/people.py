@@ -8,11 +8,10 @@ from dataclasses import dataclass
 
 import pyarrow as pa
 
+from jrdb_avr.engine.rederive.truth import rows, step_of
+from jrdb_avr.schema.labels import CLEAR_OCCLUSIONS
 from jrdb_avr.schema.panorama import HEIGHT, Box, center_angle
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules
-from jrdb_avr.schema.vocabulary import CLEAR_OCCLUSIONS
-
-from .terms import rows, step_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,11 +12,10 @@ from typing import Final
 
 import pyarrow as pa
 
+from jrdb_avr.engine.rederive.relations import Ties
+from jrdb_avr.engine.rederive.truth import FALSE, SLACK, TRUE, UNKNOWN, rows
+from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS
 from jrdb_avr.schema.rules import Rules
-from jrdb_avr.schema.vocabulary import DISTANCE_BOUNDS_M, DISTANCE_WORDS
-
-from .terms import FALSE, SLACK, TRUE, UNKNOWN, rows
-from .ties import Ties
 
 _SIDES: Final = ((0.0, "front"), (30.0, "front {}"), (45.0, "{}"), (135.0, "back {}"), (145.0, "back"))
 """Sectors of a person by the turn, in degrees to either side, at which each begins."""

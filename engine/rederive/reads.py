@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from jrdb_avr.engine.rederive.plan import Asked
+from jrdb_avr.engine.rederive.truth import FALSE, TRUE, NeededBox, Undefined
 from jrdb_avr.schema.answers import Number, encode_answer
-from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, PRESENCE_ANSWERS, SAME_GROUP
+from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS, SAME_GROUP
 from jrdb_avr.schema.wording import stated_actions
-
-from .asked import Asked
-from .terms import FALSE, TRUE, NeededBox, Undefined
 
 
 @dataclass(frozen=True, slots=True)

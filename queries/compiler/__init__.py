@@ -7,13 +7,13 @@ together to the statement that finds a plan's people, and `reads` asks what is r
 
 from __future__ import annotations
 
-from .beliefs import BeliefReader, Rows
-from .believed_find import common_finds, find_believed
-from .find import Find, compile_find
-from .names import SCENE, Names
-from .outcome import Outcome, Who, outcome_of_target
-from .reads import Queried
-from .solve import Asked, Solution, read_with, solve, solve_with
+from jrdb_avr.queries.compiler.beliefs import BeliefReader, Rows
+from jrdb_avr.queries.compiler.believed_find import common_finds, find_believed
+from jrdb_avr.queries.compiler.find import Find, compile_find
+from jrdb_avr.queries.compiler.mapping import SCENE, Names
+from jrdb_avr.queries.compiler.outcome import Outcome, Who, outcome_of_target
+from jrdb_avr.queries.compiler.reads import Queried
+from jrdb_avr.queries.compiler.solve import Asked, Solution, read_with, solve, solve_with
 
 __all__ = [
     "SCENE",

@@ -13,17 +13,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from jrdb_avr.queries.binding import parameters
+from jrdb_avr.queries.compiler.believed_find import READS, SYMMETRIC, find_believed
+from jrdb_avr.queries.compiler.find import Find
+from jrdb_avr.queries.compiler.mapping import read_text
+from jrdb_avr.queries.compiler.outcome import Agreed, Who, outcome_of_target, people_of
+from jrdb_avr.queries.compiler.reads import Person, Queried, Reader, Seen, Segment
+from jrdb_avr.queries.graph.parameters import parameters
+from jrdb_avr.schema.beliefs import episode_hash
+from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.panorama import WIDTH, Box
 from jrdb_avr.schema.plan import Plan
-from jrdb_avr.schema.vocabulary import POSES
-from jrdb_avr.schema.world import episode_hash
-
-from .believed_find import READS, SYMMETRIC, find_believed
-from .find import Find
-from .names import read_text
-from .outcome import Agreed, Who, outcome_of_target, people_of
-from .reads import Person, Queried, Reader, Seen, Segment
 
 RESOLVED_FRAMES: Final = 30
 """Looks farther apart leave a moment unresolved (design, section 6: reference agent)."""

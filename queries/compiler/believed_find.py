@@ -14,13 +14,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final
 
-from jrdb_avr.queries.binding import parameters
+from jrdb_avr.queries.compiler.find import Find, joined, search_order, stated_frame, times_of
+from jrdb_avr.queries.compiler.mapping import read_text
+from jrdb_avr.queries.graph.parameters import parameters
+from jrdb_avr.schema.beliefs import TIMELESS, episode_hash
+from jrdb_avr.schema.labels import INTERACTIONS, SAME_GROUP
 from jrdb_avr.schema.plan import Edge, Plan, validate
-from jrdb_avr.schema.vocabulary import INTERACTIONS, SAME_GROUP
-from jrdb_avr.schema.world import TIMELESS, episode_hash
-
-from .find import Find, joined, search_order, stated_frame, times_of
-from .names import read_text
 
 READS: Final = "world"
 """The folder of the world namespace's statements."""

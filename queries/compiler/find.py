@@ -12,11 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from jrdb_avr.queries.compiler.clauses import Variables
+from jrdb_avr.queries.compiler.mapping import Names, condition_kind, condition_values, edge_kind, edge_values
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.plan import Condition, Edge, Plan, validate
-
-from .clauses import Variables
-from .names import Names, condition_kind, condition_values, edge_kind, edge_values
 
 
 @dataclass(frozen=True)

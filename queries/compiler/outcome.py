@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
+from jrdb_avr.queries.compiler.find import Find
 from jrdb_avr.schema.plan import Plan
-
-from .find import Find
 
 Outcome = Literal["defined", "ambiguous", "empty", "unknown"]
 

@@ -14,14 +14,13 @@ from typing import Any, Final, Protocol
 
 import pyarrow as pa
 
-from jrdb_avr.queries.binding import parameters
+from jrdb_avr.queries.compiler.find import Find, compile_find
+from jrdb_avr.queries.compiler.mapping import Names, edge_kind, edge_values, read_text
+from jrdb_avr.queries.compiler.outcome import Agreed, Who, outcome_of_people
+from jrdb_avr.queries.graph.parameters import parameters
+from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules, frames
-from jrdb_avr.schema.vocabulary import POSES
-
-from .find import Find, compile_find
-from .names import Names, edge_kind, edge_values, read_text
-from .outcome import Agreed, Who, outcome_of_people
 
 
 class Queried(Protocol):

@@ -11,14 +11,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from jrdb_avr.queries.compiler.mapping import Names
+from jrdb_avr.queries.compiler.outcome import Outcome, Who
+from jrdb_avr.queries.compiler.reads import Person, Queried, Reader, SceneReader, Seen, Segment, events_of
 from jrdb_avr.schema.answers import Answer, FrameAnswer, FrameViewpoint, Number, Span, encode_answer
+from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import FPS, Rules
-from jrdb_avr.schema.vocabulary import DISTANCE_ANSWERS, PRESENCE_ANSWERS
-
-from .names import Names
-from .outcome import Outcome, Who
-from .reads import Person, Queried, Reader, SceneReader, Seen, Segment, events_of
 
 TIMEOUT_S: Final = 60.0
 """For each statement."""

@@ -6,13 +6,22 @@ new row there. The phrases in its places are tables too: actions, interactions a
 `things`), people (`people`) and relations between two of them (`relations`).
 """
 
-from .identity import actions_of, poses_of, question_id, question_key, stated_actions, stated_frames
-from .people import describe, in_order, read_description
-from .phrases import ACTION_PHRASES, INTERACTION_PHRASES
-from .relations import RELATIONS, RELATIONS_OF
-from .rows import Slots, Template
-from .templates import FAMILIES, TEMPLATES
-from .text import moment, parse, render
+from jrdb_avr.schema.wording.people import describe, in_order, read_description
+from jrdb_avr.schema.wording.phrases import ACTION_PHRASES, INTERACTION_PHRASES
+from jrdb_avr.schema.wording.relations import RELATIONS, RELATIONS_OF
+from jrdb_avr.schema.wording.rows import Slots, Template
+from jrdb_avr.schema.wording.templates import FAMILIES, TEMPLATES
+from jrdb_avr.schema.wording.text import (
+    actions_of,
+    moment,
+    parse,
+    poses_of,
+    question_id,
+    question_key,
+    render,
+    stated_actions,
+    stated_frames,
+)
 
 __all__ = [
     "ACTION_PHRASES",

@@ -2,6 +2,8 @@
 
 Every phrase is an -ing phrase: it fits after "is" and after "starts". No two phrases of these tables are alike, and
 none holds " and " or a comma, at which lists of them are split.
+
+Things in plain English, for descriptions of who handles what.
 """
 
 from __future__ import annotations
@@ -9,9 +11,85 @@ from __future__ import annotations
 from functools import cache
 from typing import Final
 
-from ..errors import PlanError
-from ..vocabulary import DISTANCE_BOUNDS_M
-from .things import THINGS
+from jrdb_avr.schema.errors import PlanError
+from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M
+
+THINGS: Final[dict[str, str]] = {
+    "road": "the road",
+    "terrain": "the ground",
+    "sky": "the sky",
+    "vegetation": "some plants",
+    "wall": "a wall",
+    "column": "a column",
+    "building": "a building",
+    "stair": "the stairs",
+    "ceiling": "the ceiling",
+    "barrier/fence": "a barrier or fence",
+    "crutch": "a crutch",
+    "fire_extinguisher": "a fire extinguisher",
+    "big_socket/button": "a large socket or button",
+    "airpot": "a thermos jug",
+    "controller": "a controller",
+    "umbrella": "an umbrella",
+    "animal": "an animal",
+    "monitor": "a monitor",
+    "carpet": "a carpet",
+    "cabinet": "a cabinet",
+    "jacket": "a jacket",
+    "emergency_pole": "an emergency call pole",
+    "helmet": "a helmet",
+    "peripheral": "a computer accessory",
+    "curtain": "a curtain",
+    "box": "a box",
+    "document": "a document",
+    "television": "a television",
+    "light_pole": "a lamp post",
+    "board": "a board",
+    "manhole": "a manhole cover",
+    "phone": "a phone",
+    "ladder": "a ladder",
+    "waterbottle": "a water bottle",
+    "picture_frames": "a picture frame",
+    "standee": "a display stand",
+    "store_sign": "a shop sign",
+    "statues": "a statue",
+    "cargo": "some cargo",
+    "tableware": "some tableware",
+    "accessory": "an accessory",
+    "other": "some other kind of object",
+    "clock": "a clock",
+    "golfcart": "a golf cart",
+    "wall_panel": "a wall panel",
+    "decoration": "a decoration",
+    "hanging_light": "a hanging lamp",
+    "window": "a window",
+    "poster": "a poster",
+    "lift": "a lift",
+    "vent": "an air vent",
+    "fountain": "a fountain",
+    "door_handle": "a door handle",
+    "floor/walking_path": "the floor or a path",
+    "machines": "a machine",
+    "child": "a child",
+    "trash_bin": "a trash bin",
+    "shelf": "a shelf",
+    "car": "a car",
+    "bicycle/scooter": "a bicycle or scooter",
+    "bag": "a bag",
+    "big_vehicle": "a large vehicle",
+    "chair/sofa": "a chair or sofa",
+    "pedestrian": "a pedestrian",
+    "sign": "a sign",
+    "trolley": "a trolley",
+    "pole/trafficcone": "a pole or traffic cone",
+    "bicyclist/rider": "a cyclist or rider",
+    "table": "a table",
+    "skateboard/segway/hoverboard": "a skateboard or segway or hoverboard",
+    "glass": "a pane of glass",
+    "door": "a door",
+}
+"""Category -> noun phrase, no two alike."""
+
 
 ACTION_PHRASES: Final[dict[str, str]] = {
     "walking": "walking",

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Final, Literal
 
-from ..errors import PlanError
-from ..vocabulary import (
+from jrdb_avr.schema.errors import PlanError
+from jrdb_avr.schema.labels import (
     FIRST_LEFT,
     FIRST_RIGHT,
     INTERACTIONS,
@@ -24,7 +24,7 @@ from ..vocabulary import (
     WINDOWS_RIGHT,
     person_frame_label,
 )
-from .phrases import FAR_AWAY, TOGETHER
+from jrdb_avr.schema.wording.phrases import FAR_AWAY, TOGETHER
 
 Style = Literal["says", "the", "holds"]
 Use = Literal["hop", "join", "count"]

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from ..plan import AnswerSpec, Time
-from .rows import Template
+from jrdb_avr.schema.plan import AnswerSpec, Time
+from jrdb_avr.schema.wording.rows import Template
 
 
 def _start(of: str, after: str = "t0", action: str = "{1}") -> Time:

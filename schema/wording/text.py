@@ -1,21 +1,27 @@
-"""Questions as text, and the text read back: `render` and its exact inverse `parse`, both over the template table."""
+"""Questions as text, and the text read back: `render` and its exact inverse `parse`, both over the template table.
+
+What identifies a question, and what its text states.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache, lru_cache
 from string import Formatter
 from typing import Any, Final
 
-from ..errors import PlanError
-from ..plan import Condition, Plan, canonical
-from ..rules import FPS
-from .people import ACTION_OF, describe, in_order, read_description
-from .phrases import ACTION_PHRASES, phrase_of
-from .relations import Style, read_relations, relate
-from .rows import Slots, Template
-from .templates import TEMPLATES
+import msgspec
+
+from jrdb_avr.schema.errors import PlanError
+from jrdb_avr.schema.plan import Condition, Plan, canonical
+from jrdb_avr.schema.rules import FPS
+from jrdb_avr.schema.wording.people import ACTION_OF, describe, in_order, read_description
+from jrdb_avr.schema.wording.phrases import ACTION_PHRASES, POSES_OF_INTERACTIONS, POSES_OF_VERBS, phrase_of
+from jrdb_avr.schema.wording.relations import Style, read_relations, relate
+from jrdb_avr.schema.wording.rows import Slots, Template
+from jrdb_avr.schema.wording.templates import TEMPLATES
 
 _EXACT: Final = {"At": "At", "at": "at", "When": "When", "How": "How", "about": ""}
 _ABOUT: Final = {"At": "At about", "at": "at about", "When": "About when", "How": "About how", "about": "about "}
@@ -219,3 +225,47 @@ def _read(row: Template, slot: str, words: str) -> Any:
     if kind == "Says":
         words = next((phrase for phrase in table if _raised(phrase) == words), "")
     return table.get(words)
+
+
+def question_key(sequence: str, target: int, plan: Plan) -> str:
+    """64 hex digits that decide among paraphrases and near-duplicates: sha256 of sequence, target and plan."""
+    return hashlib.sha256(f"{sequence}\n{target}\n{canonical(plan)}".encode()).hexdigest()
+
+
+def question_id(
+    sequence: str, family: str, template: str, question: str, choices: Sequence[str], answer_mode: str
+) -> str:
+    """16 hex digits of the public columns of a question, and of nothing else."""
+    public = msgspec.json.encode([sequence, family, template, question, list(choices), answer_mode])
+    return hashlib.sha256(public).hexdigest()[:16]
+
+
+def actions_of(condition: Condition) -> tuple[str, ...]:
+    """The actions that a condition's words name: its own, or the poses that go with an interaction or a verb.
+
+    >>> actions_of(Condition(interaction="sitting together", at="t0"))
+    ('sitting',)
+    """
+    if condition.action is not None:
+        return (condition.action,)
+    if condition.interaction is not None:
+        return poses_of(condition.interaction)
+    return POSES_OF_VERBS.get(condition.verb or "", ())
+
+
+def poses_of(relation: str) -> tuple[str, ...]:
+    """The pose that a relation gives away, if any: people who are "walking together" walk."""
+    return (POSES_OF_INTERACTIONS[relation],) if relation in POSES_OF_INTERACTIONS else ()
+
+
+def stated_actions(plan: Plan) -> tuple[str, ...]:
+    """The action words of the question: of descriptions, events and relations, sorted, each once."""
+    words = {word for node in plan.nodes for condition in node.conditions for word in actions_of(condition)}
+    words |= {word for edge in plan.edges for word in poses_of(edge.relation)}
+    words |= {time.action for time in plan.times.values() if time.action is not None}
+    return tuple(sorted(words | set(poses_of(plan.answer.relation or ""))))
+
+
+def stated_frames(plan: Plan) -> tuple[int, ...]:
+    """The frames stated in the question, by the names of their times."""
+    return tuple(time.frame for _, time in sorted(plan.times.items()) if time.frame is not None)

@@ -21,11 +21,11 @@ from pathlib import Path
 import numpy as np
 from older_worlds import older_record
 
-from jrdb_avr.agent.client import Client
-from jrdb_avr.agent.decode import CONTRACT
-from jrdb_avr.engine.methods import make_method, open_world
-from jrdb_avr.engine.runs import Journal, ask_all
-from jrdb_avr.queries.world_record import merge_world, open_to_replay
+from jrdb_avr.agent.model.client import Client
+from jrdb_avr.agent.model.decode import CONTRACT
+from jrdb_avr.engine.run.evaluate import Journal, ask_all
+from jrdb_avr.engine.run.methods import make_method, open_world
+from jrdb_avr.queries.beliefs.record import merge_world, open_to_replay
 from jrdb_avr.schema.method import Observation, Question, SequenceInfo
 from jrdb_avr.schema.panorama import FOV_DEG, crop_left
 from jrdb_avr.schema.tables import RUNS

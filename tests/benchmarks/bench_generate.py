@@ -34,18 +34,19 @@ import numpy as np
 import pyarrow.parquet as pq
 from bench_load import Clock, Memory, sample
 
-from jrdb_avr.engine import search, shard
-from jrdb_avr.engine.candidates import ask, ints
-from jrdb_avr.engine.descriptions import describe_people
-from jrdb_avr.engine.generate import generate
-from jrdb_avr.engine.relations import KIND, RELATIONS, find_facts, find_steps
-from jrdb_avr.engine.scene import NOBODY, coded, load_scene
-from jrdb_avr.loaders.layers import find_root
+from jrdb_avr.engine.generate import search
+from jrdb_avr.engine.generate import sequence as shard
+from jrdb_avr.engine.generate.candidates import ask, ints
+from jrdb_avr.engine.generate.descriptions import describe_people
+from jrdb_avr.engine.generate.relations import KIND, RELATIONS, find_facts, find_steps
+from jrdb_avr.engine.generate.run import generate
+from jrdb_avr.engine.generate.scene import NOBODY, coded, load_scene
 from jrdb_avr.loaders.load import load
-from jrdb_avr.queries.handle import Graph
+from jrdb_avr.loaders.root import find_root
+from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.labels import SAME_GROUP
 from jrdb_avr.schema.rules import LoadRules, Rules
-from jrdb_avr.schema.vocabulary import SAME_GROUP
 
 RULES = Rules()
 CODE = {relation: code for code, relation in enumerate(RELATIONS)}

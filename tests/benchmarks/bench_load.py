@@ -30,12 +30,12 @@ from unittest import mock
 
 import msgspec
 
-from jrdb_avr.loaders import annotate as annotating
-from jrdb_avr.loaders import intervals as deriving
 from jrdb_avr.loaders import load as loading
-from jrdb_avr.loaders.layers import find_root
-from jrdb_avr.loaders.scene import build_scene
-from jrdb_avr.queries.handle import Graph, build_graph
+from jrdb_avr.loaders import sequence as annotating
+from jrdb_avr.loaders.graph import build_scene
+from jrdb_avr.loaders.intervals import derive as deriving
+from jrdb_avr.loaders.root import find_root
+from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import LoadRules
 
@@ -425,7 +425,7 @@ def main():
 
 def sample(root, scale, workers):
     """A synthetic root; every sequence keeps its number of people, and a share of its frames."""
-    from jrdb_avr.loaders.sample.writer import FULL_SCALE, plan, write
+    from jrdb_avr.loaders.synthetic.write import FULL_SCALE, plan, write
 
     sizes = [(max(60, round(frames * scale)), people) for frames, people in FULL_SCALE]
     for _ in write(plan(root, sizes, 0, images="none"), workers):

@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from jrdb_avr.engine.observe import Observer
+from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.schema.method import SequenceInfo
 
 

@@ -9,7 +9,7 @@ import time
 import numpy as np
 from many_runs import QUESTION_COUNT, RUN_COUNT, made_up_predictions, made_up_questions
 
-from jrdb_avr.engine.scoring import make_truth, score_predictions
+from jrdb_avr.engine.report.scoring import make_truth, score_predictions
 
 
 def main() -> None:

@@ -3,8 +3,7 @@
 import msgspec
 import pyarrow as pa
 
-from jrdb_avr.schema.tables import RUNS
-from jrdb_avr.schema.world import (
+from jrdb_avr.schema.beliefs import (
     XYWH,
     EntityRow,
     EpisodeRow,
@@ -15,6 +14,7 @@ from jrdb_avr.schema.world import (
     SightedRow,
     episode_key,
 )
+from jrdb_avr.schema.tables import RUNS
 
 PER_EPISODE = 10
 

@@ -16,8 +16,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from fact_teller import Teller
 from perfect_perception import take
 
-from jrdb_avr.engine.observe import Observer
-from jrdb_avr.engine.runs import read_questions, read_sequences
+from jrdb_avr.engine.observe.observer import Observer
+from jrdb_avr.engine.run.evaluate import read_questions, read_sequences
 from jrdb_avr.queries.store import Store
 
 

@@ -7,8 +7,8 @@ import sys
 import time
 from pathlib import Path
 
-from jrdb_avr.queries import world_process
-from jrdb_avr.queries.world_tables import WorldTables
+from jrdb_avr.queries.beliefs import process as world_process
+from jrdb_avr.queries.beliefs.tables import WorldTables
 
 TIMES = {"write": [], "read": []}
 

@@ -1,0 +1,236 @@
+"""What an agent may write into its world model: the arguments of its tools, read into claims or refused.
+
+Arguments are whatever JSON a model wrote. They are checked for form and words here, and against the episode (what has
+been observed and sighted) in `world`. Everything that passes is short, plain text or a finite number; what is refused
+raises DecodeError with a reason that the model can act on.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from jrdb_avr.agent.model.decode import only_keys
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.labels import (
+    ACTIONS,
+    AGES,
+    DISTANCE_WORDS,
+    FIRST_LEFT,
+    FIRST_RIGHT,
+    GENDERS,
+    INTERACTIONS,
+    OBJECTS,
+    PERSON_SECTORS,
+    ROBOT_SECTORS,
+    SAME_GROUP,
+    VERBS,
+    WINDOWS_LEFT,
+    WINDOWS_RIGHT,
+    normal_action,
+    normal_category,
+    person_frame_label,
+    plain,
+)
+from jrdb_avr.schema.social import normal_interaction, normal_verb
+
+LONGEST_TEXT: Final = 120
+LONGEST_ARGUMENTS: Final = 4000
+"""Characters of a call's arguments that are kept."""
+
+PERSON_FRAME_LABELS: Final = tuple(
+    person_frame_label(sector, word) for sector in PERSON_SECTORS for word in DISTANCE_WORDS
+)
+"""Where the target of a relation is in the source's own view, all labels."""
+
+_ID: Final = re.compile(r"[A-Za-z0-9_-]{1,32}")
+_NAME: Final = re.compile(r"[A-Za-z0-9_ ]{1,40}")
+
+
+@dataclass(frozen=True)
+class EntityClaim:
+    """`add_entity` but for its box; node: "" where none is claimed."""
+
+    id: str
+    kind: str
+    node: str
+    observation: str
+
+
+@dataclass(frozen=True)
+class AttributeClaim:
+    """`add_attribute`: a text, or a number with its text (a text's number is 0)."""
+
+    entity: str
+    name: str
+    value: str
+    number: float
+    observation: str
+
+
+@dataclass(frozen=True)
+class RelationClaim:
+    """`add_relation`."""
+
+    source: str
+    name: str
+    target: str
+    observation: str
+
+
+def read_entity(arguments: object) -> EntityClaim:
+    """Read `add_entity`. Raises DecodeError."""
+    part = _part(arguments, ("id", "kind", "observation", "box"), ("node",))
+    node = part.get("node")
+    return EntityClaim(
+        _id(part["id"], "id"),
+        _name(part["kind"], "kind"),
+        "" if node is None else _text(node, "node"),
+        _text(part["observation"], "observation"),
+    )
+
+
+def read_attribute(arguments: object) -> AttributeClaim:
+    """Read `add_attribute`; names and values that the solver knows come back in its spelling. Raises DecodeError."""
+    part = _part(arguments, ("entity", "name", "value", "observation"))
+    entity, name = _id(part["entity"], "entity"), _name(part["name"], "name")
+    observation = _text(part["observation"], "observation")
+    known = "_".join(name.lower().split())
+    if known in NUMBERS:
+        number = _number(part["value"], known, *NUMBERS[known])
+        return AttributeClaim(entity, known, _digits(number), number, observation)
+    if known in _WORDS:
+        spell, words = _WORDS[known]
+        value = spell(_text(part["value"], "value"))
+        if value not in words:
+            raise DecodeError(f"{known} has no value {shown(part['value'])}; it is {_some(words)}")
+        return AttributeClaim(entity, known, value, 0.0, observation)
+    if known == "object":
+        return AttributeClaim(entity, known, _handled(_text(part["value"], "value")), 0.0, observation)
+    if isinstance(part["value"], int | float):
+        number = _number(part["value"], "value")
+        return AttributeClaim(entity, name, _digits(number), number, observation)
+    return AttributeClaim(entity, name, _text(part["value"], "value"), 0.0, observation)
+
+
+def read_relation(arguments: object) -> RelationClaim:
+    """Read `add_relation`; a name that the solver knows comes back in its spelling. Raises DecodeError."""
+    part = _part(arguments, ("source", "name", "target", "observation"))
+    source, target = _id(part["source"], "source"), _id(part["target"], "target")
+    if source == target:
+        raise DecodeError("a relation joins two different entities")
+    name = _text(part["name"], "name")
+    return RelationClaim(source, _RELATIONS.get(plain(name), name), target, _text(part["observation"], "observation"))
+
+
+def as_json(arguments: object) -> str:
+    """Arguments as JSON in ASCII, whatever they are; what cannot be written so, or is too long, is a text of it."""
+    try:
+        text = json.dumps(arguments, allow_nan=False)
+    except (TypeError, ValueError, RecursionError):
+        return json.dumps(f"unreadable {type(arguments).__name__}")
+    return text if len(text) <= LONGEST_ARGUMENTS else json.dumps(text[: LONGEST_ARGUMENTS // 2] + "...")
+
+
+def one_line(text: str) -> str:
+    """A reason as the record keeps it: on one line, of an end, and with what UTF-8 cannot hold written out."""
+    return " ".join(text[:LONGEST_ARGUMENTS].split()).encode("utf-8", "backslashreplace").decode()
+
+
+def shown(value: object) -> str:
+    """A model's word in a message of ours: short printable ASCII whatever it holds."""
+    if not isinstance(value, str):
+        return f"of type {type(value).__name__}"
+    return repr(value[:40].encode("unicode_escape").decode())
+
+
+# -- parts ------------------------------------------------------------------------------------------------------------
+
+
+_WORDS: Final[dict[str, tuple[Callable[[str], str], tuple[str, ...]]]] = {
+    "gender": (plain, GENDERS),
+    "age": (plain, AGES),
+    "action": (normal_action, ACTIONS),
+    "sector": (plain, ROBOT_SECTORS),
+    "distance": (plain, DISTANCE_WORDS),
+    "interaction": (normal_interaction, INTERACTIONS),
+}
+"""Attributes whose value is a label: how it is spelled, and all there are."""
+
+NUMBERS: Final = {"group_size": (1.0, 1000.0, True), "distance_m": (0.0, 1000.0, False)}
+"""Attributes whose value is a number: least, most, and whether it is a whole one."""
+
+_RELATIONS: Final = {
+    plain(label): label
+    for label in (
+        *INTERACTIONS,
+        SAME_GROUP,
+        FIRST_LEFT,
+        FIRST_RIGHT,
+        *WINDOWS_LEFT,
+        *WINDOWS_RIGHT,
+        *PERSON_FRAME_LABELS,
+    )
+}
+
+
+def _part(arguments: object, required: Collection[str], optional: Collection[str] = ()) -> Mapping[str, Any]:
+    """The arguments as an object with these keys. Raises DecodeError naming the missing or extra ones."""
+    given = [*required, *(key for key in optional if isinstance(arguments, Mapping) and key in arguments)]
+    return only_keys(arguments, given, "the call")
+
+
+def _id(value: object, what: str) -> str:
+    if not (isinstance(value, str) and _ID.fullmatch(value)):
+        raise DecodeError(f"{what} must be a name of 1 to 32 letters, digits, '_' and '-'")
+    return value
+
+
+def _name(value: object, what: str) -> str:
+    name = " ".join(value.split()) if isinstance(value, str) and _NAME.fullmatch(value) else ""
+    if not name:
+        raise DecodeError(f"{what} must be 1 to 40 letters, digits, blanks and '_'")
+    return name
+
+
+def _text(value: object, what: str) -> str:
+    text = value.strip() if isinstance(value, str) and len(value) <= LONGEST_TEXT else ""
+    if not text or not text.isprintable():
+        raise DecodeError(f"{what} must be a text of 1 to {LONGEST_TEXT} printable characters")
+    return text
+
+
+def _number(value: object, what: str, least: float = -math.inf, most: float = math.inf, whole: bool = False) -> float:
+    """A finite number in a range."""
+    kind = "a whole number" if whole else "a number"
+    try:
+        number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+    except OverflowError:
+        number = math.nan
+    if not math.isfinite(number) or not least <= number <= most or (whole and number % 1):
+        within = f" from {least:g} to {most:g}" if math.isfinite(most) else ""
+        raise DecodeError(f"{what} must be {kind}{within}")
+    return number
+
+
+def _digits(number: float) -> str:
+    """The shortest text of a number, without a point where it is whole."""
+    return str(int(number)) if number == int(number) and abs(number) < 1e15 else repr(number)
+
+
+def _handled(value: str) -> str:
+    """`<verb>: <category>` in the vocabulary's spelling."""
+    verb, colon, category = value.partition(":")
+    verb, category = normal_verb(verb), normal_category(category)
+    if not colon or verb not in VERBS or category not in OBJECTS:
+        raise DecodeError(f'object must be "verb: thing" in the labels\' words, as "holding: bag", not {shown(value)}')
+    return f"{verb}: {category}"
+
+
+def _some(words: Collection[str]) -> str:
+    listed = list(words)
+    return ", ".join(listed[:12]) + (", ..." if len(listed) > 12 else "")

@@ -1,0 +1,312 @@
+"""One question being answered by a model: its calls and looks, what they cost, and how its last reply is judged.
+
+What every method shares. Each call, each look and the reading of the final reply is a step of the transcript; tokens
+and looks are counted where they happen; the prediction is made of these counts.
+
+Whole panoramas as a method's fixed context: which frames, the pictures, and the lines that announce them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import msgspec
+
+from jrdb_avr.agent.methods.prompts import choice_lines, render
+from jrdb_avr.agent.model import decode
+from jrdb_avr.agent.model.client import Chat
+from jrdb_avr.agent.model.conventions import Convention
+from jrdb_avr.agent.model.messages import Message, Part, Picture, crop_metadata, transcript
+from jrdb_avr.agent.model.reply import Reply
+from jrdb_avr.schema.answers import TIE, Answer, Evidence, encode_answer
+from jrdb_avr.schema.errors import DecodeError, ObserveError
+from jrdb_avr.schema.method import Observation, Panorama, Prediction, Question, Step, StepKind, Task
+from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, angle_error, from_crop
+
+PANORAMAS: Final = 8
+"""Panoramas shown by the methods that cannot choose where to look."""
+
+UNIFORM: Final = "evenly spaced by position among the legal ones, first and last included"
+"""What `uniform_frames` does, in the words of a run's manifest."""
+
+
+def uniform_frames(frames: Sequence[int], n: int = PANORAMAS) -> tuple[int, ...]:
+    """`n` of the ascending legal `frames`, evenly spaced by position among them; all where there are no more than `n`.
+
+    Of m frames the i-th (from 0) is the one at position i * (m - 1) / (n - 1), rounded to the nearest, halves up: the
+    first and the last are always among them, and no frame comes twice. n = 1 gives the one in the middle, the earlier
+    of two.
+
+    >>> uniform_frames(range(0, 100, 5), 4)
+    (0, 30, 65, 95)
+    """
+    if n < 1:
+        raise ValueError("a fixed context holds one panorama at least")
+    if len(frames) <= n:
+        return tuple(frames)
+    last = len(frames) - 1
+    if n == 1:
+        return (frames[last // 2],)
+    # Steps are longer than one position, so that rounding never meets the same frame twice.
+    return tuple(frames[(2 * i * last + n - 1) // (2 * (n - 1))] for i in range(n))
+
+
+def panorama_picture(panorama: Panorama) -> Picture:
+    """The panorama as it is stored: its file's bytes, not encoded anew."""
+    return Picture(f"{panorama.sequence} {panorama.frame_id} panorama", panorama.jpeg)
+
+
+def panorama_metadata(panorama: Panorama) -> dict[str, Any]:
+    """What a model is told of a panorama: frame id, and seconds from frame 0."""
+    return {"frame_id": panorama.frame_id, "timestamp": round(panorama.timestamp, 3)}
+
+
+def panorama_line(panorama: Panorama) -> str:
+    """`panorama_metadata` as JSON on one line."""
+    return msgspec.json.encode(panorama_metadata(panorama)).decode()
+
+
+def panorama_parts(panoramas: Sequence[Panorama]) -> tuple[Part, ...]:
+    """Each panorama behind the line that numbers and places it."""
+    return tuple(
+        part
+        for number, panorama in enumerate(panoramas, 1)
+        for part in (f"Panorama {number}: {panorama_line(panorama)}", panorama_picture(panorama))
+    )
+
+
+def frame_list(panoramas: Sequence[Panorama]) -> str:
+    """The frame ids of panoramas, with commas between."""
+    return ", ".join(panorama.frame_id for panorama in panoramas)
+
+
+def fixed_settings(n: int) -> dict[str, Any]:
+    """What a run's manifest says of a fixed context of `n` panoramas."""
+    return {"panoramas": n, "frames": UNIFORM}
+
+
+IMAGE_SIZES: Final = {"panorama": [WIDTH, HEIGHT], "crop": [CROP, CROP]}
+"""Width and height in pixels of the pictures that a model is sent."""
+
+DUPLICATE_DEG: Final = 1.0
+"""A look this near an earlier one of the same frame, or nearer, is refused."""
+
+
+def duplicate(made: Iterable[tuple[int, float]], frame: int, angle: float) -> str:
+    """Why a look would repeat one of those made, given as frame and angle; "" where it would not."""
+    for other, seen in made:
+        if other == frame and float(angle_error(seen, angle)) <= DUPLICATE_DEG + TIE:
+            return f"within {DUPLICATE_DEG:g} degree of the earlier look at angle {seen:g}"
+    return ""
+
+
+def heading(question: Question) -> str:
+    """The lines that open every task: question, mode, and the choices numbered from 1."""
+    choices = choice_lines(question.choices)
+    return render(
+        "heading",
+        question=question.question,
+        mode=question.answer_mode,
+        choices=f"Choices:\n{choices}" if choices else "No choices.",
+    )
+
+
+def final_parts(question: Question) -> dict[str, Any]:
+    """The JSON Schemas of a final reply's keys."""
+    return {
+        "answer": decode.answer_schema(question.answer_mode, question.choices),
+        "evidence_bboxes": decode.EVIDENCE_SCHEMA,
+    }
+
+
+def panorama_messages(task: Task, parts: Sequence[Part]) -> list[Message]:
+    """A stage of a method that is shown panoramas: the system text they share, the heading, and the stage's parts.
+
+    The stage's own instructions stand last, so that a server can keep its work on a common beginning.
+    """
+    system = render("panorama_system", fps=f"{task.sequence.fps:g}")
+    return [Message("system", (system,)), Message("user", (heading(task.question), *parts))]
+
+
+def shared_settings(convention: Convention) -> dict[str, Any]:
+    """What a run's manifest says of every method."""
+    return {"convention": convention.settings(), "image_sizes": IMAGE_SIZES}
+
+
+FINAL: Final = ("answer", "evidence_bboxes")
+"""The keys of a reply that answers."""
+
+
+class Ground(NamedTuple):
+    """The pictures that a box may lie in: their frames, size in pixels, and left column in the panorama."""
+
+    frames: frozenset[int]
+    width: int
+    height: int
+    left: int
+
+
+def on_panoramas(panoramas: Sequence[Panorama]) -> Ground:
+    """A box lies in one of these panoramas."""
+    return Ground(frozenset(panorama.frame_index for panorama in panoramas), WIDTH, HEIGHT, 0)
+
+
+def on_crop(observation: Observation) -> Ground:
+    """A box lies in this crop."""
+    return Ground(frozenset((observation.frame_index,)), CROP, CROP, observation.left)
+
+
+def _told(ground: Ground) -> dict[str, Any]:
+    return {"frames": sorted(ground.frames), "width": ground.width, "height": ground.height, "left": ground.left}
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a final reply holds, answer and evidence judged apart; `faults` say what could not be read."""
+
+    answer: Answer | None = None
+    evidence: Evidence | None = None
+    faults: tuple[str, ...] = ()
+
+
+@dataclass
+class Attempt:
+    """One question; used by one thread."""
+
+    task: Task
+    chat: Chat
+    convention: Convention
+    looks: int = 0
+    calls: int = 0
+    steps: int = 0
+    prompt_tokens: int = 0
+    completion_tokens: int = 0
+    raw: str = ""
+
+    # -- calls and looks ----------------------------------------------------------------------------------------------
+
+    def ask(self, messages: Sequence[Message], schema: Mapping[str, Any]) -> Reply:
+        """One model call. What the server refuses is the client's EndpointError."""
+        started = time.perf_counter()
+        reply = self.chat.complete(messages, schema)
+        self.calls += 1
+        self.prompt_tokens += reply.prompt_tokens
+        self.completion_tokens += reply.completion_tokens
+        self.raw = reply.content or reply.refusal or reply.reasoning
+        self.record("model", transcript(messages), reply, started)
+        return reply
+
+    def ask_object(self, messages: Sequence[Message], schema: Mapping[str, Any]) -> dict[str, Any]:
+        """One model call, its reply as one JSON object. Raises DecodeError."""
+        return decode.reply_object(self.ask(messages, schema), self.convention)
+
+    def look(self, frame: int, angle: float) -> Observation:
+        """A crop, counted as a look. Raises ObserveError."""
+        started = time.perf_counter()
+        asked = self._asked_for(frame, angle)
+        observation = self.task.observe(**asked)
+        self.looks += 1
+        self.record("observe", asked, crop_metadata(observation), started)
+        return observation
+
+    def refuse_look(self, frame: int, angle: float, reason: str) -> None:
+        """A look that is not made, in the transcript."""
+        self.record("observe", self._asked_for(frame, angle), {"refused": reason}, time.perf_counter())
+
+    def _asked_for(self, frame: int, angle: float) -> dict[str, Any]:
+        return {"sequence": self.task.question.sequence, "frame_index": frame, "angle_deg": angle}
+
+    def panoramas(self, n: int) -> tuple[Panorama, ...]:
+        """The `n` panoramas of a fixed context, each counted as a look. Raises ObserveError."""
+        sequence = self.task.question.sequence
+        if not self.task.sequence.frames:
+            raise ObserveError(f"{sequence} has no panoramas to show: load a root that has its images")
+        shown = []
+        for frame in uniform_frames(self.task.sequence.frames, n):
+            asked: dict[str, Any] = {"sequence": sequence, "frame_index": frame}
+            started = time.perf_counter()
+            panorama = self.task.panorama(**asked)
+            self.looks += 1
+            self.record("observe", asked, panorama_metadata(panorama), started)
+            shown.append(panorama)
+        return tuple(shown)
+
+    def record(self, kind: StepKind, request: object, response: object, started: float) -> None:
+        """Append a step to the transcript; `started` is what `time.perf_counter` said before it."""
+        self.task.record(
+            Step(
+                kind=kind,
+                request=msgspec.json.encode(request).decode(),
+                response=msgspec.json.encode(response).decode(),
+                seconds=time.perf_counter() - started,
+            )
+        )
+        self.steps += 1
+
+    # -- reading what the model returned ------------------------------------------------------------------------------
+
+    def read_answer(self, value: object) -> Answer:
+        """The `answer` part of a reply, in the question's mode. Raises DecodeError."""
+        question = self.task.question
+        return decode.read_answer(value, question.answer_mode, len(question.choices), self.task.sequence.frame_count)
+
+    def read_evidence(self, value: object, ground: Ground) -> Evidence:
+        """The `evidence_bboxes` part of a reply that is not final. Raises DecodeError."""
+        started = time.perf_counter()
+        evidence, told = self._place(value, ground)
+        self.record("solve", _told(ground), told, started)
+        return evidence
+
+    def judge(self, reply: Mapping[str, Any], ground: Ground) -> Verdict:
+        """The two parts of a final reply, `answer` and `evidence_bboxes`, each of which may stand without the other.
+
+        Raises DecodeError for other keys: then nothing of the reply is the contract's.
+        """
+        parts = decode.only_keys({"answer": None, "evidence_bboxes": None, **reply}, FINAL, "the reply")
+        started = time.perf_counter()
+        told: dict[str, Any] = {"answer": None}
+        faults = []
+        answer: Answer | None = None
+        evidence: Evidence | None = None
+        try:
+            answer = self.read_answer(parts["answer"])
+            told["answer"] = msgspec.Raw(encode_answer(answer).encode())
+        except DecodeError as error:
+            faults.append(str(error))
+        try:
+            evidence, place = self._place(parts["evidence_bboxes"], ground)
+            told |= place
+        except DecodeError as error:
+            faults.append(str(error))
+        self.record("solve", _told(ground), told | {"faults": faults}, started)
+        return Verdict(answer, evidence, tuple(faults))
+
+    def _place(self, value: object, ground: Ground) -> tuple[Evidence, dict[str, Any]]:
+        """The one box in stitched pixels, x in [0, 3760), and what the transcript says of it."""
+        seen = decode.read_evidence(value, ground.frames, ground.width, ground.height, self.convention)
+        x, y, w, h = from_crop(seen.box, ground.left)
+        evidence = Evidence(seen.frame, (x % WIDTH, y, w, h))
+        return evidence, {"image_box": seen.box, "stitched_box": evidence.box, "box_key": seen.key}
+
+    # -- the end ------------------------------------------------------------------------------------------------------
+
+    def ended(self, verdict: Verdict) -> Prediction:
+        """The prediction: invalid where anything could not be read, and what could be read still counts."""
+        return Prediction(
+            status="invalid" if verdict.faults else "answered",
+            answer=verdict.answer,
+            evidence=verdict.evidence,
+            raw=self.raw,
+            reason="; ".join(verdict.faults),
+            n_observations=self.looks,
+            n_model_calls=self.calls,
+            prompt_tokens=self.prompt_tokens,
+            completion_tokens=self.completion_tokens,
+        )
+
+    def invalid(self, reason: str) -> Prediction:
+        """The question ended with nothing to score."""
+        return self.ended(Verdict(faults=(reason,)))

@@ -1,0 +1,208 @@
+"""ReAct: look, think, look again, answer; the whole history travels with every turn.
+
+The loop is the benchmark's: the first turn must look; a look within 1 degree of an earlier one of the same frame is
+refused and told why; a malformed turn is shown its error once and the second one ends the question as invalid; the
+evidence is a box in the newest crop. Every crop made so far is sent again with its metadata, so a turn needs nothing
+but its own request: servers may be stateless, and a finished call can be replayed from its request alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from jrdb_avr.agent.methods.attempt import (
+    DUPLICATE_DEG,
+    Attempt,
+    Verdict,
+    duplicate,
+    final_parts,
+    heading,
+    on_crop,
+    shared_settings,
+)
+from jrdb_avr.agent.methods.prompts import frame_ranges, mode_text, render
+from jrdb_avr.agent.model import decode
+from jrdb_avr.agent.model.client import Chat
+from jrdb_avr.agent.model.conventions import CONTRACT, Convention
+from jrdb_avr.agent.model.messages import Message, Part, Picture, crop_line, crop_picture
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.method import Observation, Prediction, Question, Task
+
+BUDGET: Final = 24
+
+
+@dataclass(frozen=True)
+class ReAct:
+    """The method `react` with a budget of observations; at most twice as many model calls and two."""
+
+    chat: Chat
+    convention: Convention = CONTRACT
+    budget: int = BUDGET
+
+    @property
+    def name(self) -> str:
+        return "react"
+
+    @property
+    def most_calls(self) -> int:
+        return 2 * self.budget + 2
+
+    def settings(self) -> dict[str, Any]:
+        """What the manifest of a run says of the method."""
+        return {
+            "budget": self.budget,
+            "most_calls": self.most_calls,
+            "duplicate_deg": DUPLICATE_DEG,
+            **shared_settings(self.convention),
+        }
+
+    def answer(self, task: Task) -> Prediction:
+        """Play one question to its answer, to the second malformed turn, or to the last allowed call."""
+        episode = _Episode(task, self)
+        while episode.attempt.calls < self.most_calls:
+            prediction = episode.turn()
+            if prediction is not None:
+                return prediction
+        return episode.attempt.invalid(f"no answer within {self.most_calls} turns")
+
+
+@dataclass(frozen=True)
+class _Look:
+    """An observation with its picture as sent."""
+
+    observation: Observation
+    picture: Picture
+
+
+@dataclass
+class _Episode:
+    """One question being played."""
+
+    task: Task
+    method: ReAct
+    looks: list[_Look] = field(default_factory=list)
+    steps: list[str] = field(default_factory=list)
+    error: str = ""
+    strikes: int = 0
+
+    def __post_init__(self) -> None:
+        question, sequence = self.task.question, self.task.sequence
+        self.attempt = Attempt(self.task, self.method.chat, self.method.convention)
+        self.legal = frozenset(sequence.frames)
+        text = mode_text(question.answer_mode, sequence.frame_count)
+        self.system = render(
+            "react_system",
+            fps=f"{sequence.fps:g}",
+            answer_form=text.form,
+            answer_rule=text.rule,
+            budget=self.method.budget,
+            calls=self.method.most_calls,
+        )
+        self.heading = render(
+            "react_task",
+            heading=heading(question),
+            frames=frame_ranges(sequence.frames),
+            advice=text.advice,
+        )
+        self.schema = turn_schema(question)
+
+    # -- one turn -----------------------------------------------------------------------------------------------------
+
+    def turn(self) -> Prediction | None:
+        """One model call and what follows from it; a prediction when the question has ended."""
+        reply = self.attempt.ask(self.messages(), self.schema)
+        self.error = ""
+        try:
+            move = decode.reply_object(reply, self.method.convention)
+            match move.get("action"):
+                case "observe":
+                    self._observe(move)
+                    return None
+                case "answer":
+                    return self._answer(move)
+                case _:
+                    raise DecodeError('"action" must be "observe" or "answer"')
+        except DecodeError as error:
+            return self._strike(Verdict(faults=(str(error),)))
+
+    def _strike(self, verdict: Verdict) -> Prediction | None:
+        """Show a malformed turn its error, or end the question at the second one."""
+        self.strikes += 1
+        if self.strikes > 1:
+            return self.attempt.ended(verdict)
+        self.error = "; ".join(verdict.faults)
+        self.steps.append(f"malformed: {self.error}")
+        return None
+
+    def _observe(self, move: Mapping[str, Any]) -> None:
+        decode.only_keys(move, ("action", "frame_id", "angle_deg"), "an observe turn")
+        frame, angle = decode.frame_id(move["frame_id"]), decode.angle(move["angle_deg"])
+        if frame not in self.legal:
+            raise DecodeError(f"frame_id {frame:06d} is none of the legal frames")
+        if len(self.looks) >= self.method.budget:
+            raise DecodeError("no looks are left: answer now")
+        made = ((look.observation.frame_index, look.observation.angle_deg) for look in self.looks)
+        if reason := duplicate(made, frame, angle):
+            self.steps.append(f"look at frame {frame:06d}, angle {angle:g}: refused, {reason}")
+            self.attempt.refuse_look(frame, angle, reason)
+            return
+        observation = self.attempt.look(frame, angle)
+        self.looks.append(_Look(observation, crop_picture(observation)))
+        self.steps.append(f"look at frame {frame:06d}, angle {angle:g}: picture {len(self.looks)}")
+
+    def _answer(self, move: dict[str, Any]) -> Prediction | None:
+        if not self.looks:
+            raise DecodeError("the first turn must look")
+        del move["action"]
+        verdict = self.attempt.judge(move, on_crop(self.looks[-1].observation))
+        return self._strike(verdict) if verdict.faults else self.attempt.ended(verdict)
+
+    # -- what the model is shown --------------------------------------------------------------------------------------
+
+    def messages(self) -> list[Message]:
+        """The system prompt, then question and legal frames, every crop with its metadata, and the state at the end.
+
+        What never changes comes first, so that a server can keep its work on the common beginning.
+        """
+        parts: list[Part] = [self.heading]
+        for number, look in enumerate(self.looks, 1):
+            newest = ", the newest" if number == len(self.looks) else ""
+            parts += [f"Picture {number}{newest}: {crop_line(look.observation)}", look.picture]
+        parts.append(
+            render(
+                "react_state",
+                steps="\n".join(f"{n}. {step}" for n, step in enumerate(self.steps, 1)) or "none",
+                seen=", ".join(f"{f:06d}" for f in sorted({look.observation.frame_index for look in self.looks}))
+                or "none",
+                used=len(self.looks),
+                left=self.method.budget - len(self.looks),
+                turns=self.method.most_calls - self.attempt.calls,
+                error=f"Your last turn was malformed, and a second such turn ends the question: {self.error}"
+                if self.error
+                else "",
+            )
+        )
+        return [Message("system", (self.system,)), Message("user", tuple(parts))]
+
+
+def turn_schema(question: Question) -> dict[str, Any]:
+    """The JSON Schema of a turn: a look, or the answer."""
+    return {
+        "anyOf": [
+            decode.closed_object(
+                {
+                    "action": {"type": "string", "enum": ["observe"]},
+                    "frame_id": decode.FRAME_ID_SCHEMA,
+                    "angle_deg": {"type": "number"},
+                }
+            ),
+            decode.closed_object(
+                {
+                    "action": {"type": "string", "enum": ["answer"]},
+                    **final_parts(question),
+                }
+            ),
+        ]
+    }

@@ -1,0 +1,120 @@
+"""Finished calls on disk: each under the sha256 of its whole request, so that none is paid for twice.
+
+One file of lines for all calls of a run, as to make a file of its own takes a file system longer than most of what a
+call needs. A line is appended by one write, and counts only if it is whole: of a kill at any point, and of several
+processes that append at once, nothing remains but lines that nobody reads. It is not synced: a machine that loses power
+may lose its newest calls, and makes them again. Nothing of a key is in a request, so none is in the file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import threading
+import weakref
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from jrdb_avr.agent.model.reply import Reply
+from jrdb_avr.schema.errors import StoreError
+
+
+class _Line(msgspec.Struct):
+    request: str
+
+
+class _Kept(msgspec.Struct):
+    request: str
+    reply: Reply
+
+
+# Made at import: threads that meet a type first at the same time crash the decoder.
+_LINE: Final = msgspec.json.Decoder(_Line)
+_KEPT: Final = msgspec.json.Decoder(_Kept)
+_UNREADABLE: Final = (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError)
+
+
+class Calls:
+    """A file of finished calls; used by many threads at once. The last line of a request counts.
+
+    What other processes append is found when the file is opened, by the first call.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._lock = threading.Lock()
+        self._file: int | None = None
+        self._places: dict[str, tuple[int, int]] = {}
+        """Of a request's line: its first byte, and how many it has."""
+        self._read_to = 0
+        self._unread: set[str] = set()
+        """Requests whose lines this process has appended behind what was read."""
+
+    def digest(self, request: Mapping[str, Any]) -> str:
+        """What a call is kept under: the sha256 of its request, each picture given as its own, in canonical JSON."""
+        return hashlib.sha256(msgspec.json.encode(request, order="sorted")).hexdigest()
+
+    def read(self, digest: str) -> Reply | None:
+        """The reply kept for a request; None where there is none, or the machine broke it: the call is made again."""
+        try:
+            file = self._opened()
+            if digest in self._unread:
+                with self._lock:
+                    self._index()
+            if (place := self._places.get(digest)) is None:
+                return None
+            at, size = place
+            kept = _KEPT.decode(os.pread(file, size, at))
+            return kept.reply if kept.request == digest else None
+        except _UNREADABLE:
+            return None
+
+    def keep(self, digest: str, reply: Reply) -> None:
+        """Append a reply. Raises StoreError where the disk refuses."""
+        # A line end before the line, too: the last line may have been cut short.
+        line = b"\n" + msgspec.json.encode({"request": digest, "reply": reply}) + b"\n"
+        try:
+            file = self._opened(make=True)
+            while line:
+                line = line[os.write(file, line) :]
+        except OSError as error:
+            raise StoreError(f"cannot keep a finished call in {self._path}: {error.strerror}") from None
+        self._unread.add(digest)
+
+    def _opened(self, *, make: bool = False) -> int:
+        if self._file is None:
+            with self._lock:
+                if self._file is None:
+                    if make:
+                        self._path.parent.mkdir(parents=True, exist_ok=True)
+                    file = os.open(self._path, os.O_RDWR | os.O_APPEND | (os.O_CREAT if make else 0), 0o666)
+                    try:
+                        self._index()
+                    except BaseException:
+                        os.close(file)
+                        raise
+                    # Not at the interpreter's end: a thread that still waits for a server would then write elsewhere.
+                    weakref.finalize(self, os.close, file).atexit = False
+                    self._file = file
+        return self._file
+
+    def _index(self) -> None:
+        """Note the places of the whole lines behind those already read."""
+        # Not by the descriptor that is written to: a write would move the place where the other reads.
+        with self._path.open("rb") as lines:
+            lines.seek(self._read_to)
+            for line in lines:
+                if not line.endswith(b"\n"):
+                    break
+                try:
+                    request = _LINE.decode(line).request
+                except _UNREADABLE:
+                    pass
+                else:
+                    # In this order: whoever no longer finds it unread finds its place.
+                    self._places[request] = self._read_to, len(line)
+                    self._unread.discard(request)
+                self._read_to += len(line)

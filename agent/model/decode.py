@@ -1,0 +1,330 @@
+"""Reading a model's reply: one strict contract, the same for every method.
+
+A reply is one JSON object, in at most one code fence, after any thinking in declared delimiters. Nothing is repaired
+and nothing guessed: what does not fit raises DecodeError with the reason, which the prediction stores. No function
+here can be given the true answer or box. Answer and evidence are read apart, so one may stand where the other falls.
+
+Boxes in a model's reply: four numbers under a key, read as the backbone's convention says.
+
+Nothing is guessed: the convention is fixed before the first reply, numbers that do not fit it are refused with the
+reason, and reversed corners are never swapped.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from jrdb_avr.agent.model.conventions import CONTRACT, CONTRACT_KEY, SCALE, TOLERANCE, Convention, Order, Reading
+from jrdb_avr.agent.model.conventions import convention_of as convention_of
+from jrdb_avr.agent.model.reply import Reply, spoken
+from jrdb_avr.schema.answers import Answer, AnswerMode, Choice, FrameAnswer, FrameViewpoint, Number, Span
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.panorama import Box
+
+# The numbers are not bounded: a server that keeps to the schema would bend a box of another scale into a wrong one,
+# where the decoder says that it lies outside.
+BOX_SCHEMA: Final[dict[str, Any]] = {"type": "array", "minItems": 4, "maxItems": 4, "items": {"type": "integer"}}
+
+
+def box_key(entry: object, convention: Convention = CONTRACT, asked: str = CONTRACT_KEY) -> str:
+    """The key under which an object holds its box: the one asked for, or the convention's alias if only that is there.
+
+    An object without one, or with several, is left to `only_keys`: this returns the key asked for.
+    """
+    keys = [key for key in {asked: "", **convention.boxes} if isinstance(entry, dict) and key in entry]
+    return keys[0] if len(keys) == 1 else asked
+
+
+def read_box(
+    value: object,
+    width: int,
+    height: int,
+    convention: Convention = CONTRACT,
+    key: str = CONTRACT_KEY,
+    what: str = "box",
+) -> Box:
+    """Four numbers, written under `key`, as a box in pixels of an image of `width` x `height`. Raises DecodeError.
+
+    Numbers outside the image by up to 2 % of its side are clipped; farther ones, and reversed or empty boxes, are
+    refused. A key that the convention does not know is read as the contract's own.
+    """
+    return place_box(
+        _numbers(value, convention.reading(key), what), width, height, convention.reading(key), convention, what
+    )
+
+
+def place_box(
+    numbers: Sequence[float], width: int, height: int, reading: Reading, convention: Convention, what: str = "box"
+) -> Box:
+    """Four numbers under one reading as a box in pixels of the image. Raises DecodeError, as `read_box`."""
+    across, down = full_sides(reading, convention, width, height)
+    sides = (across, down) * 2 if reading.order == "xyxy" else (down, across) * 2
+    if any(
+        not -TOLERANCE * side <= number <= (1 + TOLERANCE) * side for number, side in zip(numbers, sides, strict=True)
+    ):
+        raise DecodeError(
+            f"{what} has a coordinate outside 0..{across:g}" + (f" or 0..{down:g}" if down != across else "")
+        )
+    a, b, c, d = (min(max(number, 0), side) for number, side in zip(numbers, sides, strict=True))
+    left, top, right, bottom = (a, b, c, d) if reading.order == "xyxy" else (b, a, d, c)
+    if left >= right or top >= bottom:
+        raise DecodeError(f"{what} has no area or reversed corners: the first corner is the upper left one")
+    return Box(
+        left * width / across, top * height / down, (right - left) * width / across, (bottom - top) * height / down
+    )
+
+
+def full_sides(reading: Reading, convention: Convention, width: int, height: int) -> tuple[float, float]:
+    """The numbers that stand for the right and the lower edge of an image of `width` x `height`."""
+    match reading.scale:
+        case "thousandths":
+            return SCALE, SCALE
+        case "unit":
+            return 1, 1
+        case "pixels":
+            return width, height
+        case "resized":
+            return convention.resized(width, height)
+
+
+def _numbers(value: object, reading: Reading, what: str) -> list[float]:
+    """Whole numbers, as the contract asks; any finite ones where the convention's scale is 0..1."""
+    whole = reading.scale != "unit"
+    kinds = (int,) if whole else (int, float)
+    if not isinstance(value, list) or len(value) != 4 or any(type(v) not in kinds for v in value):
+        raise DecodeError(f"{what} must be a list of four {'integers' if whole else 'numbers'}")
+    if any(isinstance(v, float) and not math.isfinite(v) for v in value):
+        raise DecodeError(f"{what} must be a list of four finite numbers")
+    return value
+
+
+def write_box(box: Box, width: int, height: int, order: Order = "xyxy") -> list[int]:
+    """A box in image pixels as the four integers of the contract, clipped to the image."""
+    corners = (
+        box.x * SCALE / width,
+        box.y * SCALE / height,
+        (box.x + box.w) * SCALE / width,
+        (box.y + box.h) * SCALE / height,
+    )
+    left, top, right, bottom = (min(max(round(v), 0), SCALE) for v in corners)
+    return [left, top, right, bottom] if order == "xyxy" else [top, left, bottom, right]
+
+
+VERSION: Final = 1
+"""Of the contract and its reading, in every run's manifest: raised when a reply is read otherwise than before."""
+
+# -- the reply as one object ------------------------------------------------------------------------------------------
+
+_FENCE: Final = re.compile(r"```(?:json)?[ \t]*\r?\n", re.IGNORECASE)
+
+
+def reply_object(reply: Reply, convention: Convention = CONTRACT) -> dict[str, Any]:
+    """The one JSON object of a reply. Raises DecodeError."""
+    if reply.refusal:
+        raise DecodeError(f"the model refused: {_plain(reply.refusal)}")
+    if reply.finish_reason == "length":
+        raise DecodeError("the reply was cut off at the token limit (finish_reason length)")
+    if reply.finish_reason not in ("stop", ""):
+        raise DecodeError(f"the reply ended with finish_reason {_plain(reply.finish_reason)!r}, not 'stop'")
+    text = spoken(reply, convention)
+    if not text:
+        raise DecodeError(f"the reply is empty{_instead(reply)}")
+    # No pattern over the whole text: one that looks for the end from every blank takes hours over a long reply.
+    fence = _FENCE.match(text)
+    if fence and text.endswith("```"):
+        text = text[fence.end() : max(fence.end(), len(text) - 3)]
+    return _object(text)
+
+
+def _instead(reply: Reply) -> str:
+    """What an empty reply holds in place of an answer."""
+    if reply.content.strip():
+        return " after its thinking"
+    if reply.reasoning.strip():
+        return ": everything stands in its reasoning, out of which no answer is taken"
+    return ""
+
+
+def _object(text: str) -> dict[str, Any]:
+    def pairs(items: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(items)
+        if len(found) != len(items):
+            raise DecodeError("the reply names a key twice")
+        return found
+
+    def constant(name: str) -> Any:
+        raise DecodeError(f"{name} is not JSON")
+
+    try:
+        value = json.loads(text, object_pairs_hook=pairs, parse_constant=constant)
+    except (ValueError, RecursionError) as error:
+        reason = getattr(error, "msg", "too long or too deep")
+        raise DecodeError(f"the reply is not one JSON object: {reason}") from None
+    if not isinstance(value, dict):
+        raise DecodeError("the reply is not one JSON object")
+    return value
+
+
+def only_keys(value: object, keys: Collection[str], what: str) -> dict[str, Any]:
+    """The value as an object with exactly these keys. Raises DecodeError naming the missing or extra ones."""
+    if not isinstance(value, dict):
+        raise DecodeError(f"{what} must be an object with the keys {_listed(keys)}")
+    missing, extra = sorted(set(keys) - set(value)), sorted(set(value) - set(keys))
+    if missing:
+        raise DecodeError(f"{what} lacks {_listed(missing)}")
+    if extra:
+        raise DecodeError(f"{what} has keys that the contract does not know: {_listed(extra)}")
+    return value
+
+
+def _listed(names: Collection[str]) -> str:
+    return ", ".join(_plain(name) for name in list(names)[:5])
+
+
+def _plain(text: str) -> str:
+    """A model's word in a message of ours: short, and printable ASCII whatever it holds."""
+    return text[:40].encode("unicode_escape").decode()
+
+
+# -- parts of the contract --------------------------------------------------------------------------------------------
+
+_FRAME_ID: Final = re.compile(r"[0-9]{6}")
+_DECIMAL: Final = re.compile(r"-?[0-9]{1,12}(\.[0-9]{1,12})?")
+
+
+def frame_id(value: object, what: str = "frame_id") -> int:
+    """The frame of a six-digit frame id."""
+    if not (isinstance(value, str) and _FRAME_ID.fullmatch(value)):
+        raise DecodeError(f'{what} must be a string of six digits, like "000150"')
+    return int(value)
+
+
+def angle(value: object) -> float:
+    """A finite angle in degrees, wrapped to [0, 360)."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise DecodeError("angle_deg must be a number of degrees")
+    try:
+        degrees = float(value)
+    except OverflowError:
+        degrees = math.inf
+    if not math.isfinite(degrees):
+        raise DecodeError("angle_deg must be a finite number of degrees")
+    return degrees % 360.0 % 360.0
+
+
+def read_answer(value: object, mode: AnswerMode, n_choices: int, frame_count: int) -> Answer:
+    """The `answer` part of a reply. Raises DecodeError.
+
+    multiple_choice: an integer 1..n_choices; frames: six digits below `frame_count`; value: a string such as "12.5".
+    """
+
+    def frame(key: str, part: dict[str, Any]) -> int:
+        number = frame_id(part[key], f"answer.{key}")
+        if number >= frame_count:
+            raise DecodeError(f"answer.{key} must be below {frame_count:06d}")
+        return number
+
+    match mode:
+        case "multiple_choice":
+            if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= n_choices:
+                raise DecodeError(f"answer must be the number of a choice, an integer from 1 to {n_choices}")
+            return Choice(value)
+        case "frame":
+            return FrameAnswer(frame("frame_id", only_keys(value, ("frame_id",), "answer")))
+        case "span":
+            part = only_keys(value, ("start_frame", "end_frame"), "answer")
+            span = Span(frame("start_frame", part), frame("end_frame", part))
+            if span.end_frame < span.start_frame:
+                raise DecodeError("answer.end_frame must not lie before answer.start_frame")
+            return span
+        case "frame_viewpoint":
+            part = only_keys(value, ("frame_id", "angle_deg"), "answer")
+            return FrameViewpoint(frame("frame_id", part), angle(part["angle_deg"]))
+        case "number":
+            text = only_keys(value, ("value",), "answer")["value"]
+            if not (isinstance(text, str) and _DECIMAL.fullmatch(text)):
+                raise DecodeError('answer.value must be a string with a decimal number, like "12.5"')
+            return Number(float(text))
+
+
+@dataclass(frozen=True)
+class ImageBox:
+    """A box in an image the model was shown: its frame, pixels of that image, and the key it was written under."""
+
+    frame: int
+    box: Box
+    key: str
+
+
+def read_evidence(
+    value: object,
+    shown: Collection[int],
+    width: int,
+    height: int,
+    convention: Convention = CONTRACT,
+    what: str = "evidence_bboxes",
+) -> ImageBox:
+    """The one box of `evidence_bboxes`, in pixels of an image of `width` x `height`. Raises DecodeError.
+
+    Its frame must be one of `shown`. Corners outside by up to 2 % are clipped; reversed or empty boxes are refused.
+    """
+    if not isinstance(value, list) or len(value) != 1:
+        raise DecodeError(f"{what} must be a list of exactly one box")
+    entry = value[0]
+    key = box_key(entry, convention)
+    part = only_keys(entry, ("frame_id", key), f"{what}[0]")
+    frame = frame_id(part["frame_id"], f"{what}[0].frame_id")
+    if frame not in shown:
+        allowed = ", ".join(f"{f:06d}" for f in sorted(shown)[:8])
+        raise DecodeError(f"{what}[0].frame_id {frame:06d} is not a frame of the image at hand ({allowed})")
+    return ImageBox(frame, read_box(part[key], width, height, convention, key, f"{what}[0].{key}"), key)
+
+
+# -- the contract as JSON Schema --------------------------------------------------------------------------------------
+
+
+def closed_object(properties: dict[str, Any]) -> dict[str, Any]:
+    """The JSON Schema of an object with exactly these keys."""
+    return {
+        "type": "object",
+        "properties": properties,
+        "required": list(properties),
+        "additionalProperties": False,
+    }
+
+
+FRAME_ID_SCHEMA: Final[dict[str, Any]] = {"type": "string", "pattern": "^[0-9]{6}$"}
+
+EVIDENCE_SCHEMA: Final[dict[str, Any]] = {
+    "type": "array",
+    "minItems": 1,
+    "maxItems": 1,
+    "items": closed_object(
+        {
+            "frame_id": FRAME_ID_SCHEMA,
+            CONTRACT_KEY: BOX_SCHEMA,
+        }
+    ),
+}
+
+
+def answer_schema(mode: AnswerMode, choices: Sequence[str]) -> dict[str, Any]:
+    """The JSON Schema of `answer` in a mode."""
+    number = {"type": "number"}
+    decimal = {"type": "string", "pattern": r"^-?[0-9]+(\.[0-9]+)?$"}
+    match mode:
+        case "multiple_choice":
+            return {"type": "integer", "minimum": 1, "maximum": len(choices)}
+        case "frame":
+            return closed_object({"frame_id": FRAME_ID_SCHEMA})
+        case "span":
+            return closed_object({"start_frame": FRAME_ID_SCHEMA, "end_frame": FRAME_ID_SCHEMA})
+        case "frame_viewpoint":
+            return closed_object({"frame_id": FRAME_ID_SCHEMA, "angle_deg": number})
+        case "number":
+            return closed_object({"value": decimal})

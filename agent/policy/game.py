@@ -1,0 +1,60 @@
+"""A question as the marker model plays it: what is asked, what has been seen, and what could not be read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+from jrdb_avr.agent.policy.explorer import Eyes
+from jrdb_avr.schema.plan import Plan
+
+_CLOSE_FRAMES: Final = 28
+"""Closing in ends when the moment is known to this many frames: half of them is within a second."""
+
+
+@dataclass
+class Game:
+    """One question: what is asked, what has been seen, and notes of what could not be read.
+
+    `beside`: whether a look a second away may stand for one in which somebody is hidden. `misses` counts the tries at
+    which the person searched for in time was not seen, since it last was. `close` is to how many frames a moment is to
+    be known.
+    """
+
+    plan: Plan
+    choices: Sequence[str]
+    eyes: Eyes
+    missing: list[str] = field(default_factory=list)
+    beside: bool = False
+    misses: int = 0
+    close: int = _CLOSE_FRAMES
+
+    def frame_of(self, name: str) -> int:
+        """A stated time's frame."""
+        frame = self.plan.times[name].frame
+        assert frame is not None, "reads ask for stated times only"
+        return frame
+
+    @property
+    def t0(self) -> int:
+        """The frame of the description: the first that is stated."""
+        return min(time.frame for time in self.plan.times.values() if time.frame is not None)
+
+    def note_unseen(self) -> None:
+        """Note which stated times no picture shows, where pictures cannot be chosen."""
+        for name, time in sorted(self.plan.times.items()):
+            if time.frame is not None and self.eyes.legal(time.frame) != time.frame:
+                self.note(f"not shown: {name}")
+
+    def note(self, reason: str) -> None:
+        """Keep why something could not be read, each reason once."""
+        if reason not in self.missing:
+            self.missing.append(reason)
+
+    def choose(self, text: str | None, not_this: str | None = None) -> int:
+        """The number of the choice with this text, else of the first that does not say what is known to be wrong."""
+        if text in self.choices:
+            return self.choices.index(text) + 1
+        others = [n for n, choice in enumerate(self.choices, 1) if choice != not_this]
+        return others[0] if others else 1

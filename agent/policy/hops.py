@@ -1,0 +1,128 @@
+"""From one person to the next: whom a relation leads to among those whose marks were read in one frame.
+
+Everybody within reach of the relation has to be read first, so the frame is looked at all round; who cannot be read is
+not there for the marker model, and a hop may then lead to somebody else.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+from jrdb_avr.agent.policy.explorer import AROUND, Eyes
+from jrdb_avr.agent.policy.finding import distance_word
+from jrdb_avr.agent.simulated.requests import Sighting
+from jrdb_avr.schema.labels import (
+    FIRST_LEFT,
+    FIRST_RIGHT,
+    INTERACTIONS,
+    PERSON_SECTORS,
+    SAME_GROUP,
+    WINDOW_DEGREES,
+    WINDOWS_LEFT,
+    WINDOWS_RIGHT,
+    person_frame_label,
+)
+from jrdb_avr.schema.markers import ALONE
+from jrdb_avr.schema.plan import Plan
+
+_REACH_DEG: Final = 60.0
+"""How far away the first to the left or right may be."""
+
+_NEAR_M: Final = 5.0
+"""Who is farther apart is not said to be in somebody's front or back."""
+
+_SECTOR_EDGES: Final = (30.0, 45.0, 135.0, 145.0)
+"""Bearings off somebody's heading at which front, front side, side, back side and back meet."""
+
+_WINDOWS: Final = dict(zip(WINDOWS_LEFT, WINDOW_DEGREES, strict=True)) | dict(
+    zip(WINDOWS_RIGHT, WINDOW_DEGREES, strict=True)
+)
+
+
+def look_round(eyes: Eyes, frame: int) -> list[Sighting]:
+    """Everybody who can be read in a legal frame. Raises Spent when looks run out."""
+    for turn in AROUND:
+        eyes.look(frame, (180.0 + turn) % 360.0)
+    return eyes.at(frame)
+
+
+def walk(plan: Plan, root: Sighting, people: Sequence[Sighting]) -> Sighting | None:
+    """The plan's target, from the person described on; None where a hop leads to nobody or to several."""
+    return path(plan, root, people).get(plan.target)
+
+
+def path(plan: Plan, root: Sighting, people: Sequence[Sighting]) -> dict[str, Sighting]:
+    """Who each node is, from the person described on, up to the first hop that leads to nobody or to several."""
+    known = {plan.root: root}
+    for node in plan.nodes:
+        if node.id == plan.root:
+            continue
+        # Nodes stand in the order in which they are reached.
+        leading = [edge for edge in plan.edges if edge.target == node.id]
+        met = {seen.mark.identity for seen in known.values()}
+        reached = [
+            seen
+            for seen in people
+            if seen.mark.identity not in met
+            and all(related(edge.relation, known[edge.source], seen, people) for edge in leading)
+        ]
+        if len(reached) != 1:
+            break
+        known[node.id] = reached[0]
+    return known
+
+
+def related(relation: str, source: Sighting, target: Sighting, people: Sequence[Sighting]) -> bool:
+    """Whether the target has the relation to the source, by their marks and where they stand among the people read."""
+    if relation == SAME_GROUP:
+        return source.mark.group not in (None, ALONE) and source.mark.group == target.mark.group
+    if relation in INTERACTIONS:
+        # A mark has room for one relation of a person: that of two people may stand on either of them.
+        return _tells(source, relation, target) or _tells(target, relation, source)
+    if relation in (FIRST_LEFT, FIRST_RIGHT):
+        turn = _left if relation == FIRST_LEFT else _right
+        # Not by object: the source may have been read in another look at the same frame.
+        own_identity = source.mark.identity
+        turns = {seen.mark.identity: turn(source, seen) for seen in people if seen.mark.identity != own_identity}
+        own = turns[target.mark.identity]
+        return own <= _REACH_DEG and own == min(turns.values())
+    if relation in _WINDOWS:
+        turn = _left if relation in WINDOWS_LEFT else _right
+        return 0 < turn(source, target) <= _WINDOWS[relation]
+    return _seen_from(source, target) == relation
+
+
+def _tells(person: Sighting, label: str, partner: Sighting) -> bool:
+    return person.mark.interaction == label and person.mark.partner == partner.mark.identity
+
+
+def _left(source: Sighting, target: Sighting) -> float:
+    return (source.angle - target.angle) % 360.0
+
+
+def _right(source: Sighting, target: Sighting) -> float:
+    return (target.angle - source.angle) % 360.0
+
+
+def _seen_from(source: Sighting, target: Sighting) -> str | None:
+    """Where the target is in the source's own frame; None where a mark does not tell, or where it is too far."""
+    if source.mark.heading_deg is None or source.mark.distance_dm is None or target.mark.distance_dm is None:
+        return None
+    (x0, y0), (x1, y1) = _place(source), _place(target)
+    metres = math.hypot(x1 - x0, y1 - y0)
+    if metres > _NEAR_M:
+        return None
+    bearing = math.degrees(math.atan2(y1 - y0, x1 - x0)) - source.mark.heading_deg
+    bearing = (bearing + 180.0) % 360.0 - 180.0
+    ring = sum(abs(bearing) > edge for edge in _SECTOR_EDGES)
+    # PERSON_SECTORS go round from the front over the left.
+    sector = PERSON_SECTORS[ring if bearing >= 0 else -ring % len(PERSON_SECTORS)]
+    return person_frame_label(sector, distance_word(metres))
+
+
+def _place(seen: Sighting) -> tuple[float, float]:
+    """Metres ahead of the robot and to its left."""
+    azimuth, metres = math.radians(180.0 - seen.angle), (seen.mark.distance_dm or 0) / 10
+    return metres * math.cos(azimuth), metres * math.sin(azimuth)

@@ -1,0 +1,117 @@
+"""Memory in a chat history: what was shown and said stays in it, and the final answer carries its own box."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import msgspec
+
+from jrdb_avr.agent.methods.attempt import Attempt, Verdict
+from jrdb_avr.agent.model import decode
+from jrdb_avr.agent.model.decode import BOX_SCHEMA, box_key, read_box
+from jrdb_avr.agent.model.messages import Message
+from jrdb_avr.agent.model.reply import Reply, spoken
+from jrdb_avr.agent.reference.episode import Turn, View, view_parts
+from jrdb_avr.agent.reference.graph_memory import OBSERVATION_SCHEMA
+from jrdb_avr.agent.reference.tool_calls import FINAL, Call, call_schema, turn_schema
+from jrdb_avr.schema.answers import Answer, Evidence, encode_answer
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.method import Observation, Panorama
+from jrdb_avr.schema.panorama import HEIGHT, WIDTH, from_crop
+
+LONGEST_REPLY: Final = 8000
+"""Characters of a reply that stay in the history."""
+
+
+@dataclass
+class ChatMemory:
+    """The chat of one question. proposed: what could be read of the newest final answer that was refused."""
+
+    attempt: Attempt
+    system: str
+    heading: str
+    history: list[Message] = field(default_factory=list)
+    names: int = 0
+    proposed: Verdict = field(default_factory=Verdict)
+
+    @property
+    def tools(self) -> tuple[str, ...]:
+        return (FINAL,)
+
+    # -- what the model is shown --------------------------------------------------------------------------------------
+
+    def messages(self, turn: Turn) -> list[Message]:
+        """Everything shown and said so far, and this turn's results, pictures and what is left."""
+        first = not self.history
+        if first:
+            self.history.append(Message("system", (self.system,)))
+        opening = self.heading if first else turn.result_lines()
+        self.history.append(Message("user", (opening, *view_parts(turn.fresh), turn.state())))
+        return list(self.history)
+
+    def replied(self, reply: Reply) -> None:
+        text = spoken(reply, self.attempt.convention)[:LONGEST_REPLY].encode("utf-8", "backslashreplace").decode()
+        # Some servers refuse a message without words.
+        self.history.append(Message("assistant", (text or "(nothing)",)))
+
+    def schema(self, looks: Mapping[str, Any] | None) -> dict[str, Any]:
+        """The JSON Schema of a turn; `looks` is that of a look, where there are looks."""
+        question = self.attempt.task.question
+        answer = decode.answer_schema(question.answer_mode, question.choices)
+        final = call_schema(FINAL, {"answer": answer, "observation": OBSERVATION_SCHEMA, "box": BOX_SCHEMA})
+        return turn_schema([*([looks] if looks else []), final])
+
+    # -- what is kept, and what is read from it -----------------------------------------------------------------------
+
+    def named(self, seen: Observation | Panorama, step: int) -> str:
+        self.names += 1
+        return f"o{self.names}"
+
+    def refused(self, call: Call, step: int, reason: str) -> None:
+        """The history holds it."""
+
+    def carry_out(self, call: Call, views: Mapping[str, View], step: int) -> str:
+        raise DecodeError(f"there is no tool {call.tool!r}")
+
+    def judge(self, call: Call, views: Mapping[str, View], step: int) -> Verdict:
+        """Answer and box are read apart: what can be read of the newest refused answer counts at the end."""
+        key = box_key(call.arguments, self.attempt.convention, "box")
+        part = decode.only_keys(call.arguments, ("answer", "observation", key), "the call")
+        started = time.perf_counter()
+        answer: Answer | None = None
+        evidence: Evidence | None = None
+        faults = []
+        try:
+            answer = self.attempt.read_answer(part["answer"])
+        except DecodeError as error:
+            faults.append(str(error))
+        try:
+            evidence = self._evidence(part["observation"], part[key], key, views)
+        except DecodeError as error:
+            faults.append(str(error))
+        self.proposed = Verdict(answer, evidence, tuple(faults))
+        told = {
+            "answer": None if answer is None else msgspec.Raw(encode_answer(answer).encode()),
+            "evidence": evidence,
+            "box_key": key,
+            "faults": faults,
+        }
+        self.attempt.record("solve", {"observation": call.said}, told, started)
+        if faults:
+            raise DecodeError("; ".join(faults))
+        return self.proposed
+
+    def _evidence(self, observation: object, box: object, key: str, views: Mapping[str, View]) -> Evidence:
+        """The box in stitched pixels, x in [0, 3760)."""
+        view = views.get(observation) if isinstance(observation, str) else None
+        if view is None:
+            raise DecodeError("observation must name one that has been made")
+        x, y, w, h = from_crop(read_box(box, view.width, HEIGHT, self.attempt.convention, key), view.left)
+        return Evidence(view.frame, (x % WIDTH, y, w, h))
+
+    def solved(self, reason: str) -> Verdict:
+        """What could be read of the newest final answer, which was not legal."""
+        return Verdict(self.proposed.answer, self.proposed.evidence, (reason, *self.proposed.faults))

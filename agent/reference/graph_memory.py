@@ -1,0 +1,238 @@
+"""Memory in the world model: the graph is shown in every turn, and a solver judges the final answer by it.
+
+Every write, accepted or refused, goes to the episode of the world model, which alone decides whether it is grounded.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+import msgspec
+
+from jrdb_avr.agent.methods.attempt import Attempt, Verdict
+from jrdb_avr.agent.model import decode
+from jrdb_avr.agent.model.decode import BOX_SCHEMA, box_key, read_box
+from jrdb_avr.agent.model.messages import Message, Part
+from jrdb_avr.agent.model.reply import Reply
+from jrdb_avr.agent.reference.episode import Turn, View, view_parts
+from jrdb_avr.agent.reference.tool_calls import FINAL, WRITING, Call, call_schema, one_line, refusal, turn_schema
+from jrdb_avr.schema.answers import Answer, Evidence
+from jrdb_avr.schema.beliefs import Tool
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.method import Observation, Panorama, Question
+from jrdb_avr.schema.panorama import HEIGHT, WIDTH, Box
+from jrdb_avr.schema.plan import Plan, canonical
+
+if TYPE_CHECKING:
+    from jrdb_avr.agent.beliefs.solver import Belief
+    from jrdb_avr.agent.beliefs.world_model import Episode as WorldEpisode
+    from jrdb_avr.queries.compiler import Rows
+
+_NAME: Final = {"type": "string", "pattern": "^[A-Za-z0-9_-]{1,32}$"}
+OBSERVATION_SCHEMA: Final = {"type": "string", "pattern": "^o[0-9]+$"}
+
+
+_TOOLS: Final[dict[str, Tool]] = {
+    name: name for name in ("observe", "add_entity", "add_attribute", "add_relation", "get_graph", "final_answer")
+}
+"""The tools whose refused calls are kept."""
+
+
+class Solver(Protocol):
+    """What is asked of an episode's beliefs."""
+
+    def check(self, plan: Plan) -> None:
+        """Raises PlanError for a plan that cannot be solved."""
+        ...
+
+    def weigh(self, plan: Plan, rows: Rows) -> Belief:
+        """What the beliefs, `rows`, come to, told at once: for what is missing."""
+        ...
+
+    def solve(self, plan: Plan, rows: Rows) -> Belief:
+        """What the beliefs come to by the compiled plan: what an answer is judged by."""
+        ...
+
+    def guess(self, plan: Plan, rows: Rows) -> Belief | None:
+        """What is read of who comes nearest to the target, None where nobody was seen."""
+        ...
+
+    def answer(self, plan: Plan, belief: Belief) -> Answer | None:
+        """The answer that is read from the beliefs, None where there is none or no choice says it."""
+        ...
+
+    def fault(self, plan: Plan, belief: Belief, proposed: Answer, entity: str) -> str:
+        """Why a final answer is not legal, "" where it is."""
+        ...
+
+
+@dataclass
+class GraphMemory:
+    """The world model's episode of one question, and its solver.
+
+    fixed: whether all turns show the same pictures; latest: those that were made last; weighed, compiled: what the
+    beliefs come to by the episode and by the compiled plan, None where something has been seen or written since.
+    """
+
+    attempt: Attempt
+    world: WorldEpisode
+    solver: Solver
+    plan: Plan
+    system: str
+    heading: str
+    fixed: bool = False
+    latest: tuple[View, ...] = ()
+    weighed: Belief | None = None
+    compiled: Belief | None = None
+
+    @property
+    def tools(self) -> tuple[str, ...]:
+        return (*WRITING, "get_graph", FINAL)
+
+    # -- what the model is shown --------------------------------------------------------------------------------------
+
+    def messages(self, turn: Turn) -> list[Message]:
+        """Question, plan, graph, results of the last turn, the latest pictures, and what is left.
+
+        What never changes comes first, so that a server can keep its work on the common beginning.
+        """
+        self.latest = tuple(turn.fresh) or self.latest
+        pictures = view_parts(self.latest)
+        parts: list[Part] = [
+            self.heading,
+            *(pictures if self.fixed else []),
+            f"Plan: {canonical(self.plan)}",
+            f"Graph: {one_line(self.world.graph(self._weighed().missing))}",
+            turn.result_lines(),
+            *([] if self.fixed else pictures),
+            turn.state(),
+        ]
+        return [Message("system", (self.system,)), Message("user", tuple(parts))]
+
+    def replied(self, reply: Reply) -> None:
+        """What is not in the graph is forgotten."""
+
+    def schema(self, looks: Mapping[str, Any] | None) -> dict[str, Any]:
+        """The JSON Schema of a turn; `looks` is that of a look, where there are looks."""
+        nodes = [node.id for node in self.plan.nodes]
+        return graph_turn_schema(self.attempt.task.question, nodes, looks)
+
+    # -- what is written down -----------------------------------------------------------------------------------------
+
+    def named(self, seen: Observation | Panorama, step: int) -> str:
+        self._changed()
+        return self.world.observed(seen, step)
+
+    def refused(self, call: Call, step: int, reason: str) -> None:
+        if call.tool in _TOOLS:
+            self.world.refused(_TOOLS[call.tool], call.arguments, reason, step)
+
+    def carry_out(self, call: Call, views: Mapping[str, View], step: int) -> str:
+        match call.tool:
+            case "add_entity":
+                result = self.world.add_entity(*self._with_box(call.arguments, views), step)
+            case "add_attribute":
+                result = self.world.add_attribute(call.arguments, step)
+            case "add_relation":
+                result = self.world.add_relation(call.arguments, step)
+            case _:
+                decode.only_keys(call.arguments, (), "get_graph")
+                self.world.noted("get_graph", call.arguments, step, True)
+                return "done"
+        if not result.accepted:
+            return refusal(result.said)
+        self._changed()
+        return "done"
+
+    def _with_box(self, arguments: Mapping[str, Any], views: Mapping[str, View]) -> tuple[dict[str, Any], Box | str]:
+        """The arguments under the contract's key, and the box in pixels of the named observation, or its fault."""
+        convention = self.attempt.convention
+        key = box_key(arguments, convention, "box")
+        given = {("box" if name == key else name): value for name, value in arguments.items()}
+        name = given.get("observation")
+        view = views.get(name) if isinstance(name, str) else None
+        if view is None:
+            return given, "the box is of no observation"
+        try:
+            return given, read_box(given.get("box"), view.width, HEIGHT, convention, key)
+        except DecodeError as error:
+            return given, str(error)
+
+    # -- what is read from it -----------------------------------------------------------------------------------------
+
+    def judge(self, call: Call, views: Mapping[str, View], step: int) -> Verdict:
+        part = decode.only_keys(call.arguments, ("answer", "entity"), "the call")
+        proposed = self.attempt.read_answer(part["answer"])
+        if not isinstance(part["entity"], str):
+            raise DecodeError("entity must be the id of the plan's target")
+        belief = self._solved()
+        if reason := self.solver.fault(self.plan, belief, proposed, part["entity"]):
+            raise DecodeError(reason)
+        self.world.noted(FINAL, call.arguments, step, True)
+        return Verdict(proposed, _evidence(belief.seen), () if belief.seen else ("the target has no box",))
+
+    def solved(self, reason: str) -> Verdict:
+        """What the graph says by itself; where it has no single target, what is read of the likeliest one. An answer
+        that cannot be read is none, and the box is kept.
+        """
+        belief = self._solved()
+        if belief.seen is None:
+            started = time.perf_counter()
+            belief = self.solver.guess(self.plan, self.world.rows()) or belief
+            self.attempt.record("solve", {"guess": self.plan.target}, msgspec.to_builtins(belief), started)
+        answer = self.solver.answer(self.plan, belief)
+        faults = () if answer is not None and belief.seen is not None else (reason,)
+        return Verdict(answer, _evidence(belief.seen), faults)
+
+    def _changed(self) -> None:
+        self.weighed = self.compiled = None
+
+    def _weighed(self) -> Belief:
+        """What the beliefs come to by the episode's own state."""
+        if self.weighed is None:
+            self.weighed = self.solver.weigh(self.plan, self.world.rows())
+        return self.weighed
+
+    def _solved(self) -> Belief:
+        """What an answer is judged by: the compiled plan's, which is asked where there may be one."""
+        if self.compiled is None:
+            started = time.perf_counter()
+            weighed = self._weighed()
+            self.world.settle()
+            defined = weighed.outcome == "defined"
+            self.compiled = self.solver.solve(self.plan, self.world.rows()) if defined else weighed
+            asked = {"read": self.plan.answer.read, "of": self.plan.answer.of}
+            self.attempt.record("solve", asked, msgspec.to_builtins(self.compiled), started)
+        return self.compiled
+
+
+def graph_turn_schema(question: Question, nodes: Sequence[str], looks: Mapping[str, Any] | None) -> dict[str, Any]:
+    """The JSON Schema of a turn on a plan with these nodes; `looks` is that of a look, where there are looks."""
+    node = {"type": "string", "enum": list(nodes)}
+    seen = {"observation": OBSERVATION_SCHEMA}
+    calls = [
+        call_schema(
+            "add_entity",
+            {"id": _NAME, "kind": {"type": "string"}, "node": node, **seen, "box": BOX_SCHEMA},
+            optional=("node",),
+        ),
+        call_schema(
+            "add_attribute",
+            {"entity": _NAME, "name": {"type": "string"}, "value": {"type": ["string", "number"]}, **seen},
+        ),
+        call_schema("add_relation", {"source": _NAME, "name": {"type": "string"}, "target": _NAME, **seen}),
+        call_schema("get_graph", {}),
+        call_schema(FINAL, {"answer": decode.answer_schema(question.answer_mode, question.choices), "entity": _NAME}),
+    ]
+    return turn_schema([*([looks] if looks else []), *calls])
+
+
+def _evidence(seen: tuple[int, Box] | None) -> Evidence | None:
+    """A sighting as evidence, x in [0, 3760)."""
+    if seen is None:
+        return None
+    frame, (x, y, w, h) = seen
+    return Evidence(frame, (x % WIDTH, y, w, h))

@@ -1,0 +1,275 @@
+"""How well the questions can be answered without looking.
+
+A question that its own text answers is a defect. Five guessers that see no image are scored on each template, as
+predictions are: a uniform choice; the most frequent answer; the best constant; the best constant offset from a stated
+time; and a text-only guesser, which for a question of one sequence gives the commonest answer, in all other sequences,
+of questions whose text is alike (action words, choices, waits between stated times in doubling bins). Constants are
+chosen with hindsight, so what is printed is the most that such a guesser can score. For spans and viewpoints the
+constants tried are the template's own answers.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+
+from jrdb_avr.engine.generate.balance import answer_bin, bin_name, wait_bin
+from jrdb_avr.schema.answers import (
+    Answer,
+    Choice,
+    FrameAnswer,
+    FrameViewpoint,
+    Number,
+    Span,
+    decode_answer,
+    encode_answer,
+    same_answer,
+)
+from jrdb_avr.schema.rules import FPS
+from jrdb_avr.schema.wording import parse, stated_actions, stated_frames
+
+AIMS: Final = {"multiple_choice": 0.35, "frame": 0.25, "span": 0.25, "frame_viewpoint": 0.25, "number": 0.58}
+"""The most that a blind guesser should score, by answer mode; counts have no aim."""
+
+
+@dataclass(frozen=True, slots=True)
+class Posed:
+    """A question as its text says it, with its answer."""
+
+    sequence: str
+    template: str
+    read: str
+    mode: str
+    choices: tuple[str, ...]
+    words: tuple[str, ...]
+    times: tuple[int, ...]
+    answer: Answer
+
+    @property
+    def waits(self) -> tuple[int, ...]:
+        """Bins of the waits from the first stated time."""
+        return tuple(wait_bin(time - self.times[0]) for time in self.times[1:])
+
+    @property
+    def asks(self) -> str:
+        """What kind of answer is asked for; of a template's forms a count is judged unlike seconds."""
+        return asked_for(self.mode, self.read)
+
+    @property
+    def bin(self) -> str:
+        """The bin of the answer; what is levelled in selection."""
+        answer = encode_answer(self.answer)
+        return bin_name(self.mode, self.read, answer_bin(self.mode, answer, self.times, self.read))
+
+
+def asked_for(mode: str, read: str) -> str:
+    """The kind of answer in a word or two.
+
+    >>> asked_for("number", "seconds_between")
+    'seconds'
+    """
+    if mode == "number":
+        return "count" if read == "count" else "seconds"
+    return {"multiple_choice": "choice", "frame_viewpoint": "frame and angle"}.get(mode, mode)
+
+
+def posed(questions: pa.Table, answers: pa.Table) -> list[Posed]:
+    """The questions with their answers, by question id. Raises PlanError for a text that is none of ours."""
+    stored = dict(zip(answers["question_id"].to_pylist(), answers["answer"].to_pylist(), strict=True))
+    found = []
+    for row in sorted(questions.to_pylist(), key=lambda row: row["question_id"]):
+        _, plan = parse(row["question"])
+        found.append(
+            Posed(
+                row["sequence"],
+                row["template"],
+                plan.answer.read,
+                row["answer_mode"],
+                tuple(row["choices"]),
+                stated_actions(plan),
+                stated_frames(plan),
+                decode_answer(row["answer_mode"], stored[row["question_id"]]),
+            )
+        )
+    return found
+
+
+def blind_check(questions: Sequence[Posed]) -> list[dict[str, Any]]:
+    """One row per template and kind of answer: n, each guesser's share of right answers, the aim, and why it is missed.
+
+    A guesser that does not apply has None; so have counts as aim, and `reason` where nothing is above the aim.
+    """
+    groups: dict[tuple[str, str], list[Posed]] = defaultdict(list)
+    for question in questions:
+        groups[question.template, question.asks].append(question)
+    return [{"template": template, "asks": asks, **_check(group)} for (template, asks), group in sorted(groups.items())]
+
+
+def _check(group: list[Posed]) -> dict[str, Any]:
+    mode = group[0].mode
+    choice = mode == "multiple_choice"
+    scores = {
+        "uniform": sum(1 / len(q.choices) for q in group) / len(group) if choice else None,
+        "most_frequent": _most_frequent(group) if choice else None,
+        "constant": None if choice else _best(group, _constant),
+        "offset": None if choice or mode == "number" else _best_offset(group),
+        "text_only": _text_only(group),
+    }
+    aim = None if group[0].read == "count" else AIMS[mode]
+    above = [name for name, score in scores.items() if score is not None and aim is not None and score > aim]
+    return {
+        "n": len(group),
+        **scores,
+        "aim": aim,
+        "within_aim": None if aim is None else not above,
+        "reason": _reason(group, above) if above else None,
+    }
+
+
+FEW: Final = 30
+"""Fewer questions than this are too few to tell a share of right answers."""
+
+
+def _reason(group: Sequence[Posed], above: Sequence[str]) -> str:
+    """Why some guessers score above the aim: what of the answers is too much alike."""
+    n = len(group)
+    parts = [f"only {n} question{'s' * (n > 1)}, one is {100 / n:.0f} %"] if n < FEW else []
+    if above != ["text_only"]:
+        choice = group[0].mode == "multiple_choice"
+        commonest = Counter(_chosen(question) if choice else question.bin for question in group)
+        name, count = min(commonest.items(), key=lambda item: (-item[1], item[0]))
+        what = f"are {name!r}" if choice else f"lie in {name} s"
+        parts.append(f"{count} of {n} answers {what}, and too few others are left to level them")
+    if "text_only" in above:
+        parts.append("questions with the same words and waits have the same answers in other sequences")
+    return "; ".join(parts)
+
+
+def _chosen(question: Posed) -> str:
+    """The text of the right choice."""
+    assert isinstance(question.answer, Choice)
+    return question.choices[question.answer.choice - 1]
+
+
+def _most_frequent(group: Iterable[Posed]) -> float:
+    counts = Counter(map(_chosen, group))
+    return max(counts.values()) / counts.total()
+
+
+# -- constants ----------------------------------------------------------------------------------------------------
+
+Base = Callable[[Posed], int]
+"""The frame from which a guess is counted; 0 for a constant."""
+
+
+def _constant(question: Posed) -> int:
+    return 0
+
+
+def _best_offset(group: Sequence[Posed]) -> float:
+    """The best score of an offset from any one of the stated times."""
+
+    def stated(position: int) -> Base:
+        return lambda question: question.times[position]
+
+    count = min(len(question.times) for question in group)
+    return max(_best(group, stated(position)) for position in range(count))
+
+
+def _best(group: Sequence[Posed], base: Base) -> float:
+    guess = best_guess(group, base)
+    return sum(same_answer(_moved(guess, base(q)), q.answer) for q in group) / len(group)
+
+
+def best_guess(group: Sequence[Posed], base: Base) -> Answer:
+    """The answer, relative to `base`, that is right for the most questions; the smallest of equals."""
+    relative = [_moved(question.answer, -base(question)) for question in group]
+    match relative[0]:
+        case FrameAnswer():
+            # A window that holds the most answers can begin at one of them.
+            frames = np.sort([a.frame for a in relative if isinstance(a, FrameAnswer)])
+            window = round(FPS)
+            held = np.searchsorted(frames, frames + 2 * window, "right") - np.arange(len(frames))
+            return FrameAnswer(int(frames[held.argmax()]) + window)
+        case Number():
+            values = np.sort([a.value for a in relative if isinstance(a, Number)])
+            held = np.searchsorted(values, values * 4, "right") - np.arange(len(values))
+            return Number(float(values[held.argmax()]) * 2)
+    distinct = sorted(set(relative), key=repr)
+    counts = [sum(same_answer(guess, answer) for answer in relative) for guess in distinct]
+    return distinct[int(np.argmax(counts))]
+
+
+def _moved(answer: Answer, frames: int) -> Answer:
+    match answer:
+        case FrameAnswer(frame):
+            return FrameAnswer(frame + frames)
+        case Span(start, end):
+            return Span(start + frames, end + frames)
+        case FrameViewpoint(frame, angle):
+            return FrameViewpoint(frame + frames, angle)
+    return answer
+
+
+# -- the text-only guesser ----------------------------------------------------------------------------------------
+
+_ALIKE: Final[tuple[Callable[[Posed], Any], ...]] = (
+    lambda q: (q.words, tuple(sorted(q.choices)), q.waits),
+    lambda q: (q.words, q.waits),
+    lambda q: q.words,
+    lambda q: q.waits,
+    lambda q: None,
+)
+"""What makes two texts alike, strictest first: where no other sequence has such a question, the next is tried."""
+
+_Pools = dict[Any, dict[str, list[Posed]]]
+"""Questions by what makes them alike, and by sequence."""
+
+
+def _text_only(group: Sequence[Posed]) -> float:
+    guess = _guess_choice if group[0].mode == "multiple_choice" else _guess_time
+    pools = [_by_sequence(group, alike) for alike in _ALIKE]
+    memo: dict[tuple[int, Any, str], Any] = {}
+    return sum(guess(question, pools, memo) for question in group) / len(group)
+
+
+def _guess_choice(question: Posed, pools: list[_Pools], memo: dict[tuple[int, Any, str], Any]) -> float:
+    for level, alike in enumerate(_ALIKE):
+        key = (level, alike(question), question.sequence)
+        if key not in memo:
+            memo[key] = Counter(map(_chosen, _others(pools[level], key[1], question.sequence)))
+        offered = [text for text in question.choices if memo[key][text]]
+        if offered:
+            return float(min(offered, key=lambda text: (-memo[key][text], text)) == _chosen(question))
+    return 1 / len(question.choices)
+
+
+def _guess_time(question: Posed, pools: list[_Pools], memo: dict[tuple[int, Any, str], Any]) -> float:
+    for level, alike in enumerate(_ALIKE):
+        key = (level, alike(question), question.sequence)
+        if key not in memo:
+            others = _others(pools[level], key[1], question.sequence)
+            memo[key] = best_guess(others, _from_first) if others else None
+        if memo[key] is not None:
+            return float(same_answer(_moved(memo[key], _from_first(question)), question.answer))
+    return 0.0
+
+
+def _others(pools: _Pools, key: Any, sequence: str) -> list[Posed]:
+    return [question for name, part in pools[key].items() if name != sequence for question in part]
+
+
+def _from_first(question: Posed) -> int:
+    return question.times[0]
+
+
+def _by_sequence(group: Iterable[Posed], alike: Callable[[Posed], Any]) -> _Pools:
+    pools: _Pools = defaultdict(lambda: defaultdict(list))
+    for question in group:
+        pools[alike(question)][question.sequence].append(question)
+    return pools

@@ -1,0 +1,171 @@
+"""Why a template gives the questions it gives: candidates, what refused them, and what the scenes do not hold.
+
+Worked out from the published tables alone, so that `generate` and, at any later time, `stats` say the same.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from jrdb_avr.engine.generate.blind import FEW
+from jrdb_avr.engine.generate.candidates import RULES
+from jrdb_avr.schema.wording import FAMILIES
+
+REFUSALS: Final = (*RULES, "rederive", "choices", "near_duplicate", "max_per_person", "balance")
+"""Every rule that refuses a candidate, in the order in which they are tried."""
+
+MEANINGS: Final = {
+    "anchor": "a condition of the description could be left out, or somebody else could fit it",
+    "evidence": "somebody who has to be seen is hidden, cut off, too small or too wide there",
+    "image": "a frame that has to be seen has no image",
+    "view.ahead": "the view straight ahead shows what decides, so nobody has to look round",
+    "view.single": "one view shows everybody needed, so nobody has to search",
+    "stated": "the question's own words name the answer",
+    "hop.stop": "a method that stops one person early finds the same answer, or one not known to differ",
+    "hop.skip": "a method that leaves out a step finds the same answer, or one not known to differ",
+    "time.shift": "three seconds earlier or later the answer is not known to differ, so the time may not matter",
+    "time.drop": "at any other time that has an answer it is the same, so the time does not matter",
+    "rederive": "the second path disagrees, a fault of the program",
+    "choices": "fewer than three wrong answers are certain",
+    "near_duplicate": "nearly the same is asked about the same person already",
+    "max_per_person": "the person has as many questions of this template as one may have",
+    "balance": "kept, they would make an answer too common, or be more than were asked for",
+}
+"""What each rule found of a candidate that it refused."""
+
+SOUGHT: Final = {
+    "start": "somebody starts an action three seconds or more after being described, and keeps at it",
+    "span": "somebody starts an action three seconds or more after being described, keeps at it, and stops",
+    "change": "the known pose of somebody described is another one three seconds or more later",
+    "presence": "somebody described is known to be there or not at two later times",
+    "distance": "somebody described comes nearer, goes farther, stays or leaves, measured by lidar",
+    "consequence": "somebody holds a pose for ten seconds, and the next one follows at once and lasts",
+    "two_hop": "from somebody described two certain relations lead on to a person of known pose",
+    "three_hop": "from somebody described three certain relations lead on to a person of known pose",
+    "action_search": "two certain relations lead to somebody who starts an action later, in another direction",
+    "later_pose": "two certain relations lead to somebody whose known pose is another one ten seconds later",
+    "gap": "somebody described starts two actions five seconds apart, or is away for five seconds, or is in one "
+    "relation with four people or more",
+    "fork_join": "two ways from somebody described meet in one person, and neither alone tells who",
+}
+"""What has to happen in a scene for a candidate of each template."""
+
+_TOLD: Final = 2
+"""Rules that are told of a template: those that refused most."""
+
+
+def tallies(rejected: pa.Table, questions: pa.Table) -> list[dict[str, Any]]:
+    """A row per template: family, template, candidates, refused by each of RULES, proven, by the others, questions."""
+    counts = rejected.filter(pc.equal(rejected["kind"], "count")).select(["template", "rule", "candidates"])
+    refused: Counter[tuple[str, str]] = Counter()
+    for line in counts.to_pylist():
+        refused[line["template"], line["rule"]] += line["candidates"]
+    asked = Counter(questions["template"].to_pylist())
+    rows = []
+    for name, family in FAMILIES.items():
+        before = {rule: refused[name, rule] for rule in RULES}
+        after = {rule: refused[name, rule] for rule in REFUSALS if rule not in RULES}
+        proven = sum(after.values()) + asked[name]
+        row = {"family": family, "template": name, "candidates": proven + sum(before.values()), **before}
+        rows.append(row | {"proven": proven, **after, "questions": asked[name]})
+    return rows
+
+
+def shortfalls(
+    rows: Sequence[Mapping[str, Any]],
+    lacking: Mapping[tuple[str, str], int],
+    sequences: int,
+    aims: Mapping[str, int | None] | None = None,
+) -> list[dict[str, Any]]:
+    """A row per template: how far its candidates came, the rules that refused most of them, and what is to be said.
+
+    `rows` are those of `tallies`; `lacking`: (template, layer) -> how many of `sequences` are without it; `aims`: how
+    many questions of a template were asked for. `why` is a sentence where there are fewer than FEW questions, and
+    than were asked for, or where sequences lack a layer, else None.
+    """
+    found = []
+    for row in rows:
+        wanted = (aims or {}).get(row["template"])
+        few = row["questions"] < (FEW if wanted is None else min(FEW, wanted))
+        ranked = sorted(REFUSALS, key=lambda rule: (-row[rule], REFUSALS.index(rule)))
+        told = [rule for number, rule in enumerate(ranked) if row[rule] and _worth_telling(row, rule, number)]
+        missing = [(layer, count) for (name, layer), count in sorted(lacking.items()) if name == row["template"]]
+        found.append(
+            {
+                "family": row["family"],
+                "template": row["template"],
+                "candidates": row["candidates"],
+                "proven": row["proven"],
+                "questions": row["questions"],
+                "refused_most": ", ".join(f"{rule} {_percent(row[rule], row['candidates'])}" for rule in told) or None,
+                "skipped": "; ".join(_without(layer, count, sequences) for layer, count in missing) or None,
+                "why": _why(row, few, told, missing, sequences),
+            }
+        )
+    return found
+
+
+def _worth_telling(row: Mapping[str, Any], rule: str, number: int) -> bool:
+    """The rules that refused most, and what kept proven candidates from becoming questions at the end."""
+    return number < _TOLD or (rule == "balance" and row[rule] > row["questions"])
+
+
+def _why(
+    row: Mapping[str, Any], few: bool, told: Sequence[str], missing: Sequence[tuple[str, int]], sequences: int
+) -> str | None:
+    parts = [f"skipped, {_without(layer, count, sequences)}" for layer, count in missing]
+    if few and all(count < sequences for _, count in missing):
+        if row["candidates"]:
+            parts.append(
+                f"{_number(row['questions'], 'question')} of {_number(row['candidates'], 'candidate')}, "
+                f"{row['proven']:,} proven"
+            )
+            parts += [f"{rule} refused {_percent(row[rule], row['candidates'])}: {MEANINGS[rule]}" for rule in told]
+        else:
+            parts.append(f"no candidate, nowhere is it certain that {SOUGHT[row['template']]}")
+    return "; ".join(parts) or None
+
+
+def _number(count: int, what: str) -> str:
+    return f"{count:,} {what}{'' if count == 1 else 's'}"
+
+
+def _without(layer: str, count: int, sequences: int) -> str:
+    where = "" if count == sequences else f" in {count} of {sequences} sequences"
+    return f"the layer {layer} is missing{where}"
+
+
+def _percent(part: int, whole: int) -> str:
+    return "<1 %" if 200 * part < whole else f"{100 * part / whole:.0f} %"
+
+
+def fillings(selection: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """A row per family with an aim: family, aimed, reached, missing, and which templates fill for which.
+
+    `selection` is the report of `select`.
+    """
+    families: dict[str, list[Mapping[str, Any]]] = {}
+    for row in selection:
+        if row["aim"] is not None:
+            families.setdefault(row["family"], []).append(row)
+    found = []
+    for family, rows in families.items():
+        aimed, reached = sum(row["aim"] for row in rows), sum(row["kept"] for row in rows)
+        short = [f"{row['template']} {row['kept']} of {row['aim']}" for row in rows if row["kept"] < row["aim"]]
+        more = [f"{row['template']} +{row['kept'] - row['aim']}" for row in rows if row["kept"] > row["aim"]]
+        found.append(
+            {
+                "family": family,
+                "aimed": aimed,
+                "reached": reached,
+                "missing": aimed - reached,
+                "short": ", ".join(short) or None,
+                "filled_by": ", ".join(more) or None,
+            }
+        )
+    return found

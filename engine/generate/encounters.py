@@ -1,0 +1,168 @@
+"""Whom people are in a relation with over time: everybody they meet from a keyframe on, as long as that is known.
+
+At a keyframe it is known who is in a relation with a person where the person has a box and those who could be in it are
+exactly those who certainly are. A *company* is a person's from one keyframe to the last one through which that is
+known; it *meets* everybody who is in the relation at any keyframe of it. Where every frame is annotated, whoever could
+be in it between two keyframes must be met at a keyframe too, or the number would not hold of all frames.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from jrdb_avr.engine.generate.relations import GROUP, KIND, RELATIONS, SOCIAL, Facts, find_facts, untold_others
+from jrdb_avr.engine.generate.scene import NOBODY, Ints, Scene
+from jrdb_avr.schema.arrays import Bools
+from jrdb_avr.schema.rules import Rules, frames
+
+
+@dataclass(frozen=True)
+class Company:
+    """Companies long and large enough to be asked about, and whom they meet, sorted by company and person.
+
+    moment, relation, until: per company the moment at which it begins, the relation, and the last keyframe's frame.
+    owner, person, met, seen, maybe: per meeting the company, whom, and the first keyframe at which it is certain, at
+    which besides both are in clear view, and by which it could have been between two keyframes; NOBODY for none.
+    """
+
+    moment: Ints
+    relation: Ints
+    until: Ints
+    owner: Ints
+    person: Ints
+    met: Ints
+    seen: Ints
+    maybe: Ints
+
+    def tables(self, scene: Scene) -> dict[str, pa.Table]:
+        """The graph's tables `Company`, `Keeps` and `Meets`."""
+        number = np.arange(len(self.moment))
+        relation = pc.take(pa.array(RELATIONS, pa.string()), pa.array(self.relation))
+        times = {
+            name: pa.array(column, mask=column == NOBODY)
+            for name, column in (("met", self.met), ("seen", self.seen), ("maybe", self.maybe))
+        }
+        return {
+            "Company": pa.table({"id": number, "relation": relation, "until": self.until}),
+            "Keeps": pa.table({"from": self.moment, "to": number}),
+            "Meets": pa.table({"from": self.owner, "to": self.person, **times, "image": scene.has_image(self.seen)}),
+        }
+
+
+def find_company(scene: Scene, facts: Facts, rules: Rules) -> Company:
+    """Companies that begin at any moment and reach over `long_wait_s`, meeting `count_min` people or more."""
+    every = _at_every_frame(scene)
+    lines = np.unique(_lines_of(scene, facts, _counted(facts)))
+    at_keyframes, between = _Rows.of(scene, facts, lines), _Rows.of(every, find_facts(every), lines)
+    count, frames_between = len(scene.keyframes), _between(scene, every)
+    pairs = np.union1d(at_keyframes.pair, between.pair)
+    of_line, other = pairs // len(scene.tracks), pairs % len(scene.tracks)
+
+    def marked(rows: _Rows, which: Bools, place: Ints) -> Bools:
+        marks = np.zeros((len(pairs), count), bool)
+        marks[np.searchsorted(pairs, rows.pair[which]), place[rows.keyframe[which]]] = True
+        return marks
+
+    certain = marked(at_keyframes, at_keyframes.certain, np.arange(count))
+    could = marked(between, frames_between[between.keyframe] != NOBODY, frames_between)
+    both = certain & scene.present[lines[of_line] // len(RELATIONS)] & scene.present[other]
+    met, seen, maybe = _next(certain), _next(both), _next(could) + 1
+    until = _known_until(scene, every, lines, at_keyframes, between, frames_between)
+    within = met <= until[of_line]
+    people = np.zeros((len(lines), count), np.int64)
+    np.add.at(people, of_line, within)
+    reach = np.where(until == NOBODY, 0, scene.keyframes[until] - scene.keyframes)
+    begins = (reach >= frames(rules.long_wait_s)) & (people >= rules.count_min)
+    chosen_line, chosen_at = np.nonzero(begins)
+    number = np.full(begins.shape, NOBODY)
+    number[begins] = np.arange(len(chosen_line))
+    row, place = np.nonzero((within | (maybe <= until[of_line])) & begins[of_line])
+    order = np.lexsort((other[row], number[of_line[row], place]))
+    row, place = row[order], place[order]
+    clock = np.append(scene.keyframes, [NOBODY, NOBODY])
+    return Company(
+        moment=lines[chosen_line] // len(RELATIONS) * count + chosen_at,
+        relation=lines[chosen_line] % len(RELATIONS),
+        until=scene.keyframes[until[chosen_line, chosen_at]],
+        owner=number[of_line[row], place],
+        person=other[row],
+        met=clock[met[row, place]],
+        seen=clock[seen[row, place]],
+        maybe=clock[maybe[row, place]],
+    )
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Facts of the lines of a scene (a line is a person with a relation): line, other person, keyframe's number."""
+
+    line: Ints
+    pair: Ints
+    keyframe: Ints
+    certain: Bools
+    untold: Ints
+
+    @classmethod
+    def of(cls, scene: Scene, facts: Facts, lines: Ints) -> _Rows:
+        """`untold` is (lines, keyframes): how many others could be in the relation for want of knowledge alone."""
+        rows = _counted(facts)
+        rows = rows[np.isin(_lines_of(scene, facts, rows), lines)]
+        line = np.searchsorted(lines, _lines_of(scene, facts, rows))
+        source, target, kind = facts.source[rows], facts.target[rows], KIND[facts.relation[rows]]
+        count = len(scene.keyframes)
+        moments = (lines // len(RELATIONS))[:, None] * count + np.arange(count)
+        untold = untold_others(scene, facts.told)[KIND[lines % len(RELATIONS)][:, None], moments]
+        untold[scene.moment_rows[moments] == NOBODY] = 0
+        # Those of whom nothing is known and who have a fact are known by it.
+        np.subtract.at(untold, (line, source % count), ~(facts.told[kind, source] & facts.told[kind, target]))
+        pair = line * len(scene.tracks) + target // count
+        return cls(line, pair, source % count, facts.certain[rows], untold)
+
+
+def _counted(facts: Facts) -> Ints:
+    """The facts of relations whose people may be counted."""
+    return np.flatnonzero(np.isin(KIND[facts.relation], (SOCIAL, GROUP)))
+
+
+def _lines_of(scene: Scene, facts: Facts, rows: Ints) -> Ints:
+    return facts.source[rows] // len(scene.keyframes) * len(RELATIONS) + facts.relation[rows]
+
+
+def _at_every_frame(scene: Scene) -> Scene:
+    """The scene as if every frame with a box were a keyframe, without the relations that are not counted."""
+    every = np.union1d(scene.keyframes, scene.boxes["frame"].to_numpy().astype(np.int64))
+    return replace(scene, keyframes=every, beside=scene.beside.slice(0, 0))
+
+
+def _between(scene: Scene, every: Scene) -> Ints:
+    """Per frame, the number of the keyframe before it; NOBODY at a keyframe, before the first and after the last."""
+    before = np.searchsorted(scene.keyframes, every.keyframes, side="right") - 1
+    outside = np.isin(every.keyframes, scene.keyframes) | (before == len(scene.keyframes) - 1)
+    return np.where(outside, NOBODY, before)
+
+
+def _known_until(
+    scene: Scene, every: Scene, lines: Ints, at_keyframes: _Rows, between: _Rows, frames_between: Ints
+) -> Ints:
+    """(lines, keyframes): the last keyframe through which it is known from this one on who is met, or NOBODY."""
+    count = len(scene.keyframes)
+    moments = (lines // len(RELATIONS))[:, None] * count + np.arange(count)
+    known = (scene.moment_rows[moments] != NOBODY) & (at_keyframes.untold == 0)
+    unsure = ~at_keyframes.certain
+    known[at_keyframes.line[unsure], at_keyframes.keyframe[unsure]] = False
+    # Where nothing is known of somebody between two keyframes, nothing leads from the one to the other.
+    broken = np.zeros((len(lines), count), bool)
+    line, frame = np.nonzero((between.untold > 0) & (frames_between != NOBODY))
+    broken[line, frames_between[frame]] = True
+    return np.where(known, np.minimum(_next(~known) - 1, _next(broken)), NOBODY)
+
+
+def _next(marks: Bools) -> Ints:
+    """Per row and place the first place from there on that is marked; the number of places where there is none."""
+    count = marks.shape[1]
+    places = np.where(marks, np.arange(count), count)
+    return np.minimum.accumulate(places[:, ::-1], axis=1)[:, ::-1]

@@ -1,0 +1,144 @@
+"""The annotation tables of one sequence as the second path reads them: who is described, and where relations lead."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+import pyarrow as pa
+
+from jrdb_avr.engine.rederive.places import Places
+from jrdb_avr.engine.rederive.truth import FALSE, TRUE, UNKNOWN, Result, among
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.labels import (
+    DISTANCE_WORDS,
+    FIRST_LEFT,
+    FIRST_RIGHT,
+    INTERACTIONS,
+    PERSON_SECTORS,
+    SAME_GROUP,
+    WINDOW_DEGREES,
+    WINDOWS_LEFT,
+    WINDOWS_RIGHT,
+    person_frame_label,
+)
+from jrdb_avr.schema.plan import Condition
+from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.tables import ANNOTATIONS
+
+_READ: Final = (
+    "frames",
+    "boxes_2d",
+    "actions",
+    "groups",
+    "boxes_3d",
+    "demographics",
+    "interactions",
+    "handles",
+    "listed",
+    "poses",
+    "categories",
+)
+_PERSON_FRAME: Final = {person_frame_label(s, w): (s, w) for s in PERSON_SECTORS for w in DISTANCE_WORDS}
+_WINDOWS: Final = {
+    label: (degrees, left)
+    for labels, left in ((WINDOWS_LEFT, True), (WINDOWS_RIGHT, False))
+    for label, degrees in zip(labels, WINDOW_DEGREES, strict=True)
+}
+
+
+class Annotations(Places):
+    """One sequence's annotation tables, indexed by frame and by person."""
+
+    def __init__(self, tables: dict[str, pa.Table], rules: Rules) -> None:
+        super().__init__(tables, rules)
+        self._held: dict[tuple[Condition, int], dict[int, int]] = {}
+
+    @classmethod
+    def read(cls, store: Store, sequence: str, rules: Rules) -> Annotations:
+        """Read a sequence's tables; a layer that it lacks is empty. Raises StoreError for a broken file."""
+        tables = {}
+        for layer in _READ:
+            there = store.annotation_path(layer, sequence).exists()
+            tables[layer] = store.annotation(layer, sequence) if there else ANNOTATIONS[layer].empty_table()
+        return cls(tables, rules)
+
+    # -- descriptions -------------------------------------------------------------------------------------------
+
+    def holds(self, condition: Condition, track: int, frame: int) -> int:
+        """A condition of a description, of a person with a box at the frame."""
+        if condition.action is not None:
+            return self.state(track, condition.action, frame)
+        if condition.interaction is not None:
+            return self.interacts(track, condition.interaction, frame)
+        if condition.object is not None and condition.verb is not None:
+            return self.handles(track, condition.verb, condition.object, frame)
+        match condition.attribute, condition.value:
+            case ("gender" | "age") as name, str(wanted):
+                return self.attribute(track, name, wanted)
+            case "group_size", int(wanted):
+                size = self.group_size(track, frame)
+                return UNKNOWN if size is None else int(size == wanted)
+            case "sector", str(wanted):
+                return among(wanted, self.sectors(track, frame))
+            case "distance", str(wanted):
+                return among(wanted, self.distance_words(track, frame))
+        return UNKNOWN
+
+    def held(self, condition: Condition, frame: int) -> dict[int, int]:
+        """A condition of everybody with a box at the frame."""
+        key = (condition, frame)
+        if key not in self._held:
+            self._held[key] = {track: self.holds(condition, track, frame) for track in self.people(frame)}
+        return self._held[key]
+
+    def could_match(self, conditions: Iterable[Condition], frame: int) -> list[int]:
+        """Everybody at the frame whom none of the conditions excludes."""
+        facts = [self.held(condition, frame) for condition in conditions]
+        return [track for track in self.people(frame) if all(fact[track] != FALSE for fact in facts)]
+
+    def find(self, conditions: tuple[Condition, ...], frame: int) -> tuple[Result, int | None]:
+        """The one person of a description at a frame; `ambiguous`, `empty` or `unknown` where it is not one."""
+        if not self.knows(frame):
+            return "unknown", None
+        facts = [self.held(condition, frame) for condition in conditions]
+        return only({track: conjunction(fact[track] for fact in facts) for track in self.people(frame)})
+
+    # -- relations ----------------------------------------------------------------------------------------------
+
+    def related(self, relation: str, track: int, other: int, frame: int) -> int:
+        """Whether another person has the relation to a person; both have a box at the frame."""
+        if relation in INTERACTIONS:
+            return self.together(track, other, relation, frame)
+        if relation == SAME_GROUP:
+            return self.same_group(track, other, frame)
+        if relation in (FIRST_LEFT, FIRST_RIGHT):
+            return self.first_beside(track, other, frame, relation == FIRST_LEFT)
+        if relation in _PERSON_FRAME:
+            return self.seen_from(track, other, *_PERSON_FRAME[relation], frame)
+        if relation in _WINDOWS:
+            degrees, left = _WINDOWS[relation]
+            return self.within(track, other, degrees, frame, left)
+        return UNKNOWN
+
+    def step_to(self, relation: str, track: int, frame: int) -> tuple[Result, int | None]:
+        """The one other person at the frame to whom a relation leads from a person, or why there is none."""
+        others = [other for other in self.people(frame) if other != track]
+        return only({other: self.related(relation, track, other, frame) for other in others})
+
+
+def conjunction(facts: Iterable[int]) -> int:
+    """Whether all of the facts hold."""
+    found = set(facts)
+    return FALSE if FALSE in found else UNKNOWN if UNKNOWN in found else TRUE
+
+
+def only(facts: dict[int, int]) -> tuple[Result, int | None]:
+    """The one person of whom a fact is certain while it is false of everybody else; else what there is instead."""
+    could = [track for track, fact in facts.items() if fact != FALSE]
+    does = [track for track in could if facts[track] == TRUE]
+    if len(does) > 1:
+        return "ambiguous", None
+    if not could:
+        return "empty", None
+    return ("defined", does[0]) if could == does else ("unknown", None)

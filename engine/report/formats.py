@@ -1,0 +1,150 @@
+"""Rows as text: Markdown, CSV, LaTeX (booktabs), and cells as a person reads them."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from jrdb_avr.engine.console import clean
+
+_LATEX: Final = {
+    "\\": r"\textbackslash{}",
+    "&": r"\&",
+    "%": r"\%",
+    "$": r"\$",
+    "#": r"\#",
+    "_": r"\_",
+    "{": r"\{",
+    "}": r"\}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    # After the end of a row, and after a rule, a bracket would open an optional argument.
+    "[": "{[}",
+    "]": "{]}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+}
+
+_MARKDOWN: Final = {letter: f"\\{letter}" for letter in "\\`*[]|"} | {"&": "&amp;", "<": "&lt;"}
+
+_FORMULA: Final = ("=", "+", "-", "@", "\t", "\r")
+"""What a spreadsheet takes for the beginning of a formula."""
+
+Rows = Sequence[Mapping[str, Any]]
+
+
+_LEAST_P: Final = 0.0001
+
+
+def cell(value: object, column: str = "") -> str:
+    """A value of a column as a person reads it: two decimals, n/a for what is not known; of a p, four."""
+    if value is None:
+        return "n/a"
+    if column == "p" and isinstance(value, float):
+        return f"<{_LEAST_P}" if value < _LEAST_P else f"{value:.4f}"
+    return f"{value:.2f}" if isinstance(value, float) else str(value)
+
+
+def joined(rows: Rows) -> list[dict[str, str]]:
+    """Rows for people: a share with its interval in one column, `12.50 [8.10, 17.20]`."""
+    return [_joined(row) for row in rows]
+
+
+def _joined(row: Mapping[str, Any]) -> dict[str, str]:
+    text = {}
+    for name, value in row.items():
+        if name.endswith(("_low", "_high")):
+            continue
+        low, high = row.get(f"{name}_low"), row.get(f"{name}_high")
+        known = low is not None and high is not None
+        text[name] = f"{cell(value)} [{cell(low)}, {cell(high)}]" if known else cell(value, name)
+    return text
+
+
+def columns_of(rows: Rows) -> list[str]:
+    """Every column of any row, in the order of their first appearance."""
+    return list(dict.fromkeys(name for row in rows for name in row))
+
+
+def markdown(rows: Rows) -> str:
+    """A Markdown table."""
+    columns = columns_of(rows)
+    lines = [columns, ["---:" if _is_number(rows, name) else "---" for name in columns]]
+    lines += [[_in_markdown(cell(row.get(name), name)) for name in columns] for row in rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def latex(rows: Rows) -> str:
+    """A LaTeX table for the package booktabs; a rule where the first column's value changes.
+
+    A column of settings, which are long, has numbers, and lines below the table say what they stand for.
+    """
+    rows, notes = _numbered(rows)
+    columns = columns_of(rows)
+    layout = "".join("r" if _is_number(rows, name) else "l" for name in columns)
+    lines = [rf"\begin{{tabular}}{{{layout}}}", r"\toprule", _latex_row([name.replace("_", " ") for name in columns])]
+    before: object = None
+    for row in rows:
+        first = row.get(columns[0])
+        lines += [r"\midrule"] if first != before else []
+        lines.append(_latex_row([cell(row.get(name), name) for name in columns]))
+        before = first
+    lines += [r"\bottomrule", r"\end{tabular}"]
+    lines += [rf"\par{{\footnotesize {number}: {_in_latex(note)}}}" for number, note in enumerate(notes, 1)]
+    return "\n".join([*lines, ""])
+
+
+def _numbered(rows: Rows) -> tuple[Rows, list[str]]:
+    """Rows with each distinct setting as its number, and the settings in the order of their numbers."""
+    notes = list(dict.fromkeys(row["setting"] for row in rows if row.get("setting")))
+    if not notes:
+        return rows, []
+    places = {note: str(number) for number, note in enumerate(notes, 1)}
+    return [{**row, "setting": places.get(row.get("setting", ""), "")} for row in rows], notes
+
+
+def csv_text(rows: Rows) -> str:
+    """CSV with a heading; an unknown value is empty.
+
+    A text that a spreadsheet would take for a formula begins with an apostrophe: names of models are theirs to choose.
+    """
+    file = io.StringIO()
+    writer = csv.DictWriter(file, columns_of(rows), lineterminator="\n", restval="")
+    writer.writeheader()
+    writer.writerows({name: _in_csv(value) for name, value in row.items()} for row in rows)
+    return file.getvalue()
+
+
+def _in_csv(value: object) -> object:
+    if not isinstance(value, str):
+        return value
+    return clean(f"'{value}" if value.startswith(_FORMULA) else value)
+
+
+def _in_markdown(text: str) -> str:
+    return "".join(_MARKDOWN.get(letter, letter) for letter in _in_a_line(text))
+
+
+def _latex_row(cells: Sequence[str]) -> str:
+    return " & ".join(map(_in_latex, cells)) + r" \\"
+
+
+def _in_latex(text: str) -> str:
+    return "".join(_LATEX.get(letter, letter) for letter in _in_a_line(text))
+
+
+def _in_a_line(text: str) -> str:
+    return clean(" ".join(text.split()))
+
+
+def _is_number(rows: Rows, name: str) -> bool:
+    values = [row.get(name) for row in rows if row.get(name) is not None]
+    return bool(values) and all(isinstance(value, int | float) for value in values)
+
+
+def filled(rows: Rows) -> list[dict[str, Any]]:
+    """Rows that all have every column; what a row does not have is empty."""
+    columns = columns_of(rows)
+    return [{name: row.get(name, "") for name in columns} for row in rows]

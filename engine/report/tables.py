@@ -1,0 +1,238 @@
+"""Tables that compare runs: the main one, breakdowns, the ablation, pairs, and what runs cost. Rows of plain values,
+in percent of `n`, the questions asked; None where nothing was asked (shown as n/a).
+
+The tables of a report, by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import combinations
+from typing import Any, Final
+
+import numpy as np
+import pyarrow.compute as pc
+
+from jrdb_avr.engine.report.bootstrap import Interval, compare, intervals, mean_of_ratios, numbered_sums, ratio
+from jrdb_avr.engine.report.failures import evidence_failure_rows, wrong_choice_rows
+from jrdb_avr.engine.report.paper import ABLATION, BY_GROUP, MAIN, Published
+from jrdb_avr.engine.report.scored_runs import DIMENSIONS, SCORES, Facts, Judged, percent, share, told_apart
+from jrdb_avr.engine.report.scoring import Truth
+from jrdb_avr.queries.store import Store
+
+Row = dict[str, Any]
+
+_CELLS: Final = (
+    ("agent-passive-no-world", False, False),
+    ("agent-passive", False, True),
+    ("agent-no-world", True, False),
+    ("agent", True, True),
+)
+"""Cells of the ablation: method, active observation, world model."""
+
+_COSTS: Final = ("n_observations", "n_model_calls", "prompt_tokens", "completion_tokens", "seconds")
+
+
+# -- the main table ---------------------------------------------------------------------------------------------------
+
+
+def main_rows(facts: Facts, runs: Sequence[Judged], iou: float) -> list[Row]:
+    """A row per run: shares with 95 % intervals over sequences, and macro averages over families and paper groups."""
+    settings = told_apart(runs)
+    return [_main_row(facts, run, iou, settings[run.manifest.run_id]) for run in runs]
+
+
+def _main_row(facts: Facts, run: Judged, iou: float, setting: str) -> Row:
+    # Columns: the questions, the three scores, the answers without evidence.
+    base = np.concatenate([np.ones((run.n, 1)), run.scores, run.scores[:, :1] - run.scores[:, 2:]], axis=1)
+    found, cluster = np.unique(facts.labels["sequence"].numbers[run.rows], return_inverse=True)
+    sums = [numbered_sums(cluster, len(found), base)]
+    statistics = {name: ratio(place, 0) for place, name in enumerate(SCORES, 1)} | {"hallucination": ratio(4, 1)}
+    column = base.shape[1]
+    for title, dimension in (("families", "family"), ("groups", "group")):
+        labels = facts.labels[dimension]
+        count = len(labels.names)
+        parts = numbered_sums(cluster * count + labels.numbers[run.rows], len(found) * count, base[:, :4])
+        sums.append(parts.reshape(len(found), 4 * count))
+        for place, name in enumerate(SCORES, 1):
+            places = [(column + 4 * k + place, column + 4 * k) for k in range(count)]
+            statistics[f"{name}_macro_{title}"] = mean_of_ratios(places)
+        column += 4 * count
+    shares = intervals(np.concatenate(sums, axis=1), tuple(statistics.values()))
+    bounds = {name: _with_bounds(name, share) for name, share in zip(statistics, shares, strict=True)}
+    row = _head(run) | {"setting": setting, "n": run.n, "sequences": len(found)}
+    for name in (*SCORES, "hallucination"):
+        row |= bounds.pop(name)
+    row |= {"invalid": share(int(run.invalid.sum()), run.n), "errors": share(run.errors, run.n)}
+    for macro in bounds.values():
+        row |= macro
+    return row | {"iou": iou}
+
+
+def _head(run: Judged) -> Row:
+    manifest = run.manifest
+    label = "synthetic" if manifest.synthetic else ""
+    return {"run": manifest.run_id, "method": manifest.method, "model": manifest.model, "label": label}
+
+
+def _with_bounds(name: str, found: Interval) -> Row:
+    return {name: percent(found.value), f"{name}_low": percent(found.low), f"{name}_high": percent(found.high)}
+
+
+def published_rows() -> list[Row]:
+    """The paper's main table, in the columns of `main_rows` that it gives."""
+    return [_published(row) for row in MAIN]
+
+
+def _published(row: Published) -> Row:
+    return {
+        "run": "",
+        "method": row.method,
+        "model": row.model,
+        "label": row.source,
+        "n": sum(counts.n for counts in BY_GROUP.values()),
+        "answer": row.answer,
+        "evidence": row.evidence,
+        "combined": row.combined,
+        "hallucination": row.hallucination,
+    }
+
+
+# -- breakdowns -------------------------------------------------------------------------------------------------------
+
+
+def breakdown_rows(facts: Facts, runs: Sequence[Judged], dimension: str) -> list[Row]:
+    """A row per value of a dimension and run, the runs of a value together."""
+    labels = facts.labels[dimension]
+    columns = [np.concatenate([np.ones((run.n, 1)), run.scores, run.invalid[:, None]], axis=1) for run in runs]
+    sums = [
+        numbered_sums(labels.numbers[run.rows], len(labels.names), own).astype(np.int64).tolist()
+        for run, own in zip(runs, columns, strict=True)
+    ]
+    return [
+        {dimension: name, **_head(run), **_shares(*own[number])}
+        for number, name in enumerate(labels.names)
+        for run, own in zip(runs, sums, strict=True)
+        if own[number][0]
+    ]
+
+
+def published_groups() -> list[Row]:
+    """The paper's agent by its groups, in the columns of `breakdown_rows`."""
+    return [
+        {"group": group, "run": "", "method": "agent", "model": "Qwen3.5 9B", "label": "paper", "n": counts.n}
+        | {name: share(getattr(counts, name), counts.n) for name in SCORES}
+        | {"hallucination": share(counts.answer - counts.combined, counts.answer)}
+        for group, counts in BY_GROUP.items()
+    ]
+
+
+def score_row(run: Judged, iou: float) -> Row:
+    """A run's shares in short."""
+    head = {"run": run.manifest.run_id, "label": _head(run)["label"]}
+    return head | _shares(*_totals(run)) | {"errors": share(run.errors, run.n), "iou": iou}
+
+
+def _totals(run: Judged) -> list[int]:
+    """What `_shares` takes, of a whole run."""
+    return [run.n, *run.scores.sum(axis=0).tolist(), int(run.invalid.sum())]
+
+
+def _shares(n: int, answer: int, evidence: int, combined: int, invalid: int) -> Row:
+    return {
+        "n": n,
+        "answer": share(answer, n),
+        "evidence": share(evidence, n),
+        "combined": share(combined, n),
+        "hallucination": share(answer - combined, answer),
+        "invalid": share(invalid, n),
+    }
+
+
+# -- the ablation -----------------------------------------------------------------------------------------------------
+
+
+def ablation_rows(runs: Sequence[Judged], *, published: bool = False) -> list[Row]:
+    """The four cells, active observation by world model, of every model that ran one of them."""
+    settings = told_apart(runs)
+    places = {method: place for place, (method, _, _) in enumerate(_CELLS)}
+    among = [run for run in runs if run.manifest.method in places]
+    # The cells of a model stand together, and of those the ones of one setting.
+    among.sort(key=lambda run: (run.manifest.model, settings[run.manifest.run_id], places[run.manifest.method]))
+    rows: list[Row] = []
+    for run in among:
+        _, active, world = _CELLS[places[run.manifest.method]]
+        own = {"setting": settings[run.manifest.run_id]}
+        rows.append(_cell(active, world) | _head(run) | own | _shares(*_totals(run)))
+    if published:
+        rows += [_cell(active, world) | _published(ABLATION[method]) for method, active, world in _CELLS]
+    return rows
+
+
+def _cell(active: bool, world: bool) -> Row:
+    return {"active": "on" if active else "off", "world_model": "on" if world else "off"}
+
+
+# -- pairs ------------------------------------------------------------------------------------------------------------
+
+
+def pair_rows(facts: Facts, runs: Sequence[Judged]) -> list[Row]:
+    """For each two runs and score, on the questions that both were asked: the exact McNemar test and the difference."""
+    pairs, shared = [], []
+    for first, second in combinations(runs, 2):
+        common, mine, yours = np.intersect1d(first.rows, second.rows, assume_unique=True, return_indices=True)
+        if len(common):
+            pairs.append((first, second))
+            shared.append((facts.labels["sequence"].numbers[common], first.scores[mine], second.scores[yours]))
+    return [
+        {"first": first.manifest.run_id, "second": second.manifest.run_id, "score": name, "n": pair.n}
+        | {"only_first": pair.only_first, "only_second": pair.only_second, "p": pair.p}
+        | _with_bounds("difference", pair.difference)
+        for (first, second), found in zip(pairs, compare(shared), strict=True)
+        for name, pair in zip(SCORES, found, strict=True)
+    ]
+
+
+# -- cost -------------------------------------------------------------------------------------------------------------
+
+
+def cost_rows(runs: Sequence[Judged]) -> list[Row]:
+    """What a run took: means per question asked, and tokens per question that scores combined."""
+    rows = []
+    for run in runs:
+        totals = {name: _total(run, name) for name in _COSTS}
+        tokens, right = totals["prompt_tokens"] + totals["completion_tokens"], int(run.scores[:, 2].sum())
+        rows.append(
+            _head(run)
+            | {"n": run.n}
+            | {name.removeprefix("n_"): round(total / run.n, 3) if run.n else None for name, total in totals.items()}
+            | {"tokens_per_combined": round(tokens / right) if right else None}
+        )
+    return rows
+
+
+def _total(run: Judged, name: str) -> float:
+    return float(pc.sum(run.predictions[name]).as_py() or 0)
+
+
+Rows = list[dict[str, Any]]
+
+TABLES: Final = ("main", *DIMENSIONS, "ablation", "pairs", "wrong_choices", "evidence_failures", "cost")
+"""`main`: shares with intervals and macro averages; a dimension's name: a breakdown by it."""
+
+
+def report_table(
+    name: str, store: Store, truth: Truth, facts: Facts, runs: Sequence[Judged], iou: float, *, published: bool = False
+) -> Rows:
+    """One of `TABLES`; `published` adds the paper's figures to those that have some, labelled so."""
+    if name in DIMENSIONS:
+        return breakdown_rows(facts, runs, name) + (published_groups() if published and name == "group" else [])
+    make: dict[str, Callable[[], Rows]] = {
+        "main": lambda: main_rows(facts, runs, iou) + (published_rows() if published else []),
+        "ablation": lambda: ablation_rows(runs, published=published),
+        "pairs": lambda: pair_rows(facts, runs),
+        "wrong_choices": lambda: wrong_choice_rows(store, facts, runs),
+        "evidence_failures": lambda: evidence_failure_rows(store, truth, facts, runs),
+        "cost": lambda: cost_rows(runs),
+    }
+    return make[name]()

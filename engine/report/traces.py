@@ -1,0 +1,137 @@
+"""What a run did with one question: its steps, its looks, what it wrote into its world model, and the truth beside."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from jrdb_avr.engine.report.scoring import make_truth, score_predictions
+from jrdb_avr.queries.runs import RunManifest, read_run_manifest
+from jrdb_avr.queries.store import Store, read_table
+from jrdb_avr.schema.beliefs import Fact
+from jrdb_avr.schema.errors import InputError, StoreError
+from jrdb_avr.schema.panorama import WIDTH
+
+Row = Mapping[str, Any]
+
+_DIGITS: Final = 8
+"""More than frame ids have."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """A crop (with `angle` and `left`) or a whole panorama (`angle` None) that was shown at a step."""
+
+    step: int
+    frame: int
+    angle: float | None
+    left: int
+
+
+@dataclass(frozen=True)
+class Written:
+    """A line of the world model's record, its fact read."""
+
+    row: Row
+    fact: Fact
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One question of a run.
+
+    target: the boxes of the person asked about by frame, (x, y, w, h); scores: its row of the `scores` table.
+    """
+
+    manifest: RunManifest
+    question: Row
+    answer: Row
+    prediction: Row
+    steps: Sequence[Row]
+    looks: Sequence[Look]
+    writes: Sequence[Written]
+    target: Mapping[int, tuple[float, float, float, float]]
+    scores: Row
+    fps: float
+
+
+def read_trace(store: Store, run_id: str, question_id: str) -> Trace:
+    """Gather a question of a run. Raises StoreError where the run is missing or unfinished, InputError for a question
+    that it was not asked."""
+    manifest = read_run_manifest(store, run_id)
+    path = store.run_path(run_id)
+    if not (path / "predictions.parquet").exists():
+        raise StoreError(f"run {run_id} has no predictions yet: evaluate it to the end (the same call with --resume)")
+    predictions = _own(read_table(path / "predictions.parquet"), question_id)
+    if not predictions.num_rows:
+        raise InputError(f"run {run_id} was not asked question {question_id[:40]!r}", field="question_id")
+    own = {name: _own(store.questions(name), question_id) for name in ("questions", "answers", "evidence")}
+    if not own["questions"].num_rows:
+        raise InputError(f"no question {question_id[:40]!r} in {store.path}", field="question_id")
+    question = own["questions"].to_pylist()[0]
+    sequences = store.questions("sequences")
+    truth = make_truth(own["questions"], sequences, own["answers"], own["evidence"])
+    scores = score_predictions(truth, run_id, [question_id], predictions).to_pylist()[0]
+    fps = {row["sequence"]: row["fps"] for row in sequences.to_pylist()}
+    steps = sorted(_own(read_table(path / "steps.parquet"), question_id).to_pylist(), key=lambda row: row["step"])
+    world = path / "world.parquet"
+    written = _own(read_table(world), question_id).to_pylist() if world.exists() else []
+    return Trace(
+        manifest,
+        question,
+        own["answers"].to_pylist()[0],
+        predictions.to_pylist()[0],
+        steps,
+        tuple(look for step in steps if (look := look_of(step)) is not None),
+        tuple(Written(row, _fact(row["fact"], world)) for row in sorted(written, key=lambda row: row["number"])),
+        {row["frame"]: (row["x"], row["y"], row["w"], row["h"]) for row in own["evidence"].to_pylist()},
+        scores,
+        fps[question["sequence"]],
+    )
+
+
+class _Shown(msgspec.Struct):
+    frame_id: str
+    angle_deg: float | None = None
+    left: int | None = None
+
+
+_SHOWN = msgspec.json.Decoder(_Shown)
+
+
+def look_of(step: Row) -> Look | None:
+    """The look that a step of the transcript tells of; None for other steps, and for a look that was refused."""
+    shown = look_shown(step["response"]) if step["kind"] == "observe" else None
+    return None if shown is None else Look(step["step"], *shown)
+
+
+def look_shown(response: str) -> tuple[int, float | None, int] | None:
+    """Frame, angle and left column of what was shown, no angle and 0 of a whole panorama; None where nothing was.
+
+    A method of somebody's own may tell of its looks otherwise: they cannot be read.
+    """
+    try:
+        shown = _SHOWN.decode(response)
+    except (msgspec.DecodeError, UnicodeEncodeError):
+        return None
+    plain = shown.frame_id.isascii() and shown.frame_id.isdecimal() and len(shown.frame_id) < _DIGITS
+    if not plain or (shown.left is None) != (shown.angle_deg is None):
+        return None
+    return int(shown.frame_id), shown.angle_deg, (shown.left or 0) % WIDTH
+
+
+def _own(table: pa.Table, question_id: str) -> pa.Table:
+    return table.filter(pc.equal(table["question_id"], question_id))
+
+
+def _fact(text: str, path: Path) -> Fact:
+    try:
+        return msgspec.json.decode(text, type=Fact) if text else Fact()
+    except msgspec.DecodeError as error:
+        raise StoreError(f"{path} holds a fact that cannot be read ({error}): evaluate again") from None

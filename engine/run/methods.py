@@ -1,0 +1,163 @@
+"""The methods by name, as `evaluate --method` knows them: the edge at which the engine meets the agents.
+
+Methods of somebody's own: `evaluate --method FILE.py:NAME`, or `MODULE:NAME` of what is installed.
+
+NAME is called with the chat client, or None where the run has no model, and returns a `schema.method.Method`; its
+`settings()`, if it has them, are kept with the run. It is code of the user's own, run as such.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import importlib.util
+import re
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, Final
+
+from jrdb_avr.schema.errors import InputError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from jrdb_avr.agent.beliefs.world_model import World
+    from jrdb_avr.agent.model.client import Chat
+    from jrdb_avr.agent.model.conventions import Convention
+    from jrdb_avr.schema.method import Settled
+
+METHODS: Final = (
+    "monolithic",
+    "chain-of-thought",
+    "search-recognize",
+    "react",
+    "agent",
+    "agent-passive",
+    "agent-no-world",
+    "agent-passive-no-world",
+)
+
+WORLD_METHODS: Final = ("agent", "agent-passive")
+"""Those that keep a world model, and are given one."""
+
+
+@contextlib.contextmanager
+def open_world(path: Path, run_id: str, record: pa.Table) -> Iterator[World]:
+    """A run's world model in the graph file at `path`, which is made if there is none; closed at the end of the block.
+
+    record: the run's world rows so far; what the graph lacks of them is brought back first. Raises LockedError where
+    another process has the graph open, StoreError where it cannot be opened.
+    """
+    from jrdb_avr.agent.beliefs.world_model import World
+    from jrdb_avr.queries.beliefs.graph import WorldGraph
+    from jrdb_avr.queries.beliefs.record import open_to_replay, restore_world
+
+    with open_to_replay(path) as graph:
+        restore_world(graph, run_id, record)
+    with WorldGraph.open(path) as world:
+        yield World(world, run_id)
+
+
+def make_method(name: str, chat: Chat, convention: Convention, world: World | None = None) -> Settled:
+    """The method of a name in `METHODS`; one of `WORLD_METHODS` is given its world model."""
+    match name:
+        case "monolithic":
+            from jrdb_avr.agent.methods.monolithic import Monolithic
+
+            return Monolithic(chat, convention)
+        case "chain-of-thought":
+            from jrdb_avr.agent.methods.chain_of_thought import ChainOfThought
+
+            return ChainOfThought(chat, convention)
+        case "search-recognize":
+            from jrdb_avr.agent.methods.search_recognize import SearchRecognize
+
+            return SearchRecognize(chat, convention)
+        case "react":
+            from jrdb_avr.agent.methods.react import ReAct
+
+            return ReAct(chat, convention)
+        case "agent" | "agent-passive":
+            from jrdb_avr.agent.reference.method import ReferenceAgent
+
+            if world is None:
+                raise ValueError(f"the method {name!r} needs a world model")
+            return ReferenceAgent(chat, convention, world, looks=name == "agent")
+        case "agent-no-world" | "agent-passive-no-world":
+            from jrdb_avr.agent.reference.method import ReferenceAgent
+
+            return ReferenceAgent(chat, convention, looks=name == "agent-no-world")
+        case _:
+            raise ValueError(f"no method {name!r}")
+
+
+if TYPE_CHECKING:
+    from jrdb_avr.agent.model.client import Chat
+    from jrdb_avr.schema.method import Prediction, Task
+
+_SPEC: Final = re.compile(r"(?P<where>.+):(?P<name>[A-Za-z_][A-Za-z0-9_]*)")
+
+
+class OwnMethod:
+    """A method of somebody's own, with settings whether or not it has any."""
+
+    def __init__(self, spec: str, method: Any) -> None:
+        if not callable(getattr(method, "answer", None)) or not isinstance(getattr(method, "name", None), str):
+            raise InputError(
+                f"{spec}: what it makes is no method: it needs a 'name' and 'answer(task)'", field="method"
+            )
+        self._spec = spec
+        self._method = method
+
+    @property
+    def name(self) -> str:
+        return str(self._method.name)
+
+    def settings(self) -> dict[str, Any]:
+        """Where the method came from, and what it says of itself."""
+        own: Any = getattr(self._method, "settings", dict)()
+        return {"from": Path(self._spec).name, "settings": own}
+
+    def answer(self, task: Task) -> Prediction:
+        prediction: Prediction = self._method.answer(task)
+        return prediction
+
+
+def is_own(spec: str) -> bool:
+    """Whether the name of a method names somebody's own."""
+    return _SPEC.fullmatch(spec) is not None
+
+
+def own_method(spec: str, chat: Chat | None) -> OwnMethod:
+    """Make the method. Raises InputError, saying what is wrong, where it cannot be imported or made."""
+    found = _SPEC.fullmatch(spec)
+    if found is None:
+        raise InputError(f"{spec!r} is no method: write FILE.py:NAME or MODULE:NAME", field="method")
+    make: Callable[[Chat | None], Any] | None = getattr(_module(found["where"]), found["name"], None)
+    if not callable(make):
+        raise InputError(f"{found['where']} has no {found['name']} that can be called", field="method")
+    try:
+        return OwnMethod(spec, make(chat))
+    except TypeError as error:
+        raise InputError(
+            f"{spec} cannot be made ({error}): it is called with the chat client", field="method"
+        ) from None
+
+
+def _module(where: str) -> ModuleType:
+    try:
+        if not where.endswith(".py"):
+            return importlib.import_module(where)
+        spec = importlib.util.spec_from_file_location(Path(where).stem, where)
+        assert spec is not None and spec.loader is not None, "the name ends in .py"
+        module = importlib.util.module_from_spec(spec)
+        # Dataclasses of the file look their module up.
+        sys.modules.setdefault(spec.name, module)
+        spec.loader.exec_module(module)
+    except FileNotFoundError:
+        raise InputError(f"cannot read {where}: no such file", field="method") from None
+    except Exception as error:
+        raise InputError(f"cannot import {where} ({type(error).__name__}: {error})", field="method") from None
+    return module

@@ -1,0 +1,210 @@
+"""Interval tables -> the scene namespace of the graph, by COPY, with every table's rows counted afterwards.
+
+The graph is only an index: it holds what `intervals/` holds, keyed for traversal, and can be built again at any time.
+The rows of each sequence are first staged as Parquet files, one per table of the graph, by whichever process has the
+interval tables at hand; the engine then reads all files of a table of edges in one COPY. (Every further COPY into one
+rewrites what is there: 950,000 sightings in four took twice the time of one. As Arrow tables in memory they took half a
+gigabyte more.) Key points of a pose stay in `annotations/poses`: in the graph they would be most of its bytes.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.queries.store import Store, safe_sequence
+from jrdb_avr.schema.errors import StoreError
+from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS, STORAGE_VERSION, scene_ddl
+from jrdb_avr.schema.labels import ACTIONS, POSES
+from jrdb_avr.schema.tables import INTERVALS
+
+STAGE: Final = "scene"
+"""Folder of the staged files, inside the store that holds the interval tables; gone when the graph is built."""
+
+BATCH_ROWS: Final = 1_200_000
+"""Rows per COPY at most, unless one sequence has more: they take about 700 bytes each of the engine's memory."""
+
+
+def build_scene(graph: Graph, store: Store, sequences: Sequence[str]) -> dict[str, int | str]:
+    """Fill an empty graph from the interval tables of `sequences`; returns rows per table and the storage version.
+
+    Sequences that are not staged are staged first. Changes the process's working folder while it runs. Raises
+    StoreError where the graph ends up with other row counts than the tables.
+    """
+    stage = store.path / STAGE
+    try:
+        for sequence in sequences:
+            if not (stage / "Sequence" / f"{safe_sequence(sequence)}.parquet").exists():
+                stage_scene(store, sequence, {kind: store.interval(kind, sequence) for kind in INTERVALS})
+        for statement in scene_ddl():
+            graph.execute(statement)
+        copied = _copy_staged(graph, stage, sequences)
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
+    # What was copied must be there: the engine has no page checksums.
+    graph.execute("CHECKPOINT")
+    for table, expected in copied.items():
+        pattern = f"(n:{table})" if table in SCENE_NODES else f"()-[r:{table}]->()"
+        found = graph.query(f"MATCH {pattern} RETURN count(*) AS n")["n"][0].as_py()
+        if found != expected:
+            raise StoreError(f"the graph holds {found} rows of {table} instead of {expected}: load again")
+    return {**copied, "storage_version": STORAGE_VERSION}
+
+
+def stage_scene(store: Store, sequence: str, intervals: Mapping[str, pa.Table]) -> None:
+    """Write one sequence's rows of every table but `Action` into the stage of `store`; empty tables have no file.
+
+    Raises StoreError where the disk refuses.
+    """
+    path = store.path
+    try:
+        for table in _SOURCES:
+            rows = _shape(table, intervals)
+            if rows.num_rows:
+                path = store.path / STAGE / table / f"{safe_sequence(sequence)}.parquet"
+                path.parent.mkdir(parents=True, exist_ok=True)
+                pq.write_table(rows, path, compression="snappy")
+    except OSError as error:
+        raise StoreError(f"cannot write {path}: {str(error).splitlines()[0]}; free some space") from None
+
+
+def scene_rows(store: Store, sequences: Sequence[str]) -> Iterator[tuple[str, pa.Table]]:
+    """Every table of the scene namespace as (name, rows), sequence by sequence, nodes before edges.
+
+    Columns are as in the graph; edges begin with the two keys, `from` and `to`. Raises StoreError where an interval
+    table does not read.
+    """
+    names: set[str] = set()
+    for sequence in sequences:
+        names |= set(store.interval("actions", sequence)["action"].unique().to_pylist())
+    yield "Action", _actions(names)
+    for table in _SOURCES:
+        for sequence in sequences:
+            kinds = _GROUP_KINDS if table == "SocialGroup" else (_SOURCES[table][0],)
+            yield table, _shape(table, {kind: store.interval(kind, sequence) for kind in kinds})
+
+
+def _copy_staged(graph: Graph, stage: Path, sequences: Sequence[str]) -> dict[str, int]:
+    """COPY every table; returns its rows."""
+    copied = dict.fromkeys((*SCENE_NODES, *SCENE_RELS), 0)
+    names: set[str] = set()
+    for path in (stage / "Performs").glob("*.parquet"):
+        names |= set(pq.read_table(path, columns=["to"])["to"].unique().to_pylist())
+    actions = _actions(names)
+    graph.copy("Action", actions)
+    copied["Action"] = actions.num_rows
+    for table in _SOURCES:
+        for files, rows in _batches(stage / table, sequences):
+            if table in SCENE_NODES:
+                # Files are read side by side, and nodes are numbered as they come.
+                graph.copy(table, pa.concat_tables(pq.read_table(stage / table / name) for name in files))
+            else:
+                graph.copy_files(table, stage / table, files)
+            copied[table] += rows
+    return copied
+
+
+def _batches(folder: Path, sequences: Sequence[str]) -> Iterator[tuple[list[str], int]]:
+    """Names of staged files and their rows, in batches of whole sequences."""
+    batch: list[str] = []
+    rows = 0
+    for path in (folder / f"{sequence}.parquet" for sequence in sequences):
+        if not path.exists():
+            continue
+        more = pq.read_metadata(path).num_rows
+        if batch and rows + more > BATCH_ROWS:
+            yield batch, rows
+            batch, rows = [], 0
+        batch.append(path.name)
+        rows += more
+    if batch:
+        yield batch, rows
+
+
+# -- shapes ------------------------------------------------------------------------------------------------------
+
+Column = Callable[[pa.Table], pa.ChunkedArray | pa.Array]
+
+
+def _number_key(name: str) -> Column:
+    """`<sequence>/<number>`: the key of a person or a group."""
+    return lambda rows: pc.binary_join_element_wise(rows["sequence"], rows[name].cast(pa.string()), "/")
+
+
+def _frame_key(rows: pa.Table) -> pa.ChunkedArray:
+    """`<sequence>/<six digits>`: the key of a frame."""
+    return pc.binary_join_element_wise(rows["sequence"], pc.utf8_lpad(rows["frame"].cast(pa.string()), 6, "0"), "/")
+
+
+def _object_key(rows: pa.Table) -> pa.ChunkedArray:
+    """`<sequence>/<category id>:<track>`: the key of a thing."""
+    thing = pc.binary_join_element_wise(rows["category_id"].cast(pa.string()), rows["object"].cast(pa.string()), ":")
+    return pc.binary_join_element_wise(rows["sequence"], thing, "/")
+
+
+def _box(rows: pa.Table) -> pa.Array:
+    return pa.StructArray.from_arrays([rows[name].combine_chunks() for name in "xywh"], names=list("xywh"))
+
+
+def _renamed(name: str) -> Column:
+    return lambda rows: rows[name]
+
+
+_GROUP_KINDS: Final = ("memberships", "group_info")
+
+_SOURCES: Final[dict[str, tuple[str, dict[str, Column]]]] = {
+    "Sequence": ("sequence", {}),
+    "Frame": ("frames", {"id": _frame_key}),
+    "Person": ("persons", {"id": _number_key("track")}),
+    "Object": ("objects", {"id": _object_key, "track": _renamed("object")}),
+    "SocialGroup": ("memberships", {"id": _number_key("cluster")}),
+    "SeenIn": ("sightings", {"from": _number_key("track"), "to": _frame_key, "box": _box}),
+    "Performs": ("actions", {"from": _number_key("track"), "to": _renamed("action")}),
+    "MemberOf": ("memberships", {"from": _number_key("track"), "to": _number_key("cluster")}),
+    "Interacts": ("interactions", {"from": _number_key("source"), "to": _number_key("target")}),
+    "Beside": ("beside", {"from": _number_key("source"), "to": _number_key("target")}),
+    "Handles": ("handles", {"from": _number_key("track"), "to": _object_key}),
+}
+"""Per table of the graph but `Action`, nodes first: its kind of intervals, and the columns that these lack."""
+
+
+def _shape(table: str, intervals: Mapping[str, pa.Table]) -> pa.Table:
+    """One sequence's rows of a table of the graph: its columns, whole numbers as 64 bits, as the graph stores them."""
+    kind, made = _SOURCES[table]
+    rows = _groups(*(intervals[kind] for kind in _GROUP_KINDS)) if table == "SocialGroup" else intervals[kind]
+    if table in SCENE_NODES:
+        names = [column.split()[0] for column in SCENE_NODES[table].split(", ")]
+    else:
+        names = ["from", "to", *(column.split()[0] for column in SCENE_RELS[table][2])]
+    shaped = pa.table({name: made[name](rows) if name in made else rows[name] for name in names})
+    fields = [pa.field(f.name, pa.int64()) if pa.types.is_integer(f.type) else f for f in shaped.schema]
+    return shaped.cast(pa.schema(fields))
+
+
+def _actions(names: set[str]) -> pa.Table:
+    """The nodes `Action`: the vocabulary, and what else anybody was said to do."""
+    known = sorted(names | set(ACTIONS))
+    return pa.table({"name": known, "pose": [name in POSES for name in known]})
+
+
+def _groups(memberships: pa.Table, told: pa.Table) -> pa.Table:
+    """One row per cluster that anybody is a member of, with what was chosen of it; null where nothing was."""
+    clusters = memberships.group_by(["sequence", "cluster"]).aggregate([]).sort_by("cluster")
+    chosen = told.filter(told["chosen"]).sort_by([("cluster", "ascending"), ("value", "ascending")])
+    for name in ("venue", "aim", "bpc", "ssc", "location", "inter"):
+        said = chosen.filter(pc.equal(chosen["attribute"], name)).group_by("cluster", use_threads=False)
+        values = said.aggregate([("value", "list")])
+        if name == "venue":
+            values = values.set_column(
+                values.schema.get_field_index("value_list"), "value_list", pc.list_element(values["value_list"], 0)
+            )
+        row = pc.index_in(clusters["cluster"], values["cluster"].combine_chunks())
+        clusters = clusters.append_column(name, values["value_list"].combine_chunks().take(row.combine_chunks()))
+    return clusters

@@ -1,0 +1,160 @@
+"""The interval table `sightings`: everything known of a person in one frame, one row per 2D box.
+
+Sectors and distance words with their margins: which word is meant, and which other it could be near an edge.
+
+All margins are inclusive; a thousand-millionth of slack keeps decimals such as 0.55 on the edge they name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from jrdb_avr.loaders.intervals.people import Boxes, Faces, Groups, Labels, Located, rows_of
+from jrdb_avr.loaders.intervals.timeline import Timeline
+from jrdb_avr.loaders.labelfiles.columns import begins, constant, nullable, person_keys, texts
+from jrdb_avr.schema.arrays import Bools, Floats, Ints
+from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS, PERSON_SECTORS, ROBOT_SECTORS
+from jrdb_avr.schema.rules import LoadRules
+from jrdb_avr.schema.tables import INTERVALS
+
+SLACK: Final = 1e-9
+
+_FROM_BEHIND: Final = tuple(ROBOT_SECTORS.index(word) for word in ("behind", "left", "ahead", "right"))
+"""Robot sectors by growing panorama angle, the first centred on 0."""
+
+_PERSON_EDGES: Final = (30.0, 45.0, 135.0, 145.0)
+"""Edges of the sectors front, front side, side, back side, back, in degrees off a person's heading; inclusive."""
+_LEFT_ROUND: Final = tuple(PERSON_SECTORS.index(word) for word in ("front", "front left", "left", "back left", "back"))
+_RIGHT_ROUND: Final = tuple(
+    PERSON_SECTORS.index(word) for word in ("front", "front right", "right", "back right", "back")
+)
+
+
+def robot_sector(angle_deg: Floats, rules: LoadRules) -> tuple[Ints, Ints]:
+    """Of panorama angles: index into ROBOT_SECTORS, and of the other possible sector near an edge (else -1)."""
+    quarter = np.floor((angle_deg + 45.0) / 90.0).astype(np.int64)
+    offset = angle_deg - quarter * 90.0  # degrees past the sector's centre, [-45, 45)
+    near = 45.0 - np.abs(offset) <= rules.sector_margin_deg + SLACK
+    neighbor = quarter + np.where(offset < 0, -1, 1)
+    order = np.array(_FROM_BEHIND)
+    return order[quarter % 4], np.where(near, order[neighbor % 4], -1)
+
+
+def person_sector(bearing_deg: Floats, rules: LoadRules) -> tuple[Ints, Ints]:
+    """Of bearings off a person's heading, [-180, 180], left positive: index into PERSON_SECTORS, the other or -1."""
+    size = np.abs(bearing_deg)
+    edges = np.array(_PERSON_EDGES)
+    ring = np.searchsorted(edges, size, "left")
+    away = np.abs(size[:, None] - edges)
+    edge = away.argmin(axis=1)
+    near = away.min(axis=1) <= rules.narrow_sector_margin_deg + SLACK
+    # An edge has ring `edge` before it and ring `edge + 1` behind it.
+    other = np.where(ring == edge, edge + 1, edge)
+    names = np.where((bearing_deg >= 0)[:, None], np.array(_LEFT_ROUND), np.array(_RIGHT_ROUND))
+    row = np.arange(len(size))
+    return names[row, ring], np.where(near, names[row, other], -1)
+
+
+def distance_word(metres: Floats, rules: LoadRules) -> tuple[Ints, Ints]:
+    """Of distances: index into DISTANCE_WORDS, and of the other possible word near a bound (else -1)."""
+    bounds = np.array(DISTANCE_BOUNDS_M)
+    word = np.searchsorted(bounds, metres, "left")
+    away = np.abs(metres[:, None] - bounds)
+    near = away <= rules.distance_margin * bounds + SLACK
+    bound = near.argmax(axis=1)
+    other = np.where(word == bound, bound + 1, bound)
+    return word, np.where(near.any(axis=1), other, -1)
+
+
+N = TypeVar("N", bound=np.generic)
+
+
+def sightings_table(
+    line: Timeline,
+    boxes: Boxes,
+    labels: Labels,
+    groups: Groups,
+    located: Located,
+    listed: Mapping[str, Ints],
+    faces: Faces,
+    rules: LoadRules,
+) -> pa.Table:
+    """All sightings of a sequence, by frame and track. `listed`: per layer, the keys whose list was read."""
+    n = len(boxes.frame)
+    cluster_row = rows_of(person_keys(groups.frame, groups.track), boxes.keys)
+    sizes, size_known = group_sizes(line, boxes, groups, cluster_row)
+    place = rows_of(located.keys, boxes.keys)
+    here = place >= 0
+    face = rows_of(faces.keys, boxes.keys)
+    sector, sector_other = robot_sector(boxes.angle, rules)
+    distance = _take(located.distance, place)
+    word, word_other = distance_word(distance, rules)
+    center = np.stack([_take(located.center[:, i], place) for i in range(3)])
+    return pa.table(
+        {
+            "sequence": constant(line.sequence, n),
+            "frame": boxes.frame,
+            "track": boxes.track,
+            **{name: boxes.box[:, i] for i, name in enumerate("xywh")},
+            "angle": boxes.angle,
+            "occlusion": boxes.occlusion,
+            "no_eval": boxes.no_eval,
+            "clear": boxes.clear,
+            "face_visible": nullable(_take(faces.visible, face), face < 0, pa.bool_()),
+            "listed": boxes.listed,
+            **{f"{layer}_listed": rows_of(keys, boxes.keys) >= 0 for layer, keys in listed.items()},
+            "pose": texts(labels.names, certain_pose(boxes, labels)),
+            "cluster": nullable(_take(groups.cluster, cluster_row), cluster_row < 0, pa.int64()),
+            "group_size": nullable(sizes, ~size_known, pa.int32()),
+            "sector": texts(ROBOT_SECTORS, sector),
+            "sector_other": texts(ROBOT_SECTORS, sector_other),
+            "located": here,
+            "distance": nullable(distance, ~here, pa.float64()),
+            "distance_word": texts(DISTANCE_WORDS, np.where(here, word, -1)),
+            "distance_word_other": texts(DISTANCE_WORDS, np.where(here, word_other, -1)),
+            **{name: nullable(center[i], ~here, pa.float64()) for i, name in enumerate(("cx", "cy", "cz"))},
+            "heading": nullable(_take(located.heading, place), ~here, pa.float64()),
+        }
+    ).cast(INTERVALS["sightings"])
+
+
+def certain_pose(boxes: Boxes, labels: Labels) -> Ints:
+    """Per box: the action code of its one certain pose, -1 where the pose is unknown."""
+    pose = labels.certain & labels.is_pose[labels.action] if len(labels.action) else labels.certain
+    row = boxes.rows(labels.frame[pose], labels.track[pose])
+    result = np.full(len(boxes.frame), -1, np.int64)
+    result[row[row >= 0]] = labels.action[pose][row >= 0]
+    return result
+
+
+def group_sizes(line: Timeline, boxes: Boxes, groups: Groups, cluster_row: Ints) -> tuple[Ints, Bools]:
+    """Per box: people of the frame in the same cluster, oneself included, and whether that is known.
+
+    It is known where every person of the frame could be read and has a cluster row, and no row of the cluster is hard:
+    somebody without a row might belong to any group.
+    """
+    has_row = cluster_row >= 0
+    cluster, certain = _take(groups.cluster, cluster_row), _take(groups.certain, cluster_row)
+    # A person without a row takes part in no cluster; -1 - row keeps it apart from its neighbours.
+    order = np.lexsort((cluster, ~has_row, boxes.frame))
+    frame, cluster, has_row, certain = boxes.frame[order], cluster[order], has_row[order], certain[order]
+    group = np.cumsum(begins(frame, cluster) | ~has_row) - 1
+    members = np.bincount(group)
+    hard = np.bincount(group, weights=~certain) > 0
+    complete = np.isin(frame, line.frames_of("2d")) & ~np.isin(frame, frame[~has_row])
+    sizes, known = np.empty(len(frame), np.int64), np.empty(len(frame), np.bool_)
+    sizes[order] = members[group]
+    known[order] = complete & has_row & ~hard[group]
+    return sizes, known
+
+
+def _take(values: npt.NDArray[N], row: Ints) -> npt.NDArray[N]:
+    """Values at rows; zero where the row is -1."""
+    if not len(values):
+        return np.zeros(len(row), values.dtype)
+    return np.where(row >= 0, values[row], np.zeros(1, values.dtype))

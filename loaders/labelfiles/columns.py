@@ -1,0 +1,150 @@
+"""Columns of numbers and of Arrow values: keys of rows, runs of equal rows, texts by number, and counts of refusals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from jrdb_avr.loaders.problems import Problems
+from jrdb_avr.schema.arrays import Bools, Ints
+from jrdb_avr.schema.errors import InputError
+
+PAIR_BITS: Final = 31
+MAX_DISTINCT: Final = 100_000
+"""The most different values of one field in a file: labels repeat from frame to frame, and ids are a few hundred."""
+
+
+def paired(high: Ints, low: Ints) -> Ints:
+    """One number per pair of numbers below 2**31, which sorts by the first and then by the second."""
+    return (high << PAIR_BITS) | low
+
+
+def unpaired(pairs: Ints) -> tuple[Ints, Ints]:
+    """The two numbers of each pair that `paired` made."""
+    return pairs >> PAIR_BITS, pairs & ((1 << PAIR_BITS) - 1)
+
+
+def person_keys(frame: Ints, track: Ints) -> Ints:
+    """One sortable number per (frame, track)."""
+    return paired(frame, track)
+
+
+def whole_numbers(table: pa.Table, name: str) -> Ints:
+    """A column of whole numbers without nulls, as 64 bits."""
+    return np.asarray(table[name].to_numpy(), np.int64)
+
+
+def texts(values: Sequence[str], codes: Ints) -> pa.Array:
+    """Strings `values[code]`; null for negative codes."""
+    dictionary = pa.array(values, pa.string())
+    return dictionary.take(pa.array(codes, pa.int64(), mask=codes < 0))
+
+
+def ranked(column: pa.ChunkedArray) -> tuple[list[str], Ints]:
+    """The distinct texts of a column, ascending, and the place of each row's text among them; -1 for null."""
+    written = column.combine_chunks().dictionary_encode()
+    spelled = written.dictionary.to_pylist()
+    names = sorted(spelled)
+    place = {name: i for i, name in enumerate(names)}
+    rank = np.array([place[name] for name in spelled] + [-1], np.int64)
+    return names, rank[written.indices.fill_null(len(names)).to_numpy()]
+
+
+def constant(value: str, n: int) -> pa.Array:
+    """A column of `n` equal strings, numbered."""
+    return pa.DictionaryArray.from_arrays(np.zeros(n, np.int32), pa.array([value], pa.string()))
+
+
+def encoded(table: pa.Table, schema: pa.Schema) -> pa.Table:
+    """A table under a schema; texts that are numbered (dictionaries) stay so.
+
+    Few of them differ, and written out they would be most of the memory of a load.
+    """
+    fields = [
+        schema.field(name).with_type(column.type) if pa.types.is_dictionary(column.type) else schema.field(name)
+        for name, column in zip(table.column_names, table.columns, strict=True)
+    ]
+    return table.cast(pa.schema(fields))
+
+
+def nullable(values: npt.NDArray[Any], missing: Bools, kind: pa.DataType) -> pa.Array:
+    """Values as an Arrow array, null where `missing`."""
+    return pa.array(values, mask=missing).cast(kind)
+
+
+class Distinct(dict[Any, int]):
+    """Numbers distinct values in the order they come: `codes[value]` is the number, adding it where new.
+
+    Raises InputError beyond MAX_DISTINCT: memory is bounded by it.
+    """
+
+    def __missing__(self, value: Any) -> int:
+        if len(self) == MAX_DISTINCT:
+            raise InputError(f"more than {MAX_DISTINCT:,} different values of one field: is it a file of labels?")
+        self[value] = code = len(self)
+        return code
+
+
+class Refusals:
+    """Counts what is refused of records that came in file order, naming the frame of the first."""
+
+    def __init__(self, frame: Ints, suffix: str, problems: Problems) -> None:
+        self._frame = frame
+        self._suffix = suffix
+        self._problems = problems
+
+    def count(
+        self, where: Bools, kind: str, reason: str, field: str, value: Callable[[int], object] = lambda row: ""
+    ) -> None:
+        """Add the rows of a mask as one problem; `value` gives the offending value of a row."""
+        n = int(where.sum())
+        if n:
+            row = int(where.argmax())
+            self.add(kind, reason, field, row, value(row), n)
+
+    def add(self, kind: str, reason: str, field: str, row: int, value: object, count: int) -> None:
+        """Add a problem of `count` rows, of which `row` is the first."""
+        frame = f"{int(self._frame[row]):06d}.{self._suffix}"
+        self._problems.add(kind, reason, frame=frame, field=field, value=value, count=count)
+
+
+def mask_of(rows: Ints, n: int) -> Bools:
+    """A mask over `n` rows, True at `rows`."""
+    mask = np.zeros(n, np.bool_)
+    mask[rows] = True
+    return mask
+
+
+def first_of_equal(keys: Ints) -> tuple[Ints, Bools]:
+    """A stable ascending order of `keys`, and a mask over it: True at the first of each run of equal keys."""
+    order = np.argsort(keys, kind="stable")
+    return order, begins(keys[order])
+
+
+def distinct_of(ascending: Ints) -> Ints:
+    """The distinct values of an ascending array; much faster than sorting or hashing them again."""
+    return ascending[begins(ascending)]
+
+
+def begins(*columns: Ints) -> Bools:
+    """Mask of the rows that differ from the row before in any column; the first row begins too."""
+    new = np.ones(len(columns[0]), np.bool_)
+    new[1:] = np.logical_or.reduce([column[1:] != column[:-1] for column in columns])
+    return new
+
+
+def ragged(counts: Ints) -> tuple[Ints, Ints]:
+    """For groups of `counts` members: the group of each member, and its place in the group."""
+    group = np.repeat(np.arange(len(counts)), counts)
+    start = np.cumsum(counts) - counts
+    return group, np.arange(len(group)) - np.repeat(start, counts)
+
+
+def known_frames(frames: Ints, rows: Ints) -> tuple[Ints, Ints]:
+    """The frames that a layer knows, ascending, with the number of `rows` (one frame number each) in each."""
+    rows = np.sort(rows)
+    return frames, np.searchsorted(rows, frames, "right") - np.searchsorted(rows, frames, "left")

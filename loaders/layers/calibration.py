@@ -1,0 +1,143 @@
+"""The cameras of a JRDB root: `calibration/cameras.yaml` -> the table `calibration`, and a check of our constants.
+
+Under `cameras`, each `sensor_N` has a `width`, a `height` and a 3x3 matrix `K`, written as nine numbers in one text:
+fx 0 cx, 0 fy cy, 0 0 1, in pixels. The layout is that of the file JRDB publishes (also in StanfordVL/JRMOT_ROS). The
+rows of the panorama follow from the medians of fy and cy over the cameras (`schema.panorama`).
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import yaml
+
+from jrdb_avr.loaders.labelfiles import records as fields
+from jrdb_avr.loaders.labelfiles.columns import constant
+from jrdb_avr.loaders.labelfiles.frames import read_file
+from jrdb_avr.loaders.layers.layer import Reading
+from jrdb_avr.loaders.problems import Problems, shorten
+from jrdb_avr.loaders.report import Cameras
+from jrdb_avr.schema.errors import InputError
+from jrdb_avr.schema.panorama import FOCAL_ROWS, HORIZON_ROW
+from jrdb_avr.schema.tables import ANNOTATIONS
+
+MAX_BYTES: Final = 64 << 10
+"""Twenty times the real file; the parser takes a second for a file of this size."""
+MAX_PIXELS: Final = 100_000
+TOLERANCE: Final = 0.05
+"""Share by which the cameras' medians may differ from the panorama's constants."""
+
+_NUMBER: Final = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
+
+Row = tuple[str, int | None, int | None, float, float, float, float]
+
+
+def load_calibration(path: Path, sequence: str, problems: Problems) -> Reading:
+    """The cameras of a root, for one sequence. Raises InputError if the file as a whole cannot be used."""
+    rows: list[Row] = []
+    for name, node in _cameras(path, problems).items():
+        try:
+            rows.append(_camera(name, node, problems))
+        except ValueError as error:
+            problems.add("record", str(error), frame=name, field="K")
+    columns: list[tuple[Any, ...]] = list(zip(*sorted(rows), strict=True)) or [()] * 7
+    names = ANNOTATIONS["calibration"].names[1:]
+    values = {
+        name: pa.array(column, ANNOTATIONS["calibration"].field(name).type)
+        for name, column in zip(names, columns, strict=True)
+    }
+    table = pa.table({"sequence": constant(sequence, len(rows)), **values}).cast(ANNOTATIONS["calibration"])
+    return Reading({"calibration": table}, {})
+
+
+def cameras_check(table: pa.Table) -> Cameras | None:
+    """The medians beside the constants that rows of the panorama are computed with; None without cameras."""
+    if not table.num_rows:
+        return None
+    fy, cy = float(np.median(table["fy"].to_numpy())), float(np.median(table["cy"].to_numpy()))
+    agrees = abs(fy / FOCAL_ROWS - 1) <= TOLERANCE and abs(cy / HORIZON_ROW - 1) <= TOLERANCE
+    return Cameras(table.num_rows, fy, FOCAL_ROWS, cy, HORIZON_ROW, agrees)
+
+
+def _cameras(path: Path, problems: Problems) -> dict[str, yaml.Node]:
+    """The nodes under `cameras` by name. Only the tree of the text is built, and no value of it: aliases are not
+    followed, and tags make nothing."""
+    text = read_file(path)
+    if len(text) > MAX_BYTES:
+        raise InputError(f"{path.name}: larger than the limit of {MAX_BYTES >> 10} kB", file=path.name)
+    try:
+        top = yaml.compose(text.decode(), yaml.SafeLoader)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f" in line {mark.line + 1}" if mark else ""
+        raise InputError(f"{path.name}: not YAML{where}", file=path.name) from None
+    except (RecursionError, UnicodeError, ValueError):
+        raise InputError(f"{path.name}: not YAML that can be read", file=path.name) from None
+    cameras = _members(top, "", problems).get("cameras")
+    if not isinstance(cameras, yaml.MappingNode):
+        raise InputError(f'{path.name}: there is no mapping "cameras"', file=path.name)
+    return _members(cameras, "cameras", problems)
+
+
+def _members(node: yaml.Node | None, place: str, problems: Problems) -> dict[str, yaml.Node]:
+    """The members of a mapping, first of equal keys; of any other node none."""
+    found: dict[str, yaml.Node] = {}
+    for key, value in node.value if isinstance(node, yaml.MappingNode) else ():
+        if not isinstance(key, yaml.ScalarNode):
+            problems.add("field", "key is no text", frame=place)
+        elif key.value in found:
+            problems.add("field", "key twice, the first is kept", frame=place, field=shorten(key.value))
+        else:
+            found[key.value] = value
+    return found
+
+
+def _camera(name: str, node: yaml.Node, problems: Problems) -> Row:
+    """A row of the table. Raises ValueError where there is no usable matrix."""
+    shown = fields.text(name)
+    values = _members(node, shown, problems)
+    sizes: list[int | None] = []
+    for field in ("width", "height"):
+        size = values.get(field)
+        try:
+            sizes.append(None if size is None else fields.whole(_scalar(size), 1, MAX_PIXELS))
+        except ValueError as error:
+            sizes.append(None)
+            problems.add("field", str(error), frame=shown, field=field)
+    if "K" not in values:
+        raise ValueError("K is missing")
+    matrix = [_number(text) for text in _texts(values["K"])]
+    if len(matrix) != 9:
+        raise ValueError("K: not nine numbers")
+    fx, _, cx, zero, fy, cy = matrix[:6]
+    if not (fx > 0 and fy > 0 and zero == 0 and matrix[6:] == [0, 0, 1]):
+        raise ValueError("K: not the matrix of a camera")
+    if max(fx, fy, abs(cx), abs(cy)) > MAX_PIXELS:
+        raise ValueError("K: number out of range")
+    return shown, sizes[0], sizes[1], fx, fy, cx, cy
+
+
+def _texts(node: yaml.Node) -> list[str]:
+    """The nine texts of a matrix: one text, a list, or three lists of three."""
+    if isinstance(node, yaml.ScalarNode):
+        return str(node.value).split()
+    if not isinstance(node, yaml.SequenceNode):
+        raise ValueError("K: not nine numbers")
+    parts = [part.value if isinstance(part, yaml.SequenceNode) else [part] for part in node.value[:10]]
+    return [_scalar(inner) for part in parts for inner in part[:10]]
+
+
+def _scalar(node: yaml.Node) -> str:
+    if not isinstance(node, yaml.ScalarNode):
+        raise ValueError("not a number")
+    return str(node.value)
+
+
+def _number(text: str) -> float:
+    if not _NUMBER.fullmatch(text):
+        raise ValueError("K: not nine numbers")
+    return fields.number(float(text))

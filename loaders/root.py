@@ -1,0 +1,237 @@
+"""Where a JRDB root keeps the layers, and which sequences it has.
+
+Releases differ: some have a `labels/` level, some name the folders of train and test differently, and the stitched 2D
+boxes also come inside the richer label files. Folders are chosen per sequence: where the first folder of a layer lacks
+a sequence, the next one serves it. Folders of single cameras, of heads and anything else in a root are ignored.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from jrdb_avr.loaders.problems import Problem, Problems, shorten
+from jrdb_avr.queries.store import safe_sequence
+from jrdb_avr.schema.errors import InputError
+
+LABEL_DIRS: Final[dict[str, tuple[str, ...]]] = {
+    "2d": ("labels_2d_stitched",),
+    "3d": ("labels_3d",),
+    "social": ("labels_2d_activity_social_stitched", "labels_2d_social"),
+    "reasoning": ("labels_2d_stitched_new_version", "labels_2d_stitched_test_new_version1"),
+    "pose": ("labels_2d_pose_stitched_coco", "pose_stitched"),
+    "panoptic": ("labels_2d_panoptic_stitched_CW*", "labels_2d_panoptic_stitched_OW*"),
+}
+"""Folder names per layer, of files `<sequence>.json`. A star stands for a suffix; the name without one comes first."""
+
+TIMESTAMPS: Final = "timestamps"
+CALIBRATION: Final = "calibration"
+LAYER_FILES: Final = (*LABEL_DIRS, TIMESTAMPS, CALIBRATION)
+"""Layers by their files, in the order in which they are read."""
+
+BOXES_ELSEWHERE: Final = ("social", "reasoning")
+"""Layers whose files hold the 2D layer's records too; they serve a sequence that has no file of 2D boxes."""
+
+CAMERAS_FILE: Final = "cameras.yaml"
+IMAGE_DIRS: Final = ("images/image_stitched", "image_stitched")
+
+_IMAGE: Final = re.compile(r"([0-9]{6})\.jpg")
+_ONE_CAMERA: Final = re.compile(r".+_(?:image|camera_)[0-9]")
+"""Names of the files of single cameras, which some releases keep beside the stitched ones."""
+
+
+@dataclass(frozen=True)
+class SequenceFiles:
+    """What belongs to one sequence: its files by layer, and its folder of panoramas. Plain paths, so workers get them.
+
+    `timestamps` is the sequence's folder; `calibration` the file that all sequences of the root share.
+    """
+
+    sequence: str
+    labels: dict[str, str]
+    images: str | None
+
+    @property
+    def weight(self) -> int:
+        """Bytes of label files; unreadable ones count nothing."""
+        sizes = 0
+        for path in self.labels.values():
+            try:
+                sizes += Path(path).stat().st_size
+            except OSError:
+                continue
+        return sizes
+
+
+@dataclass(frozen=True)
+class Root:
+    """What a JRDB root holds."""
+
+    path: Path
+    image_root: Path | None
+    sequences: tuple[SequenceFiles, ...]
+    """By name."""
+    problems: tuple[Problem, ...]
+    """Folders that could not be read, and label files whose names cannot be sequence names."""
+    notes: tuple[str, ...]
+    """Folders in which there are no label files."""
+
+
+def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None = None) -> Root:
+    """Look through a JRDB root.
+
+    `layer_dirs` gives folders, relative to the root or absolute, that are looked in instead of the usual ones of a
+    layer; no folder at all leaves the layer out. Raises InputError where the root is missing or holds no label files,
+    where a given folder is missing, and for a layer that is none of `LAYER_FILES`.
+    """
+    root = Path(path)
+    if not _is_folder(root):
+        raise InputError(f"{root} is not a folder: give the folder that holds labels/ or labels_2d_stitched/")
+    search = _Search(root)
+    given = {layer: search.given(layer, names) for layer, names in (layer_dirs or {}).items()}
+    files: dict[str, dict[str, str]] = {}
+    for layer in LABEL_DIRS:
+        for folder in given[layer] if layer in given else search.usual(layer):
+            for file in search.label_files(folder):
+                sequence = search.sequence(file)
+                if sequence is not None:
+                    files.setdefault(sequence, {}).setdefault(layer, str(file))
+    if not files and not search.problems:
+        wanted = ", ".join(names[0].removesuffix("*") for names in LABEL_DIRS.values())
+        raise InputError(f"{root} holds nothing to load: no .json files in {wanted}, with or without labels/")
+    image_root = next((folder for name in IMAGE_DIRS if search.is_folder(folder := root / name)), None)
+    sequences = []
+    for sequence in sorted(files):
+        found = files[sequence]
+        if "2d" not in given:
+            elsewhere = next((found[layer] for layer in BOXES_ELSEWHERE if layer in found), None)
+            if elsewhere is not None:
+                found.setdefault("2d", elsewhere)
+        for layer in (TIMESTAMPS, CALIBRATION):
+            name = sequence if layer == TIMESTAMPS else CAMERAS_FILE
+            for folder in given[layer] if layer in given else (root / layer, root / "labels" / layer):
+                if search.exists(folder / name):
+                    found.setdefault(layer, str(folder / name))
+        images = image_root / sequence if image_root else None
+        sequences.append(SequenceFiles(sequence, found, str(images) if images and search.is_folder(images) else None))
+    return Root(root, image_root, tuple(sequences), tuple(search.problems), tuple(search.notes))
+
+
+class _Search:
+    """Looks into folders, and keeps the problems and notes for the report."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.problems: list[Problem] = []
+        self.notes: list[str] = []
+        self._names = {base: self._listing(base) or frozenset() for base in (root / "labels", root)}
+
+    def given(self, layer: str, names: Sequence[str]) -> list[Path]:
+        """Folders that somebody asked for. Raises InputError where one is missing or the layer is unknown."""
+        if layer not in LAYER_FILES:
+            raise InputError(f"there is no layer {layer}: choose from {', '.join(LAYER_FILES)}")
+        folders = [self.root / name for name in names]
+        for folder in folders:
+            if not _is_folder(folder):
+                raise InputError(f"{folder}, given for the layer {layer}, is not a folder")
+        return folders
+
+    def usual(self, layer: str) -> list[Path]:
+        """The folders of a layer that exist, the preferred one first."""
+        found = []
+        for name in LABEL_DIRS[layer]:
+            stem = name.removesuffix("*")
+            fits = {
+                entry
+                for entries in self._names.values()
+                for entry in entries
+                if entry == stem or (stem != name and entry.startswith(stem))
+            }
+            found += [base / entry for entry in sorted(fits) for base in self._names if entry in self._names[base]]
+        return found
+
+    def label_files(self, folder: Path) -> list[Path]:
+        """The .json files of stitched labels in a folder, by name."""
+        entries = self._listing(folder)
+        if entries is None:
+            return []
+        names = [name for name in entries if name.endswith(".json") and not _ONE_CAMERA.fullmatch(name[:-5])]
+        if not names:
+            self.notes.append(f"{self._shown(folder)} holds no label files of sequences")
+        return [folder / name for name in sorted(names)]
+
+    def sequence(self, file: Path) -> str | None:
+        """The sequence of a label file; None, with the reason counted, where its name cannot be one."""
+        try:
+            return safe_sequence(file.stem)
+        except InputError:
+            self._refuse(file.name, f"in {self._shown(file.parent)}: file name cannot be a sequence name")
+            return None
+
+    def is_folder(self, path: Path) -> bool:
+        """Whether there is a folder; False, with the reason counted, where that cannot be seen."""
+        try:
+            return path.is_dir()
+        except OSError as error:
+            self._refuse(self._shown(path), f"folder cannot be read: {error.strerror}")
+            return False
+
+    def exists(self, path: Path) -> bool:
+        """Whether there is anything of that name, a link to nothing too; what cannot be seen is left to the reader."""
+        try:
+            path.lstat()
+        except (FileNotFoundError, NotADirectoryError):
+            return False
+        except OSError:
+            pass
+        return True
+
+    def _listing(self, folder: Path) -> frozenset[str] | None:
+        """The names in a folder, none if it is missing; None, with the reason counted, if it cannot be read."""
+        try:
+            with os.scandir(folder) as entries:
+                return frozenset(entry.name for entry in entries)
+        except FileNotFoundError:
+            return frozenset()
+        except OSError as error:
+            self._refuse(self._shown(folder), f"folder cannot be read: {error.strerror}")
+            return None
+
+    def _refuse(self, name: str, reason: str) -> None:
+        problems = Problems(name)
+        problems.add("file", reason)
+        self.problems += problems.listed()
+
+    def _shown(self, folder: Path) -> str:
+        return shorten(str(folder.relative_to(self.root)) if folder.is_relative_to(self.root) else str(folder), 200)
+
+
+def image_frames(folder: str | None) -> list[int]:
+    """Frame numbers of the panoramas `000000.jpg`, ... in a folder, ascending. Raises InputError if unreadable."""
+    if folder is None:
+        return []
+    try:
+        with os.scandir(folder) as entries:
+            named = [(_IMAGE.fullmatch(entry.name), entry) for entry in entries]
+            return sorted(int(match[1]) for match, entry in named if match and _is_file(entry))
+    except OSError as error:
+        name = Path(folder).name
+        raise InputError(f"{name}: the folder of images cannot be read: {error.strerror}", file=name) from None
+
+
+def _is_file(entry: os.DirEntry[str]) -> bool:
+    try:
+        return entry.is_file()
+    except OSError:  # a link that leads round in a circle
+        return False
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError:
+        return False

@@ -1,0 +1,199 @@
+"""One sequence's files -> its annotation tables: every layer is read by its own loader, then brought together.
+
+A layer whose boxes show that its frame numbers are not those of the 2D boxes is refused as a whole. The reasoning file
+serves the social facts only where no usable social file did.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from jrdb_avr.loaders.intervals.persons import disagreements
+from jrdb_avr.loaders.intervals.spans import absent_partners
+from jrdb_avr.loaders.labelfiles.columns import constant
+from jrdb_avr.loaders.layers.boxes_2d import load_2d
+from jrdb_avr.loaders.layers.boxes_3d import heading_check, load_3d
+from jrdb_avr.loaders.layers.calibration import cameras_check, load_calibration
+from jrdb_avr.loaders.layers.frame_offset import check_shift, tracks_of
+from jrdb_avr.loaders.layers.layer import Reading
+from jrdb_avr.loaders.layers.panoptic import load_panoptic
+from jrdb_avr.loaders.layers.pose import load_pose
+from jrdb_avr.loaders.layers.social_files import load_reasoning, load_social
+from jrdb_avr.loaders.layers.timestamps import frame_rate, load_timestamps
+from jrdb_avr.loaders.problems import Problem, Problems, shorten
+from jrdb_avr.loaders.report import Cameras, Disagreement, Heading, ShiftCheck, Stamps, UnknownLabel
+from jrdb_avr.loaders.root import LAYER_FILES, SequenceFiles, image_frames
+from jrdb_avr.schema.arrays import Ints
+from jrdb_avr.schema.errors import InputError
+from jrdb_avr.schema.tables import ANNOTATIONS, LAYERS
+
+READERS: Final[dict[str, Callable[[Path, str, Problems], Reading]]] = {
+    "2d": load_2d,
+    "3d": load_3d,
+    "social": load_social,
+    "pose": load_pose,
+    "panoptic": load_panoptic,
+    "timestamps": load_timestamps,
+    "calibration": load_calibration,
+}
+"""Loaders of single files, but for the reasoning file: its loader has to know what the social file gave."""
+
+SOCIAL_FACTS: Final = ("demographics", "interactions", "group_info")
+NOT_LABELS: Final = ("timestamps", "images")
+"""Layers that hold no labels: that they know a frame does not make it annotated."""
+
+
+@dataclass(frozen=True)
+class Annotated:
+    """All annotation tables of a sequence, and what the load report says of it."""
+
+    tables: dict[str, pa.Table]
+    """Every table of `ANNOTATIONS`; empty where nothing could be read."""
+    frames: dict[str, tuple[Ints, Ints]]
+    """Per layer found: its frames and the records in each; empty where no label file could be used."""
+    unknown: list[UnknownLabel]
+    problems: list[Problem]
+    heading: Heading | None
+    shifts: list[ShiftCheck]
+
+    @property
+    def label_frames(self) -> Ints:
+        """Frames of any layer of labels, ascending."""
+        known = [frames for layer, (frames, _) in self.frames.items() if layer not in NOT_LABELS]
+        return np.unique(np.concatenate(known)) if known else np.empty(0, np.int64)
+
+    @property
+    def disagreements(self) -> list[Disagreement]:
+        """People and groups of whom the labels do not say the same everywhere."""
+        return disagreements(self.tables)
+
+    @property
+    def absent_partners(self) -> int:
+        """Interactions that gave no fact, as one of the two people has no 2D box in the frame."""
+        return absent_partners(self.tables["interactions"], self.tables["boxes_2d"])
+
+    @property
+    def stamps(self) -> Stamps | None:
+        """What the timestamps say; None without any."""
+        table = self.tables["timestamps"]
+        images = table.filter(pc.equal(table["sensor"], "images"))
+        rate = frame_rate(images["frame"].to_numpy(), images["timestamp"].to_numpy())
+        return Stamps(len(images), len(table) - len(images), rate) if len(table) else None
+
+    @property
+    def cameras(self) -> Cameras | None:
+        """The cameras' medians beside the panorama's constants; None without a calibration."""
+        return cameras_check(self.tables["calibration"])
+
+
+def annotate(files: SequenceFiles) -> Annotated:
+    """Read every file of a sequence. A file that cannot be used as a whole is a problem, never an error."""
+    readings: dict[str, Reading] = {}
+    problems: list[Problems] = []
+    shifts: list[ShiftCheck] = []
+    for layer in LAYER_FILES:
+        if layer not in files.labels:
+            continue
+        path = Path(files.labels[layer])
+        problems.append(Problems(path.name, layer))
+        try:
+            reading = _read(layer, path, files.sequence, readings, problems[-1])
+        except InputError as error:
+            # Problems counted in its frames and records no longer matter: none of them was kept.
+            problems[-1] = Problems(path.name, layer)
+            problems[-1].add("file", str(error))
+            continue
+        check = None if files.labels.get("2d") == str(path) else _check(layer, reading, readings)
+        if check is not None:
+            shifts.append(check)
+            if check.result == "shifted":
+                problems[-1].add("file", check.reason, value=shorten(path.name))
+                continue
+        readings[layer] = reading
+    return _together(files, readings, problems, shifts)
+
+
+def _read(layer: str, path: Path, sequence: str, readings: dict[str, Reading], problems: Problems) -> Reading:
+    if layer != "reasoning":
+        return READERS[layer](path, sequence, problems)
+    social = readings.get("social")
+    served = social is not None and any(len(social.frames[fact][0]) for fact in SOCIAL_FACTS if fact in social.frames)
+    return load_reasoning(path, sequence, problems, social=not served)
+
+
+def _check(layer: str, reading: Reading, readings: dict[str, Reading]) -> ShiftCheck | None:
+    """The frame numbers of a file beside those of the 2D boxes; None for a layer without boxes."""
+    boxes = tracks_of(layer, reading)
+    if boxes is None:
+        return None
+    reference = tracks_of("2d", readings["2d"]) if "2d" in readings else None
+    return check_shift(layer, boxes, reference)
+
+
+def _together(
+    files: SequenceFiles, readings: dict[str, Reading], problems: list[Problems], shifts: list[ShiftCheck]
+) -> Annotated:
+    tables: dict[str, pa.Table] = {}
+    frames: dict[str, tuple[Ints, Ints]] = {}
+    unknown: Counter[tuple[str, str]] = Counter()
+    for reading in readings.values():
+        # Two files may say which lists could be read: one those of interactions, another those of things.
+        both = [part["listed"] for part in (tables, reading.tables) if "listed" in part]
+        tables |= reading.tables
+        if both:
+            tables["listed"] = pa.concat_tables(both)
+        frames |= reading.frames
+        unknown += reading.unknown
+    if any(len(known) for layer, (known, _) in frames.items() if layer not in NOT_LABELS):
+        pictures: list[int] = []
+        try:
+            pictures = image_frames(files.images)
+        except InputError as error:
+            problems.append(Problems(error.file, "images"))
+            problems[-1].add("file", str(error))
+        frames["images"] = np.array(pictures, np.int64), np.ones(len(pictures), np.int64)
+    else:
+        frames = {}
+    heading = heading_check(tables["boxes_3d"]) if "boxes_3d" in tables else None
+    tables["frames"] = _frames_table(files.sequence, frames)
+    return Annotated(
+        {layer: tables.get(layer, schema.empty_table()) for layer, schema in ANNOTATIONS.items()},
+        frames,
+        [UnknownLabel(*key, count) for key, count in sorted(unknown.items())],
+        [problem for layer in _once(files, problems) for problem in layer.listed()],
+        heading,
+        shifts,
+    )
+
+
+def _once(files: SequenceFiles, problems: list[Problems]) -> list[Problems]:
+    """The problems, those of a file that serves the 2D boxes and another layer named once."""
+    boxes = next((found for found in problems if found.layer == "2d"), None)
+    for found in problems:
+        if boxes is not None and found is not boxes and files.labels.get(found.layer) == files.labels["2d"]:
+            found.without(boxes)
+    return problems
+
+
+def _frames_table(sequence: str, frames: dict[str, tuple[Ints, Ints]]) -> pa.Table:
+    parts = [
+        pa.table(
+            {
+                "sequence": constant(sequence, len(frames[layer][0])),
+                "layer": constant(layer, len(frames[layer][0])),
+                "frame": frames[layer][0],
+                "records": frames[layer][1],
+            }
+        ).cast(ANNOTATIONS["frames"])
+        for layer in LAYERS
+        if layer in frames
+    ]
+    return pa.concat_tables(parts) if parts else ANNOTATIONS["frames"].empty_table()

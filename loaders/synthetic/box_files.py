@@ -1,0 +1,306 @@
+"""The box files of a simulated sequence, frame by frame: base 2D with actions and groups, and 3D.
+
+The files tell the truth of the world, with the annotators' habits of the real ones: hard labels (mostly of people who
+are covered), dropouts, several spellings of one value, and at low rates each awkward case that these layers hold. None
+of them states a wrong fact as certain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from jrdb_avr.loaders.synthetic.script import NONE, POSE
+from jrdb_avr.loaders.synthetic.world import FLOOR, World, rng_of
+from jrdb_avr.schema.arrays import Bools, Ints
+from jrdb_avr.schema.labels import OCCLUSIONS, OTHER_ACTIONS, POSES
+from jrdb_avr.schema.panorama import WIDTH
+
+HARD: Final = 3
+NOBODY: Final = 9000
+"""Number of a person who is in no other record."""
+OCCLUSION_BOUNDS: Final = (0.08, 0.30, 0.90)
+"""Covered shares where fully visible, mostly visible and severely occluded end."""
+FILE_ID_SHIFT: Final = 2
+"""Sequences numbered like the 2022 train release say another file name inside than their key."""
+
+
+def occlusion(world: World) -> Ints:
+    """Places in OCCLUSIONS, (frames, people)."""
+    return np.asarray(np.digitize(world.covered, OCCLUSION_BOUNDS), np.int64)
+
+
+def spans(rng: np.random.Generator, where: Bools, per_frame: float, least: int, most: int) -> Bools:
+    """Random spans of `least` to `most` frames that begin, with this chance per frame, where `where` holds."""
+    out = np.zeros_like(where)
+    starts = np.argwhere(where & (rng.random(where.shape) < per_frame))
+    for frame, person in starts.tolist():
+        out[frame : frame + int(rng.integers(least, most + 1)), person] = True
+    return out
+
+
+def annotated(world: World) -> Bools:
+    """Who has a 2D box, (frames, people): those present, without the annotators' dropouts of people out of sight."""
+    rng = rng_of(world.seed, world.name, "dropouts")
+    hidden = occlusion(world) >= 2
+    # Shorter than three keyframes, so that a dropout never looks like an absence.
+    return world.present & ~(spans(rng, hidden, 0.0006, 6, 22) & hidden)
+
+
+def difficulty(world: World) -> tuple[Ints, Ints]:
+    """Difficulty of the actions (frames, people, 3: pose and the two others) and of the group (frames, people)."""
+    rng = rng_of(world.seed, world.name, "difficulty")
+    frames, count = world.present.shape
+    covered = occlusion(world) >= 2
+    ticks = int(world.tick[-1]) + 1
+    # One draw per person, and action while it lasts: a label does not turn hard and back while nothing changes.
+    draw = np.empty((frames, count, 4))
+    states = [world.pose, world.actions[..., 0], world.actions[..., 1], world.cluster]
+    for k, state in enumerate(states):
+        changed = np.vstack([np.ones((1, count), bool), state[1:] != state[:-1]])
+        fresh = rng.random((frames, count))
+        last = np.maximum.accumulate(np.where(changed, np.arange(frames)[:, None], 0), axis=0)
+        draw[..., k] = np.take_along_axis(fresh, last, axis=0)
+    hard_if = np.where(covered, 0.52, 0.05)[..., None]
+    middle = np.floor(rng.random((ticks, count))[world.tick] * 2).astype(np.int64) + 1
+    level = np.where(draw < hard_if, HARD, middle[..., None])
+    group_hard = draw[..., 3] < np.where(covered, 0.36, 0.03)
+    return level[..., :3], np.where(group_hard, HARD, middle)
+
+
+class Quirks:
+    """Which records are written in an awkward way; each a (frames, people) mask or one draw per record."""
+
+    def __init__(self, world: World) -> None:
+        rng = rng_of(world.seed, world.name, "quirks")
+        shape = world.present.shape
+        everywhere = np.ones(shape, bool)
+        hidden = occlusion(world) >= 2
+        bare = np.all(world.actions == NONE, axis=-1)
+        self.number_form = rng.choice(3, size=shape, p=[0.90, 0.08, 0.02])
+        self.truncated_form = rng.choice(4, size=shape, p=[0.70, 0.20, 0.05, 0.05])
+        self.float_box = rng.random(shape) < 0.05
+        self.past_seam: Bools = rng.random((shape[1],)) < 0.5
+        self.no_occlusion = spans(rng, hidden, 0.0002, 1, 3)
+        self.no_eval = spans(rng, hidden, 0.0004, 10, 40)
+        self.no_eval_3d = spans(rng, hidden, 0.0015, 10, 40)
+        # Of a group, those left would be told as fewer than they are.
+        single = np.array([len(world.parties[person.party].members) == 1 for person in world.people])
+        self.no_group = spans(rng, hidden, 0.0005, 5, 30) & (world.apart | single)
+        # A list without the truth in it would deny what is true: only where there is nothing to deny but the pose.
+        self.no_actions = spans(rng, hidden, 0.0004, 5, 20) & bare
+        self.empty_actions = spans(rng, hidden, 0.0004, 5, 20) & bare
+        self.impossible = spans(rng, hidden, 0.0004, 5, 20) & bare
+        self.no_pose = spans(rng, hidden, 0.0002, 5, 20)
+        self.two_poses = (world.pose == POSE["bending"]) & (rng.random((shape[1],)) < 0.06)
+        self.spelling = spans(rng, everywhere, 0.0005, 5, 60)
+        self.unknown_word = spans(rng, hidden, 0.0001, 5, 30)
+        self.no_points = spans(rng, hidden, 0.003, 5, 30)
+        self.no_distance = spans(rng, everywhere, 0.0003, 1, 10)
+        self.no_3d = spans(rng, hidden, 0.0008, 5, 30)
+        self.turns = rng.choice([-1, 0, 1], size=shape, p=[0.1, 0.8, 0.1])
+        self.points_noise = rng.uniform(0.7, 1.3, shape)
+        # A box cut at the image's edge, where the smaller part is a sliver; only of people who are hardly visible.
+        self.sliver: Bools = hidden & (rng.random(shape) < 0.5)
+        self.old_numbering = world.name.endswith(("_0", "_1"))
+        self.foreign = int(rng.integers(0, world.frames)) if world.name.endswith("_1") else -1
+        self.flat = int(rng.integers(0, world.frames)) if world.name.endswith("_2") else -1
+        self.lost_2d = (world.frames // 15 // 2) * 15 + 7 if world.name.endswith("_2") else -1
+        self.lost_3d = range(30, 33) if world.name.endswith("_0") else range(0)
+        self.empty_2d = world.frames - 2 if world.name.endswith("_3") else -1
+        self.empty_3d = 4 if world.name.endswith("_2") else -1
+
+
+_OTHER_SPELLINGS: Final = {
+    "holding sth": "holding something",
+    "looking at sth": "looking_at_sth",
+    "looking into sth": "Looking into something",
+    "interaction with door": "opening the door",
+    "talking to someone": "talking-to-someone",
+}
+
+
+@dataclass(frozen=True)
+class LabelFrame:
+    """One frame of `labels_2d_stitched`: its key, the places of the people with a box, and a record for each of them.
+
+    `foreign`: records of nobody. Box files with more in them hold the same records, extended.
+    """
+
+    frame: int
+    key: str
+    people: list[int]
+    records: list[dict[str, Any]]
+    foreign: list[dict[str, Any]]
+
+
+def frames_2d(world: World, quirks: Quirks) -> Iterator[LabelFrame]:
+    """The frames of `labels_2d_stitched/<sequence>.json`, in order."""
+    here = annotated(world)
+    occluded = occlusion(world)
+    actions_level, group_level = difficulty(world)
+    names = cluster_names(world)
+    for frame in range(world.frames):
+        if frame == quirks.lost_2d:
+            continue
+        rows: list[dict[str, Any]] = []
+        people = [] if frame == quirks.empty_2d else np.flatnonzero(here[frame]).tolist()
+        file_frame = frame + FILE_ID_SHIFT if quirks.old_numbering else frame
+        boxes = world.boxes[frame].tolist()
+        for i in people:
+            box = written_box(boxes[i], quirks, frame, i)
+            record: dict[str, Any] = {
+                "label_id": f"pedestrian:{world.people[i].track}",
+                "file_id": f"{file_frame:06d}.jpg",
+                "box": box,
+                "attributes": _attributes(quirks, frame, i, int(occluded[frame, i]), box),
+            }
+            listed = _action_label(world, quirks, frame, i, actions_level[frame, i].tolist())
+            if listed is not None:
+                record["action_label"] = listed
+            if not quirks.no_group[frame, i]:
+                cluster = names[int(world.cluster[frame, i])]
+                record["social_group"] = {"cluster_ID": cluster, "cluster_stat": int(group_level[frame, i])}
+                if listed and not world.apart[frame, i] and len(world.parties[world.people[i].party].members) > 2:
+                    record["social_activity"] = {POSES[int(world.pose[frame, i])]: 1.0}
+            rows.append(record)
+        foreign: list[dict[str, Any]] = []
+        if rows and frame == quirks.foreign:
+            foreign = [{**rows[0], "label_id": "person:-1"}]
+        elif rows and frame == quirks.flat:
+            x, y, w, h = rows[0]["box"]
+            foreign = [
+                {**rows[0], "label_id": f"pedestrian:{NOBODY}", "box": [x, y, 0, h]},
+                {**rows[0], "label_id": f"pedestrian:{NOBODY + 1}", "box": [x, y, w, -h]},
+            ]
+        yield LabelFrame(frame, f"{frame:06d}.jpg", people, rows, foreign)
+
+
+def cluster_names(world: World) -> list[int]:
+    """The number that the files give to each cluster of the world.
+
+    A party that comes after another one is gone may take its number again: people who never meet share it.
+    """
+    count = len(world.parties) + len(world.people)
+    names: list[int] = rng_of(world.seed, world.name, "clusters").permutation(max(1000, count))[:count].tolist()
+    here = [world.present[:, party.members].any(axis=1) for party in world.parties]
+    gone = [int(np.flatnonzero(one)[-1]) if one.any() else world.frames for one in here]
+    begun = [int(np.argmax(one)) if one.any() else -1 for one in here]
+    free = list(range(len(world.parties)))
+    for late, party in enumerate(world.parties):
+        # Only of parties of one are no facts of a group kept under the number.
+        early = next((k for k in free if gone[k] < begun[late]), None) if len(party.members) == 1 else None
+        if early is not None:
+            names[late] = names[early]
+            free = [k for k in free if k not in (early, late)]
+    return names
+
+
+def written_box(box: list[int], quirks: Quirks, frame: int, i: int) -> list[float]:
+    """The box as annotators left it: whole numbers or floats; over the seam with x < 0 or reaching past 3760."""
+    x, y, w, h = box
+    x %= WIDTH
+    if x + w > WIDTH:
+        inside = WIDTH - x
+        if quirks.sliver[frame, i] and min(inside, w - inside) <= 10:
+            return [x, y, inside, h] if inside <= w - inside else [0, y, w - inside, h]
+        if not quirks.past_seam[i]:
+            x -= WIDTH
+    if quirks.float_box[frame, i]:
+        return [float(x), float(y), float(w), float(h)]
+    return [x, y, w, h]
+
+
+def _attributes(quirks: Quirks, frame: int, i: int, occluded: int, box: list[float]) -> dict[str, Any]:
+    out: dict[str, Any] = {
+        "area": float(box[2] * box[3]),
+        "interpolated": frame % 15 != 0,
+        "no_eval": bool(quirks.no_eval[frame, i]),
+    }
+    if quirks.no_occlusion[frame, i]:
+        return out
+    out["occlusion"] = OCCLUSIONS[occluded]
+    cut = box[1] <= 0 or box[1] + box[3] >= 480
+    form = int(quirks.truncated_form[frame, i])
+    if form == 0:
+        out["truncated"] = "true" if cut else "false"
+    elif form == 1:
+        out["truncated"] = cut
+    elif form == 2:
+        out["truncated"] = None
+    return out
+
+
+def _action_label(world: World, quirks: Quirks, frame: int, i: int, levels: list[int]) -> dict[str, Any] | None:
+    """name -> difficulty, or None where the key is missing."""
+    if quirks.no_actions[frame, i]:
+        return None
+    if quirks.empty_actions[frame, i]:
+        return {}
+    if quirks.impossible[frame, i]:
+        return {"impossible": 1}
+    form = int(quirks.number_form[frame, i])
+    out: dict[str, Any] = {}
+    if not quirks.no_pose[frame, i]:
+        out[POSES[int(world.pose[frame, i])]] = _coded(levels[0], form)
+        if quirks.two_poses[frame, i]:
+            out["standing"] = _coded(levels[0], form)
+    for action, level in zip(world.actions[frame, i].tolist(), levels[1:], strict=True):
+        if action != NONE:
+            name = OTHER_ACTIONS[action]
+            if quirks.spelling[frame, i]:
+                name = _OTHER_SPELLINGS.get(name, name)
+            out[name] = _coded(level, form)
+    if quirks.unknown_word[frame, i]:
+        out["waiting for sth"] = _coded(2, form)
+    return out
+
+
+def _coded(level: int, form: int) -> int | float | str:
+    return (level, float(level), str(level))[form]
+
+
+def lidar_points(world: World, quirks: Quirks) -> Ints:
+    """Lidar points on each body, (frames, people)."""
+    # A box holds some points even of those whom no camera sees: the lidars stand elsewhere.
+    visible = np.maximum(1.0 - world.covered, 0.02)
+    # They thin out with the square of the distance.
+    points = np.round(9000 * world.height * world.width * visible / world.distance**2 * quirks.points_noise)
+    return np.where(quirks.no_points, 0, np.maximum(points, 1)).astype(np.int64)
+
+
+def frames_3d(world: World, quirks: Quirks) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+    """Keys and records of `labels_3d/<sequence>.json`, in order."""
+    motion = world.motion
+    file_shift = FILE_ID_SHIFT if quirks.old_numbering else 0
+    turned = np.pi - motion.heading + 2 * np.pi * quirks.turns
+    cz = FLOOR + motion.z + world.height / 2
+    points = lidar_points(world, quirks)
+    keep = world.present & ~quirks.no_3d
+    columns = np.stack([motion.x, motion.y, cz, world.width, world.height, turned, world.distance], axis=-1)
+    columns = np.round(columns, 3)
+    for frame in range(world.frames):
+        if frame in quirks.lost_3d:
+            continue
+        rows: list[dict[str, Any]] = []
+        places = columns[frame].tolist()
+        for i in [] if frame == quirks.empty_3d else np.flatnonzero(keep[frame]).tolist():
+            x, y, z, wide, high, rot, distance = places[i]
+            attributes: dict[str, Any] = {
+                "distance": None if quirks.no_distance[frame, i] else distance,
+                "interpolated": True,
+                "no_eval": bool(quirks.no_eval_3d[frame, i]),
+                "num_points": int(points[frame, i]),
+            }
+            rows.append(
+                {
+                    "label_id": f"pedestrian:{world.people[i].track}",
+                    "file_id": f"{frame + file_shift:06d}.pcd",
+                    "box": {"cx": x, "cy": y, "cz": z, "l": wide, "w": wide, "h": high, "rot_z": rot},
+                    "attributes": attributes,
+                }
+            )
+        yield f"{frame:06d}.pcd", rows

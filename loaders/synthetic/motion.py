@@ -1,0 +1,146 @@
+"""Where everybody is: paths of the robot and the people, per frame, in the robot's frame (x forward, y left)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from jrdb_avr.loaders.synthetic.script import POSE, SPEED, Rng, Script
+from jrdb_avr.schema.arrays import Floats, Ints
+from jrdb_avr.schema.labels import POSES
+from jrdb_avr.schema.rules import FPS
+
+LEAST_DISTANCE = 1.7
+"""Metres: nobody comes nearer to the robot."""
+STEP_RISE = 0.2
+"""Metres per second that stairs lead up."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Per frame: the robot (frames, 3) as x, y, yaw in the world; people (frames, people) in the robot's frame, metres
+    and radians; `z` is the height of the feet above the floor."""
+
+    robot: Floats
+    x: Floats
+    y: Floats
+    z: Floats
+    heading: Floats
+
+
+def to_robot(robot: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """World points in the robot's frame; `robot` (..., 3) must broadcast with the points."""
+    dx, dy = x - robot[..., 0], y - robot[..., 1]
+    c, s = np.cos(robot[..., 2]), np.sin(robot[..., 2])
+    return c * dx + s * dy, -s * dx + c * dy
+
+
+def move(rng: Rng, script: Script, ticks: Ints) -> Motion:
+    """Paths of a sequence; `ticks` gives the tick of each frame."""
+    robot = _robot(rng, len(ticks))
+    speed_of = np.array([SPEED.get(name, 0.0) for name in POSES])
+    lead = [party.members[0] for party in script.parties]
+    speed = np.where(script.moving, speed_of[script.pose[:, lead]], 0.0)[ticks]
+    base_x, base_y, course = _party_paths(rng, script, speed, robot)
+    party = np.array([person.party for person in script.people])
+    offset_x, offset_y = _offsets(rng, script, ticks)
+    x, y = to_robot(robot[:, None, :], base_x[:, party] + offset_x, base_y[:, party] + offset_y)
+    distance = np.hypot(x, y)
+    push = np.maximum(1.0, LEAST_DISTANCE / np.maximum(distance, 1e-6))
+    x, y = x * push, y * push
+    course = course[:, party] - robot[:, 2:3]
+    heading = np.where(speed[:, party] > 0, course, _facing(rng, script, ticks, x, y, robot))
+    return Motion(robot, x, y, _heights(script, ticks), np.arctan2(np.sin(heading), np.cos(heading)))
+
+
+def _robot(rng: Rng, frames: int) -> Floats:
+    """Stands in some sequences; else drifts within a few metres and turns slowly."""
+    t = np.arange(frames) / FPS
+    out = np.zeros((frames, 3))
+    if rng.random() < 0.3:
+        return out
+    for axis, reach in ((0, 1.6), (1, 1.2), (2, 0.25)):
+        period = rng.uniform(40, 80)
+        out[:, axis] = reach * np.sin(2 * np.pi * t / period + rng.uniform(0, 2 * np.pi)) * rng.uniform(0.5, 1.0)
+    return out
+
+
+def _party_paths(rng: Rng, script: Script, speed: Floats, robot: Floats) -> tuple[Floats, Floats, Floats]:
+    """World positions and courses of the parties, (frames, parties): from waypoint to waypoint inside their zones."""
+    frames, count = speed.shape
+    near = np.array([party.near for party in script.parties])
+    far = np.array([party.far for party in script.parties])
+    bearing = np.array([party.bearing for party in script.parties])
+    spread = np.array([party.spread for party in script.parties])
+
+    def waypoints() -> Floats:
+        angle = bearing + rng.uniform(-1, 1, count) * spread
+        radius = rng.uniform(near, far)
+        return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+
+    position, goal = waypoints(), waypoints()
+    course = np.arctan2(*(goal - position).T[::-1])
+    xs, ys, courses = np.empty((frames, count)), np.empty((frames, count)), np.empty((frames, count))
+    for frame in range(frames):
+        gap = goal - position
+        reached = np.hypot(gap[:, 0], gap[:, 1]) < 0.4
+        if reached.any():
+            # Of some next places the farthest: people walk straight for seconds, not round in circles.
+            places = np.stack([waypoints() for _ in range(4)])
+            away = np.hypot(*np.moveaxis(places - position, -1, 0))
+            farthest = places[away.argmax(axis=0), np.arange(count)]
+            goal = np.where(reached[:, None], farthest, goal)
+            gap = goal - position
+        turn = np.arctan2(gap[:, 1], gap[:, 0]) - course
+        turn = np.arctan2(np.sin(turn), np.cos(turn))
+        course = course + np.clip(turn, -0.25, 0.25)
+        step = speed[frame] / FPS
+        position = position + step[:, None] * np.stack([np.cos(course), np.sin(course)], axis=1)
+        # Round the robot, not through it.
+        away = position - robot[frame, :2]
+        distance = np.hypot(away[:, 0], away[:, 1])
+        position = robot[frame, :2] + away * np.maximum(1.0, LEAST_DISTANCE / np.maximum(distance, 1e-6))[:, None]
+        xs[frame], ys[frame], courses[frame] = position[:, 0], position[:, 1], course
+    return xs, ys, courses
+
+
+def _offsets(rng: Rng, script: Script, ticks: Ints) -> tuple[Floats, Floats]:
+    """Places of the members in their party, (frames, people), metres; those apart are some metres away."""
+    count = len(script.people)
+    angle, radius = np.zeros(count), np.zeros(count)
+    for party in script.parties:
+        size = len(party.members)
+        if size > 1:
+            start = rng.uniform(0, 2 * np.pi)
+            angle[list(party.members)] = start + 2 * np.pi * np.arange(size) / size
+            radius[list(party.members)] = 0.45 + 0.13 * size
+    reach = np.where(script.apart, 2.2 + radius, radius)[ticks]
+    # Nobody jumps: joining and leaving take two seconds.
+    window = 31
+    padded = np.pad(reach, ((window // 2, window // 2), (0, 0)), mode="edge")
+    total = np.cumsum(np.vstack([np.zeros((1, count)), padded]), axis=0)
+    smooth = (total[window:] - total[:-window]) / window
+    return smooth * np.cos(angle), smooth * np.sin(angle)
+
+
+def _facing(rng: Rng, script: Script, ticks: Ints, x: Floats, y: Floats, robot: Floats) -> Floats:
+    """Headings of those at rest: the middle of the party, else a direction of one's own, in the robot's frame."""
+    out = np.empty_like(x)
+    for party in script.parties:
+        members = list(party.members)
+        if len(members) > 1:
+            middle_x = x[:, members].mean(axis=1, keepdims=True)
+            middle_y = y[:, members].mean(axis=1, keepdims=True)
+            out[:, members] = np.arctan2(middle_y - y[:, members], middle_x - x[:, members])
+        else:
+            out[:, members] = rng.uniform(-np.pi, np.pi) - robot[:, 2:3]
+    return out
+
+
+def _heights(script: Script, ticks: Ints) -> Floats:
+    """Feet above the floor, metres, (frames, people)."""
+    rise = np.where(script.pose == POSE["going upstairs"], STEP_RISE, 0.0)
+    rise = rise - np.where(script.pose == POSE["going downstairs"], STEP_RISE, 0.0)
+    per_frame = rise[ticks] / FPS
+    return np.maximum(0.0, np.cumsum(per_frame, axis=0))

@@ -1,0 +1,354 @@
+"""Who is in a sequence of the sample world, and what each does: states that change once per second.
+
+Time runs in *ticks* of about a second. Each holds one state of every person, and begins between two keyframes
+(the first with the sequence). Arrays have the shape (ticks, people).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from jrdb_avr.schema.arrays import Bools, Ints
+from jrdb_avr.schema.labels import AGES, GENDERS, OTHER_ACTIONS, POSES
+
+Rng = np.random.Generator
+
+POSE: Final = {name: i for i, name in enumerate(POSES)}
+ACTION: Final = {name: i for i, name in enumerate(OTHER_ACTIONS)}
+NONE: Final = -1
+
+MOVING: Final = {
+    "walking": 0.40,
+    "running": 0.13,
+    "cycling": 0.15,
+    "skating": 0.10,
+    "scootering": 0.10,
+    "going upstairs": 0.12,
+}
+"""Shares of what people do when they move; stairs are gone down again by those who went up."""
+PATIENT_REST: Final = 0.55
+"""Share of the rests of patient parties that are one held pose; the others are two with a moment between them."""
+STILL: Final = {"standing": 0.46, "sitting": 0.36, "bending": 0.13, "lying": 0.05}
+SPEED: Final = {
+    "walking": 1.1,
+    "running": 2.4,
+    "cycling": 2.6,
+    "skating": 1.9,
+    "scootering": 1.9,
+    "going upstairs": 0.5,
+    "going downstairs": 0.5,
+}
+"""Metres per second; all other poses stand still."""
+
+PATIENT: Final = 0.65
+"""Share of the parties of one or two in the open that stay: they hold a pose for thirteen seconds or longer, change to
+another for a moment, and hold one again."""
+HELD: Final = (13, 22)
+"""Seconds that the patient hold a pose; the upper bound is not reached."""
+HIDDEN: Final = 0.29
+"""Share of the parties that stay behind the partitions."""
+SPREAD: Final = 0.4
+"""Radians to either side of its bearing that a party in the open moves."""
+
+ETHNICITIES: Final = ("Caucasian/White", "Negroid/Black", "Mongoloid/Asian", "Others")
+"""As the label files spell them."""
+
+_ON_THE_MOVE: Final = (
+    "holding sth",
+    "looking at robot",
+    "looking at sth",
+    "talking on the phone",
+    "pointing at sth",
+    "pushing",
+    "pulling",
+    "greeting gestures",
+)
+_AT_REST: Final = (
+    "holding sth",
+    "looking at robot",
+    "looking into sth",
+    "looking at sth",
+    "typing",
+    "interaction with door",
+    "eating sth",
+    "talking on the phone",
+    "pointing at sth",
+    "reading",
+    "greeting gestures",
+    "writing",
+)
+
+
+@dataclass(frozen=True)
+class Person:
+    """What does not change of a person. `identity` is what the mark shows; it tells nothing about `track`."""
+
+    track: int
+    identity: int
+    party: int
+    gender: str
+    age: str
+    ethnicity: str
+    height: float
+
+
+@dataclass(frozen=True)
+class Party:
+    """People who come and move together. Polar zone, in metres and radians, where they stay; `hidden` ones are the
+    crowd behind the partitions, `patient` ones stay and hold their poses for long."""
+
+    members: tuple[int, ...]
+    hidden: bool
+    patient: bool
+    near: float
+    far: float
+    bearing: float
+    spread: float
+
+
+@dataclass(frozen=True)
+class Script:
+    """States per tick: pose and up to two actions as places in the vocabularies (NONE for no action), whether the
+    person is there, whether it stands apart from its party, and per party whether it moves."""
+
+    people: tuple[Person, ...]
+    parties: tuple[Party, ...]
+    present: Bools
+    apart: Bools
+    pose: Ints
+    actions: Ints
+    moving: Bools
+
+
+def write_script(rng: Rng, ticks: int, people: int) -> Script:
+    """The script of a sequence with about `people` people in view at a time."""
+    parties = _parties(rng, people)
+    persons = _persons(rng, parties)
+    count = len(persons)
+    present = np.ones((ticks, count), bool)
+    apart = np.zeros((ticks, count), bool)
+    pose = np.zeros((ticks, count), np.int64)
+    actions = np.full((ticks, count, 2), NONE, np.int64)
+    moving = np.zeros((ticks, len(parties)), bool)
+    for index, party in enumerate(parties):
+        move, shared = _party_moves(rng, ticks, party)
+        moving[:, index] = move
+        here = _party_presence(rng, ticks, party)
+        for member in party.members:
+            present[:, member] = here
+            own = _member_poses(rng, move, shared, party.patient)
+            # Some do as the first of their party does: they sit and stand together.
+            follows = member != party.members[0] and rng.random() < 0.4
+            pose[:, member] = pose[:, party.members[0]] if follows else own
+            actions[:, member, 0] = _member_actions(rng, move)
+            actions[:, member, 1] = _long_action(rng, move, actions[:, member, 0])
+        if len(party.members) > 1:
+            _conversations(rng, party, move, actions)
+            _separations(rng, party, ticks, apart)
+    _passers_by(rng, parties, present)
+    return Script(persons, parties, present, apart, pose, actions, moving)
+
+
+def _passers_by(rng: Rng, parties: tuple[Party, ...], present: Bools) -> None:
+    """One in eight of the lone people in the crowd is there for a second or two only."""
+    lone = [party.members[0] for party in parties if party.hidden and len(party.members) == 1]
+    ticks = len(present)
+    for person in lone[::8] if len(parties) > 8 else ():
+        start = int(rng.integers(0, max(1, ticks - 2)))
+        present[:, person] = False
+        present[start : start + int(rng.integers(1, 3)), person] = True
+
+
+def _parties(rng: Rng, people: int) -> tuple[Party, ...]:
+    """Parties until their people, counted with the time they are away, reach the number asked for."""
+    parties: list[Party] = []
+    count = 0
+    # People come and go: about three in four of those in the script are in view at a time.
+    total = max(2, round(people / 0.77))
+    first_bearing = float(rng.uniform(-np.pi, np.pi))
+    hidden_bearings = rng.permutation(4) * (np.pi / 2) + rng.uniform(-0.35, 0.35, 4)
+    while count < total:
+        hidden = bool(rng.random() < HIDDEN)
+        size = int(rng.choice([1, 2, 3, 4, 5, 6], p=[0.40, 0.24, 0.14, 0.10, 0.07, 0.05]))
+        size = min(size, total - count)
+        members = tuple(range(count, count + size))
+        count += size
+        if hidden:
+            bearing = float(hidden_bearings[rng.integers(4)])
+            parties.append(Party(members, True, False, 8.5, 12.5, bearing, 0.33))
+        else:
+            patient = bool(size <= 2 and rng.random() < PATIENT)
+            near, far = [(2.6, 6.0), (3.5, 9.0), (6.0, 14.0)][int(rng.choice(3, p=[0.4, 0.4, 0.2]))]
+            # Spread round the robot by the golden angle: neighbours in time are far apart, and all are covered evenly.
+            bearing = (first_bearing + 2.39996 * sum(not one.hidden for one in parties) + np.pi) % (2 * np.pi) - np.pi
+            parties.append(Party(members, False, patient, near, far, float(bearing), SPREAD))
+    return tuple(parties)
+
+
+def _persons(rng: Rng, parties: tuple[Party, ...]) -> tuple[Person, ...]:
+    count = sum(len(party.members) for party in parties)
+    tracks = rng.permutation(count + count // 4)[:count]
+    if 0 not in tracks:
+        tracks[0] = 0
+    identities = rng.permutation(4096)[:count]
+    party_of = {member: index for index, party in enumerate(parties) for member in party.members}
+    persons = []
+    for i in range(count):
+        age = AGES[int(rng.choice(5, p=[0.12, 0.14, 0.42, 0.2, 0.12]))]
+        tall = 1.25 if age == "childhood" else 1.72
+        persons.append(
+            Person(
+                track=int(tracks[i]),
+                identity=int(identities[i]),
+                party=party_of[i],
+                gender=GENDERS[int(rng.integers(2))],
+                age=age,
+                ethnicity=ETHNICITIES[int(tracks[i]) % len(ETHNICITIES)],
+                height=float(np.clip(rng.normal(tall, 0.07), 1.1, 1.92)),
+            )
+        )
+    return tuple(persons)
+
+
+def _pick(rng: Rng, table: dict[str, float]) -> str:
+    names = list(table)
+    weights = np.array([table[name] for name in names])
+    return names[int(rng.choice(len(names), p=weights / weights.sum()))]
+
+
+def _party_moves(rng: Rng, ticks: int, party: Party) -> tuple[Bools, Ints]:
+    """When the party moves, and the pose its members share while it does."""
+    move = np.zeros(ticks, bool)
+    shared = np.full(ticks, POSE["standing"], np.int64)
+    tick = 0
+    moves = bool(rng.random() < 0.5)
+    upstairs = False
+    while tick < ticks:
+        if moves:
+            # Stairs stand a little away from the robot.
+            ways = MOVING if party.near > 3 else {key: MOVING[key] for key in MOVING if key != "going upstairs"}
+            ways = dict.fromkeys(ways, 1.0) if party.patient else ways
+            name = "going downstairs" if upstairs else _pick(rng, ways)
+            # What went up for so many seconds comes down for as many.
+            length = 4 if "stairs" in name else int(rng.integers(3, 8))
+            upstairs = name == "going upstairs"
+            move[tick : tick + length] = True
+            shared[tick : tick + length] = POSE[name]
+            # Now and then the gait changes on the way.
+            moves = bool(not upstairs and rng.random() < 0.3)
+        else:
+            once = party.patient and rng.random() < PATIENT_REST
+            length = int(rng.integers(*HELD if once else _RESTS[party.hidden, party.patient]))
+            moves = True
+        tick += length
+    return move, shared
+
+
+_RESTS: Final = {(True, False): (8, 30), (False, False): (4, 15), (False, True): (30, 46)}
+"""Seconds that parties rest, hidden ones and patient ones apart; the upper bound is not reached."""
+
+
+def _party_presence(rng: Rng, ticks: int, party: Party) -> Bools:
+    here = np.ones(ticks, bool)
+    if party.patient and rng.random() < 0.5:
+        return here
+    chance = rng.random()
+    if chance < 0.35:
+        here[: int(rng.integers(2, max(3, 2 * ticks // 3)))] = False
+    elif chance < 0.7:
+        here[int(rng.integers(ticks // 3, ticks)) :] = False
+    if rng.random() < (0.2 if party.hidden else 0.36):
+        # Leaves and comes back.
+        for _ in range(int(rng.integers(1, 3))):
+            start = int(rng.integers(0, ticks))
+            here[start : start + int(rng.integers(4, 13))] = False
+    return here
+
+
+def _member_poses(rng: Rng, move: Bools, shared: Ints, patient: bool) -> Ints:
+    """The party's gait while it moves; at rest each member's own poses, three seconds or longer each. The patient hold
+    one for long, then another for a moment."""
+    pose = shared.copy()
+    ticks = len(move)
+    tick = 0
+    last = ""
+    while tick < ticks:
+        if move[tick]:
+            tick += 1
+            continue
+        end = tick
+        while end < ticks and not move[end]:
+            end += 1
+        held = False
+        while tick < end:
+            held = patient and not held
+            length = min(int(rng.integers(*(HELD if held else (3, 7) if patient else (3, 11)))), end - tick)
+            if end - tick - length < 3 or (held and end - tick < HELD[1]):
+                length = end - tick
+            brief = patient and not held
+            name = _pick(rng, {key: 1.0 if brief else share for key, share in STILL.items() if key != last})
+            pose[tick : tick + length] = POSE[name]
+            last = name
+            tick += length
+    return pose
+
+
+def _member_actions(rng: Rng, move: Bools) -> Ints:
+    """One action at a time for three seconds or more, then a pause."""
+    ticks = len(move)
+    out = np.full(ticks, NONE, np.int64)
+    tick = int(rng.integers(0, 5))
+    while tick < ticks:
+        length = int(rng.integers(3, 8))
+        names = _ON_THE_MOVE if move[tick] else _AT_REST
+        name = names[int(rng.integers(len(names)))]
+        stop = min(tick + length, ticks)
+        # What one does at rest ends when one sets off, and the other way round.
+        for k in range(tick, stop):
+            if move[k] != move[tick]:
+                stop = k
+                break
+        out[tick:stop] = ACTION[name]
+        tick = stop + int(rng.integers(1, 5))
+    return out
+
+
+def _long_action(rng: Rng, move: Bools, first: Ints) -> Ints:
+    """Some people hold something or look somewhere for long, beside what else they do."""
+    out = np.full(len(move), NONE, np.int64)
+    if rng.random() < 0.35:
+        start = int(rng.integers(0, len(move)))
+        stop = start + int(rng.integers(6, 25))
+        name = ACTION[["holding sth", "looking at sth", "looking at robot", "looking into sth"][int(rng.integers(4))]]
+        # A person would not do the same twice at once, nor stop for a moment because the other slot says so.
+        first[max(0, start - 4) : stop + 4][first[max(0, start - 4) : stop + 4] == name] = NONE
+        out[start:stop] = name
+    return out
+
+
+def _conversations(rng: Rng, party: Party, move: Bools, actions: Ints) -> None:
+    """While the party rests, one talks and the others listen, in turns."""
+    ticks = len(move)
+    tick = int(rng.integers(0, 4))
+    while tick < ticks:
+        length = int(rng.integers(4, 8))
+        stop = min(tick + length, ticks)
+        if not move[tick:stop].any() and rng.random() < 0.8:
+            speaker = int(rng.choice(party.members))
+            for member in party.members:
+                said = "talking to someone" if member == speaker else "listening to someone"
+                actions[tick:stop, member, 0] = ACTION[said]
+        tick = stop + int(rng.integers(0, 3)) * 2
+
+
+def _separations(rng: Rng, party: Party, ticks: int, apart: Bools) -> None:
+    """Some members join the party later, or leave it."""
+    for member in party.members[1:]:
+        chance = rng.random()
+        if chance < 0.2:
+            apart[int(rng.integers(ticks // 4, ticks)) :, member] = True
+        elif chance < 0.4:
+            apart[: int(rng.integers(1, 1 + 3 * ticks // 4)), member] = True

@@ -1,0 +1,330 @@
+"""`world.parquet` -> the world namespace of a graph: the record of runs' world models, replayed.
+
+The record holds every write of an agent, accepted or refused, in order, each with the rows that it put into the tables
+(`schema/beliefs.py`). Replay is a pure function from these rows to the rows of the tables as they were when the run had
+ended, which are then copied in: the same tables as the run itself wrote, write by write.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from jrdb_avr.queries.beliefs.tables import make_world_tables
+from jrdb_avr.queries.graph.handle import Graph, build_graph
+from jrdb_avr.queries.store import Store, read_table
+from jrdb_avr.schema.beliefs import (
+    ALWAYS,
+    WORLD_NODES,
+    WORLD_RELS,
+    EntityRow,
+    EpisodeRow,
+    Fact,
+    HasRow,
+    ObservationRow,
+    RelatedRow,
+    SightedRow,
+    SlotRow,
+    episode_hash,
+    episode_key,
+)
+from jrdb_avr.schema.errors import StoreError
+from jrdb_avr.schema.tables import RUNS
+
+BATCH_WRITES: Final = 150_000
+"""Writes from which on runs are copied: every further COPY of a table of edges rewrites what is there, and a million
+writes at once would take gigabytes."""
+
+_TYPES: Final[dict[str, pa.DataType]] = {
+    "STRING": pa.string(),
+    "INT64": pa.int64(),
+    "DOUBLE": pa.float64(),
+    "BOOLEAN": pa.bool_(),
+    # As text, which the engine reads.
+    "UUID": pa.string(),
+    "STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)": pa.struct([(name, pa.float64()) for name in "xywh"]),
+}
+
+_Edge = SightedRow | HasRow | RelatedRow
+
+
+def read_record(store: Store, run_id: str) -> pa.Table:
+    """The world rows of a finished run.
+
+    Raises StoreError where the file is missing, broken or of another form, or holds writes of another run.
+    """
+    path, schema = store.run_path(run_id) / "world.parquet", RUNS["world"]
+    rows = read_table(path)
+    try:
+        rows = rows.select(schema.names).cast(schema)
+    except (KeyError, ValueError, pa.ArrowException) as error:
+        raise StoreError(f"{path} is of another form ({str(error).splitlines()[0]}): evaluate again") from None
+    if pc.any(pc.not_equal(rows["run_id"], run_id)).as_py():
+        raise StoreError(f"{path} holds writes of another run: take it out of the store")
+    return rows
+
+
+# -- replay -----------------------------------------------------------------------------------------------------------
+
+
+def replayed(record: pa.Table) -> dict[str, pa.Table]:
+    """The tables of the world namespace that hold what a record says, by name, nodes first.
+
+    Columns are as in the graph; edges begin with the two keys, `from` and `to`. Raises StoreError for a record that
+    no run can have written: a fact of no known form, a write twice, a row of another episode, an edge to nothing.
+    """
+    record = record.sort_by([("run_id", "ascending"), ("question_id", "ascending"), ("number", "ascending")])
+    tables = _Tables()
+    columns = [record[name].to_pylist() for name in ("run_id", "question_id", "number", "step", "tool", "arguments")]
+    columns += [record[name].to_pylist() for name in ("accepted", "reason")]
+    episode: _Episode | None = None
+    for (run, question, *row), fact in zip(zip(*columns, strict=True), _facts(record["fact"]), strict=True):
+        if episode is None or (episode.run, episode.question) != (run, question):
+            if episode is not None:
+                episode.close(tables)
+            episode = _Episode(run, question)
+        episode.write(tables, row, fact)
+    if episode is not None:
+        episode.close(tables)
+    return tables.arrow()
+
+
+def _facts(texts: pa.ChunkedArray) -> Iterator[Fact | None]:
+    """Decoded all at once: a call per row would cost more than the decoding."""
+    joined = ",".join(text or "null" for text in texts.to_pylist())
+    try:
+        facts = msgspec.json.decode(f"[{joined}]".encode(), type=list[Fact | None])
+    except (msgspec.DecodeError, UnicodeEncodeError) as error:
+        raise StoreError(f"a record of a world model holds what is no fact ({error})") from None
+    if len(facts) != len(texts):
+        raise StoreError("a record of a world model holds two facts in one write")
+    return iter(facts)
+
+
+@dataclass
+class _Tables:
+    """Rows by table, as tuples in the order of its columns."""
+
+    rows: dict[str, list[tuple[Any, ...]]] = field(default_factory=lambda: {n: [] for n in (*WORLD_NODES, *WORLD_RELS)})
+
+    def arrow(self) -> dict[str, pa.Table]:
+        return {name: _arrow(world_schema(name), rows) for name, rows in self.rows.items()}
+
+
+def _arrow(schema: pa.Schema, rows: Sequence[tuple[Any, ...]]) -> pa.Table:
+    if not rows:
+        return schema.empty_table()
+    arrays = [
+        _boxes(column) if pa.types.is_struct(f.type) else pa.array(column, f.type)
+        for f, column in zip(schema, zip(*rows, strict=True), strict=True)
+    ]
+    return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def _boxes(column: Sequence[tuple[float, float, float, float]]) -> pa.Array:
+    return pa.StructArray.from_arrays(
+        [pa.array(side, pa.float64()) for side in zip(*column, strict=True)], list("xywh")
+    )
+
+
+def world_schema(table: str) -> pa.Schema:
+    """The columns of a table of the world namespace as COPY takes them: edges begin with the two keys."""
+    if table in WORLD_RELS:
+        columns = ["from STRING", "to STRING", *WORLD_RELS[table][2]]
+    else:
+        columns = WORLD_NODES[table].replace(" PRIMARY KEY", "").split(", ")
+    parts = (column.split(" ", 1) for column in columns)
+    return pa.schema([(name, _TYPES[kind]) for name, kind in parts])
+
+
+class _Episode:
+    """One episode while its writes are replayed."""
+
+    def __init__(self, run: str, question: str) -> None:
+        self.run, self.question = run, question
+        self.key = episode_key(run, question)
+        self.begun: EpisodeRow | None = None
+        self.written = -1
+        self.observations: dict[str, ObservationRow] = {}
+        self.entities: dict[str, EntityRow] = {}
+        self.slots: dict[str, SlotRow] = {}
+        self.edges: dict[int, _Edge] = {}
+        self.until: dict[int, int] = {}
+
+    def write(self, tables: _Tables, row: Sequence[Any], fact: Fact | None) -> None:
+        """Take the next write: number, step, tool, arguments, accepted, reason; and its fact."""
+        number, step, *_ = row
+        if number != self.written + 1:
+            raise self.broken(f"has no write {self.written + 1}, or has it twice")
+        self.written = number
+        key = f"{self.key}/{number}"
+        tables.rows["Write"].append((key, self.key, *row))
+        tables.rows["Wrote"].append((self.key, key))
+        if fact is None:
+            return
+        if fact.episode is not None:
+            self.begun = fact.episode
+        for slot in fact.slots:
+            self.add(self.slots, slot)
+        if fact.observation is not None:
+            self.add(self.observations, fact.observation)
+        for freed in fact.freed:
+            if freed not in self.entities:
+                raise self.broken(f"frees {freed[:80]!r}, which it does not hold")
+            self.entities[freed] = msgspec.structs.replace(self.entities[freed], node="")
+        if fact.entity is not None:
+            self.add(self.entities, fact.entity)
+        if fact.changed is not None:
+            if fact.changed.id not in self.entities:
+                raise self.broken(f"changes {fact.changed.id[:80]!r}, which it does not hold")
+            self.entities[fact.changed.id] = fact.changed
+        edges = [edge for edge in (fact.sighted, fact.has, fact.related) if edge is not None]
+        if len(edges) > 1 or any(edge.write != number for edge in edges):
+            raise self.broken(f"makes an edge in write {number} that is not its own")
+        for edge in edges:
+            self.edges[number] = edge
+        for replaced in fact.replaced:
+            if replaced not in self.edges:
+                raise self.broken(f"replaces write {replaced}, which made nothing")
+            self.until[replaced] = step
+
+    def add(self, rows: dict[str, Any], row: ObservationRow | EntityRow | SlotRow) -> None:
+        if row.id in rows:
+            raise self.broken(f"makes {row.id[:80]!r} twice")
+        rows[row.id] = row
+
+    def close(self, tables: _Tables) -> None:
+        """Hand the episode's rows over."""
+        begun = self.begun
+        if begun is None or (begun.id, begun.run, begun.question) != (self.key, self.run, self.question):
+            raise self.broken("does not begin as its own")
+        rows = tables.rows
+        rows["Episode"].append(msgspec.structs.astuple(begun))
+        held: tuple[tuple[str, str, dict[str, Any]], ...] = (
+            ("Observation", "Made", self.observations),
+            ("Entity", "Holds", self.entities),
+            ("Slot", "Asks", self.slots),
+        )
+        of_episode = episode_hash(self.key)
+        for node, edge, found in held:
+            for key, row in found.items():
+                if row.episode != self.key or not key.startswith(f"{self.key}/"):
+                    raise self.broken(f"holds {key[:80]!r} of another episode")
+                columns = msgspec.structs.astuple(row)
+                rows[node].append(columns if isinstance(row, SlotRow) else (*columns, of_episode))
+                rows[edge].append((self.key, key))
+        for number, made in self.edges.items():
+            self.close_edge(rows, number, made)
+
+    def close_edge(self, rows: dict[str, list[tuple[Any, ...]]], number: int, edge: _Edge) -> None:
+        table = {SightedRow: "Sighted", HasRow: "Has", RelatedRow: "Related"}[type(edge)]
+        targets = self.entities if isinstance(edge, RelatedRow) else self.observations
+        if edge.episode != self.key or edge.source not in self.entities or edge.target not in targets:
+            raise self.broken(f"makes an edge in write {number} between what it does not hold")
+        until = self.until.get(number)
+        ends = [self.entities[edge.source].name]
+        if isinstance(edge, RelatedRow):
+            ends.append(self.entities[edge.target].name)
+        rows[table].append((*msgspec.structs.astuple(edge), until is None, ALWAYS if until is None else until, *ends))
+
+    def broken(self, why: str) -> StoreError:
+        return StoreError(f"the record of episode {self.key[:120]} {why}: evaluate its run again")
+
+
+# -- into a graph -----------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def open_to_replay(path: Path) -> Iterator[Graph]:
+    """The graph file at `path` opened to replay into, with the tables of the world namespace; made if there is none.
+
+    Raises LockedError where another process has it open, StoreError where it cannot be opened.
+    """
+    if not path.exists():
+        with build_graph(path) as graph:
+            make_world_tables(graph)
+    with Graph.open(path) as graph:
+        make_world_tables(graph)
+        yield graph
+
+
+def merge_world(graph: Graph, run_id: str, record: pa.Table) -> None:
+    """Replay a record in place of what a graph holds of its run; nothing is changed where `replayed` refuses it."""
+    tables = replayed(record)
+    with graph.transaction():
+        drop_world(graph, run_id)
+        _copy(graph, [tables])
+
+
+def copy_all(graph: Graph, store: Store, run_ids: Sequence[str]) -> list[str]:
+    """Replay the records of a store's runs into a graph without episodes; returns a line per run that was left out,
+    as its record is broken. A run without a record yet is passed over.
+    """
+    faults: list[str] = []
+    batch: list[Mapping[str, pa.Table]] = []
+    for run_id in run_ids:
+        if not (store.run_path(run_id) / "world.parquet").exists():
+            continue
+        try:
+            batch.append(replayed(read_record(store, run_id)))
+        except StoreError as error:
+            faults.append(f"the world model of run {run_id} was left out: {error}")
+        if sum(tables["Write"].num_rows for tables in batch) >= BATCH_WRITES:
+            _copy(graph, batch)
+            batch = []
+    _copy(graph, batch)
+    return faults
+
+
+def restore_world(graph: Graph, run_id: str, record: pa.Table) -> int:
+    """Bring a run's episodes in a graph to what its record says: replay those that it lacks or holds in part, take away
+    those that the record does not hold. Returns how many were replayed.
+
+    Their number of writes tells: the record holds episodes that have ended, and what a write made is in the graph
+    before its line, so where the numbers are equal, nothing is missing and nothing over. Raises StoreError as
+    `replayed` does.
+    """
+    there = writes_held(graph, run_id)
+    counts = record.group_by("question_id").aggregate([("number", "count")]).to_pylist()
+    told = {row["question_id"]: row["number_count"] for row in counts}
+    lacking = [question for question, writes in told.items() if there.get(question) != writes]
+    tables = replayed(record.filter(pc.is_in(record["question_id"], pa.array(lacking, pa.string()))))
+    stale = [question for question, writes in there.items() if told.get(question) != writes]
+    with graph.transaction():
+        if stale:
+            drop_world(graph, run_id, stale)
+        _copy(graph, [tables])
+    return len(lacking)
+
+
+def writes_held(graph: Graph, run_id: str) -> dict[str, int]:
+    """The number of writes that a graph holds of each of a run's episodes, by question id."""
+    rows = graph.query(_statement("writes_held"), {"run": run_id}).to_pylist()
+    return {row["question"]: row["writes"] for row in rows}
+
+
+def drop_world(graph: Graph, run_id: str, questions: Sequence[str] | None = None) -> None:
+    """Take a run's episodes out of a graph: all, or those of some questions."""
+    # An empty list is no parameter that the engine can bind.
+    values = {"run": run_id, "whole": questions is None, "questions": list(questions or ("",))}
+    for what in ("writes", "entities", "observations", "slots", "episodes"):
+        graph.execute(_statement(f"drop_{what}"), values)
+
+
+def _copy(graph: Graph, runs: Sequence[Mapping[str, pa.Table]]) -> None:
+    for name in (*WORLD_NODES, *WORLD_RELS):
+        if rows := [tables[name] for tables in runs if tables[name].num_rows]:
+            graph.copy(name, pa.concat_tables(rows))
+
+
+def _statement(name: str) -> str:
+    """The text of `queries/record/<name>.cypher`."""
+    return resources.files("jrdb_avr.queries").joinpath("record", f"{name}.cypher").read_text("utf-8")

@@ -1,0 +1,127 @@
+"""A table of names: how the scene namespace writes down who is there, and each kind of condition and edge.
+
+Another namespace of facts with three values is another `Names`; what is compiled stays. (What an agent believes in an
+episode has none that tells that something is false: `believed_find`.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from typing import Final
+
+from jrdb_avr.queries.compiler.clauses import Clause, Known, Listed, Rows, Somebody, Tie, Within
+from jrdb_avr.schema.labels import (
+    FIRST_LEFT,
+    FIRST_RIGHT,
+    INTERACTIONS,
+    POSES,
+    SAME_GROUP,
+    WINDOW_DEGREES,
+    WINDOWS_LEFT,
+    WINDOWS_RIGHT,
+)
+from jrdb_avr.schema.plan import Condition
+
+_DEGREES: Final = dict(zip((*WINDOWS_LEFT, *WINDOWS_RIGHT), WINDOW_DEGREES * 2, strict=True))
+
+
+@dataclass(frozen=True)
+class Names:
+    """A namespace's names. People are told apart by their property `id`.
+
+    pattern, there: a person `n` with a sighting `s`, and what makes it one at frame `t` of `scope`; who: the person's
+    number or name in its scope; conditions, edges: clauses by kind, see `condition_kind` and `edge_kind`; reads: folder
+    of the statements that read answers.
+    """
+
+    pattern: str
+    there: str
+    who: str
+    conditions: Mapping[str, Clause]
+    edges: Mapping[str, Clause]
+    reads: str
+
+
+def read_text(folder: str, name: str) -> str:
+    """The text of the packaged statement `queries/reads/<folder>/<name>.cypher`."""
+    return resources.files("jrdb_avr.queries").joinpath("reads", folder, f"{name}.cypher").read_text("utf-8")
+
+
+def condition_kind(condition: Condition) -> str:
+    """Kind of a condition: its attribute, or pose, action, object or interaction."""
+    if condition.attribute is not None:
+        return condition.attribute
+    if condition.action is not None:
+        return "pose" if condition.action in POSES else "action"
+    return "object" if condition.object is not None else "interaction"
+
+
+def condition_values(condition: Condition) -> dict[str, str | int]:
+    """The values a condition's clause compares with, by variable."""
+    wanted = (condition.value, condition.action, condition.object, condition.interaction)
+    values: dict[str, str | int] = {"v": next(value for value in wanted if value is not None)}
+    return values if condition.verb is None else values | {"w": condition.verb}
+
+
+def edge_kind(relation: str) -> str:
+    """Kind of an edge: social, group, first, left or right (windows), or person (in a person's own frame)."""
+    if relation in INTERACTIONS:
+        return "social"
+    if relation == SAME_GROUP:
+        return "group"
+    if relation in (FIRST_LEFT, FIRST_RIGHT):
+        return "first"
+    if relation in _DEGREES:
+        return "left" if relation in WINDOWS_LEFT else "right"
+    return "person"
+
+
+def edge_values(relation: str) -> dict[str, str | float]:
+    """The values an edge's clause compares with, by variable; "in the same group as" has none, and that of a window is
+    how many degrees.
+    """
+    if relation == SAME_GROUP:
+        return {}
+    return {"v": float(_DEGREES[relation]) if relation in _DEGREES else relation}
+
+
+_PATTERN: Final = "({n}:Person)-[{s}:SeenIn]->(:Frame)"
+_THERE: Final = "{s}.sequence = {scope} AND {s}.frame = {t}"
+
+_PERFORMS: Final = Rows("({n})-[r:Performs]->(x:Action)", (("x.name", "v"),))
+_HANDLES: Final = Rows("({n})-[r:Handles]->(x:Object)", (("r.verb", "w"),), (("x.category", "v"),))
+_INTERACTS: Final = Rows("({n})-[r:Interacts]->({m})", (("r.label", "v"),))
+_BESIDE: Final = Rows("({n})-[r:Beside]->({m})", (("r.label", "v"),))
+_GROUPED: Final = Rows("({n})-[r:MemberOf]->(g:SocialGroup)", then=Rows("(g)<-[o:MemberOf]-({m})", span="o"))
+_MEMBER: Final = "EXISTS {{ MATCH ({n})-[r:MemberOf]->(:SocialGroup) WHERE r.first <= {t} AND r.last >= {t} }}"
+_SOCIAL: Final = Tie(_INTERACTS, "{s}.interactions_listed")
+
+SCENE: Final = Names(
+    pattern=_PATTERN,
+    there=_THERE,
+    who="{n}.track",
+    conditions={
+        "gender": Known("{n}.gender"),
+        "age": Known("{n}.age"),
+        # A closed gap of a pose leaves it possible beside the pose that is listed.
+        "pose": Known("{s}.pose", rows=_PERFORMS),
+        "action": Listed(_PERFORMS, "{s}.listed"),
+        "object": Listed(_HANDLES, "{s}.handles_listed"),
+        "interaction": Somebody(_SOCIAL, f"{_PATTERN} WHERE {_THERE}"),
+        "group_size": Known("{s}.group_size"),
+        "sector": Known("{s}.sector", "{s}.sector_other"),
+        "distance": Known("{s}.distance_word", "{s}.distance_word_other"),
+    },
+    edges={
+        "social": _SOCIAL,
+        "group": Tie(_GROUPED, _MEMBER),
+        "first": Tie(_BESIDE),
+        "person": Tie(_BESIDE, "{s}.located"),
+        "left": Within("{s}.angle", "{z}.angle"),
+        "right": Within("{z}.angle", "{s}.angle"),
+    },
+    reads="scene",
+)
+"""The scene namespace: what was annotated. `scope` is the sequence, `who` the track."""

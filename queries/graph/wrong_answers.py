@@ -1,0 +1,121 @@
+"""Statements that the engine is known to answer wrongly, told by their plan and their words.
+
+Each was found by comparison with brute force; tests will tell when a later engine answers rightly.
+
+- *Cyclic patterns lose parallel edges* where the plan holds INTERSECT: 2 rows for a true 4.
+- *A bare boolean after WHEN takes the wrong branch*: in `CASE WHEN x.flag THEN`, but also where the condition is an
+  alias, a cast to BOOL or another CASE. `x.flag = true` is right, and so is the simple form, `CASE x.flag WHEN true`.
+- *In a grouped RETURN or WITH, what is aggregated after a DISTINCT aggregate is nothing*: `count(DISTINCT a), count(*)`
+  gives 0 for the second, `collect` crashes. The other order is right, and so is either where nothing is grouped.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Final
+
+from jrdb_avr.queries.graph.parameters import strip_literals
+from jrdb_avr.schema.errors import QueryError
+
+_OPERATOR = re.compile(r"\b([A-Z][A-Z_]*)\[\d+\]")
+_KEEP_ORDER: Final = frozenset({"RESULT_COLLECTOR", "PROJECTION", "SKIP", "LIMIT", "MULTIPLICITY_REDUCER"})
+
+_CASE = re.compile(r"(?<![\w.])(CASE|WHEN|THEN|END)\b", re.IGNORECASE)
+_BARE = re.compile(
+    r"(?!(?:true|false|null)$)(?:(?:[A-Za-z_]\w*)?(?: ?\. ?(?:[A-Za-z_]\w*)?)*|CAST [^$]*|CASE .* END)", re.IGNORECASE
+)
+_SUBQUERY = re.compile(r"(\b(?:EXISTS|COUNT)\s*)?\{([^{}]*)\}", re.IGNORECASE)
+_PROJECTION = re.compile(r"(?<![\w.])(?:RETURN|(?<!STARTS )(?<!ENDS )WITH)\b", re.IGNORECASE)
+_AFTER_DISTINCT = re.compile(
+    r"\(\s*DISTINCT\b.*?\b(?:count|sum|avg|min|max|collect)\s*\((?!\s*DISTINCT\b)", re.IGNORECASE | re.DOTALL
+)
+
+
+class Plan:
+    """The engine's plan of one statement, as far as this module judges it."""
+
+    def __init__(self, text: str) -> None:
+        # A plan is drawn as a tree of boxes: of a long statement's, megabytes are blanks and lines.
+        self.text = " ".join(text.replace("─", "").split())
+        self.operators: tuple[str, ...] = tuple(_OPERATOR.findall(self.text))
+        self.functions: tuple[str, ...] = tuple(re.findall(r"Function: (\w+)", self.text))
+        # Until it was judged with its statement.
+        self.sound = False
+
+    @property
+    def writes(self) -> bool:
+        """Whether the statement changes nodes, edges or tables, or moves data in or out."""
+        return any(
+            name in ("SET_PROPERTY", "DELETE", "INSERT", "MERGE", "CREATE_TABLE", "DROP", "ALTER")
+            or name.startswith(("COPY", "INDEX_", "EXPORT", "IMPORT", "BATCH_INSERT"))
+            for name in self.operators
+        )
+
+    @property
+    def ordered(self) -> bool:
+        """Whether the rows come in a stated order, or there is only one."""
+        for name in self.operators:
+            if name in _KEEP_ORDER:
+                continue
+            if name == "AGGREGATE_SCAN":
+                box = self.text.split("AGGREGATE_SCAN[", 1)[1].split("└", 1)[0]
+                return "Group By:" not in box
+            return name in ("ORDER_BY_SCAN", "TOP_K_SCAN")
+        return False
+
+    @property
+    def groups(self) -> bool:
+        """Whether rows are grouped anywhere in it."""
+        return "Group By:" in self.text
+
+
+def refuse_wrong_answers(plan: Plan, text: str) -> None:
+    """Raise QueryError, saying how to write it instead, for what the engine is known to answer wrongly.
+
+    A plan is one statement's; one that was found sound is not judged again.
+    """
+    if plan.sound:
+        return
+    if "INTERSECT" in plan.operators:
+        raise QueryError(
+            "the engine would lose rows on this cyclic pattern (its plan holds INTERSECT): split it by WITH, or "
+            f"test one side by EXISTS {{ MATCH ... }}: {' '.join(text.split())[:120]}"
+        )
+    bare = " ".join(strip_literals(text).split())
+    for condition in _conditions(bare):
+        if _BARE.fullmatch(condition):
+            said = condition[:60] or "..."
+            raise QueryError(f"the engine answers WHEN {said} THEN wrongly, a bare boolean: write WHEN {said} = true")
+    if plan.groups and any(_AFTER_DISTINCT.search(part) for part in _projections(bare)):
+        raise QueryError("the engine loses rows of what is counted after a count(DISTINCT ...): put the DISTINCT last")
+    plan.sound = True
+
+
+def _conditions(text: str) -> Iterator[str]:
+    """The conditions of each searched CASE, without parentheses; names in backticks are gone already."""
+    searched: list[bool] = []
+    begun: list[int] = []
+    for found in _CASE.finditer(text):
+        word = found[1].upper()
+        if word == "CASE":
+            searched.append(bool(re.match(r" ?WHEN\b", text[found.end() :], re.IGNORECASE)))
+            begun.append(found.end())
+        elif not searched:
+            continue
+        elif word == "WHEN":
+            begun[-1] = found.end()
+        elif word == "THEN" and searched[-1]:
+            yield " ".join(re.sub("[()]", " ", text[begun[-1] : found.start()]).split())
+        elif word == "END":
+            searched.pop()
+            begun.pop()
+
+
+def _projections(text: str) -> list[str]:
+    """What follows each RETURN and WITH, without subqueries, whose aggregates are their own."""
+    before = ""
+    while before != text:
+        before = text
+        text = _SUBQUERY.sub(lambda found: " " if found[1] else f"[{found[2]}]", text)
+    return _PROJECTION.split(text)[1:]
