@@ -1,7 +1,6 @@
 """The ReAct protocol, played by scripted models over a real socket."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +8,7 @@ from fake_server import FakeServer, completion, images, texts
 from hypothesis import example, given
 from hypothesis import strategies as st
 from painted_world import World, still
+from places import SNAPSHOTS
 
 from jrdb_avr.agent.methods.prompts import frame_ranges, mode_text, read_frame_ranges
 from jrdb_avr.agent.methods.react import ReAct
@@ -17,7 +17,6 @@ from jrdb_avr.schema.answers import Choice, Evidence
 from jrdb_avr.schema.panorama import Box, crop_left, iou
 
 CHOICES = ("walking", "standing", "sitting", "lying")
-SNAPSHOTS = Path(__file__).parent / "snapshots"
 
 
 @pytest.fixture

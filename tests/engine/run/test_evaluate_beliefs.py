@@ -4,13 +4,13 @@ import json
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import pyarrow as pa
 import pytest
 from asked_world import write_public
 from believing import Believer, world_dump
 from click.testing import CliRunner
+from places import SUPPORT
 from scene_tables import table_store
 
 from jrdb_avr.engine.cli import group
@@ -288,7 +288,7 @@ run(store, "one", between=between)
 def test_killed_in_a_write_the_run_ends_as_if_it_had_not_been(template, live, tmp_path):
     store = Store(tmp_path / "fresh")
     run(store, "two", ASKED[3:4], path=store.graph_path)
-    here = Path(__file__).parent
+    here = SUPPORT
     for after in (20, 115):
         done = subprocess.run([sys.executable, "-c", KILLED, str(store.path), str(after)], cwd=here, check=False)
         assert done.returncode == -signal.SIGKILL

@@ -7,10 +7,10 @@ their own per person. Shifts are planted by naming frames otherwise.
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import REAL
 from worlds import load_reported, member, person, person_3d
 
 from jrdb_avr.loaders.layers.frame_offset import Tracks, check_shift
@@ -19,7 +19,6 @@ from jrdb_avr.loaders.root import find_root
 from jrdb_avr.schema.rules import LoadRules
 
 NAME = "yard-2020-01-01_0"
-REAL = Path(__file__).parents[2] / "shared" / "jrdb-real"
 SHIFTS = (1, -1, 2, -2)
 
 

@@ -3,6 +3,7 @@
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from places import DOCS
 
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS, scene_ddl
@@ -71,10 +72,9 @@ def test_the_scene_names_its_ends():
 
 
 def test_the_reference_page_is_current():
-    from pathlib import Path
 
     from jrdb_avr.queries import tables as reference
 
-    kept = Path(__file__).parent.parent / "docs" / "tables.md"
+    kept = DOCS / "tables.md"
     assert kept.read_text("utf-8") == reference.page() + "\n"
     assert sorted(reference.ABOUT) == sorted(name for name, _, _ in reference.tables())

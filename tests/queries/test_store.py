@@ -12,6 +12,7 @@ import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from places import DOCS
 
 from jrdb_avr.queries import tables
 from jrdb_avr.queries.store import Store, read_table, safe_sequence, write_atomic, write_table
@@ -149,7 +150,7 @@ def test_what_is_no_file_is_not_replaced(tmp_path):
 
 
 def test_the_page_of_tables_is_written_from_the_schemas_and_says_what_each_column_means():
-    found = (Path(__file__).parent.parent / "docs" / "tables.md").read_text("utf-8")
+    found = (DOCS / "tables.md").read_text("utf-8")
     assert found.rstrip() == tables.page().rstrip()
     known = {(name, field) for name, schema, _ in tables.tables() for field in schema.names}
     assert set(tables.SPECIAL) <= known

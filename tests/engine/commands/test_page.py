@@ -3,13 +3,12 @@
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from places import DOCS
 
 from jrdb_avr.engine.cli import COMMANDS
 
-DOCS = Path(__file__).parent.parent / "docs"
 PAGE = (DOCS / "commands.md").read_text("utf-8")
 HELPS = {
     path: set(re.findall(r"(?<![\w-])--?[a-z][a-z-]*", text))

@@ -5,9 +5,9 @@ import signal
 import subprocess
 import sys
 import threading
-from pathlib import Path
 
 import pytest
+from places import SUPPORT
 from world_play import SCENE, believe, beside_scene, tables_of
 
 from jrdb_avr.queries.beliefs.checks import check_world
@@ -244,7 +244,7 @@ for number in range(1000):
 
 def test_a_killed_writer_leaves_a_graph_that_opens(scene):
     before = scene_rows(scene)
-    code = KILLED.format(tests=str(Path(__file__).parent), path=str(scene))
+    code = KILLED.format(tests=str(SUPPORT), path=str(scene))
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     done = -1
     for line in process.stdout:

@@ -1,17 +1,17 @@
 """Methods of somebody's own: found, run, resumed, refused in a line; the examples of the docs work."""
 
 import json
-from pathlib import Path
 
 import pytest
 from entry import run
 from fake_server import FakeServer, images, sound, texts
+from places import DOCS
 
 from jrdb_avr.engine.run.methods import is_own, own_method
 from jrdb_avr.queries.runs import read_run_manifest
 from jrdb_avr.schema.errors import InputError
 
-EXAMPLES = Path(__file__).parent.parent / "docs" / "examples"
+EXAMPLES = DOCS / "examples"
 
 
 def test_the_blind_example_answers_every_question_and_shows_nothing(store):

@@ -1,10 +1,10 @@
 """The reference agent's loop, played by scripted models: turns, budgets, refusals, and what the model is shown."""
 
 import json
-from pathlib import Path
 
 import pytest
 from painted_world import World, still
+from places import SNAPSHOTS
 from reference_play import (
     GRAPH,
     PLAN,
@@ -27,7 +27,6 @@ from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.schema.answers import Choice, FrameAnswer
 from jrdb_avr.schema.panorama import Box, iou
 
-SNAPSHOTS = Path(__file__).parent / "snapshots"
 MODES = ("multiple_choice", "frame", "span", "frame_viewpoint", "number")
 FRAMES = tuple(range(0, 300, 5))
 

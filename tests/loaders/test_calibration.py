@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 
 import pytest
+from places import REAL
 from worlds import person, write_root
 
 from jrdb_avr.loaders.load import Shard, load_shard
@@ -15,7 +15,7 @@ from jrdb_avr.schema.panorama import FOCAL_ROWS, HORIZON_ROW
 from jrdb_avr.schema.rules import LoadRules
 
 NAME = "yard-2020-01-01_0"
-REAL = Path(__file__).parents[2] / "shared" / "jrdb-real" / "calibration" / "cameras.yaml"
+CAMERAS = REAL / "calibration" / "cameras.yaml"
 
 
 def sensor(fx, cx, fy, cy, size=("752", "480"), matrix=None):
@@ -140,11 +140,11 @@ def test_repeated_sensors_keep_the_first(tmp_path):
     assert [p.reason for p in report.problems] == ["key twice, the first is kept"]
 
 
-@pytest.mark.skipif(not REAL.is_file(), reason="the real calibration is not here")
+@pytest.mark.skipif(not CAMERAS.is_file(), reason="the real calibration is not here")
 def test_the_published_file_agrees_with_the_constants(tmp_path):
-    rows, report = loaded(tmp_path, REAL.read_text())
+    rows, report = loaded(tmp_path, CAMERAS.read_text())
     assert len(rows) == 10 and report.problems == [] and report.cameras.agrees
     # An independent reading: the second number of each matrix's second line.
-    lines = [line.split() for line in REAL.read_text().splitlines()]
+    lines = [line.split() for line in CAMERAS.read_text().splitlines()]
     focal = sorted(float(line[1]) for line in lines if len(line) == 3 and line[0] == "0" and line[1] != "0")
     assert report.cameras.fy == pytest.approx((focal[4] + focal[5]) / 2)

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import cv2
 import entry
+from places import ROOT
 
-ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 

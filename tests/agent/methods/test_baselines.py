@@ -2,12 +2,12 @@
 
 import json
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from painted_world import World, still
+from places import SNAPSHOTS
 from scripted import CHOICES, MODES, Chat, blank_task, evidence, final, play, proposal
 
 from jrdb_avr.agent.methods.attempt import uniform_frames
@@ -21,7 +21,6 @@ from jrdb_avr.engine.run.methods import METHODS, make_method
 from jrdb_avr.schema.answers import Choice, Evidence, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.errors import ObserveError
 
-SNAPSHOTS = Path(__file__).parent / "snapshots"
 BASELINES = {"monolithic": Monolithic, "chain-of-thought": ChainOfThought, "search-recognize": SearchRecognize}
 CALLS = {"monolithic": 1, "chain-of-thought": 2, "search-recognize": 3}
 FACTS = json.dumps({"reasoning": ["a man stands ahead", "he sits later"]})

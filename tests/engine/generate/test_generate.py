@@ -16,6 +16,7 @@ import warm
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import REAL
 from quick_store import graphless_store
 from test_generate_oracle import lively_world
 
@@ -402,9 +403,6 @@ def test_single_view_tries_every_angle_that_matters(boxes):
     every = np.arange(3760.0)[:, None]
     best = bool(np.any(np.all(views.shares(x[None, :], w[None, :], every) >= 0.5, axis=1)))
     assert views.single_view(x, w, 0.5) == best
-
-
-REAL = Path(__file__).resolve().parents[2] / "shared" / "jrdb-real"
 
 
 @pytest.mark.skipif(not REAL.exists(), reason="the real annotations are not here")

@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 import pytest
 from known_runs import BOX, ELSEWHERE, Benchmark, table
+from places import SUPPORT
 
 from jrdb_avr.engine.report.failures import CAUSES, evidence_causes, evidence_failure_rows, wrong_choice_rows
 from jrdb_avr.engine.report.formats import cell, csv_text, joined, latex, markdown
@@ -345,7 +346,7 @@ def test_a_report_is_the_same_under_any_hash_seed(tmp_path):
     write_every_format(store.path, tmp_path / "here")
     seed = "2" if os.environ.get("PYTHONHASHSEED") == "1" else "1"
     again = f"from test_report import *; write_every_format({str(store.path)!r}, {str(tmp_path / 'again')!r})"
-    environment = os.environ | {"PYTHONHASHSEED": seed, "PYTHONPATH": str(Path(__file__).parent)}
+    environment = os.environ | {"PYTHONHASHSEED": seed, "PYTHONPATH": str(SUPPORT)}
     subprocess.run([sys.executable, "-c", again], env=environment, check=True)
     here, there = ({path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("here", "again"))
     assert len(here) == len(TABLES) + 4

@@ -3,9 +3,9 @@
 import itertools
 import re
 from collections import Counter
-from pathlib import Path
 
 import pytest
+from places import TESTS
 from quick_store import memory_store
 from worlds import member, person, person_3d
 
@@ -31,7 +31,7 @@ POSES = {"w": {"walking": 1}, "t": {"standing": 1}, "s": {"sitting": 1}, "?": {"
 def read_worlds():
     """{title: lines} of the fixture file."""
     worlds, title = {}, None
-    for line in (Path(__file__).parent / "fixtures" / "questions.txt").read_text().splitlines():
+    for line in (TESTS / "fixtures" / "questions.txt").read_text().splitlines():
         if line.startswith("== "):
             title = line[3:]
             assert title not in worlds

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import random
 import tempfile
 from collections import Counter
@@ -14,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from oracle_facts import Oracle, facts
 from oracle_reading import read_root
+from places import REAL
 from random_worlds import random_world
 from worlds import load_world, person, write_root
 
@@ -24,8 +24,6 @@ from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS
-
-REAL = Path(os.environ.get("JRDB_REAL", Path(__file__).parents[2] / "shared" / "jrdb-real"))
 
 RELATIONS = {
     "SeenIn": ("sightings", "track", "frame"),
