@@ -15,11 +15,11 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from jrdb_avr.agent.methods.prompts import choice_lines, render
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.client import Chat
 from jrdb_avr.agent.model.conventions import Convention
 from jrdb_avr.agent.model.messages import Message, Part, Picture, crop_metadata, transcript
+from jrdb_avr.agent.model.prompts import choice_lines, render
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.schema.answers import TIE, Answer, Evidence, encode_answer
 from jrdb_avr.schema.errors import DecodeError, ObserveError

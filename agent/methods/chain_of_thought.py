@@ -14,10 +14,10 @@ from jrdb_avr.agent.methods.attempt import (
     shared_settings,
 )
 from jrdb_avr.agent.methods.monolithic import answer_from
-from jrdb_avr.agent.methods.prompts import render
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.client import Chat
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention
+from jrdb_avr.agent.model.prompts import render
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Prediction, Task
 

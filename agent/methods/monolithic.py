@@ -17,11 +17,11 @@ from jrdb_avr.agent.methods.attempt import (
     panorama_parts,
     shared_settings,
 )
-from jrdb_avr.agent.methods.prompts import mode_text, render
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.client import Chat
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention
 from jrdb_avr.agent.model.messages import Part
+from jrdb_avr.agent.model.prompts import mode_text, render
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Panorama, Prediction, Task
 

@@ -22,11 +22,11 @@ from jrdb_avr.agent.methods.attempt import (
     on_crop,
     shared_settings,
 )
-from jrdb_avr.agent.methods.prompts import frame_ranges, mode_text, render
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.client import Chat
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention
 from jrdb_avr.agent.model.messages import Message, Part, Picture, crop_line, crop_picture
+from jrdb_avr.agent.model.prompts import frame_ranges, mode_text, render
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Prediction, Question, Task
 

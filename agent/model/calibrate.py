@@ -27,11 +27,11 @@ from typing import Final, NamedTuple
 import msgspec
 import numpy as np
 
-from jrdb_avr.agent.methods.prompts import render
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import CONTRACT_KEY, Convention, Order, Reading, Scale
 from jrdb_avr.agent.model.decode import EVIDENCE_SCHEMA, closed_object, place_box, reply_object
 from jrdb_avr.agent.model.messages import JPEG_QUALITY, Message, Picture, fingerprint
+from jrdb_avr.agent.model.prompts import render
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.schema.errors import DecodeError, ObserveError
 from jrdb_avr.schema.markers import Image, Mark, draw

@@ -30,12 +30,12 @@ from functools import cache
 from typing import Any, Final
 
 from jrdb_avr.agent.methods.attempt import PANORAMAS, panorama_parts
-from jrdb_avr.agent.methods.prompts import render
 from jrdb_avr.agent.methods.react import BUDGET, turn_schema
 from jrdb_avr.agent.model.calibrate import CORNERS, corner_picture, drawn_panorama, plain_crop
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.decode import closed_object, reply_object
 from jrdb_avr.agent.model.messages import Message, Part
+from jrdb_avr.agent.model.prompts import render
 from jrdb_avr.agent.model.reply import Reply, thought
 from jrdb_avr.agent.reference.episode import LOOK_SCHEMA
 from jrdb_avr.agent.reference.graph_memory import graph_turn_schema

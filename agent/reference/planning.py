@@ -9,9 +9,9 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 from jrdb_avr.agent.methods.attempt import Attempt, heading
-from jrdb_avr.agent.methods.prompts import frame_ranges, render
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.messages import Message
+from jrdb_avr.agent.model.prompts import frame_ranges, render
 from jrdb_avr.agent.reference.labels import check_labels, vocabulary
 from jrdb_avr.agent.reference.tool_calls import one_line, printable
 from jrdb_avr.schema.errors import DecodeError, PlanError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from jrdb_avr.agent.methods.attempt import heading, uniform_frames
-from jrdb_avr.agent.methods.prompts import frame_ranges, mode_text, render
+from jrdb_avr.agent.model.prompts import frame_ranges, mode_text, render
 from jrdb_avr.agent.reference.limits import Limits
 from jrdb_avr.agent.reference.tool_calls import MOST_PER_TURN
 from jrdb_avr.schema.labels import AGES, DISTANCE_WORDS, OTHER_ACTIONS, POSES, ROBOT_SECTORS

@@ -20,7 +20,7 @@ from typing import Annotated, Any, Final
 
 import msgspec
 
-from jrdb_avr.agent.methods.prompts import read_frame_ranges
+from jrdb_avr.agent.model.prompts import read_frame_ranges
 from jrdb_avr.schema.errors import DecodeError, PlanError
 from jrdb_avr.schema.markers import Mark, Reading, read
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, angle_of_column

@@ -1,9 +1,9 @@
 """A method in forty lines: one look straight ahead, one question to the model, its box in that picture."""
 
 from jrdb_avr.agent.methods.attempt import Attempt, final_parts, heading, on_crop
-from jrdb_avr.agent.methods.prompts import mode_text
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.messages import Message, crop_line, crop_picture
+from jrdb_avr.agent.model.prompts import mode_text
 from jrdb_avr.schema.errors import DecodeError
 
 RULES = """Answer a question about people in a video from one picture of it, with one JSON object:

@@ -234,7 +234,7 @@ KILLED = """
 import sys
 sys.path.insert(0, {tests!r})
 from world_play import believe
-from jrdb_avr.queries.world import WorldGraph
+from jrdb_avr.queries.beliefs.graph import WorldGraph
 world = WorldGraph.open({path!r})
 for number in range(1000):
     believe(world, number)

@@ -79,7 +79,7 @@ def test_a_process_that_cannot_be_started_is_one_error(tmp_path, monkeypatch):
 
 LONG = """
 import sys
-from jrdb_avr.queries.world import WorldGraph
+from jrdb_avr.queries.beliefs.graph import WorldGraph
 graph = WorldGraph.open(sys.argv[1])
 print(graph._tables._process.pid, flush=True)
 while True:

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from painted_world import World, still
 from places import SNAPSHOTS
 
-from jrdb_avr.agent.methods.prompts import frame_ranges, mode_text, read_frame_ranges
 from jrdb_avr.agent.methods.react import ReAct
 from jrdb_avr.agent.model.client import Client
+from jrdb_avr.agent.model.prompts import frame_ranges, mode_text, read_frame_ranges
 from jrdb_avr.schema.answers import Choice, Evidence
 from jrdb_avr.schema.panorama import Box, crop_left, iou
 

@@ -447,8 +447,8 @@ def test_whatever_shapes_a_reply_is_in_its_key(tmp_path):
 WRITER = """
 import sys, time
 from pathlib import Path
-from jrdb_avr.agent.calls import Calls
-from jrdb_avr.agent.replies import Reply
+from jrdb_avr.agent.model.cache import Calls
+from jrdb_avr.agent.model.reply import Reply
 
 calls = Calls(Path(sys.argv[1]))
 digest = calls.digest({"model": "x"})
@@ -539,8 +539,8 @@ def test_a_call_just_kept_is_found_by_whoever_reads_meanwhile(tmp_path):
 LATE = """
 import atexit, sys
 from pathlib import Path
-from jrdb_avr.agent.calls import Calls
-from jrdb_avr.agent.replies import Reply
+from jrdb_avr.agent.model.cache import Calls
+from jrdb_avr.agent.model.reply import Reply
 
 atexit.register(lambda: calls.keep("b", Reply("late")))
 calls = Calls(Path(sys.argv[1]))

@@ -23,7 +23,7 @@ def render(name: str, **slots: object) -> str:
 
 @functools.cache
 def _template(name: str) -> Template:
-    return Template((files(__package__) / "prompts" / f"{name}.md").read_text(encoding="utf-8").rstrip("\n"))
+    return Template((files("jrdb_avr.agent") / "prompts" / f"{name}.md").read_text(encoding="utf-8").rstrip("\n"))
 
 
 class ModeText(NamedTuple):
