@@ -3,8 +3,9 @@
 A change that is meant to change nothing leaves every hash as it is; a change that is meant to is followed by
 `record`, and its commit lists what changed. The hashes are in `golden.json`, one section per part:
 
-sample-7, sample-11   questions, prompts, a scored run and report figures of two synthetic worlds
-real                  questions from real annotations, in `$JRDB_REAL` or `../shared/jrdb-real`; skipped if absent
+questions-7, questions-11   files, annotations, intervals and questions of two synthetic worlds
+runs-7, runs-11             prompts, a scored run and report figures of ten questions of each method in them
+real                        questions from real annotations, in `$JRDB_REAL` or `../shared/jrdb-real`; skipped if absent
 
 The prompts are the bodies of all HTTP requests that ten questions of each method send to the simulated model, images
 included. Bytes of Parquet and JPEG depend on the installed libraries, so their versions are recorded too.
@@ -130,39 +131,51 @@ def figures(store: Path) -> str:
     return sha256(json.dumps([numbers(row) for row in printed]).encode())
 
 
-def sample(seed: int, folder: Path) -> dict[str, object]:
-    """Hashes of a synthetic world from its label files to its report."""
+def benchmark(seed: int, folder: Path) -> Path:
+    """Make a synthetic world and its questions; returns the store."""
     root, store = folder / "root", folder / "store"
     jrdb_avr("sample", root, "--sequences", 2, "--frames", 450, "--people", 14, "--seed", seed)
     jrdb_avr("load", root, "--store", store)
     jrdb_avr("generate", "--store", store)
+    return store
+
+
+def questions(seed: int, folder: Path) -> dict[str, object]:
+    """Hashes of a synthetic world from its label files to its questions."""
+    store = benchmark(seed, folder)
     jrdb_avr("validate", "--replay", "--store", store)
-    found: dict[str, object] = {
-        "root": sha256(*(path.read_bytes() for path in sorted(root.rglob("*")) if path.is_file())),
-        "annotations": sha256(*(p.read_bytes() for p in sorted((store / "annotations").rglob("*.parquet")))),
-        "intervals": sha256(*(p.read_bytes() for p in sorted((store / "intervals").rglob("*.parquet")))),
+    return {
+        "root": sha256(*(path.read_bytes() for path in sorted((folder / "root").rglob("*")) if path.is_file())),
+        "annotations": sha256(*(path.read_bytes() for path in sorted((store / "annotations").rglob("*.parquet")))),
+        "intervals": sha256(*(path.read_bytes() for path in sorted((store / "intervals").rglob("*.parquet")))),
         "questions": tables(store / "questions"),
     }
+
+
+def runs(seed: int, folder: Path) -> dict[str, object]:
+    """Hashes of what ten questions of each method send, answer, score and report."""
+    store = benchmark(seed, folder)
     # The templates in turn, so that ten questions are of many kinds.
     picked = "SELECT question_id, row_number() OVER (PARTITION BY template ORDER BY question_id) AS turn FROM questions"
     query = f"SELECT question_id FROM ({picked}) ORDER BY turn, question_id LIMIT 10"
     ids = ",".join(row["question_id"] for row in json.loads(jrdb_avr("sql", query, "--store", store, "--json")))
     prompts = {}
     for method in METHODS:
-        # One noisy method in the second world: replies that have to be repaired have prompts of their own.
+        # Some methods are noisy in the second world: replies that have to be repaired have prompts of their own.
         noise = NOISE if seed != 7 and method in ("react", "agent", "search-recognize") else ()
         with recorded_model(noise) as (url, bodies):
             options = ("--store", store, "--method", method, "--model", "marker", "--base-url", url)
             jrdb_avr("evaluate", *options, "--run-id", method, "--questions", ids, "--no-scores")
             prompts[method] = sha256(*(body.encode() for body in sorted(bodies)))
-    found["prompts"] = prompts
     jrdb_avr("score", "--store", store)
     order = "ORDER BY run_id, question_id"
-    found["predictions"] = rows(store, f"SELECT * EXCLUDE (seconds) FROM predictions {order}")
-    found["steps"] = rows(store, f"SELECT * EXCLUDE (seconds) FROM steps {order}, step")
-    found["scores"] = rows(store, f"SELECT * FROM scores {order}")
-    found["report"] = figures(store)
-    return found
+    return {
+        "prompts": prompts,
+        "predictions": rows(store, f"SELECT * EXCLUDE (seconds) FROM predictions {order}"),
+        "steps": rows(store, f"SELECT * EXCLUDE (seconds) FROM steps {order}, step"),
+        "scores": rows(store, f"SELECT * FROM scores {order}"),
+        "report": figures(store),
+    }
 
 
 def real(folder: Path) -> dict[str, object]:
@@ -172,7 +185,13 @@ def real(folder: Path) -> dict[str, object]:
     return {"questions": tables(folder / "store" / "questions")}
 
 
-PARTS = {"sample-7": lambda at: sample(7, at), "sample-11": lambda at: sample(11, at), "real": real}
+PARTS = {
+    "questions-7": lambda at: questions(7, at),
+    "runs-7": lambda at: runs(7, at),
+    "questions-11": lambda at: questions(11, at),
+    "runs-11": lambda at: runs(11, at),
+    "real": real,
+}
 
 
 def flat(value: object, name: str = "") -> dict[str, object]:
