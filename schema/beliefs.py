@@ -185,7 +185,7 @@ class XYWH(NamedTuple):
     h: float
 
 
-class SightedRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class SightingRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A row of `Sighted`; source and target are keys of the nodes."""
 
     source: str
@@ -198,7 +198,7 @@ class SightedRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     angle: float
 
 
-class HasRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class AttributeRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A row of `Has`."""
 
     source: str
@@ -213,7 +213,7 @@ class HasRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     last: int
 
 
-class RelatedRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class RelationRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A row of `Related`; `observation` is the key of its node."""
 
     source: str
@@ -242,9 +242,9 @@ class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_field
     entity: EntityRow | None = None
     changed: EntityRow | None = None
     freed: tuple[str, ...] = ()
-    sighted: SightedRow | None = None
-    has: HasRow | None = None
-    related: RelatedRow | None = None
+    sighted: SightingRow | None = None
+    has: AttributeRow | None = None
+    related: RelationRow | None = None
     replaced: tuple[int, ...] = ()
 
 

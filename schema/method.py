@@ -1,8 +1,8 @@
-"""What a method of the benchmark sees and returns: the public interface of method authors.
+"""The public interface of a method: the task it receives and the prediction it returns.
 
-A method gets one `Task` at a time: the public columns of a question, the frames it may look at, the functions
-`observe` and `panorama` to look with, and `record` and `keep` for its transcript and its world model's writes. It
-returns a `Prediction`. Nothing else of the store is in its reach.
+A method answers one `Task` at a time. A task holds the public columns of a question, the frames that can be observed,
+the functions `observe` and `panorama` that return images, and the functions `record` and `record_write` that append to
+the transcript and to the record of a world model. A method reaches nothing else of the store.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Question:
 
 @dataclass(frozen=True, slots=True)
 class SequenceInfo:
-    """A row of `sequences.parquet`: `frames` are those that can be observed, ascending."""
+    """A row of `sequences.parquet`; `frames` are the frames that can be observed, ascending."""
 
     sequence: str
     fps: float
@@ -47,7 +47,7 @@ class SequenceInfo:
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """One look: a 480 x 480 x 3 uint8 RGB crop of the stitched panorama, and where it was taken.
+    """A 480 x 480 x 3 uint8 RGB crop of the stitched panorama, with its frame and angle.
 
     `left` is the crop's left column in stitched pixels, [0, 3760); the crop wraps over the seam. `timestamp` is in
     seconds from frame 0.
@@ -76,7 +76,7 @@ class Panorama:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One line of a transcript; images are named by sequence, frame and angle, their bytes are left out."""
+    """One line of a transcript; it names images by sequence, frame and angle and leaves out their bytes."""
 
     kind: StepKind
     request: str
@@ -86,10 +86,10 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """What a method says of one question.
+    """A method's answer to one question, with its evidence and costs.
 
-    `n_observations` counts crops and panoramas. `answer` and `evidence` are judged apart, either may be missing;
-    `status` is invalid when either is unreadable, and `reason` then says why. `raw` is the model's last text.
+    `n_observations` counts crops and panoramas. `answer` and `evidence` are scored separately and either may be
+    missing; `status` is "invalid" when either is unreadable, and `reason` says why. `raw` is the model's last text.
     """
 
     status: Status
@@ -104,43 +104,43 @@ class Prediction:
 
 
 class Observe(Protocol):
-    """`observe(sequence, frame_index, angle_deg)`; raises ObserveError for what is not allowed."""
+    """Returns the crop at a frame and angle; raises ObserveError for a request that is not allowed."""
 
     def __call__(self, sequence: str, frame_index: int, angle_deg: float) -> Observation: ...
 
 
-class Show(Protocol):
-    """`panorama(sequence, frame_index)`: a whole panorama; raises ObserveError for what is not allowed."""
+class GetPanorama(Protocol):
+    """Returns a whole panorama; raises ObserveError for a request that is not allowed."""
 
     def __call__(self, sequence: str, frame_index: int) -> Panorama: ...
 
 
 class Record(Protocol):
-    """Appends a step to the transcript of the question at hand."""
+    """Appends a step to the transcript of the current question."""
 
     def __call__(self, step: Step) -> None: ...
 
 
-class Keep(Protocol):
-    """Appends a write, accepted or refused, to the record of the world model of the question at hand."""
+class RecordWrite(Protocol):
+    """Appends a write, accepted or refused, to the world model's record of the current question."""
 
     def __call__(self, write: Write) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One question with everything a method may use to answer it."""
+    """One question with everything that a method may use to answer it."""
 
     question: Question
     sequence: SequenceInfo
     observe: Observe
-    panorama: Show
+    panorama: GetPanorama
     record: Record
-    keep: Keep
+    record_write: RecordWrite
 
 
 class Method(Protocol):
-    """A way to take the benchmark. `answer` is called concurrently from several threads."""
+    """Answers questions. `answer` is called concurrently from several threads."""
 
     @property
     def name(self) -> str: ...
@@ -150,7 +150,7 @@ class Method(Protocol):
         ...
 
 
-class Settled(Method, Protocol):
-    """A method whose settings are kept in the run's manifest: a run is resumed only under equal settings."""
+class ConfigurableMethod(Method, Protocol):
+    """A method whose settings the run's manifest stores: a run resumes only under equal settings."""
 
     def settings(self) -> dict[str, Any]: ...

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from jrdb_avr.agent.beliefs.grounding import NUMBERS, PERSON_FRAME_LABELS
-from jrdb_avr.schema.beliefs import TIMELESS, HasRow, RelatedRow, SightedRow, name_of
+from jrdb_avr.schema.beliefs import TIMELESS, AttributeRow, RelationRow, SightingRow, name_of
 from jrdb_avr.schema.labels import FIRST_LEFT, FIRST_RIGHT, INTERACTIONS, POSES, SAME_GROUP
 
-Edge = SightedRow | HasRow | RelatedRow
+Edge = SightingRow | AttributeRow | RelationRow
 
 _SEVERAL = ("action", "interaction", "object")
 """Attributes of which an entity may have several at a frame, but one pose."""
@@ -24,15 +24,15 @@ def place_of(edge: Edge) -> Hashable:
     one place of the source's own view, and otherwise in several relations, of which some hold both ways.
     """
     match edge:
-        case SightedRow():
+        case SightingRow():
             return sighting_place(edge.source, edge.frame)
-        case HasRow() if edge.name in TIMELESS:
+        case AttributeRow() if edge.name in TIMELESS:
             return ("has", edge.source, edge.name)
-        case HasRow() if edge.name == "action" and edge.value in POSES:
+        case AttributeRow() if edge.name == "action" and edge.value in POSES:
             return ("has", edge.source, "pose", edge.first)
-        case HasRow() if edge.name in _SEVERAL:
+        case AttributeRow() if edge.name in _SEVERAL:
             return ("has", edge.source, edge.name, edge.first, edge.value)
-        case HasRow():
+        case AttributeRow():
             return ("has", edge.source, edge.name, edge.first)
     if edge.name in (FIRST_LEFT, FIRST_RIGHT):
         return ("related", edge.source, edge.name, edge.first)
@@ -63,30 +63,30 @@ class Believed:
     def of(cls, edge: Edge) -> Believed:
         """What is believed by this edge."""
         match edge:
-            case SightedRow():
+            case SightingRow():
                 return cls(edge, "sighted", _sighted_row(edge), _shown_sighting(edge))
-            case HasRow():
+            case AttributeRow():
                 return cls(edge, "attributes", _attribute_row(edge), _shown_attribute(edge))
-            case RelatedRow():
+            case RelationRow():
                 return cls(edge, "relations", _relation_row(edge), _shown_relation(edge))
 
 
-def _sighted_row(edge: SightedRow) -> dict[str, Any]:
+def _sighted_row(edge: SightingRow) -> dict[str, Any]:
     box, written = edge.box._asdict(), edge.write
     return {"who": name_of(edge.source), "frame": edge.frame, "box": box, "angle": edge.angle, "written": written}
 
 
-def _attribute_row(edge: HasRow) -> dict[str, Any]:
+def _attribute_row(edge: AttributeRow) -> dict[str, Any]:
     told = {"who": name_of(edge.source), "name": edge.name, "value": edge.value, "number": edge.number}
     return told | {"first": edge.first, "last": edge.last}
 
 
-def _relation_row(edge: RelatedRow) -> dict[str, Any]:
+def _relation_row(edge: RelationRow) -> dict[str, Any]:
     ends = {"source": name_of(edge.source), "name": edge.name, "target": name_of(edge.target)}
     return ends | {"first": edge.first, "last": edge.last}
 
 
-def _shown_sighting(edge: SightedRow) -> dict[str, Any]:
+def _shown_sighting(edge: SightingRow) -> dict[str, Any]:
     """The box in stitched pixels, x, y, w, h."""
     return {
         "observation": name_of(edge.target),
@@ -96,7 +96,7 @@ def _shown_sighting(edge: SightedRow) -> dict[str, Any]:
     }
 
 
-def _shown_attribute(edge: HasRow) -> dict[str, Any]:
+def _shown_attribute(edge: AttributeRow) -> dict[str, Any]:
     """Name and value, at the frame where it holds at one only."""
     return {
         "name": edge.name,
@@ -106,7 +106,7 @@ def _shown_attribute(edge: HasRow) -> dict[str, Any]:
     }
 
 
-def _shown_relation(edge: RelatedRow) -> dict[str, Any]:
+def _shown_relation(edge: RelationRow) -> dict[str, Any]:
     """Who stands in which relation to whom, at which frame."""
     return {
         "source": name_of(edge.source),

@@ -36,20 +36,20 @@ from jrdb_avr.schema.beliefs import (
     ALWAYS,
     TIMELESS,
     XYWH,
+    AttributeRow,
     EntityRow,
     EpisodeRow,
     Fact,
-    HasRow,
     ObservationRow,
-    RelatedRow,
-    SightedRow,
+    RelationRow,
+    SightingRow,
     Tool,
     Write,
     episode_key,
     name_of,
 )
 from jrdb_avr.schema.errors import DecodeError
-from jrdb_avr.schema.method import Keep, Observation, Panorama, Question
+from jrdb_avr.schema.method import Observation, Panorama, Question, RecordWrite
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, center_angle, from_crop
 from jrdb_avr.schema.plan import Plan, canonical
 
@@ -118,7 +118,7 @@ class World:
         graph.prepare(common_statements(), writes=True)
         graph.prepare(common_finds(), writes=False)
 
-    def episode(self, question: Question, keep: Keep) -> Episode:
+    def episode(self, question: Question, keep: RecordWrite) -> Episode:
         """Begin a question's episode; what an earlier try of it left is taken away.
 
         Raises QueryError or StoreError, as all writes of an episode do, where the graph cannot be written.
@@ -133,7 +133,7 @@ class World:
 class Episode:
     """What is believed about one question. Made by `World.episode`."""
 
-    def __init__(self, graph: WorldGraph, run_id: str, question: Question, keep: Keep) -> None:
+    def __init__(self, graph: WorldGraph, run_id: str, question: Question, keep: RecordWrite) -> None:
         self.key = episode_key(run_id, question.question_id)
         self._graph = graph
         self._keep = keep
@@ -237,7 +237,7 @@ class Episode:
             claim.node or (there.node if there else ""),
             there.step if there else step,
         )
-        sighted = SightedRow(
+        sighted = SightingRow(
             row.id,
             f"{self.key}/{seen.name}",
             self.key,
@@ -260,7 +260,7 @@ class Episode:
         entity = self._sighted(claim.entity, seen)
         self._room()
         always = claim.name in TIMELESS
-        has = HasRow(
+        has = AttributeRow(
             entity,
             f"{self.key}/{seen.name}",
             self.key,
@@ -278,7 +278,7 @@ class Episode:
         seen = self._seen(claim.observation)
         source, target = self._sighted(claim.source, seen), self._sighted(claim.target, seen)
         self._room()
-        related = RelatedRow(
+        related = RelationRow(
             source,
             target,
             self.key,
@@ -403,11 +403,11 @@ class Episode:
         relations = []
         for one in sorted(self._edges.values(), key=lambda one: one.edge.write):
             match one.edge:
-                case SightedRow(source=source):
+                case SightingRow(source=source):
                     sightings[source].append(one.shown)
-                case HasRow(source=source):
+                case AttributeRow(source=source):
                     attributes[source].append(one.shown)
-                case RelatedRow():
+                case RelationRow():
                     relations.append(one.shown)
         return {
             "observations": [{"observation": name, **seen.said} for name, seen in self._observations.items()],

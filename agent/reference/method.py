@@ -60,7 +60,7 @@ class ReferenceAgent:
         heading = task_heading(task, self.limits, self.looks)
         if self.world is None:
             return self._play(attempt, ChatMemory(attempt, system, heading))
-        world, solver = self.world.episode(task.question, task.keep), self.solving(self.world, task.question)
+        world, solver = self.world.episode(task.question, task.record_write), self.solving(self.world, task.question)
         with world.together():
             plan = make_plan(attempt, self.limits.repairs, solver.check, world)
             if isinstance(plan, str):

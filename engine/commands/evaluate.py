@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from jrdb_avr.engine.run.live_scores import Standing
     from jrdb_avr.queries.runs import RunManifest
     from jrdb_avr.queries.store import Store
-    from jrdb_avr.schema.method import Question, Settled
+    from jrdb_avr.schema.method import ConfigurableMethod, Question
 
 LOG_EVERY_S: Final = 30.0
 """Between two lines of running scores where there is no bar to print them beside."""
@@ -294,7 +294,7 @@ def _running_scores(place: Store, run_id: str, wanted: bool | None) -> Iterator[
         yield lambda: latest
 
 
-def _method(name: str, endpoint: Endpoint | None, world: World | None) -> Settled:
+def _method(name: str, endpoint: Endpoint | None, world: World | None) -> ConfigurableMethod:
     from jrdb_avr.engine.run.methods import make_method
 
     if is_own(name):
@@ -307,7 +307,7 @@ def _manifest(
     place: Store,
     run_id: str,
     model: str,
-    method: Settled,
+    method: ConfigurableMethod,
     endpoint: Endpoint | None,
     questions: list[Question],
     knobs: Knobs,

@@ -32,6 +32,7 @@ from jrdb_avr.schema.answers import ANSWER_TYPES, decode_answer, encode_answer
 from jrdb_avr.schema.beliefs import Write
 from jrdb_avr.schema.errors import AvrError, InputError, LockedError, StoreError
 from jrdb_avr.schema.method import (
+    GetPanorama,
     Method,
     Observation,
     Observe,
@@ -39,7 +40,6 @@ from jrdb_avr.schema.method import (
     Prediction,
     Question,
     SequenceInfo,
-    Show,
     Status,
     Step,
     Task,
@@ -251,7 +251,7 @@ def ask(
     question: Question,
     sequence: SequenceInfo,
     look: Observe,
-    show: Show,
+    show: GetPanorama,
     stopped: Callable[[], bool] = lambda: False,
 ) -> Finished:
     """Ask one question. Whatever the method raises, or returns that is no prediction, becomes an `error` with the
@@ -396,7 +396,7 @@ def ask_all(
     questions: Sequence[Question],
     sequences: Mapping[str, SequenceInfo],
     observe: Observe,
-    panorama: Show,
+    panorama: GetPanorama,
     journal: Journal,
     concurrency: int,
     advance: Callable[[int], None] = lambda steps: None,

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from jrdb_avr.agent.beliefs.world_model import World
     from jrdb_avr.agent.model.client import Chat
     from jrdb_avr.agent.model.conventions import Convention
-    from jrdb_avr.schema.method import Settled
+    from jrdb_avr.schema.method import ConfigurableMethod
 
 METHODS: Final = (
     "monolithic",
@@ -60,7 +60,7 @@ def open_world(path: Path, run_id: str, record: pa.Table) -> Iterator[World]:
         yield World(world, run_id)
 
 
-def make_method(name: str, chat: Chat, convention: Convention, world: World | None = None) -> Settled:
+def make_method(name: str, chat: Chat, convention: Convention, world: World | None = None) -> ConfigurableMethod:
     """The method of a name in `METHODS`; one of `WORLD_METHODS` is given its world model."""
     match name:
         case "monolithic":

@@ -25,13 +25,13 @@ from jrdb_avr.schema.beliefs import (
     ALWAYS,
     WORLD_NODES,
     WORLD_RELS,
+    AttributeRow,
     EntityRow,
     EpisodeRow,
     Fact,
-    HasRow,
     ObservationRow,
-    RelatedRow,
-    SightedRow,
+    RelationRow,
+    SightingRow,
     SlotRow,
     episode_hash,
     episode_key,
@@ -53,7 +53,7 @@ _TYPES: Final[dict[str, pa.DataType]] = {
     "STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)": pa.struct([(name, pa.float64()) for name in "xywh"]),
 }
 
-_Edge = SightedRow | HasRow | RelatedRow
+_Edge = SightingRow | AttributeRow | RelationRow
 
 
 def read_record(store: Store, run_id: str) -> pa.Table:
@@ -225,13 +225,13 @@ class _Episode:
             self.close_edge(rows, number, made)
 
     def close_edge(self, rows: dict[str, list[tuple[Any, ...]]], number: int, edge: _Edge) -> None:
-        table = {SightedRow: "Sighted", HasRow: "Has", RelatedRow: "Related"}[type(edge)]
-        targets = self.entities if isinstance(edge, RelatedRow) else self.observations
+        table = {SightingRow: "Sighted", AttributeRow: "Has", RelationRow: "Related"}[type(edge)]
+        targets = self.entities if isinstance(edge, RelationRow) else self.observations
         if edge.episode != self.key or edge.source not in self.entities or edge.target not in targets:
             raise self.broken(f"makes an edge in write {number} between what it does not hold")
         until = self.until.get(number)
         ends = [self.entities[edge.source].name]
-        if isinstance(edge, RelatedRow):
+        if isinstance(edge, RelationRow):
             ends.append(self.entities[edge.target].name)
         rows[table].append((*msgspec.structs.astuple(edge), until is None, ALWAYS if until is None else until, *ends))
 

@@ -19,20 +19,20 @@ from jrdb_avr.queries.beliefs.tables import Statement
 from jrdb_avr.schema.beliefs import (
     ALWAYS,
     XYWH,
+    AttributeRow,
     EntityRow,
     EpisodeRow,
     Fact,
-    HasRow,
     ObservationRow,
-    RelatedRow,
-    SightedRow,
+    RelationRow,
+    SightingRow,
     SlotRow,
     Write,
     episode_hash,
     name_of,
 )
 
-Edge = SightedRow | HasRow | RelatedRow
+Edge = SightingRow | AttributeRow | RelationRow
 
 FEW: Final = 1
 """Edges of a table that are made one by one at most: to make more together takes as long as two."""
@@ -43,7 +43,7 @@ MANY_EDGES: Final = 24
 longer.
 """
 
-_EDGES: Final[dict[type[Edge], str]] = {SightedRow: "sighted", HasRow: "has", RelatedRow: "related"}
+_EDGES: Final[dict[type[Edge], str]] = {SightingRow: "sighted", AttributeRow: "has", RelationRow: "related"}
 """The name of an edge's statements."""
 
 
@@ -116,7 +116,7 @@ class _Changes:
             self.until[number] = step
             return
         # An edge that holds both ways may have been written the other way round.
-        sources = (by.source, by.target) if isinstance(by, RelatedRow) else (by.source,)
+        sources = (by.source, by.target) if isinstance(by, RelationRow) else (by.source,)
         self.ended.extend((_EDGES[type(by)], source, number, step) for source in sources)
 
     def statements(self, episode: str, entities: Mapping[str, EntityRow]) -> Iterator[Statement]:
@@ -146,10 +146,10 @@ class _Changes:
 
     def _columns(self, edge: Edge) -> dict[str, Any]:
         values = msgspec.structs.asdict(edge)
-        if isinstance(edge, SightedRow):
+        if isinstance(edge, SightingRow):
             del values["box"]
             values |= edge.box._asdict()
-        if isinstance(edge, RelatedRow):
+        if isinstance(edge, RelationRow):
             values["whom"] = name_of(edge.target)
         until = self.until.get(edge.write, ALWAYS)
         return {**values, "current": until == ALWAYS, "until": until, "who": name_of(edge.source)}
@@ -163,7 +163,7 @@ def _short(edge: Mapping[str, Any]) -> dict[str, Any]:
 def _numbers(edge: Edge, entities: Mapping[str, EntityRow]) -> dict[str, int]:
     """The numbers of the edge's ends in their episode; that of an observation is in its name."""
     target = name_of(edge.target)
-    number = entities[target].number if isinstance(edge, RelatedRow) else int(target.removeprefix("o"))
+    number = entities[target].number if isinstance(edge, RelationRow) else int(target.removeprefix("o"))
     return {"source_number": entities[name_of(edge.source)].number, "target_number": number}
 
 
@@ -214,9 +214,9 @@ def common_statements() -> list[Statement]:
         facts += [Fact(entity=person) for person in people]
         for look, person in zip(seen, people, strict=True):
             box, n = XYWH(0.0, 0.0, 1.0, 1.0), len(facts)
-            facts.append(Fact(sighted=SightedRow(person.id, look.id, key, n, 0, 0, box, 0.0)))
-            facts.append(Fact(has=HasRow(person.id, look.id, key, n + 1, 0, "", "", 0.0, 0, 0)))
-            facts.append(Fact(related=RelatedRow(person.id, person.id, key, n + 2, 0, "", look.id, 0, 0)))
+            facts.append(Fact(sighted=SightingRow(person.id, look.id, key, n, 0, 0, box, 0.0)))
+            facts.append(Fact(has=AttributeRow(person.id, look.id, key, n + 1, 0, "", "", 0.0, 0, 0)))
+            facts.append(Fact(related=RelationRow(person.id, person.id, key, n + 2, 0, "", look.id, 0, 0)))
         made = [(Write(n, 0, "begin", "{}", True, "", ""), fact) for n, fact in enumerate(facts)]
         transactions = write_statements(key, made, {person.name: person for person in people})
         statements += [statement for transaction in transactions for statement in transaction]

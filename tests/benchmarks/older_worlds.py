@@ -5,13 +5,13 @@ import pyarrow as pa
 
 from jrdb_avr.schema.beliefs import (
     XYWH,
+    AttributeRow,
     EntityRow,
     EpisodeRow,
     Fact,
-    HasRow,
     ObservationRow,
-    RelatedRow,
-    SightedRow,
+    RelationRow,
+    SightingRow,
     episode_key,
 )
 from jrdb_avr.schema.tables import RUNS
@@ -38,13 +38,13 @@ def _facts(key, run, question):
     number, before = 2, ""
     for n in range(PER_EPISODE):
         entity = EntityRow(f"{key}/p{n}", key, f"p{n}", n + 1, "person", "", number)
-        sighted = SightedRow(entity.id, seen.id, key, number, number, 15, XYWH(1.0, 2.0, 3.0, 4.0), 180.0)
+        sighted = SightingRow(entity.id, seen.id, key, number, number, 15, XYWH(1.0, 2.0, 3.0, 4.0), 180.0)
         yield Fact(entity=entity, sighted=sighted)
         number += 1
         for name, value in (("gender", "female"), ("action", "sitting"), ("sector", "front")):
-            yield Fact(has=HasRow(entity.id, seen.id, key, number, number, name, value, 0.0, 15, 15))
+            yield Fact(has=AttributeRow(entity.id, seen.id, key, number, number, name, value, 0.0, 15, 15))
             number += 1
         if before:
-            yield Fact(related=RelatedRow(entity.id, before, key, number, number, "conversation", seen.id, 15, 15))
+            yield Fact(related=RelationRow(entity.id, before, key, number, number, "conversation", seen.id, 15, 15))
             number += 1
         before = entity.id

@@ -43,7 +43,7 @@ class Believer:
 
     def answer(self, task):
         rng = random.Random(task.question.question_id)
-        episode = self.world.episode(task.question, task.keep)
+        episode = self.world.episode(task.question, task.record_write)
         if rng.random() < 0.8:
             episode.plan(PLAN, 1)
         looks, people = 0, []

@@ -13,7 +13,7 @@ from jrdb_avr.engine.pages import trace_page
 from jrdb_avr.engine.report.traces import look_of, read_trace
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.beliefs import EntityRow, Fact, HasRow, RelatedRow, SightedRow
+from jrdb_avr.schema.beliefs import AttributeRow, EntityRow, Fact, RelationRow, SightingRow
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.tables import RUNS
 
@@ -28,11 +28,11 @@ def entity(name, number, step, node=""):
 
 
 def sighted(name, write, step, frame, x):
-    return SightedRow(f"e/{name}", "e/o1", "e", write, step, frame, Box(x, 200.0, 40.0, 90.0), x / 3760 * 360)
+    return SightingRow(f"e/{name}", "e/o1", "e", write, step, frame, Box(x, 200.0, 40.0, 90.0), x / 3760 * 360)
 
 
 def has(name, write, step, value, frame):
-    return HasRow(f"e/{name}", "e/o1", "e", write, step, "action", value, 0.0, frame, frame)
+    return AttributeRow(f"e/{name}", "e/o1", "e", write, step, "action", value, 0.0, frame, frame)
 
 
 def world_rows(frame):
@@ -47,7 +47,7 @@ def world_rows(frame):
             5,
             "add_relation",
             "",
-            Fact(related=RelatedRow("e/p1", f"e/{HOSTILE}", "e", 5, 5, "conversation", "o1", frame, frame)),
+            Fact(related=RelationRow("e/p1", f"e/{HOSTILE}", "e", 5, 5, "conversation", "o1", frame, frame)),
         ),
     ]
     return [

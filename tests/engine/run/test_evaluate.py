@@ -403,7 +403,7 @@ NAN = float("nan")
         lambda task: Prediction("answered", Choice(1), Evidence(0, Box(2**53 + 1, 0.0, 1.0, 1.0))),
         lambda task: (_ for _ in ()).throw(ValueError("\ud800")),
         lambda task: task.record("a step") or Prediction("answered", Choice(1)),
-        lambda task: task.keep(7) or Prediction("answered", Choice(1)),
+        lambda task: task.record_write(7) or Prediction("answered", Choice(1)),
     ],
     ids=[
         *(

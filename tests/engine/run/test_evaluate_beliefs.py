@@ -200,7 +200,7 @@ class Task:
     """What the believer needs of a task."""
 
     def __init__(self, question):
-        self.question, self.keep = question, lambda write: None
+        self.question, self.record_write = question, lambda write: None
 
 
 def test_what_another_process_writes_is_refused_by_name(store):
