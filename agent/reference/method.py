@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from jrdb_avr.agent.beliefs.solving import beliefs_of
 from jrdb_avr.agent.methods.attempt import Attempt, shared_settings
-from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.client import Chat
-from jrdb_avr.agent.model.conventions import Convention
+from jrdb_avr.agent.model.conventions import CONTRACT, Convention
 from jrdb_avr.agent.reference.chat_memory import ChatMemory
 from jrdb_avr.agent.reference.episode import Episode, Memory
 from jrdb_avr.agent.reference.graph_memory import GraphMemory, Solver
@@ -30,7 +29,7 @@ class ReferenceAgent:
     """
 
     chat: Chat
-    convention: Convention = decode.CONTRACT
+    convention: Convention = CONTRACT
     world: World | None = None
     looks: bool = True
     limits: Limits = LIMITS
