@@ -94,7 +94,8 @@ def test_the_command_line_starts_light():
 
 
 @pytest.mark.parametrize(
-    "module", ["queries.store", "queries.guard", "queries.sql", "queries.handle", "engine.observe"]
+    "module",
+    ["queries.store", "queries.graph.guard", "queries.sql", "queries.graph.handle", "engine.observe.observer"],
 )
 def test_engines_are_imported_where_they_are_used(module):
     assert not loaded_after(f"import jrdb_avr.{module}") & {"kuzu", "duckdb", "cv2", "openai", "rich"}
