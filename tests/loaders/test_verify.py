@@ -34,7 +34,7 @@ from jrdb_avr.schema.rules import LoadRules
 # keys one by one, and filters, which look at what the pages say of their own least and greatest values.
 DUMP = """
 import hashlib, sys
-from jrdb_avr.queries.handle import Graph
+from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
 with Graph.open(sys.argv[1], read_only=True) as graph:
     def ask(query, **params):

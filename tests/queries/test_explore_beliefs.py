@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from believing import BELIEF_QUERIES, Believer
-from test_runs_world import ASKED
+from test_evaluate_beliefs import ASKED
 
 from jrdb_avr.agent.beliefs.world_model import World
 from jrdb_avr.engine.run import evaluate as runs

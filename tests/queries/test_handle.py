@@ -395,8 +395,8 @@ def test_quotes_and_comments_hold_no_parameters():
 
 CHILD = """
 import sys
-from jrdb_avr.queries.handle import Graph, build_graph
-from jrdb_avr.queries.seal import check_seal, seal_of
+from jrdb_avr.queries.graph.handle import Graph, build_graph
+from jrdb_avr.queries.graph.file import check_seal, seal_of
 from jrdb_avr.schema.errors import LockedError
 try:
     if sys.argv[2] == "build":

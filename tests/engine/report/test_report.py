@@ -346,7 +346,10 @@ def test_a_report_is_the_same_under_any_hash_seed(tmp_path):
     write_every_format(store.path, tmp_path / "here")
     seed = "2" if os.environ.get("PYTHONHASHSEED") == "1" else "1"
     again = f"from test_report import *; write_every_format({str(store.path)!r}, {str(tmp_path / 'again')!r})"
-    environment = os.environ | {"PYTHONHASHSEED": seed, "PYTHONPATH": str(SUPPORT)}
+    environment = os.environ | {
+        "PYTHONHASHSEED": seed,
+        "PYTHONPATH": os.pathsep.join([str(SUPPORT), str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]),
+    }
     subprocess.run([sys.executable, "-c", again], env=environment, check=True)
     here, there = ({path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("here", "again"))
     assert len(here) == len(TABLES) + 4

@@ -272,7 +272,7 @@ def test_a_broken_record_is_left_out_and_told(store, live):
 
 KILLED = """
 import sys, threading, os, signal, time
-from test_runs_world import ASKED, run, Store
+from test_evaluate_beliefs import ASKED, run, Store
 store, after = Store(sys.argv[1]), int(sys.argv[2])
 calls, lock = [0], threading.Lock()
 def between():
