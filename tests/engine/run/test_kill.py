@@ -34,10 +34,11 @@ ASKED = 8
 LAUNCHER = """
 import os, sys
 import cv2, kuzu, openai, httpx2, pyarrow.parquet
+from jrdb_avr.agent.methods import react
 from jrdb_avr.agent.reference import method
-from jrdb_avr.agent import client, react, world
-from jrdb_avr.engine import cli, endpoint, methods, observe, runs, terms
+from jrdb_avr.engine import cli
 from jrdb_avr.engine.commands import evaluate
+from jrdb_avr.engine.observe import observer
 for line in sys.stdin:
     child = os.fork()
     if child == 0:
