@@ -39,6 +39,10 @@ COMMANDS: Final[dict[str, str]] = {
 """Every command with its short help, which must not need the command's module."""
 
 
+_MODULES: Final = {"cypher": "query", "sql": "query"}
+"""Modules that hold more than one command, each under its own name."""
+
+
 class LazyGroup(click.Group):
     """A group whose commands are imported when called."""
 
@@ -48,8 +52,8 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"jrdb_avr.engine.commands.{cmd_name}")
-        command: click.Command = module.command
+        module = importlib.import_module(f"jrdb_avr.engine.commands.{_MODULES.get(cmd_name, cmd_name)}")
+        command: click.Command = getattr(module, cmd_name if cmd_name in _MODULES else "command")
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

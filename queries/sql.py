@@ -1,4 +1,4 @@
-"""SQL over the store's Parquet files, by DuckDB: one view per table, reading only.
+"""SQL over a store's Parquet files, by DuckDB: one view per table, reading only.
 
 Views: `annotations_<layer>`, `intervals_<kind>`, the tables of `questions/`, `predictions`, `steps` and `scores` of all
 runs, and what joins them (`JOINED`). A table that has not been written yet is an empty view. Nothing but the views' own
@@ -15,7 +15,6 @@ from typing import Any, Final
 import pyarrow as pa
 
 from jrdb_avr.queries.graph.parameters import scalar
-from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import QueryError, StoreError
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, QUESTIONS, RUNS
 
@@ -31,31 +30,31 @@ JOINED: Final[dict[str, str]] = {
 once; beside every sighting of the graph they would be two thirds of its file."""
 
 
-def views(store: Store) -> Iterator[tuple[str, pa.Schema, list[Path]]]:
+def views(folder: Path) -> Iterator[tuple[str, pa.Schema, list[Path]]]:
     """Each view's name, its schema and the files behind it, sorted."""
-    for folder, tables in (("annotations", ANNOTATIONS), ("intervals", INTERVALS)):
+    for part, tables in (("annotations", ANNOTATIONS), ("intervals", INTERVALS)):
         for name, schema in tables.items():
-            yield f"{folder}_{name}", schema, sorted((store.path / folder / name).glob("*.parquet"))
+            yield f"{part}_{name}", schema, sorted((folder / part / name).glob("*.parquet"))
     for name, schema in QUESTIONS.items():
-        path = store.question_path(name)
+        path = folder / "questions" / f"{name}.parquet"
         yield name, schema, [path] if path.exists() else []
     for name, schema in RUNS.items():
-        yield name, schema, sorted((store.path / "runs").glob(f"*/{name}.parquet"))
+        yield name, schema, sorted((folder / "runs").glob(f"*/{name}.parquet"))
 
 
-def ask_tables(
-    store: Store, sql: str, params: Mapping[str, Any] | None = None, *, timeout_s: float = TIMEOUT_S
+def query_tables(
+    folder: Path, sql: str, params: Mapping[str, Any] | None = None, *, timeout_s: float = TIMEOUT_S
 ) -> pa.Table:
-    """Run one SELECT over the views; `$name` in it are bound to `params`.
+    """Run one SELECT over the views of a store's folder; `$name` in it are bound to `params`.
 
     Raises StoreError where the folder is no store, QueryError where the statement is refused, fails or takes too long.
     """
     import duckdb
 
-    if not store.path.is_dir():
-        raise StoreError(f"{store.path} is no store: run 'jrdb-avr load ROOT --store {store.path}' first")
+    if not folder.is_dir():
+        raise StoreError(f"{folder} is no store: run 'jrdb-avr load ROOT --store {folder}' first")
     with duckdb.connect(":memory:") as connection:
-        broken = _make_views(connection, store)
+        broken = _make_views(connection, folder)
         _lock_down(connection)
         stopped = threading.Event()
 
@@ -85,13 +84,13 @@ def ask_tables(
             timer.cancel()
 
 
-def _make_views(connection: Any, store: Store) -> dict[str, str]:
+def _make_views(connection: Any, folder: Path) -> dict[str, str]:
     """Make all views; returns the reason for each that cannot be made, so that the others stay usable."""
     import duckdb
 
     broken: dict[str, str] = {}
     allowed: list[str] = []
-    for name, schema, files in views(store):
+    for name, schema, files in views(folder):
         if not files:
             connection.register(name, schema.empty_table())
             continue

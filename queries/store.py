@@ -21,15 +21,19 @@ import hashlib
 import os
 import re
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from jrdb_avr.queries.display import Displayed, Tables
 from jrdb_avr.queries.graph.file import STORE_GRAPH
+from jrdb_avr.queries.graph.guard import query_graph
+from jrdb_avr.queries.named import find_query
+from jrdb_avr.queries.sql import query_tables
 from jrdb_avr.schema.errors import InputError, LockedError, QueryError, StoreError
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, QUESTIONS, RUNS
@@ -113,7 +117,7 @@ def write_json(path: Path, value: msgspec.Struct) -> None:
     write_bytes(path, msgspec.json.format(msgspec.json.encode(value, order="sorted"), indent=1))
 
 
-class Store:
+class Store(Displayed):
     """A store folder. Opening checks nothing; `manifest()` raises StoreError where nothing has been loaded."""
 
     def __init__(self, path: str | Path) -> None:
@@ -193,39 +197,56 @@ class Store:
         """Write the manifest, which makes the folder a store. Raises StoreError if the disk refuses."""
         write_json(self.path / "store.json", manifest)
 
-    # -- questions about it -----------------------------------------------------------------------------------
+    # -- queries ----------------------------------------------------------------------------------------------
 
-    def cypher(self, query: str, **params: Any) -> pa.Table:
-        """Ask the scene graph: one reading statement, or the name of a query in `queries/explore/`.
+    def cypher(self, query: str, /, **params: Any) -> pa.Table:
+        """Query the scene graph with one reading statement, or the name of a query in `queries/explore/`.
 
         Raises QueryError where the statement is refused or fails, StoreError where there is no graph.
 
             store.cypher("who_is_where", sequence="gates-ai-lab-2019-02-08_0", seconds=10).to_pandas()
         """
-        from jrdb_avr.queries.graph.guard import ask_graph
-        from jrdb_avr.queries.named import find_query
+        return self.query("cypher", query, params)
 
-        return ask_graph(self.graph_path, *find_query("cypher", query, self.known(params)))
-
-    def known(self, params: dict[str, Any]) -> dict[str, Any]:
-        """The parameters, if the sequence among them is a loaded one. Raises QueryError, naming the nearest."""
-        name = params.get("sequence")
-        if isinstance(name, str) and (self.path / "store.json").exists() and name not in self.manifest().sequences:
-            loaded = sorted(self.manifest().sequences)
-            near = difflib.get_close_matches(name, loaded, 1) or loaded[:1]
-            raise QueryError(f"no sequence {name[:100]!r} is loaded; is it {near[0]}? the query 'sequences' lists all")
-        return params
-
-    def sql(self, query: str, **params: Any) -> pa.Table:
-        """Ask the Parquet tables: one SELECT over the views of `queries/sql.py`, or the name of a query in
+    def sql(self, query: str, /, **params: Any) -> pa.Table:
+        """Query the Parquet tables with one SELECT over the views of `queries/sql.py`, or the name of a query in
         `queries/results/`.
 
         Raises QueryError where the statement is refused or fails, StoreError where there is no store.
         """
-        from jrdb_avr.queries.named import find_query
-        from jrdb_avr.queries.sql import ask_tables
+        return self.query("sql", query, params)
 
-        return ask_tables(self, *find_query("sql", query, params))
+    def query(
+        self, language: Literal["cypher", "sql"], query: str, params: Mapping[str, Any], timeout_s: float = 60.0
+    ) -> pa.Table:
+        """Run a statement, or a named query, of either language. Raises QueryError also where it takes too long."""
+        statement, values = find_query(language, query, dict(params))
+        if language == "sql":
+            return query_tables(self.path, statement, values, timeout_s=timeout_s)
+        if not self.graph_path.exists():
+            self.manifest()  # A folder that is no store lacks more than a graph.
+        self._check_sequence(values.get("sequence"))
+        return query_graph(self.graph_path, statement, values, timeout_s=timeout_s)
+
+    def _check_sequence(self, name: object) -> None:
+        """Raises QueryError for a sequence that is not loaded, naming the nearest that is."""
+        if isinstance(name, str) and (self.path / "store.json").exists() and name not in self.manifest().sequences:
+            loaded = sorted(self.manifest().sequences)
+            near = difflib.get_close_matches(name, loaded, 1) or loaded[:1]
+            raise QueryError(f"no sequence {name[:100]!r} is loaded; is it {near[0]}? the query 'sequences' lists all")
+
+    # -- display ----------------------------------------------------------------------------------------------
+
+    def _summary(self) -> str:
+        if not (self.path / "store.json").exists():
+            return f"{self.path}, nothing loaded"
+        path, runs = self.question_path("questions"), len(list((self.path / "runs").glob("*/run.json")))
+        questions = pq.read_metadata(path).num_rows if path.exists() else 0
+        return f"{self.path}, {len(self.manifest().sequences)} sequences, {questions} questions, {runs} runs"
+
+    def _tables(self) -> Tables:
+        known = self.manifest().sequences if (self.path / "store.json").exists() else {}
+        return {"Sequences": [{"sequence": name, "layers": ", ".join(known[name].layers)} for name in sorted(known)]}
 
     # -- one writer -------------------------------------------------------------------------------------------
 

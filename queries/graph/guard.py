@@ -112,7 +112,7 @@ def check_cypher(cypher: str, *, writes: bool = False) -> None:
         raise QueryError(f"{name}(...) crashes the engine on long lists: write size(list_filter(list, x -> ...)) = 0")
 
 
-def ask_graph(
+def query_graph(
     path: Path, cypher: str, params: Mapping[str, Any] | None = None, *, timeout_s: float = TIMEOUT_S
 ) -> pa.Table:
     """Run one reading statement on the graph file at `path`; rows without ORDER BY come sorted by their columns.

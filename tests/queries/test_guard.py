@@ -15,11 +15,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from jrdb_avr.queries.graph import guard
-from jrdb_avr.queries.graph.guard import ask_graph, check_cypher
+from jrdb_avr.queries.graph.guard import check_cypher, query_graph
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.named import find_query, named_queries, parse_value
-from jrdb_avr.queries.sql import JOINED, ask_tables, views
+from jrdb_avr.queries.sql import JOINED, query_tables, views
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError, LockedError, QueryError, StoreError
 from jrdb_avr.schema.graph import scene_ddl
@@ -287,7 +287,7 @@ def test_a_map_is_an_error_that_says_what_to_return(store):
 def test_a_statement_that_runs_on_is_stopped(store):
     # The engine does not look at its clock inside range(); the process is ended.
     with pytest.raises(QueryError, match="stopped after"):
-        ask_graph(store.graph_path, "UNWIND range(1, 1000000000) AS i RETURN count(*) AS n", timeout_s=-9.0)
+        query_graph(store.graph_path, "UNWIND range(1, 1000000000) AS i RETURN count(*) AS n", timeout_s=-9.0)
 
 
 def test_too_much_memory_is_an_error(store):
@@ -297,7 +297,7 @@ def test_too_much_memory_is_an_error(store):
 
 def test_no_graph_and_a_busy_graph(store, tmp_path):
     with pytest.raises(StoreError, match="does not exist"):
-        ask_graph(tmp_path / "graph.kuzu", "RETURN 1 AS x")
+        query_graph(tmp_path / "graph.kuzu", "RETURN 1 AS x")
     with Graph.open(store.graph_path), pytest.raises(LockedError, match="in use by process"):
         store.cypher("RETURN 1 AS x")
 
@@ -306,12 +306,14 @@ def test_no_graph_and_a_busy_graph(store, tmp_path):
 
 
 def test_every_table_is_a_view_even_before_it_is_written(store):
-    shown = ask_tables(store, "SHOW TABLES")["name"].to_pylist()
-    assert shown == sorted([*(name for name, _, _ in views(store)), *JOINED])
+    shown = query_tables(store.path, "SHOW TABLES")["name"].to_pylist()
+    assert shown == sorted([*(name for name, _, _ in views(store.path)), *JOINED])
     assert {"annotations_boxes_2d", "intervals_actions", "questions", "scores", "predictions", "steps"} <= set(shown)
     # All rows of all of them in one statement: a connection is dear.
-    rows = store.sql("SELECT " + ", ".join(f"(SELECT list(t) FROM {name} t) AS {name}" for name, *_ in views(store)))
-    for name, schema, files in views(store):
+    rows = store.sql(
+        "SELECT " + ", ".join(f"(SELECT list(t) FROM {name} t) AS {name}" for name, *_ in views(store.path))
+    )
+    for name, schema, files in views(store.path):
         assert [field.name for field in rows.schema.field(name).type.value_type] == schema.names
         assert len(rows[name][0].as_py() or ()) == (3 if files else 0)
 
@@ -387,7 +389,7 @@ def test_sql_is_stopped_at_its_memory(store):
 def test_sql_is_stopped_in_time(store):
     endless = "SELECT count(*) FROM range(10000000) a, range(10000000) b WHERE a.range % 7 = b.range % 5"
     with pytest.raises(QueryError, match="stopped after"):
-        ask_tables(store, endless, timeout_s=0.3)
+        query_tables(store.path, endless, timeout_s=0.3)
 
 
 def test_a_broken_file_spoils_its_own_view_only(store, tmp_path):

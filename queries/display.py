@@ -1,0 +1,66 @@
+"""What library functions report while they work, and how their results display in a console and in a notebook."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+Progress = Callable[[str, int, int], None]
+"""Called with what is done, the number of steps finished and the number of all steps."""
+
+Rows = Sequence[Mapping[str, Any]]
+Tables = Mapping[str, Rows]
+
+MAX_ROWS: Final = 100
+"""Rows that a notebook displays of one table."""
+
+
+def step_counter(progress: Progress | None, what: str, total: int) -> Callable[[int], None]:
+    """Return a function that adds finished steps and reports them to `progress`, which hears of the start too."""
+    done = 0
+
+    def advance(steps: int = 1) -> None:
+        nonlocal done
+        done += steps
+        if progress is not None:
+            progress(what, done, total)
+
+    advance(0)
+    return advance
+
+
+def columns_of(rows: Rows) -> list[str]:
+    """Every column of any row, in the order of their first appearance."""
+    return list(dict.fromkeys(name for row in rows for name in row))
+
+
+class Displayed:
+    """Base of a result: `repr` is its summary in one line, a notebook adds its tables."""
+
+    def _summary(self) -> str:
+        raise NotImplementedError
+
+    def _tables(self) -> Tables:
+        return {}
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self._summary()}>"
+
+    def _repr_html_(self) -> str:
+        shown = [_html_table(title, rows) for title, rows in self._tables().items() if rows]
+        return f"<p>{html.escape(repr(self))}</p>{''.join(shown)}"
+
+
+def _html_table(title: str, rows: Rows) -> str:
+    columns = columns_of(rows)
+    lines = [[row.get(name) for name in columns] for row in rows[:MAX_ROWS]]
+    body = "".join(f"<tr>{_html_cells('td', line)}</tr>" for line in lines)
+    more = f" ({MAX_ROWS} of {len(rows)} rows)" if len(rows) > MAX_ROWS else ""
+    caption = f"<caption>{html.escape(title)}{more}</caption>"
+    return f"<table>{caption}<tr>{_html_cells('th', columns)}</tr>{body}</table>"
+
+
+def _html_cells(tag: str, values: Sequence[object]) -> str:
+    texts = ("" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value) for value in values)
+    return "".join(f"<{tag}>{html.escape(text)}</{tag}>" for text in texts)
