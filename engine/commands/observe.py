@@ -31,25 +31,24 @@ def command(
         raise click.UsageError("give either an ANGLE or --panorama")
 
     from jrdb_avr.engine.observe.observer import Observer
-    from jrdb_avr.engine.observe.overlay import draw_on_crop, draw_on_panorama
+    from jrdb_avr.engine.observe.overlay import draw_people
     from jrdb_avr.queries.sequences import loaded_sequence
     from jrdb_avr.queries.store import Store
 
     opened = Store(store)
     observer = Observer(opened.manifest().image_root, [loaded_sequence(opened, sequence)])
-    people, poses = _annotated(opened, sequence, frame) if boxes else ([], [])
     if angle is None:
-        image = observer.panorama(sequence, frame)
-        if boxes:
-            image = draw_on_panorama(image, people, poses)
+        image, left = observer.panorama(sequence, frame), 0
         note(f"{sequence} frame {frame:06d}: whole panorama -> {out}")
     else:
         seen = observer(sequence, frame, angle)
-        image = draw_on_crop(seen.image, seen.left, people, poses) if boxes else seen.image
+        image, left = seen.image, seen.left
         note(
             f"{sequence} frame {seen.frame_id}, {seen.timestamp:.2f} s, angle {seen.angle_deg:g}, "
             f"left column {seen.left}, {seen.fov_deg} degrees wide -> {out}"
         )
+    if boxes:
+        image = draw_people(image, *_annotated(opened, sequence, frame), left)
     _write_png(out, image)
 
 

@@ -1,20 +1,19 @@
-"""`observe`: crops of the stitched panorama, by sequence, frame and angle.
+"""Crops of the stitched panorama by sequence, frame and angle.
 
-An `Observer` is made from public data only, the image folder and the sequences' frames, and returns pixels and where
-they were taken. A caller's words never become a path: a sequence is looked up by name and a frame in its list before
-anything is read.
+An `Observer` reads public data only, the image folder and the sequences' frames, and returns pixels and where they were
+taken. A caller's text never becomes a path: the sequence is looked up by name and the frame in its list before any file
+is read.
 """
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
 import operator
 import os
 import threading
-from collections import OrderedDict
-from collections.abc import Iterable
-from concurrent.futures import Future
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Final
 
@@ -26,10 +25,10 @@ from jrdb_avr.schema.method import Image, Observation, Panorama, SequenceInfo
 from jrdb_avr.schema.panorama import CROP, FOV_DEG, HEIGHT, WIDTH, crop_left
 
 CACHED_PANORAMAS: Final = 16
-"""Decoded panoramas kept by default, 5.4 MB each."""
+"""Decoded panoramas in memory by default, 5.4 MB each."""
 
 CACHED_FILES: Final = 128
-"""Files of panoramas kept as they are, about half a megabyte each."""
+"""Panorama files in memory, about half a megabyte each."""
 
 _TILE: Final = 235
 """Columns of a tile; sixteen of them are the panorama."""
@@ -43,7 +42,7 @@ class Observer:
     """Serves observations of `sequences`, whose panoramas lie in `image_root/<sequence>/<six digits>.jpg`.
 
     May be called from several threads. Memory stays bounded: at most `cached` decoded panoramas and `CACHED_FILES`
-    files are kept, the least recently used goes first.
+    files stay in memory; the least recently used is dropped first.
     """
 
     def __init__(
@@ -52,16 +51,17 @@ class Observer:
         self._root = None if image_root is None else Path(image_root)
         self._sequences = {safe_sequence(info.sequence): info for info in sequences}
         self._frames = {name: frozenset(info.frames) for name, info in self._sequences.items()}
-        self._cached = max(1, cached)
-        self._panoramas: OrderedDict[tuple[str, int], Future[_Strip]] = OrderedDict()
-        self._files: OrderedDict[tuple[str, int], bytes] = OrderedDict()
         self._lock = threading.Lock()
+        # Making a strip reads nothing yet, so that the lock is held briefly.
+        self._strips = functools.lru_cache(max(1, cached))(lambda *key: _Strip(functools.partial(self._decode, *key)))
+        self._files = functools.lru_cache(CACHED_FILES)(self._checked_file)
 
     def __call__(self, sequence: str, frame_index: int, angle_deg: float) -> Observation:
         """The 480 x 480 RGB crop centred on an angle in degrees: 180 ahead, 90 the robot's left, 0 behind, 270 right.
 
-        Any finite angle is wrapped. The image is the caller's own and read-only. Raises ObserveError, saying what is
-        allowed, for an unknown sequence, a frame without an image, an angle that is no number, or a broken image file.
+        Any finite angle is wrapped. The image is the caller's own and read-only. Raises ObserveError, which names what
+        is allowed, for an unknown sequence, a frame without an image, an angle that is not a number, or a broken image
+        file.
         """
         frame = self._check(sequence, frame_index)
         angle = _angle(angle_deg)
@@ -82,25 +82,15 @@ class Observer:
         return self._strip(sequence, self._check(sequence, frame_index)).whole()
 
     def stored(self, sequence: str, frame_index: int) -> Panorama:
-        """The whole panorama as its file's bytes, which are found to be a whole picture. Raises ObserveError."""
+        """The whole panorama as the bytes of its file, which hold a complete picture. Raises ObserveError."""
         frame = self._check(sequence, frame_index)
-        key = (sequence, frame)
-        with self._lock:
-            data = self._files.get(key)
-            if data is not None:
-                self._files.move_to_end(key)
-        if data is None:
-            data, path = self._read(sequence, frame)
-            decode_panorama(data, path)
-            with self._lock:
-                self._files[key] = data
-                while len(self._files) > CACHED_FILES:
-                    self._files.popitem(last=False)
-        return Panorama(sequence, frame, f"{frame:06d}", frame / self._sequences[sequence].fps, data)
+        return Panorama(
+            sequence, frame, f"{frame:06d}", frame / self._sequences[sequence].fps, self._files(sequence, frame)
+        )
 
     def _check(self, sequence: str, frame_index: int) -> int:
         if not isinstance(sequence, str) or sequence not in self._sequences:
-            raise ObserveError(f"no sequence {_shown(sequence)!r}; there are: {_some(sorted(self._sequences))}")
+            raise ObserveError(f"no sequence {_short(sequence)!r}; there are: {_some(sorted(self._sequences))}")
         try:
             frame = operator.index(frame_index)
         except TypeError:
@@ -108,37 +98,26 @@ class Observer:
         if isinstance(frame_index, bool | np.bool_) or frame not in self._frames[sequence]:
             frames = self._sequences[sequence].frames
             raise ObserveError(
-                f"{sequence} has no image at frame {_shown(frame_index)}; frames with an image: "
+                f"{sequence} has no image at frame {_short(frame_index)}; frames with an image: "
                 + (_near(frames, frame) if frames else "none")
             )
         return frame
 
     def _strip(self, sequence: str, frame: int) -> _Strip:
-        key = (sequence, frame)
+        # Without the lock, two threads could make two strips of one panorama, and decode it twice.
         with self._lock:
-            future = self._panoramas.get(key)
-            if future is not None:
-                self._panoramas.move_to_end(key)
-        if future is not None:
-            return future.result()
-        mine: Future[_Strip] = Future()
-        with self._lock:
-            future = self._panoramas.setdefault(key, mine)
-            if len(self._panoramas) > self._cached:
-                self._panoramas.popitem(last=False)
-        if future is mine:
-            try:
-                mine.set_result(_Strip(decode_panorama(*self._read(sequence, frame))))
-            except BaseException as error:
-                # A failure is not remembered: the file may be there on the next call.
-                with self._lock:
-                    if self._panoramas.get(key) is mine:
-                        del self._panoramas[key]
-                mine.set_exception(error)
-        return future.result()
+            return self._strips(sequence, frame)
+
+    def _decode(self, sequence: str, frame: int) -> Image:
+        return decode_panorama(*self._read(sequence, frame))
+
+    def _checked_file(self, sequence: str, frame: int) -> bytes:
+        data, path = self._read(sequence, frame)
+        decode_panorama(data, path)
+        return data
 
     def _read(self, sequence: str, frame: int) -> tuple[bytes, str]:
-        """A panorama's file, and its name for messages."""
+        """The bytes of a panorama's file, and its name for messages."""
         if self._root is None:
             raise ObserveError("there are no images: load a root that holds images/image_stitched")
         path = self._root / sequence / f"{frame:06d}.jpg"
@@ -151,61 +130,54 @@ class Observer:
 
 
 class _Strip:
-    """A decoded panorama that hands out crops, as copies: no crop keeps a panorama alive.
+    """A panorama that is decoded on first use and returns crops as copies: no crop keeps a panorama in memory.
 
-    The first crop is cut from the rows as decoded. A panorama looked at again is laid out in tiles, each contiguous: a
-    crop of rows jumps 11 KB for every row of 1.4 KB, which the processor cannot fetch ahead (6,000 crops/s over many
-    panoramas, against 10,000 from tiles).
+    The first crop is cut from the rows as decoded. On the second use the panorama is laid out in tiles, each
+    contiguous: a crop of rows jumps 11 KB for every row of 1.4 KB, which the processor cannot fetch ahead (6,000
+    crops/s over many panoramas, against 10,000 from tiles).
     """
 
-    def __init__(self, image: Image) -> None:
-        self._image: Image | None = image
+    def __init__(self, decode: Callable[[], Image]) -> None:
+        self._decode = decode
+        self._lock = threading.Lock()
         self._tiles: Image | None = None
-        self._looked_at = False
 
     def crop(self, left: int) -> Image:
-        """Columns [left, left + 480), over the seam where need be; read-only."""
-        tiles, image = self._tiles, self._image
-        if tiles is None and image is not None:
-            if not self._looked_at:
-                self._looked_at = True
-                return _join(image[None], WIDTH, left)
-            # Two threads may both do this once; the tiles are set before the rows go.
-            self._tiles = _to_tiles(image)
-            self._image = None
-        tiles = self._tiles
-        assert tiles is not None
-        return _join(tiles, _TILE, left)
+        """Columns [left, left + 480), across the seam if necessary; read-only."""
+        tiles = self._laid_out()
+        # Rows of bytes copy faster than rows of pixels.
+        width = 3 * tiles.shape[2]
+        crop = np.empty((HEIGHT, CROP, 3), np.uint8)
+        rows = crop.reshape(HEIGHT, 3 * CROP)
+        number, first = divmod(3 * left, width)
+        done = 0
+        while done < 3 * CROP:
+            count = min(width - first, 3 * CROP - done)
+            tile = tiles[number % len(tiles)].reshape(HEIGHT, width)
+            rows[:, done : done + count] = tile[:, first : first + count]
+            done, number, first = done + count, number + 1, 0
+        crop.flags.writeable = False
+        return crop
 
     def whole(self) -> Image:
         """The panorama, read-only."""
-        image = self._image
-        if image is None:
-            assert self._tiles is not None
-            image = np.ascontiguousarray(self._tiles.transpose(1, 0, 2, 3)).reshape(HEIGHT, WIDTH, 3)
-            image.flags.writeable = False
+        tiles = self._laid_out()
+        image: Image = tiles[0] if len(tiles) == 1 else np.hstack(list(tiles))
+        image.flags.writeable = False
         return image
 
+    def _laid_out(self) -> Image:
+        """The tiles in the order of their columns, (count, 480, width, 3); a single one on the first use.
 
-def _to_tiles(image: Image) -> Image:
-    """16 x 480 x 235 x 3."""
-    return np.ascontiguousarray(image.reshape(HEIGHT, WIDTH // _TILE, _TILE, 3).transpose(1, 0, 2, 3))
-
-
-def _join(tiles: Image, width: int, left: int) -> Image:
-    """480 columns from `left` on, out of tiles `width` columns wide that go round in a circle."""
-    crop = np.empty((HEIGHT, CROP, 3), np.uint8)
-    # Rows of bytes copy faster than rows of pixels.
-    rows = crop.reshape(HEIGHT, CROP * 3)
-    number, first = divmod(left, width)
-    done = 0
-    while done < CROP:
-        columns = min(width - first, CROP - done)
-        tile = tiles[number % len(tiles)].reshape(HEIGHT, width * 3)
-        rows[:, done * 3 : (done + columns) * 3] = tile[:, first * 3 : (first + columns) * 3]
-        done, number, first = done + columns, number + 1, 0
-    crop.flags.writeable = False
-    return crop
+        A failure is not remembered: the file may be there on the next use.
+        """
+        with self._lock:
+            if self._tiles is None:
+                self._tiles = self._decode()[None]
+            elif len(self._tiles) == 1:
+                tiled = self._tiles.reshape(HEIGHT, WIDTH // _TILE, _TILE, 3)
+                self._tiles = np.ascontiguousarray(tiled.transpose(1, 0, 2, 3))
+            return self._tiles
 
 
 def decode_panorama(data: bytes, name: str) -> Image:
@@ -220,8 +192,8 @@ def decode_panorama(data: bytes, name: str) -> Image:
         raise ObserveError(f"{name} is no whole JPEG: replace the file")
     size = _jpeg_size(data)
     if size != (WIDTH, HEIGHT):
-        shown = "without a size" if size is None else f"{size[0]} x {size[1]}"
-        raise ObserveError(f"{name} is {shown}, a stitched panorama is {WIDTH} x {HEIGHT}")
+        actual = "without a size" if size is None else f"{size[0]} x {size[1]}"
+        raise ObserveError(f"{name} is {actual}, a stitched panorama is {WIDTH} x {HEIGHT}")
     image: Image | None = None
     with contextlib.suppress(cv2.error):
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION)
@@ -256,13 +228,13 @@ def _angle(angle_deg: float) -> float:
     except (TypeError, ValueError, OverflowError):
         angle = math.nan
     if not math.isfinite(angle):
-        raise ObserveError(f"angle {_shown(angle_deg)} is no finite number of degrees (180 is ahead, 90 left)")
+        raise ObserveError(f"angle {_short(angle_deg)} is no finite number of degrees (180 is ahead, 90 left)")
     # The second modulo catches a tiny negative angle, whose first rounds to 360.
     return angle % 360.0 % 360.0
 
 
-def _shown(value: object) -> str:
-    """What a caller gave, in a message."""
+def _short(value: object) -> str:
+    """A caller's value in a message."""
     try:
         return str(value)[:100]
     except ValueError:
@@ -272,8 +244,8 @@ def _shown(value: object) -> str:
 
 def _some(names: list[str]) -> str:
     """Names in a message, the first thirty of many."""
-    shown = ", ".join(names[:30]) or "none"
-    return shown if len(names) <= 30 else f"{shown} and {len(names) - 30} more"
+    first = ", ".join(names[:30]) or "none"
+    return first if len(names) <= 30 else f"{first} and {len(names) - 30} more"
 
 
 def _near(frames: tuple[int, ...], wanted: int) -> str:

@@ -1,4 +1,4 @@
-"""Boxes and skeletons drawn over panoramas and crops, for a person to look at."""
+"""Annotated boxes and skeletons drawn on panoramas and crops, for a person to look at."""
 
 from __future__ import annotations
 
@@ -9,49 +9,34 @@ from typing import Any, Final
 import numpy as np
 
 from jrdb_avr.schema.method import Image
-from jrdb_avr.schema.panorama import CROP, WIDTH, Box, to_crop
-
-_BLACK: Final = (0, 0, 0)
-
+from jrdb_avr.schema.panorama import WIDTH
 
 EDGES: Final = (
     *((1, 2), (0, 4), (3, 4), (8, 10), (5, 7), (10, 13), (14, 16), (4, 5), (7, 12), (4, 8), (3, 6)),
     *((13, 15), (11, 14), (6, 9), (8, 11)),
 )
-"""Points that are joined, of the seventeen: head, right and left eye, right shoulder, neck, left shoulder, right and
-left elbow, tailbone, right wrist, right hip, left hip, left wrist, right and left knee, right and left foot."""
+"""Pairs of keypoints that a line joins. The seventeen are: head, right and left eye, right shoulder, neck,
+left shoulder, right and left elbow, tailbone, right wrist, right hip, left hip, left wrist, right and left knee, right
+and left foot."""
 
 
-def draw_on_panorama(
-    panorama: Image, sightings: Sequence[dict[str, Any]], poses: Iterable[dict[str, Any]] = ()
+def draw_people(
+    image: Image, sightings: Sequence[dict[str, Any]], poses: Iterable[dict[str, Any]] = (), left: float = 0.0
 ) -> Image:
-    """A copy of a panorama with every sighting's box and words, and every pose's skeleton.
+    """A copy of a panorama, or of the crop whose left column is `left`, with boxes, their words and skeletons.
 
-    What lies over the seam shows on both sides. A pose is a row of the annotation table `poses`: `track`, `keypoints`.
+    A person on the seam is drawn on both sides. A pose is a row of the annotation table `poses`: `track`, `keypoints`.
     """
-    image: Image = np.array(panorama)
+    image = np.array(image)
     for row in sightings:
         for shift in (-WIDTH, 0, WIDTH):
-            _draw(image, Box(row["x"] + shift, row["y"], row["w"], row["h"]), row)
-    _draw_skeletons(image, 0.0, sightings, poses)
-    return image
-
-
-def draw_on_crop(
-    crop: Image, left: float, sightings: Sequence[dict[str, Any]], poses: Iterable[dict[str, Any]] = ()
-) -> Image:
-    """A copy of the crop whose left column is `left`, with the boxes and skeletons that lie in it."""
-    image: Image = np.array(crop)
-    for row in sightings:
-        box = to_crop(Box(row["x"], row["y"], row["w"], row["h"]), left)
-        if box.x < CROP and box.x + box.w > 0:
-            _draw(image, box, row)
+            _draw_box(image, row["x"] + shift - left, row)
     _draw_skeletons(image, left, sightings, poses)
     return image
 
 
 def words(row: dict[str, Any]) -> str:
-    """What is written at a box: track, pose, group; a '?' behind the track where the person is no clear view."""
+    """The label of a box: track, pose, group; a '?' after the track where the person is not clearly visible."""
     parts = [f"{row['track']}" + ("" if row["clear"] else "?")]
     if row["pose"]:
         parts.append(row["pose"])
@@ -60,11 +45,11 @@ def words(row: dict[str, Any]) -> str:
     return " ".join(parts)
 
 
-def _draw(image: Image, box: Box, row: dict[str, Any]) -> None:
+def _draw_box(image: Image, x: float, row: dict[str, Any]) -> None:
     import cv2
 
-    left, top = round(box.x), round(box.y)
-    right, bottom = round(box.x + box.w) - 1, round(box.y + box.h) - 1
+    left, top = round(x), round(row["y"])
+    right, bottom = round(x + row["w"]) - 1, round(row["y"] + row["h"]) - 1
     if right < 0 or left >= image.shape[1]:
         return
     color = _color(_number(row))
@@ -74,13 +59,13 @@ def _draw(image: Image, box: Box, row: dict[str, Any]) -> None:
     (width, height), _ = cv2.getTextSize(text, font, scale, 1)
     base = max(top - 3, height + 2)
     cv2.rectangle(image, (left, base - height - 2), (left + width + 2, base + 3), color, cv2.FILLED)
-    cv2.putText(image, text, (left + 1, base), font, scale, _BLACK, 1, cv2.LINE_AA)
+    cv2.putText(image, text, (left + 1, base), font, scale, (0, 0, 0), 1, cv2.LINE_AA)
 
 
 def _draw_skeletons(
     image: Image, left: float, sightings: Iterable[dict[str, Any]], poses: Iterable[dict[str, Any]]
 ) -> None:
-    """Thin lines and rings where a point is occluded; points that are not visible have no place."""
+    """Draw lines and points, thin lines and rings for occluded points; points that are not visible have no place."""
     import cv2
 
     number = {row["track"]: _number(row) for row in sightings}
@@ -104,7 +89,7 @@ def _draw_skeletons(
 
 
 def _number(row: dict[str, Any]) -> int:
-    """What the color of a person shows: the group, else the track."""
+    """The number that a person's color stands for: the group, else the track."""
     return int(row["track"] if row["cluster"] is None else row["cluster"])
 
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jrdb_avr.engine.observe.observer import Observer, decode_panorama
-from jrdb_avr.engine.observe.overlay import draw_on_crop, draw_on_panorama
+from jrdb_avr.engine.observe.overlay import draw_people
 from jrdb_avr.schema.errors import InputError, ObserveError
 from jrdb_avr.schema.method import SequenceInfo
 from jrdb_avr.schema.panorama import crop_left
@@ -220,7 +220,7 @@ def test_the_cache_is_bounded_and_used(root, monkeypatch):
     assert len(decoded) == 3
     observe(NAME, 15, 0.0)
     assert len(decoded) == 4
-    assert len(observe._panoramas) == 2
+    assert observe._strips.cache_info().currsize == 2
 
 
 def test_many_threads_see_what_one_sees(root, monkeypatch):
@@ -265,7 +265,7 @@ def changed_columns(before, after):
 @pytest.mark.parametrize("x", [500.0, 3730.0, -30.0, 3760.0])
 def test_a_box_is_drawn_where_it_is_on_both_sides_of_the_seam(x):
     strip = np.full((480, 3760, 3), 127, np.uint8)
-    drawn = changed_columns(strip, draw_on_panorama(strip, [sighting(x)]))
+    drawn = changed_columns(strip, draw_people(strip, [sighting(x)]))
     assert {int(x + i) % 3760 for i in (0, 59)} <= drawn
     assert all((column - int(x) + 10) % 3760 < 200 for column in drawn)
     assert (strip == 127).all()
@@ -273,9 +273,9 @@ def test_a_box_is_drawn_where_it_is_on_both_sides_of_the_seam(x):
 
 def test_a_box_is_drawn_on_a_crop_over_the_seam(observe):
     seen = observe(NAME, 0, 0.0)  # left column 3520, so stitched column 3730 is column 210
-    drawn = changed_columns(seen.image, draw_on_crop(seen.image, seen.left, [sighting(-30.0)]))
+    drawn = changed_columns(seen.image, draw_people(seen.image, [sighting(-30.0)], left=seen.left))
     assert {210, 269} <= drawn
-    assert not changed_columns(seen.image, draw_on_crop(seen.image, seen.left, [sighting(1800.0)]))
+    assert not changed_columns(seen.image, draw_people(seen.image, [sighting(1800.0)], left=seen.left))
 
 
 def standing(x, code=2, wrapped=False):
@@ -288,23 +288,23 @@ def standing(x, code=2, wrapped=False):
 @pytest.mark.parametrize("x", [500.0, 3730.0, -30.0, 3755.0])
 def test_a_skeleton_is_drawn_where_it_is_on_both_sides_of_the_seam(observe, x, wrapped):
     strip = np.full((480, 3760, 3), 127, np.uint8)
-    drawn = changed_columns(strip, draw_on_panorama(strip, [], [standing(x, wrapped=wrapped)]))
+    drawn = changed_columns(strip, draw_people(strip, [], [standing(x, wrapped=wrapped)]))
     assert {int(x + 4 * i) % 3760 for i in range(17)} <= drawn
     # No line leads across the strip.
     assert all((column - int(x) + 10) % 3760 < 90 for column in drawn)
     seen = observe(NAME, 0, 0.0)
-    crop = changed_columns(seen.image, draw_on_crop(seen.image, seen.left, [], [standing(x, wrapped=wrapped)]))
+    crop = changed_columns(seen.image, draw_people(seen.image, [], [standing(x, wrapped=wrapped)], seen.left))
     left = {(column - seen.left) % 3760 for column in drawn}
     assert crop == {column for column in left if column < 480}
 
 
 def test_points_that_are_not_visible_are_not_drawn():
     strip = np.full((480, 3760, 3), 127, np.uint8)
-    assert not changed_columns(strip, draw_on_panorama(strip, [], [standing(500.0, 0)]))
+    assert not changed_columns(strip, draw_people(strip, [], [standing(500.0, 0)]))
     half = standing(500.0)
     half["keypoints"][3 * 9 :] = [0.0] * 24
-    assert max(changed_columns(strip, draw_on_panorama(strip, [], [half]))) < 540
-    assert min(changed_columns(strip, draw_on_panorama(strip, [], [half]))) > 490
+    assert max(changed_columns(strip, draw_people(strip, [], [half]))) < 540
+    assert min(changed_columns(strip, draw_people(strip, [], [half]))) > 490
 
 
 @pytest.mark.parametrize("number", [10**5000, -(10**5000)], ids=["large", "small"])
