@@ -84,18 +84,6 @@ DISTANCE_WORDS: Final = ("very close", "close", "moderate", "far", "very far")
 DISTANCE_BOUNDS_M: Final = (0.5, 1.5, 5.0, 10.0)
 """Upper bounds, inclusive, of all distance words but the last."""
 
-FIRST_LEFT: Final = "first to the left of (robot view)"
-FIRST_RIGHT: Final = "first to the right of (robot view)"
-"""An edge a -> b: b is the first person met when turning from a to the left (or right), as the robot sees it."""
-
-WINDOW_DEGREES: Final = (30, 45, 60, 90)
-WINDOWS_LEFT: Final = tuple(f"within {degrees} degrees to the left of (robot view)" for degrees in WINDOW_DEGREES)
-WINDOWS_RIGHT: Final = tuple(f"within {degrees} degrees to the right of (robot view)" for degrees in WINDOW_DEGREES)
-"""An edge a -> b: b is one of the people within so many degrees to the left (or right) of a, as the robot sees it."""
-
-SAME_GROUP: Final = "in the same group as"
-"""An edge between two members of one social group."""
-
 GENDERS: Final = ("male", "female")
 AGES: Final = ("childhood", "adolescence", "young adulthood", "middle adulthood", "late adulthood")
 
@@ -145,11 +133,6 @@ def normal_action(raw: str) -> str:
     """
     word = plain(raw)
     return _ACTION_SPELLINGS.get(word, word)
-
-
-def person_frame_label(sector: str, distance_word: str) -> str:
-    """The label of a person-frame `Beside` edge, as in 'front left, close'."""
-    return f"{sector}, {distance_word}"
 
 
 OBJECTS: Final = (

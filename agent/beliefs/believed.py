@@ -6,9 +6,10 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from jrdb_avr.agent.beliefs.grounding import NUMBERS, PERSON_FRAME_LABELS
+from jrdb_avr.agent.beliefs.grounding import NUMBERS
 from jrdb_avr.schema.beliefs import TIMELESS, AttributeRow, RelationRow, SightingRow, name_of
-from jrdb_avr.schema.labels import FIRST_LEFT, FIRST_RIGHT, INTERACTIONS, POSES, SAME_GROUP
+from jrdb_avr.schema.labels import POSES
+from jrdb_avr.schema.relations import RELATIONS
 
 Edge = SightingRow | AttributeRow | RelationRow
 
@@ -34,12 +35,14 @@ def place_of(edge: Edge) -> Hashable:
             return ("has", edge.source, edge.name, edge.first, edge.value)
         case AttributeRow():
             return ("has", edge.source, edge.name, edge.first)
-    if edge.name in (FIRST_LEFT, FIRST_RIGHT):
-        return ("related", edge.source, edge.name, edge.first)
-    if edge.name in PERSON_FRAME_LABELS:
-        return ("related", edge.source, "view", edge.first, edge.target)
-    if edge.name in INTERACTIONS or edge.name == SAME_GROUP:
-        return ("related", frozenset((edge.source, edge.target)), edge.name, edge.first)
+    relation = RELATIONS.get(edge.name)
+    match relation and relation.kind:
+        case "first":
+            return ("related", edge.source, edge.name, edge.first)
+        case "person":
+            return ("related", edge.source, "view", edge.first, edge.target)
+        case "social" | "group":
+            return ("related", frozenset((edge.source, edge.target)), edge.name, edge.first)
     return ("related", edge.source, edge.name, edge.first, edge.target)
 
 

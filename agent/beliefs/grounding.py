@@ -20,32 +20,21 @@ from jrdb_avr.schema.labels import (
     ACTIONS,
     AGES,
     DISTANCE_WORDS,
-    FIRST_LEFT,
-    FIRST_RIGHT,
     GENDERS,
     INTERACTIONS,
     OBJECTS,
-    PERSON_SECTORS,
     ROBOT_SECTORS,
-    SAME_GROUP,
     VERBS,
-    WINDOWS_LEFT,
-    WINDOWS_RIGHT,
     normal_action,
     normal_category,
-    person_frame_label,
     plain,
 )
+from jrdb_avr.schema.relations import RELATIONS
 from jrdb_avr.schema.social import normal_interaction, normal_verb
 
 LONGEST_TEXT: Final = 120
 LONGEST_ARGUMENTS: Final = 4000
 """Characters of a call's arguments that are kept."""
-
-PERSON_FRAME_LABELS: Final = tuple(
-    person_frame_label(sector, word) for sector in PERSON_SECTORS for word in DISTANCE_WORDS
-)
-"""Where the target of a relation is in the source's own view, all labels."""
 
 _ID: Final = re.compile(r"[A-Za-z0-9_-]{1,32}")
 _NAME: Final = re.compile(r"[A-Za-z0-9_ ]{1,40}")
@@ -164,18 +153,7 @@ _WORDS: Final[dict[str, tuple[Callable[[str], str], tuple[str, ...]]]] = {
 NUMBERS: Final = {"group_size": (1.0, 1000.0, True), "distance_m": (0.0, 1000.0, False)}
 """Attributes whose value is a number: least, most, and whether it is a whole one."""
 
-_RELATIONS: Final = {
-    plain(label): label
-    for label in (
-        *INTERACTIONS,
-        SAME_GROUP,
-        FIRST_LEFT,
-        FIRST_RIGHT,
-        *WINDOWS_LEFT,
-        *WINDOWS_RIGHT,
-        *PERSON_FRAME_LABELS,
-    )
-}
+_RELATIONS: Final = {plain(label): label for label in RELATIONS}
 
 
 def _part(arguments: object, required: Collection[str], optional: Collection[str] = ()) -> Mapping[str, Any]:

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from jrdb_avr.queries.compiler import BeliefReader
-from jrdb_avr.queries.compiler.believed_find import SYMMETRIC, believed_order, filled
+from jrdb_avr.queries.compiler.believed_find import believed_order, filled
 from jrdb_avr.queries.compiler.find import stated_frame, times_of
 from jrdb_avr.schema.plan import Plan
+from jrdb_avr.schema.relations import SYMMETRIC
 
 MOST_VISITS: Final = 10_000_000
 """Texts that a compiled plan may compare: the engine has one thread for all episodes, and takes about 3 ns for each."""

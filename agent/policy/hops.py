@@ -13,19 +13,10 @@ from typing import Final
 from jrdb_avr.agent.policy.explorer import AROUND, Eyes
 from jrdb_avr.agent.policy.finding import distance_word
 from jrdb_avr.agent.simulated.requests import Sighting
-from jrdb_avr.schema.labels import (
-    FIRST_LEFT,
-    FIRST_RIGHT,
-    INTERACTIONS,
-    PERSON_SECTORS,
-    SAME_GROUP,
-    WINDOW_DEGREES,
-    WINDOWS_LEFT,
-    WINDOWS_RIGHT,
-    person_frame_label,
-)
+from jrdb_avr.schema.labels import PERSON_SECTORS
 from jrdb_avr.schema.markers import ALONE
 from jrdb_avr.schema.plan import Plan
+from jrdb_avr.schema.relations import RELATIONS, person_frame_label
 
 _REACH_DEG: Final = 60.0
 """How far away the first to the left or right may be."""
@@ -35,10 +26,6 @@ _NEAR_M: Final = 5.0
 
 _SECTOR_EDGES: Final = (30.0, 45.0, 135.0, 145.0)
 """Bearings off somebody's heading at which front, front side, side, back side and back meet."""
-
-_WINDOWS: Final = dict(zip(WINDOWS_LEFT, WINDOW_DEGREES, strict=True)) | dict(
-    zip(WINDOWS_RIGHT, WINDOW_DEGREES, strict=True)
-)
 
 
 def look_round(eyes: Eyes, frame: int) -> list[Sighting]:
@@ -76,22 +63,24 @@ def path(plan: Plan, root: Sighting, people: Sequence[Sighting]) -> dict[str, Si
 
 def related(relation: str, source: Sighting, target: Sighting, people: Sequence[Sighting]) -> bool:
     """Whether the target has the relation to the source, by their marks and where they stand among the people read."""
-    if relation == SAME_GROUP:
-        return source.mark.group not in (None, ALONE) and source.mark.group == target.mark.group
-    if relation in INTERACTIONS:
-        # A mark has room for one relation of a person: that of two people may stand on either of them.
-        return _tells(source, relation, target) or _tells(target, relation, source)
-    if relation in (FIRST_LEFT, FIRST_RIGHT):
-        turn = _left if relation == FIRST_LEFT else _right
-        # Not by object: the source may have been read in another look at the same frame.
-        own_identity = source.mark.identity
-        turns = {seen.mark.identity: turn(source, seen) for seen in people if seen.mark.identity != own_identity}
-        own = turns[target.mark.identity]
-        return own <= _REACH_DEG and own == min(turns.values())
-    if relation in _WINDOWS:
-        turn = _left if relation in WINDOWS_LEFT else _right
-        return 0 < turn(source, target) <= _WINDOWS[relation]
-    return _seen_from(source, target) == relation
+    row = RELATIONS[relation]
+    turn = _left if row.side == "left" else _right
+    match row.kind:
+        case "group":
+            return source.mark.group not in (None, ALONE) and source.mark.group == target.mark.group
+        case "social":
+            # A mark has room for one relation of a person: that of two people may stand on either of them.
+            return _tells(source, relation, target) or _tells(target, relation, source)
+        case "first":
+            # Not by object: the source may have been read in another look at the same frame.
+            own_identity = source.mark.identity
+            turns = {seen.mark.identity: turn(source, seen) for seen in people if seen.mark.identity != own_identity}
+            own = turns[target.mark.identity]
+            return own <= _REACH_DEG and own == min(turns.values())
+        case "window":
+            return 0 < turn(source, target) <= row.degrees
+        case "person":
+            return _seen_from(source, target) == relation
 
 
 def _tells(person: Sighting, label: str, partner: Sighting) -> bool:

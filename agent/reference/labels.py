@@ -12,8 +12,6 @@ from jrdb_avr.schema.labels import (
     ACTIONS,
     AGES,
     DISTANCE_WORDS,
-    FIRST_LEFT,
-    FIRST_RIGHT,
     GENDERS,
     INTERACTIONS,
     OBJECTS,
@@ -21,15 +19,20 @@ from jrdb_avr.schema.labels import (
     PERSON_SECTORS,
     POSES,
     ROBOT_SECTORS,
-    SAME_GROUP,
     VERBS,
-    WINDOW_DEGREES,
-    WINDOWS_LEFT,
-    person_frame_label,
 )
 from jrdb_avr.schema.plan import Condition, Plan
+from jrdb_avr.schema.relations import (
+    FIRST_LEFT,
+    FIRST_RIGHT,
+    QUESTION_RELATIONS,
+    RELATIONS,
+    RELATIONS_OF,
+    SAME_GROUP,
+    WINDOW_DEGREES,
+    person_frame_label,
+)
 from jrdb_avr.schema.wording.phrases import ACTION_PHRASES, FAR_AWAY, INTERACTION_PHRASES, THINGS, VERB_PHRASES
-from jrdb_avr.schema.wording.relations import RELATIONS, RELATIONS_OF
 
 VALUES: Final[dict[str, tuple[str, ...]]] = {
     "gender": GENDERS,
@@ -46,9 +49,6 @@ _AGE_WORDS: Final = {
     "middle adulthood": "middle-aged",
     "late adulthood": "elderly",
 }
-
-_NEAR: Final = tuple(word for word in DISTANCE_WORDS if person_frame_label(PERSON_SECTORS[0], word) in RELATIONS)
-"""How far two people may be from one another who are in a relation."""
 
 
 @cache
@@ -73,12 +73,15 @@ def vocabulary() -> str:
 
 def _relations() -> str:
     """Relations but for the interactions, which are relations as well; those of a kind by an example."""
-    window, beside = WINDOWS_LEFT[0], person_frame_label("front left", "close")
+    rows = [RELATIONS[label] for label in QUESTION_RELATIONS]
+    window = next(row.label for row in rows if row.kind == "window")
+    near = dict.fromkeys(row.distance for row in rows if row.kind == "person")
+    beside = person_frame_label("front left", "close")
     return (
         f"every interaction; {SAME_GROUP}; {FIRST_LEFT}; {FIRST_RIGHT}; {window}, likewise to the right of, and with "
         f"{', '.join(map(str, WINDOW_DEGREES[1:]))} for {WINDOW_DEGREES[0]}; where the target is from the source's own "
         f"point of view and how far from the source, as in {beside}: one of {', '.join(PERSON_SECTORS)}, a comma and "
-        f"one of {', '.join(_NEAR)}"
+        f"one of {', '.join(near)}"
     )
 
 
@@ -100,7 +103,7 @@ def check_labels(plan: Plan) -> None:
         for j, condition in enumerate(node.conditions):
             _check_condition(f"nodes[{i}].conditions[{j}]", condition)
     for i, edge in enumerate(plan.edges):
-        _check(f"edges[{i}].relation", edge.relation, RELATIONS)
+        _check(f"edges[{i}].relation", edge.relation, QUESTION_RELATIONS)
     for name, time in plan.times.items():
         _check(f"times.{name}.action", time.action, ACTIONS)
     _check("answer.relation", plan.answer.relation, RELATIONS_OF["count"])

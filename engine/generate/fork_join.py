@@ -20,15 +20,15 @@ from jrdb_avr.engine.generate.conditions import Conditions, Words, packed
 from jrdb_avr.engine.generate.relations import EMPTY, KIND, RELATIONS, ROBOT_VIEW, SEVERAL, UNKNOWN, Facts
 from jrdb_avr.engine.generate.scene import NOBODY, Ints, Scene
 from jrdb_avr.schema.arrays import Bools, Floats
-from jrdb_avr.schema.labels import WINDOW_DEGREES, WINDOWS_LEFT, WINDOWS_RIGHT
 from jrdb_avr.schema.panorama import clockwise
+from jrdb_avr.schema.relations import RELATIONS as ROWS
+from jrdb_avr.schema.relations import RELATIONS_OF
 from jrdb_avr.schema.rules import Rules
-from jrdb_avr.schema.wording import RELATIONS_OF
 
 JOINING: Final = np.array([RELATIONS.index(label) for label in RELATIONS_OF["join"]], np.int64)
 """Relations that may hold of several people, as indices into RELATIONS."""
 
-_WINDOWS: Final = (*WINDOWS_LEFT, *WINDOWS_RIGHT)
+_WINDOWS: Final = [row for row in ROWS.values() if row.kind == "window"]
 _BLOCK: Final = 1 << 18
 """Pairs of relations looked at in one go."""
 
@@ -132,7 +132,7 @@ def find_joins(scene: Scene, facts: Facts, conditions: Conditions, rules: Rules)
     row[conditions.moment] = np.arange(len(conditions.moment))
     slot[conditions.moment] = conditions.slot
     leading = np.unique(facts.relation[facts.certain])
-    used = np.union1d(JOINING[np.isin(JOINING, leading)], [RELATIONS.index(label) for label in _WINDOWS])
+    used = np.union1d(JOINING[np.isin(JOINING, leading)], [RELATIONS.index(row.label) for row in _WINDOWS])
     column = np.full(len(RELATIONS), NOBODY)
     column[used] = np.arange(len(used))
     shape = (len(conditions.moment), len(used), conditions.everybody.shape[1])
@@ -173,13 +173,13 @@ def _add_windows(joins: Joins, scene: Scene, margin: float) -> None:
         left = np.where(right > 0, 360.0 - right, 0.0)
         near = np.minimum(left, right) <= margin
         other = ~np.eye(len(people), dtype=bool)
-        for turn, labels in ((left, WINDOWS_LEFT), (right, WINDOWS_RIGHT)):
-            for label, degrees in zip(labels, WINDOW_DEGREES, strict=True):
-                unknown = near | (np.abs(turn - degrees) <= margin)
-                inside = turn < degrees
-                at = joins.row[people], joins.column[RELATIONS.index(label)]
-                joins.could[at] = _wide((inside | unknown) & other, len(slots))
-                joins.sure[at] = _wide(inside & ~unknown & other, len(slots))
+        for window in _WINDOWS:
+            turn = left if window.side == "left" else right
+            unknown = near | (np.abs(turn - window.degrees) <= margin)
+            inside = turn < window.degrees
+            at = joins.row[people], joins.column[RELATIONS.index(window.label)]
+            joins.could[at] = _wide((inside | unknown) & other, len(slots))
+            joins.sure[at] = _wide(inside & ~unknown & other, len(slots))
 
 
 def _wide(bits: Bools, width: int) -> Words:

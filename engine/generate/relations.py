@@ -17,42 +17,21 @@ import pyarrow.compute as pc
 
 from jrdb_avr.engine.generate.scene import NOBODY, NOWHERE, Ints, Scene, coded, flags, moments_of, spread
 from jrdb_avr.schema.arrays import Bools
-from jrdb_avr.schema.labels import (
-    DISTANCE_BOUNDS_M,
-    DISTANCE_WORDS,
-    FIRST_LEFT,
-    FIRST_RIGHT,
-    INTERACTIONS,
-    PERSON_SECTORS,
-    POSES,
-    SAME_GROUP,
-    WINDOW_DEGREES,
-    WINDOWS_LEFT,
-    WINDOWS_RIGHT,
-    person_frame_label,
-)
+from jrdb_avr.schema.labels import POSES
+from jrdb_avr.schema.relations import LAYER_OF_KIND, QUESTION_RELATIONS, SAME_GROUP
+from jrdb_avr.schema.relations import RELATIONS as ROWS
 from jrdb_avr.schema.wording import poses_of
 
-_WORDS_WITHIN: Final = DISTANCE_WORDS[: 1 + sum(bound < 5.0 for bound in DISTANCE_BOUNDS_M)]
-PERSON_FRAME: Final = tuple(person_frame_label(sector, word) for sector in PERSON_SECTORS for word in _WORDS_WITHIN)
-
 SOCIAL, GROUP, ROBOT_VIEW, PERSON_VIEW = range(4)
-"""Kinds of relations: what is unknown of a person is unknown for all relations of a kind."""
+"""Layers that tell relations: what is unknown of a person is unknown for all relations of a layer."""
 
-RELATIONS: Final = (*INTERACTIONS, SAME_GROUP, FIRST_LEFT, FIRST_RIGHT, *PERSON_FRAME, *WINDOWS_LEFT, *WINDOWS_RIGHT)
+_LAYERS: Final = ("interactions", "groups", "2d", "3d")
+
+RELATIONS: Final = QUESTION_RELATIONS
 """Relations that a question may name; coded columns are indices into it. Of windows, which hold of several people,
-there are no facts here and no steps: see `joins`."""
+there are no facts here and no steps: see `fork_join`."""
 
-KIND: Final = np.array(
-    [SOCIAL] * len(INTERACTIONS)
-    + [GROUP]
-    + [ROBOT_VIEW] * 2
-    + [PERSON_VIEW] * len(PERSON_FRAME)
-    + [ROBOT_VIEW] * 2 * len(WINDOW_DEGREES),
-    np.int64,
-)
-
-LAYER_OF_KIND: Final = {SOCIAL: "interactions", GROUP: "groups", ROBOT_VIEW: "2d", PERSON_VIEW: "3d"}
+KIND: Final = np.array([_LAYERS.index(LAYER_OF_KIND[ROWS[label].kind]) for label in RELATIONS], np.int64)
 
 STATED_POSES: Final = np.array([[pose in poses_of(relation) for pose in POSES] for relation in RELATIONS])
 """(relations, poses): the poses that a relation's words name."""
@@ -154,7 +133,7 @@ def untold_others(scene: Scene, told: Bools) -> Ints:
 
 
 def _told(scene: Scene) -> Bools:
-    told = np.ones((len(LAYER_OF_KIND), scene.moment_count), bool)
+    told = np.ones((len(_LAYERS), scene.moment_count), bool)
     there = np.flatnonzero(scene.moment_rows != NOBODY)
     rows = scene.moment_rows[there]
     told[SOCIAL, there] = scene.flag("interactions_listed")[rows]

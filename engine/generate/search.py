@@ -34,7 +34,7 @@ from jrdb_avr.engine.generate.templates import Template
 from jrdb_avr.engine.generate.time_shift import asked_proofs
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.arrays import Bools, Floats
-from jrdb_avr.schema.labels import SAME_GROUP
+from jrdb_avr.schema.relations import SAME_GROUP
 from jrdb_avr.schema.rules import Rules
 
 TIMES = ("t0", "t1", "t2")

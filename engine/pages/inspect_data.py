@@ -15,8 +15,9 @@ import pyarrow.compute as pc
 from jrdb_avr.engine.pages.svg import Line, Span, runs_of
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.labels import POSES, SAME_GROUP
+from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.plan import Plan, parse_plan
+from jrdb_avr.schema.relations import SAME_GROUP
 from jrdb_avr.schema.rules import frames as frames_in
 
 _ROUND: Final = frames_in(5.0)

@@ -10,19 +10,8 @@ import pyarrow as pa
 from jrdb_avr.engine.rederive.places import Places
 from jrdb_avr.engine.rederive.truth import FALSE, TRUE, UNKNOWN, Result, among
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.labels import (
-    DISTANCE_WORDS,
-    FIRST_LEFT,
-    FIRST_RIGHT,
-    INTERACTIONS,
-    PERSON_SECTORS,
-    SAME_GROUP,
-    WINDOW_DEGREES,
-    WINDOWS_LEFT,
-    WINDOWS_RIGHT,
-    person_frame_label,
-)
 from jrdb_avr.schema.plan import Condition
+from jrdb_avr.schema.relations import RELATIONS
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.tables import ANNOTATIONS
 
@@ -39,12 +28,6 @@ _READ: Final = (
     "poses",
     "categories",
 )
-_PERSON_FRAME: Final = {person_frame_label(s, w): (s, w) for s in PERSON_SECTORS for w in DISTANCE_WORDS}
-_WINDOWS: Final = {
-    label: (degrees, left)
-    for labels, left in ((WINDOWS_LEFT, True), (WINDOWS_RIGHT, False))
-    for label, degrees in zip(labels, WINDOW_DEGREES, strict=True)
-}
 
 
 class Annotations(Places):
@@ -108,18 +91,20 @@ class Annotations(Places):
 
     def related(self, relation: str, track: int, other: int, frame: int) -> int:
         """Whether another person has the relation to a person; both have a box at the frame."""
-        if relation in INTERACTIONS:
-            return self.together(track, other, relation, frame)
-        if relation == SAME_GROUP:
-            return self.same_group(track, other, frame)
-        if relation in (FIRST_LEFT, FIRST_RIGHT):
-            return self.first_beside(track, other, frame, relation == FIRST_LEFT)
-        if relation in _PERSON_FRAME:
-            return self.seen_from(track, other, *_PERSON_FRAME[relation], frame)
-        if relation in _WINDOWS:
-            degrees, left = _WINDOWS[relation]
-            return self.within(track, other, degrees, frame, left)
-        return UNKNOWN
+        row = RELATIONS.get(relation)
+        if row is None:
+            return UNKNOWN
+        match row.kind:
+            case "social":
+                return self.together(track, other, relation, frame)
+            case "group":
+                return self.same_group(track, other, frame)
+            case "first":
+                return self.first_beside(track, other, frame, row.side == "left")
+            case "person":
+                return self.seen_from(track, other, row.sector, row.distance, frame)
+            case "window":
+                return self.within(track, other, row.degrees, frame, row.side == "left")
 
     def step_to(self, relation: str, track: int, frame: int) -> tuple[Result, int | None]:
         """The one other person at the frame to whom a relation leads from a person, or why there is none."""

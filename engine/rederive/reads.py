@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from jrdb_avr.engine.rederive.plan import Asked
 from jrdb_avr.engine.rederive.truth import FALSE, TRUE, NeededBox, Undefined
 from jrdb_avr.schema.answers import Number, encode_answer
-from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS, SAME_GROUP
+from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS
+from jrdb_avr.schema.relations import SAME_GROUP
 from jrdb_avr.schema.wording import stated_actions
 
 

@@ -19,22 +19,16 @@ from jrdb_avr.loaders.intervals.spans import find_runs, span_columns
 from jrdb_avr.loaders.intervals.timeline import Timeline
 from jrdb_avr.loaders.labelfiles.columns import constant, paired, ragged, texts, unpaired
 from jrdb_avr.schema.arrays import Bools, Ints
-from jrdb_avr.schema.labels import (
-    DISTANCE_BOUNDS_M,
-    DISTANCE_WORDS,
-    FIRST_LEFT,
-    FIRST_RIGHT,
-    PERSON_SECTORS,
-    person_frame_label,
-)
+from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS, PERSON_SECTORS
 from jrdb_avr.schema.panorama import clockwise
+from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, RELATIONS
 from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules
 from jrdb_avr.schema.tables import INTERVALS
 
 BLOCK: Final = 1_000_000
 """Pairs of people looked at in one go."""
 
-_PERSON_LABELS: Final = tuple(person_frame_label(s, d) for s in PERSON_SECTORS for d in DISTANCE_WORDS)
+_PERSON_LABELS: Final = tuple(row.label for row in RELATIONS.values() if row.kind == "person")
 _LABELS: Final = tuple(sorted((*_PERSON_LABELS, FIRST_LEFT, FIRST_RIGHT)))
 _RANK: Final = np.array([_LABELS.index(label) for label in _PERSON_LABELS]).reshape(
     len(PERSON_SECTORS), len(DISTANCE_WORDS)

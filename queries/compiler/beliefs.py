@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from jrdb_avr.queries.compiler.believed_find import READS, SYMMETRIC, find_believed
+from jrdb_avr.queries.compiler.believed_find import READS, find_believed
 from jrdb_avr.queries.compiler.find import Find
 from jrdb_avr.queries.compiler.mapping import read_text
 from jrdb_avr.queries.compiler.outcome import Agreed, Who, outcome_of_target, people_of
@@ -23,6 +23,7 @@ from jrdb_avr.schema.beliefs import episode_hash
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.panorama import WIDTH, Box
 from jrdb_avr.schema.plan import Plan
+from jrdb_avr.schema.relations import SYMMETRIC
 
 RESOLVED_FRAMES: Final = 30
 """Looks farther apart leave a moment unresolved (design, section 6: reference agent)."""

@@ -18,14 +18,11 @@ from jrdb_avr.queries.compiler.find import Find, joined, search_order, stated_fr
 from jrdb_avr.queries.compiler.mapping import read_text
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.schema.beliefs import TIMELESS, episode_hash
-from jrdb_avr.schema.labels import INTERACTIONS, SAME_GROUP
 from jrdb_avr.schema.plan import Edge, Plan, validate
+from jrdb_avr.schema.relations import SYMMETRIC
 
 READS: Final = "world"
 """The folder of the world namespace's statements."""
-
-SYMMETRIC: Final = frozenset((*INTERACTIONS, SAME_GROUP))
-"""Relations that hold both ways; an agent writes them once."""
 
 MANY: Final = 4
 """A statement asks for so many texts of each person, or for the next multiple of it."""

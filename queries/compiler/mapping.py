@@ -12,19 +12,9 @@ from importlib import resources
 from typing import Final
 
 from jrdb_avr.queries.compiler.clauses import Clause, Known, Listed, Rows, Somebody, Tie, Within
-from jrdb_avr.schema.labels import (
-    FIRST_LEFT,
-    FIRST_RIGHT,
-    INTERACTIONS,
-    POSES,
-    SAME_GROUP,
-    WINDOW_DEGREES,
-    WINDOWS_LEFT,
-    WINDOWS_RIGHT,
-)
+from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.plan import Condition
-
-_DEGREES: Final = dict(zip((*WINDOWS_LEFT, *WINDOWS_RIGHT), WINDOW_DEGREES * 2, strict=True))
+from jrdb_avr.schema.relations import RELATIONS, SAME_GROUP
 
 
 @dataclass(frozen=True)
@@ -66,25 +56,23 @@ def condition_values(condition: Condition) -> dict[str, str | int]:
 
 
 def edge_kind(relation: str) -> str:
-    """Kind of an edge: social, group, first, left or right (windows), or person (in a person's own frame)."""
-    if relation in INTERACTIONS:
-        return "social"
-    if relation == SAME_GROUP:
-        return "group"
-    if relation in (FIRST_LEFT, FIRST_RIGHT):
-        return "first"
-    if relation in _DEGREES:
-        return "left" if relation in WINDOWS_LEFT else "right"
-    return "person"
+    """Kind of an edge: that of its relation, or the side of a window. A label that names no relation counts as a
+    person's place, of which there is no row.
+    """
+    row = RELATIONS.get(relation)
+    if row is None:
+        return "person"
+    return row.side if row.kind == "window" else row.kind
 
 
 def edge_values(relation: str) -> dict[str, str | float]:
-    """The values an edge's clause compares with, by variable; "in the same group as" has none, and that of a window is
-    how many degrees.
+    """The values that an edge's clause compares with, by variable: none for the same group, a window's degrees, and
+    otherwise the label.
     """
     if relation == SAME_GROUP:
         return {}
-    return {"v": float(_DEGREES[relation]) if relation in _DEGREES else relation}
+    row = RELATIONS.get(relation)
+    return {"v": float(row.degrees) if row and row.kind == "window" else relation}
 
 
 _PATTERN: Final = "({n}:Person)-[{s}:SeenIn]->(:Frame)"

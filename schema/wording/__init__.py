@@ -8,7 +8,6 @@ new row there. The phrases in its places are tables too: actions, interactions a
 
 from jrdb_avr.schema.wording.people import describe, in_order, read_description
 from jrdb_avr.schema.wording.phrases import ACTION_PHRASES, INTERACTION_PHRASES
-from jrdb_avr.schema.wording.relations import RELATIONS, RELATIONS_OF
 from jrdb_avr.schema.wording.rows import Slots, Template
 from jrdb_avr.schema.wording.templates import FAMILIES, TEMPLATES
 from jrdb_avr.schema.wording.text import (
@@ -27,8 +26,6 @@ __all__ = [
     "ACTION_PHRASES",
     "FAMILIES",
     "INTERACTION_PHRASES",
-    "RELATIONS",
-    "RELATIONS_OF",
     "TEMPLATES",
     "Slots",
     "Template",

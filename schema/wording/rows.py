@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import msgspec
 
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
-from jrdb_avr.schema.wording.relations import Use
+from jrdb_avr.schema.relations import Use
 
 
 @dataclass(frozen=True, slots=True)

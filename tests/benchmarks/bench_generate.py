@@ -45,7 +45,7 @@ from jrdb_avr.loaders.load import load
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.labels import SAME_GROUP
+from jrdb_avr.schema.relations import SAME_GROUP
 from jrdb_avr.schema.rules import LoadRules, Rules
 
 RULES = Rules()

@@ -30,10 +30,10 @@ from jrdb_avr.agent.beliefs.world_model import World
 from jrdb_avr.queries.beliefs import process as world_process
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.beliefs.record import merge_world, open_to_replay
-from jrdb_avr.schema.labels import FIRST_RIGHT
 from jrdb_avr.schema.method import Observation, Question
 from jrdb_avr.schema.panorama import FOV_DEG, Box, crop_left
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
+from jrdb_avr.schema.relations import FIRST_RIGHT
 
 IN_FLIGHT, TURNS, OLDER, BAR_MS = 64, 8, 20_000, 10.0
 TALK, RIGHT = "conversation", FIRST_RIGHT

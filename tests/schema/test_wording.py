@@ -14,8 +14,6 @@ from jrdb_avr.schema.labels import (
     ACTIONS,
     AGES,
     DISTANCE_WORDS,
-    FIRST_LEFT,
-    FIRST_RIGHT,
     GENDERS,
     INTERACTIONS,
     OBJECTS,
@@ -23,12 +21,10 @@ from jrdb_avr.schema.labels import (
     PERSON_SECTORS,
     POSES,
     ROBOT_SECTORS,
-    SAME_GROUP,
     VERBS,
-    WINDOWS_LEFT,
-    WINDOWS_RIGHT,
 )
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time, canonical, parse_plan
+from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, QUESTION_RELATIONS, SAME_GROUP
 from jrdb_avr.schema.wording import (
     FAMILIES,
     TEMPLATES,
@@ -49,6 +45,9 @@ FRAMES = st.integers(0, 600_000)
 # What a path may be made of, put together here a second time.
 NEAR = [f"{sector}, {word}" for sector in PERSON_SECTORS for word in ("very close", "close", "moderate")]
 HOPS = [*INTERACTIONS, SAME_GROUP, *NEAR, FIRST_LEFT, FIRST_RIGHT]
+WINDOWS_LEFT, WINDOWS_RIGHT = (
+    [f"within {n} degrees to the {side} of (robot view)" for n in (30, 45, 60, 90)] for side in ("left", "right")
+)
 JOINS = [*INTERACTIONS, SAME_GROUP, *NEAR, *WINDOWS_LEFT, *WINDOWS_RIGHT]
 COUNTS = [*INTERACTIONS, SAME_GROUP]
 
@@ -218,7 +217,7 @@ def test_this_table_holds_the_twelve_templates():
 def test_every_word_of_the_vocabularies_has_a_phrase_and_no_two_share_one():
     assert set(wording.ACTION_PHRASES) == set(ACTIONS)
     assert set(wording.INTERACTION_PHRASES) == set(INTERACTIONS)
-    assert set(wording.RELATIONS) == set(HOPS) | set(JOINS)
+    assert set(QUESTION_RELATIONS) == set(HOPS) | set(JOINS)
     states = [Condition(action=action, at="t0") for action in ACTIONS]
     states += [Condition(interaction=label, at="t0") for label in INTERACTIONS]
     states += [Condition(verb=verb, object=thing, at="t0") for verb in VERBS for thing in OBJECTS]

@@ -4,8 +4,8 @@ import math
 
 from world_play import BOX, look, whole
 
-from jrdb_avr.schema.labels import FIRST_LEFT, SAME_GROUP
 from jrdb_avr.schema.panorama import Box
+from jrdb_avr.schema.relations import FIRST_LEFT, SAME_GROUP
 
 VICTIM = "run/" + f"{999:016x}"
 """Key of an episode that no other may touch."""

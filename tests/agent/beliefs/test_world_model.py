@@ -29,9 +29,10 @@ from world_play import (
 
 from jrdb_avr.agent.beliefs.world_model import MOST_ENTITIES, MOST_WRITES
 from jrdb_avr.queries.beliefs.graph import WorldGraph
-from jrdb_avr.schema.labels import FIRST_LEFT, POSES
+from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import validate
+from jrdb_avr.schema.relations import FIRST_LEFT
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,8 @@ from world_calls import VICTIM, calls_of, play
 from world_play import PLAN, begin, believe, belongs, beside_scene, replay, tables_of
 
 from jrdb_avr.schema.beliefs import ALWAYS
-from jrdb_avr.schema.labels import FIRST_LEFT, INTERACTIONS, POSES, SAME_GROUP
+from jrdb_avr.schema.labels import INTERACTIONS, POSES
+from jrdb_avr.schema.relations import FIRST_LEFT, SAME_GROUP
 
 
 @pytest.fixture(scope="module")

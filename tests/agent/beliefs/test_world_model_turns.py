@@ -14,8 +14,8 @@ from jrdb_avr.agent.beliefs.solver import solve_beliefs
 from jrdb_avr.agent.beliefs.world_model import MOST_WAITING
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.compiler.mapping import read_text
-from jrdb_avr.schema.labels import FIRST_RIGHT
 from jrdb_avr.schema.plan import Node
+from jrdb_avr.schema.relations import FIRST_RIGHT
 from jrdb_avr.schema.rules import Rules
 
 

@@ -4,10 +4,10 @@ import pytest
 
 from jrdb_avr.agent.policy.hops import related, walk
 from jrdb_avr.agent.simulated.requests import Sighting
-from jrdb_avr.schema.labels import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
 from jrdb_avr.schema.markers import Mark
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import AnswerSpec, Edge, Node, Plan, Time
+from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
 
 
 def seen(identity, angle, metres=3.0, heading=None, **more):

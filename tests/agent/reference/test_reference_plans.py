@@ -13,7 +13,7 @@ from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.labels import ACTIONS, AGES, DISTANCE_WORDS, GENDERS, INTERACTIONS, OBJECTS, ROBOT_SECTORS, VERBS
 from jrdb_avr.schema.method import Question, SequenceInfo
 from jrdb_avr.schema.plan import canonical, plan_json_schema
-from jrdb_avr.schema.wording.relations import RELATIONS
+from jrdb_avr.schema.relations import QUESTION_RELATIONS as RELATIONS
 
 
 def task(mode="multiple_choice"):

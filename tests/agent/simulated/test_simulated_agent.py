@@ -14,10 +14,11 @@ from jrdb_avr.agent.simulated.noise import Knobs
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span, same_answer
-from jrdb_avr.schema.labels import DISTANCE_ANSWERS, FIRST_LEFT, FIRST_RIGHT, PRESENCE_ANSWERS, SAME_GROUP
+from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 from jrdb_avr.schema.markers import Mark
 from jrdb_avr.schema.panorama import WIDTH, Box, iou
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
+from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
 from jrdb_avr.schema.wording import in_order, render
 
 FRAMES = tuple(range(0, 601, 5))

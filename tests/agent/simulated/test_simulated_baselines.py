@@ -13,10 +13,11 @@ from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.simulated.noise import Knobs
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.schema.answers import frames_iou
-from jrdb_avr.schema.labels import DISTANCE_ANSWERS, FIRST_RIGHT, PRESENCE_ANSWERS, SAME_GROUP
+from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 from jrdb_avr.schema.markers import Mark
 from jrdb_avr.schema.panorama import WIDTH, Box, angle_error, iou
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
+from jrdb_avr.schema.relations import FIRST_RIGHT, SAME_GROUP
 from jrdb_avr.schema.wording import in_order, render
 
 POSES = ("walking", "sitting", "standing", "lying")

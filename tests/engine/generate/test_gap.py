@@ -26,9 +26,9 @@ from jrdb_avr.engine.generate.sequence import Job, search_sequence
 from jrdb_avr.engine.generate.templates import TEMPLATES
 from jrdb_avr.engine.rederive import UNKNOWN, Annotations, rederive
 from jrdb_avr.schema.answers import decode_answer, encode_answer
-from jrdb_avr.schema.labels import SAME_GROUP
 from jrdb_avr.schema.panorama import visible_share
 from jrdb_avr.schema.plan import canonical, parse_plan
+from jrdb_avr.schema.relations import SAME_GROUP
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.wording import TEMPLATES as WORDS
 from jrdb_avr.schema.wording import Slots, render

@@ -28,9 +28,10 @@ from jrdb_avr.engine.generate.templates import TEMPLATES, plan_texts
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Span, decode_answer
 from jrdb_avr.schema.errors import LockedError, StoreError
-from jrdb_avr.schema.labels import DISTANCE_ANSWERS, FIRST_LEFT, FIRST_RIGHT, POSES, PRESENCE_ANSWERS, SAME_GROUP
+from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 from jrdb_avr.schema.panorama import Box, visible_share
 from jrdb_avr.schema.plan import Condition, canonical, parse_plan
+from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
 from jrdb_avr.schema.rules import Rules, override, rules_hash
 from jrdb_avr.schema.tables import CANARY, CANDIDATES, QUESTIONS
 from jrdb_avr.schema.wording import TEMPLATES as WORDS

@@ -16,14 +16,17 @@ from jrdb_avr.engine.generate.scene import NOBODY, load_scene
 from jrdb_avr.engine.generate.search import find_candidates, search_graph
 from jrdb_avr.engine.generate.sequence import Job, search_sequence
 from jrdb_avr.engine.generate.templates import TEMPLATES
-from jrdb_avr.schema.labels import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP, WINDOW_DEGREES, WINDOWS_LEFT, WINDOWS_RIGHT
+from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
 from jrdb_avr.schema.rules import Rules
 
 pytestmark = pytest.mark.usefixtures("known_plans")
 
 LETTERS = {FIRST_LEFT: "L", FIRST_RIGHT: "R", SAME_GROUP: "G", "conversation": "C"}
-LETTERS |= {label: f"L{degrees}" for label, degrees in zip(WINDOWS_LEFT, WINDOW_DEGREES, strict=True)}
-LETTERS |= {label: f"R{degrees}" for label, degrees in zip(WINDOWS_RIGHT, WINDOW_DEGREES, strict=True)}
+LETTERS |= {
+    f"within {n} degrees to the {side} of (robot view)": f"{side[0].upper()}{n}"
+    for side in ("left", "right")
+    for n in (30, 45, 60, 90)
+}
 SEQUENCE = "yard-2020-01-01_0"
 POSES = {"w": {"walking": 1}, "t": {"standing": 1}, "s": {"sitting": 1}, "?": {"standing": 3}}
 

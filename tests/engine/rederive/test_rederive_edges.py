@@ -4,8 +4,8 @@ import pytest
 from labelled_people import EASY, HARD, MIDDLE, World, ask, at_t0, toward
 
 from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN
-from jrdb_avr.schema.labels import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
 from jrdb_avr.schema.plan import Condition
+from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
 
 SECONDS = range(15, 301, 15)
 EVERY = range(0, 301)
