@@ -13,13 +13,13 @@ from jrdb_avr.engine.console import json_option, note, print_json, print_rows, s
 
 @click.command(
     short_help="Count questions; show what a blind guesser scores.",
-    epilog="Example: jrdb-avr stats --store store --picture stats.png",
+    epilog="Example: jrdb-avr stats --store store --picture stats.svg",
 )
 @store_option
 @click.option(
     "--picture",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Also draw the distributions into this PNG file.",
+    help="Also draw the distributions into this SVG file.",
 )
 @json_option
 def command(store: Path, picture: Path | None, as_json: bool) -> None:
@@ -35,9 +35,10 @@ def command(store: Path, picture: Path | None, as_json: bool) -> None:
 
     tables = statistics(Store(store))
     if picture is not None:
-        from jrdb_avr.engine.pages.stats_page import write_portrait
+        from jrdb_avr.engine.pages.page import write_page
+        from jrdb_avr.engine.pages.stats import stats_svg
 
-        write_portrait(picture, tables)
+        write_page(picture, stats_svg(tables))
         note(f"picture: {picture}")
     if as_json:
         print_json([{"table": name, **row} for name, rows in tables.items() for row in rows])

@@ -63,7 +63,7 @@ def inspect_page(
     for number, one in enumerate(questions, 1):
         shown.append(_question(one, number, observer))
         advance(1)
-    return render("inspect", questions=shown, count=len(shown), sha256=questions_sha256)
+    return render("inspect.html", questions=shown, count=len(shown), sha256=questions_sha256)
 
 
 def _question(one: Inspected, number: int, observer: Observer) -> dict[str, Any]:

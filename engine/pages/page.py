@@ -27,8 +27,8 @@ _TURNING: Final = {code: f"[U+{code:04X}]" for code in (*range(0x202A, 0x202F), 
 
 
 def render(name: str, **values: Any) -> str:
-    """The page of template `<name>.html`, whole: style and scripts are inside, and nothing is fetched."""
-    return _environment().get_template(f"{name}.html").render(values)
+    """A template of this folder, filled in: style and scripts are inside, and nothing is fetched."""
+    return _environment().get_template(name).render(values)
 
 
 def write_page(path: Path, html: str) -> None:

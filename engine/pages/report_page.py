@@ -55,7 +55,7 @@ def report_page(
     dots = scatter(own)
     failures = table("evidence_failures")
     return render(
-        "report",
+        "report.html",
         runs=runs,
         iou=iou,
         synthetic=any(run.manifest.synthetic for run in runs),

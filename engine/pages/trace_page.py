@@ -29,7 +29,7 @@ def trace_page(trace: Trace, observer: Observer) -> str:
     """The page's HTML."""
     names = entities(trace)
     return render(
-        "trace",
+        "trace.html",
         trace=trace,
         question=trace.question,
         prediction=trace.prediction,

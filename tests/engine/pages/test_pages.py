@@ -443,7 +443,7 @@ def test_dots_on_each_other_share_a_tag_inside_the_square():
 
 def test_text_of_data_and_models_is_escaped():
     about = {"questions_sha256": HOSTILE}
-    page = render("inspect", questions=[], count=HOSTILE, sha256=about["questions_sha256"])
+    page = render("inspect.html", questions=[], count=HOSTILE, sha256=about["questions_sha256"])
     assert "<img" not in page and "\x1b" not in page
     text = page.partition('id="about">')[2].partition("</script>")[0]
     assert json.loads(text) == about
