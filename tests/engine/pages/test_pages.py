@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from browser import browser, complaints
 from entry import run
+from failing_runs import stored_failures
 
 from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.pages.answers import readable
@@ -73,8 +74,6 @@ def shown(driver, selector):
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
     """Two runs in a store, one of them with hostile texts wherever a text can stand."""
-    from test_report import stored_failures
-
     path = tmp_path_factory.mktemp("report")
     stored_failures(path / "S", settings={"model": HOSTILE})
     code, _, err = run("report", "--store", path / "S", "--paper", "--html", path / "report.html")
