@@ -32,8 +32,8 @@ from jrdb_avr.loaders.problems import shorten
 from jrdb_avr.loaders.report import SequenceReport, frame_range, warnings
 from jrdb_avr.loaders.root import Root, SequenceFiles
 from jrdb_avr.loaders.sequence import NOT_LABELS, annotate
+from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.beliefs.record import copy_all
-from jrdb_avr.queries.beliefs.tables import make_world_tables
 from jrdb_avr.queries.graph.handle import build_graph, remove_graph
 from jrdb_avr.queries.runs import run_ids
 from jrdb_avr.queries.store import Manifest, SequenceEntry, Store

@@ -30,8 +30,7 @@ from jrdb_avr.agent.beliefs.grounding import (
 )
 from jrdb_avr.agent.beliefs.slots import slots_of
 from jrdb_avr.queries.beliefs.graph import WorldGraph
-from jrdb_avr.queries.beliefs.writes import common_statements, drop_episode, episodes_of, write_statements
-from jrdb_avr.queries.compiler import common_finds
+from jrdb_avr.queries.beliefs.writes import drop_episode, episodes_of, write_statements
 from jrdb_avr.schema.beliefs import (
     ALWAYS,
     TIMELESS,
@@ -114,9 +113,6 @@ class World:
         self.graph = graph
         self.run_id = run_id
         self._begun = episodes_of(graph, run_id)
-        # The engine needs 20 to 40 ms for the first use of a text, in which nobody else is served.
-        graph.prepare(common_statements(), writes=True)
-        graph.prepare(common_finds(), writes=False)
 
     def episode(self, question: Question, keep: RecordWrite) -> Episode:
         """Begin a question's episode; what an earlier try of it left is taken away.

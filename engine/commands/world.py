@@ -34,13 +34,14 @@ def command() -> None:
 @json_option
 def merge(run_ids: tuple[str, ...], store: Path, as_json: bool) -> None:
     """Bring the world models of finished runs into the store's graph, in place of what it holds of them."""
-    from jrdb_avr.queries.beliefs.record import merge_world, open_to_replay
+    from jrdb_avr.queries.beliefs.graph import open_graph
+    from jrdb_avr.queries.beliefs.record import merge_world
     from jrdb_avr.queries.store import Store
 
     place = Store(store)
     records = {run_id: _record(place, run_id) for run_id in dict.fromkeys(run_ids)}
     rows = []
-    with open_to_replay(_graph_path(place)) as graph, progress("merging", len(records)) as advance:
+    with open_graph(_graph_path(place)) as graph, progress("merging", len(records)) as advance:
         for run_id, record in records.items():
             merge_world(graph, run_id, record)
             rows.append(_row(graph, run_id))
@@ -54,12 +55,13 @@ def merge(run_ids: tuple[str, ...], store: Path, as_json: bool) -> None:
 @json_option
 def drop(run_ids: tuple[str, ...], store: Path, as_json: bool) -> None:
     """Take runs' world models out of the store's graph. Their records stay, and the next load brings them back."""
-    from jrdb_avr.queries.beliefs.record import drop_world, open_to_replay
+    from jrdb_avr.queries.beliefs.graph import open_graph
+    from jrdb_avr.queries.beliefs.record import drop_world
     from jrdb_avr.queries.store import Store
     from jrdb_avr.schema.errors import StoreError
 
     place = Store(store)
-    with open_to_replay(_graph_path(place)) as graph, progress("dropping", len(run_ids)) as advance:
+    with open_graph(_graph_path(place)) as graph, progress("dropping", len(run_ids)) as advance:
         rows = [_row(graph, run_id) for run_id in dict.fromkeys(run_ids)]
         if absent := [row["run"] for row in rows if not row["episodes"]]:
             raise StoreError(f"{place.graph_path} holds nothing of run {absent[0]!r}: see 'cypher world_runs'")

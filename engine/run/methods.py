@@ -51,10 +51,10 @@ def open_world(path: Path, run_id: str, record: pa.Table) -> Iterator[World]:
     another process has the graph open, StoreError where it cannot be opened.
     """
     from jrdb_avr.agent.beliefs.world_model import World
-    from jrdb_avr.queries.beliefs.graph import WorldGraph
-    from jrdb_avr.queries.beliefs.record import open_to_replay, restore_world
+    from jrdb_avr.queries.beliefs.graph import WorldGraph, open_graph
+    from jrdb_avr.queries.beliefs.record import restore_world
 
-    with open_to_replay(path) as graph:
+    with open_graph(path) as graph:
         restore_world(graph, run_id, record)
     with WorldGraph.open(path) as world:
         yield World(world, run_id)

@@ -1,86 +1,67 @@
 """The handle on the world namespace: what agents wrote, and nothing else of the graph.
 
-Every statement passes two doors before its first run (world_doors.py), and values come as parameters only. The tables
-of a file are kept by a process of their own (world_process.py).
-
-All calls of the engine are made one after the other: many episodes write at once, and with several threads a write
-waits for the engine's locks six times as long as it takes. Callers wait for their own call only.
+The world tables lie beside the scene's in the same database (or in a file of their own), and the engine keeps no tables
+apart. So every statement passes two checks before its first run: of its words (guard.py; and every label must be a
+world table's, written plainly) and of its plan (no table function, no walk of any length, and no scan of a table that
+the words do not name, so that no pattern without a label reaches the others). Values come as parameters only.
 """
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+import contextlib
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, Final, Self
 
 import pyarrow as pa
 
-from jrdb_avr.queries.beliefs.process import WorldProcess
-from jrdb_avr.queries.beliefs.tables import Statement, WorldTables
+from jrdb_avr.queries.graph.guard import check_cypher
+from jrdb_avr.queries.graph.handle import Graph, build_graph
+from jrdb_avr.queries.graph.parameters import strip_literals
+from jrdb_avr.queries.graph.wrong_answers import Plan
+from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS, world_ddl
 from jrdb_avr.schema.errors import QueryError
+from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
 
-T = TypeVar("T")
+BUFFER_BYTES: Final = 256 << 20
+"""Hard limit of the engine's page cache."""
 
+MOST_CHECKED: Final = 1_000
+"""Texts that are known to have passed the checks; plans of many shapes make many."""
 
-class Tables(Protocol):
-    """World tables for one thread: in this process, or in one of their own."""
-
-    def prepare(self, statements: Sequence[Statement], writes: bool) -> None:
-        """Plan statements for values of these types."""
-        ...
-
-    def query(self, cypher: str, params: Mapping[str, Any], ordered: bool, timeout_s: float | None) -> pa.Table:
-        """Run one reading statement."""
-        ...
-
-    def write(self, transactions: Sequence[Sequence[Statement]]) -> None:
-        """Run writing statements, each list as one transaction."""
-        ...
-
-    def close(self) -> None:
-        """Give the graph back."""
-        ...
+Statement = tuple[str, Mapping[str, Any]]
+"""Cypher with its parameters."""
 
 
 class WorldGraph:
     """The world tables of a graph. Made by `WorldGraph.open` or `WorldGraph.memory`; a context manager; closed once
-    used. May be used from any number of threads.
+    used. May be used from any number of threads, which take turns.
     """
 
-    def __init__(self, tables: Callable[[], Tables]) -> None:
-        self._engine = ThreadPoolExecutor(1, thread_name_prefix="world")
-        self._closing = threading.Lock()
-        self._closed = False
-        try:
-            self._tables = self._call(tables)
-        except BaseException:
-            self._engine.shutdown()
-            raise
+    def __init__(self, graph: Graph) -> None:
+        self.graph = graph
+        self._checked: set[tuple[str, bool]] = set()
 
     @classmethod
-    def open(cls, path: str | Path) -> WorldGraph:
-        """Open the world tables of the graph file at `path`; what is not there is made, the file or its tables.
+    def open(cls, path: str | Path) -> Self:
+        """Open the world tables of the graph file at `path`; what is missing is made, the file or its tables.
 
         Raises StoreError where the file is no graph or the disk refuses, LockedError naming the holder where another
         process has it open.
         """
-        return cls(lambda: WorldProcess(Path(path)))
+        # Of small statements, most of what a second thread does is to wait for work: one takes half the time.
+        return cls(open_graph(path, buffer_bytes=BUFFER_BYTES, threads=1, prepares=True))
 
     @classmethod
-    def memory(cls) -> WorldGraph:
-        """New world tables in the memory of this process."""
-        return cls(WorldTables.memory)
+    def memory(cls) -> Self:
+        """New world tables in memory."""
+        return cls(make_world_tables(Graph.memory(buffer_bytes=BUFFER_BYTES, prepares=True)))
 
     def close(self) -> None:
         """Give the graph back, after the calls under way. Closing twice is harmless."""
-        with self._closing:
-            if not self._closed:
-                self._closed = True
-                self._engine.submit(self._tables.close)
-                self._engine.shutdown()
+        self.graph.close()
 
     def __enter__(self) -> Self:
         return self
@@ -89,16 +70,6 @@ class WorldGraph:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-    # -- statements -----------------------------------------------------------------------------------------------
-
-    def prepare(self, statements: Sequence[Statement], *, writes: bool) -> None:
-        """Plan statements that will be run with values of these types, by `write` or by `query`, before what is asked
-        after this; nobody waits for it, and what cannot be planned is told when it is run.
-        """
-        with self._closing:
-            if not self._closed:
-                self._engine.submit(self._tables.prepare, statements, writes)
 
     def query(
         self,
@@ -111,7 +82,8 @@ class WorldGraph:
         """Run one reading statement, as `Graph.query` does. Raises QueryError also where it reaches beyond the world
         tables.
         """
-        return self._call(lambda: self._tables.query(cypher, params or {}, ordered, timeout_s))
+        self._check(cypher, params or {}, writes=False)
+        return self.graph.query(cypher, params, ordered=ordered, timeout_s=timeout_s)
 
     def write(self, *transactions: Sequence[Statement]) -> None:
         """Run statements that make, change or delete rows of the world tables, each list as one transaction.
@@ -119,12 +91,125 @@ class WorldGraph:
         Raises QueryError where one is refused or fails, StoreError where the disk refuses; nothing of its transaction
         is written then, nor of those after it.
         """
-        self._call(lambda: self._tables.write(transactions))
+        for statements in transactions:
+            for cypher, params in statements:
+                self._check(cypher, params, writes=True)
+            # A single statement is a transaction by itself, in half the time.
+            with self.graph.transaction() if len(statements) > 1 else contextlib.nullcontext():
+                for cypher, params in statements:
+                    self.graph.execute(cypher, params)
 
-    def _call(self, work: Callable[[], T]) -> T:
-        """The result of a piece of work, done by the engine's thread."""
-        with self._closing:
-            if self._closed:
-                raise QueryError("the world model is closed")
-            waiting = self._engine.submit(work)
-        return waiting.result()
+    def _check(self, cypher: str, params: Mapping[str, Any], *, writes: bool) -> None:
+        """Let a statement through both checks. Raises QueryError."""
+        if (cypher, writes) not in self._checked:
+            labels = check_world(cypher, writes=writes)
+            check_reach(self.graph.explain(cypher, params), labels)
+            if len(self._checked) >= MOST_CHECKED:
+                self._checked.clear()
+            self._checked.add((cypher, writes))
+
+
+def open_graph(path: str | Path, **options: Any) -> Graph:
+    """The graph file at `path` with the tables of the world namespace, for writing; made if there is none.
+
+    options: those of `Graph.open`. Raises LockedError where another process has it open, StoreError where it cannot be
+    opened.
+    """
+    if not Path(path).exists():
+        with build_graph(path) as graph:
+            make_world_tables(graph)
+    return make_world_tables(Graph.open(path, **options))
+
+
+def make_world_tables(graph: Graph) -> Graph:
+    """Make the tables of the world namespace that a graph lacks; the graph, which is closed where that fails."""
+    try:
+        there = set(graph.query("CALL show_tables() RETURN name AS name", ordered=False)["name"].to_pylist())
+        for name, statement in zip((*WORLD_NODES, *WORLD_RELS), world_ddl(), strict=True):
+            if name not in there:
+                graph.execute(statement)
+    except BaseException:
+        graph.close()
+        raise
+    return graph
+
+
+# -- what statements may reach ----------------------------------------------------------------------------------------
+
+_LABELS: Final = frozenset(name.lower() for name in (*WORLD_NODES, *WORLD_RELS))
+_TABLES: Final = frozenset((*WORLD_NODES, *WORLD_RELS, *SCENE_NODES, *SCENE_RELS))
+_TOKEN: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*|[^\s]")
+_COLON: Final = ":"
+_CLOSING: Final = {"(": ")", "[": "]", "{": "}"}
+_ROWS_ALONE: Final = "READ_FTABLE"
+"""The table function behind RETURN without MATCH and behind UNWIND of a list: it reads nothing."""
+
+_READS: Final = re.compile("SCAN|EXTEND|PATH|LOOKUP|CALL|COPY|LOAD")
+_SCANS: Final = frozenset(
+    {
+        "SCAN_NODE_TABLE",
+        "SCAN_REL_TABLE",
+        # Only of a node with one label, which is a world table's then.
+        "PRIMARY_KEY_SCAN_NODE_TABLE",
+        # Of rows that other operators have made.
+        "AGGREGATE_SCAN",
+        "ORDER_BY_SCAN",
+        "TOP_K_SCAN",
+        "UNION_ALL_SCAN",
+        "TABLE_FUNCTION_CALL",
+    }
+)
+"""Operators that read, of which a plan tells the tables."""
+
+
+def check_world(cypher: str, *, writes: bool = False) -> set[str]:
+    """Refuse a statement by its words: what `check_cypher` refuses, and every label but the world tables', of which
+    those it names are returned in small letters.
+
+    A colon is the mark of a label wherever it does not follow a key in braces, and the names of labels stand plainly:
+    no backticks, nothing beyond ASCII. Raises QueryError.
+    """
+    check_cypher(cypher, writes=writes)
+    bare = strip_literals(cypher)
+    if "`" in cypher or not bare.isascii():
+        raise QueryError("names in backticks and letters beyond ASCII are not allowed here: pass texts as parameters")
+    tokens = [found[0] for found in _TOKEN.finditer(bare)]
+    open_brackets = [""]
+    named: set[str] = set()
+    for at, token in enumerate(tokens):
+        if token in _CLOSING:
+            open_brackets.append(token)
+        elif token in _CLOSING.values() and len(open_brackets) > 1:
+            open_brackets.pop()
+        elif token == _COLON and not (open_brackets[-1] == "{" and at > 1 and tokens[at - 2] in ("{", ",")):
+            for label in _labels(tokens, at + 1):
+                if label.lower() not in _LABELS:
+                    raise QueryError(f"{label!r} is no table of the world model: {', '.join(sorted(_LABELS))}")
+                named.add(label.lower())
+    return named
+
+
+def _labels(tokens: Sequence[str], at: int) -> Iterator[str]:
+    """The label after a colon, and its alternatives: what follows each `|`, with or without a colon."""
+    yield tokens[at] if at < len(tokens) else ""
+    while tokens[at + 1 : at + 2] == ["|"]:
+        at += 3 if tokens[at + 2 : at + 3] == [_COLON] else 2
+        yield tokens[at] if at < len(tokens) else ""
+
+
+def check_reach(plan: Plan, labels: Collection[str] = ()) -> None:
+    """Refuse a statement by its plan: it calls a table function, walks edges any number of times (such a plan does not
+    say over which tables), or scans what is not one world table, nor several that it names itself (`labels`, in small
+    letters).
+
+    A plan lists the tables of a scan in boxes of their own, one after the other. Raises QueryError.
+    """
+    if set(plan.functions) - {_ROWS_ALONE}:
+        raise QueryError("this reads something else than the graph")
+    if unknown := sorted({name for name in plan.operators if _READS.search(name)} - _SCANS):
+        raise QueryError(f"{unknown[0]} does not say which tables it reads: write the pattern edge by edge")
+    cells = {cell.strip() for cell in plan.text.split("│")}
+    scanned = {cell.removeprefix("Tables: ") for cell in cells if cell.startswith("Tables: ")}
+    several = {name for name in cells & _TABLES if name.lower() not in labels}
+    if foreign := sorted(scanned - {*WORLD_NODES, *WORLD_RELS} | several):
+        raise QueryError(f"this reaches {foreign[0]}: every node and edge of a pattern needs the label of one table")

@@ -7,19 +7,16 @@ ended, which are then copied in: the same tables as the run itself wrote, write 
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
-from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.queries.beliefs.tables import make_world_tables
-from jrdb_avr.queries.graph.handle import Graph, build_graph
+from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.beliefs import (
     ALWAYS,
@@ -240,20 +237,6 @@ class _Episode:
 
 
 # -- into a graph -----------------------------------------------------------------------------------------------------
-
-
-@contextlib.contextmanager
-def open_to_replay(path: Path) -> Iterator[Graph]:
-    """The graph file at `path` opened to replay into, with the tables of the world namespace; made if there is none.
-
-    Raises LockedError where another process has it open, StoreError where it cannot be opened.
-    """
-    if not path.exists():
-        with build_graph(path) as graph:
-            make_world_tables(graph)
-    with Graph.open(path) as graph:
-        make_world_tables(graph)
-        yield graph
 
 
 def merge_world(graph: Graph, run_id: str, record: pa.Table) -> None:

@@ -14,11 +14,9 @@ from typing import Any, Final
 
 import msgspec
 
-from jrdb_avr.queries.beliefs.graph import WorldGraph
-from jrdb_avr.queries.beliefs.tables import Statement
+from jrdb_avr.queries.beliefs.graph import Statement, WorldGraph
 from jrdb_avr.schema.beliefs import (
     ALWAYS,
-    XYWH,
     AttributeRow,
     EntityRow,
     EpisodeRow,
@@ -197,30 +195,6 @@ def _rows(
     left = iter(rows)
     while some := list(islice(left, most)):
         yield _text(name), {**given, "rows": some}
-
-
-def common_statements() -> list[Statement]:
-    """Statements of the texts that most writes take, with values of their types: those of a made-up episode, once with
-    a row of each table and once with several.
-    """
-    key = "run/question"
-    statements: list[Statement] = []
-    for several in (1, FEW + 1):
-        seen = [ObservationRow(f"{key}/o{n}", key, n, 0, 0, 0.0, 0, 1) for n in range(1, several + 1)]
-        people = [EntityRow(f"{key}/p{n}", key, f"p{n}", n, "person", "", 0) for n in range(1, several + 1)]
-        slots = (SlotRow(f"{key}/0", key, 0, "node", "", "", "", "", 0),)
-        facts = [Fact(episode=EpisodeRow(key, "run", "question", "", ""), slots=slots)]
-        facts += [Fact(observation=look) for look in seen]
-        facts += [Fact(entity=person) for person in people]
-        for look, person in zip(seen, people, strict=True):
-            box, n = XYWH(0.0, 0.0, 1.0, 1.0), len(facts)
-            facts.append(Fact(sighted=SightingRow(person.id, look.id, key, n, 0, 0, box, 0.0)))
-            facts.append(Fact(has=AttributeRow(person.id, look.id, key, n + 1, 0, "", "", 0.0, 0, 0)))
-            facts.append(Fact(related=RelationRow(person.id, person.id, key, n + 2, 0, "", look.id, 0, 0)))
-        made = [(Write(n, 0, "begin", "{}", True, "", ""), fact) for n, fact in enumerate(facts)]
-        transactions = write_statements(key, made, {person.name: person for person in people})
-        statements += [statement for transaction in transactions for statement in transaction]
-    return statements
 
 
 DROPPED: Final = ("entity", "observation", "slot", "write", "episode")

@@ -8,7 +8,7 @@ together to the statement that finds a plan's people, and `reads` asks what is r
 from __future__ import annotations
 
 from jrdb_avr.queries.compiler.beliefs import BeliefReader, Rows
-from jrdb_avr.queries.compiler.believed_find import common_finds, find_believed
+from jrdb_avr.queries.compiler.believed_find import find_believed
 from jrdb_avr.queries.compiler.find import Find, compile_find
 from jrdb_avr.queries.compiler.mapping import SCENE, Names
 from jrdb_avr.queries.compiler.outcome import Outcome, Who, outcome_of_target
@@ -26,7 +26,6 @@ __all__ = [
     "Rows",
     "Solution",
     "Who",
-    "common_finds",
     "compile_find",
     "find_believed",
     "outcome_of_target",

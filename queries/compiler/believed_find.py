@@ -16,8 +16,7 @@ from typing import Any, Final
 
 from jrdb_avr.queries.compiler.find import Find, joined, search_order, stated_frame, times_of
 from jrdb_avr.queries.compiler.mapping import read_text
-from jrdb_avr.queries.graph.parameters import parameters
-from jrdb_avr.schema.beliefs import TIMELESS, episode_hash
+from jrdb_avr.schema.beliefs import TIMELESS
 from jrdb_avr.schema.plan import Edge, Plan, validate
 from jrdb_avr.schema.relations import SYMMETRIC
 
@@ -104,20 +103,6 @@ def _orders(plan: Plan, known: Sequence[str]) -> Iterator[Sequence[str]]:
         yield known
     for node in sorted({e.target for e in plan.edges if e.source in known} - {*known}):
         yield from _orders(plan, [*known, node])
-
-
-def common_finds() -> list[tuple[str, dict[str, Any]]]:
-    """Statements of the shapes that the benchmark's own questions have, or are near to, with values of their
-    parameters' types: chains of up to four people, and two people who lead to the same one.
-    """
-    chains = [tuple((place, place + 1) for place in range(steps)) for steps in range(4)]
-    shapes = [
-        Shape(max((second + 1 for _, second in edges), default=1), edges, anybody=anybody)
-        for anybody in (False, True)
-        for edges in (*chains, ((0, 1), (0, 2), (1, 3), (2, 3)))
-    ]
-    known = {"hash": episode_hash(""), "wanted": [_NOTHING]}
-    return [(text, {name: known.get(name, _NOTHING) for name in parameters(text)}) for text in map(statement, shapes)]
 
 
 @lru_cache(256)

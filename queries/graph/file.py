@@ -94,9 +94,6 @@ def rebuild_hint(graph: Path) -> str:
     return f"run 'jrdb-avr load --rebuild --store {graph.parent}'"
 
 
-WORLD_PROCESS: Final = "jrdb_avr.queries.beliefs.process"
-"""The module that runs as the process of a world model; the last argument is its parent's number."""
-
 ENDING_S: Final = 5.0
 """Longest wait for a lock whose holder is about to end."""
 
@@ -137,8 +134,8 @@ def lock_graph(path: Path, *, shared: bool) -> IO[str] | None:
 
 def _holder(file: IO[str]) -> tuple[str, bool]:
     """Who holds the lock, by the kernel's table where there is one, else by what the last writer noted; and whether
-    that process is about to end: it has no command any more, or was the helper of one that is gone. One that the
-    kernel's table does not name, or that is gone before it is looked at, has let go of the lock meanwhile.
+    that process is about to end. One that the kernel's table does not name, or that is gone before it is looked at, has
+    let go of the lock meanwhile.
     """
     ends = False
     inode = str(os.fstat(file.fileno()).st_ino)
@@ -148,20 +145,8 @@ def _holder(file: IO[str]) -> tuple[str, bool]:
         for line in locks.splitlines():
             fields = line.split()
             if "FLOCK" in fields and len(fields) > 5 and fields[5].rpartition(":")[2] == inode and fields[4] != "-1":
-                holder, leaves = fields[4], False
-                command = _command(holder)
-                if WORLD_PROCESS in command:
-                    # It works for its parent, which is the one to wait for.
-                    leaves = Path("/proc", holder, "stat").read_text().rpartition(")")[2].split()[1] != command[-1]
-                    if not leaves:
-                        holder = command[-1]
-                        command = _command(holder)
-                return f"process {holder} ({' '.join(command)[:120]})", leaves or not command
+                # A process that is about to end has no command any more.
+                command = Path("/proc", fields[4], "cmdline").read_bytes().decode(errors="replace").rstrip("\0")
+                return f"process {fields[4]} ({command.replace(chr(0), ' ')[:120]})", not command
     file.seek(0)
     return file.read(100).strip() or "another process", ends
-
-
-def _command(process: str) -> list[str]:
-    """The words of a process's command; none where it is about to end."""
-    words = Path("/proc", process, "cmdline").read_bytes().decode(errors="replace").rstrip("\0")
-    return words.split("\0") if words else []

@@ -216,16 +216,6 @@ class Graph:
         with self._lock:
             return self._plan(text, values)
 
-    def prepare(self, cypher: str, params: Mapping[str, Any]) -> None:
-        """Plan a statement that will be run with values of these types. Raises QueryError where that fails."""
-        text, values = bind(cypher, params)
-        with self._lock:
-            self._plan(text, values)
-            try:
-                self._statement(text, values)
-            except RuntimeError as error:
-                raise _translated(error, text, None, self.path) from None
-
     # -- writing ----------------------------------------------------------------------------------------------
 
     def execute(self, cypher: str, params: Mapping[str, Any] | None = None) -> pa.Table:

@@ -25,7 +25,8 @@ from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.decode import CONTRACT
 from jrdb_avr.engine.run.evaluate import Journal, ask_all
 from jrdb_avr.engine.run.methods import make_method, open_world
-from jrdb_avr.queries.beliefs.record import merge_world, open_to_replay
+from jrdb_avr.queries.beliefs.graph import open_graph
+from jrdb_avr.queries.beliefs.record import merge_world
 from jrdb_avr.schema.method import Observation, Question, SequenceInfo
 from jrdb_avr.schema.panorama import FOV_DEG, crop_left
 from jrdb_avr.schema.tables import RUNS
@@ -140,7 +141,7 @@ def measure(looks, name):
         client = Client(f"http://127.0.0.1:{port.value}/v1", "x", cache=Path(folder) / "calls.jsonl")
         world = None
         if name == "agent":
-            with open_to_replay(Path(folder) / "world.kuzu") as graph:
+            with open_graph(Path(folder) / "world.kuzu") as graph:
                 merge_world(graph, "older", older_record(OLDER))
             world = stack.enter_context(open_world(Path(folder) / "world.kuzu", "r", RUNS["world"].empty_table()))
         method = make_method(name, client, CONTRACT, world)

@@ -21,7 +21,7 @@ from jrdb_avr.loaders.load import load, rebuild
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.loaders.synthetic.write import plan, write
 from jrdb_avr.loaders.verify import FILE, STEPS, checks_of
-from jrdb_avr.queries.beliefs.tables import make_world_tables
+from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.graph.file import PAGE, check_seal, seal_of, seal_path
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.named import named_queries

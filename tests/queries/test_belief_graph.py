@@ -4,14 +4,12 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 
 import pytest
 from places import SUPPORT
 from world_play import SCENE, believe, beside_scene, tables_of
 
-from jrdb_avr.queries.beliefs.checks import check_world
-from jrdb_avr.queries.beliefs.graph import WorldGraph
+from jrdb_avr.queries.beliefs.graph import WorldGraph, check_world
 from jrdb_avr.queries.graph.file import check_seal
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS
@@ -209,27 +207,6 @@ def test_closing_twice_is_harmless_and_what_comes_later_is_told():
         world.query("MATCH (n:Entity) RETURN count(*) AS n")
 
 
-def test_one_thread_of_its_own_makes_all_calls(world):
-    used = set()
-    plain = world._tables.query
-
-    def query(*args, **kwargs):
-        used.add(threading.current_thread())
-        return plain(*args, **kwargs)
-
-    world._tables.query = query
-    try:
-        asked = "MATCH (n:Entity) RETURN count(*) AS n"
-        threads = [threading.Thread(target=world.query, args=(asked,)) for _ in range(8)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-    finally:
-        del world._tables.query
-    assert len(used) == 1 and not used & {*threads, threading.current_thread()}
-
-
 KILLED = """
 import sys
 sys.path.insert(0, {tests!r})
@@ -273,8 +250,8 @@ def test_statements_of_many_texts_do_not_pile_up():
             for n in range(100):
                 asked = f"MATCH (n:Entity {{id: $id}}) WHERE n.name <> 'm{part}x{n}' RETURN count(*) AS n"
                 assert world.query(asked, {"id": f"{part}/{n}"})["n"].to_pylist() == [1]
-            assert max(map(len, (world._tables.graph._plans, world._tables.graph._prepared))) <= 256
-            assert world._tables.graph._planned <= 256 + 2 * 200
+            assert max(map(len, (world.graph._plans, world.graph._prepared))) <= 256
+            assert world.graph._planned <= 256 + 2 * 200
         with pytest.raises(QueryError):
             world.write([(make.format(n), {"id": f"{n % 299}"}) for n in range(300)])
         assert world.query("MATCH (n:Entity) RETURN count(*) AS n")["n"].to_pylist() == [600]

@@ -12,8 +12,7 @@ from oracle_beliefs import Mind
 
 from jrdb_avr.agent.beliefs.solver import solve_beliefs, weigh_beliefs
 from jrdb_avr.queries.beliefs.graph import WorldGraph
-from jrdb_avr.queries.beliefs.tables import WorldTables
-from jrdb_avr.queries.compiler import common_finds, find_believed
+from jrdb_avr.queries.compiler import find_believed
 from jrdb_avr.schema.rules import Rules
 
 WORDS = (
@@ -102,7 +101,7 @@ def test_strange_words_and_shapes_come_to_what_brute_force_finds(world, seed):
     rng = random.Random(seed)
     key = f"strange/{next(COUNT)}"
     story = strange_story(rng)
-    write(world._tables.graph, {key: story})
+    write(world.graph, {key: story})
     mind = Mind(story.rows)
     for _ in range(8):
         plan = strange_plan(rng, mind)
@@ -132,19 +131,12 @@ def test_what_a_plan_asks_for_is_parameters_and_its_shape_is_the_statement():
     assert talks.row["wanted"] == ["=@0", "conversation=@0", "interaction=conversation@0"]
 
 
-def test_statements_planned_ahead_pass_the_doors():
-    tables = WorldTables.memory()
-    tables.prepare(common_finds(), writes=False)
-    assert len(tables.graph._prepared) == 10
-    tables.close()
-
-
 def test_how_a_small_plan_lists_its_edges_does_not_matter():
     fork = [("a", "conversation", "b"), ("a", "hugging", "c"), ("b", "conversation", "d"), ("c", "hugging", "d")]
     nodes = {name: [] for name in "abcd"}
     plans = [planned(nodes=nodes, edges=[(*e, "t0") for e in order]) for order in itertools.permutations(fork)]
     assert len(plans) == 24
-    assert {find_believed(parsed(plan)).cypher for plan in plans} <= {text for text, _ in common_finds()}
+    assert len({find_believed(parsed(plan)).cypher for plan in plans}) == 1
 
 
 def test_a_plan_that_would_keep_the_engine_is_not_run():

@@ -3,20 +3,15 @@
 import random
 
 import effort
-import msgspec
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from world_calls import calls_of, play
-from world_play import PLAN, add, begin, belongs, join, look, replay, rows_of, say, tables_of
+from world_play import PLAN, add, begin, belongs, look, replay, rows_of, say, tables_of
 
-from jrdb_avr.agent.beliefs.solver import solve_beliefs
 from jrdb_avr.agent.beliefs.world_model import MOST_WAITING
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.compiler.mapping import read_text
-from jrdb_avr.schema.plan import Node
-from jrdb_avr.schema.relations import FIRST_RIGHT
-from jrdb_avr.schema.rules import Rules
 
 
 @pytest.fixture(scope="module")
@@ -97,31 +92,3 @@ def test_the_write_that_is_too_many_to_wait_may_be_a_new_entity(graph, place):
             assert add(episode, f"p{n}").accepted
     assert len(writes) == place + 2
     assert tables_of(graph, belongs(episode.key)) == replay(writes, episode.key)
-
-
-def test_what_episodes_commonly_write_and_read_is_planned_before_the_first():
-    with WorldGraph.memory() as graph:
-        episode, _ = begin(graph)
-        tables = graph._tables.graph
-        graph.query("RETURN 1 AS n", ordered=False)
-        planned = set(tables._prepared)
-        assert len([text for text in planned if "CREATE" in text]) == 11
-        assert len([text for text in planned if "who0" in text]) == 10
-        episode.plan(PLAN, 0)
-        for turn in range(3):
-            with episode.together():
-                name = episode.observed(look(15 * turn), turn)
-                for person in ("p1", "p2")[: turn + 1]:
-                    assert add(episode, person, name).accepted
-                    assert say(episode, "action", "sitting", person, name).accepted
-                if turn:
-                    assert join(episode, "conversation", observation=name).accepted
-                if turn > 1:
-                    assert join(episode, FIRST_RIGHT, observation=name).accepted
-        common = msgspec.structs.replace(PLAN, nodes=(Node("a", PLAN.nodes[0].conditions[:1]), *PLAN.nodes[1:]))
-        assert solve_beliefs(graph, episode.key, common, Rules()).outcome == "empty"
-        new = {text for text in tables._prepared if text not in planned}
-        assert not [text for text in new if "CREATE" in text], "nothing made a row by a text of its own"
-        assert not [text for text in new if "who0" in text], "nor did the plan find its people so"
-        assert {len(rows_of(graph, table)) for table in ("Sighted", "Has", "Related")} == {5, 3}
-        assert not tables.query("MATCH (e:Episode) WHERE e.id = 'run/question' RETURN e.id", ordered=False).num_rows

@@ -8,7 +8,7 @@ from reference_play import PLAN, PLANS
 
 from jrdb_avr.agent.reference.labels import vocabulary
 from jrdb_avr.agent.reference.planning import plan_form, plan_prompt, read_plan
-from jrdb_avr.queries.compiler import common_finds, find_believed
+from jrdb_avr.queries.compiler import find_believed
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.labels import ACTIONS, AGES, DISTANCE_WORDS, GENDERS, INTERACTIONS, OBJECTS, ROBOT_SECTORS, VERBS
 from jrdb_avr.schema.method import Question, SequenceInfo
@@ -149,14 +149,14 @@ def test_every_gold_plan_is_taken(sample_benchmark):
     """What the questions mean, in all templates, is a plan that the agent may make."""
     sequences = {row["sequence"]: row for row in sample_benchmark.questions("sequences").to_pylist()}
     questions = {row["question_id"]: row for row in sample_benchmark.questions("questions").to_pylist()}
-    planned = {text for text, _ in common_finds()}
-    templates = set()
+    templates, statements = set(), set()
     for row in sample_benchmark.questions("answers").to_pylist():
         question = questions[row["question_id"]]
         info = SimpleNamespace(frame_count=sequences[question["sequence"]]["frame_count"])
         asked = SimpleNamespace(question=SimpleNamespace(answer_mode=question["answer_mode"]), sequence=info)
         plan = read_plan(row["plan"], asked)
         assert canonical(plan) == row["plan"]
-        assert find_believed(plan).cypher in planned, "its people are found by a statement that was planned before"
+        statements.add(find_believed(plan).cypher)
         templates.add(question["template"])
     assert len(templates) == 12
+    assert len(statements) <= 10, "the engine plans few statements, each of which takes it long at its first use"

@@ -16,9 +16,8 @@ from scene_tables import table_store
 from jrdb_avr.engine.cli import group
 from jrdb_avr.engine.run import evaluate as runs
 from jrdb_avr.engine.run.methods import open_world
-from jrdb_avr.queries.beliefs.graph import WorldGraph
+from jrdb_avr.queries.beliefs.graph import WorldGraph, make_world_tables
 from jrdb_avr.queries.beliefs.record import merge_world, read_record, replayed, restore_world
-from jrdb_avr.queries.beliefs.tables import make_world_tables
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.runs import RunManifest, write_run_manifest
 from jrdb_avr.queries.store import Store

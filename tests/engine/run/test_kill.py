@@ -22,8 +22,8 @@ from asked_world import write_store
 from believing import PLAN, world_dump
 from fake_server import FakeServer, images, sound, texts
 
+from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.beliefs.record import replayed
-from jrdb_avr.queries.beliefs.tables import make_world_tables
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.schema.plan import canonical
 

@@ -22,7 +22,7 @@ from click.testing import CliRunner
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.engine.commands.evaluate import command
 from jrdb_avr.engine.run.methods import METHODS, WORLD_METHODS
-from jrdb_avr.queries.beliefs.tables import make_world_tables
+from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.graph.handle import build_graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
