@@ -142,6 +142,11 @@ class AnswerSpec(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown
     at: Name | tuple[Name, ...]
     relation: Label | None = None
 
+    @property
+    def times(self) -> tuple[str, ...]:
+        """Names of the times at which the answer is read."""
+        return (self.at,) if isinstance(self.at, str) else self.at
+
 
 class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A program: nodes and edges at named times, searched from `root`; the answer is read of `target`."""
@@ -152,10 +157,6 @@ class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     nodes: Annotated[tuple[Node, ...], msgspec.Meta(min_length=1, max_length=16)]
     edges: Annotated[tuple[Edge, ...], msgspec.Meta(max_length=32)]
     answer: AnswerSpec
-
-    def asked(self) -> tuple[str, ...]:
-        """The names of the times at which the answer is read."""
-        return (self.answer.at,) if isinstance(self.answer.at, str) else self.answer.at
 
 
 # Made at import: threads that meet a type first at the same time crash the decoder.
@@ -243,7 +244,7 @@ def _check_times(plan: Plan, ids: list[str]) -> None:
             raise PlanError(field, "an event needs 'of' and 'after'")
         _known(f"{field}.of", time.of, ids, "node")
         _known(f"{field}.after", time.after, list(plan.times), "time")
-        unnamed = time.event == "end" and plan.answer.read == "next_action" and name in plan.asked()
+        unnamed = time.event == "end" and plan.answer.read == "next_action" and name in plan.answer.times
         if time.action is None and time.event in ("start", "end") and not unnamed:
             raise PlanError(f"{field}.action", "is needed by start and end (but for the end before a next_action)")
         if time.action is not None and time.event in ("leaves", "returns"):
@@ -297,7 +298,7 @@ def _check_reach(plan: Plan) -> None:
 def _check_answer(plan: Plan, ids: list[str]) -> None:
     answer = plan.answer
     _known("answer.of", answer.of, ids, "node")
-    times = plan.asked()
+    times = plan.answer.times
     for name in times:
         _known("answer.at", name, list(plan.times), "time")
     if _MODES[answer.read] != answer.mode:

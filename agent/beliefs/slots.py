@@ -32,7 +32,7 @@ def _slots(plan: Plan) -> Iterator[SlotRow]:
             yield _slot("condition", node.id, name=name, value=value, frame=_frame(plan, condition.at))
     for edge in plan.edges:
         yield _slot("edge", edge.source, edge.target, edge.relation, frame=_frame(plan, edge.at))
-    times = plan.asked()
+    times = plan.answer.times
     yield _slot("read", plan.answer.of, name=plan.answer.read, value=", ".join(times), frame=_frame(plan, times[0]))
 
 

@@ -40,7 +40,7 @@ def events(plan: Plan, t0: int, seen: Mapping[int, Sighting]) -> dict[str, Event
     `seen` holds the person's sightings by frame. An end belongs to the start that it waits for.
     """
     found: dict[str, Event] = {}
-    for name in plan.asked():
+    for name in plan.answer.times:
         time = plan.times[name]
         if time.action is None or time.event not in ("start", "end"):
             continue

@@ -139,14 +139,14 @@ def _seen_at(game: Game, person: Sighting, name: str, keep: int = 0) -> Sighting
 def _pose(game: Game, person: Sighting | None) -> str | None:
     if person is None:
         return None
-    seen = _seen_at(game, person, game.plan.asked()[0])
+    seen = _seen_at(game, person, game.plan.answer.times[0])
     return None if seen is None else seen.mark.pose
 
 
 def _presence(game: Game, person: Sighting | None) -> str | None:
     if person is None:
         return None
-    names = game.plan.asked()
+    names = game.plan.answer.times
     first = _seen_at(game, person, names[0], len(AROUND)) is not None
     second = _seen_at(game, person, names[1]) is not None
     both, only_first, only_second, neither = PRESENCE_ANSWERS
@@ -157,7 +157,7 @@ def _distance(game: Game, person: Sighting | None) -> str | None:
     if person is None or person.mark.distance_dm is None:
         return None
     closer, farther, same, unseen = DISTANCE_ANSWERS
-    later = _seen_at(game, person, game.plan.asked()[1])
+    later = _seen_at(game, person, game.plan.answer.times[1])
     if later is None:
         return unseen
     if later.mark.distance_dm is None:

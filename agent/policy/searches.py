@@ -205,7 +205,7 @@ def _absence(game: Game, person: Sighting | None, t0: int) -> float:
 
 def count_people(game: Game, person: Sighting | None) -> int:
     """How many different people are seen to have the relation between the two stated times."""
-    begin, end = (game.frame_of(name) for name in game.plan.asked())
+    begin, end = (game.frame_of(name) for name in game.plan.answer.times)
     relation = game.plan.answer.relation
     found: set[int] = set()
     rounds = max(game.eyes.spare() // (len(AROUND) + len(NEARBY)), 2)

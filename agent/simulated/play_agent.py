@@ -98,7 +98,7 @@ class Player:
         self._then = self.game.eyes.legal(self.game.t0)
 
     def _memory(self, known: int) -> Memory:
-        return Memory(self._legal, self.notes.looks, self._left, known, len(self._plan.asked()))
+        return Memory(self._legal, self.notes.looks, self._left, known, len(self._plan.answer.times))
 
     def look(self, frame: int, angles: Sequence[float]) -> list[dict[str, Any]]:
         """The calls that look; none where nothing is left to look with, or where it has been looked already."""
@@ -180,7 +180,7 @@ class Player:
 
     def _count(self, person: Sighting) -> int:
         """How many are seen to have the relation: all round at the first time, then near the person until the last."""
-        begin, end = (self.game.eyes.legal(self.game.frame_of(name)) for name in self._plan.asked())
+        begin, end = (self.game.eyes.legal(self.game.frame_of(name)) for name in self._plan.answer.times)
         relation = self._plan.answer.relation
         assert relation is not None, "a count names its relation"
         own = entity_name(person.mark.identity)
@@ -209,7 +209,9 @@ class Player:
 
     def _show_whole(self, known: dict[str, Event], seen: dict[int, Sighting]) -> None:
         """Look once more where the box that will be shown was cut off by its picture's edge."""
-        asked = [known[name].high if name in known else self._plan.times[name].frame for name in self._plan.asked()]
+        asked = [
+            known[name].high if name in known else self._plan.times[name].frame for name in self._plan.answer.times
+        ]
         shown = next((seen[frame] for frame in reversed(asked) if frame in seen), seen[self._then])
         if not shown.whole and self._left:
             made = [look.angle for look in self.notes.looks if look.frame == shown.frame]
@@ -218,9 +220,9 @@ class Player:
 
     def _enclosed(self, answer: Any, known: dict[str, Event]) -> Any:
         """The answer by the middles of the events, where all of them have been seen."""
-        if set(known) != set(self._plan.asked()):
+        if set(known) != set(self._plan.answer.times):
             return answer
-        moments = [known[name].middle for name in self._plan.asked()]
+        moments = [known[name].middle for name in self._plan.answer.times]
         ids = [f"{round(moment):06d}" for moment in moments]
         match self._plan.answer.read:
             case "start":
@@ -295,7 +297,7 @@ def chat(request: Request) -> Turn:
 
 def _eyes(request: Request) -> Eyes:
     left = request.number("Looks made: ", LEFT)
-    return Memory(request.legal(), request.looks, left, rounds=len(request.plan.asked()))
+    return Memory(request.legal(), request.looks, left, rounds=len(request.plan.answer.times))
 
 
 def _evidence(game: Game, person: Sighting | None) -> dict[str, Any]:

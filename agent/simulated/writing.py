@@ -89,7 +89,7 @@ class Draft:
     def read(self, plan: Plan, seen: Sighting) -> None:
         """A sighting of the person whom the question asks about, with what the plan reads of it."""
         self.person(seen)
-        asked = [plan.times[name] for name in plan.asked()]
+        asked = [plan.times[name] for name in plan.answer.times]
         match plan.answer.read:
             case "action":
                 if any(time.frame == seen.frame for time in asked):

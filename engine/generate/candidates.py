@@ -26,13 +26,14 @@ from jrdb_avr.engine.generate.conditions import ANCHOR_TIME
 from jrdb_avr.engine.generate.descriptions import Descriptions
 from jrdb_avr.engine.generate.relations import RELATIONS
 from jrdb_avr.engine.generate.scene import NOBODY, Ints, Scene, coded
-from jrdb_avr.engine.generate.templates import Template, joined, plan_texts, query_text, query_values
+from jrdb_avr.engine.generate.templates import joined, plan_texts, query_text, query_values
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.schema.arrays import Bools, Floats
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.templates import Template
 from jrdb_avr.schema.wording import stated_actions
 
 RULES: Final = (

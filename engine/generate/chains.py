@@ -32,10 +32,10 @@ from jrdb_avr.engine.generate.candidates import (
 )
 from jrdb_avr.engine.generate.relations import RELATIONS
 from jrdb_avr.engine.generate.scene import NOBODY, Ints, Scene
-from jrdb_avr.engine.generate.templates import Template
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.answers import same_answer
 from jrdb_avr.schema.rules import FPS, Rules, frames
+from jrdb_avr.schema.templates import Template
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,7 @@ def _read(scene: Scene, watched: Watched, paths: Paths, stages: Sequence[Ints]) 
             outcome[(outcome == NOBODY) & reached] = why
     open_rows = outcome == NOBODY
     answer = np.full(len(paths), NOBODY, dtype=np.int8)
-    if paths.template.reads[1] == "start_view":
+    if paths.template.spec.read == "start_view":
         for row in np.flatnonzero(open_rows).tolist():
             outcome[row] = _read_start(scene, watched, paths, row, int(stages[-1][row]))
         return outcome, answer

@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 
 from jrdb_avr.engine.generate.blind import FEW
 from jrdb_avr.engine.generate.candidates import RULES
-from jrdb_avr.schema.wording import FAMILIES
+from jrdb_avr.schema.templates import FAMILIES
 
 REFUSALS: Final = (*RULES, "rederive", "choices", "near_duplicate", "max_per_person", "balance")
 """Every rule that refuses a candidate, in the order in which they are tried."""

@@ -115,18 +115,20 @@ def _followed(scene: Scene, steps: Steps, candidates: Candidates, row: int, mome
 
 def _read(scene: Scene, candidates: Candidates, track: int, times: list[int], rules: Rules) -> str | None:
     """What the template's program reads of a person at t0, t1, ...; None where it is unknown."""
-    match candidates.template.name:
-        case "change" | "two_hop" | "three_hop" | "later_pose":
+    match candidates.template.spec.read:
+        case "action":
             return _pose(scene, track, times[-1])
-        case "consequence":
+        case "next_action":
             return _next_pose(scene, track, times[0])
         case "presence":
             first, second = (_present(scene, track, time) for time in times[1:])
             if first is None or second is None:
                 return None
             return PRESENCE_ANSWERS[(0 if second else 1) if first else (2 if second else 3)]
-        case _:
+        case "distance_change":
             return _distance_change(scene, track, times, rules)
+        case unknown:
+            raise ValueError(f"the read {unknown!r} has no choices")
 
 
 def _pose(scene: Scene, track: int, frame: int) -> str | None:

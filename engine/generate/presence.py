@@ -30,11 +30,11 @@ from jrdb_avr.engine.generate.candidates import (
     proven_rules,
 )
 from jrdb_avr.engine.generate.scene import NOBODY, Ints, Scene, flags
-from jrdb_avr.engine.generate.templates import Template
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.labels import PRESENCE_ANSWERS
 from jrdb_avr.schema.rules import FPS, Rules, frames
+from jrdb_avr.schema.templates import Template
 
 
 @dataclass(frozen=True)

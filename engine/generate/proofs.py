@@ -17,10 +17,10 @@ from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.candidates import OUTCOMES, PROVING, VALUES, Candidates
 from jrdb_avr.engine.generate.descriptions import Descriptions
 from jrdb_avr.engine.generate.scene import NOBODY, Scene
-from jrdb_avr.engine.generate.templates import TEMPLATES
 from jrdb_avr.schema.panorama import angle_error
 from jrdb_avr.schema.plan import Condition, Plan
 from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.templates import forms_of
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,9 @@ def make_record(
     t0 = int(candidates.frames["t0"][row])
     turns = angle_error(np.array([angles[box.frame] for box in target if box.decisive]), angles[t0])
     times = {time: int(candidates.frames[time][row]) for time in template.stated}
-    for (event, _, _), column in zip(template.events, template.read, strict=False):
+    for event, column in zip(template.events, template.read, strict=False):
         times[event] = int(candidates.frames[column][row])
-    if template.reads[1] == "next_action":
+    if template.spec.read == "next_action":
         # What ends is the pose held until the last keyframe before the next one starts.
         keyframes = scene.keyframes
         times["t1"] = int(keyframes[np.searchsorted(keyframes, candidates.frames["first"][row]) - 1])
@@ -183,9 +183,7 @@ def expected_proofs(name: str, plan: Plan, rules: Rules) -> set[tuple[str, str]]
     expected = set(ALWAYS)
     for node in plan.nodes:
         expected |= {("anchor", f"without {condition_text(condition)}") for condition in node.conditions}
-    template = next((template for template in TEMPLATES if template.name == name), None)
-    if template is None:
-        return expected
+    template = forms_of(name)[0]
     if template.edges:
         expected |= {("hop.stop", str(place)) for place in range(len(template.people) - 1)}
         # To leave out the last hop of a path is to stop one person early; of a fork each can be left out.
@@ -198,13 +196,12 @@ def expected_proofs(name: str, plan: Plan, rules: Rules) -> set[tuple[str, str]]
 
 def failing_proofs(name: str, holds: Mapping[tuple[str, str], bool]) -> list[str]:
     """What does not hold though it must: of both shifts one is enough, and of a fork read at b and at c."""
-    template = next((template for template in TEMPLATES if template.name == name), None)
-    joins, single = template is not None and template.joins, template is None or template.single_view
+    template = forms_of(name)[0]
     either: dict[str, bool] = {}
     failing = []
     for (kind, variant), held in holds.items():
-        if kind == "time.shift" or (joins and kind == "hop.stop" and variant != "0"):
+        if kind == "time.shift" or (template.joins and kind == "hop.stop" and variant != "0"):
             either[kind] = either.get(kind, False) or held
-        elif not held and not (kind == "view.single" and single):
+        elif not held and not (kind == "view.single" and template.single_view):
             failing.append(f"{kind} {variant}")
     return failing + [kind for kind, held in either.items() if not held]

@@ -23,7 +23,7 @@ from jrdb_avr.queries.workers import map_shards
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.rules import Rules, rules_hash
 from jrdb_avr.schema.tables import CANDIDATES, QUESTIONS
-from jrdb_avr.schema.wording import FAMILIES
+from jrdb_avr.schema.templates import FAMILIES
 
 Advance = Callable[[int], None]
 

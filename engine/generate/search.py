@@ -30,12 +30,12 @@ from jrdb_avr.engine.generate.presence import find_presence
 from jrdb_avr.engine.generate.relations import RELATIONS, STATED_POSES, Facts, find_steps
 from jrdb_avr.engine.generate.scene import NOBODY, Ints, Scene, absence_tables, coded, flags
 from jrdb_avr.engine.generate.search_graph import scene_graph
-from jrdb_avr.engine.generate.templates import Template
 from jrdb_avr.engine.generate.time_shift import asked_proofs
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.arrays import Bools, Floats
 from jrdb_avr.schema.relations import SAME_GROUP
 from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.templates import Template
 
 TIMES = ("t0", "t1", "t2")
 EDGES = ("first", "last", "start", "end")
@@ -52,7 +52,7 @@ def find_candidates(
     scene: Scene, facts: Facts, descriptions: Descriptions, graph: Graph, template: Template, rules: Rules
 ) -> Candidates:
     """Search a scene's graph for a template and judge what is found; `facts` are the scene's relations."""
-    if template.reads[1] == "presence":
+    if template.spec.read == "presence":
         return find_presence(scene, graph, template, rules)
     joins = find_joins(scene, facts, descriptions.conditions, rules) if template.joins else None
     found = ask(graph, "generators", template.query, rules) if joins is None else find_forks(graph, joins, rules)
@@ -95,7 +95,7 @@ def find_candidates(
             holds["view.single"] = _needs_turning(scene, paths, open_rows, count, rules)
         proofs = in_blocks(paths, lambda some: _path_proofs(scene, graph, joins, some, rules))
         perturbed = tuple(_widened(proof, open_rows, count) for proof in proofs)
-    if template.time_proof == "asked" and count:
+    if template.time_proof == "times" and count:
         perturbed += asked_proofs(scene, graph, template, rules, moments, answer)
     holds |= proven_rules(perturbed)
     rule = first_refusing(holds, count)

@@ -19,7 +19,7 @@ import pyarrow.compute as pc
 from jrdb_avr.engine.generate.balance import Order, joined, ordered
 from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.rules import Rules, frames
-from jrdb_avr.schema.wording import FAMILIES
+from jrdb_avr.schema.templates import FAMILIES
 
 CANDIDATE_COLUMNS: Final = (
     "sequence",

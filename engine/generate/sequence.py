@@ -34,7 +34,6 @@ from jrdb_avr.engine.generate.relations import Steps, find_facts, find_steps
 from jrdb_avr.engine.generate.scene import Ints, Scene, load_scene
 from jrdb_avr.engine.generate.search import find_candidates, search_graph
 from jrdb_avr.engine.generate.selection import near_duplicates
-from jrdb_avr.engine.generate.templates import TEMPLATES, Template, by_name
 from jrdb_avr.engine.rederive import Annotations, rederive
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import without_collector
@@ -42,6 +41,7 @@ from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.rules import Rules, frames
 from jrdb_avr.schema.tables import CANDIDATES, QUESTIONS
+from jrdb_avr.schema.templates import FORMS, Template
 
 EXAMPLES: Final = 100
 """Example rows kept per sequence, template and rule."""
@@ -83,7 +83,7 @@ def search_sequence(job: Job) -> Found:
     annotations = Annotations.read(store, job.sequence, job.rules)
     search = _Search(job, scene, find_steps(scene, facts), descriptions, annotations)
     with search_graph(scene, facts, descriptions, job.rules) as graph:
-        for name, forms in by_name(TEMPLATES).items():
+        for name, forms in FORMS.items():
             missing = [tuple(layer for layer in form.layers if layer not in scene.layers) for form in forms]
             if least := min(missing, key=len):
                 search.lacking[name] = least

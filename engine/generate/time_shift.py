@@ -20,9 +20,9 @@ from jrdb_avr.engine.generate.candidates import (
     rows_of,
 )
 from jrdb_avr.engine.generate.scene import NOBODY, Ints, Scene
-from jrdb_avr.engine.generate.templates import Template
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.rules import FPS, Rules, frames
+from jrdb_avr.schema.templates import Template
 
 
 def asked_proofs(
@@ -48,7 +48,7 @@ def _shift(
     The query leaves out what is unknown, and gives no answer where the person who is read is absent.
     """
     times = {name: scene.frames(moment) for name, moment in moments.items()}
-    read = ask(graph, "necessity", template.shift, rules, by=by)
+    read = ask(graph, "necessity", f"{template.time_queries}_shift", rules, by=by)
     row = rows_of(read, {f"at{name[1:]}": moment for name, moment in moments.items()}, limit=scene.moment_count)
     found = row != NOBODY
     answer = np.full(len(row), NOBODY, dtype=np.int8)
@@ -67,7 +67,7 @@ def _shift(
 
 def _drop(scene: Scene, graph: Graph, template: Template, rules: Rules, moments: Mapping[str, Ints]) -> Perturbed:
     """same: every other keyframe at which the answer is known gives the same one; empty: it is known nowhere else."""
-    read = ask(graph, "necessity", template.drop, rules)
+    read = ask(graph, "necessity", f"{template.time_queries}_drop", rules)
     keys = {"at0": moments["t0"]}
     if "t2" in moments:
         keys["spacing"] = scene.frames(moments["t2"]) - scene.frames(moments["t1"])

@@ -8,7 +8,7 @@ from itertools import accumulate
 from typing import Any, Final, NamedTuple
 
 from jrdb_avr.engine.pages.page import render
-from jrdb_avr.schema.wording import FAMILIES
+from jrdb_avr.schema.templates import FAMILIES
 
 Rows = Sequence[Mapping[str, Any]]
 Tables = Mapping[str, Rows]

@@ -164,7 +164,7 @@ def _times(plan: Plan) -> list[str]:
 
 def _asks(plan: Plan) -> str:
     counted = f" of '{plan.answer.relation}'" if plan.answer.relation else ""
-    return f"{plan.answer.read.replace('_', ' ')}{counted} of {plan.answer.of} at {', '.join(plan.asked())}"
+    return f"{plan.answer.read.replace('_', ' ')}{counted} of {plan.answer.of} at {', '.join(plan.answer.times)}"
 
 
 # -- the timeline -----------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP, frames
 
 def read_start(asked: Asked) -> Reading:
     """When an action starts."""
-    name = asked.plan.asked()[0]
+    name = asked.plan.answer.times[0]
     segment = _first_segment(asked, name)
     asked.wait(asked.t0, segment.start, asked.rules.min_wait_s)
     return Reading(encode_answer(FrameAnswer(segment.start)), {name: segment.start}, [segment.first])
@@ -22,7 +22,7 @@ def read_start(asked: Asked) -> Reading:
 
 def read_span(asked: Asked) -> Reading:
     """From when to when an action lasts."""
-    start, end = asked.plan.asked()
+    start, end = asked.plan.answer.times
     if asked.plan.times[end].after != start or asked.plan.times[end].action != asked.plan.times[start].action:
         raise Undefined("unknown", "the span does not end what it starts")
     segment = _first_segment(asked, start)
@@ -35,7 +35,7 @@ def read_span(asked: Asked) -> Reading:
 
 def read_start_view(asked: Asked) -> Reading:
     """When an action starts, and in which direction the person is seen then; another than at the description."""
-    name, annotations = asked.plan.asked()[0], asked.annotations
+    name, annotations = asked.plan.answer.times[0], asked.annotations
     segment = _first_segment(asked, name)
     asked.wait(asked.t0, segment.start, asked.rules.search_wait_s)
     if annotations.box(asked.target, segment.first) is None:
@@ -48,7 +48,7 @@ def read_start_view(asked: Asked) -> Reading:
 
 def read_next_action(asked: Asked) -> Reading:
     """The pose that follows that of the description's time, held at every keyframe until then."""
-    annotations, target, name = asked.annotations, asked.target, asked.plan.asked()[0]
+    annotations, target, name = asked.annotations, asked.target, asked.plan.answer.times[0]
     event = asked.plan.times[name]
     if event.action is not None or event.after != asked.described:
         raise Undefined("unknown", f"{name} is no end of the pose held at t0")
@@ -71,7 +71,7 @@ def read_next_action(asked: Asked) -> Reading:
 
 def read_seconds_between(asked: Asked) -> Reading:
     """Seconds between the first starts of two actions, or those that the first absence lasts."""
-    first, second = asked.plan.asked()
+    first, second = asked.plan.answer.times
     if asked.plan.times[first].event == "leaves":
         events = _absence(asked, first, second)
         shown = sorted(events.values())

@@ -39,7 +39,7 @@ class Asked:
 
     def frame(self, position: int) -> int:
         """The stated frame at which the answer is read."""
-        name = self.plan.asked()[position]
+        name = self.plan.answer.times[position]
         if name not in self.stated:
             raise Undefined("unknown", f"{name} is no stated time")
         return self.stated[name]

@@ -26,7 +26,7 @@ class Reading:
 def read_action(asked: Asked) -> Reading:
     """The pose at one time; at a later one it differs from that at the description's."""
     frame, rules = asked.frame(0), asked.rules
-    if asked.plan.asked()[0] != asked.described:
+    if asked.plan.answer.times[0] != asked.described:
         asked.wait(asked.t0, frame, rules.long_wait_s if asked.template == "later_pose" else rules.min_wait_s)
     if asked.annotations.absent(asked.target, frame):
         raise Undefined("empty", f"the person is absent at frame {frame}")

@@ -19,7 +19,8 @@ from jrdb_avr.schema.errors import AvrError
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan, canonical, parse_plan
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, rules_hash
-from jrdb_avr.schema.wording import FAMILIES, parse, question_key, render
+from jrdb_avr.schema.templates import forms_of
+from jrdb_avr.schema.wording import parse, question_key, render
 
 CHOICE_COUNT: Final = 4
 
@@ -51,10 +52,10 @@ def check_question(
     report.check("answers", _inside(answer, len(choices), info["frame_count"]), f"{name}: {own['answer']} is outside")
     try:
         plan = parse_plan(own["plan"])
+        family = forms_of(row["template"])[0].family
     except AvrError as error:
         report.check("plans", False, f"{name}: {error}")
         return
-    family = FAMILIES.get(row["template"], "none")
     report.check("plans", canonical(plan) == own["plan"], f"{name}: the plan is not in its canonical form")
     report.check("plans", plan.answer.mode == mode, f"{name}: the plan's answer is of mode {plan.answer.mode}")
     report.check("plans", family == row["family"], f"{name}: template {row['template']!r} is of family {family!r}")

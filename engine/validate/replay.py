@@ -21,13 +21,13 @@ from jrdb_avr.engine.generate.proofs import make_record, proof
 from jrdb_avr.engine.generate.relations import RELATIONS, Steps, find_facts, find_steps
 from jrdb_avr.engine.generate.scene import NOBODY, Ints, Scene, load_scene, weight
 from jrdb_avr.engine.generate.search import find_candidates, search_graph
-from jrdb_avr.engine.generate.templates import Template
 from jrdb_avr.engine.rederive import Annotations, rederive
 from jrdb_avr.engine.validate.stored import Difference, Stored, decoded, read_plans, short
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import map_shards
 from jrdb_avr.schema.plan import Plan, canonical
 from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.templates import Template
 
 _TOLERANCE: Final = 1e-9
 """Seconds and degrees that differ by no more are the same."""

@@ -19,12 +19,11 @@ import numpy as np
 from jrdb_avr.engine.generate.blind import Posed, blind_check, posed
 from jrdb_avr.engine.generate.diagnostics import shortfalls, tallies
 from jrdb_avr.engine.generate.selection import PROFILES
-from jrdb_avr.engine.generate.templates import TEMPLATES, by_name
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.panorama import CROP, WIDTH, angle_error, center_angle
 from jrdb_avr.schema.tables import LAYERS
-from jrdb_avr.schema.wording import FAMILIES
+from jrdb_avr.schema.templates import FAMILIES, FORMS
 
 
 def fewest_crops(centers: Iterable[float]) -> int:
@@ -290,7 +289,7 @@ def _refusals(rejected: list[dict[str, Any]]) -> list[dict[str, Any]]:
 def _lacking(layers: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:
     """Templates that some sequences cannot carry, with the layer and how many sequences lack it."""
     rows = []
-    for name, forms in by_name(TEMPLATES).items():
+    for name, forms in FORMS.items():
         # What any form can do without, the template can.
         for layer in min((form.layers for form in forms), key=len):
             without = sum(layer not in present for present in layers.values())

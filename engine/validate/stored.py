@@ -8,10 +8,10 @@ from typing import Any
 
 import msgspec
 
-from jrdb_avr.engine.generate.templates import TEMPLATES, Template
 from jrdb_avr.schema.answers import Choice, decode_answer
 from jrdb_avr.schema.errors import AvrError, PlanError
-from jrdb_avr.schema.plan import Plan, parse_plan
+from jrdb_avr.schema.plan import Plan, canonical, parse_plan
+from jrdb_avr.schema.templates import Template, forms_of
 
 
 @dataclass(frozen=True)
@@ -59,19 +59,10 @@ def read_plans(questions: Sequence[Stored]) -> tuple[list[tuple[Stored, Plan, Te
 
 
 def _form(name: str, plan: Plan) -> Template:
-    """The form of a template whose plans are like this one. Raises PlanError where there is none."""
-    for template in TEMPLATES:
-        like = template.skeleton()
-        alike = (like.root, like.target, set(like.times)) == (plan.root, plan.target, set(plan.times))
-        events = [like.times[time].event == plan.times[time].event for time in like.times if alike]
-        edges = [[(edge.source, edge.target) for edge in one.edges] for one in (like, plan)]
-        if (
-            template.name == name
-            and alike
-            and all(events)
-            and edges[0] == edges[1]
-            and like.answer.read == plan.answer.read
-        ):
+    """The form of a template that a plan is of. Raises PlanError where there is none."""
+    for template in forms_of(name):
+        slots = template.slots(plan)
+        if slots is not None and canonical(template.build(slots)) == canonical(plan):
             return template
     raise PlanError("plan", f"it is no plan of the template {name!r}")
 

@@ -131,7 +131,7 @@ class _Found:
     @property
     def asked(self) -> list[int | None]:
         """Frames at which the answer is read."""
-        return [self.times.get(name) for name in self.plan.asked()]
+        return [self.times.get(name) for name in self.plan.answer.times]
 
 
 def _read_events(reader: Reader, found: Sequence[_Found]) -> None:
@@ -227,14 +227,14 @@ def _read_distance(reader: Reader, found: Sequence[_Found], rules: Rules) -> _An
 def _read_next_action(reader: Reader, found: Sequence[_Found], rules: Rules) -> _Answers:
     waiting = []
     for one in found:
-        after = one.times.get(one.plan.times[one.plan.asked()[0]].after or "")
+        after = one.times.get(one.plan.times[one.plan.answer.times[0]].after or "")
         if after is not None:
             waiting.append((one, after))
     follows = reader.next_poses([(one.target, after) for one, after in waiting])
     answers = {}
     for one, _ in waiting:
         if one.id in follows:
-            answers[one.id], one.times[one.plan.asked()[0]] = follows[one.id]
+            answers[one.id], one.times[one.plan.answer.times[0]] = follows[one.id]
     return answers
 
 
@@ -248,7 +248,7 @@ def _encoded(answer: Callable[[_Found, list[int]], Answer]) -> Callable[[Reader,
 
 
 def _view(one: _Found, frames: list[int]) -> Answer:
-    return FrameViewpoint(frames[0], one.segments[one.plan.asked()[0]].angle)
+    return FrameViewpoint(frames[0], one.segments[one.plan.answer.times[0]].angle)
 
 
 def _read_count(reader: Reader, found: Sequence[_Found], rules: Rules) -> _Answers:

@@ -8,8 +8,6 @@ new row there. The phrases in its places are tables too: actions, interactions a
 
 from jrdb_avr.schema.wording.people import describe, in_order, read_description
 from jrdb_avr.schema.wording.phrases import ACTION_PHRASES, INTERACTION_PHRASES
-from jrdb_avr.schema.wording.rows import Slots, Template
-from jrdb_avr.schema.wording.templates import FAMILIES, TEMPLATES
 from jrdb_avr.schema.wording.text import (
     actions_of,
     moment,
@@ -24,11 +22,7 @@ from jrdb_avr.schema.wording.text import (
 
 __all__ = [
     "ACTION_PHRASES",
-    "FAMILIES",
     "INTERACTION_PHRASES",
-    "TEMPLATES",
-    "Slots",
-    "Template",
     "actions_of",
     "describe",
     "in_order",

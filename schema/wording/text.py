@@ -17,11 +17,10 @@ import msgspec
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.plan import Condition, Plan, canonical
 from jrdb_avr.schema.rules import FPS
+from jrdb_avr.schema.templates import TEMPLATES, Slots, Template, forms_of
 from jrdb_avr.schema.wording.people import ACTION_OF, describe, in_order, read_description
 from jrdb_avr.schema.wording.phrases import ACTION_PHRASES, POSES_OF_INTERACTIONS, POSES_OF_VERBS, phrase_of
 from jrdb_avr.schema.wording.relations import Style, read_relations, relate
-from jrdb_avr.schema.wording.rows import Slots, Template
-from jrdb_avr.schema.wording.templates import TEMPLATES
 
 _EXACT: Final = {"At": "At", "at": "at", "When": "When", "How": "How", "about": ""}
 _ABOUT: Final = {"At": "At about", "at": "at about", "When": "About when", "How": "About how", "about": "about "}
@@ -54,11 +53,7 @@ def render(template: str, plan: Plan, key: str, about: bool = False) -> str:
     Templates that ask for no event do not change with it. Raises PlanError for a plan that is not of the template,
     or for which there are no words.
     """
-    rows = [row for row in TEMPLATES.values() if row.template == template]
-    if not rows:
-        known = ", ".join(dict.fromkeys(row.template for row in TEMPLATES.values()))
-        raise PlanError("template", f"{template!r} is no template; use one of {known}")
-    for row in rows:
+    for row in forms_of(template):
         slots = row.slots(plan)
         if slots is not None and canonical(row.build(slots)) == canonical(plan):
             _check(row, slots)
@@ -73,11 +68,11 @@ def _check(row: Template, slots: Slots) -> None:
     """Refuse plans that say what another plan should say, or that none should: a question has exactly one plan."""
     if in_order(slots.conditions) != slots.conditions:
         raise PlanError("nodes[0].conditions", "must stand in the order that in_order gives")
-    if any(condition.at not in (None, row.times[0]) for condition in slots.conditions):
-        raise PlanError("nodes[0].conditions", f"must hold at {row.times[0]!r}, the time of the description")
+    if any(condition.at not in (None, row.described) for condition in slots.conditions):
+        raise PlanError("nodes[0].conditions", f"must hold at {row.described!r}, the time of the description")
     if len(set(slots.actions)) < len(slots.actions):
         raise PlanError("times", "the two actions that start are different ones")
-    if "join" in row.uses:
+    if row.joins:
         first, second, _, _ = slots.relations
         if first == second:
             raise PlanError("edges[1].relation", "must differ from that of edges[0], or both lead to one person")
@@ -113,9 +108,9 @@ def _numbered(slot: str) -> tuple[str, int]:
 
 def _names(row: Template, number: int) -> tuple[str, str]:
     """What the two people of a relation are called in the text."""
-    if not row.path:
+    if row.counts:
         return _COUNTED, ""
-    source, target = row.path[number]
+    source, target = row.edges[number]
     return source.upper(), target.upper()
 
 
@@ -155,7 +150,7 @@ def parse(text: str) -> tuple[str, Plan]:
                     slots = _slots(row, found)
                     # What was read must be what would be written; a list in another order, for example, would not be.
                     if _written(row, paraphrase, slots, about) == text:
-                        return row.template, row.build(slots)
+                        return row.name, row.build(slots)
     raise PlanError("question", f"{text[:80]!r} is no question of this benchmark")
 
 
@@ -171,7 +166,7 @@ def _slots(row: Template, found: dict[str, Any]) -> Slots:
     relations = {slot[-1]: value for slot, value in found.items() if slot[:-1] in _STYLES}
     return Slots(
         conditions=found["who"],
-        frames={name: found[name] for name in row.times},
+        frames={name: found[name] for name in row.stated},
         actions=tuple(value for slot, value in sorted(found.items()) if slot.startswith("action")),
         relations=tuple(value for _, value in sorted(relations.items())),
     )
@@ -214,8 +209,8 @@ def _person(words: str, at: str) -> tuple[Condition, ...] | None:
 def _read(row: Template, slot: str, words: str) -> Any:
     """What a slot's words say, or None where they say nothing."""
     if slot == "who":
-        return _person(words, row.times[0])
-    if slot in row.times:
+        return _person(words, row.described)
+    if slot in row.stated:
         stated = _MOMENT.fullmatch(words)
         return int(stated[1]) if stated and moment(int(stated[1])) == words else None
     kind, number = _numbered(slot)

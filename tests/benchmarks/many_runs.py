@@ -14,7 +14,7 @@ from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifes
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.panorama import crop_left
 from jrdb_avr.schema.tables import INTERVALS, QUESTIONS, RUNS
-from jrdb_avr.schema.wording import FAMILIES
+from jrdb_avr.schema.templates import FAMILIES
 
 QUESTION_COUNT, RUN_COUNT, EVIDENCE_FRAMES, SEQUENCES = 2_098, 25, 500, 27
 FRAMES, PEOPLE, LOOKS, REQUEST = 900, 30, 8, 2_000

@@ -54,7 +54,7 @@ def test_the_example_is_valid_and_comes_back():
     plan = parse_plan(json.dumps(EXAMPLE))
     assert parse_plan(canonical(plan)) == plan
     assert canonical(parse_plan(canonical(plan))) == canonical(plan)
-    assert plan.asked() == ("t1",)
+    assert plan.answer.times == ("t1",)
     # Defaults and the order of keys do not change the text that is hashed.
     assert canonical(parse_plan(changed(nodes__1__conditions=DROP))) == canonical(plan)
     assert canonical(parse_plan(json.dumps(EXAMPLE, sort_keys=True, indent=3))) == canonical(plan)
@@ -144,8 +144,8 @@ NEXT = {"mode": "multiple_choice", "read": "next_action", "of": "a", "at": "t1"}
 
 def test_the_pose_that_ends_before_the_next_one_is_not_named():
     plan = parse_plan(one_person(NEXT, t0={"frame": 150}, t1=END))
-    assert plan.times["t1"].action is None and plan.asked() == ("t1",)
-    assert parse_plan(one_person(NEXT, t0={"frame": 150}, t1=END | {"action": "sitting"})).asked() == ("t1",)
+    assert plan.times["t1"].action is None and plan.answer.times == ("t1",)
+    assert parse_plan(one_person(NEXT, t0={"frame": 150}, t1=END | {"action": "sitting"})).answer.times == ("t1",)
 
 
 SPAN = {"mode": "span", "read": "span", "of": "a", "at": ["t1", "t2"]}
@@ -183,9 +183,9 @@ def test_reads_and_the_times_they_are_asked_at(answer, times, field):
 
 def test_seconds_and_counts():
     later = START | {"action": "typing"}
-    assert parse_plan(one_person(SECONDS, t0={"frame": 0}, t1=START, t2=later)).asked() == ("t1", "t2")
+    assert parse_plan(one_person(SECONDS, t0={"frame": 0}, t1=START, t2=later)).answer.times == ("t1", "t2")
     # The time of a count's description is the first that it counts over.
-    assert parse_plan(one_person(COUNT, t1={"frame": 0}, t2={"frame": 300})).asked() == ("t1", "t2")
+    assert parse_plan(one_person(COUNT, t1={"frame": 0}, t2={"frame": 300})).answer.times == ("t1", "t2")
 
 
 def test_events_that_wait_for_each_other_are_refused():
@@ -198,7 +198,7 @@ def test_events_that_wait_for_each_other_are_refused():
     with pytest.raises(PlanError, match="circle"):
         parse_plan(changed(times=times, answer=answer))
     times["t1"]["after"] = "t0"
-    assert parse_plan(changed(times=times, answer=answer)).asked() == ("t1", "t2")
+    assert parse_plan(changed(times=times, answer=answer)).answer.times == ("t1", "t2")
 
 
 @pytest.mark.parametrize(

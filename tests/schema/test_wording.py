@@ -25,10 +25,8 @@ from jrdb_avr.schema.labels import (
 )
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time, canonical, parse_plan
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, QUESTION_RELATIONS, SAME_GROUP
+from jrdb_avr.schema.templates import FAMILIES, TEMPLATES, Slots
 from jrdb_avr.schema.wording import (
-    FAMILIES,
-    TEMPLATES,
-    Slots,
     describe,
     in_order,
     moment,
@@ -209,8 +207,8 @@ def test_this_table_holds_the_twelve_templates():
     }
     assert set(TEMPLATES) == set(STATED)
     for name, row in TEMPLATES.items():
-        assert row.template == template_of(name) and row.family == FAMILIES[row.template]
-        assert len(row.times) == STATED[name]
+        assert row.name == template_of(name) and row.family == FAMILIES[row.name]
+        assert len(row.stated) == STATED[name]
         assert len(set(row.paraphrases)) >= 3
 
 
@@ -405,7 +403,7 @@ def test_the_plan_of_a_row_is_the_one_written_here():
         if form == "gap_count":
             continue
         relations = ("conversation", "hugging", SAME_GROUP, "conversation")[: len(row.uses)]
-        frames = dict(zip(row.times, (150, 225, 300), strict=False))
+        frames = dict(zip(row.stated, (150, 225, 300), strict=False))
         built = row.build(Slots(sitting, frames, ("walking", "typing")[: row.actions], relations))
         assert canonical(built) == canonical(make_plan(form, sitting, list(frames.values()), relations=relations))
 

@@ -16,7 +16,7 @@ from jrdb_avr.engine.rederive import Annotations, rederive
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.tables import ANNOTATIONS
-from jrdb_avr.schema.wording import TEMPLATES, Slots
+from jrdb_avr.schema.templates import TEMPLATES, Slots
 
 RULES = Rules()
 SEQUENCE = "world"
@@ -135,7 +135,7 @@ def at_t0(**kwargs):
 def ask(world, form, conditions, frames, action=None, rules=RULES, actions=(), relations=()):
     """What the second path finds for a question of a form of the wording's table."""
     row = TEMPLATES[form]
-    times = dict(zip(row.times, frames, strict=True))
+    times = dict(zip(row.stated, frames, strict=True))
     named = (action,) if action else tuple(actions)
     plan = row.build(Slots(tuple(conditions), times, named, tuple(relations)))
-    return rederive(world.read(rules), plan, row.template, rules)
+    return rederive(world.read(rules), plan, row.name, rules)

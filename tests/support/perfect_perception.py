@@ -149,7 +149,7 @@ class Solver:
     def solve(self):
         self._who()
         target = self.people[self.plan.target]
-        return getattr(self, f"_{self.plan.answer.read}")(target, *self.plan.asked())
+        return getattr(self, f"_{self.plan.answer.read}")(target, *self.plan.answer.times)
 
     def _who(self):
         """Everybody in the plan, from the one described on."""

@@ -20,9 +20,9 @@ from jrdb_avr.engine.generate.forks import find_forks
 from jrdb_avr.engine.generate.relations import RELATIONS, find_facts
 from jrdb_avr.engine.generate.scene import coded, load_scene
 from jrdb_avr.engine.generate.search import find_candidates, search_graph
-from jrdb_avr.engine.generate.templates import TEMPLATES
 from jrdb_avr.schema import labels as words
 from jrdb_avr.schema.labels import OBJECTS, PERSON_CATEGORIES, VERBS
+from jrdb_avr.schema.templates import TEMPLATES
 from jrdb_avr.schema.wording.phrases import POSES_OF_INTERACTIONS, POSES_OF_VERBS
 
 SQL = Path(__file__).parent / "sql"
@@ -114,7 +114,7 @@ class Search:
 
     def _judged(self, name):
         """Candidates that no one query lists, with the rule that refuses each."""
-        template = next(template for template in TEMPLATES if template.name == name)
+        template = next(template for template in TEMPLATES.values() if template.name == name)
         found = find_candidates(self.scene, self.facts, self.descriptions, self.graph, template, self.rules)
         texts, number = self.descriptions.texts
         rules, answers = pa.array([*RULES, None]), pa.array(VALUES)
@@ -156,7 +156,7 @@ class Search:
     def paths(self, name):
         """The paths of a template's candidates, put into both databases."""
         found = self._found(name)
-        template = next(template for template in TEMPLATES if template.name == name)
+        template = next(template for template in TEMPLATES.values() if template.name == name)
         people = {node: ints(found, "at0" if node == "a" else node) for node in template.people}
         relations = {relation: coded(found[relation], RELATIONS) for relation in template.relations}
         description = self.descriptions.texts[1][ints(found, "name")]

@@ -11,7 +11,8 @@ from jrdb_avr.engine.generate.blind import Posed, best_guess, blind_check, posed
 from jrdb_avr.schema.answers import Choice, FrameAnswer, Number, Span, encode_answer, same_answer
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.tables import QUESTIONS
-from jrdb_avr.schema.wording import TEMPLATES, Slots, render
+from jrdb_avr.schema.templates import TEMPLATES, Slots
+from jrdb_avr.schema.wording import render
 
 POSES = ("walking", "standing", "sitting", "cycling")
 

@@ -5,7 +5,7 @@ import pyarrow as pa
 from jrdb_avr.engine.generate.candidates import RULES
 from jrdb_avr.engine.generate.diagnostics import MEANINGS, REFUSALS, SOUGHT, fillings, shortfalls, tallies
 from jrdb_avr.schema.tables import QUESTIONS
-from jrdb_avr.schema.wording import FAMILIES
+from jrdb_avr.schema.templates import FAMILIES
 
 
 def rejected(counts):

@@ -17,8 +17,8 @@ from jrdb_avr.engine.generate.descriptions import describe_people
 from jrdb_avr.engine.generate.relations import RELATIONS, find_facts, find_steps
 from jrdb_avr.engine.generate.scene import load_scene
 from jrdb_avr.engine.generate.search import find_candidates, search_graph
-from jrdb_avr.engine.generate.templates import TEMPLATES
 from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.templates import TEMPLATES
 
 pytestmark = pytest.mark.usefixtures("known_plans")
 
@@ -148,7 +148,7 @@ def compare(seed, folder):
     scene = load_scene(quick_store(folder, root_of(seconds)), SEQUENCE)
     facts = find_facts(scene)
     names, steps = describe_people(scene, facts, rules), find_steps(scene, facts)
-    template = next(t for t in TEMPLATES if t.name == "fork_join")
+    template = next(t for t in TEMPLATES.values() if t.name == "fork_join")
     with search_graph(scene, facts, names, rules) as graph:
         rows = find_candidates(scene, facts, names, graph, template, rules)
 

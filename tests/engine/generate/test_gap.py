@@ -23,20 +23,19 @@ from jrdb_avr.engine.generate.relations import find_facts
 from jrdb_avr.engine.generate.scene import load_scene
 from jrdb_avr.engine.generate.search import find_candidates, search_graph
 from jrdb_avr.engine.generate.sequence import Job, search_sequence
-from jrdb_avr.engine.generate.templates import TEMPLATES
 from jrdb_avr.engine.rederive import UNKNOWN, Annotations, rederive
 from jrdb_avr.schema.answers import decode_answer, encode_answer
 from jrdb_avr.schema.panorama import visible_share
 from jrdb_avr.schema.plan import canonical, parse_plan
 from jrdb_avr.schema.relations import SAME_GROUP
 from jrdb_avr.schema.rules import Rules
-from jrdb_avr.schema.wording import TEMPLATES as WORDS
-from jrdb_avr.schema.wording import Slots, render
+from jrdb_avr.schema.templates import TEMPLATES, Slots
+from jrdb_avr.schema.wording import render
 
 pytestmark = pytest.mark.usefixtures("known_plans")
 
 NAME = "yard-2020-01-01_0"
-FORMS = [template for template in TEMPLATES if template.name == "gap"]
+FORMS = [template for template in TEMPLATES.values() if template.name == "gap"]
 RULES = Rules(gap_min_s=2.0, count_min=2, long_wait_s=4.0, min_wait_s=1.0)
 """Easier than the real ones, so that small worlds hold many questions."""
 
@@ -155,7 +154,7 @@ def tried(scene, store, names):
             if t2 > t0:
                 plans.append(("gap_count", Slots(shifted, {"t1": t0, "t2": t2}, relations=(relation,))))
         for form, slots in plans:
-            row = WORDS[form]
+            row = TEMPLATES[form]
             plan = row.build(slots)
             outcome = rederive(annotations, plan, "gap", RULES)
             if outcome.outcome != "defined" or outcome.faults:
@@ -189,7 +188,7 @@ def test_every_form_is_found():
 
 
 def test_forms_are_judged_together(tmp_path, monkeypatch):
-    monkeypatch.setattr("jrdb_avr.engine.generate.sequence.TEMPLATES", tuple(FORMS))
+    monkeypatch.setattr("jrdb_avr.engine.generate.sequence.FORMS", {"gap": tuple(FORMS)})
     store = quick_store(tmp_path, busy_world(random.Random(9)))
     file = tmp_path / "candidates.parquet"
     rules = msgspec.structs.replace(RULES, max_per_person=2)
@@ -215,7 +214,7 @@ def test_forms_are_judged_together(tmp_path, monkeypatch):
 
 
 def test_without_actions_absences_and_counts_are_asked_about(tmp_path, monkeypatch):
-    monkeypatch.setattr("jrdb_avr.engine.generate.sequence.TEMPLATES", tuple(FORMS))
+    monkeypatch.setattr("jrdb_avr.engine.generate.sequence.FORMS", {"gap": tuple(FORMS)})
     world = busy_world(random.Random(9))
     for rows in world[NAME]["2d"].values():
         for row in rows:
@@ -225,7 +224,7 @@ def test_without_actions_absences_and_counts_are_asked_about(tmp_path, monkeypat
 
 
 def test_without_boxes_there_is_nothing_to_ask(tmp_path, monkeypatch):
-    monkeypatch.setattr("jrdb_avr.engine.generate.sequence.TEMPLATES", tuple(FORMS))
+    monkeypatch.setattr("jrdb_avr.engine.generate.sequence.FORMS", {"gap": tuple(FORMS)})
     store = quick_store(tmp_path, {NAME: {"3d": {0: [person_3d(1, 3.0, 0.0)], 15: []}}})
     found = search_sequence(Job(store.path, NAME, RULES))
     assert found.lacking == {"gap": ("2d",)} and found.counts == {} and found.kept is None

@@ -24,7 +24,7 @@ from jrdb_avr.engine.commands.generate import command
 from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.publish import GENERATION_KEY, TABLES
 from jrdb_avr.engine.generate.run import REFUSALS, generate
-from jrdb_avr.engine.generate.templates import TEMPLATES, plan_texts
+from jrdb_avr.engine.generate.templates import plan_texts
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Span, decode_answer
 from jrdb_avr.schema.errors import LockedError, StoreError
@@ -34,8 +34,8 @@ from jrdb_avr.schema.plan import Condition, canonical, parse_plan
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
 from jrdb_avr.schema.rules import Rules, override, rules_hash
 from jrdb_avr.schema.tables import CANARY, CANDIDATES, QUESTIONS
-from jrdb_avr.schema.wording import TEMPLATES as WORDS
-from jrdb_avr.schema.wording import Slots, in_order, question_id, question_key
+from jrdb_avr.schema.templates import TEMPLATES, Slots
+from jrdb_avr.schema.wording import in_order, question_id, question_key
 
 NAMES = ("court-2020-01-01_0", "hall-2020-01-01_0", "yard-2020-01-01_0")
 SEEDS = (3, 5, 8)
@@ -94,7 +94,7 @@ def test_templates_have_questions(rows):
     # Longer chains and events far away need more than these few people and seconds.
     found = {row["template"] for row in rows}
     assert {"start", "span", "change", "presence", "distance", "two_hop"} <= found
-    assert found <= {template.name for template in TEMPLATES}
+    assert found <= {template.name for template in TEMPLATES.values()}
 
 
 def test_tables_keep_their_contracts(made):
@@ -359,18 +359,17 @@ CONDITIONS = st.lists(
 
 
 @settings(deadline=None)
-@given(st.sampled_from(TEMPLATES), CONDITIONS, st.lists(st.integers(0, 10**6), min_size=3, max_size=3))
+@given(st.sampled_from(list(TEMPLATES.values())), CONDITIONS, st.lists(st.integers(0, 10**6), min_size=3, max_size=3))
 def test_plans_made_from_columns_are_canonical(template, conditions, frames):
     import pyarrow as pa
 
     from jrdb_avr.engine.generate.candidates import hashed, joined
     from jrdb_avr.engine.generate.descriptions import conditions_json
 
-    words = WORDS[template.query]
-    times = dict(zip(words.times, frames, strict=False))
-    actions = ("looking at sth", "reading")[: words.actions]
-    relations = (FIRST_LEFT, "conversation", SAME_GROUP, FIRST_RIGHT)[: len(words.uses)]
-    plan = words.build(Slots(in_order(conditions), times, actions, relations))
+    times = dict(zip(template.stated, frames, strict=False))
+    actions = ("looking at sth", "reading")[: template.actions]
+    relations = (FIRST_LEFT, "conversation", SAME_GROUP, FIRST_RIGHT)[: len(template.uses)]
+    plan = template.build(Slots(in_order(conditions), times, actions, relations))
     columns = {name: pa.array([frame]) for name, frame in times.items()}
     columns["conditions"] = pa.array([conditions_json(tuple(conditions))])
     columns |= {f"r{place}": pa.array([relation]) for place, relation in enumerate(relations, start=1)}

@@ -22,13 +22,13 @@ from jrdb_avr.engine.generate.descriptions import describe_people
 from jrdb_avr.engine.generate.relations import find_facts
 from jrdb_avr.engine.generate.scene import load_scene
 from jrdb_avr.engine.generate.search import find_candidates, search_graph
-from jrdb_avr.engine.generate.templates import TEMPLATES
 from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.loaders.synthetic.write import plan, write
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.rules import LoadRules, Rules
+from jrdb_avr.schema.templates import TEMPLATES
 
 pytestmark = pytest.mark.usefixtures("known_plans")
 
@@ -44,7 +44,7 @@ def candidates(store, sequence):
     descriptions = describe_people(scene, facts, rules)
     result = []
     with search_graph(scene, facts, descriptions, rules) as graph:
-        for template in TEMPLATES:
+        for template in TEMPLATES.values():
             if set(template.layers) <= scene.layers:
                 found = find_candidates(scene, facts, descriptions, graph, template, rules)
                 rows = np.flatnonzero(found.rule == PASSED)

@@ -15,9 +15,9 @@ from jrdb_avr.engine.generate.relations import RELATIONS, find_facts
 from jrdb_avr.engine.generate.scene import NOBODY, load_scene
 from jrdb_avr.engine.generate.search import find_candidates, search_graph
 from jrdb_avr.engine.generate.sequence import Job, search_sequence
-from jrdb_avr.engine.generate.templates import TEMPLATES
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
 from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.templates import TEMPLATES
 
 pytestmark = pytest.mark.usefixtures("known_plans")
 
@@ -115,7 +115,7 @@ def judge(store, claimed):
     people = len(scene.keyframes)
     found = {}
     with search_graph(scene, facts, names, rules) as graph:
-        for template in TEMPLATES:
+        for template in TEMPLATES.values():
             if template.query not in claimed or not set(template.layers) <= scene.layers:
                 continue
             rows = find_candidates(scene, facts, names, graph, template, rules)
@@ -156,7 +156,7 @@ def answer_of(rows, i):
     """A candidate's answer as the fixture writes it."""
     if rows.template.answer is None:
         return VALUES[rows.answer[i]]
-    if rows.template.reads[0] == "number":
+    if rows.template.spec.mode == "number":
         return f"{rows.value[i]:g}"
     return " ".join(str(int(rows.frames[name][i])) for name in rows.template.read)
 
@@ -196,7 +196,7 @@ def test_world(title, tmp_path):
     lines = read_worlds()[title]
     store = memory_store(tmp_path, build(lines))
     claimed = {match[2] for line in lines if (match := CLAIM.fullmatch(line))}
-    assert claimed <= {template.query for template in TEMPLATES}
+    assert claimed <= {template.query for template in TEMPLATES.values()}
     found, described = judge(store, claimed)
     claims = 0
     for line in lines:
@@ -269,7 +269,7 @@ def claimed_refusals():
 
 
 def test_every_rule_is_seen_to_refuse_in_every_form_by_every_proof():
-    assert sorted(FORMS) == sorted(template.query for template in TEMPLATES)
+    assert sorted(FORMS) == sorted(template.query for template in TEMPLATES.values())
     never = {(form, rule) for rule, forms, _ in NEVER for form in forms}
     wanted = {
         (form, rule, proof)

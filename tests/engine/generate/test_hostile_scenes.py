@@ -21,11 +21,11 @@ from jrdb_avr.engine.generate.run import generate
 from jrdb_avr.engine.generate.scene import load_scene
 from jrdb_avr.engine.generate.search import find_candidates, search_graph
 from jrdb_avr.engine.generate.sequence import Job, search_sequence
-from jrdb_avr.engine.generate.templates import TEMPLATES
 from jrdb_avr.engine.rederive import Annotations, rederive
 from jrdb_avr.engine.validate.checks import validate
 from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.templates import TEMPLATES
 
 pytestmark = pytest.mark.usefixtures("known_plans")
 
@@ -280,7 +280,7 @@ def test_blocks_of_paths_prove_what_all_together_prove(made, monkeypatch):
     scene, rules = load_scene(store, sequence_of("crowd")), Rules()
     facts = find_facts(scene)
     names = describe_people(scene, facts, rules)
-    for template in (row for row in TEMPLATES if row.name in ("two_hop", "three_hop")):
+    for template in (row for row in TEMPLATES.values() if row.name in ("two_hop", "three_hop")):
         found = []
         for block in (10**6, 97):
             monkeypatch.setattr(paths, "BLOCK", block)

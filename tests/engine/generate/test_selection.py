@@ -15,7 +15,7 @@ from jrdb_avr.engine.generate.selection import PROFILES, near_duplicates, select
 from jrdb_avr.schema.plan import Condition, canonical
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.tables import CANDIDATES
-from jrdb_avr.schema.wording import FAMILIES, TEMPLATES, Slots
+from jrdb_avr.schema.templates import FAMILIES, TEMPLATES, Slots
 
 RULES = Rules()
 
@@ -33,7 +33,7 @@ SCHEMA = pa.schema(
 WORDS = ("walking", "typing")
 
 PLANS = {
-    name: canonical(row.build(Slots((Condition(action="sitting", at="t0"),), dict.fromkeys(row.times, 0), WORDS)))
+    name: canonical(row.build(Slots((Condition(action="sitting", at="t0"),), dict.fromkeys(row.stated, 0), WORDS)))
     for name, row in TEMPLATES.items()
     if not row.uses
 }

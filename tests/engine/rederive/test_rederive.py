@@ -5,7 +5,7 @@ import pytest
 from labelled_people import EASY, HARD, MIDDLE, RULES, World, ask, at_t0
 
 from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN, rederive
-from jrdb_avr.schema.wording import TEMPLATES, Slots
+from jrdb_avr.schema.templates import TEMPLATES, Slots
 
 SITTING, STANDING, READING = at_t0(action="sitting"), at_t0(action="standing"), at_t0(action="reading")
 EVERY = range(0, 601)

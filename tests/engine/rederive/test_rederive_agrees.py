@@ -17,11 +17,11 @@ from jrdb_avr.engine.generate.relations import EMPTY, RELATIONS, SEVERAL, find_f
 from jrdb_avr.engine.generate.relations import UNKNOWN as CANNOT_BE_TOLD
 from jrdb_avr.engine.generate.scene import load_scene
 from jrdb_avr.engine.generate.search import find_candidates, search_graph
-from jrdb_avr.engine.generate.templates import TEMPLATES
 from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN, Annotations, rederive
 from jrdb_avr.schema.labels import DISTANCE_WORDS, POSES, ROBOT_SECTORS
 from jrdb_avr.schema.plan import Condition, parse_plan
 from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.templates import TEMPLATES
 
 pytestmark = pytest.mark.usefixtures("known_plans")
 
@@ -142,7 +142,7 @@ def compare(store, sequence, most=60):
     annotations = Annotations.read(store, sequence, RULES)
     counts = {}
     with search_graph(scene, facts, descriptions, RULES) as graph:
-        for template in TEMPLATES:
+        for template in TEMPLATES.values():
             if not set(template.layers) <= scene.layers:
                 continue
             found = find_candidates(scene, facts, descriptions, graph, template, RULES)

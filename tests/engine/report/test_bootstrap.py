@@ -19,7 +19,7 @@ from jrdb_avr.engine.report.bootstrap import (
     ratio,
 )
 from jrdb_avr.engine.report.paper import ABLATION, BY_GROUP, GROUPS, MAIN
-from jrdb_avr.schema.wording import FAMILIES
+from jrdb_avr.schema.templates import FAMILIES
 
 
 def interval(sums, statistic):

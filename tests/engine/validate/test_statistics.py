@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from jrdb_avr.engine.commands.stats import command
 from jrdb_avr.engine.pages.stats import stats_svg
 from jrdb_avr.engine.validate.statistics import TITLES, statistics
-from jrdb_avr.schema.wording import FAMILIES
+from jrdb_avr.schema.templates import FAMILIES
 
 JOINED = "questions JOIN answers USING (question_id)"
 ASKS = """CASE answer_mode WHEN 'multiple_choice' THEN 'choice' WHEN 'frame_viewpoint' THEN 'frame and angle'

@@ -9,13 +9,13 @@ import pyarrow.parquet as pq
 import pytest
 from entry import run
 
-from jrdb_avr.engine.generate.templates import TEMPLATES
 from jrdb_avr.engine.rederive.labels import Annotations
 from jrdb_avr.engine.validate.checks import validate
 from jrdb_avr.engine.validate.outcomes import CHECKS
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.templates import TEMPLATES
 from jrdb_avr.schema.wording import question_id
 
 RULES = Rules()
@@ -39,7 +39,7 @@ def one_of_each(sample_benchmark, tmp_path_factory):
     kept = set(chosen.values())
     for name in ("questions", "answers", "evidence"):
         keep_only(store, name, kept)
-    assert set(chosen) == {template.name for template in TEMPLATES}
+    assert set(chosen) == {template.name for template in TEMPLATES.values()}
     assert faulty(store) <= {"selection"}
     return store
 

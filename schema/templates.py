@@ -1,0 +1,431 @@
+"""The question templates: one row each, with plan, layers, proofs and words.
+
+To add a template, add a row here, its search (`queries/generators/<form>.cypher`, or code in `engine.generate`), the
+queries of its time proofs in `queries/necessity`, and its reading in `engine.rederive`.
+
+In paraphrases, `{who}` is the description, `{t0}` a stated time, `{action1}` an action; people along a path are called
+A, B, C and D, and `{says1}`, `{the1}` and `{holds1}` are the first relation's phrases (`wording.relations`), `{Says1}`
+at the start of a sentence. `{At}`, `{at}`, `{When}`, `{How}` and `{about}` say "about" where a time is approximate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import groupby
+from typing import Final, Literal
+
+from msgspec.structs import replace
+
+from jrdb_avr.schema.errors import PlanError
+from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
+from jrdb_avr.schema.relations import Use
+
+TimeProof = Literal["times", "program", "construction"]
+"""What time.shift and time.drop move: the stated times after the description, for the same person; the whole program,
+with description and hops read again; or nothing, because the answer is itself a time."""
+
+_ANSWER_JSON: Final[dict[str, tuple[str, ...]]] = {
+    "frame": ('{"frame":', "start", "}"),
+    "span": ('{"start_frame":', "start", ',"end_frame":', "end", "}"),
+    "frame_viewpoint": ('{"frame":', "start", ',"angle_deg":', "angle", "}"),
+    "number": ('{"value":', "value", "}"),
+}
+"""Stored answers by mode: pieces of JSON with columns of candidates between them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Slots:
+    """The variable parts of a question's text.
+
+    conditions: of the described person; frames: the stated ones by time name; actions: in the order of the row;
+    relations: edge by edge, or the one that is counted.
+    """
+
+    conditions: tuple[Condition, ...]
+    frames: dict[str, int]
+    actions: tuple[str, ...] = ()
+    relations: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Template:
+    """A kind of question, or one of several forms of a kind. Its plan describes person a.
+
+    spec: how the answer is read from the plan; read: columns of the candidates' frames where it is read (see
+    `engine.generate.candidates`), without which they are the times of `spec`. decisive: the frames whose boxes of the
+    target decide, without which they are those of `read`; where the target is absent at all of them, the box at t0
+    decides. stated: names of the stated times, that of the description first; events: the other
+    times, with `{1}` and `{2}` for the question's actions. edges: source and target of each relation. time_queries:
+    prefix of the queries `_shift` and `_drop` of the time proofs. single_view: whether one fixed view may answer the
+    question. form: name of a form, which is also that of its generator query; the forms of a template are judged
+    together.
+    """
+
+    name: str
+    family: str
+    spec: AnswerSpec
+    paraphrases: tuple[str, ...]
+    stated: tuple[str, ...] = ("t0",)
+    events: Mapping[str, Time] = field(default_factory=dict)
+    edges: tuple[tuple[str, str], ...] = ()
+    layers: tuple[str, ...] = ("2d", "actions")
+    time_proof: TimeProof = "construction"
+    time_queries: str = ""
+    single_view: bool = True
+    read: tuple[str, ...] = ()
+    decisive: tuple[str, ...] = ()
+    form: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "read", self.read or self.spec.times)
+        object.__setattr__(self, "decisive", self.decisive or self.read)
+
+    @property
+    def query(self) -> str:
+        """Name of the form and of its generator query."""
+        return self.form or self.name
+
+    @property
+    def described(self) -> str:
+        """Name of the time at which the description and the edges hold."""
+        return self.stated[0]
+
+    @property
+    def target(self) -> str:
+        """The node whose state is the answer."""
+        return self.spec.of
+
+    @property
+    def people(self) -> tuple[str, ...]:
+        """Nodes of the plan, in order."""
+        return tuple(dict.fromkeys(("a", *(target for _, target in self.edges))))
+
+    @property
+    def joins(self) -> bool:
+        """Whether two relations together lead to the target."""
+        return len(self.edges) >= len(self.people)
+
+    @property
+    def counts(self) -> bool:
+        """Whether the answer counts the people who have a relation with the target."""
+        return self.spec.read == "count"
+
+    @property
+    def uses(self) -> tuple[Use, ...]:
+        """The use of each relation of the text."""
+        targets = [target for _, target in self.edges]
+        hops: tuple[Use, ...] = tuple("hop" if targets.count(target) == 1 else "join" for target in targets)
+        return (*hops, "count") if self.counts else hops
+
+    @property
+    def relations(self) -> tuple[str, ...]:
+        """Columns of candidates that hold the relations of the text."""
+        return tuple(f"r{i + 1}" for i in range(len(self.uses)))
+
+    @property
+    def pose_answer(self) -> bool:
+        """Whether the answer is a pose, so that the text may state none."""
+        return self.spec.read in ("action", "next_action")
+
+    @property
+    def answer(self) -> tuple[str, ...] | None:
+        """The stored answer's JSON as pieces and columns; None for an answer that is one of `choices`."""
+        return _ANSWER_JSON.get(self.spec.mode)
+
+    @property
+    def actions(self) -> int:
+        """How many actions the text names."""
+        return len({time.action for time in self.events.values() if time.action is not None})
+
+    def build(self, slots: Slots) -> Plan:
+        """The plan of a text with these slots."""
+        named = {f"{{{number}}}": action for number, action in enumerate(slots.actions, 1)}
+        events = {
+            name: replace(time, action=named[time.action]) if time.action else time
+            for name, time in self.events.items()
+        }
+        return Plan(
+            root="a",
+            target=self.target,
+            times={name: Time(frame=frame) for name, frame in slots.frames.items()} | events,
+            nodes=tuple(Node(id=name, conditions=slots.conditions if name == "a" else ()) for name in self.people),
+            edges=tuple(
+                Edge(source=source, relation=relation, target=target, at=self.described)
+                for (source, target), relation in zip(self.edges, slots.relations, strict=False)
+            ),
+            answer=replace(self.spec, relation=slots.relations[0]) if self.counts else self.spec,
+        )
+
+    def slots(self, plan: Plan) -> Slots | None:
+        """The slots of a plan's text; None where the plan lacks a part, so that it is of another template."""
+        frames = {name: plan.times[name].frame for name in self.stated if name in plan.times}
+        actions = {
+            time.action: plan.times[name].action
+            for name, time in self.events.items()
+            if time.action is not None and name in plan.times
+        }
+        relations = (plan.answer.relation,) if self.counts else tuple(edge.relation for edge in plan.edges)
+        root = next(node for node in plan.nodes if node.id == plan.root)
+        slots = Slots(
+            root.conditions,
+            {name: frame for name, frame in frames.items() if frame is not None},
+            tuple(action for _, action in sorted(actions.items()) if action is not None),
+            tuple(relation for relation in relations if relation is not None),
+        )
+        found = len(slots.frames), len(slots.actions), len(slots.relations)
+        return slots if found == (len(self.stated), self.actions, len(self.uses)) else None
+
+
+def _start(of: str = "a", action: str = "{1}") -> Time:
+    return Time(event="start", of=of, action=action, after="t0")
+
+
+_STARTS: Final = {"t1": _start()}
+_TWO_HOPS: Final = (("a", "b"), ("b", "c"))
+
+_FIND: Final = "Find {who} at {t0}; call that person A. At that moment, {says1}. {Says2}. "
+_SCENE: Final = "In the scene at {t0}, A is {who}. {Says1}. {Says2}. "
+_STEPS: Final = "At {t0}, find A, {who}; then B, {the1}; and then C, {the2}. "
+_ANGLES: Final = (
+    "Panorama angles are in degrees: 0 is behind the robot, 90 is to the robot's left, 180 is straight ahead of the "
+    "robot and 270 is to the robot's right."
+)
+
+
+_ROWS: Final = (
+    Template(
+        "start",
+        "action_boundary",
+        AnswerSpec(mode="frame", read="start", of="a", at="t1"),
+        (
+            "Find {who} at {t0}. {At} which frame does that person start {action1} for the first time after that?",
+            "At {t0}, find {who}. Keep your eyes on that person from then on: {at} which frame does the person first "
+            "start {action1}?",
+            "Consider {who} at {t0}. {When} does that person first start {action1} after that moment? Give the frame.",
+        ),
+        events=_STARTS,
+        read=("start",),
+        decisive=("first",),
+    ),
+    Template(
+        "span",
+        "action_boundary",
+        AnswerSpec(mode="span", read="span", of="a", at=("t1", "t2")),
+        (
+            "Find {who} at {t0}. {At} which frame does this person start {action1} for the first time after that, and "
+            "{at} which frame does the person stop again?",
+            "At {t0}, find {who}. Keep your eyes on that person from then on: {at} which frame does the person's first "
+            "spell of {action1} begin, and {at} which frame does it end?",
+            "Consider {who} at {t0}. From {about}which frame to {about}which frame is that person {action1} for the "
+            "first time after that moment?",
+        ),
+        events={**_STARTS, "t2": Time(event="end", of="a", action="{1}", after="t1")},
+        read=("start", "end"),
+        decisive=("first", "last"),
+    ),
+    Template(
+        "change",
+        "unique_anchor",
+        AnswerSpec(mode="multiple_choice", read="action", of="a", at="t1"),
+        (
+            "Find {who} at {t0}. What is that person's posture or movement at {t1}?",
+            "At {t0}, find {who}. What is this person's posture or movement later, at {t1}?",
+            "Consider {who} at {t0}. When the video has reached {t1}, what is that person's posture or movement?",
+        ),
+        stated=("t0", "t1"),
+        time_proof="times",
+        time_queries="pose",
+    ),
+    Template(
+        "presence",
+        "unique_anchor",
+        AnswerSpec(mode="multiple_choice", read="presence", of="a", at=("t1", "t2")),
+        (
+            "Find {who} at {t0}. Look again at {t1} and at {t2}: at which of these two times, if at either, can that "
+            "person be seen?",
+            "At {t0}, find {who}. Can this person be seen later only at {t1}, only at {t2}, at both times or at "
+            "neither?",
+            "Consider {who} at {t0}. Of the two later moments {t1} and {t2}, at which is that person visible, if at "
+            "either?",
+        ),
+        layers=("2d",),
+        stated=("t0", "t1", "t2"),
+        time_proof="times",
+    ),
+    Template(
+        "distance",
+        "unique_anchor",
+        AnswerSpec(mode="multiple_choice", read="distance_change", of="a", at=("t0", "t1")),
+        (
+            "Find {who} at {t0}. At {t1}, is that person closer to the robot than at that first moment, farther from "
+            "it, at about the same distance, or not in view?",
+            "At {t0}, find {who}. How far from the robot is this person at {t1}, compared with that first moment: "
+            "closer, farther, about the same, or not in view?",
+            "Consider {who} at {t0}. At {t1}, is that person's distance from the robot smaller than then, larger or "
+            "about the same, or is the person not in view?",
+        ),
+        layers=("2d", "3d"),
+        stated=("t0", "t1"),
+        decisive=("t1",),
+        time_proof="times",
+        time_queries="distance",
+    ),
+    Template(
+        "two_hop",
+        "chain_2hop",
+        AnswerSpec(mode="multiple_choice", read="action", of="c", at="t0"),
+        (
+            _FIND + "What is C's posture or movement then?",
+            _SCENE + "What is C's posture or movement?",
+            _STEPS + "What is C's posture or movement at that moment?",
+        ),
+        edges=_TWO_HOPS,
+        time_proof="program",
+    ),
+    Template(
+        "three_hop",
+        "chain_3hop",
+        AnswerSpec(mode="multiple_choice", read="action", of="d", at="t0"),
+        (
+            _FIND + "{Says3}. What is D's posture or movement then?",
+            _SCENE + "{Says3}. What is D's posture or movement?",
+            "At {t0}, find A, {who}; then B, {the1}; then C, {the2}; and then D, {the3}. What is D's posture or "
+            "movement at that moment?",
+        ),
+        edges=(*_TWO_HOPS, ("c", "d")),
+        time_proof="program",
+    ),
+    Template(
+        "fork_join",
+        "chain_fork_join",
+        AnswerSpec(mode="multiple_choice", read="action", of="d", at="t0"),
+        (
+            _FIND + "Leaving A, B and C aside, D is the only person who is {holds3} and who is also {holds4}. "
+            "What is D's posture or movement then?",
+            _SCENE + "Apart from A, B and C there is only one person, D, who is {holds3} and also {holds4}. "
+            "What is D's posture or movement?",
+            "At {t0}, find A, {who}; then B, {the1}; and C, {the2}. Not counting these three, only one person is "
+            "{holds3} and also {holds4}. What is that person's posture or movement?",
+        ),
+        edges=(("a", "b"), ("a", "c"), ("b", "d"), ("c", "d")),
+        time_proof="program",
+    ),
+    Template(
+        "action_search",
+        "chain_hybrid",
+        AnswerSpec(mode="frame_viewpoint", read="start_view", of="c", at="t1"),
+        (
+            _FIND + "{At} which frame does C start {action1} for the first time after that, and at which panorama "
+            f"angle is C then? {_ANGLES}",
+            _SCENE
+            + "{When} does C first start {action1} after that moment, and in which direction from the robot is C "
+            f"then? Give the frame and the panorama angle. {_ANGLES}",
+            _STEPS + "Keep your eyes on C from then on: {at} which frame does C first start {action1}, and at which "
+            f"panorama angle is C at that frame? {_ANGLES}",
+        ),
+        events={"t1": _start("c")},
+        edges=_TWO_HOPS,
+        read=("start",),
+        decisive=("first",),
+        single_view=False,
+    ),
+    Template(
+        "later_pose",
+        "long_range",
+        AnswerSpec(mode="multiple_choice", read="action", of="c", at="t1"),
+        (
+            _FIND + "What is C's posture or movement later, at {t1}?",
+            _SCENE + "When the video has reached {t1}, what is C's posture or movement?",
+            _STEPS + "Keep your eyes on C: what is C's posture or movement at {t1}?",
+        ),
+        stated=("t0", "t1"),
+        edges=_TWO_HOPS,
+        time_proof="times",
+        time_queries="pose",
+    ),
+    Template(
+        "consequence",
+        "long_range",
+        AnswerSpec(mode="multiple_choice", read="next_action", of="a", at="t1"),
+        (
+            "Find {who} at {t0}. For some time after that, this person's posture or movement stays what it is at that "
+            "moment. When it changes for the first time, what does it change to?",
+            "At {t0}, find {who}. This person keeps the posture or movement of that moment for some time. Which "
+            "posture or movement comes next?",
+            "Consider {who} at {t0}. When that person's posture or movement at that moment comes to an end, which one "
+            "follows it?",
+        ),
+        events={"t1": Time(event="end", of="a", after="t0")},
+        read=("start",),
+        decisive=("first",),
+    ),
+    Template(
+        "gap",
+        "long_range",
+        AnswerSpec(mode="number", read="seconds_between", of="a", at=("t1", "t2")),
+        (
+            "Find {who} at {t0}. After that moment, {about}how many seconds pass between the first time that this "
+            "person starts {action1} and the first time that the person starts {action2}?",
+            "At {t0}, find {who}. Keep your eyes on that person from then on: the person starts {action1}, and later "
+            "starts {action2}, each for the first time since that moment. {How} many seconds lie between the two "
+            "starts?",
+            "Consider {who} at {t0}, and only what begins after that moment. {How} many seconds pass from when that "
+            "person first starts {action1} until the same person first starts {action2}?",
+        ),
+        events={**_STARTS, "t2": _start(action="{2}")},
+        read=("start", "start2"),
+        decisive=("first", "first2"),
+        form="gap_starts",
+    ),
+    Template(
+        "gap",
+        "long_range",
+        AnswerSpec(mode="number", read="seconds_between", of="a", at=("t1", "t2")),
+        (
+            "Find {who} at {t0}. Later, this person goes out of view for the first time after that, and comes back "
+            "after a while. {How} many seconds pass from when the person is last seen until the person is seen again?",
+            "At {t0}, find {who}. Keep your eyes on that person: {about}how many seconds does the first absence from "
+            "view after that moment last, from when the person is last seen to when the person is seen again?",
+            "Consider {who} at {t0}. That person stays in view for some time, is then out of view, and is later in "
+            "view again. {How} many seconds pass from the last moment in view before this first absence to the first "
+            "moment in view after it?",
+        ),
+        layers=("2d",),
+        events={"t1": Time(event="leaves", of="a", after="t0"), "t2": Time(event="returns", of="a", after="t1")},
+        read=("leaves", "returns"),
+        form="gap_absence",
+    ),
+    Template(
+        "gap",
+        "long_range",
+        AnswerSpec(mode="number", read="count", of="a", at=("t1", "t2")),
+        (
+            "Find {who} at {t1}. From then until {t2}, how many other people are, at one moment or another, {holds1}?",
+            "At {t1}, find {who}. Count all the other people who are {holds1} at any moment from then until {t2}. How "
+            "many are there?",
+            "Consider {who} at {t1}, and all the time from then until {t2}. How many different people, not counting "
+            "the one described, are at some moment {holds1}?",
+        ),
+        layers=("2d",),
+        stated=("t1", "t2"),
+        decisive=("t1",),
+        form="gap_count",
+    ),
+)
+
+TEMPLATES: Final[dict[str, Template]] = {row.query: row for row in _ROWS}
+"""Rows by name of the form, in the order in which they are searched; a template's forms stand together."""
+
+FORMS: Final = {name: tuple(rows) for name, rows in groupby(_ROWS, key=lambda row: row.name)}
+"""The forms of each template, by its name."""
+
+FAMILIES: Final = {name: forms[0].family for name, forms in FORMS.items()}
+"""The twelve templates and their families."""
+
+
+def forms_of(name: str) -> tuple[Template, ...]:
+    """The forms of a template. Raises PlanError for an unknown name."""
+    if name not in FORMS:
+        raise PlanError("template", f"{name!r} is no template; use one of {', '.join(FORMS)}")
+    return FORMS[name]
