@@ -14,48 +14,25 @@ from typing import Any, Final
 import numpy as np
 
 from jrdb_avr.loaders.synthetic.script import NONE, POSE
-from jrdb_avr.loaders.synthetic.world import FLOOR, World, rng_of
+from jrdb_avr.loaders.synthetic.world import FLOOR, World, spans
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.labels import OCCLUSIONS, OTHER_ACTIONS, POSES
-from jrdb_avr.schema.panorama import WIDTH
+from jrdb_avr.schema.panorama import HEIGHT, WIDTH
+from jrdb_avr.schema.rules import KEYFRAME_STEP
+
+Record = dict[str, Any]
 
 HARD: Final = 3
 NOBODY: Final = 9000
 """Number of a person who is in no other record."""
-OCCLUSION_BOUNDS: Final = (0.08, 0.30, 0.90)
-"""Covered shares where fully visible, mostly visible and severely occluded end."""
 FILE_ID_SHIFT: Final = 2
-"""Sequences numbered like the 2022 train release say another file name inside than their key."""
-
-
-def occlusion(world: World) -> Ints:
-    """Places in OCCLUSIONS, (frames, people)."""
-    return np.asarray(np.digitize(world.covered, OCCLUSION_BOUNDS), np.int64)
-
-
-def spans(rng: np.random.Generator, where: Bools, per_frame: float, least: int, most: int) -> Bools:
-    """Random spans of `least` to `most` frames that begin, with this chance per frame, where `where` holds."""
-    out = np.zeros_like(where)
-    starts = np.argwhere(where & (rng.random(where.shape) < per_frame))
-    for frame, person in starts.tolist():
-        out[frame : frame + int(rng.integers(least, most + 1)), person] = True
-    return out
-
-
-def annotated(world: World) -> Bools:
-    """Who has a 2D box, (frames, people): those present, without the annotators' dropouts of people out of sight."""
-    rng = rng_of(world.seed, world.name, "dropouts")
-    hidden = occlusion(world) >= 2
-    # Shorter than three keyframes, so that a dropout never looks like an absence.
-    return world.present & ~(spans(rng, hidden, 0.0006, 6, 22) & hidden)
+"""Sequences numbered like the 2022 train release hold another file name inside than their key."""
 
 
 def difficulty(world: World) -> tuple[Ints, Ints]:
     """Difficulty of the actions (frames, people, 3: pose and the two others) and of the group (frames, people)."""
-    rng = rng_of(world.seed, world.name, "difficulty")
+    rng = world.rng("difficulty")
     frames, count = world.present.shape
-    covered = occlusion(world) >= 2
-    ticks = int(world.tick[-1]) + 1
     # One draw per person, and action while it lasts: a label does not turn hard and back while nothing changes.
     draw = np.empty((frames, count, 4))
     states = [world.pose, world.actions[..., 0], world.actions[..., 1], world.cluster]
@@ -64,21 +41,19 @@ def difficulty(world: World) -> tuple[Ints, Ints]:
         fresh = rng.random((frames, count))
         last = np.maximum.accumulate(np.where(changed, np.arange(frames)[:, None], 0), axis=0)
         draw[..., k] = np.take_along_axis(fresh, last, axis=0)
-    hard_if = np.where(covered, 0.52, 0.05)[..., None]
-    middle = np.floor(rng.random((ticks, count))[world.tick] * 2).astype(np.int64) + 1
+    middle = np.floor(rng.random((int(world.tick[-1]) + 1, count))[world.tick] * 2).astype(np.int64) + 1
+    hard_if = np.where(world.hidden[..., None], (0.52, 0.52, 0.52, 0.36), (0.05, 0.05, 0.05, 0.03))
     level = np.where(draw < hard_if, HARD, middle[..., None])
-    group_hard = draw[..., 3] < np.where(covered, 0.36, 0.03)
-    return level[..., :3], np.where(group_hard, HARD, middle)
+    return level[..., :3], level[..., 3]
 
 
 class Quirks:
     """Which records are written in an awkward way; each a (frames, people) mask or one draw per record."""
 
     def __init__(self, world: World) -> None:
-        rng = rng_of(world.seed, world.name, "quirks")
-        shape = world.present.shape
+        rng = world.rng("quirks")
+        shape, hidden = world.present.shape, world.hidden
         everywhere = np.ones(shape, bool)
-        hidden = occlusion(world) >= 2
         bare = np.all(world.actions == NONE, axis=-1)
         self.number_form = rng.choice(3, size=shape, p=[0.90, 0.08, 0.02])
         self.truncated_form = rng.choice(4, size=shape, p=[0.70, 0.20, 0.05, 0.05])
@@ -87,7 +62,7 @@ class Quirks:
         self.no_occlusion = spans(rng, hidden, 0.0002, 1, 3)
         self.no_eval = spans(rng, hidden, 0.0004, 10, 40)
         self.no_eval_3d = spans(rng, hidden, 0.0015, 10, 40)
-        # Of a group, those left would be told as fewer than they are.
+        # Without some of its members, the files would count a group as smaller than it is.
         single = np.array([len(world.parties[person.party].members) == 1 for person in world.people])
         self.no_group = spans(rng, hidden, 0.0005, 5, 30) & (world.apart | single)
         # A list without the truth in it would deny what is true: only where there is nothing to deny but the pose.
@@ -105,13 +80,13 @@ class Quirks:
         self.points_noise = rng.uniform(0.7, 1.3, shape)
         # A box cut at the image's edge, where the smaller part is a sliver; only of people who are hardly visible.
         self.sliver: Bools = hidden & (rng.random(shape) < 0.5)
-        self.old_numbering = world.name.endswith(("_0", "_1"))
-        self.foreign = int(rng.integers(0, world.frames)) if world.name.endswith("_1") else -1
-        self.flat = int(rng.integers(0, world.frames)) if world.name.endswith("_2") else -1
-        self.lost_2d = (world.frames // 15 // 2) * 15 + 7 if world.name.endswith("_2") else -1
-        self.lost_3d = range(30, 33) if world.name.endswith("_0") else range(0)
-        self.empty_2d = world.frames - 2 if world.name.endswith("_3") else -1
-        self.empty_3d = 4 if world.name.endswith("_2") else -1
+        self.file_shift = FILE_ID_SHIFT if world.named(0, 1) else 0
+        self.foreign = int(rng.integers(0, world.frames)) if world.named(1) else -1
+        self.flat = int(rng.integers(0, world.frames)) if world.named(2) else -1
+        self.lost_2d = (world.frames // 15 // 2) * 15 + 7 if world.named(2) else -1
+        self.lost_3d = range(30, 33) if world.named(0) else range(0)
+        self.empty_2d = world.frames - 2 if world.named(3) else -1
+        self.empty_3d = 4 if world.named(2) else -1
 
 
 _OTHER_SPELLINGS: Final = {
@@ -133,49 +108,44 @@ class LabelFrame:
     frame: int
     key: str
     people: list[int]
-    records: list[dict[str, Any]]
-    foreign: list[dict[str, Any]]
+    records: list[Record]
+    foreign: list[Record]
 
 
 def frames_2d(world: World, quirks: Quirks) -> Iterator[LabelFrame]:
     """The frames of `labels_2d_stitched/<sequence>.json`, in order."""
-    here = annotated(world)
-    occluded = occlusion(world)
     actions_level, group_level = difficulty(world)
     names = cluster_names(world)
     for frame in range(world.frames):
         if frame == quirks.lost_2d:
             continue
-        rows: list[dict[str, Any]] = []
-        people = [] if frame == quirks.empty_2d else np.flatnonzero(here[frame]).tolist()
-        file_frame = frame + FILE_ID_SHIFT if quirks.old_numbering else frame
+        rows: list[Record] = []
+        people = [] if frame == quirks.empty_2d else np.flatnonzero(world.boxed[frame]).tolist()
         boxes = world.boxes[frame].tolist()
         for i in people:
-            box = written_box(boxes[i], quirks, frame, i)
-            record: dict[str, Any] = {
+            box = _written_box(boxes[i], quirks, frame, i)
+            record: Record = {
                 "label_id": f"pedestrian:{world.people[i].track}",
-                "file_id": f"{file_frame:06d}.jpg",
+                "file_id": f"{frame + quirks.file_shift:06d}.jpg",
                 "box": box,
-                "attributes": _attributes(quirks, frame, i, int(occluded[frame, i]), box),
+                "attributes": _attributes(world, quirks, frame, i, box),
             }
-            listed = _action_label(world, quirks, frame, i, actions_level[frame, i].tolist())
-            if listed is not None:
-                record["action_label"] = listed
+            actions = _action_label(world, quirks, frame, i, actions_level[frame, i].tolist())
+            if actions is not None:
+                record["action_label"] = actions
             if not quirks.no_group[frame, i]:
                 cluster = names[int(world.cluster[frame, i])]
                 record["social_group"] = {"cluster_ID": cluster, "cluster_stat": int(group_level[frame, i])}
-                if listed and not world.apart[frame, i] and len(world.parties[world.people[i].party].members) > 2:
+                if actions and not world.apart[frame, i] and len(world.parties[world.people[i].party].members) > 2:
                     record["social_activity"] = {POSES[int(world.pose[frame, i])]: 1.0}
             rows.append(record)
-        foreign: list[dict[str, Any]] = []
+        foreign: list[Record] = []
         if rows and frame == quirks.foreign:
             foreign = [{**rows[0], "label_id": "person:-1"}]
         elif rows and frame == quirks.flat:
             x, y, w, h = rows[0]["box"]
-            foreign = [
-                {**rows[0], "label_id": f"pedestrian:{NOBODY}", "box": [x, y, 0, h]},
-                {**rows[0], "label_id": f"pedestrian:{NOBODY + 1}", "box": [x, y, w, -h]},
-            ]
+            flat_boxes = ([x, y, 0, h], [x, y, w, -h])
+            foreign = [{**rows[0], "label_id": f"pedestrian:{NOBODY + k}", "box": b} for k, b in enumerate(flat_boxes)]
         yield LabelFrame(frame, f"{frame:06d}.jpg", people, rows, foreign)
 
 
@@ -185,13 +155,13 @@ def cluster_names(world: World) -> list[int]:
     A party that comes after another one is gone may take its number again: people who never meet share it.
     """
     count = len(world.parties) + len(world.people)
-    names: list[int] = rng_of(world.seed, world.name, "clusters").permutation(max(1000, count))[:count].tolist()
+    names: list[int] = world.rng("clusters").permutation(max(1000, count))[:count].tolist()
     here = [world.present[:, party.members].any(axis=1) for party in world.parties]
     gone = [int(np.flatnonzero(one)[-1]) if one.any() else world.frames for one in here]
     begun = [int(np.argmax(one)) if one.any() else -1 for one in here]
     free = list(range(len(world.parties)))
     for late, party in enumerate(world.parties):
-        # Only of parties of one are no facts of a group kept under the number.
+        # Only the number of a party of one stands for no facts of a group.
         early = next((k for k in free if gone[k] < begun[late]), None) if len(party.members) == 1 else None
         if early is not None:
             names[late] = names[early]
@@ -199,7 +169,7 @@ def cluster_names(world: World) -> list[int]:
     return names
 
 
-def written_box(box: list[int], quirks: Quirks, frame: int, i: int) -> list[float]:
+def _written_box(box: list[int], quirks: Quirks, frame: int, i: int) -> list[float]:
     """The box as annotators left it: whole numbers or floats; over the seam with x < 0 or reaching past 3760."""
     x, y, w, h = box
     x %= WIDTH
@@ -214,27 +184,22 @@ def written_box(box: list[int], quirks: Quirks, frame: int, i: int) -> list[floa
     return [x, y, w, h]
 
 
-def _attributes(quirks: Quirks, frame: int, i: int, occluded: int, box: list[float]) -> dict[str, Any]:
-    out: dict[str, Any] = {
+def _attributes(world: World, quirks: Quirks, frame: int, i: int, box: list[float]) -> Record:
+    out: Record = {
         "area": float(box[2] * box[3]),
-        "interpolated": frame % 15 != 0,
+        "interpolated": frame % KEYFRAME_STEP != 0,
         "no_eval": bool(quirks.no_eval[frame, i]),
     }
-    if quirks.no_occlusion[frame, i]:
-        return out
-    out["occlusion"] = OCCLUSIONS[occluded]
-    cut = box[1] <= 0 or box[1] + box[3] >= 480
-    form = int(quirks.truncated_form[frame, i])
-    if form == 0:
-        out["truncated"] = "true" if cut else "false"
-    elif form == 1:
-        out["truncated"] = cut
-    elif form == 2:
-        out["truncated"] = None
+    if not quirks.no_occlusion[frame, i]:
+        cut = box[1] <= 0 or box[1] + box[3] >= HEIGHT
+        out["occlusion"] = OCCLUSIONS[int(world.occlusion[frame, i])]
+        form = int(quirks.truncated_form[frame, i])
+        if form < 3:
+            out["truncated"] = ("true" if cut else "false", cut, None)[form]
     return out
 
 
-def _action_label(world: World, quirks: Quirks, frame: int, i: int, levels: list[int]) -> dict[str, Any] | None:
+def _action_label(world: World, quirks: Quirks, frame: int, i: int, levels: list[int]) -> Record | None:
     """name -> difficulty, or None where the key is missing."""
     if quirks.no_actions[frame, i]:
         return None
@@ -242,25 +207,19 @@ def _action_label(world: World, quirks: Quirks, frame: int, i: int, levels: list
         return {}
     if quirks.impossible[frame, i]:
         return {"impossible": 1}
-    form = int(quirks.number_form[frame, i])
-    out: dict[str, Any] = {}
+    number = (int, float, str)[int(quirks.number_form[frame, i])]
+    out: Record = {}
     if not quirks.no_pose[frame, i]:
-        out[POSES[int(world.pose[frame, i])]] = _coded(levels[0], form)
+        out[POSES[int(world.pose[frame, i])]] = number(levels[0])
         if quirks.two_poses[frame, i]:
-            out["standing"] = _coded(levels[0], form)
+            out["standing"] = number(levels[0])
     for action, level in zip(world.actions[frame, i].tolist(), levels[1:], strict=True):
         if action != NONE:
             name = OTHER_ACTIONS[action]
-            if quirks.spelling[frame, i]:
-                name = _OTHER_SPELLINGS.get(name, name)
-            out[name] = _coded(level, form)
+            out[_OTHER_SPELLINGS.get(name, name) if quirks.spelling[frame, i] else name] = number(level)
     if quirks.unknown_word[frame, i]:
-        out["waiting for sth"] = _coded(2, form)
+        out["waiting for sth"] = number(2)
     return out
-
-
-def _coded(level: int, form: int) -> int | float | str:
-    return (level, float(level), str(level))[form]
 
 
 def lidar_points(world: World, quirks: Quirks) -> Ints:
@@ -272,24 +231,22 @@ def lidar_points(world: World, quirks: Quirks) -> Ints:
     return np.where(quirks.no_points, 0, np.maximum(points, 1)).astype(np.int64)
 
 
-def frames_3d(world: World, quirks: Quirks) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+def frames_3d(world: World, quirks: Quirks) -> Iterator[tuple[str, list[Record]]]:
     """Keys and records of `labels_3d/<sequence>.json`, in order."""
-    motion = world.motion
-    file_shift = FILE_ID_SHIFT if quirks.old_numbering else 0
+    motion, points = world.motion, lidar_points(world, quirks)
     turned = np.pi - motion.heading + 2 * np.pi * quirks.turns
-    cz = FLOOR + motion.z + world.height / 2
-    points = lidar_points(world, quirks)
-    keep = world.present & ~quirks.no_3d
-    columns = np.stack([motion.x, motion.y, cz, world.width, world.height, turned, world.distance], axis=-1)
-    columns = np.round(columns, 3)
+    middle = FLOOR + motion.z + world.height / 2
+    columns = (motion.x, motion.y, middle, world.width, world.width, world.height, turned, world.distance)
+    table = np.round(np.stack(columns, axis=-1), 3)
+    there = world.present & ~quirks.no_3d
     for frame in range(world.frames):
         if frame in quirks.lost_3d:
             continue
-        rows: list[dict[str, Any]] = []
-        places = columns[frame].tolist()
-        for i in [] if frame == quirks.empty_3d else np.flatnonzero(keep[frame]).tolist():
-            x, y, z, wide, high, rot, distance = places[i]
-            attributes: dict[str, Any] = {
+        rows: list[Record] = []
+        places = table[frame].tolist()
+        for i in [] if frame == quirks.empty_3d else np.flatnonzero(there[frame]).tolist():
+            *box, distance = places[i]
+            attributes: Record = {
                 "distance": None if quirks.no_distance[frame, i] else distance,
                 "interpolated": True,
                 "no_eval": bool(quirks.no_eval_3d[frame, i]),
@@ -298,8 +255,8 @@ def frames_3d(world: World, quirks: Quirks) -> Iterator[tuple[str, list[dict[str
             rows.append(
                 {
                     "label_id": f"pedestrian:{world.people[i].track}",
-                    "file_id": f"{frame + file_shift:06d}.pcd",
-                    "box": {"cx": x, "cy": y, "cz": z, "l": wide, "w": wide, "h": high, "rot_z": rot},
+                    "file_id": f"{frame + quirks.file_shift:06d}.pcd",
+                    "box": dict(zip(("cx", "cy", "cz", "l", "w", "h", "rot_z"), box, strict=True)),
                     "attributes": attributes,
                 }
             )

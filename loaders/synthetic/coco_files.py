@@ -1,99 +1,99 @@
-"""`labels_2d_panoptic_stitched_CW/<sequence>.json`: every pixel of the keyframes, from the strokes that paint it.
+"""The COCO files of a simulated sequence: keypoints of the figures, and panoptic segments of the keyframes.
 
-`labels_2d_pose_stitched_coco/<sequence>.json`: seventeen keypoints of the figures that are drawn.
-
-Run-length codes of the segments of a picture, in the compressed text of COCO files.
-
-Counts go down the columns, left to right, and begin with the pixels before the first run. From the third on, the
-difference from the count two before is written, five bits per character, lowest first; the sixth bit says that more
-follow, and the highest of the last five is the sign.
+`labels_2d_pose_stitched_coco/<sequence>.json` holds seventeen keypoints of each figure that is drawn.
+`labels_2d_panoptic_stitched_CW/<sequence>.json` holds every pixel of the keyframes, from the strokes that paint it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from jrdb_avr.loaders.synthetic.box_files import annotated, occlusion, spans
 from jrdb_avr.loaders.synthetic.pictures import Painter
 from jrdb_avr.loaders.synthetic.skeleton import JOINTS, L_EYE, LEFT_SIDE, R_EYE, RIGHT_SIDE
-from jrdb_avr.loaders.synthetic.world import World, rng_of, turned
+from jrdb_avr.loaders.synthetic.world import World, spans
 from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.labels import OBJECTS
 from jrdb_avr.schema.panorama import HEIGHT, WIDTH
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
+Record = dict[str, Any]
+
 _EDGES: Final = (
     *((1, 2), (0, 4), (3, 4), (8, 10), (5, 7), (10, 13), (14, 16), (4, 5)),
     *((7, 12), (4, 8), (3, 6), (13, 15), (11, 14), (6, 9), (8, 11)),
 )
+_PERSON: Final = {"id": 1, "name": "person", "keypoints": JOINTS, "skeleton": [[a + 1, b + 1] for a, b in _EDGES]}
 _SIDEWAYS: Final = 0.8
 """Seen so far from the side, the limbs behind the body are covered by it."""
 _AWAY: Final = -0.25
 """Turned so far away, the eyes cannot be seen."""
+STUFF: Final = frozenset(
+    ("road", "terrain", "sky", "vegetation", "wall", "column", "building", "stair", "ceiling", "barrier/fence", "glass")
+)
+_FEW: Final = 12
+"""Pixels: a smaller rest of something is not annotated."""
+
+
+def _coco_text(before: Record, annotations: Iterable[list[Record]], after: Record) -> Iterator[bytes]:
+    """A file's text, in parts: the keys before the annotations, these frame by frame and numbered, the keys after."""
+    yield msgspec.json.encode(before)[:-1] + b',"annotations":['
+    count = 0
+    for rows in annotations:
+        numbered = [{"id": count + k, **row} for k, row in enumerate(rows)]
+        yield b"," * (count > 0 and bool(rows)) + msgspec.json.encode(numbered)[1:-1]
+        count += len(rows)
+    yield b"]" + b"," * bool(after) + msgspec.json.encode(after)[1:]
+
+
+def _file_name(world: World, frame: int) -> str:
+    return f"image_stitched/{world.name}/{frame:06d}.jpg"
 
 
 def visibility(world: World) -> Ints:
     """(frames, people, 17): 0 not visible, 1 occluded, 2 visible."""
-    side, toward = turned(world.motion)
+    side, toward = world.turned
     out = np.where(world.joint_covered, 1, 2)
     for limbs, behind in ((RIGHT_SIDE, side < -_SIDEWAYS), (LEFT_SIDE, side > _SIDEWAYS)):
-        out[..., limbs] = np.where(behind[..., None], np.minimum(out[..., limbs], 1), out[..., limbs])
-    eyes = [R_EYE, L_EYE]
-    out[..., eyes] = np.where((toward < _AWAY)[..., None], 0, out[..., eyes])
+        out[..., limbs] = np.where(behind[..., None], 1, out[..., limbs])
+    out[..., [R_EYE, L_EYE]] *= (toward >= _AWAY)[..., None]
     rows = world.joints[..., 1]
     return np.where((rows < 0) | (rows >= HEIGHT), 0, out).astype(np.int64)
 
 
 def pose_file(world: World) -> Iterator[bytes]:
     """The file's text, in parts. Columns are those of the panorama; a pose over the seam has some at either edge."""
-    rng = rng_of(world.seed, world.name, "poses")
-    hidden = occlusion(world) >= 2
-    posed = annotated(world) & (occlusion(world) < 3) & ~spans(rng, hidden, 0.004, 10, 60)
-    bare = spans(rng, posed & hidden, 0.0004, 1, 3)
-    shift = 1 + world.name.endswith(("_1", "_3"))
+    shift = 1 + world.named(1, 3)
     # The last frame is missing in some files.
-    frames = world.frames - world.name.endswith(("_0", "_2"))
-    yield b'{"images":'
-    yield msgspec.json.encode([_image(world.name, frame, shift) for frame in range(frames)])
-    yield b',"annotations":['
+    frames = range(world.frames - world.named(0, 2))
+    # The width is that of one camera, as in the published files.
+    size = {"width": WIDTH // 5, "height": HEIGHT}
+    images = [{"id": frame + shift, **size, "file_name": _file_name(world, frame)} for frame in frames]
+    return _coco_text({"images": images}, _poses(world, frames, shift), {"categories": [_PERSON]})
+
+
+def _poses(world: World, frames: range, shift: int) -> Iterator[list[Record]]:
+    rng = world.rng("poses")
+    posed = world.boxed & (world.occlusion < 3) & ~spans(rng, world.hidden, 0.004, 10, 60)
+    bare = spans(rng, posed & world.hidden, 0.0004, 1, 3)
     seen = visibility(world)
-    number = 0
-    for frame in range(frames):
+    for frame in frames:
         people = np.flatnonzero(posed[frame])
         points = np.empty((len(people), len(JOINTS), 3), np.int64)
         points[..., 2] = seen[frame, people]
         points[..., :2] = np.floor(world.joints[frame, people])
         points[..., 0] %= WIDTH
         points[..., :2] *= points[..., 2:] > 0
-        rows = []
-        told = np.count_nonzero(points[..., 2], axis=1).tolist()
-        for i, keypoints, count in zip(people.tolist(), points.reshape(len(people), 51).tolist(), told, strict=True):
-            row: dict[str, Any] = {
-                "id": number,
-                "image_id": frame + shift,
-                "track_id": world.people[i].track,
-                "category_id": 1,
-                "keypoints": keypoints,
-                "num_keypoints": count,
-            }
-            if bare[frame, i]:
-                del row["keypoints"]
-            rows.append(row)
-            number += 1
-        yield b"," * (number > len(rows) > 0) + msgspec.json.encode(rows)[1:-1]
-    category = {"id": 1, "name": "person", "keypoints": JOINTS, "skeleton": [[a + 1, b + 1] for a, b in _EDGES]}
-    yield b'],"categories":' + msgspec.json.encode([category]) + b"}"
-
-
-def _image(sequence: str, frame: int, shift: int) -> dict[str, Any]:
-    # The width is that of one camera, as in the published files.
-    name = f"image_stitched/{sequence}/{frame:06d}.jpg"
-    return {"id": frame + shift, "width": WIDTH // 5, "height": HEIGHT, "file_name": name}
+        rows: list[Record] = []
+        for i, keypoints in zip(people.tolist(), points.reshape(len(people), 51).tolist(), strict=True):
+            row = {"image_id": frame + shift, "track_id": world.people[i].track, "category_id": 1}
+            labelled = {} if bare[frame, i] else {"keypoints": keypoints}
+            rows.append({**row, **labelled, "num_keypoints": sum(value > 0 for value in keypoints[2::3])})
+        yield rows
 
 
 class Segment(NamedTuple):
@@ -105,112 +105,102 @@ class Segment(NamedTuple):
     box: tuple[int, int, int, int]
 
 
-def segments_of(picture: npt.NDArray[np.uint16]) -> list[Segment]:
-    """Every segment of a picture (rows, columns) of ids, by id; 0 is no segment."""
+def segments_of(picture: npt.NDArray[np.uint16]) -> Iterator[Segment]:
+    """Every segment of a picture (rows, columns) of ids, by id."""
     height = picture.shape[0]
     flat = np.ascontiguousarray(picture.T).ravel()
     first = np.concatenate([[0], np.flatnonzero(flat[1:] != flat[:-1]) + 1])
-    length = np.diff(np.append(first, len(flat)))
+    last = np.append(first[1:], len(flat)) - 1
     ids = flat[first].astype(np.int64)
     order = np.argsort(ids, kind="stable")
-    ids, first, length = ids[order], first[order], length[order]
-    starts = np.flatnonzero(np.concatenate([[True], ids[1:] != ids[:-1]]))
-    ends = np.append(starts[1:], len(ids))
-    # Of each run, the pixels before it since the run before, then its own.
-    before = first.copy()
-    before[1:] -= (first + length)[:-1]
-    before[starts] = first[starts]
-    pairs = np.stack([before, length], axis=1)
-    last = first + length
-    tail = len(flat) - last[ends - 1]
-    top, bottom = first % height, (last - 1) % height
-    # A run that goes on in the next column fills a column's end and the next one's begin.
-    crosses = first // height != (last - 1) // height
-    top, bottom = np.where(crosses, 0, top), np.where(crosses, height - 1, bottom)
-    out = []
-    for start, end, rest in zip(starts.tolist(), ends.tolist(), tail.tolist(), strict=True):
-        if ids[start] == 0:
-            continue
-        counts = pairs[start:end].ravel()
-        if rest:
-            counts = np.append(counts, rest)
-        x = int(first[start] // height)
-        y = int(top[start:end].min())
-        right, low = int((last[end - 1] - 1) // height), int(bottom[start:end].max())
-        box = (x, y, right - x + 1, low - y + 1)
-        out.append(Segment(int(ids[start]), compressed(counts), int(length[start:end].sum()), box))
-    return out
+    for runs in np.split(order, np.flatnonzero(np.diff(ids[order])) + 1):
+        begin, end = first[runs], last[runs]
+        # Of each run, the pixels before it since the run before, then its own; at the end those after the last.
+        counts = np.diff(np.stack([begin, end + 1], axis=1).ravel(), prepend=0, append=len(flat))
+        # A run that goes on in the next column fills a column's end and the next one's begin.
+        crosses = begin // height != end // height
+        x, y = int(begin[0] // height), int(np.where(crosses, 0, begin % height).min())
+        right, low = int(end[-1] // height), int(np.where(crosses, height - 1, end % height).max())
+        text = compressed(counts if counts[-1] else counts[:-1])
+        yield Segment(int(ids[runs[0]]), text, int(counts[1::2].sum()), (x, y, right - x + 1, low - y + 1))
 
 
 def compressed(counts: Ints) -> str:
-    """The text of run lengths."""
-    values = counts.astype(np.int64).copy()
+    """Run lengths in the compressed text of COCO files.
+
+    Counts go down the columns, left to right, and begin with the pixels before the first run. From the third on, the
+    difference from the count two before is written, five bits per character, lowest first; the sixth bit says that
+    more follow, and the highest of the last five is the sign.
+    """
+    values = counts.copy()
     values[3:] -= counts[1:-2]
-    digits = []
-    more = []
-    rest = values
     # Six times five bits hold any count of a panorama.
-    for _ in range(6):
-        digit = rest & 31
-        rest = rest >> 5
-        ended = np.where(digit & 16, rest == -1, rest == 0)
-        digits.append(digit)
-        more.append(~ended)
-    digit_table = np.stack(digits, axis=1)
-    more_table = np.stack(more, axis=1)
+    shifted = values[:, None] >> np.arange(0, 35, 5)
+    digits, rest = shifted[:, :-1] & 31, shifted[:, 1:]
+    more = np.where(digits & 16, rest != -1, rest != 0)
     # A character is written while all before it said that more follow.
-    written = np.ones_like(more_table)
-    written[:, 1:] = np.logical_and.accumulate(more_table[:, :-1], axis=1)
-    text = (digit_table | np.where(more_table, 32, 0)) + 48
-    return bytes(text[written].astype(np.uint8)).decode("ascii")
-
-
-STUFF: Final = frozenset(
-    ("road", "terrain", "sky", "vegetation", "wall", "column", "building", "stair", "ceiling", "barrier/fence", "glass")
-)
-_FEW: Final = 12
-"""Pixels: a smaller rest of something is not annotated."""
+    written = np.ones_like(more)
+    written[:, 1:] = np.logical_and.accumulate(more[:, :-1], axis=1)
+    return bytes((digits + 32 * more + 48)[written].astype(np.uint8)).decode("ascii")
 
 
 def category_ids(world: World) -> list[int]:
-    """The file's number of each category of `schema.things.OBJECTS`: every file has its own."""
-    return [int(one) + 1 for one in rng_of(world.seed, world.name, "categories").permutation(len(OBJECTS))]
+    """The file's number of each category of `labels.OBJECTS`: every file has its own."""
+    return [int(one) + 1 for one in world.rng("categories").permutation(len(OBJECTS))]
 
 
 def panoptic_file(world: World) -> Iterator[bytes]:
     """The file's text, in parts."""
-    painter = Painter.of(world)
-    numbers = category_ids(world)
-    spelled = _spelling(world.name)
-    frames = range(0, world.frames, KEYFRAME_STEP)
-    # A keyframe that nobody got round to; the same number twice in another.
-    skipped = frames[len(frames) // 2] if world.name.endswith("_1") else -1
-    doubled = frames[len(frames) // 3] if world.name.endswith("_3") else -1
+    spell: Callable[[str], str] = str.upper if world.named(2) else "t_{}".format if world.named(3) else str
+    categories = [
+        {"id": number, "name": spell(name), "isthing": int(name not in STUFF)}
+        for number, name in zip(category_ids(world), OBJECTS, strict=True)
+    ]
+    size = {"width": WIDTH, "height": HEIGHT}
+    images = [
+        {"id": _image_id(frame), "file_name": _file_name(world, frame), **size}
+        for frame in range(0, world.frames, KEYFRAME_STEP)
+    ]
+    return _coco_text({"categories": categories, "images": images}, _segments(world), {})
+
+
+def _image_id(frame: int) -> int:
+    return frame // KEYFRAME_STEP + 1
+
+
+def _segments(world: World) -> Iterator[list[Record]]:
+    painter, numbers = Painter(world), category_ids(world)
     names = _names(world, painter)
-    yield b'{"categories":'
-    yield msgspec.json.encode(
-        [{"id": numbers[k], "name": spelled(name), "isthing": int(name not in STUFF)} for k, name in enumerate(OBJECTS)]
-    )
-    yield b',"images":'
-    yield msgspec.json.encode([_image_panoptic(world.name, frame) for frame in frames])
-    yield b',"annotations":['
-    count = 0
+    frames = range(0, world.frames, KEYFRAME_STEP)
+    # A keyframe that nobody annotated; a segment that is twice in another.
+    skipped = frames[len(frames) // 2] if world.named(1) else -1
+    doubled = frames[len(frames) // 3] if world.named(3) else -1
     for frame in frames:
         if frame == skipped:
             continue
-        rows = []
+        rows: list[Record] = []
         for segment in segments_of(painter.segment(frame)):
             category, track = names[segment.id]
-            if segment.area < _FEW:
-                continue
-            rows.append(_annotation(world.name, count, frame, segment, numbers[OBJECTS.index(category)], track))
-            count += 1
-        if frame == doubled:
-            rows.append(rows[-1] | {"id": count})
-            count += 1
-        if rows:
-            yield b"," * (count > len(rows)) + msgspec.json.encode(rows)[1:-1]
-    yield b"]}"
+            if segment.area >= _FEW:
+                row = {
+                    "image_id": _image_id(frame),
+                    "category_id": numbers[OBJECTS.index(category)],
+                    "segmentation": {"size": [HEIGHT, WIDTH], "counts": segment.counts},
+                    "area": segment.area,
+                    "bbox": segment.box,
+                    "iscrowd": 0,
+                }
+                rows.append(row | _tracking(world, track))
+        yield rows + rows[-1:] * (frame == doubled)
+
+
+def _tracking(world: World, track: int | None) -> Record:
+    """The tracking number, in its place in the files of different years."""
+    if track is None:
+        return {}
+    if world.named(1, 2):
+        return {"attributes": {"tracking_id" if world.named(1) else "floor_id": track}}
+    return {"tracking_id": track}
 
 
 def _names(world: World, painter: Painter) -> dict[int, tuple[str, int | None]]:
@@ -218,60 +208,13 @@ def _names(world: World, painter: Painter) -> dict[int, tuple[str, int | None]]:
     used: dict[str, int] = {}
     for thing in world.things.things:
         used[thing.category] = max(used.get(thing.category, 0), thing.number)
-    out: dict[int, tuple[str, int | None]] = {}
-
-    def add(segment: int, category: str) -> None:
-        if category in STUFF:
-            out[segment] = category, None
-            return
-        used[category] = used.get(category, 0) + 1
-        out[segment] = category, used[category]
-
-    segments = painter.segments
-    for place, category in enumerate(segments.surroundings):
-        add(place + 1, category)
-    out[segments.steps] = "stair", None
-    for index in range(segments.panels):
-        add(segments.panel(index), "wall_panel")
-    for index, thing in enumerate(world.things.things):
-        out[segments.thing(index)] = thing.category, thing.number
-    for index, person in enumerate(world.people):
-        out[segments.person(index)] = "pedestrian", person.track
-    return out
-
-
-def _spelling(sequence: str) -> Any:
-    """How a file writes the names of categories."""
-    if sequence.endswith("_2"):
-        return str.upper
-    if sequence.endswith("_3"):
-        return lambda name: f"t_{name}"
-    return str
-
-
-def _image_panoptic(sequence: str, frame: int) -> dict[str, Any]:
-    name = f"image_stitched/{sequence}/{frame:06d}.jpg"
-    return {"id": frame // KEYFRAME_STEP + 1, "file_name": name, "width": WIDTH, "height": HEIGHT}
-
-
-def _annotation(
-    sequence: str, number: int, frame: int, segment: Segment, category: int, track: int | None
-) -> dict[str, Any]:
-    out: dict[str, Any] = {
-        "id": number,
-        "image_id": frame // KEYFRAME_STEP + 1,
-        "category_id": category,
-        "segmentation": {"size": [HEIGHT, WIDTH], "counts": segment.counts},
-        "area": segment.area,
-        "bbox": list(segment.box),
-        "iscrowd": 0,
-    }
-    if track is not None:
-        # The tracking number's place in the files of different years.
-        if sequence.endswith("_1"):
-            out["attributes"] = {"tracking_id": track}
-        elif sequence.endswith("_2"):
-            out["attributes"] = {"floor_id": track}
-        else:
-            out["tracking_id"] = track
+    steps, panels, things, people = painter.segments
+    out: dict[int, tuple[str, int | None]] = {steps: ("stair", None)}
+    around = enumerate(painter.surroundings, 1)
+    for segment, category in (*around, *((panel, "wall_panel") for panel in range(panels, things))):
+        if category not in STUFF:
+            used[category] = used.get(category, 0) + 1
+        out[segment] = category, None if category in STUFF else used[category]
+    out |= {things + k: (thing.category, thing.number) for k, thing in enumerate(world.things.things)}
+    out |= {people + k: ("pedestrian", person.track) for k, person in enumerate(world.people)}
     return out

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jrdb_avr.loaders.synthetic.script import POSE, SPEED, Rng, Script
+from jrdb_avr.loaders.synthetic.script import GAITS, Rng, Script
 from jrdb_avr.schema.arrays import Floats, Ints
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.rules import FPS
@@ -39,15 +39,14 @@ def to_robot(robot: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
 def move(rng: Rng, script: Script, ticks: Ints) -> Motion:
     """Paths of a sequence; `ticks` gives the tick of each frame."""
     robot = _robot(rng, len(ticks))
-    speed_of = np.array([SPEED.get(name, 0.0) for name in POSES])
+    speed_of = np.array([GAITS.get(name, (0.0, 0.0))[1] for name in POSES])
     lead = [party.members[0] for party in script.parties]
     speed = np.where(script.moving, speed_of[script.pose[:, lead]], 0.0)[ticks]
     base_x, base_y, course = _party_paths(rng, script, speed, robot)
     party = np.array([person.party for person in script.people])
     offset_x, offset_y = _offsets(rng, script, ticks)
     x, y = to_robot(robot[:, None, :], base_x[:, party] + offset_x, base_y[:, party] + offset_y)
-    distance = np.hypot(x, y)
-    push = np.maximum(1.0, LEAST_DISTANCE / np.maximum(distance, 1e-6))
+    push = _push(x, y)
     x, y = x * push, y * push
     course = course[:, party] - robot[:, 2:3]
     heading = np.where(speed[:, party] > 0, course, _facing(rng, script, ticks, x, y, robot))
@@ -66,13 +65,11 @@ def _robot(rng: Rng, frames: int) -> Floats:
     return out
 
 
-def _party_paths(rng: Rng, script: Script, speed: Floats, robot: Floats) -> tuple[Floats, Floats, Floats]:
-    """World positions and courses of the parties, (frames, parties): from waypoint to waypoint inside their zones."""
+def _party_paths(rng: Rng, script: Script, speed: Floats, robot: Floats) -> Floats:
+    """World x, y and courses of the parties, (3, frames, parties): from waypoint to waypoint inside their zones."""
     frames, count = speed.shape
-    near = np.array([party.near for party in script.parties])
-    far = np.array([party.far for party in script.parties])
-    bearing = np.array([party.bearing for party in script.parties])
-    spread = np.array([party.spread for party in script.parties])
+    zones = np.array([(party.near, party.far, party.bearing, party.spread) for party in script.parties])
+    near, far, bearing, spread = np.ascontiguousarray(zones.T)
 
     def waypoints() -> Floats:
         angle = bearing + rng.uniform(-1, 1, count) * spread
@@ -81,7 +78,7 @@ def _party_paths(rng: Rng, script: Script, speed: Floats, robot: Floats) -> tupl
 
     position, goal = waypoints(), waypoints()
     course = np.arctan2(*(goal - position).T[::-1])
-    xs, ys, courses = np.empty((frames, count)), np.empty((frames, count)), np.empty((frames, count))
+    paths = np.empty((3, frames, count))
     for frame in range(frames):
         gap = goal - position
         reached = np.hypot(gap[:, 0], gap[:, 1]) < 0.4
@@ -99,10 +96,15 @@ def _party_paths(rng: Rng, script: Script, speed: Floats, robot: Floats) -> tupl
         position = position + step[:, None] * np.stack([np.cos(course), np.sin(course)], axis=1)
         # Round the robot, not through it.
         away = position - robot[frame, :2]
-        distance = np.hypot(away[:, 0], away[:, 1])
-        position = robot[frame, :2] + away * np.maximum(1.0, LEAST_DISTANCE / np.maximum(distance, 1e-6))[:, None]
-        xs[frame], ys[frame], courses[frame] = position[:, 0], position[:, 1], course
-    return xs, ys, courses
+        position = robot[frame, :2] + away * _push(away[:, 0], away[:, 1])[:, None]
+        paths[:, frame] = position[:, 0], position[:, 1], course
+    return paths
+
+
+def _push(x: Floats, y: Floats) -> Floats:
+    """How many times farther from the robot people stand, so that nobody stands too near."""
+    push: Floats = np.maximum(1.0, LEAST_DISTANCE / np.maximum(np.hypot(x, y), 1e-6))
+    return push
 
 
 def _offsets(rng: Rng, script: Script, ticks: Ints) -> tuple[Floats, Floats]:
@@ -130,8 +132,7 @@ def _facing(rng: Rng, script: Script, ticks: Ints, x: Floats, y: Floats, robot: 
     for party in script.parties:
         members = list(party.members)
         if len(members) > 1:
-            middle_x = x[:, members].mean(axis=1, keepdims=True)
-            middle_y = y[:, members].mean(axis=1, keepdims=True)
+            middle_x, middle_y = (axis[:, members].mean(axis=1, keepdims=True) for axis in (x, y))
             out[:, members] = np.arctan2(middle_y - y[:, members], middle_x - x[:, members])
         else:
             out[:, members] = rng.uniform(-np.pi, np.pi) - robot[:, 2:3]
@@ -140,7 +141,5 @@ def _facing(rng: Rng, script: Script, ticks: Ints, x: Floats, y: Floats, robot: 
 
 def _heights(script: Script, ticks: Ints) -> Floats:
     """Feet above the floor, metres, (frames, people)."""
-    rise = np.where(script.pose == POSE["going upstairs"], STEP_RISE, 0.0)
-    rise = rise - np.where(script.pose == POSE["going downstairs"], STEP_RISE, 0.0)
-    per_frame = rise[ticks] / FPS
-    return np.maximum(0.0, np.cumsum(per_frame, axis=0))
+    rise = np.array([STEP_RISE * ((name == "going upstairs") - (name == "going downstairs")) for name in POSES])
+    return np.maximum(0.0, np.cumsum(rise[script.pose[ticks]] / FPS, axis=0))

@@ -10,13 +10,12 @@ from typing import Final
 
 import numpy as np
 
-from jrdb_avr.loaders.synthetic.bonds import runs_of
+from jrdb_avr.loaders.synthetic.interactions import RelationRuns
 from jrdb_avr.loaders.synthetic.motion import Motion
-from jrdb_avr.loaders.synthetic.script import ACTION, POSE, Party, Rng, Script
+from jrdb_avr.loaders.synthetic.script import ACTION, POSE, Party, Rng, Script, one_of, runs_of
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
-from jrdb_avr.schema.labels import OBJECTS, VERBS
+from jrdb_avr.schema.labels import VERBS
 
-NOBODY: Final = -1
 RIGHT_HAND, LEFT_HAND, BELOW = range(3)
 """Where what a person handles is drawn with it: in a hand, or under the body."""
 
@@ -28,20 +27,14 @@ _IN_HAND: Final = {
     "writing": (("document", "handling/manipulating"),),
     "looking into sth": (("phone", "looking into"), ("box", "looking into"), ("bag", "looking into")),
     "holding sth": (
-        ("bag", "holding"),
-        ("phone", "holding"),
-        ("waterbottle", "holding"),
-        ("box", "carrying"),
-        ("document", "holding"),
-        ("umbrella", "holding"),
-        ("jacket", "carrying"),
+        *(("bag", "holding"), ("phone", "holding"), ("waterbottle", "holding"), ("box", "carrying")),
+        *(("document", "holding"), ("umbrella", "holding"), ("jacket", "carrying")),
     ),
 }
-_IN_THE_WORLD: Final = {
-    "looking at sth": "looking at",
-    "pointing at sth": "presenting",
-    "interaction with door": "opening",
-}
+"""Per action, the category and verb of what the person may hold."""
+_AHEAD: Final = {"pushing": 0.85, "pulling": -0.85}
+"""Per action and verb, metres of the trolley before the person."""
+_IN_THE_WORLD: Final = {"looking at sth": "looking at", "pointing at sth": "presenting"}
 _LOOKED_AT: Final = ("board", "poster", "television", "statues", "standee")
 _DECOR: Final = ("table", "trash_bin", "chair/sofa", "shelf", "pole/trafficcone")
 _RIDDEN: Final = {
@@ -50,49 +43,18 @@ _RIDDEN: Final = {
     "scootering": ("bicycle/scooter", "riding"),
     "skating": ("skateboard/segway/hoverboard", "riding"),
 }
-_MOVED: Final = {"pushing": ("trolley", "pushing", 0.85), "pulling": ("trolley", "pulling", -0.85)}
-"""Category, verb, and metres before the person."""
-
-SIZES: Final = {
-    "table": (1.5, 0.72),
-    "board": (1.4, 1.7),
-    "poster": (0.8, 1.6),
-    "television": (1.1, 1.5),
-    "statues": (0.6, 1.7),
-    "standee": (0.6, 1.6),
-    "door": (0.9, 2.0),
-    "trolley": (0.7, 0.42),
-    "trash_bin": (0.45, 0.8),
-    "chair/sofa": (0.5, 0.85),
-    "shelf": (1.0, 1.5),
-    "pole/trafficcone": (0.35, 0.7),
-}
-"""Width and height in metres of what stands in the world."""
 
 
 @dataclass(frozen=True)
 class Thing:
-    """One thing: its category in `schema.things.OBJECTS`, a number within the category, and the person who carries or
-    moves it (`NOBODY` for what stands in the world)."""
+    """One thing: its category in `labels.OBJECTS`, a number within the category, the person who carries or moves it,
+    and where it stands in the world if it has no owner. What stands or rolls is `standing`."""
 
     category: str
     number: int
-    owner: int
+    owner: int | None
     standing: bool
-
-
-@dataclass(frozen=True)
-class Handling:
-    """Runs of handling, each an array of n: ticks [first, last], the person's place, the thing's, the verb's, the hand
-    (or BELOW), and a number in [0, 1) drawn once per run."""
-
-    first: Ints
-    last: Ints
-    person: Ints
-    thing: Ints
-    verb: Ints
-    hand: Ints
-    draw: Floats
+    place: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -100,139 +62,111 @@ class Things:
     """The things of a sequence. For those that stand or roll (`stands`, their places in `things`), by column:
     position in the world (frames, columns), and whether they are there."""
 
-    things: tuple[Thing, ...]
-    handling: Handling
-    stands: tuple[int, ...]
+    things: list[Thing]
+    handling: RelationRuns
+    stands: list[int]
     x: Floats
     y: Floats
     there: Bools
 
 
-class _Shelf:
-    """Things as they are made, numbered per category."""
+class _Maker:
+    """Makes things, numbered per category, and decides who handles which."""
 
-    def __init__(self, rng: Rng) -> None:
+    def __init__(self, rng: Rng, script: Script) -> None:
         self.things: list[Thing] = []
-        self.places: dict[int, tuple[float, float]] = {}
+        self._rng = rng
         self._count: dict[str, int] = {}
         self._own: dict[tuple[int, str], int] = {}
         # Some sequences count from 0.
         self._from = int(rng.integers(2))
+        self._surroundings = [self._around(script, party) for party in script.parties]
 
-    def new(self, category: str, owner: int, standing: bool) -> int:
-        number = self._count.get(category, self._from)
-        self._count[category] = number + 1
-        self.things.append(Thing(category, number, owner, standing))
-        return len(self.things) - 1
-
-    def own(self, person: int, category: str, standing: bool) -> int:
+    def own(self, person: int, category: str, standing: bool = False) -> int:
         """The person's thing of a category, made when it is first needed."""
         if (person, category) not in self._own:
-            self._own[person, category] = self.new(category, person, standing)
+            self._own[person, category] = self._new(category, person, standing)
         return self._own[person, category]
+
+    def handled(self, action: str, person: int, party: int) -> tuple[int, str] | None:
+        """What a person handles by an action, and the verb."""
+        seen, door = self._surroundings[party]
+        if action in _IN_HAND:
+            category, verb = one_of(self._rng, _IN_HAND[action])
+            return self.own(person, category), verb
+        if action in _AHEAD:
+            return self.own(person, "trolley", standing=True), action
+        if action == "interaction with door" and door is not None:
+            return door, one_of(self._rng, ("opening", "closing"))
+        if action in _IN_THE_WORLD and seen:
+            return one_of(self._rng, seen), _IN_THE_WORLD[action]
+        return None
+
+    def _new(self, category: str, owner: int | None, standing: bool, place: tuple[float, float] = (0.0, 0.0)) -> int:
+        number = self._count.get(category, self._from)
+        self._count[category] = number + 1
+        self.things.append(Thing(category, number, owner, standing, place))
+        return len(self.things) - 1
+
+    def _around(self, script: Script, party: Party) -> tuple[list[int], int | None]:
+        """Things that the party looks at and its door, behind where the party moves, seen from the robot; and decor."""
+        done = set(script.actions[:, list(party.members)].ravel().tolist())
+        looks = any(ACTION[action] in done for action in _IN_THE_WORLD)
+        kinds = [_LOOKED_AT[kind] for kind in self._rng.permutation(len(_LOOKED_AT))[:2].tolist()] if looks else []
+        seen = [self._stand(party, kind) for kind in kinds]
+        door = self._stand(party, "door") if ACTION["interaction with door"] in done else None
+        if not party.hidden and self._rng.random() < 0.4:
+            self._stand(party, one_of(self._rng, _DECOR))
+        return seen, door
+
+    def _stand(self, party: Party, category: str) -> int:
+        angle = party.bearing + float(self._rng.uniform(-1, 1)) * party.spread
+        radius = min(party.far, 13.0) + float(self._rng.uniform(0.9, 2.4))
+        return self._new(category, None, True, (radius * float(np.cos(angle)), radius * float(np.sin(angle))))
 
 
 def things_of(rng: Rng, script: Script, motion: Motion, tick: Ints) -> Things:
     """The things that a script needs, and some more that only stand about."""
-    shelf = _Shelf(rng)
-    seen, doors = _surroundings(rng, script, shelf)
-    rows: list[tuple[int, int, int, int, int, int]] = []
-    for person in range(len(script.people)):
-        party = script.people[person].party
+    maker = _Maker(rng, script)
+    rows: list[tuple[int, ...]] = []
+    for i, person in enumerate(script.people):
         for hand in (RIGHT_HAND, LEFT_HAND):
             for name, action in ACTION.items():
-                for first, last in runs_of(script.actions[:, person, hand] == action):
-                    found = _handled(rng, shelf, name, person, seen[party], doors[party])
+                for first, stop in runs_of(script.actions[:, i, hand] == action):
+                    found = maker.handled(name, i, person.party)
                     if found is not None:
-                        rows.append((first, last, person, found[0], VERBS.index(found[1]), hand))
-        for name, (category, verb) in _RIDDEN.items():
-            for first, last in runs_of(script.pose[:, person] == POSE[name]):
-                rows.append((first, last, person, shelf.own(person, category, False), VERBS.index(verb), BELOW))
-    table = np.array(sorted(rows), np.int64).reshape(-1, 6)
-    begin, end, who, thing, verbs, hands = table.T
-    handling = Handling(begin, end, who, thing, verbs, hands, rng.random(len(table)))
-    return _placed(shelf, handling, motion, tick)
-
-
-def _handled(
-    rng: Rng, shelf: _Shelf, action: str, person: int, seen: list[int], door: int | None
-) -> tuple[int, str] | None:
-    if action in _IN_HAND:
-        category, verb = _IN_HAND[action][int(rng.integers(len(_IN_HAND[action])))]
-        return shelf.own(person, category, False), verb
-    if action in _MOVED:
-        category, verb, _ = _MOVED[action]
-        return shelf.own(person, category, True), verb
-    if action == "interaction with door" and door is not None:
-        return door, ("opening", "closing")[int(rng.integers(2))]
-    if action in _IN_THE_WORLD and seen:
-        return seen[int(rng.integers(len(seen)))], _IN_THE_WORLD[action]
-    return None
-
-
-def _surroundings(rng: Rng, script: Script, shelf: _Shelf) -> tuple[list[list[int]], list[int | None]]:
-    """Per party the things to look at and its door; all stand behind where the party moves, seen from the robot."""
-    seen: list[list[int]] = []
-    doors: list[int | None] = []
-    for party in script.parties:
-        done = set(script.actions[:, list(party.members)].ravel().tolist())
-        looks = done & {ACTION["looking at sth"], ACTION["pointing at sth"]}
-        kinds = [_LOOKED_AT[kind] for kind in rng.permutation(len(_LOOKED_AT))[:2].tolist()] if looks else []
-        seen.append([_stand(rng, shelf, party, kind) for kind in kinds])
-        doors.append(_stand(rng, shelf, party, "door") if ACTION["interaction with door"] in done else None)
-        if not party.hidden and rng.random() < 0.4:
-            _stand(rng, shelf, party, _DECOR[int(rng.integers(len(_DECOR)))])
-    return seen, doors
-
-
-def _stand(rng: Rng, shelf: _Shelf, party: Party, category: str) -> int:
-    thing = shelf.new(category, NOBODY, True)
-    angle = party.bearing + float(rng.uniform(-1, 1)) * party.spread
-    radius = min(party.far, 13.0) + float(rng.uniform(0.9, 2.4))
-    shelf.places[thing] = radius * float(np.cos(angle)), radius * float(np.sin(angle))
-    return thing
-
-
-def _placed(shelf: _Shelf, handling: Handling, motion: Motion, tick: Ints) -> Things:
-    frames = len(tick)
-    stands = tuple(k for k, thing in enumerate(shelf.things) if thing.standing)
-    x, y = np.zeros((frames, len(stands))), np.zeros((frames, len(stands)))
-    there = np.ones((frames, len(stands)), bool)
+                        rows.append((first, stop - 1, i, found[0], VERBS.index(found[1]), hand))
+        for pose, (category, verb) in _RIDDEN.items():
+            for first, stop in runs_of(script.pose[:, i] == POSE[pose]):
+                rows.append((first, stop - 1, i, maker.own(i, category), VERBS.index(verb), BELOW))
+    things, handling = maker.things, RelationRuns.of(rng, sorted(rows))
+    stands = [k for k, thing in enumerate(things) if thing.standing]
+    x, y = np.zeros((2, len(tick), len(stands)))
+    there = np.ones(x.shape, bool)
     for column, k in enumerate(stands):
-        owner = shelf.things[k].owner
-        if owner == NOBODY:
-            x[:, column], y[:, column] = shelf.places[k]
+        owner = things[k].owner
+        if owner is None:
+            x[:, column], y[:, column] = things[k].place
             continue
-        ahead, used = _pushed(handling, k, tick)
-        there[:, column] = used
+        ahead, there[:, column] = _pushed(handling, k, tick)
         # In the world: where the owner is, some way before or behind.
-        yaw = motion.robot[:, 2]
-        px, py, heading = motion.x[:, owner], motion.y[:, owner], motion.heading[:, owner]
-        px, py = px + ahead * np.cos(heading), py + ahead * np.sin(heading)
+        yaw, heading = motion.robot[:, 2], motion.heading[:, owner]
+        px, py = motion.x[:, owner] + ahead * np.cos(heading), motion.y[:, owner] + ahead * np.sin(heading)
         x[:, column] = motion.robot[:, 0] + np.cos(yaw) * px - np.sin(yaw) * py
         y[:, column] = motion.robot[:, 1] + np.sin(yaw) * px + np.cos(yaw) * py
-    return Things(tuple(shelf.things), handling, stands, x, y, there)
+    return Things(things, handling, stands, x, y, there)
 
 
-def _pushed(handling: Handling, thing: int, tick: Ints) -> tuple[Floats, Bools]:
+def _pushed(handling: RelationRuns, thing: int, tick: Ints) -> tuple[Floats, Bools]:
     """Per frame, metres before the owner and whether the thing is in use."""
     ahead, used = np.zeros(len(tick)), np.zeros(len(tick), bool)
-    by_verb = {VERBS.index(verb): metres for _, verb, metres in _MOVED.values()}
-    for row in np.flatnonzero(handling.thing == thing).tolist():
+    for row in np.flatnonzero(handling.other == thing).tolist():
         during = (tick >= handling.first[row]) & (tick <= handling.last[row])
-        ahead[during] = by_verb[int(handling.verb[row])]
+        ahead[during] = _AHEAD[VERBS[handling.label[row]]]
         used |= during
     return ahead, used
 
 
-def at_tick(handling: Handling, tick: int) -> list[tuple[int, int, int, int]]:
+def handled_at(handling: RelationRuns, tick: int) -> list[tuple[int, int, int, int]]:
     """(person, thing, verb, hand) of a tick, in a fixed order; what is done with the hands before what is sat on."""
-    now = np.flatnonzero((handling.first <= tick) & (tick <= handling.last))
-    columns = (handling.person, handling.thing, handling.verb, handling.hand)
-    rows = zip(*(column[now].tolist() for column in columns), strict=True)
-    return sorted(rows, key=lambda row: (row[0], row[3], row))
-
-
-def category_code(thing: Thing) -> int:
-    """The thing's category in the standard numbering."""
-    return OBJECTS.index(thing.category)
+    return sorted(handling.at(tick), key=lambda row: (row[0], row[3], row))

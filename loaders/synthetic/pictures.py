@@ -4,24 +4,21 @@ their marks. The same strokes, with numbers for colours, give the segments of th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from jrdb_avr.loaders.synthetic.backdrop import Backdrop, backdrop
-from jrdb_avr.loaders.synthetic.bonds import shown
-from jrdb_avr.loaders.synthetic.box_files import annotated
-from jrdb_avr.loaders.synthetic.figures import BODY, Color, Figure, Pen, draw_figure, look_of
-from jrdb_avr.loaders.synthetic.furniture import draw_thing
-from jrdb_avr.loaders.synthetic.objects import BELOW, at_tick
-from jrdb_avr.loaders.synthetic.script import NONE
+from jrdb_avr.loaders.synthetic.backdrop import backdrop
+from jrdb_avr.loaders.synthetic.figures import OWNER, Canvas, Figure, Held, draw_figure, draw_thing
+from jrdb_avr.loaders.synthetic.interactions import partners_at
+from jrdb_avr.loaders.synthetic.objects import BELOW, handled_at
+from jrdb_avr.loaders.synthetic.script import NONE, one_of
+from jrdb_avr.loaders.synthetic.shapes import Color, shade
 from jrdb_avr.loaders.synthetic.skeleton import facing
-from jrdb_avr.loaders.synthetic.world import FARTHEST, FLOOR, World, body_rows, rng_of, turned
-from jrdb_avr.schema.arrays import Bools, Floats
+from jrdb_avr.loaders.synthetic.world import FARTHEST, FLOOR, World, body_rows
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.labels import INTERACTIONS, OTHER_ACTIONS, POSES, VERBS
 from jrdb_avr.schema.markers import ALONE, HEADING_STEP, MAX_DISTANCE_DM, MAX_GROUP, Mark, draw
@@ -32,13 +29,10 @@ Image = npt.NDArray[np.uint8]
 
 QUALITY: Final = 92
 """JPEG quality of the panoramas."""
-
-_PERSON, _PANEL, _THING = range(3)
-_Carried = dict[int, list[tuple[int, str, int]]]
-"""Per person, (hand or BELOW, category, thing) of what is drawn with the figure."""
 STEPS: Final = -2
 """The part of a drawing that is the stairs below a person."""
 
+_PERSON, _PANEL, _THING = range(3)
 _PANELS: Final[tuple[Color, ...]] = ((96, 84, 70), (70, 84, 100), (84, 96, 80), (100, 78, 84))
 
 
@@ -55,221 +49,170 @@ def image_frames(world: World, which: str) -> list[int]:
     return list({"none": range(0), "keyframes": keyframes, "all": range(world.frames)}[which])
 
 
-def marks_of(world: World, labelled: Bools, frame: int) -> dict[int, Mark]:
-    """What the marks of the people present say at a frame: the truth of the world, by place in `world.people`.
+def marks_of(world: World, frame: int) -> dict[int, Mark]:
+    """The marks of the people present at a frame: the truth of the world, by place in `world.people`.
 
-    A group counts the people `labelled` (frames, people): one left alone by the annotators' dropouts is alone.
+    A group counts the people with a box: one left alone by the annotators' dropouts is alone.
     """
     out = {}
-    here = np.flatnonzero(world.present[frame])
-    clusters = world.cluster[frame, here].tolist()
-    counted = world.cluster[frame, labelled[frame]].tolist()
+    boxed = world.boxed[frame]
+    counted = world.cluster[frame, boxed].tolist()
     tick = int(world.tick[frame])
-    partners = shown(world.bonds, tick, here[labelled[frame, here]])
-    handled = {person: row for person, *row in reversed(at_tick(world.things.handling, tick))}
-    for i, cluster in zip(here.tolist(), clusters, strict=True):
-        person = world.people[i]
-        heading = np.degrees(world.motion.heading[frame, i])
-        distance = round(float(world.distance[frame, i]) * 10)
-        mark = Mark(
+    partners = partners_at(world.interactions, tick, np.flatnonzero(boxed))
+    handled = {person: (thing, verb) for person, thing, verb, _ in reversed(handled_at(world.things.handling, tick))}
+    for i in np.flatnonzero(world.present[frame]).tolist():
+        person, cluster = world.people[i], int(world.cluster[frame, i])
+        heading, distance = np.degrees(world.motion.heading[frame, i]), round(float(world.distance[frame, i]) * 10)
+        partner, label = partners.get(i, (None, None))
+        thing, verb = handled.get(i, (None, None))
+        out[i] = Mark(
             identity=person.identity,
             gender=person.gender,
             age=person.age,
             pose=POSES[int(world.pose[frame, i])],
             actions=tuple(
-                sorted((OTHER_ACTIONS[a] for a in world.actions[frame, i].tolist() if a != NONE), key=_place)
+                OTHER_ACTIONS[action] for action in sorted(world.actions[frame, i].tolist()) if action != NONE
             ),
             group=cluster % MAX_GROUP + 1 if counted.count(cluster) > 1 else ALONE,
             distance_dm=distance if distance <= MAX_DISTANCE_DM else None,
             heading_deg=round(heading / HEADING_STEP) * HEADING_STEP % 360,
+            partner=None if partner is None else world.people[partner].identity,
+            interaction=None if label is None else INTERACTIONS[label],
+            object=None if thing is None else world.things.things[thing].category,
+            verb=None if verb is None else VERBS[verb],
         )
-        if i in partners:
-            partner, label = partners[i]
-            mark = replace(mark, partner=world.people[partner].identity, interaction=INTERACTIONS[label])
-        if i in handled:
-            thing, verb, _ = handled[i]
-            mark = replace(mark, object=world.things.things[thing].category, verb=VERBS[verb])
-        out[i] = mark
     return out
 
 
-def _place(action: str) -> int:
-    return OTHER_ACTIONS.index(action)
+class Segments(NamedTuple):
+    """Numbers of what is drawn in a sequence: first the surroundings (1 + their place), then the steps, and from these
+    numbers on the partitions, things and people."""
 
-
-@dataclass(frozen=True)
-class Segments:
-    """Numbers of what is drawn in a sequence: the surroundings first, as in `Backdrop.ids`, then steps, partitions,
-    things and people."""
-
-    surroundings: tuple[str, ...]
+    steps: int
     panels: int
     things: int
-
-    @property
-    def steps(self) -> int:
-        return len(self.surroundings) + 1
-
-    def panel(self, index: int) -> int:
-        return self.steps + 1 + index
-
-    def thing(self, index: int) -> int:
-        return self.panel(self.panels) + index
-
-    def person(self, index: int) -> int:
-        return self.thing(self.things) + index
+    people: int
 
 
-@dataclass(frozen=True)
 class Painter:
     """Paints the frames of one world; the surroundings are made once and turned with the robot."""
 
-    world: World
-    labelled: Bools
-    backdrop: Backdrop
-    panel_colors: tuple[Color, ...]
-    segments: Segments
-    facing: tuple[Floats, Floats]
-
-    @classmethod
-    def of(cls, world: World) -> Painter:
-        rng = rng_of(world.seed, world.name, "colors")
-        colors = tuple(_PANELS[int(rng.integers(len(_PANELS)))] for _ in world.panels)
-        around = backdrop(rng)
-        segments = Segments(around.categories, len(world.panels), len(world.things.things))
-        return cls(world, annotated(world), around, colors, segments, facing(world.pose, *turned(world.motion)))
+    def __init__(self, world: World) -> None:
+        rng = world.rng("colors")
+        self._world = world
+        self._panel_colors = [one_of(rng, _PANELS) for _ in range(world.panel_boxes.shape[1])]
+        self._backdrop = backdrop(rng)
+        self.surroundings = self._backdrop.categories
+        steps = len(self.surroundings) + 1
+        things = steps + 1 + len(self._panel_colors)
+        self.segments = Segments(steps, steps + 1, things, things + len(world.things.things))
+        self._across, self._toward = facing(world.pose, *world.turned)
 
     def paint(self, frame: int) -> Image:
         """The panorama (480, 3760, 3), RGB."""
-        image: Image = np.roll(self.backdrop.image, self._turn(frame), axis=1)
-        marks = marks_of(self.world, self.labelled, frame)
+        image: Image = np.roll(self._backdrop.image, self._turn(frame), axis=1)
+        marks = marks_of(self._world, frame)
         carried = self._carried(frame)
         for kind, index in self._from_far(frame):
-            self._draw(image, frame, kind, index, _as_color, carried)
-            # Who has no box in the labels carries no mark: nothing could be asked or told of it.
-            if kind == _PERSON and self.labelled[frame, index]:
-                x, y, w, h = self.world.boxes[frame, index].tolist()
-                draw(image, Box(x, y, w, h), marks[index])
+            self._draw(Canvas(image), frame, kind, index, carried)
+            # Who has no box in the labels carries no mark: no question or answer could be about it.
+            if kind == _PERSON and self._world.boxed[frame, index]:
+                draw(image, Box(*self._world.boxes[frame, index].tolist()), marks[index])
         return image
 
     def segment(self, frame: int) -> npt.NDArray[np.uint16]:
         """The number of the segment (see `Segments`) at every pixel, (480, 3760)."""
-        image = np.roll(self.backdrop.ids, self._turn(frame), axis=1)
+        image = np.roll(self._backdrop.ids, self._turn(frame), axis=1)
         carried = self._carried(frame)
+        numbers = {STEPS: self.segments.steps}
+        numbers |= {thing: self.segments.things + thing for thing in range(len(self._world.things.things))}
         for kind, index in self._from_far(frame):
-            self._draw(image, frame, kind, index, self._numbering(kind, index), carried)
+            own = index + (self.segments.people if kind == _PERSON else self.segments.panels)
+            self._draw(Canvas(image, numbers | {OWNER: own}), frame, kind, index, carried)
         return image
 
     def _turn(self, frame: int) -> int:
         # Turning left by yaw moves what is far to the right by as much.
-        return round(float(self.world.motion.robot[frame, 2]) / (2 * np.pi) * WIDTH)
-
-    def _numbering(self, kind: int, index: int) -> Pen:
-        own = self.segments.person(index) if kind == _PERSON else self.segments.panel(index)
-
-        def pen(color: Color, part: int) -> Color:
-            number = self.segments.thing(part) if part >= 0 else self.segments.steps if part == STEPS else own
-            return (number, number, number)
-
-        return pen
+        return round(float(self._world.motion.robot[frame, 2]) / (2 * np.pi) * WIDTH)
 
     def _from_far(self, frame: int) -> list[tuple[int, int]]:
         """(kind, place) of everything there is at a frame."""
-        world = self.world
+        world = self._world
         there = [(float(world.distance[frame, i]), _PERSON, i) for i in np.flatnonzero(world.present[frame]).tolist()]
         there += [(float(d), _PANEL, k) for k, d in enumerate(world.panel_distance[frame].tolist())]
         there += [(d, _THING, k) for k, d in enumerate(world.thing_distance[frame].tolist()) if d < FARTHEST]
         return [(kind, index) for _, kind, index in sorted(there, reverse=True)]
 
-    def _draw(self, image: npt.NDArray[Any], frame: int, kind: int, index: int, pen: Pen, carried: _Carried) -> None:
-        if kind == _PERSON:
-            self._person(image, frame, index, pen, carried.get(index, []))
-        elif kind == _PANEL:
-            self._panel(image, frame, index, pen)
-        else:
-            thing = self.world.things.stands[index]
-            x, y, w, h = self.world.thing_boxes[frame, index].tolist()
-            for left in _copies(x, w):
-                draw_thing(image, self.world.things.things[thing].category, (left, y, w, h), pen, thing)
+    def _draw(self, canvas: Canvas, frame: int, kind: int, index: int, carried: dict[int, list[Held]]) -> None:
+        boxes = (self._world.boxes, self._world.panel_boxes, self._world.thing_boxes)[kind]
+        x, y, w, h = boxes[frame, index].tolist()
+        # The left columns of the copies of it that touch the image.
+        start = x % WIDTH
+        for left in [start, start - WIDTH] if start + w > WIDTH else [start]:
+            if kind == _PERSON:
+                self._draw_person(canvas, frame, index, left, carried.get(index, []))
+            elif kind == _PANEL:
+                _draw_panel(canvas, (left, y, w, h), self._panel_colors[index])
+            else:
+                thing = self._world.things.stands[index]
+                draw_thing(canvas, self._world.things.things[thing].category, (left, y, w, h), thing)
 
-    def _panel(self, image: npt.NDArray[Any], frame: int, index: int, pen: Pen) -> None:
-        x, y, w, h = self.world.panel_boxes[frame, index].tolist()
-        color = self.panel_colors[index]
-        edge = pen((color[0] - 30, color[1] - 30, color[2] - 30), BODY)
-        poster = pen((color[0] + 25, color[1] + 30, color[2] + 20), BODY)
-        for left in _copies(x, w):
-            cv2.rectangle(image, (left, y), (left + w, y + h), pen(color, BODY), -1)
-            cv2.rectangle(image, (left, y), (left + w, y + h), edge, 2)
-            for part in range(1, 5):
-                at = left + w * part // 5
-                cv2.line(image, (at, y), (at, y + h), edge, 1)
-                cv2.rectangle(
-                    image, (at - w // 7, y + h // 6), (at - w // 16, y + h // 2), poster if part % 2 else edge, -1
-                )
-
-    def _person(self, image: npt.NDArray[Any], frame: int, i: int, pen: Pen, mine: list[tuple[int, str, int]]) -> None:
-        world = self.world
+    def _draw_person(self, canvas: Canvas, frame: int, i: int, left: int, carried: list[Held]) -> None:
+        world, distance = self._world, self._world.distance[frame, i]
         x, _, w, _ = world.boxes[frame, i].tolist()
-        distance = float(world.distance[frame, i])
-        top, bottom = (
-            round(row) for row in body_rows(world.motion.z[frame, i], world.distance[frame, i], world.height[frame, i])
+        top, bottom = (round(row) for row in body_rows(world.motion.z[frame, i], distance, world.height[frame, i]))
+        ground = round(row_of_height(FLOOR, float(distance)))
+        if canvas.numbers is None:
+            # A shadow, which is no part of any segment.
+            canvas.ellipse((left + w // 2, ground - 1), (max(1, w // 2), max(1, w // 8)), (62, 58, 54))
+        if ground - bottom > 1:
+            canvas.rectangle((left, bottom), (left + w - 1, ground), (104, 100, 96), STEPS)
+            for row in range(bottom, ground, max(3, (ground - bottom) // 5)):
+                canvas.lines([(left, row), (left + w - 1, row)], (74, 70, 68), STEPS)
+        joints = np.rint(world.joints[frame, i] + np.array([left - x, 0.0])).astype(np.int64).tolist()
+        figure = Figure(
+            left,
+            top,
+            w,
+            bottom - top,
+            POSES[int(world.pose[frame, i])],
+            [(column, row) for column, row in joints],
+            FOCAL_ROWS / float(distance),
+            float(self._across[frame, i]),
+            float(self._toward[frame, i]),
+            world.people[i].identity,
+            next((held.thing for held in carried if held.hand == BELOW), OWNER),
+            tuple(held for held in carried if held.hand != BELOW),
         )
-        ground = round(row_of_height(FLOOR, distance))
-        for left in _copies(x, w):
-            if pen is _as_color:
-                _shadow(image, left, ground, w)
-            if ground - bottom > 1:
-                _steps(image, left, bottom, w, ground - bottom, pen)
-            figure = Figure(
-                left,
-                top,
-                w,
-                bottom - top,
-                POSES[int(world.pose[frame, i])],
-                world.joints[frame, i] + np.array([left - x, 0.0]),
-                FOCAL_ROWS / distance,
-                float(self.facing[0][frame, i]),
-                float(self.facing[1][frame, i]),
-                look_of(world.people[i].identity),
-                next((thing for hand, _, thing in mine if hand == BELOW), BODY),
-                tuple(held for held in mine if held[0] != BELOW),
-            )
-            draw_figure(image, figure, pen)
+        draw_figure(canvas, figure)
 
-    def _carried(self, frame: int) -> _Carried:
-        out: _Carried = {}
-        for person, thing, _, hand in at_tick(self.world.things.handling, int(self.world.tick[frame])):
-            one = self.world.things.things[thing]
+    def _carried(self, frame: int) -> dict[int, list[Held]]:
+        """What is drawn with each person."""
+        out: dict[int, list[Held]] = {}
+        for person, thing, _, hand in handled_at(self._world.things.handling, int(self._world.tick[frame])):
+            one = self._world.things.things[thing]
             if not one.standing:
-                out.setdefault(person, []).append((hand, one.category, thing))
+                out.setdefault(person, []).append(Held(hand, one.category, thing))
         return out
 
 
-def _as_color(color: Color, part: int) -> Color:
-    """The pen of pictures."""
-    return color
-
-
-def _copies(x: int, w: int) -> list[int]:
-    """Left columns of the copies of a thing that touch the image."""
-    start = x % WIDTH
-    return [start, start - WIDTH] if start + w > WIDTH else [start]
-
-
-def _shadow(image: npt.NDArray[Any], x: int, ground: int, w: int) -> None:
-    cv2.ellipse(image, (x + w // 2, ground - 1), (max(1, w // 2), max(1, w // 8)), 0, 0, 360, (62, 58, 54), -1)
-
-
-def _steps(image: npt.NDArray[Any], x: int, y: int, w: int, h: int, pen: Pen) -> None:
-    cv2.rectangle(image, (x, y), (x + w - 1, y + h), pen((104, 100, 96), STEPS), -1)
-    for row in range(y, y + h, max(3, h // 5)):
-        cv2.line(image, (x, row), (x + w - 1, row), pen((74, 70, 68), STEPS), 1)
+def _draw_panel(canvas: Canvas, box: tuple[int, int, int, int], color: Color) -> None:
+    """Draw a partition with posters on it."""
+    x, y, w, h = box
+    edge = shade(color, -30)
+    canvas.rectangle((x, y), (x + w, y + h), color)
+    canvas.rectangle((x, y), (x + w, y + h), edge, width=2)
+    for part in range(1, 5):
+        at = x + w * part // 5
+        canvas.lines([(at, y), (at, y + h)], edge)
+        poster = shade(color, 25, 30, 20) if part % 2 else edge
+        canvas.rectangle((at - w // 7, y + h // 6), (at - w // 16, y + h // 2), poster)
 
 
 def write_images(world: World, frames: list[int], folder: Path) -> None:
     """Write `NNNNNN.jpg` of these frames into the folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    painter = Painter.of(world)
+    painter = Painter(world)
     for frame in frames:
         bgr = cv2.cvtColor(painter.paint(frame), cv2.COLOR_RGB2BGR)
         done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])

@@ -6,8 +6,9 @@ Time runs in *ticks* of about a second. Each holds one state of every person, an
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 
@@ -15,34 +16,25 @@ from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.labels import AGES, GENDERS, OTHER_ACTIONS, POSES
 
 Rng = np.random.Generator
+_Choice = TypeVar("_Choice")
 
 POSE: Final = {name: i for i, name in enumerate(POSES)}
 ACTION: Final = {name: i for i, name in enumerate(OTHER_ACTIONS)}
 NONE: Final = -1
 
-MOVING: Final = {
-    "walking": 0.40,
-    "running": 0.13,
-    "cycling": 0.15,
-    "skating": 0.10,
-    "scootering": 0.10,
-    "going upstairs": 0.12,
+GAITS: Final = {
+    "walking": (0.40, 1.1),
+    "running": (0.13, 2.4),
+    "cycling": (0.15, 2.6),
+    "skating": (0.10, 1.9),
+    "scootering": (0.10, 1.9),
+    "going upstairs": (0.12, 0.5),
+    "going downstairs": (0.0, 0.5),
 }
-"""Shares of what people do when they move; stairs are gone down again by those who went up."""
+"""Share of what people do when they move, and metres per second; those who went up the stairs come down again."""
 PATIENT_REST: Final = 0.55
 """Share of the rests of patient parties that are one held pose; the others are two with a moment between them."""
 STILL: Final = {"standing": 0.46, "sitting": 0.36, "bending": 0.13, "lying": 0.05}
-SPEED: Final = {
-    "walking": 1.1,
-    "running": 2.4,
-    "cycling": 2.6,
-    "skating": 1.9,
-    "scootering": 1.9,
-    "going upstairs": 0.5,
-    "going downstairs": 0.5,
-}
-"""Metres per second; all other poses stand still."""
-
 PATIENT: Final = 0.65
 """Share of the parties of one or two in the open that stay: they hold a pose for thirteen seconds or longer, change to
 another for a moment, and hold one again."""
@@ -57,34 +49,30 @@ ETHNICITIES: Final = ("Caucasian/White", "Negroid/Black", "Mongoloid/Asian", "Ot
 """As the label files spell them."""
 
 _ON_THE_MOVE: Final = (
-    "holding sth",
-    "looking at robot",
-    "looking at sth",
-    "talking on the phone",
-    "pointing at sth",
-    "pushing",
-    "pulling",
-    "greeting gestures",
+    *("holding sth", "looking at robot", "looking at sth", "talking on the phone"),
+    *("pointing at sth", "pushing", "pulling", "greeting gestures"),
 )
 _AT_REST: Final = (
-    "holding sth",
-    "looking at robot",
-    "looking into sth",
-    "looking at sth",
-    "typing",
-    "interaction with door",
-    "eating sth",
-    "talking on the phone",
-    "pointing at sth",
-    "reading",
-    "greeting gestures",
-    "writing",
+    *("holding sth", "looking at robot", "looking into sth", "looking at sth", "typing", "interaction with door"),
+    *("eating sth", "talking on the phone", "pointing at sth", "reading", "greeting gestures", "writing"),
 )
+_FOR_LONG: Final = ("holding sth", "looking at sth", "looking at robot", "looking into sth")
+
+
+def one_of(rng: Rng, choices: Sequence[_Choice]) -> _Choice:
+    """One of the choices, each as likely as the others."""
+    return choices[int(rng.integers(len(choices)))]
+
+
+def runs_of(where: Bools) -> list[tuple[int, int]]:
+    """First place of each run of True, and the place after its last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], where, [False]]).astype(np.int8))).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
 
 
 @dataclass(frozen=True)
 class Person:
-    """What does not change of a person. `identity` is what the mark shows; it tells nothing about `track`."""
+    """The constant properties of a person. `identity` is the number on the mark; it does not depend on `track`."""
 
     track: int
     identity: int
@@ -163,7 +151,7 @@ def _passers_by(rng: Rng, parties: tuple[Party, ...], present: Bools) -> None:
 
 
 def _parties(rng: Rng, people: int) -> tuple[Party, ...]:
-    """Parties until their people, counted with the time they are away, reach the number asked for."""
+    """Parties until their people, counted with the time they are away, reach the requested number."""
     parties: list[Party] = []
     count = 0
     # People come and go: about three in four of those in the script are in view at a time.
@@ -190,26 +178,18 @@ def _parties(rng: Rng, people: int) -> tuple[Party, ...]:
 
 def _persons(rng: Rng, parties: tuple[Party, ...]) -> tuple[Person, ...]:
     count = sum(len(party.members) for party in parties)
-    tracks = rng.permutation(count + count // 4)[:count]
+    tracks = rng.permutation(count + count // 4)[:count].tolist()
     if 0 not in tracks:
         tracks[0] = 0
-    identities = rng.permutation(4096)[:count]
+    identities = rng.permutation(4096)[:count].tolist()
     party_of = {member: index for index, party in enumerate(parties) for member in party.members}
     persons = []
-    for i in range(count):
+    for i, (track, identity) in enumerate(zip(tracks, identities, strict=True)):
         age = AGES[int(rng.choice(5, p=[0.12, 0.14, 0.42, 0.2, 0.12]))]
-        tall = 1.25 if age == "childhood" else 1.72
-        persons.append(
-            Person(
-                track=int(tracks[i]),
-                identity=int(identities[i]),
-                party=party_of[i],
-                gender=GENDERS[int(rng.integers(2))],
-                age=age,
-                ethnicity=ETHNICITIES[int(tracks[i]) % len(ETHNICITIES)],
-                height=float(np.clip(rng.normal(tall, 0.07), 1.1, 1.92)),
-            )
-        )
+        gender = one_of(rng, GENDERS)
+        height = float(np.clip(rng.normal(1.25 if age == "childhood" else 1.72, 0.07), 1.1, 1.92))
+        ethnicity = ETHNICITIES[track % len(ETHNICITIES)]
+        persons.append(Person(track, identity, party_of[i], gender, age, ethnicity, height))
     return tuple(persons)
 
 
@@ -229,8 +209,11 @@ def _party_moves(rng: Rng, ticks: int, party: Party) -> tuple[Bools, Ints]:
     while tick < ticks:
         if moves:
             # Stairs stand a little away from the robot.
-            ways = MOVING if party.near > 3 else {key: MOVING[key] for key in MOVING if key != "going upstairs"}
-            ways = dict.fromkeys(ways, 1.0) if party.patient else ways
+            ways = {
+                name: 1.0 if party.patient else share
+                for name, (share, _) in GAITS.items()
+                if share and (party.near > 3 or name != "going upstairs")
+            }
             name = "going downstairs" if upstairs else _pick(rng, ways)
             # What went up for so many seconds comes down for as many.
             length = 4 if "stairs" in name else int(rng.integers(3, 8))
@@ -271,17 +254,8 @@ def _party_presence(rng: Rng, ticks: int, party: Party) -> Bools:
 def _member_poses(rng: Rng, move: Bools, shared: Ints, patient: bool) -> Ints:
     """The party's gait while it moves; at rest each member's own poses, three seconds or longer each. The patient hold
     one for long, then another for a moment."""
-    pose = shared.copy()
-    ticks = len(move)
-    tick = 0
-    last = ""
-    while tick < ticks:
-        if move[tick]:
-            tick += 1
-            continue
-        end = tick
-        while end < ticks and not move[end]:
-            end += 1
+    pose, last = shared.copy(), ""
+    for tick, end in runs_of(~move):
         held = False
         while tick < end:
             held = patient and not held
@@ -289,9 +263,8 @@ def _member_poses(rng: Rng, move: Bools, shared: Ints, patient: bool) -> Ints:
             if end - tick - length < 3 or (held and end - tick < HELD[1]):
                 length = end - tick
             brief = patient and not held
-            name = _pick(rng, {key: 1.0 if brief else share for key, share in STILL.items() if key != last})
-            pose[tick : tick + length] = POSE[name]
-            last = name
+            last = _pick(rng, {key: 1.0 if brief else share for key, share in STILL.items() if key != last})
+            pose[tick : tick + length] = POSE[last]
             tick += length
     return pose
 
@@ -302,16 +275,12 @@ def _member_actions(rng: Rng, move: Bools) -> Ints:
     out = np.full(ticks, NONE, np.int64)
     tick = int(rng.integers(0, 5))
     while tick < ticks:
-        length = int(rng.integers(3, 8))
-        names = _ON_THE_MOVE if move[tick] else _AT_REST
-        name = names[int(rng.integers(len(names)))]
-        stop = min(tick + length, ticks)
-        # What one does at rest ends when one sets off, and the other way round.
-        for k in range(tick, stop):
-            if move[k] != move[tick]:
-                stop = k
-                break
-        out[tick:stop] = ACTION[name]
+        stop = min(tick + int(rng.integers(3, 8)), ticks)
+        action = ACTION[one_of(rng, _ON_THE_MOVE if move[tick] else _AT_REST)]
+        # What people do at rest ends when they set off, and the other way round.
+        changed = np.flatnonzero(move[tick:stop] != move[tick])
+        stop = tick + int(changed[0]) if len(changed) else stop
+        out[tick:stop] = action
         tick = stop + int(rng.integers(1, 5))
     return out
 
@@ -322,7 +291,7 @@ def _long_action(rng: Rng, move: Bools, first: Ints) -> Ints:
     if rng.random() < 0.35:
         start = int(rng.integers(0, len(move)))
         stop = start + int(rng.integers(6, 25))
-        name = ACTION[["holding sth", "looking at sth", "looking at robot", "looking into sth"][int(rng.integers(4))]]
+        name = ACTION[one_of(rng, _FOR_LONG)]
         # A person would not do the same twice at once, nor stop for a moment because the other slot says so.
         first[max(0, start - 4) : stop + 4][first[max(0, start - 4) : stop + 4] == name] = NONE
         out[start:stop] = name
@@ -334,13 +303,12 @@ def _conversations(rng: Rng, party: Party, move: Bools, actions: Ints) -> None:
     ticks = len(move)
     tick = int(rng.integers(0, 4))
     while tick < ticks:
-        length = int(rng.integers(4, 8))
-        stop = min(tick + length, ticks)
+        stop = min(tick + int(rng.integers(4, 8)), ticks)
         if not move[tick:stop].any() and rng.random() < 0.8:
             speaker = int(rng.choice(party.members))
             for member in party.members:
-                said = "talking to someone" if member == speaker else "listening to someone"
-                actions[tick:stop, member, 0] = ACTION[said]
+                part = "talking to someone" if member == speaker else "listening to someone"
+                actions[tick:stop, member, 0] = ACTION[part]
         tick = stop + int(rng.integers(0, 3)) * 2
 
 

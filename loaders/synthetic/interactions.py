@@ -1,0 +1,119 @@
+"""What people of the sample world do with one another: interactions that follow from their script."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+
+from jrdb_avr.loaders.synthetic.script import ACTION, POSE, Rng, Script, one_of, runs_of
+from jrdb_avr.schema.arrays import Bools, Floats, Ints
+from jrdb_avr.schema.labels import INTERACTIONS
+
+LABEL: Final = {name: i for i, name in enumerate(INTERACTIONS)}
+
+_POSTURES: Final = (
+    *("walking", "standing", "sitting", "going upstairs", "going downstairs"),
+    *("running", "skating", "scootering", "cycling", "bending"),
+)
+_SHARED: Final = (
+    *("looking at robot", "looking at sth", "looking into sth", "eating sth"),
+    *("holding sth", "pointing at sth", "interaction with door"),
+)
+_JOINT_NAME: Final = {"running": "moving", "skating": "moving", "scootering": "moving", "eating sth": "eating"}
+"""What two people do together, where it has another name than what each of them does."""
+_WELCOMES: Final = ("hugging", "shaking hand", "waving hand together")
+_RARITY: Final = {"conversation": 1, "sitting together": 1, "walking together": 2, "standing together": 2}
+"""The most common labels; all others are 0."""
+
+
+@dataclass(frozen=True)
+class RelationRuns:
+    """Runs of relations, each an array of n: ticks [first, last], the places of the person, of the other (a person or a
+    thing) and of the label or verb, the hand (of handling only), and a number in [0, 1) drawn once per run."""
+
+    first: Ints
+    last: Ints
+    person: Ints
+    other: Ints
+    label: Ints
+    hand: Ints
+    draw: Floats
+
+    @classmethod
+    def of(cls, rng: Rng, rows: Sequence[tuple[int, ...]]) -> RelationRuns:
+        """Runs of rows (first, last, person, other, label, hand)."""
+        first, last, person, other, label, hand = np.array(rows, np.int64).reshape(-1, 6).T
+        return cls(first, last, person, other, label, hand, rng.random(len(rows)))
+
+    def at(self, tick: int) -> list[tuple[int, int, int, int]]:
+        """(person, other, label, hand) of the runs at a tick."""
+        now = np.flatnonzero((self.first <= tick) & (tick <= self.last))
+        return list(zip(*(x[now].tolist() for x in (self.person, self.other, self.label, self.hand)), strict=True))
+
+
+def interactions_of(rng: Rng, script: Script) -> RelationRuns:
+    """All interactions of a script, in a fixed order, each once: the person comes before the other."""
+    rows: list[tuple[int, ...]] = []
+    doing = {name: (script.actions == action).any(axis=2) for name, action in ACTION.items()}
+    for party in script.parties:
+        for a, b in combinations(party.members, 2):
+            for label, where in _pair(rng, script, doing, a, b).items():
+                rows += [(first, stop - 1, a, b, LABEL[label], 0) for first, stop in runs_of(where)]
+    return RelationRuns.of(rng, rows)
+
+
+def _pair(rng: Rng, script: Script, doing: dict[str, Bools], a: int, b: int) -> dict[str, Bools]:
+    """Per label the ticks at which it holds between two members of a party."""
+    here = script.present[:, a] & script.present[:, b]
+    together = here & ~script.apart[:, a] & ~script.apart[:, b]
+    out: dict[str, Bools] = {}
+
+    def mark(label: str, where: Bools, start: int = 0, stop: int | None = None) -> None:
+        out.setdefault(label, np.zeros_like(where))[start:stop] |= where[start:stop]
+
+    for pose in _POSTURES:
+        same = (script.pose[:, [a, b]] == POSE[pose]).all(axis=1)
+        mark(f"{_JOINT_NAME.get(pose, pose)} together", together & same)
+    for action in _SHARED:
+        mark(f"{_JOINT_NAME.get(action, action)} together", together & doing[action][:, a] & doing[action][:, b])
+    talking, listening = doing["talking to someone"], doing["listening to someone"]
+    mark("conversation", together & ((talking[:, a] & listening[:, b]) | (talking[:, b] & listening[:, a])))
+    for tick in (np.flatnonzero(together[1:] & ~together[:-1]) + 1).tolist():
+        if here[max(0, tick - 2) : tick].all() and POSE["walking"] in script.pose[tick - 1, [a, b]]:
+            mark("walking toward each other", here, max(0, tick - 2), tick)
+        if rng.random() < 0.5:
+            mark(one_of(rng, _WELCOMES), together, tick, tick + int(rng.integers(1, 3)))
+    # Now and then also without a meeting, between those who stand.
+    upright = together & (script.pose[:, [a, b]] == POSE["standing"]).all(axis=1)
+    for tick in np.flatnonzero(upright & (rng.random(len(upright)) < 0.02)).tolist():
+        mark(one_of(rng, _WELCOMES), upright, tick, tick + 2)
+    return out
+
+
+def partners_at(runs: RelationRuns, tick: int, people: Ints) -> dict[int, tuple[int, int]]:
+    """Person -> (partner, label) on the marks at a tick, among these people.
+
+    A mark has room for one. Each relation shall be on the mark of one of its two people: those that bind a person to
+    one partner alone come first, rare labels before common ones; then free marks repeat what they take part in.
+    """
+    there = set(people.tolist())
+    pairs = [(a, b, label) for a, b, label, _ in runs.at(tick) if a in there and b in there]
+    partners = Counter((person, label) for a, b, label in pairs for person in (a, b))
+    rarity = [_RARITY.get(name, 0) for name in INTERACTIONS]
+    pairs.sort(key=lambda p: (min(partners[p[0], p[2]], partners[p[1], p[2]]), rarity[p[2]], p))
+    out: dict[int, tuple[int, int]] = {}
+    for a, b, label in pairs:
+        one, other = (a, b) if partners[a, label] <= partners[b, label] else (b, a)
+        if one not in out:
+            out[one] = other, label
+        elif other not in out:
+            out[other] = one, label
+    for a, b, label in pairs:
+        out.setdefault(a, (b, label))
+        out.setdefault(b, (a, label))
+    return out
