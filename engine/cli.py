@@ -1,7 +1,7 @@
 """The command `jrdb-avr`.
 
-Commands live in `engine/commands/`, one module each, and are imported only when they run, so that `--help` answers at
-once. Errors of this package become one line on stderr and exit code 1; a wrong call is exit code 2.
+Commands live in `engine/commands/` and are imported only when they run, so that `--help` answers at once. Errors of
+this package become one line on stderr and exit code 1; a wrong call is exit code 2.
 """
 
 from __future__ import annotations
@@ -39,7 +39,14 @@ COMMANDS: Final[dict[str, str]] = {
 """Every command with its short help, which must not need the command's module."""
 
 
-_MODULES: Final = {"cypher": "query", "sql": "query"}
+_MODULES: Final = {
+    "cypher": "query",
+    "sql": "query",
+    "generate": "generate",
+    "stats": "generate",
+    "score": "report",
+    "report": "report",
+}
 """Modules that hold more than one command, each under its own name."""
 
 
@@ -82,15 +89,15 @@ def main() -> None:
     except AvrError as error:
         from jrdb_avr.engine.console import note
 
-        # The words may be those of a server or a file: `note` keeps them from moving the terminal's cursor.
+        # The text may come from a server or a file: `note` removes control characters.
         note(f"jrdb-avr: {' '.join(str(error).split())}")
         sys.exit(1)
     except BrokenPipeError:
-        # The reader of our output (head, less) has gone: nothing is left to say, also not at shutdown.
+        # The reader of the output (head, less) has gone: print nothing more, not even at shutdown.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except UnicodeEncodeError as error:
-        # Half a character, most often from the bytes of a file's name; no table can hold it.
+        # A lone surrogate, usually from a non-UTF-8 file name; no table can hold it.
         click.echo(f"jrdb-avr: {ascii(error.object)[:200]} is no Unicode text: use other names", err=True)
         sys.exit(1)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""How commands talk: rows as table, CSV, JSON or Parquet, progress bars, and the options they share.
+"""Output of the commands: rows as a table or JSON, lines for people, and progress bars.
 
 Rows go to stdout, everything else to stderr. `--json` prints exactly one JSON array of row objects. Text from data
 files or models is stripped of control characters before it reaches a terminal.
@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final
 
 import click
 import msgspec
 
-C = TypeVar("C", bound=Callable[..., Any])
+from jrdb_avr.schema.errors import AvrWarning
 
-_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+_CONTROL: Final = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
 
 def clean(value: object) -> str:
@@ -26,52 +26,26 @@ def clean(value: object) -> str:
     return _CONTROL.sub("", "" if value is None else str(value))
 
 
-def store_option(function: C) -> C:
-    """Add the required option `--store`."""
-    return click.option(
-        "--store", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder of the store."
-    )(function)
-
-
-def workers_option(function: C) -> C:
-    """Add the option `--workers`: processes that share the sequences; the result does not depend on it."""
-    return click.option("--workers", type=click.IntRange(1, 256), default=2, show_default=True, help="Processes.")(
-        function
-    )
-
-
-def json_option(function: C) -> C:
-    """Add the flag `--json` as the parameter `as_json`."""
-    return click.option("--json", "as_json", is_flag=True, help="Print one JSON array of objects.")(function)
-
-
-def rule_option(help_text: str) -> Callable[[C], C]:
-    """Add the option `--rule`, to be given often, as the parameter `rule_texts`; `pairs` reads it."""
-    return click.option("--rule", "rule_texts", multiple=True, metavar="NAME=VALUE", help=help_text)
-
-
-def pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
-    """Values of a repeated option NAME=VALUE by name. Raises UsageError where there is no "="."""
-    found = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        if not equals:
-            raise click.UsageError(f"{option} {text}: write NAME=VALUE")
-        found[name] = value
-    return found
-
-
-def print_json(rows: Sequence[Any]) -> None:
+def print_json(rows: Iterable[Any]) -> None:
     """Print one JSON array."""
     # NaN and infinity are not JSON: msgspec writes null for them. Sums of whole numbers come as decimals.
     click.echo(msgspec.json.Encoder(enc_hook=str, decimal_format="number").encode(list(rows)))
 
 
-def print_rows(rows: Sequence[dict[str, Any]], title: str = "", columns: Sequence[str] = (), width: int = 200) -> None:
-    """Print rows as a table for people; `columns` are printed also when there is no row.
+def print_rows(
+    rows: Sequence[Mapping[str, Any]],
+    title: str = "",
+    columns: Sequence[str] = (),
+    width: int = 200,
+    as_json: bool = False,
+) -> None:
+    """Print rows as JSON, or as a table for people whose `columns` are printed also when there is no row.
 
     `width`: of the table at most, where the output is no terminal.
     """
+    if as_json:
+        print_json(rows)
+        return
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -93,19 +67,35 @@ def _cell(value: object) -> str:
     return clean(value)
 
 
-def note(message: str) -> None:
-    """One line on stderr."""
+def note(message: object) -> None:
+    """Print one line on stderr."""
     click.echo(clean(message), err=True)
 
 
 @contextmanager
-def progress(what: str, total: int | None, beside: Callable[[], str] = lambda: "") -> Iterator[Callable[[int], None]]:
-    """A progress bar on stderr, silent where stderr is no terminal; yields a function that advances it.
+def warnings_as_notes() -> Iterator[None]:
+    """Print the AvrWarnings of the block as notes."""
+    with warnings.catch_warnings(action="always", category=AvrWarning):
+        warnings.showwarning = lambda message, *where: note(message)
+        yield
 
-    `beside` is asked for the text that stands beside the bar, a few times a second.
+
+@contextmanager
+def progress_bar(beside: Callable[[], str] = lambda: "") -> Iterator[Callable[[str, int, int], None]]:
+    """Progress bars on stderr, silent where stderr is no terminal; yields the `Progress` callback that moves them.
+
+    `beside` returns the text beside the bars, a few times a second. Warnings of the block become notes.
     """
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        ProgressColumn,
+        TaskID,
+        TextColumn,
+        TimeElapsedColumn,
+    )
     from rich.text import Text
 
     class Beside(ProgressColumn):
@@ -114,10 +104,12 @@ def progress(what: str, total: int | None, beside: Callable[[], str] = lambda: "
 
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), Beside())
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(what, total=total)
+    tasks: dict[str, TaskID] = {}
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar, warnings_as_notes():
 
-        def advance(steps: int = 1) -> None:
-            bar.advance(task, steps)
+        def show(what: str, done: int, total: int) -> None:
+            if what not in tasks:
+                tasks[what] = bar.add_task(what, total=total)
+            bar.update(tasks[what], completed=done)
 
-        yield advance
+        yield show

@@ -15,7 +15,8 @@ import hashlib
 import multiprocessing
 import os
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -29,16 +30,18 @@ from jrdb_avr.loaders.graph import build_scene, stage_scene
 from jrdb_avr.loaders.intervals.derive import derive
 from jrdb_avr.loaders.intervals.timeline import step_of
 from jrdb_avr.loaders.problems import shorten
-from jrdb_avr.loaders.report import SequenceReport, frame_range, warnings
-from jrdb_avr.loaders.root import Root, SequenceFiles
+from jrdb_avr.loaders.report import SequenceReport, frame_range, sequence_warnings
+from jrdb_avr.loaders.result import LoadResult
+from jrdb_avr.loaders.root import Root, SequenceFiles, find_root
 from jrdb_avr.loaders.sequence import NOT_LABELS, annotate
 from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.beliefs.record import copy_all
+from jrdb_avr.queries.display import Progress, step_counter
 from jrdb_avr.queries.graph.handle import build_graph, remove_graph
 from jrdb_avr.queries.runs import run_ids
 from jrdb_avr.queries.store import Manifest, SequenceEntry, Store
 from jrdb_avr.queries.workers import end_with_parent, map_shards, without_collector
-from jrdb_avr.schema.errors import InputError, StoreError
+from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
 from jrdb_avr.schema.rules import LoadRules, rules_hash
 from jrdb_avr.schema.tables import ANNOTATIONS
 
@@ -46,8 +49,6 @@ STAGING: Final = ".loading"
 """Folder inside the store where a load prepares everything."""
 
 PARTS: Final = ("annotations", "intervals")
-
-Advance = Callable[[int], None]
 
 
 @dataclass(frozen=True)
@@ -68,13 +69,26 @@ class ShardResult:
 
 
 def load(
-    root: Root, store: Store, rules: LoadRules, workers: int = 2, advance: Advance = lambda steps: None
-) -> list[SequenceReport]:
-    """Load a JRDB root, found by `find_root`, into a store; returns a report per sequence, by name.
+    root: Root | str | Path,
+    store: Store | str | Path,
+    rules: LoadRules | None = None,
+    workers: int = 2,
+    *,
+    layer_dirs: Mapping[str, Sequence[str]] | None = None,
+    progress: Progress | None = None,
+) -> LoadResult:
+    """Load a JRDB root into a store: annotation tables, intervals and the scene graph.
+
+    `layer_dirs`: folders with a layer's files, in the root or absolute; a layer with an empty list is left out.
+    `workers`: processes that share the sequences; the result does not depend on it.
 
     Raises InputError where nothing can be loaded, StoreError where the store cannot be written, LockedError where
-    another process writes it. The store is then as it was.
+    another process writes it. The store is then unchanged.
     """
+    store, rules = Store.of(store), rules or LoadRules()
+    if not isinstance(root, Root):
+        root = find_root(Path(root), layer_dirs or {})
+    advance = step_counter(progress, "loading", len(root.sequences))
     with store.writing("load"), _staging(store) as staging:
         shards = [Shard(files, str(staging.path), rules) for files in root.sequences]
         results: dict[str, ShardResult] = {}
@@ -87,17 +101,14 @@ def load(
             raise InputError(_nothing(root, reports))
         image_root = str(root.image_root.resolve()) if root.image_root else None
         left_out = _finish(store, staging, image_root, rules, entries, PARTS)
-    return [*reports, SequenceReport("", [], warnings=left_out)] if left_out else reports
+    return LoadResult([*reports, SequenceReport("", [], warnings=left_out)] if left_out else reports)
 
 
 def rebuild(
-    store: Store,
-    rules: LoadRules,
-    workers: int = 2,
-    advance: Advance = lambda steps: None,
-    tell: Callable[[str], None] = lambda line: None,
+    store: Store, rules: LoadRules, workers: int = 2, progress: Progress | None = None
 ) -> dict[str, SequenceEntry]:
-    """Derive intervals and graph again from the annotation tables of a store; `tell` hears of runs left out of it.
+    """Derive intervals and graph again from the annotation tables of a store; an AvrWarning names each run whose world
+    model is left out of the graph.
 
     Raises StoreError where the store holds no annotations or one of its files does not read or is not the one loaded.
     A load or rebuild that was killed while it moved things must have been brought to its end by `resume`.
@@ -108,13 +119,14 @@ def rebuild(
             RebuildShard(name, entry, str(store.path), str(staging.path), rules)
             for name, entry in sorted(manifest.sequences.items())
         ]
+        advance = step_counter(progress, "rebuilding", len(shards))
         entries: dict[str, SequenceEntry] = {}
         for i, entry in map_shards(rebuild_shard, shards, workers, lambda shard: shard.weight):
             entries[shards[i].sequence] = entry
             advance(1)
         left_out = _finish(store, staging, manifest.image_root, rules, dict(sorted(entries.items())), PARTS[1:])
     for line in left_out:
-        tell(line)
+        warnings.warn(line, AvrWarning, stacklevel=2)
     return entries
 
 
@@ -164,7 +176,7 @@ def load_shard(shard: Shard) -> ShardResult:
             cameras=found.cameras,
             disagreements=found.disagreements,
             absent_partners=found.absent_partners,
-            warnings=warnings(labels, images, found.heading, found.cameras),
+            warnings=sequence_warnings(labels, images, found.heading, found.cameras),
         )
         return ShardResult(report, entry)
 

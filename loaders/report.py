@@ -128,7 +128,7 @@ def frame_range(frames: npt.NDArray[np.int64]) -> FrameRange | None:
     return FrameRange(int(frames[0]), int(frames[-1]), len(frames)) if len(frames) else None
 
 
-def warnings(
+def sequence_warnings(
     labels: FrameRange | None, images: FrameRange | None, heading: Heading | None, cameras: Cameras | None
 ) -> list[str]:
     """What a person should look at."""

@@ -123,6 +123,11 @@ class Store(Displayed):
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
 
+    @classmethod
+    def of(cls, store: Store | str | Path) -> Store:
+        """The store itself, or the one at a path."""
+        return store if isinstance(store, Store) else cls(store)
+
     # -- where things are -------------------------------------------------------------------------------------
 
     @property

@@ -65,3 +65,7 @@ class DecodeError(AvrError):
 
 class EndpointError(AvrError):
     """A model server cannot be reached, or does not keep the protocol."""
+
+
+class AvrWarning(UserWarning):
+    """Something that a person should know and that ends nothing, such as questions left out of a run."""

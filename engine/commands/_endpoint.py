@@ -1,11 +1,11 @@
-"""Options of the commands that ask a model."""
+"""Options of the commands that use a model's server."""
 
 from __future__ import annotations
 
 import functools
 import math
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import click
 
@@ -13,67 +13,58 @@ from jrdb_avr.agent.model.options import DEFAULTS, RESPONSE_FORMATS, THINKING, O
 
 C = TypeVar("C", bound=Callable[..., Any])
 
-_OPTIONS = (
-    click.option(
+base_url_option = click.option("--base-url", help="An OpenAI-compatible server, as http://localhost:8000/v1.")
+
+
+def model_option(more: str = ".") -> Callable[[C], C]:
+    """Add the required option `--model`."""
+    return click.option(
+        "--model", required=True, help=f"Model id to ask for; 'marker' is the built-in reader of marks{more}"
+    )
+
+
+_ENDPOINT: Final[tuple[tuple[str, str, click.ParamType[Any], str], ...]] = (
+    (
         "--response-format",
-        type=click.Choice(RESPONSE_FORMATS),
-        default=DEFAULTS.response_format,
-        show_default=True,
-        help="How replies are made JSON: the schema itself, some JSON object, or the prompt alone.",
+        "response_format",
+        click.Choice(RESPONSE_FORMATS),
+        "How replies are made JSON: the schema itself, some JSON object, or the prompt alone.",
     ),
-    click.option(
+    (
         "--thinking",
-        type=click.Choice(THINKING),
-        default=DEFAULTS.thinking,
-        show_default=True,
-        help="Whether the model thinks before it replies; 'template' leaves it to the server.",
+        "thinking",
+        click.Choice(THINKING),
+        "Whether the model thinks before it replies; 'template' leaves it to the server.",
     ),
-    click.option(
-        "--max-tokens",
-        type=click.IntRange(16, 1 << 20),
-        default=DEFAULTS.max_tokens,
-        show_default=True,
-        help="Longest reply, thinking included.",
-    ),
-    click.option(
-        "--timeout",
-        "timeout_s",
-        type=click.FloatRange(1, 86_400),
-        default=DEFAULTS.timeout_s,
-        show_default=True,
-        help="Seconds to wait for a reply.",
-    ),
-    click.option(
+    ("--max-tokens", "max_tokens", click.IntRange(16, 1 << 20), "Longest reply, thinking included."),
+    ("--timeout", "timeout_s", click.FloatRange(1, 86_400), "Seconds to wait for a reply."),
+    (
         "--retries",
-        type=click.IntRange(0, 100),
-        default=DEFAULTS.retries,
-        show_default=True,
-        help="How often a call is repeated that the transport or the server broke.",
+        "retries",
+        click.IntRange(0, 100),
+        "How often a call is repeated that the transport or the server broke.",
     ),
 )
 
 
-def need_address(model: str, base_url: str | None) -> None:
-    """Raises UsageError for a model without an address, unless it is the built-in one."""
-    from jrdb_avr.engine.run.endpoint import MARKER
-
-    if base_url is None and model != MARKER:
-        raise click.UsageError(f"--model {model} needs --base-url, the address of the server that has it")
-
-
 def endpoint_options(function: C) -> C:
-    """Add the options of an endpoint; the command gets them as one parameter `options`."""
-    names = ("response_format", "thinking", "max_tokens", "timeout_s", "retries")
+    """Add the options of a model's server; the command gets them as one parameter `options`.
+
+    A model without an address is a usage error, unless it is the built-in one or none.
+    """
 
     @functools.wraps(function)
-    def command(**given: Any) -> Any:
-        options = Options(**{name: given.pop(name) for name in names})
+    def command(**values: Any) -> Any:
+        options = Options(**{name: values.pop(name) for _, name, _, _ in _ENDPOINT})
         if math.isnan(options.timeout_s):
             raise click.UsageError("--timeout must be a number of seconds")
-        return function(**given, options=options)
+        if values["base_url"] is None and values["model"] not in ("marker", "none"):
+            raise click.UsageError(f"--model {values['model']} needs --base-url, the address of the server that has it")
+        return function(**values, options=options)
 
     decorated: Any = command
-    for option in reversed(_OPTIONS):
-        decorated = option(decorated)
+    for flag, name, kind, words in reversed(_ENDPOINT):
+        default = getattr(DEFAULTS, name)
+        decorated = click.option(flag, name, type=kind, default=default, show_default=True, help=words)(decorated)
     result: C = decorated
     return result

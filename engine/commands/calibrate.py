@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from jrdb_avr.agent.model.options import Options
-from jrdb_avr.engine.commands._endpoint import endpoint_options, need_address
-from jrdb_avr.engine.console import json_option, note, print_json, print_rows, progress, store_option
+from jrdb_avr.engine.commands._endpoint import base_url_option, endpoint_options, model_option
+from jrdb_avr.engine.commands._options import json_option, store_option
+from jrdb_avr.engine.console import note, print_rows, progress_bar
+
+if TYPE_CHECKING:
+    from jrdb_avr.queries.store import Store
 
 
 @click.command(
     epilog="Example: jrdb-avr calibrate --store S --model google/gemma-4-E4B-it --base-url http://localhost:8000/v1"
 )
-@store_option
-@click.option("--model", required=True, help="Model id to ask for; 'marker' is the built-in reader of marks.")
-@click.option("--base-url", help="An OpenAI-compatible server, as http://localhost:8000/v1.")
+@store_option()
+@model_option()
+@base_url_option
 @endpoint_options
 @json_option
-def command(store: Path, model: str, base_url: str | None, options: Options, as_json: bool) -> None:
+def command(store: Store, model: str, base_url: str | None, options: Any, as_json: bool) -> None:
     """Find out in which order and scale a model writes boxes, from 50 drawn rectangles that belong to no question.
 
     What is found is stored, and taken by every later run of the model with the same response format and thinking. Exit
@@ -33,26 +36,22 @@ def command(store: Path, model: str, base_url: str | None, options: Options, as_
     from jrdb_avr.agent.model.conventions import convention_of
     from jrdb_avr.agent.model.preflight import preflight, require
     from jrdb_avr.engine.run.endpoint import serving, write_calibration
-    from jrdb_avr.queries.store import Store
+    from jrdb_avr.queries.display import step_counter
 
-    need_address(model, base_url)
-    place = Store(store)
-    if not place.question_path("questions").exists():
-        # A machine without labels has questions and no manifest; what has neither is a slip of the pen.
-        place.manifest()
-    with serving(model, base_url) as url, progress(f"calibrate {model}", PICTURES) as advance:
+    if not store.question_path("questions").exists():
+        # A machine without labels has questions and no manifest; a folder with neither is a mistyped one.
+        store.manifest()
+    with serving(model, base_url) as url, progress_bar() as progress:
         client = Client(url, model, options, convention=convention_of(model))
-        # One picture at a time is shown: what only methods need may be lacking.
+        # Calibration sends one picture at a time: what only methods need may fail.
         for warning in require(preflight(client), "calibrate"):
             note(f"warning: {warning}")
-        found = calibrate(client, advance=advance)
+        found = calibrate(client, advance=step_counter(progress, f"calibrate {model}", PICTURES))
     rows = [msgspec.structs.asdict(score) for score in found.scores]
-    if as_json:
-        print_json(rows)
-    else:
-        title = f"Readings of {found.readable} boxes by {model} (overlap with {found.asked} drawn rectangles)"
-        print_rows(rows, title=title, columns=("key", "order", "scale", "n", "median_iou", "share", "chosen"))
+    title = f"Readings of {found.readable} boxes by {model} (overlap with {found.asked} drawn rectangles)"
+    columns = ("key", "order", "scale", "n", "median_iou", "share", "chosen")
+    print_rows(rows, title=title, columns=columns, as_json=as_json)
     if found.reason:
         note(f"jrdb-avr: nothing is stored: {found.reason}")
         sys.exit(1)
-    note(f"stored in {write_calibration(place, found)}")
+    note(f"stored in {write_calibration(store, found)}")

@@ -1,10 +1,34 @@
-"""`jrdb-avr demo`: everything once."""
+"""`jrdb-avr demo`: everything once on a synthetic world; each step is a command that a user could type."""
 
 from __future__ import annotations
 
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import click
+
+from jrdb_avr.schema.errors import InputError
+
+_PROGRAM: Final = "from jrdb_avr.engine.cli import main; main()"
+
+_SEQUENCE: Final = "sample-plaza-01_0"
+"""The first sequence of every sample."""
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """The size of the world, and the number of questions that are evaluated."""
+
+    sequences: int = 3
+    frames: int = 600
+    people: int = 18
+    questions: int = 200
 
 
 @click.command(
@@ -23,6 +47,35 @@ def command(out: Path) -> None:
 
     Every step is printed as the command that you would type. Takes about a minute on two cores.
     """
-    from jrdb_avr.engine.commands.demo_run import Size, run_demo
-
     run_demo(out, Size(), click.echo)
+
+
+def steps(folder: Path, size: Size) -> list[list[str]]:
+    """The arguments of the commands, in order."""
+    root, store, look = folder / "sample", ["--store", f"{folder / 'store'}"], folder / "look.png"
+    world = f"--sequences {size.sequences} --frames {size.frames} --people {size.people}"
+    return [
+        ["sample", f"{root}", *world.split()],
+        ["load", f"{root}", *store],
+        ["generate", *store],
+        ["validate", *store],
+        ["observe", _SEQUENCE, "150", "180", *store, "--out", f"{look}"],
+        ["evaluate", *store, "--method", "react", "--model", "marker", "--limit", f"{size.questions}"],
+        ["score", *store],
+        ["report", *store],
+    ]
+
+
+def run_demo(folder: Path, size: Size, say: Callable[[str], None]) -> None:
+    """Run every step in its own process. Raises InputError where the folder is in use or a step fails."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder} exists and is not empty: remove it, or name another with --out", file=str(folder))
+    begin = time.monotonic()
+    for arguments in steps(folder, size):
+        say(f"\n$ jrdb-avr {shlex.join(arguments)}")
+        done = subprocess.run([sys.executable, "-c", _PROGRAM, *arguments], check=False)
+        if done.returncode:
+            raise InputError(f"the step 'jrdb-avr {arguments[0]}' failed (exit code {done.returncode})")
+    seconds = time.monotonic() - begin
+    say(f"\nDone in {seconds:.0f} s. Scores on the sample world are synthetic: no result about JRDB.")
+    say(f"Look at {folder / 'look.png'}, and ask: jrdb-avr stats --store {folder / 'store'}")

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from jrdb_avr.engine.console import note, store_option
+from jrdb_avr.engine.commands._options import FILE, store_option
+from jrdb_avr.engine.console import note
+
+if TYPE_CHECKING:
+    from jrdb_avr.queries.store import Store
 
 
 @click.command(
@@ -19,24 +23,25 @@ from jrdb_avr.engine.console import note, store_option
 @click.argument("sequence")
 @click.argument("frame", type=int)
 @click.argument("angle", type=float, required=False)
-@store_option
-@click.option("--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="PNG file to write.")
+@store_option()
+@click.option("--out", required=True, type=FILE, help="PNG file to write.")
 @click.option("--panorama", is_flag=True, help="The whole strip instead of a crop; needs no ANGLE.")
 @click.option("--boxes", is_flag=True, help="Draw the annotated boxes with track, pose and group, and skeletons.")
 def command(
-    sequence: str, frame: int, angle: float | None, store: Path, out: Path, panorama: bool, boxes: bool
+    sequence: str, frame: int, angle: float | None, store: Store, out: Path, panorama: bool, boxes: bool
 ) -> None:
     """Look at FRAME of SEQUENCE in direction ANGLE (degrees): a 480 x 480 crop as PNG."""
     if panorama == (angle is not None):
         raise click.UsageError("give either an ANGLE or --panorama")
 
+    import cv2
+
     from jrdb_avr.engine.observe.observer import Observer
     from jrdb_avr.engine.observe.overlay import draw_people
-    from jrdb_avr.queries.sequences import loaded_sequence
-    from jrdb_avr.queries.store import Store
+    from jrdb_avr.queries.questions import loaded_sequence
+    from jrdb_avr.queries.store import write_bytes
 
-    opened = Store(store)
-    observer = Observer(opened.manifest().image_root, [loaded_sequence(opened, sequence)])
+    observer = Observer(store.manifest().image_root, [loaded_sequence(store, sequence)])
     if angle is None:
         image, left = observer.panorama(sequence, frame), 0
         note(f"{sequence} frame {frame:06d}: whole panorama -> {out}")
@@ -48,11 +53,11 @@ def command(
             f"left column {seen.left}, {seen.fov_deg} degrees wide -> {out}"
         )
     if boxes:
-        image = draw_people(image, *_annotated(opened, sequence, frame), left)
-    _write_png(out, image)
+        image = draw_people(image, *_annotated(store, sequence, frame), left)
+    write_bytes(out, cv2.imencode(".png", image[:, :, ::-1])[1].tobytes())
 
 
-def _annotated(store: Any, sequence: str, frame: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+def _annotated(store: Store, sequence: str, frame: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Sightings and poses of a frame."""
     import pyarrow.compute as pc
 
@@ -60,12 +65,3 @@ def _annotated(store: Any, sequence: str, frame: int) -> tuple[list[dict[str, An
     people, poses = (table.filter(pc.equal(table["frame"], frame)).to_pylist() for table in tables)
     # The widest first, so that small boxes are drawn over large ones.
     return sorted(people, key=lambda row: (-row["w"], row["track"])), poses
-
-
-def _write_png(path: Path, image: Any) -> None:
-    import cv2
-
-    from jrdb_avr.queries.store import write_bytes
-
-    _, data = cv2.imencode(".png", image[:, :, ::-1])
-    write_bytes(path, data.tobytes())

@@ -6,13 +6,17 @@ import csv
 import io
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import click
 import msgspec
 
-from jrdb_avr.engine.console import json_option, pairs, print_json, print_rows
+from jrdb_avr.engine.commands._options import FILE, json_option, pairs_option, store_option
+from jrdb_avr.engine.console import print_json, print_rows
 from jrdb_avr.schema.errors import QueryError
+
+if TYPE_CHECKING:
+    from jrdb_avr.queries.store import Store
 
 C = TypeVar("C", bound=Callable[..., Any])
 Language = Literal["cypher", "sql"]
@@ -22,13 +26,13 @@ def _query_options(function: C) -> C:
     """Add the argument and the options of a query."""
     for decorate in (
         click.argument("query", required=False),
-        click.option("--store", type=click.Path(file_okay=False, path_type=Path), help="Folder of the store."),
-        click.option("--param", "params", multiple=True, metavar="NAME=VALUE", help="A parameter; JSON or text."),
+        store_option(required=False),
+        pairs_option("--param", "params", "A parameter; JSON or text."),
         click.option("--timeout", type=click.FloatRange(0.1, 86_400), default=60.0, show_default=True, help="Seconds."),
         click.option("--list", "listing", is_flag=True, help="List the named queries."),
         click.option("--csv", "as_csv", is_flag=True, help="Print CSV."),
         json_option,
-        click.option("--parquet", type=click.Path(dir_okay=False, path_type=Path), help="Write a Parquet file."),
+        click.option("--parquet", type=FILE, help="Write a Parquet file."),
     ):
         function = decorate(function)
     return function
@@ -58,33 +62,36 @@ def sql(**options: Any) -> None:
 def _run(
     language: Language,
     query: str | None,
-    store: Path | None,
-    params: tuple[str, ...],
+    store: Store | None,
+    params: list[tuple[str, str]],
     timeout: float,
     listing: bool,
     as_csv: bool,
     as_json: bool,
     parquet: Path | None,
 ) -> None:
-    from jrdb_avr.queries.named import named_queries
-    from jrdb_avr.queries.store import Store
+    from jrdb_avr.queries.named import named_queries, parse_value
 
     if as_csv + as_json + (parquet is not None) > 1:
         raise click.UsageError("choose one of --csv, --json and --parquet")
     if listing:
         known = named_queries(language).values()
         rows = [{"name": own.name, "answers": own.answers, "parameters": own.takes} for own in known]
-        print_json(rows) if as_json else print_rows(rows)
+        print_rows(rows, as_json=as_json)
         return
     if query is None:
         raise click.UsageError("give a QUERY or the NAME of one (--list shows them)")
     try:
-        "".join((query, *params)).encode()
+        "".join((query, *(text for pair in params for text in pair))).encode()
     except UnicodeEncodeError:
         raise click.UsageError("QUERY and --param must be UTF-8 text") from None
     if store is None:
         raise click.UsageError("Missing option '--store'.")
-    table = _unique_names(Store(store).query(language, query, _parameters(params), timeout))
+    for name, _ in params:
+        if not name.isidentifier():
+            raise click.UsageError(f"--param {name}: not the name of a parameter")
+    values = {name: parse_value(text) for name, text in params}
+    table = _unique_names(store.query(language, query, values, timeout))
     if parquet is not None:
         _write_parquet(table, parquet)
         return
@@ -98,16 +105,6 @@ def _run(
         click.echo(_csv(rows, table.column_names), nl=False)
     else:
         print_rows(rows, columns=table.column_names)
-
-
-def _parameters(params: tuple[str, ...]) -> dict[str, Any]:
-    from jrdb_avr.queries.named import parse_value
-
-    texts = pairs("--param", params)
-    for name in texts:
-        if not name.isidentifier():
-            raise click.UsageError(f"--param {name}: not the name of a parameter")
-    return {name: parse_value(text) for name, text in texts.items()}
 
 
 def _unique_names(table: Any) -> Any:

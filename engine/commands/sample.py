@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from jrdb_avr.engine.console import json_option, note, print_json, print_rows, progress, workers_option
+from jrdb_avr.engine.commands._options import json_option, workers_option
+from jrdb_avr.engine.console import note, print_rows, progress_bar
 
 
 @click.command()
@@ -50,16 +51,12 @@ def command(
     sizes = list(FULL_SCALE) if full_scale else [(frames, people)] * sequences
     orders = plan(folder, sizes, seed, images="none" if no_images or full_scale else images)
     done = []
-    with progress("sequences", len(orders)) as advance:
+    with progress_bar() as progress:
         for written in write(orders, workers):
             done.append(written)
-            advance(1)
+            progress("sequences", len(done), len(orders))
     done.sort(key=lambda written: written.name)
-    table = rows(done)
-    if as_json:
-        print_json(table)
-        return
-    print_rows(table, title="The sample beside JRDB (synthetic)")
-    note(
-        f"{folder}: {len(done)} sequences, {sum(w.boxes for w in done)} boxes, {sum(w.images for w in done)} panoramas"
-    )
+    print_rows(rows(done), title="The sample beside JRDB (synthetic)", as_json=as_json)
+    if not as_json:
+        boxes, images_made = sum(written.boxes for written in done), sum(written.images for written in done)
+        note(f"{folder}: {len(done)} sequences, {boxes} boxes, {images_made} panoramas")

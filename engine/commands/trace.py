@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from jrdb_avr.engine.console import note, store_option
+from jrdb_avr.engine.commands._options import page_option, store_option
+from jrdb_avr.engine.console import note
+
+if TYPE_CHECKING:
+    from jrdb_avr.queries.store import Store
 
 
 @click.command(epilog="Example: jrdb-avr trace react-marker 0098303b6414dec4 --store S --out trace.html")
 @click.argument("run")
 @click.argument("question")
-@store_option
-@click.option(
-    "--out",
-    type=click.Path(dir_okay=False, path_type=Path),
-    default=Path("trace.html"),
-    show_default=True,
-    help="HTML file to write.",
-)
-def command(run: str, question: str, store: Path, out: Path) -> None:
+@store_option()
+@page_option("trace.html")
+def command(run: str, question: str, store: Store, out: Path) -> None:
     """Write a page that shows how RUN came to its answer to QUESTION (an id), step by step, beside the truth.
 
     Each look is drawn on the panorama; of an agent the world model is shown as it grew, with the writes that were
@@ -30,11 +29,7 @@ def command(run: str, question: str, store: Path, out: Path) -> None:
     from jrdb_avr.engine.pages.page import write_page
     from jrdb_avr.engine.pages.trace_page import trace_page
     from jrdb_avr.engine.report.traces import read_trace
-    from jrdb_avr.engine.run.evaluate import read_sequences
-    from jrdb_avr.queries.store import Store
 
-    opened = Store(store)
-    trace = read_trace(opened, run, question)
-    observer = Observer(opened.manifest().image_root, read_sequences(opened).values())
-    write_page(out, trace_page(trace, observer))
+    trace = read_trace(store, run, question)
+    write_page(out, trace_page(trace, Observer.of(store)))
     note(f"wrote {out}: {len(trace.steps)} steps")

@@ -3,35 +3,27 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from jrdb_avr.engine.console import (
-    json_option,
-    note,
-    pairs,
-    print_json,
-    print_rows,
-    progress,
-    rule_option,
-    store_option,
-    workers_option,
-)
+from jrdb_avr.engine.commands._options import json_option, pairs_option, store_option, workers_option
+from jrdb_avr.engine.console import note, print_json, print_rows, progress_bar
+
+if TYPE_CHECKING:
+    from jrdb_avr.queries.store import Store
 
 
 @click.command(
     short_help="Check the question files against the annotations.",
     epilog="Example: jrdb-avr validate --store store --replay",
 )
-@store_option
-@click.option(
-    "--replay", "replayed", is_flag=True, help="Also run every proof again, and every plan as Cypher on the graph."
-)
+@store_option()
+@click.option("--replay", is_flag=True, help="Also run every proof again, and every plan as Cypher on the graph.")
 @workers_option
-@rule_option("As it was given to generate.")
+@pairs_option("--rule", "overrides", "As it was given to generate.")
 @json_option
-def command(store: Path, replayed: bool, workers: int, rule_texts: tuple[str, ...], as_json: bool) -> None:
+def command(store: Store, replay: bool, workers: int, overrides: list[tuple[str, str]], as_json: bool) -> None:
     """Check the questions of STORE: files, ids, choices, answers, texts, evidence, proofs; derive each answer again.
 
     The second derivation reads the annotation tables and nothing that generation made. With --replay all proofs of
@@ -39,28 +31,21 @@ def command(store: Path, replayed: bool, workers: int, rule_texts: tuple[str, ..
     to find the stored people and answer in the graph; whatever comes out otherwise than stored is named with its
     question and proof. Exit code 1 on any fault.
     """
-    from jrdb_avr.engine.validate.checks import check_replay, validate
-    from jrdb_avr.queries.store import Store
+    from jrdb_avr.engine.validate.checks import validate
     from jrdb_avr.schema.rules import Rules, override
 
-    place = Store(store)
-    rules = override(Rules(), pairs("--rule", rule_texts))
-    count = place.questions("questions").num_rows
-    with progress("checking questions", count) as advance:
-        report = validate(place, rules, advance)
-    # Files that cannot be read are the only fault then.
-    if replayed and report.checked["ids"]:
-        with progress("running proofs again", 2 * count) as advance:
-            check_replay(report, place, rules, workers, advance)
+    with progress_bar() as progress:
+        rules = override(Rules(), dict(overrides))
+        found = validate(store, rules, replay_proofs=replay, workers=workers, progress=progress)
     if as_json:
-        print_json(report.rows())
+        print_json(found.rows())
     else:
         # Faults follow below, one to a line.
-        print_rows([{name: row[name] for name in row if name != "first fault"} for row in report.rows()])
-    for name, faults in report.faults.items():
+        print_rows([{name: row[name] for name in row if name != "first fault"} for row in found.rows()])
+    for name, faults in found.faults.items():
         for fault in faults[:20]:
             note(f"{name}: {fault}")
         if len(faults) > 20:
             note(f"{name}: {len(faults) - 20} more")
-    if not report.sound:
+    if not found.sound:
         sys.exit(1)

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jrdb_avr.engine.console import json_option, note, print_json, print_rows, progress, store_option
+from jrdb_avr.engine.commands._options import json_option, store_option
+from jrdb_avr.engine.console import note, print_rows, progress_bar
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -30,64 +31,60 @@ def command() -> None:
 
 @command.command(epilog="Example: jrdb-avr world merge agent-marker agent-passive-marker --store S")
 @click.argument("run_ids", nargs=-1, required=True, metavar="RUN...")
-@store_option
+@store_option()
 @json_option
-def merge(run_ids: tuple[str, ...], store: Path, as_json: bool) -> None:
+def merge(run_ids: tuple[str, ...], store: Store, as_json: bool) -> None:
     """Bring the world models of finished runs into the store's graph, in place of what it holds of them."""
     from jrdb_avr.queries.beliefs.graph import open_graph
     from jrdb_avr.queries.beliefs.record import merge_world
-    from jrdb_avr.queries.store import Store
 
-    place = Store(store)
-    records = {run_id: _record(place, run_id) for run_id in dict.fromkeys(run_ids)}
+    records = {run_id: _record(store, run_id) for run_id in dict.fromkeys(run_ids)}
     rows = []
-    with open_graph(_graph_path(place)) as graph, progress("merging", len(records)) as advance:
+    with open_graph(_graph_path(store)) as graph, progress_bar() as progress:
         for run_id, record in records.items():
             merge_world(graph, run_id, record)
             rows.append(_row(graph, run_id))
-            advance(1)
-    print_json(rows) if as_json else print_rows(rows)
+            progress("merging", len(rows), len(records))
+    print_rows(rows, as_json=as_json)
 
 
 @command.command(epilog="Example: jrdb-avr world drop agent-marker --store S")
 @click.argument("run_ids", nargs=-1, required=True, metavar="RUN...")
-@store_option
+@store_option()
 @json_option
-def drop(run_ids: tuple[str, ...], store: Path, as_json: bool) -> None:
+def drop(run_ids: tuple[str, ...], store: Store, as_json: bool) -> None:
     """Take runs' world models out of the store's graph. Their records stay, and the next load brings them back."""
     from jrdb_avr.queries.beliefs.graph import open_graph
     from jrdb_avr.queries.beliefs.record import drop_world
-    from jrdb_avr.queries.store import Store
     from jrdb_avr.schema.errors import StoreError
 
-    place = Store(store)
-    with open_graph(_graph_path(place)) as graph, progress("dropping", len(run_ids)) as advance:
+    with open_graph(_graph_path(store)) as graph, progress_bar() as progress:
         rows = [_row(graph, run_id) for run_id in dict.fromkeys(run_ids)]
         if absent := [row["run"] for row in rows if not row["episodes"]]:
-            raise StoreError(f"{place.graph_path} holds nothing of run {absent[0]!r}: see 'cypher world_runs'")
-        for row in rows:
+            raise StoreError(f"{store.graph_path} holds nothing of run {absent[0]!r}: see 'cypher world_runs'")
+        for number, row in enumerate(rows, 1):
             drop_world(graph, row["run"])
-            advance(1)
-    print_json(rows) if as_json else print_rows(rows)
+            progress("dropping", number, len(rows))
+    print_rows(rows, as_json=as_json)
     if not as_json:
         note("dropped; the space is given back by 'jrdb-avr load --rebuild'")
 
 
-def _record(place: Store, run_id: str) -> pa.Table:
+def _record(store: Store, run_id: str) -> pa.Table:
     """A finished run's record. Raises StoreError where there is no such run, or it has none, and what to do then."""
     from jrdb_avr.engine.run.methods import WORLD_METHODS
     from jrdb_avr.queries.beliefs.record import read_record
     from jrdb_avr.queries.runs import read_run_manifest
     from jrdb_avr.schema.errors import StoreError
 
-    there = (place.run_path(run_id) / "world.parquet").exists()
-    record = read_record(place, run_id) if there else None
+    there = (store.run_path(run_id) / "world.parquet").exists()
+    record = read_record(store, run_id) if there else None
     if record is not None and record.num_rows:
         return record
-    if not place.run_path(run_id).exists():
+    if not store.run_path(run_id).exists():
         # A folder that is no store lacks more than a run.
-        place.manifest()
-    method = read_run_manifest(place, run_id).method
+        store.manifest()
+    method = read_run_manifest(store, run_id).method
     if method not in WORLD_METHODS:
         raise StoreError(f"run {run_id!r} has no world model: of the methods {' and '.join(WORLD_METHODS)} keep one")
     if record is None:
@@ -95,13 +92,13 @@ def _record(place: Store, run_id: str) -> pa.Table:
     return record
 
 
-def _graph_path(place: Store) -> Path:
+def _graph_path(store: Store) -> Path:
     """The store's graph. Raises StoreError where there is none: one without a scene must not take its place."""
     from jrdb_avr.schema.errors import StoreError
 
-    if not place.graph_path.exists():
-        raise StoreError(f"{place.path} has no graph: run 'jrdb-avr load --rebuild --store {place.path}'")
-    return place.graph_path
+    if not store.graph_path.exists():
+        raise StoreError(f"{store.path} has no graph: run 'jrdb-avr load --rebuild --store {store.path}'")
+    return store.graph_path
 
 
 def _row(graph: Graph, run_id: str) -> dict[str, Any]:

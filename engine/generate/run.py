@@ -18,6 +18,7 @@ from jrdb_avr.engine.generate.publish import Heads, publish, question_tables, re
 from jrdb_avr.engine.generate.scene import weight
 from jrdb_avr.engine.generate.selection import CANDIDATE_COLUMNS, Selection, select
 from jrdb_avr.engine.generate.sequence import EXAMPLES, Found, Job, search_sequence
+from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.store import Manifest, Store, write_atomic
 from jrdb_avr.queries.workers import map_shards
 from jrdb_avr.schema.errors import StoreError
@@ -33,9 +34,9 @@ _NOTHING: Final = pa.schema([(name, pa.string()) for name in CANDIDATE_COLUMNS])
 """No candidate at all."""
 
 
-@dataclass(frozen=True)
-class Report:
-    """What a generation did.
+@dataclass(frozen=True, repr=False)
+class Generation(Displayed):
+    """The result of a generation; the questions are in the store.
 
     templates: a row per template: candidates, refusals by rule, questions; shortfalls: likewise, why they are so few.
     selection: likewise, how many were aimed at and kept. blind: the blind check. faults: candidates on which the second
@@ -48,29 +49,38 @@ class Report:
     blind: tuple[dict[str, Any], ...]
     faults: tuple[str, ...]
 
+    def _summary(self) -> str:
+        questions = sum(row["kept"] for row in self.selection)
+        return f"{questions} questions of {len(self.selection)} templates, {len(self.faults)} faults"
+
+    def _tables(self) -> Tables:
+        return {"Candidates, refusals by rule, and questions": self.templates, "Blind guessers": self.blind}
+
 
 def generate(
-    store: Store,
-    rules: Rules,
+    store: Store | str | Path,
+    rules: Rules | None = None,
     *,
     profile: str = "all",
     seed: int = 0,
     workers: int = 2,
     candidates: Path | None = None,
     excluded: frozenset[str] = frozenset(),
-    advance: Advance = lambda steps: None,
-) -> Report:
+    progress: Progress | None = None,
+) -> Generation:
     """Generate the questions of a store; the result depends on its tables, the rules, the profile and the seed, and on
     the ids of `excluded` questions alone, whose places others take.
 
     `candidates`: a Parquet file for every proven candidate before near-duplicates and selection. Raises StoreError
     where nothing is loaded, or under other load rules, and LockedError where another process writes the store.
     """
+    store, rules = Store.of(store), rules or Rules()
     manifest = checked_manifest(store, rules)
     sequences = sorted(manifest.sequences)
     # A first look reads the manifest only, so that a wrong store is refused before it is locked (and thereby made).
     with store.writing("generate"), tempfile.TemporaryDirectory(prefix="jrdb-avr-") as scratch:
         checked_manifest(store, rules)
+        advance = step_counter(progress, "searching", len(sequences))
         found = _search(store, sequences, rules, workers, Path(scratch) if candidates else None, advance)
         if candidates is not None:
             _gather([Path(scratch) / f"{sequence}.parquet" for sequence in sequences], candidates)
@@ -117,7 +127,7 @@ def _gather(parts: Sequence[Path], place: Path) -> None:
 
 def _publish(
     store: Store, found: Sequence[Found], rules: Rules, profile: str, seed: int, excluded: frozenset[str]
-) -> Report:
+) -> Generation:
     heads = read_heads(store, [one.sequence for one in found])
     kept = [one.kept for one in found if one.kept is not None]
     pool = pa.concat_tables(kept) if kept else _NOTHING
@@ -133,7 +143,7 @@ def _publish(
     publish(store, tables)
     rows = tallies(rejected, questions)
     aims = {row["template"]: row["aim"] for row in selection.report}
-    return Report(
+    return Generation(
         templates=tuple(rows),
         shortfalls=tuple(shortfalls(rows, _lacking(found), len(found), aims)),
         selection=selection.report,

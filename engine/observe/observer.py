@@ -19,7 +19,8 @@ from typing import Final
 
 import numpy as np
 
-from jrdb_avr.queries.store import safe_sequence
+from jrdb_avr.queries.questions import loaded_sequence
+from jrdb_avr.queries.store import Store, safe_sequence
 from jrdb_avr.schema.errors import ObserveError
 from jrdb_avr.schema.method import Image, Observation, Panorama, SequenceInfo
 from jrdb_avr.schema.panorama import CROP, FOV_DEG, HEIGHT, WIDTH, crop_left
@@ -55,6 +56,13 @@ class Observer:
         # Making a strip reads nothing yet, so that the lock is held briefly.
         self._strips = functools.lru_cache(max(1, cached))(lambda *key: _Strip(functools.partial(self._decode, *key)))
         self._files = functools.lru_cache(CACHED_FILES)(self._checked_file)
+
+    @classmethod
+    def of(cls, store: Store | str | Path) -> Observer:
+        """An observer of a store's loaded sequences."""
+        store = Store.of(store)
+        manifest = store.manifest()
+        return cls(manifest.image_root, [loaded_sequence(store, name) for name in sorted(manifest.sequences)])
 
     def __call__(self, sequence: str, frame_index: int, angle_deg: float) -> Observation:
         """The 480 x 480 RGB crop centred on an angle in degrees: 180 ahead, 90 the robot's left, 0 behind, 270 right.

@@ -1,4 +1,4 @@
-"""A model's server, found to be there and to keep to what is declared of it, before anything is asked of it.
+"""Connect to a model's server: its checks before a run, the built-in model's own server, and stored calibrations.
 
 STORE/conventions/<model>.json    how the model writes boxes, as `calibrate` found it
 """
@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import msgspec
 
@@ -22,19 +22,16 @@ from jrdb_avr.agent.model.conventions import Convention, convention_of
 from jrdb_avr.agent.model.options import DEFAULTS, Options
 from jrdb_avr.agent.model.preflight import preflight, require
 from jrdb_avr.agent.simulated.noise import PERFECT, Knobs
+from jrdb_avr.engine.run.methods import MARKER
 from jrdb_avr.queries.store import Store, is_plain_name, write_json
 from jrdb_avr.schema.errors import EndpointError, StoreError
-
-MARKER: Final = "marker"
-"""The model that needs no server of its user's: `serving` starts one."""
 
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A server that passed its preflight. `warnings`: lines on what is wrong with it, but no reason not to ask it.
+    """A server that passed its preflight. `warnings`: lines on faults that do not prevent a run.
 
-    `settings` is what a run's manifest says of it, as plain JSON: a run that is resumed needs one equal in all but
-    address, timeout and retries.
+    `settings` are plain JSON for a run's manifest: a resumed run needs equal ones but for address, timeout and retries.
     """
 
     client: Client
@@ -44,7 +41,7 @@ class Endpoint:
     warnings: tuple[str, ...]
 
     def changed(self) -> str:
-        """One line if replies named other models than the first one; empty if not."""
+        """A line about replies that named another model than the first one; empty without any."""
         others = ", ".join(ascii(name) for name in self.client.served if name != self.served)
         return f"the server changed its model while it was asked: {self.served!a}, then {others}" if others else ""
 
@@ -57,11 +54,11 @@ def connect(
     cache: Path | None = None,
     method: str | None = None,
 ) -> Endpoint:
-    """Check a server and say how it is to be asked; `cache` is the file for finished calls, and `method` the one that
-    is to ask it (None: any): what it does not need may be lacking.
+    """Check a server and return how to call it. `cache`: the file for finished calls. `method`: a check that it does
+    not need may fail; without, all must pass.
 
-    The convention is the one declared for the model, with what `calibrate` found where the store holds that. Raises
-    EndpointError in one line where a check fails, or where the store's calibration is of another way of asking.
+    The convention is the model's declared one, with the store's calibration if there is one. Raises EndpointError
+    where a check fails, or where the calibration was made with other options.
     """
     declared = convention_of(model)
     found = None if store is None else read_calibration(store, model)
@@ -91,9 +88,9 @@ def connect(
 
 @contextlib.contextmanager
 def serving(model: str, base_url: str | None, log: Path | None = None, knobs: Knobs = PERFECT) -> Iterator[str]:
-    """The address of the model's server: the one given, or that of a marker server started for this block.
+    """Yield the address of the model's server: `base_url`, or that of a marker server started for this block.
 
-    `log` and `knobs` are the marker server's. Raises EndpointError where there is neither.
+    `log` and `knobs` are the marker server's. Raises EndpointError for another model without an address.
     """
     from jrdb_avr.agent.simulated.child import marker_server
 
@@ -110,7 +107,7 @@ def serving(model: str, base_url: str | None, log: Path | None = None, knobs: Kn
 
 
 def convention_path(store: Store, model: str) -> Path:
-    """Where a model's calibration lies; a name that no file can have is made plain and told apart by its hash."""
+    """The file of a model's calibration; a name that no file can have is made plain and gets a hash."""
     plain = re.sub(r"[^A-Za-z0-9._-]+", "-", model).strip("-.")[:80]
     if plain != model or not is_plain_name(plain):
         plain = f"{plain or 'model'}-{hashlib.sha256(model.encode()).hexdigest()[:8]}".replace("..", "-")
@@ -118,7 +115,7 @@ def convention_path(store: Store, model: str) -> Path:
 
 
 def read_calibration(store: Store, model: str) -> Calibration | None:
-    """The store's calibration of a model; None where there is none. Raises StoreError for one that cannot be read."""
+    """The store's calibration of a model, or None. Raises StoreError for one that cannot be read."""
     path = convention_path(store, model)
     try:
         found = msgspec.json.decode(path.read_bytes(), type=Calibration)
@@ -132,7 +129,7 @@ def read_calibration(store: Store, model: str) -> Calibration | None:
 
 
 def write_calibration(store: Store, calibration: Calibration) -> Path:
-    """Write a calibration in which a reading was chosen, atomically; returns where."""
+    """Write a calibration atomically; returns its path."""
     path = convention_path(store, calibration.model)
     write_json(path, calibration)
     return path

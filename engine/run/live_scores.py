@@ -1,9 +1,9 @@
-"""Scores of a run still in progress, from a separate process: `python -m jrdb_avr.engine.run.live_scores STORE RUN`.
+"""Scores of a run that is in progress, from a separate process: `python -m jrdb_avr.engine.run.live_scores STORE RUN`.
 
 The process that talks to a model never opens the private files. So a child process reads the answers and the run's
 journal, and sends lines of four whole numbers: questions judged, and how many of them score in answer, in evidence and
-in both. Nothing else comes back, and nothing of it reaches a method: it is printed beside the bar. Where there are no
-answers (a machine that was given the public files alone), or anything is wrong, the child ends without a word.
+in both. Nothing else comes back, and nothing of it reaches a method. Where there are no answers (a machine that has the
+public files alone), or anything is wrong, the child ends silently.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 EVERY_S: Final = 2.0
-"""Between two looks at the journal."""
+"""Seconds between two readings of the journal."""
 
 _LINE: Final = re.compile(r"(\d{1,9}) (\d{1,9}) (\d{1,9}) (\d{1,9})")
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
-    """How many questions are judged so far, and how many of them score."""
+class LiveScore:
+    """Scores so far: the questions judged, and how many of them score."""
 
     judged: int
     answer: int
@@ -45,8 +45,8 @@ class Standing:
 
 
 @contextlib.contextmanager
-def running_scores(store: Store, run_id: str, tell: Callable[[Standing], None]) -> Iterator[None]:
-    """Have a run's scores told while the block lasts: `tell` is called from another thread whenever they change."""
+def report_scores(store: Store, run_id: str, report: Callable[[LiveScore], None]) -> Iterator[None]:
+    """Call `report` with a run's scores whenever they change, from another thread, while the block lasts."""
     command = [sys.executable, "-m", "jrdb_avr.engine.run.live_scores", str(store.path), run_id]
     # It has no business with the model's server.
     environment = {name: value for name, value in os.environ.items() if not name.endswith("_API_KEY")}
@@ -58,29 +58,29 @@ def running_scores(store: Store, run_id: str, tell: Callable[[Standing], None]) 
         env=environment,
         text=True,
     ) as process:
-        assert process.stdout is not None, "the pipe was asked for"
-        reader = threading.Thread(target=_tell_all, args=(process.stdout, tell), daemon=True)
+        assert process.stdout is not None, "stdout is a pipe"
+        reader = threading.Thread(target=_report_all, args=(process.stdout, report), daemon=True)
         reader.start()
         try:
             yield
         finally:
-            # Killed rather than asked: it holds nothing that a run needs.
+            # Killed at once: it holds nothing that a run needs.
             process.kill()
             reader.join(1.0)
 
 
-def _tell_all(lines: Iterator[str], tell: Callable[[Standing], None]) -> None:
+def _report_all(lines: Iterator[str], report: Callable[[LiveScore], None]) -> None:
     with contextlib.suppress(ValueError, OSError):
         for line in lines:
             if found := _LINE.fullmatch(line.rstrip("\n")):
-                tell(Standing(*map(int, found.groups())))
+                report(LiveScore(*map(int, found.groups())))
 
 
 # -- the child --------------------------------------------------------------------------------------------------------
 
 
 class _Line(msgspec.Struct):
-    """What counts of a line of the journal."""
+    """The part of a journal line that is scored."""
 
     question_id: str
     prediction: dict[str, Any]
@@ -93,18 +93,18 @@ def main() -> None:
 
     store, run_id = Store(sys.argv[1]), sys.argv[2]
     with contextlib.suppress(AvrError, OSError, msgspec.DecodeError, BrokenPipeError):
-        told: Standing | None = None
-        for standing in standings(store, run_id, _open_input):
-            if standing != told:
-                print(standing.judged, standing.answer, standing.evidence, standing.combined, flush=True)
-                told = standing
+        last: LiveScore | None = None
+        for score in live_scores(store, run_id, _open_input):
+            if score != last:
+                print(score.judged, score.answer, score.evidence, score.combined, flush=True)
+                last = score
 
 
-def standings(store: Store, run_id: str, go_on: Callable[[], bool]) -> Iterator[Standing]:
-    """The standing of a run, again and again while `go_on`, which waits, says so; and once after.
+def live_scores(store: Store, run_id: str, go_on: Callable[[], bool]) -> Iterator[LiveScore]:
+    """Yield a run's scores after each call of `go_on`, which waits; the last time once it returns False.
 
-    The last line of a question counts; one that ended in an error scores nothing. Raises StoreError where there are no
-    answers or no run, or they do not fit together.
+    The last line of a question counts; an error scores nothing. Raises StoreError where there are no answers or no run,
+    or they do not fit together.
     """
     import pyarrow as pa
 
@@ -128,13 +128,13 @@ def standings(store: Store, run_id: str, go_on: Callable[[], bool]) -> Iterator[
                 predictions = pa.Table.from_pylist(rows, RUNS["predictions"])
                 for row in score_predictions(truth, run_id, list(entries), predictions).to_pylist():
                     scored[row["question_id"]] = (row["answer_score"], row["evidence_score"], row["combined_score"])
-            yield Standing(len(scored), *(sum(row[i] for row in scored.values()) for i in range(3)))
+            yield LiveScore(len(scored), *(sum(row[i] for row in scored.values()) for i in range(3)))
             if not more:
                 return
 
 
 def _open_input() -> bool:
-    """Wait a little; whether standard input is still open."""
+    """Wait `EVERY_S`; return whether standard input is still open."""
     ready, _, _ = select.select([sys.stdin], [], [], EVERY_S)
     return not ready
 

@@ -1,9 +1,8 @@
-"""The methods by name, as `evaluate --method` knows them: the edge at which the engine meets the agents.
+"""Methods by name, as `evaluate --method` takes them: the built-in ones and custom ones.
 
-Methods of somebody's own: `evaluate --method FILE.py:NAME`, or `MODULE:NAME` of what is installed.
-
-NAME is called with the chat client, or None where the run has no model, and returns a `schema.method.Method`; its
-`settings()`, if it has them, are kept with the run. It is code of the user's own, run as such.
+A custom method is FILE.py:NAME, or MODULE:NAME of an installed module. NAME is called with the chat client, or None
+where the run has no model, and returns a `schema.method.Method`; its `settings()`, if it has them, are stored with the
+run. It is the user's own code and runs as such.
 """
 
 from __future__ import annotations
@@ -26,7 +25,13 @@ if TYPE_CHECKING:
     from jrdb_avr.agent.beliefs.world_model import World
     from jrdb_avr.agent.model.client import Chat
     from jrdb_avr.agent.model.conventions import Convention
-    from jrdb_avr.schema.method import ConfigurableMethod
+    from jrdb_avr.schema.method import ConfigurableMethod, Prediction, Task
+
+MARKER: Final = "marker"
+"""The built-in model, which reads marks in synthetic panoramas and needs no server of the user's."""
+
+NO_MODEL: Final = "none"
+"""The model of a custom method that calls none."""
 
 METHODS: Final = (
     "monolithic",
@@ -40,7 +45,7 @@ METHODS: Final = (
 )
 
 WORLD_METHODS: Final = ("agent", "agent-passive")
-"""Those that keep a world model, and are given one."""
+"""Methods that write into a world model."""
 
 
 @contextlib.contextmanager
@@ -61,47 +66,33 @@ def open_world(path: Path, run_id: str, record: pa.Table) -> Iterator[World]:
 
 
 def make_method(name: str, chat: Chat, convention: Convention, world: World | None = None) -> ConfigurableMethod:
-    """The method of a name in `METHODS`; one of `WORLD_METHODS` is given its world model."""
-    match name:
-        case "monolithic":
-            from jrdb_avr.agent.methods.monolithic import Monolithic
+    """The method of a name in `METHODS`; one of `WORLD_METHODS` takes its world model."""
+    from jrdb_avr.agent.methods.chain_of_thought import ChainOfThought
+    from jrdb_avr.agent.methods.monolithic import Monolithic
+    from jrdb_avr.agent.methods.react import ReAct
+    from jrdb_avr.agent.methods.search_recognize import SearchRecognize
+    from jrdb_avr.agent.reference.method import ReferenceAgent
 
-            return Monolithic(chat, convention)
-        case "chain-of-thought":
-            from jrdb_avr.agent.methods.chain_of_thought import ChainOfThought
-
-            return ChainOfThought(chat, convention)
-        case "search-recognize":
-            from jrdb_avr.agent.methods.search_recognize import SearchRecognize
-
-            return SearchRecognize(chat, convention)
-        case "react":
-            from jrdb_avr.agent.methods.react import ReAct
-
-            return ReAct(chat, convention)
-        case "agent" | "agent-passive":
-            from jrdb_avr.agent.reference.method import ReferenceAgent
-
-            if world is None:
-                raise ValueError(f"the method {name!r} needs a world model")
-            return ReferenceAgent(chat, convention, world, looks=name == "agent")
-        case "agent-no-world" | "agent-passive-no-world":
-            from jrdb_avr.agent.reference.method import ReferenceAgent
-
-            return ReferenceAgent(chat, convention, looks=name == "agent-no-world")
-        case _:
-            raise ValueError(f"no method {name!r}")
+    if name in WORLD_METHODS and world is None:
+        raise ValueError(f"the method {name!r} needs a world model")
+    if name.startswith("agent"):
+        return ReferenceAgent(chat, convention, world, looks="passive" not in name)
+    kinds: dict[str, Callable[[Chat, Convention], ConfigurableMethod]] = {
+        "monolithic": Monolithic,
+        "chain-of-thought": ChainOfThought,
+        "search-recognize": SearchRecognize,
+        "react": ReAct,
+    }
+    return kinds[name](chat, convention)
 
 
-if TYPE_CHECKING:
-    from jrdb_avr.agent.model.client import Chat
-    from jrdb_avr.schema.method import Prediction, Task
+# -- custom methods ---------------------------------------------------------------------------------------------------
 
 _SPEC: Final = re.compile(r"(?P<where>.+):(?P<name>[A-Za-z_][A-Za-z0-9_]*)")
 
 
-class OwnMethod:
-    """A method of somebody's own, with settings whether or not it has any."""
+class CustomMethod:
+    """A user's method, with settings whether or not it has any of its own."""
 
     def __init__(self, spec: str, method: Any) -> None:
         if not callable(getattr(method, "answer", None)) or not isinstance(getattr(method, "name", None), str):
@@ -116,7 +107,7 @@ class OwnMethod:
         return str(self._method.name)
 
     def settings(self) -> dict[str, Any]:
-        """Where the method came from, and what it says of itself."""
+        """The file or module of the method, and the settings that it reports."""
         own: Any = getattr(self._method, "settings", dict)()
         return {"from": Path(self._spec).name, "settings": own}
 
@@ -125,13 +116,13 @@ class OwnMethod:
         return prediction
 
 
-def is_own(spec: str) -> bool:
-    """Whether the name of a method names somebody's own."""
+def is_custom(spec: str) -> bool:
+    """Whether a method's name is FILE.py:NAME or MODULE:NAME."""
     return _SPEC.fullmatch(spec) is not None
 
 
-def own_method(spec: str, chat: Chat | None) -> OwnMethod:
-    """Make the method. Raises InputError, saying what is wrong, where it cannot be imported or made."""
+def load_custom_method(spec: str, chat: Chat | None) -> CustomMethod:
+    """Import and make a custom method. Raises InputError with the reason where that fails."""
     found = _SPEC.fullmatch(spec)
     if found is None:
         raise InputError(f"{spec!r} is no method: write FILE.py:NAME or MODULE:NAME", field="method")
@@ -139,7 +130,7 @@ def own_method(spec: str, chat: Chat | None) -> OwnMethod:
     if not callable(make):
         raise InputError(f"{found['where']} has no {found['name']} that can be called", field="method")
     try:
-        return OwnMethod(spec, make(chat))
+        return CustomMethod(spec, make(chat))
     except TypeError as error:
         raise InputError(
             f"{spec} cannot be made ({error}): it is called with the chat client", field="method"

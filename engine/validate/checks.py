@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections import Counter, defaultdict
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Final
 
 import pyarrow as pa
@@ -17,10 +18,11 @@ import pyarrow.parquet as pq
 from jrdb_avr.engine.generate.publish import GENERATION_KEY
 from jrdb_avr.engine.rederive import Annotations
 from jrdb_avr.engine.validate.compiled import ask_compiled
-from jrdb_avr.engine.validate.outcomes import Report
+from jrdb_avr.engine.validate.outcomes import Validation
 from jrdb_avr.engine.validate.question_checks import check_evidence, check_question
 from jrdb_avr.engine.validate.replay import replay
 from jrdb_avr.engine.validate.stored import stored_question
+from jrdb_avr.queries.display import Progress, step_counter
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice, decode_answer
 from jrdb_avr.schema.errors import AvrError, StoreError
@@ -32,9 +34,22 @@ from jrdb_avr.schema.wording import question_id
 FILES: Final = ("questions", "sequences", "answers", "evidence", "rejected")
 
 
-def validate(store: Store, rules: Rules, advance: Callable[[int], None] = lambda steps: None) -> Report:
-    """Check the store's questions; `advance` is told how many were rederived. Raises StoreError for a missing file."""
-    report = Report()
+def validate(
+    store: Store | str | Path,
+    rules: Rules | None = None,
+    *,
+    replay_proofs: bool = False,
+    workers: int = 2,
+    progress: Progress | None = None,
+) -> Validation:
+    """Check a store's questions, and derive each answer again from the annotations.
+
+    `replay_proofs`: also run every proof again, in `workers` processes, and every plan as Cypher on the graph. Raises
+    StoreError for a missing file, and LockedError where the graph is in use.
+    """
+    store, rules = Store.of(store), rules or Rules()
+    advance = step_counter(progress, "checking questions", store.questions("questions").num_rows)
+    report = Validation()
     tables = {name: _read(store, name, report) for name in FILES}
     if any(table is None for table in tables.values()):
         return report
@@ -68,11 +83,15 @@ def validate(store: Store, rules: Rules, advance: Callable[[int], None] = lambda
                 check_evidence(report, row, own, known, rows_of[row["question_id"]], annotations)
             advance(1)
     _check_selection(report, questions, private, rules)
+    # Without ids, files that cannot be read are the only fault.
+    if replay_proofs and report.checked["ids"]:
+        replayed = step_counter(progress, "running proofs again", 2 * len(questions))
+        check_replay(report, store, rules, workers, replayed)
     return report
 
 
 def check_replay(
-    report: Report, store: Store, rules: Rules, workers: int, advance: Callable[[int], None] = lambda steps: None
+    report: Validation, store: Store, rules: Rules, workers: int, advance: Callable[[int], None] = lambda steps: None
 ) -> None:
     """Add to the report what comes of running every proof again, and of the compiled plans; `advance` is told how many
     questions are done, of each twice as many as there are.
@@ -101,7 +120,7 @@ def check_replay(
 # -- files --------------------------------------------------------------------------------------------------------
 
 
-def _read(store: Store, name: str, report: Report) -> pa.Table | None:
+def _read(store: Store, name: str, report: Validation) -> pa.Table | None:
     """The table, or None where its file is not what it should be."""
     path = store.question_path(name)
     if not path.exists():
@@ -132,7 +151,7 @@ def _columns(schema: pa.Schema) -> str:
 
 
 def _check_ids(
-    report: Report, questions: list[dict[str, Any]], answers: list[dict[str, Any]], evidence: list[dict[str, Any]]
+    report: Validation, questions: list[dict[str, Any]], answers: list[dict[str, Any]], evidence: list[dict[str, Any]]
 ) -> None:
     for row in questions:
         public = (row[name] for name in ("sequence", "family", "template", "question", "choices", "answer_mode"))
@@ -150,7 +169,7 @@ def _check_ids(
         )
 
 
-def _check_sequence(report: Report, info: dict[str, Any], annotations: Annotations) -> None:
+def _check_sequence(report: Validation, info: dict[str, Any], annotations: Annotations) -> None:
     frames, name = info["frames"], info["sequence"]
     ordered = all(a < b for a, b in itertools.pairwise(frames))
     report.check("files", ordered, f"sequences.parquet: the frames of {name} are not ascending")
@@ -166,7 +185,7 @@ def _check_sequence(report: Report, info: dict[str, Any], annotations: Annotatio
 
 
 def _check_selection(
-    report: Report, questions: list[dict[str, Any]], private: dict[str, dict[str, Any]], rules: Rules
+    report: Validation, questions: list[dict[str, Any]], private: dict[str, dict[str, Any]], rules: Rules
 ) -> None:
     persons: Counter[tuple[str, int, str]] = Counter()
     chosen: dict[str, Counter[str]] = defaultdict(Counter)

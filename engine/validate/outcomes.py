@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from typing import Any, Final
 
+from jrdb_avr.queries.display import Displayed, Tables
+
 CHECKS: Final = {
     "files": "schema, canary, nothing private in public files",
     "ids": "each question once, its id is the hash of its public columns, and each file knows the same ones",
@@ -27,8 +29,8 @@ REPLAY_CHECKS: Final = {
 """What is checked besides where the proofs are run again."""
 
 
-class Report:
-    """Counts per check, and its faults in the order found."""
+class Validation(Displayed):
+    """The result of a validation: counts per check, and its faults in the order found."""
 
     def __init__(self) -> None:
         self.checked: Counter[str] = Counter()
@@ -59,3 +61,10 @@ class Report:
             }
             for name, what in (CHECKS | replayed).items()
         ]
+
+    def _summary(self) -> str:
+        faults = sum(map(len, self.faults.values()))
+        return f"sound, {self.checked.total()} checks" if self.sound else f"{faults} faults"
+
+    def _tables(self) -> Tables:
+        return {"Checks": self.rows()}

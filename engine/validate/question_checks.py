@@ -13,7 +13,7 @@ import msgspec
 
 from jrdb_avr.engine.generate.proofs import expected_proofs, failing_proofs
 from jrdb_avr.engine.rederive import Annotations, NeededBox, rederive
-from jrdb_avr.engine.validate.outcomes import Report
+from jrdb_avr.engine.validate.outcomes import Validation
 from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, FrameViewpoint, Span, decode_answer, encode_answer
 from jrdb_avr.schema.errors import AvrError
 from jrdb_avr.schema.panorama import Box
@@ -29,7 +29,7 @@ _STATED: Final = re.compile(r"(\S+) s \(frame (\d+)\)")
 
 
 def check_question(
-    report: Report,
+    report: Validation,
     row: dict[str, Any],
     own: dict[str, Any],
     info: dict[str, Any],
@@ -88,7 +88,7 @@ def _inside(answer: Answer, choices: int, frame_count: int) -> bool:
 
 
 def _check_text(
-    report: Report,
+    report: Validation,
     row: dict[str, Any],
     own: dict[str, Any],
     plan: Plan,
@@ -111,7 +111,7 @@ def _check_text(
 
 
 def _check_private(
-    report: Report, row: dict[str, Any], own: dict[str, Any], plan: Plan, answer: Answer, rules: Rules
+    report: Validation, row: dict[str, Any], own: dict[str, Any], plan: Plan, answer: Answer, rules: Rules
 ) -> None:
     name = row["question_id"]
     try:
@@ -166,7 +166,12 @@ def _needed(text: str) -> set[NeededBox]:
 
 
 def check_evidence(
-    report: Report, row: dict[str, Any], own: dict[str, Any], known: dict[int, Box], rows: int, annotations: Annotations
+    report: Validation,
+    row: dict[str, Any],
+    own: dict[str, Any],
+    known: dict[int, Box],
+    rows: int,
+    annotations: Annotations,
 ) -> None:
     """Check a question's evidence: `known` are its boxes by frame, `rows` how many rows it has."""
     name, target = row["question_id"], own["target_track"]

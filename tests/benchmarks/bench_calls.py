@@ -23,7 +23,8 @@ from older_worlds import older_record
 
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.decode import CONTRACT
-from jrdb_avr.engine.run.evaluate import Journal, ask_all
+from jrdb_avr.engine.run.answering import answer_all
+from jrdb_avr.engine.run.journal import Journal
 from jrdb_avr.engine.run.methods import make_method, open_world
 from jrdb_avr.queries.beliefs.graph import open_graph
 from jrdb_avr.queries.beliefs.record import merge_world
@@ -148,7 +149,7 @@ def measure(looks, name):
         sizes.value = 0
         journal = stack.enter_context(Journal(Path(folder) / "journal.jsonl"))
         started, used = time.perf_counter(), time.process_time()
-        ask_all(method, asked, {"s": info}, observe, panorama, journal, IN_FLIGHT)
+        answer_all(method, asked, {"s": info}, observe, panorama, journal, IN_FLIGHT)
         seconds, cpu = time.perf_counter() - started, time.process_time() - used
         entries = journal.finished.values()
         assert {entry.prediction["status"] for entry in entries} == {"answered" if name == "react" else "invalid"}

@@ -17,7 +17,7 @@ from fact_teller import Teller
 from perfect_perception import take
 
 from jrdb_avr.engine.observe.observer import Observer
-from jrdb_avr.engine.run.evaluate import read_questions, read_sequences
+from jrdb_avr.queries.questions import read_questions, read_sequences
 from jrdb_avr.queries.store import Store
 
 

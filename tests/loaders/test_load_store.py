@@ -155,7 +155,7 @@ def test_any_subset_of_layers_loads(tmp_path, layers, labels_level):
     world = {"yard-1": {layer: whole[layer] for layer in layers}}
     root = find_root(write_root(tmp_path / "root", world, labels_level))
     store = Store(tmp_path / "store")
-    (report,) = loading.load(root, store, LoadRules(), 1)
+    (report,) = loading.load(root, store, LoadRules(), 1).reports
     expected = {"2d": ["2d", "actions", "groups"], "3d": ["3d"], "images": ["images"]}
     assert report.layers == [name for layer in layers for name in expected[layer]]
     assert (store.manifest().image_root is not None) == ("images" in layers)

@@ -10,7 +10,7 @@ from believing import BELIEF_QUERIES, Believer
 from test_evaluate_beliefs import ASKED
 
 from jrdb_avr.agent.beliefs.world_model import World
-from jrdb_avr.engine.run import evaluate as runs
+from jrdb_avr.engine.run import answering
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.graph.guard import check_cypher
 from jrdb_avr.queries.named import find_query, named_queries
@@ -27,7 +27,7 @@ def world():
         for run_id, turns in (("one", 40), ("two", 25)):
             method = Believer(World(graph, run_id), turns)
             for question in ASKED:
-                asked = runs.ask(method, question, None, None, None)
+                asked = answering.answer_one(method, question, None, None, None)
                 assert asked.prediction["status"] == "invalid", asked.prediction
                 record[run_id, question.question_id] = asked.world
         yield graph, record

@@ -13,7 +13,7 @@ import pyarrow as pa
 from oracle_facts import POSES, distance_words, person_sectors
 
 from jrdb_avr.engine.report.scoring import read_truth, score_predictions
-from jrdb_avr.engine.run.evaluate import ask
+from jrdb_avr.engine.run.answering import answer_one
 from jrdb_avr.schema.answers import Choice, Evidence, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.method import Prediction
 from jrdb_avr.schema.tables import RUNS
@@ -357,7 +357,8 @@ def take(store, teller, questions, sequences, observe):
     """Ask the questions, and judge them as the engine does: rows of dicts, in the questions' order."""
     method = PerfectPerception(teller)
     done = [
-        ask(method, question, sequences[question.sequence], observe, no_panorama).prediction for question in questions
+        answer_one(method, question, sequences[question.sequence], observe, no_panorama).prediction
+        for question in questions
     ]
     table = pa.Table.from_pylist([{"run_id": "perfect", **row} for row in done], schema=RUNS["predictions"])
     asked = [question.question_id for question in questions]

@@ -183,7 +183,7 @@ def load_reported(folder, world, workers=1, rules=None):
 
     root = write_root(Path(folder) / "root", world)
     store = Store(Path(folder) / "store")
-    return store, load(find_root(root), store, rules or LoadRules(), workers)
+    return store, load(find_root(root), store, rules or LoadRules(), workers).reports
 
 
 def _write_images(root, sequence, frames):

@@ -34,7 +34,8 @@ from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.agent.reference.limits import Limits
 from jrdb_avr.agent.reference.method import ReferenceAgent
 from jrdb_avr.agent.reference.tool_calls import MOST_PER_TURN, read_calls
-from jrdb_avr.engine.run import evaluate as runs
+from jrdb_avr.engine.run import answering
+from jrdb_avr.engine.run import journal as journals
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.compiler import Find
 from jrdb_avr.schema.errors import DecodeError
@@ -286,8 +287,8 @@ def test_a_solving_that_takes_too_long_is_an_error_of_its_question_alone(world, 
     def run():
         chat = Voices({"Who waits?": [plan, *in_turns(calls)], "Who is planless?": ["no plan"]})
         agent = ReferenceAgent(chat, world=Beliefs(graph, "late"))
-        with runs.Journal(place) as journal:
-            runs.ask_all(agent, questions, {SEQUENCE: world.info}, world.observe, world.panorama, journal, 2)
+        with journals.Journal(place) as journal:
+            answering.answer_all(agent, questions, {SEQUENCE: world.info}, world.observe, world.panorama, journal, 2)
             return [journal.finished[question.question_id].prediction for question in questions]
 
     with monkeypatch.context() as patch:

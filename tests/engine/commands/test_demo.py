@@ -6,8 +6,8 @@ import pyarrow.parquet as pq
 import pytest
 import warm
 
-from jrdb_avr.engine.commands import demo_run as demo
-from jrdb_avr.engine.commands.demo_run import Size, run_demo, steps
+from jrdb_avr.engine.commands import demo
+from jrdb_avr.engine.commands.demo import Size, run_demo, steps
 from jrdb_avr.schema.errors import InputError
 
 
@@ -20,7 +20,7 @@ def test_the_whole_system_runs_once(tmp_path, monkeypatch):
     monkeypatch.setattr(demo, "subprocess", SimpleNamespace(run=forked))
     said = []
     folder = tmp_path / "demo"
-    size = Size(sequences=1, frames=240, people=12, asked=6)
+    size = Size(sequences=1, frames=240, people=12, questions=6)
     run_demo(folder, size, said.append)
     for arguments in steps(folder, size):
         assert any(line.startswith(f"\n$ jrdb-avr {arguments[0]} ") for line in said)

@@ -20,7 +20,7 @@ from places import REAL
 from quick_store import graphless_store
 from test_generate_oracle import lively_world
 
-from jrdb_avr.engine.commands.generate import command
+from jrdb_avr.engine.commands.generate import generate as generate_command
 from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.publish import GENERATION_KEY, TABLES
 from jrdb_avr.engine.generate.run import REFUSALS, generate
@@ -311,10 +311,10 @@ def test_a_second_writer_is_refused(made):
 def test_missing_layers_are_named(tmp_path):
     world = {NAMES[0]: {"2d": lively_world(random.Random(3), NAMES[0])[NAMES[0]]["2d"]}}
     store = graphless_store(tmp_path, world)
-    result = CliRunner().invoke(command, ["--store", str(store.path), "--workers", "1"])
+    result = CliRunner().invoke(generate_command, ["--store", str(store.path), "--workers", "1"])
     assert result.exit_code == 0, result.output
     assert "distance: skipped, the layer 3d is missing" in result.output
-    found = CliRunner().invoke(command, ["--store", str(store.path), "--workers", "1", "--json"])
+    found = CliRunner().invoke(generate_command, ["--store", str(store.path), "--workers", "1", "--json"])
     told = {row["template"]: row for row in json.loads(found.stdout)}
     assert told["distance"]["skipped"] == "the layer 3d is missing"
     assert told["start"]["skipped"] is None

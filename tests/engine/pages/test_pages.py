@@ -21,8 +21,8 @@ from jrdb_avr.engine.pages.inspect_page import close_up, inspect_page
 from jrdb_avr.engine.pages.page import render, write_page
 from jrdb_avr.engine.pages.report_page import crossed, wrong_choices
 from jrdb_avr.engine.pages.svg import intervals, plan_graph, runs_of, scatter, stacked, tags, timeline, wrapped
-from jrdb_avr.engine.run.evaluate import read_sequences
 from jrdb_avr.engine.validate.reviews import read_reviews
+from jrdb_avr.queries.questions import read_sequences
 from jrdb_avr.schema.plan import parse_plan
 
 HOSTILE = '</script><script>document.title="hit"</script><img src=x onerror=\'document.title="hit"\'>\x1b[31m'

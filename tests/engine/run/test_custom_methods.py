@@ -7,7 +7,7 @@ from entry import run
 from fake_server import FakeServer, images, sound, texts
 from places import DOCS
 
-from jrdb_avr.engine.run.methods import is_own, own_method
+from jrdb_avr.engine.run.methods import is_custom, load_custom_method
 from jrdb_avr.queries.runs import read_run_manifest
 from jrdb_avr.schema.errors import InputError
 
@@ -83,13 +83,13 @@ def test_what_is_no_method_is_refused_in_a_line(spec, tmp_path):
     (tmp_path / "broken.py").write_text("class X(:")
     (tmp_path / "raises.py").write_text("raise RuntimeError('not today')")
     with pytest.raises(InputError, match=BAD[spec]) as error:
-        own_method(spec.format(tmp=tmp_path), None)
+        load_custom_method(spec.format(tmp=tmp_path), None)
     assert "\n" not in str(error.value)
 
 
 def test_names_of_ones_own_are_told_from_the_built_in_ones():
-    assert is_own("a.py:B") and is_own("package.module:make")
-    assert not is_own("react") and not is_own("a.py") and not is_own("a.py:1")
+    assert is_custom("a.py:B") and is_custom("package.module:make")
+    assert not is_custom("react") and not is_custom("a.py") and not is_custom("a.py:1")
 
 
 def test_options_that_contradict_are_a_usage_error(store):

@@ -9,7 +9,7 @@ from jrdb_avr.agent.model.conventions import CONTRACT
 from jrdb_avr.agent.model.messages import Message
 from jrdb_avr.agent.model.options import Options
 from jrdb_avr.engine.run.endpoint import connect, serving
-from jrdb_avr.engine.run.resume import keep_terms
+from jrdb_avr.engine.run.resume import check_manifest
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import EndpointError, StoreError
@@ -45,15 +45,15 @@ def test_a_run_is_resumed_with_a_server_that_once_did_not_tell_its_version(tmp_p
         settings = {"server_version": version, "served_model": model}
         return RunManifest("r", "react", "fake", "0", (), False, settings, "")
 
-    keep_terms(store, terms(""))
-    keep_terms(store, terms("0.12.0"))
-    keep_terms(store, terms(""))
+    check_manifest(store, terms(""))
+    check_manifest(store, terms("0.12.0"))
+    check_manifest(store, terms(""))
     with pytest.raises(StoreError, match="another served model"):
-        keep_terms(store, terms("", ""))
+        check_manifest(store, terms("", ""))
     (tmp_path / "runs" / "r" / "run.json").unlink()
-    keep_terms(store, terms("0.12.0"))
+    check_manifest(store, terms("0.12.0"))
     with pytest.raises(StoreError, match="another server version"):
-        keep_terms(store, terms("0.13.0"))
+        check_manifest(store, terms("0.13.0"))
 
 
 def test_the_declared_convention_goes_with_the_model():

@@ -23,8 +23,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from painted_world import SEQUENCE
 
-from jrdb_avr.engine.commands.evaluate import command, default_run_id
-from jrdb_avr.engine.run import evaluate as runs
+from jrdb_avr.engine.commands.evaluate import command
+from jrdb_avr.engine.run import answering
+from jrdb_avr.engine.run import journal as journals
+from jrdb_avr.engine.run.evaluate import default_run_id, is_of_sample
+from jrdb_avr.engine.run.resume import choose
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice, Evidence, Number
 from jrdb_avr.schema.errors import AvrError, InputError, LockedError, StoreError
@@ -105,8 +108,8 @@ def test_predictions_do_not_depend_on_concurrency(store):
 def test_the_sample_is_known_by_its_sequences():
     from jrdb_avr.loaders.synthetic.write import sequence_name
 
-    assert all(runs.is_of_sample(question(0, 90, sequence_name(index))) for index in range(30))
-    assert not runs.is_of_sample(question(0, 90, "gates-ai-lab-2019-02-08_0"))
+    assert all(is_of_sample(question(0, 90, sequence_name(index))) for index in range(30))
+    assert not is_of_sample(question(0, 90, "gates-ai-lab-2019-02-08_0"))
 
 
 def test_questions_by_id_by_file_and_by_number(store, tmp_path):
@@ -261,23 +264,23 @@ def test_an_unreachable_server_is_one_line_and_leaves_no_run(store):
 def entry(name, status="answered", **other):
     row = {field.name: None if field.nullable else 0 for field in RUNS["predictions"] if field.name != "run_id"}
     row |= {"question_id": name, "status": status, "raw": "", "reason": ""}
-    return runs.Finished(name, row | other, [])
+    return journals.Finished(name, row | other, [])
 
 
 def test_the_journal_keeps_what_was_appended(tmp_path):
     path = tmp_path / "run" / "journal.jsonl"
-    with runs.Journal(path) as journal:
+    with journals.Journal(path) as journal:
         journal.append(entry("a", "error"))
         journal.append(entry("b"))
         journal.append(entry("a"))
-    with runs.Journal(path) as journal:
+    with journals.Journal(path) as journal:
         assert journal.finished == {"a": entry("a"), "b": entry("b")}
 
 
 def test_a_line_that_the_disk_took_in_part_is_none(tmp_path):
     path = tmp_path / "journal.jsonl"
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    with runs.Journal(path) as journal:
+    with journals.Journal(path) as journal:
         journal.append(entry("a"))
         resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 10, hard))
         try:
@@ -287,22 +290,22 @@ def test_a_line_that_the_disk_took_in_part_is_none(tmp_path):
             resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
         journal.append(entry("c"))
         assert journal.finished.keys() == {"a", "c"}
-    with runs.Journal(path) as journal:
+    with journals.Journal(path) as journal:
         assert journal.finished == {"a": entry("a"), "c": entry("c")}
 
 
 @given(st.integers(0, 1000))
 def test_a_journal_cut_anywhere_keeps_its_whole_lines(tmp_path_factory, cut):
     path = tmp_path_factory.mktemp("journal") / "journal.jsonl"
-    with runs.Journal(path) as journal:
+    with journals.Journal(path) as journal:
         for name in "abc":
             journal.append(entry(name))
     data = path.read_bytes()[:cut]
     path.write_bytes(data)
-    with runs.Journal(path) as journal:
+    with journals.Journal(path) as journal:
         assert len(journal.finished) == data.count(b"\n")
         journal.append(entry("z"))
-    with runs.Journal(path) as journal:
+    with journals.Journal(path) as journal:
         assert len(journal.finished) == data.count(b"\n") + 1
 
 
@@ -310,7 +313,7 @@ def test_a_damaged_journal_is_refused(tmp_path):
     path = tmp_path / "journal.jsonl"
     path.write_bytes(b"garbage\n" + msgspec.json.encode(entry("a")) + b"\n")
     with pytest.raises(StoreError, match="line 1, is damaged"):
-        runs.Journal(path)
+        journals.Journal(path)
 
 
 @pytest.mark.parametrize(
@@ -323,7 +326,7 @@ def test_a_damaged_journal_is_refused(tmp_path):
         msgspec.json.encode(entry("a", evidence_x="left")),
         msgspec.json.encode(entry("a", n_model_calls=1 << 40)),
         msgspec.json.encode(entry("a", raw=None)),
-        msgspec.json.encode(runs.Finished("a", entry("a").prediction, [{"step": 1}])),
+        msgspec.json.encode(journals.Finished("a", entry("a").prediction, [{"step": 1}])),
     ],
     ids=range(8),
 )
@@ -331,12 +334,12 @@ def test_a_journal_line_of_another_form_is_refused(tmp_path, line):
     path = tmp_path / "journal.jsonl"
     path.write_bytes(msgspec.json.encode(entry("b")) + b"\n" + line + b"\n")
     with pytest.raises(StoreError, match="line 2, is damaged"):
-        runs.Journal(path)
+        journals.Journal(path)
 
 
 def test_one_process_runs_a_run(tmp_path):
-    with runs.Journal(tmp_path / "journal.jsonl"), pytest.raises(LockedError):
-        runs.Journal(tmp_path / "journal.jsonl")
+    with journals.Journal(tmp_path / "journal.jsonl"), pytest.raises(LockedError):
+        journals.Journal(tmp_path / "journal.jsonl")
 
 
 # -- asking -----------------------------------------------------------------------------------------------------------
@@ -366,7 +369,7 @@ def test_whatever_a_method_raises_is_an_error_row(error):
         task.record(Step("model", "{}", "{}", 0.1))
         raise error
 
-    finished = runs.ask(Scripted(behave), QUESTIONS_ASKED[0], INFO, no_look, no_look)
+    finished = answering.answer_one(Scripted(behave), QUESTIONS_ASKED[0], INFO, no_look, no_look)
     assert finished.failed
     assert "\n" not in finished.prediction["reason"]
     assert finished.prediction["n_model_calls"] == 1
@@ -379,9 +382,9 @@ def test_whatever_a_method_raises_is_an_error_row(error):
     ids=["nothing", "a text", "a large number", "a huge number"],
 )
 def test_what_is_no_prediction_is_an_error_row(tmp_path, returned):
-    finished = runs.ask(Scripted(lambda task: returned), QUESTIONS_ASKED[0], INFO, no_look, no_look)
+    finished = answering.answer_one(Scripted(lambda task: returned), QUESTIONS_ASKED[0], INFO, no_look, no_look)
     assert finished.failed
-    runs.write_tables(Store(tmp_path), "r", [finished])
+    journals.write_tables(Store(tmp_path), "r", [finished])
 
 
 NAN = float("nan")
@@ -429,14 +432,14 @@ def test_what_a_method_leaves_that_cannot_be_kept_is_an_error_row(tmp_path, beha
     def answer(task):
         return behave(task) if task.question == asked[False] else Prediction("invalid", reason="sound")
 
-    with runs.Journal(path) as journal:
-        runs.ask_all(Scripted(answer), [*asked.values()], {SEQUENCE: INFO}, no_look, no_look, journal, 1)
+    with journals.Journal(path) as journal:
+        answering.answer_all(Scripted(answer), [*asked.values()], {SEQUENCE: INFO}, no_look, no_look, journal, 1)
         finished = dict(journal.finished)
     assert {sound: finished[question.question_id].prediction["status"] for sound, question in asked.items()} == {
         False: "error",
         True: "invalid",
     }
-    with runs.Journal(path) as journal:
+    with journals.Journal(path) as journal:
         assert journal.finished == finished
 
 
@@ -459,8 +462,8 @@ def test_a_run_that_ends_early_leaves_no_question_at_work(tmp_path):
         if steps:
             raise KeyboardInterrupt
 
-    with runs.Journal(tmp_path / "journal.jsonl") as journal, pytest.raises(KeyboardInterrupt):
-        runs.ask_all(Scripted(once), QUESTIONS_ASKED, {SEQUENCE: INFO}, no_look, no_look, journal, 4, fail)
+    with journals.Journal(tmp_path / "journal.jsonl") as journal, pytest.raises(KeyboardInterrupt):
+        answering.answer_all(Scripted(once), QUESTIONS_ASKED, {SEQUENCE: INFO}, no_look, no_look, journal, 4, fail)
     assert 3 <= len(ended) <= 4
 
 
@@ -469,9 +472,9 @@ def test_what_utf8_cannot_hold_is_written_out(tmp_path):
         task.record(Step("model", "\ud800", "\udfff", 0.0))
         return Prediction("invalid", raw="\ud800", reason="\ud800")
 
-    finished = runs.ask(Scripted(behave), QUESTIONS_ASKED[0], INFO, no_look, no_look)
+    finished = answering.answer_one(Scripted(behave), QUESTIONS_ASKED[0], INFO, no_look, no_look)
     store = Store(tmp_path)
-    runs.write_tables(store, "r", [finished])
+    journals.write_tables(store, "r", [finished])
     assert predictions(store, "r")["raw"].to_pylist() == ["\\ud800"]
 
 
@@ -489,9 +492,9 @@ def test_many_questions_in_flight(tmp_path):
         return Prediction("answered", Choice(1), Evidence(0, (0.0, 0.0, 1.0, 1.0)))
 
     asked = [question(0, 15 * i) for i in range(3, 67)]
-    with runs.Journal(tmp_path / "journal.jsonl") as journal:
+    with journals.Journal(tmp_path / "journal.jsonl") as journal:
         started = time.monotonic()
-        runs.ask_all(Scripted(behave), asked, {SEQUENCE: INFO}, no_look, no_look, journal, 64)
+        answering.answer_all(Scripted(behave), asked, {SEQUENCE: INFO}, no_look, no_look, journal, 64)
         assert time.monotonic() - started < 3
     assert len(journal.finished) == 64
     assert most > 32
@@ -515,15 +518,17 @@ def test_threads_are_left_as_they_were(tmp_path):
 
     cv2.setNumThreads(2)
     before = state()
-    with runs.Journal(tmp_path / "journal.jsonl") as journal, pytest.raises(KeyboardInterrupt):
-        runs.ask_all(Scripted(behave), QUESTIONS_ASKED[:1], {SEQUENCE: INFO}, no_look, no_look, journal, 1, fail)
+    with journals.Journal(tmp_path / "journal.jsonl") as journal, pytest.raises(KeyboardInterrupt):
+        answering.answer_all(
+            Scripted(behave), QUESTIONS_ASKED[:1], {SEQUENCE: INFO}, no_look, no_look, journal, 1, fail
+        )
     assert seen == [(pytest.approx(0.05), 1)]
     assert state() == before == (pytest.approx(0.005), 2)
 
 
 def test_unknown_ids_are_refused():
     with pytest.raises(InputError):
-        runs.choose(QUESTIONS_ASKED, ["nope"], None)
-    assert runs.choose(QUESTIONS_ASKED, None, 3) == QUESTIONS_ASKED[:3]
+        choose(QUESTIONS_ASKED, ["nope"], None)
+    assert choose(QUESTIONS_ASKED, None, 3) == QUESTIONS_ASKED[:3]
     twice = [QUESTIONS_ASKED[1].question_id] * 2
-    assert runs.choose(QUESTIONS_ASKED, twice, None) == [QUESTIONS_ASKED[1]]
+    assert choose(QUESTIONS_ASKED, twice, None) == [QUESTIONS_ASKED[1]]

@@ -14,7 +14,8 @@ from places import SUPPORT
 from scene_tables import table_store
 
 from jrdb_avr.engine.cli import group
-from jrdb_avr.engine.run import evaluate as runs
+from jrdb_avr.engine.run import answering
+from jrdb_avr.engine.run import journal as journals
 from jrdb_avr.engine.run.methods import open_world
 from jrdb_avr.queries.beliefs.graph import WorldGraph, make_world_tables
 from jrdb_avr.queries.beliefs.record import merge_world, read_record, replayed, restore_world
@@ -35,12 +36,12 @@ def run(store, run_id, asked=ASKED, path=None, finish=True, turns=30, **options)
     write_run_manifest(
         store, RunManifest(run_id, "believer", "m", "0" * 64, tuple(q.question_id for q in asked), True, {}, "")
     )
-    with runs.Journal(store.run_path(run_id) / "journal.jsonl") as journal:
-        record = runs.world_rows(run_id, journal.finished.values())
+    with journals.Journal(store.run_path(run_id) / "journal.jsonl") as journal:
+        record = journals.world_rows(run_id, journal.finished.values())
         with open_world(path or store.graph_path, run_id, record) as world:
-            runs.ask_all(Believer(world, turns, **options), asked, INFO, None, None, journal, 4)
+            answering.answer_all(Believer(world, turns, **options), asked, INFO, None, None, journal, 4)
         if finish:
-            runs.write_tables(store, run_id, journal.finished.values())
+            journals.write_tables(store, run_id, journal.finished.values())
 
 
 def dump(path):
@@ -159,7 +160,7 @@ def test_merging_what_is_not_there_is_one_line(store, live, tmp_path):
         manifest = RunManifest(run_id, method, "m", "0" * 64, (), True, {}, "")
         write_run_manifest(store, manifest)
     for run_id in ("base", "silent"):
-        runs.write_tables(store, run_id, [])
+        journals.write_tables(store, run_id, [])
     for run_id, words in (
         ("none", r"has no run 'none'; runs: base, half, one, silent, two"),
         ("half", r"'half' is not finished: repeat its 'jrdb-avr evaluate' with --resume"),
@@ -189,7 +190,7 @@ def test_a_resumed_run_brings_back_what_a_new_graph_lacks(store, live):
     (store.run_path("one") / "world.parquet").unlink()
     assert jrdb_avr("load", "--rebuild", "--store", store.path).exit_code == 0
     assert dump(store.graph_path) == of_run(live, "two")
-    with open_world(store.graph_path, "one", runs.world_rows("one", [])) as world:
+    with open_world(store.graph_path, "one", journals.world_rows("one", [])) as world:
         Believer(world, 20).answer(Task(ASKED[4]))
     run(store, "one")
     assert dump(store.graph_path) == live

@@ -16,8 +16,9 @@ from painted_world import SEQUENCE
 
 from jrdb_avr.engine.commands.evaluate import command
 from jrdb_avr.engine.report.scoring import read_truth, score_run
-from jrdb_avr.engine.run import evaluate as runs
-from jrdb_avr.engine.run.live_scores import Standing, running_scores, standings
+from jrdb_avr.engine.run import answering
+from jrdb_avr.engine.run import journal as journals
+from jrdb_avr.engine.run.live_scores import LiveScore, live_scores, report_scores
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
 from jrdb_avr.schema.answers import Choice, Evidence
 from jrdb_avr.schema.errors import StoreError
@@ -73,20 +74,20 @@ def judged(store):
     info = SequenceInfo(SEQUENCE, 15.0, 301, FRAMES)
     ids = tuple(q.question_id for q in QUESTIONS_ASKED)
     write_run_manifest(store, RunManifest("r", "reader", "m", questions_hash(store), ids, True, {}, "2026-01-01"))
-    with runs.Journal(store.run_path("r") / "journal.jsonl") as journal:
-        runs.ask_all(Reader(), QUESTIONS_ASKED, {SEQUENCE: info}, None, None, journal, 4)
-        runs.write_tables(store, "r", journal.finished.values())
+    with journals.Journal(store.run_path("r") / "journal.jsonl") as journal:
+        answering.answer_all(Reader(), QUESTIONS_ASKED, {SEQUENCE: info}, None, None, journal, 4)
+        journals.write_tables(store, "r", journal.finished.values())
     return store
 
 
 def final(store, run_id="r"):
     scores = score_run(store, read_truth(store), run_id)[2].to_pydict()
-    return Standing(len(scores["invalid"]), *(sum(scores[f"{n}_score"]) for n in ("answer", "evidence", "combined")))
+    return LiveScore(len(scores["invalid"]), *(sum(scores[f"{n}_score"]) for n in ("answer", "evidence", "combined")))
 
 
 def test_a_run_stands_in_the_end_where_score_sees_it(judged):
-    assert final(judged) == Standing(12, 6, 12, 6)
-    assert list(standings(judged, "r", lambda: False)) == [final(judged)]
+    assert final(judged) == LiveScore(12, 6, 12, 6)
+    assert list(live_scores(judged, "r", lambda: False)) == [final(judged)]
     assert str(final(judged)) == "answer 50.0 %, evidence 100.0 %, combined 50.0 % of 12"
 
 
@@ -108,16 +109,16 @@ def test_lines_count_as_they_come_and_the_last_of_a_question_counts(judged):
             file.write(data[start:end])
         return end > 0
 
-    seen = list(standings(judged, "r", go_on))
+    seen = list(live_scores(judged, "r", go_on))
     lines = [data[:cut].count(b"\n") for cut in cuts[1:]]
     assert [s.judged for s in seen] == [n if n < 2 else n - 1 for n in (*lines, lines[-1])]
-    assert seen[1] == Standing(1, 0, 0, 0)
+    assert seen[1] == LiveScore(1, 0, 0, 0)
     assert seen[-1] == final(judged)
 
 
 def test_four_numbers_come_back_and_the_process_goes(judged):
     told = []
-    with running_scores(judged, "r", told.append):
+    with report_scores(judged, "r", told.append):
         deadline = time.monotonic() + 30
         while not told and time.monotonic() < deadline:
             time.sleep(0.02)
@@ -142,7 +143,7 @@ def test_without_answers_nothing_is_said(judged, lost):
     folder = judged.run_path("r") if lost == "run.json" else judged.path / "questions"
     (folder / lost).unlink()
     with pytest.raises(StoreError):
-        next(standings(judged, "r", lambda: False))
+        next(live_scores(judged, "r", lambda: False))
 
 
 def test_without_answers_the_process_ends_in_silence(store):

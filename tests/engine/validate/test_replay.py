@@ -10,7 +10,7 @@ from entry import run as run_command
 from test_validate import keep_only, rewrite
 
 from jrdb_avr.engine.validate.checks import check_replay
-from jrdb_avr.engine.validate.outcomes import CHECKS, REPLAY_CHECKS, Report
+from jrdb_avr.engine.validate.outcomes import CHECKS, REPLAY_CHECKS, Validation
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.plan import parse_plan
@@ -38,7 +38,7 @@ def few(sample_benchmark, tmp_path_factory):
 
 
 def run(store):
-    report = Report()
+    report = Validation()
     check_replay(report, store, RULES, 1)
     return report
 
@@ -53,7 +53,7 @@ def test_a_sound_store_replays_without_a_difference(few):
     questions = few.questions("questions").num_rows
     assert report.checked == {"replay": questions, "compiled": questions}
     assert {row["check"] for row in report.rows()} == {*CHECKS, *REPLAY_CHECKS}
-    assert not REPLAY_CHECKS.keys() & {row["check"] for row in Report().rows()}
+    assert not REPLAY_CHECKS.keys() & {row["check"] for row in Validation().rows()}
 
 
 # -- tampered records ---------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import pytest
 from fact_teller import Teller
 from perfect_perception import take
 
-from jrdb_avr.engine.run.evaluate import read_questions, read_sequences
+from jrdb_avr.queries.questions import read_questions, read_sequences
 from jrdb_avr.schema.method import Observation
 from jrdb_avr.schema.panorama import crop_left
 

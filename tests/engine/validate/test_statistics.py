@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from jrdb_avr.engine.commands.stats import command
+from jrdb_avr.engine.commands.generate import stats
 from jrdb_avr.engine.pages.stats import stats_svg
 from jrdb_avr.engine.validate.statistics import TITLES, statistics
 from jrdb_avr.schema.templates import FAMILIES
@@ -226,7 +226,7 @@ def test_a_missing_layer_is_named(benchmark_copy):
 
 
 def test_json_is_one_array_of_rows(sample_benchmark, tables):
-    result = CliRunner().invoke(command, ["--store", str(sample_benchmark.path), "--json"])
+    result = CliRunner().invoke(stats, ["--store", str(sample_benchmark.path), "--json"])
     assert result.exit_code == 0, result.output
     rows = json.loads(result.output)
     assert len(rows) == sum(map(len, tables.values())) and {row["table"] for row in rows} == {
@@ -235,7 +235,7 @@ def test_json_is_one_array_of_rows(sample_benchmark, tables):
 
 
 def test_tables_for_people(sample_benchmark):
-    result = CliRunner().invoke(command, ["--store", str(sample_benchmark.path)])
+    result = CliRunner().invoke(stats, ["--store", str(sample_benchmark.path)])
     assert result.exit_code == 0 and "Answering without looking" in result.output
 
 
@@ -253,7 +253,7 @@ def bars(picture, color):
 
 def test_the_picture(sample_benchmark, tables, tmp_path):
     path = tmp_path / "stats.svg"
-    result = CliRunner().invoke(command, ["--store", str(sample_benchmark.path), "--picture", str(path), "--json"])
+    result = CliRunner().invoke(stats, ["--store", str(sample_benchmark.path), "--picture", str(path), "--json"])
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)
     assert path.read_text() == stats_svg(tables)
@@ -283,5 +283,5 @@ def test_a_picture_of_nothing(tables):
 def test_a_picture_that_cannot_be_written(sample_benchmark, tmp_path):
     (tmp_path / "file").write_text("")
     place = str(tmp_path / "file" / "stats.svg")
-    result = CliRunner().invoke(command, ["--store", str(sample_benchmark.path), "--picture", place])
+    result = CliRunner().invoke(stats, ["--store", str(sample_benchmark.path), "--picture", place])
     assert result.exit_code != 0 and "cannot write" in str(result.exception)

@@ -1,0 +1,134 @@
+"""Score and compare runs: the library functions `score` and `report`, and what they return."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import pyarrow as pa
+
+from jrdb_avr.engine.report import formats
+from jrdb_avr.engine.report.scored_runs import Facts, Judged, judge, read_facts
+from jrdb_avr.engine.report.scoring import Truth, read_truth, score_run, write_scores
+from jrdb_avr.engine.report.tables import TABLES, report_table, score_row
+from jrdb_avr.queries.display import Displayed, Tables
+from jrdb_avr.queries.runs import run_ids
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
+
+Row = dict[str, Any]
+
+_PRINTED: Final = ("label", "n", "answer", "evidence", "combined", "hallucination", "invalid")
+
+
+@dataclass(frozen=True, repr=False)
+class Scores(Displayed):
+    """Scores of runs, in percent of their questions: `rows` holds one row per run."""
+
+    rows: list[Row]
+
+    def _summary(self) -> str:
+        return f"{len(self.rows)} runs"
+
+    def _tables(self) -> Tables:
+        return {"Scores in percent": self.rows}
+
+
+@dataclass(frozen=True, repr=False)
+class Comparison(Displayed):
+    """Scored runs side by side. `paper` adds the paper's figures to the tables that have some."""
+
+    store: Store
+    truth: Truth
+    facts: Facts
+    runs: list[Judged]
+    iou: float
+    paper: bool
+
+    @property
+    def synthetic(self) -> bool:
+        """Whether a run is of the marker model or on the sample world, and so no result about JRDB."""
+        return any(run.manifest.synthetic for run in self.runs)
+
+    def table(self, name: str = "main") -> list[Row]:
+        """The rows of one table of `engine.report.tables.TABLES`. Raises InputError for another name."""
+        if name not in TABLES:
+            raise InputError(f"no table {name!r}; there are {', '.join(TABLES)}", field="table")
+        return report_table(name, self.store, self.truth, self.facts, self.runs, self.iou, published=self.paper)
+
+    def markdown(self, name: str = "main") -> str:
+        """A table in Markdown, in the columns of a paper."""
+        return formats.markdown(self._for_paper(name))
+
+    def latex(self, name: str = "main") -> str:
+        """A table in LaTeX for the package booktabs, in the columns of a paper."""
+        return formats.latex(self._for_paper(name))
+
+    def _for_paper(self, name: str) -> list[Row]:
+        """The table without intervals and macro averages, sorted by model."""
+        rows = self.table(name)
+        if name != "main":
+            return [{key: value for key, value in row.items() if not key.endswith(("_low", "_high"))} for row in rows]
+        rows = sorted(rows, key=lambda row: (str(row["model"]), str(row.get("setting", ""))))
+        names = [(row["model"], row["method"], row.get("setting", "")) for row in rows]
+        settings = ["setting"] if any(row.get("setting") for row in rows) else []
+        # Rows that are alike in all of these are distinguished by the ids of their runs.
+        ids = ["run"] if len(set(names)) < len(names) else []
+        columns = ["model", "method", *settings, *ids, *_PRINTED]
+        return [{key: row.get(key, "") if key == "setting" else row.get(key) for key in columns} for row in rows]
+
+    def _summary(self) -> str:
+        return f"{len(self.runs)} runs, evidence from IoU {self.iou:g} on"
+
+    def _tables(self) -> Tables:
+        return {"Runs in percent [95 % interval]": formats.joined(self.table())}
+
+
+def score(store: Store | str | Path, runs: Sequence[str] = (), iou: float = 0.5) -> Scores:
+    """Score runs (all without names) and write `runs/<run_id>/scores.parquet`; evidence counts from `iou` on.
+
+    Raises StoreError for a named run that cannot be scored; of all runs, such a one is left out with an AvrWarning.
+    """
+    store = Store.of(store)
+    rows = []
+    for run, scores in _scored(store, read_truth(store), read_facts(store), runs, iou):
+        write_scores(store, run.manifest.run_id, scores, iou)
+        rows.append(score_row(run, iou))
+    return Scores(rows)
+
+
+def report(store: Store | str | Path, runs: Sequence[str] = (), *, iou: float = 0.5, paper: bool = False) -> Comparison:
+    """Compare runs (all without names) in tables; scores are computed anew and nothing is written.
+
+    Raises StoreError for a named run that cannot be scored; of all runs, such a one is left out with an AvrWarning.
+    """
+    store = Store.of(store)
+    truth, facts = read_truth(store), read_facts(store)
+    found = [run for run, _ in _scored(store, truth, facts, runs, iou)]
+    return Comparison(store, truth, facts, found, iou, paper)
+
+
+def _scored(
+    store: Store, truth: Truth, facts: Facts, names: Sequence[str], iou: float
+) -> list[tuple[Judged, pa.Table]]:
+    """Each run with its scores table, by method, model and id."""
+    known = run_ids(store)
+    if not known:
+        raise StoreError(f"{store.path} has no runs yet: run 'jrdb-avr evaluate --store {store.path} ...'")
+    done = []
+    for name in names or known:
+        try:
+            # Scoring takes milliseconds, so scores of an earlier threshold or question file are never trusted.
+            manifest, predictions, scores = score_run(store, truth, name, iou)
+        except (StoreError, InputError) as error:
+            if names:
+                raise
+            warnings.warn(f"left out: {error}", AvrWarning, stacklevel=3)
+            continue
+        done.append((judge(facts, manifest, predictions, scores), scores))
+    if not done:
+        raise StoreError(f"no run of {store.path} can be scored: evaluate on the store's present questions")
+    return sorted(done, key=lambda pair: (pair[0].manifest.method, pair[0].manifest.model, pair[0].manifest.run_id))

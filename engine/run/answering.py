@@ -1,0 +1,203 @@
+"""Have a method answer questions, one or many at a time; whatever it does, each question gets a journal line."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import queue
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, Final, TypeVar, get_args
+
+from jrdb_avr.engine.run.journal import Finished, Journal, check_storable
+from jrdb_avr.schema.answers import decode_answer, encode_answer
+from jrdb_avr.schema.beliefs import Write
+from jrdb_avr.schema.errors import AvrError
+from jrdb_avr.schema.method import GetPanorama, Method, Observe, Prediction, Question, SequenceInfo, Status, Step, Task
+from jrdb_avr.schema.tables import RUNS
+
+R = TypeVar("R")
+
+_STOP_S: Final = 1.0
+"""Longest wait for the threads of a run that ends early."""
+
+_SWITCH_S: Final = 0.05
+"""Interval at which Python lets another thread run: short turns only cost time where threads wait for a server."""
+
+
+class _Stopped(BaseException):
+    """The run has ended while a method works on a question. It passes the method's own `except Exception`."""
+
+
+def answer_one(
+    method: Method,
+    question: Question,
+    sequence: SequenceInfo,
+    observe: Observe,
+    panorama: GetPanorama,
+    stopped: Callable[[], bool] = lambda: False,
+) -> Finished:
+    """Have a method answer one question. An exception, or a result that is no prediction, becomes an `error` with the
+    reason."""
+    steps: list[Step] = []
+    writes: list[Write] = []
+    calls: Counter[str] = Counter()
+
+    def counted(name: str, function: Callable[..., R]) -> Callable[..., R]:
+        """The function, which ends the question once the run has stopped; its successful calls are counted."""
+
+        def call(*values: Any, **named: Any) -> R:
+            if stopped():
+                raise _Stopped
+            result = function(*values, **named)
+            calls[name] += 1
+            return result
+
+        return call
+
+    task = Task(
+        question,
+        sequence,
+        counted("look", observe),
+        counted("look", panorama),
+        counted("step", lambda step: steps.append(step)),
+        counted("write", lambda write: writes.append(write)),
+    )
+    started = time.perf_counter()
+    try:
+        finished = _finished(question, method.answer(task), steps, writes, time.perf_counter() - started)
+    except Exception as error:
+        reason = " ".join(str(error).split()).encode("utf-8", "backslashreplace").decode()
+        kinds = [step.kind for step in steps if isinstance(step, Step) and isinstance(step.kind, str)]
+        failed = Prediction(
+            status="error",
+            reason=reason if isinstance(error, AvrError) else f"{type(error).__name__}: {reason}",
+            n_observations=calls["look"],
+            n_model_calls=kinds.count("model"),
+        )
+        seconds = time.perf_counter() - started
+        try:
+            finished = _finished(question, failed, steps, writes, seconds)
+        except Exception:
+            # A step or a write is what cannot be stored.
+            finished = _finished(question, failed, [], [], seconds)
+    return finished
+
+
+def _finished(
+    question: Question, prediction: Prediction, steps: Sequence[Step], writes: Sequence[Write], seconds: float
+) -> Finished:
+    """The journal's line. Raises ValueError and the like for values that journal and tables would not give back as they
+    are: a method may be anybody's."""
+    evidence, answer = prediction.evidence, prediction.answer
+    box: Sequence[float | None] = (None,) * 4 if evidence is None else evidence.box
+    row = _row(
+        "predictions",
+        prediction,
+        question_id=question.question_id,
+        answer=None if answer is None else encode_answer(answer),
+        evidence_frame=None if evidence is None else evidence.frame,
+        seconds=seconds,
+        **{f"evidence_{name}": value for name, value in zip("xywh", box, strict=True)},
+    )
+    transcript = [_row("steps", step, question_id=question.question_id, step=n) for n, step in enumerate(steps)]
+    world = [_row("world", write, question_id=question.question_id) for write in writes]
+    if prediction.status not in get_args(Status):
+        raise ValueError(f"{prediction.status!a} is no status of a prediction"[:120])
+    if row["answer"] is not None:
+        decode_answer(question.answer_mode, row["answer"])
+    entry = Finished(question.question_id, row, transcript, world)
+    check_storable(entry)
+    for value in (value for part in (row, *transcript, *world) for value in part.values()):
+        # Values of other types would be written as text.
+        if not isinstance(value, str | int | float | None):
+            raise ValueError(f"what the method returned or recorded holds a {type(value).__name__}")
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ValueError("what the method returned or recorded holds a number that is none (NaN, infinity)")
+    return entry
+
+
+def _row(table: str, record: object, **known: Any) -> dict[str, Any]:
+    """A row of a table of `RUNS` without its run id: `known` values, and the record's attributes for all others."""
+    names = [name for name in RUNS[table].names if name not in known and name != "run_id"]
+    values = {name: getattr(record, name) for name in names}
+    # Lone surrogates, which UTF-8 cannot hold, are written out.
+    texts = {
+        name: value.encode("utf-8", "backslashreplace").decode()
+        for name, value in values.items()
+        if isinstance(value, str)
+    }
+    return {**known, **values, **texts}
+
+
+@contextlib.contextmanager
+def _for_many_threads() -> Iterator[None]:
+    import cv2
+
+    pool, interval = cv2.getNumThreads(), sys.getswitchinterval()
+    # OpenCV's threads spin after each small piece of work, and the questions in flight are threads enough.
+    cv2.setNumThreads(1)
+    sys.setswitchinterval(_SWITCH_S)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(pool)
+        sys.setswitchinterval(interval)
+
+
+@_for_many_threads()
+def answer_all(
+    method: Method,
+    questions: Sequence[Question],
+    sequences: Mapping[str, SequenceInfo],
+    observe: Observe,
+    panorama: GetPanorama,
+    journal: Journal,
+    concurrency: int,
+    advance: Callable[[int], None] = lambda steps: None,
+) -> None:
+    """Answer the questions that the journal lacks, or holds as an error; `concurrency` of them are in flight at a time.
+
+    The threads are daemons and one thread writes: an interrupt ends the process within seconds, and loses only what is
+    in flight.
+    """
+    waiting: queue.SimpleQueue[Question] = queue.SimpleQueue()
+    done: queue.SimpleQueue[Finished | BaseException] = queue.SimpleQueue()
+    held = {name for name, entry in journal.finished.items() if not entry.failed}
+    due = [question for question in questions if question.question_id not in held]
+    advance(len(questions) - len(due))
+    for question in due:
+        waiting.put(question)
+
+    stop = threading.Event()
+
+    def work() -> None:
+        try:
+            while not stop.is_set():
+                question = waiting.get_nowait()
+                done.put(answer_one(method, question, sequences[question.sequence], observe, panorama, stop.is_set))
+        except (queue.Empty, _Stopped):
+            return
+        except BaseException as error:
+            done.put(error)
+
+    threads = [threading.Thread(target=work, daemon=True) for _ in range(min(concurrency, len(due)))]
+    for thread in threads:
+        thread.start()
+    try:
+        for _ in due:
+            entry = done.get()
+            if isinstance(entry, BaseException):
+                raise entry
+            journal.append(entry)
+            advance(1)
+    finally:
+        # A thread inside the image decoder when the interpreter ends would abort the process; one that waits for a
+        # server would not, and gets no more than the deadline.
+        stop.set()
+        deadline = time.monotonic() + _STOP_S
+        for thread in threads:
+            thread.join(max(0.0, deadline - time.monotonic()))

@@ -1,0 +1,177 @@
+"""The journal of a run: finished questions on disk, and the tables that are written from them.
+
+    runs/<run_id>/journal.jsonl       one line per finished question, synced as it finishes
+    runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from the journal at the end
+
+A run killed at any point loses nothing that is in the journal.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Annotated, Any, Final
+
+import msgspec
+import pyarrow as pa
+
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import LockedError, StoreError
+from jrdb_avr.schema.tables import RUNS
+
+
+class Finished(msgspec.Struct, frozen=True):
+    """A line of the journal: a question's row of `predictions`, its rows of `steps` and of `world`, without run id."""
+
+    question_id: str
+    prediction: dict[str, Any]
+    steps: list[dict[str, Any]]
+    world: list[dict[str, Any]] = []
+
+    @property
+    def failed(self) -> bool:
+        """Whether the question ended in an error, so that a resumed run answers it again."""
+        return bool(self.prediction["status"] == "error")
+
+
+# Decoders are made at import: threads that meet a type first at the same time crash them.
+_FINISHED: Final = msgspec.json.Decoder(Finished)
+
+_KINDS: Final[dict[pa.DataType, Any]] = {
+    pa.string(): str,
+    pa.int32(): Annotated[int, msgspec.Meta(ge=-(2**31), le=2**31 - 1)],
+    pa.int64(): Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)],
+    # Beyond these bounds floats skip whole numbers, and Arrow refuses them.
+    pa.float64(): Annotated[float, msgspec.Meta(gt=-(2.0**53), lt=2.0**53)],
+    pa.bool_(): bool,
+}
+
+
+def _row_type(table: str) -> Any:
+    """The type of a row of a table of `RUNS`, without its run id."""
+    fields = [field for field in RUNS[table] if field.name != "run_id"]
+    kinds = [(f.name, _KINDS[f.type] | None if f.nullable else _KINDS[f.type]) for f in fields]
+    return msgspec.defstruct(table, kinds, forbid_unknown_fields=True)
+
+
+_STORABLE: Final = msgspec.json.Decoder(
+    msgspec.defstruct(
+        "Storable",
+        [
+            ("question_id", str),
+            ("prediction", _row_type("predictions")),
+            ("steps", list[_row_type("steps")]),  # type: ignore[misc]
+            ("world", list[_row_type("world")], []),  # type: ignore[misc]
+        ],
+    )
+)
+
+
+def check_storable(entry: Finished) -> None:
+    """Raises ValueError (msgspec's) for an entry that the tables cannot hold."""
+    _STORABLE.decode(msgspec.json.encode(entry))
+
+
+class Journal:
+    """Finished questions on disk, in the order in which they finished; the last line of a question counts.
+
+    Opening takes the file's lock (LockedError if another process runs this run) and drops a last line that a crash
+    cut short. Raises StoreError where the file is damaged elsewhere or cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            # Not buffered: a buffer would write what the disk refused once more at the end.
+            self._file = path.open("a+b", buffering=0)
+        except OSError as error:
+            raise StoreError(f"cannot write {path}: {error.strerror}; choose another --store") from None
+        try:
+            self._lock()
+            self.finished = self._replay()
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _lock(self) -> None:
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise LockedError(
+                f"{self._path.parent} is being run by another process: wait for it, or give another --run-id",
+                holder=str(self._path),
+            ) from None
+
+    def _replay(self) -> dict[str, Finished]:
+        self._file.seek(0)
+        data = self._file.read()
+        whole = data.rfind(b"\n") + 1
+        if whole < len(data):
+            self._file.truncate(whole)
+        found: dict[str, Finished] = {}
+        for number, line in enumerate(data[:whole].splitlines(), 1):
+            try:
+                entry = _FINISHED.decode(line)
+                run_tables("", [entry])
+            except (msgspec.DecodeError, UnicodeDecodeError, ValueError, TypeError, OverflowError, pa.ArrowException):
+                raise StoreError(f"{self._path}, line {number}, is damaged: evaluate under another --run-id") from None
+            found[entry.question_id] = entry
+        return found
+
+    def append(self, entry: Finished) -> None:
+        """Add a finished question; returns when it is on disk."""
+        line = msgspec.json.encode(entry) + b"\n"
+        end = self._file.seek(0, os.SEEK_END)
+        try:
+            while line:
+                line = line[self._file.write(line) :]
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            # A part of a line must not stand before another one. (At the end, opening drops it.)
+            with contextlib.suppress(OSError):
+                self._file.truncate(end)
+            raise StoreError(f"cannot write {self._path}: {error.strerror}; then run again with --resume") from None
+        self.finished[entry.question_id] = entry
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+
+def run_tables(run_id: str, entries: Sequence[Finished]) -> dict[str, pa.Table]:
+    """The tables of a run, sorted by question and step. Raises pyarrow's errors, ValueError and the like where an entry
+    does not fit."""
+    entries = sorted(entries, key=lambda entry: entry.question_id)
+    rows = {
+        "predictions": [entry.prediction for entry in entries],
+        "steps": [step for entry in entries for step in entry.steps],
+        "world": [write for entry in entries for write in entry.world],
+    }
+    # Only the cast finds a null in a column that allows none.
+    return {
+        name: pa.Table.from_pylist([{"run_id": run_id, **row} for row in found], RUNS[name]).cast(RUNS[name])
+        for name, found in rows.items()
+    }
+
+
+def write_tables(store: Store, run_id: str, entries: Iterable[Finished]) -> pa.Table:
+    """Write a run's `world`, `steps` and `predictions`; returns the predictions."""
+    tables = run_tables(run_id, list(entries))
+    # Predictions come last: a run that has them is complete.
+    for name in ("world", "steps", "predictions"):
+        store.write_run(run_id, name, tables[name])
+    return tables["predictions"]
+
+
+def world_rows(run_id: str, entries: Iterable[Finished]) -> pa.Table:
+    """The rows of `world` of all entries but failed ones, which a resumed run answers again."""
+    return run_tables(run_id, [entry for entry in entries if not entry.failed])["world"]

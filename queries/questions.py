@@ -1,0 +1,52 @@
+"""The public tables of a store: the questions, and the sequences with the frames that can be observed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pyarrow as pa
+
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.answers import ANSWER_TYPES
+from jrdb_avr.schema.errors import ObserveError, StoreError
+from jrdb_avr.schema.method import Question, SequenceInfo
+from jrdb_avr.schema.tables import QUESTIONS
+
+
+def read_questions(store: Store) -> list[Question]:
+    """The public questions, in the file's order. Raises StoreError where there are none or their columns are wrong."""
+    rows = _public_rows(store, "questions")
+    ids, modes = {row["question_id"] for row in rows}, {row["answer_mode"] for row in rows}
+    if len(ids) < len(rows) or not modes <= set(ANSWER_TYPES):
+        raise StoreError(f"{store.question_path('questions')} holds an unknown mode or an id twice: generate again")
+    return [Question(**{**row, "choices": tuple(row["choices"])}) for row in rows]
+
+
+def read_sequences(store: Store) -> dict[str, SequenceInfo]:
+    """The public facts of each sequence, by name. Raises StoreError as `read_questions` does."""
+    rows = _public_rows(store, "sequences")
+    return {row["sequence"]: SequenceInfo(**{**row, "frames": tuple(row["frames"])}) for row in rows}
+
+
+def _public_rows(store: Store, name: str) -> list[dict[str, Any]]:
+    """The rows of a public table, with the columns of its schema and no nulls."""
+    schema, table = QUESTIONS[name], store.questions(name)
+    try:
+        rows: list[dict[str, Any]] = table.select(schema.names).cast(schema).to_pylist()
+    except (KeyError, ValueError, pa.ArrowException):
+        raise StoreError(f"{store.question_path(name)} is of another version: generate again") from None
+    return rows
+
+
+def loaded_sequence(store: Store, name: str) -> SequenceInfo:
+    """A sequence as loaded, with the frames that have an image.
+
+    Raises StoreError before `load`, ObserveError for a name that is not in the store.
+    """
+    known = sorted(store.manifest().sequences)
+    if name not in known:
+        raise ObserveError(f"no sequence {name[:100]!r}; there are: {', '.join(known) or 'none'}")
+    row = store.interval("sequence", name).to_pylist()[0]
+    frames = store.interval("frames", name)
+    with_image = frames.filter(frames["image"])["frame"].to_pylist()
+    return SequenceInfo(name, row["fps"], row["frame_count"], tuple(sorted(with_image)))
