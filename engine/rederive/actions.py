@@ -1,4 +1,4 @@
-"""What people do over time: poses, actions with their closed gaps, and stable segments."""
+"""Actions over time: poses, actions with closed gaps, and stable segments."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from jrdb_avr.engine.rederive.people import People
+from jrdb_avr.engine.rederive.people import PersonBoxes
 from jrdb_avr.engine.rederive.truth import FALSE, TRUE, UNKNOWN, in_closed_gap, rows, step_of
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, frames
 
-States = npt.NDArray[np.int8]
+GridFacts = npt.NDArray[np.int8]
 
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A stable stretch of an action: the frames with it, and the start and end as asked for."""
+    """A stable stretch of an action: the frames with it, and the start and end that a question means."""
 
     first: int
     last: int
@@ -30,8 +30,8 @@ class Segment:
     closed: bool
 
 
-class Actions(People):
-    """Action labels of one sequence beside its boxes."""
+class ActionFacts(PersonBoxes):
+    """The action labels of one sequence, in addition to its boxes."""
 
     def __init__(self, tables: Mapping[str, pa.Table], rules: Rules) -> None:
         super().__init__(tables, rules)
@@ -45,7 +45,7 @@ class Actions(People):
         annotated = sorted(self.layers.get("actions", []))
         self.step = step_of(annotated)
         self.grid = range(annotated[0], annotated[-1] + 1, self.step) if annotated else range(0)
-        self._states: dict[tuple[int, str], tuple[States, States]] = {}
+        self._states: dict[tuple[int, str], tuple[GridFacts, GridFacts]] = {}
         self._segments: dict[tuple[int, str], tuple[Segment, ...]] = {}
 
     def pose(self, track: int, frame: int) -> str | None:
@@ -65,14 +65,14 @@ class Actions(People):
             return UNKNOWN if pose is None else TRUE if pose == action else FALSE
         return FALSE if action not in codes else TRUE if codes[action] <= 2 else UNKNOWN
 
-    def states(self, track: int, action: str) -> tuple[States, States]:
+    def states(self, track: int, action: str) -> tuple[GridFacts, GridFacts]:
         """Per frame of the action layer's grid: the fact, and 1 inside a closed gap (where the fact is unknown)."""
         key = (track, action)
         if key not in self._states:
-            self._states[key] = self._work_out(track, action)
+            self._states[key] = self._compute_states(track, action)
         return self._states[key]
 
-    def _work_out(self, track: int, action: str) -> tuple[States, States]:
+    def _compute_states(self, track: int, action: str) -> tuple[GridFacts, GridFacts]:
         states = np.full(len(self.grid), UNKNOWN, np.int8)
         gaps = np.zeros(len(self.grid), np.int8)
         named = []
@@ -95,7 +95,7 @@ class Actions(People):
             return UNKNOWN
         if (track, action) in self._states:
             return int(self._states[track, action][0][self.grid.index(frame)])
-        # Most facts are asked for at one frame only: working out all of the person's frames would take far longer.
+        # Most facts are needed at one frame only: computing all of the person's frames would take far longer.
         return UNKNOWN if self._in_gap(track, action, frame) else self._raw(track, frame, action)
 
     def _in_gap(self, track: int, action: str, frame: int) -> bool:

@@ -1,4 +1,4 @@
-"""The annotation tables of one sequence as the second path reads them: who is described, and where relations lead."""
+"""The annotation tables of one sequence as three-valued facts: descriptions and relations."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Final
 
 import pyarrow as pa
 
-from jrdb_avr.engine.rederive.places import Places
-from jrdb_avr.engine.rederive.truth import FALSE, TRUE, UNKNOWN, Result, among
+from jrdb_avr.engine.rederive.relations import RelationFacts
+from jrdb_avr.engine.rederive.truth import FALSE, TRUE, UNKNOWN, OutcomeKind, among
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import RELATIONS
@@ -30,7 +30,7 @@ _READ: Final = (
 )
 
 
-class Annotations(Places):
+class Annotations(RelationFacts):
     """One sequence's annotation tables, indexed by frame and by person."""
 
     def __init__(self, tables: dict[str, pa.Table], rules: Rules) -> None:
@@ -80,7 +80,7 @@ class Annotations(Places):
         facts = [self.held(condition, frame) for condition in conditions]
         return [track for track in self.people(frame) if all(fact[track] != FALSE for fact in facts)]
 
-    def find(self, conditions: tuple[Condition, ...], frame: int) -> tuple[Result, int | None]:
+    def find(self, conditions: tuple[Condition, ...], frame: int) -> tuple[OutcomeKind, int | None]:
         """The one person of a description at a frame; `ambiguous`, `empty` or `unknown` where it is not one."""
         if not self.knows(frame):
             return "unknown", None
@@ -106,7 +106,7 @@ class Annotations(Places):
             case "window":
                 return self.within(track, other, row.degrees, frame, row.side == "left")
 
-    def step_to(self, relation: str, track: int, frame: int) -> tuple[Result, int | None]:
+    def step_to(self, relation: str, track: int, frame: int) -> tuple[OutcomeKind, int | None]:
         """The one other person at the frame to whom a relation leads from a person, or why there is none."""
         others = [other for other in self.people(frame) if other != track]
         return only({other: self.related(relation, track, other, frame) for other in others})
@@ -118,7 +118,7 @@ def conjunction(facts: Iterable[int]) -> int:
     return FALSE if FALSE in found else UNKNOWN if UNKNOWN in found else TRUE
 
 
-def only(facts: dict[int, int]) -> tuple[Result, int | None]:
+def only(facts: dict[int, int]) -> tuple[OutcomeKind, int | None]:
     """The one person of whom a fact is certain while it is false of everybody else; else what there is instead."""
     could = [track for track, fact in facts.items() if fact != FALSE]
     does = [track for track in could if facts[track] == TRUE]

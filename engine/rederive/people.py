@@ -1,4 +1,4 @@
-"""Who is where in each frame, by the 2D boxes of the annotation tables."""
+"""The 2D boxes of each frame, from the annotation tables."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class _Person2D:
     listed: bool
 
 
-class People:
+class PersonBoxes:
     """Boxes of one sequence, indexed by frame and by person, and the frames that its layers know."""
 
     def __init__(self, tables: Mapping[str, pa.Table], rules: Rules) -> None:
@@ -53,7 +53,7 @@ class People:
         return frozenset(f for f in numbers if self.knows(f) or not self._people.get(f))
 
     def knows(self, frame: int, layer: str = "2d") -> bool:
-        """Whether a layer knows the frame: what it does not tell there is not so."""
+        """Whether a layer knows the frame: a fact that it does not list there is false."""
         return frame in self._known.get(layer, ())
 
     def frames_between(self, first: int, last: int) -> range:
@@ -96,5 +96,5 @@ class People:
         return all(self.knows(f) and self.box(track, f) is None for f in near)
 
     def has_image(self, frame: int) -> bool:
-        """Whether the frame can be looked at; where the sequence has no image at all, nothing is asked of it."""
+        """Whether the frame has an image; true for all frames of a sequence without images."""
         return "images" not in self._known or self.knows(frame, "images")

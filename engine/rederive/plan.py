@@ -1,4 +1,4 @@
-"""A plan with its people found: the description, and the relations that lead on from the person it means."""
+"""Find the people of a plan: the person of the description, and those to whom relations lead."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from jrdb_avr.schema.wording import actions_of
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """A plan with its people. `faults` grows as rules of the template turn out not to hold.
+class ResolvedPlan:
+    """A plan and the people of its nodes. `faults` collects the rules of the template that do not hold.
 
     described: the name of the time at which the description holds, and the relations; stated: frames by name.
     """
@@ -54,7 +54,7 @@ class Asked:
         self.check(after - before >= frames(seconds), f"frame {after} is less than {seconds:g} s after frame {before}")
 
 
-def find_people(annotations: Annotations, plan: Plan, template: str, rules: Rules) -> Asked:
+def find_people(annotations: Annotations, plan: Plan, template: str, rules: Rules) -> ResolvedPlan:
     """Find everybody of a plan. Raises Undefined where one of them is not a single person for certain."""
     stated = {name: time.frame for name, time in sorted(plan.times.items()) if time.frame is not None}
     root = next(node for node in plan.nodes if node.id == plan.root)
@@ -68,11 +68,11 @@ def find_people(annotations: Annotations, plan: Plan, template: str, rules: Rule
     result, person = annotations.find(root.conditions, t0)
     if person is None:
         raise Undefined(result, f"the description fits no one person for certain at frame {t0}")
-    asked = Asked(annotations, plan, template, {plan.root: person}, described, stated, rules, [])
-    _check_description(asked, root.conditions)
+    found = ResolvedPlan(annotations, plan, template, {plan.root: person}, described, stated, rules, [])
+    _check_description(found, root.conditions)
     for node, edges in _by_target(plan).items():
-        asked.people[node] = _follow(asked, edges) if len(edges) == 1 else _join(asked, edges)
-    return asked
+        found.people[node] = _follow(found, edges) if len(edges) == 1 else _join(found, edges)
+    return found
 
 
 def _by_target(plan: Plan) -> dict[str, list[Edge]]:
@@ -88,51 +88,51 @@ def _by_target(plan: Plan) -> dict[str, list[Edge]]:
     return edges
 
 
-def _follow(asked: Asked, edges: list[Edge]) -> int:
+def _follow(found: ResolvedPlan, edges: list[Edge]) -> int:
     """The one other person, people of the plan included, to whom a relation leads; going back leads nowhere."""
     edge = edges[0]
-    result, person = asked.annotations.step_to(edge.relation, asked.people[edge.source], asked.t0)
+    result, person = found.annotations.step_to(edge.relation, found.people[edge.source], found.t0)
     if person is None:
         raise Undefined(result, f"{edge.source} has no one person for certain {edge.relation!r}")
-    if person in asked.people.values():
+    if person in found.people.values():
         raise Undefined("empty", f"{edge.relation!r} leads from {edge.source} back to somebody of the plan")
     return person
 
 
-def _join(asked: Asked, edges: list[Edge]) -> int:
+def _join(found: ResolvedPlan, edges: list[Edge]) -> int:
     """The one person, people of the plan left out, who has all these relations."""
-    annotations, frame = asked.annotations, asked.t0
-    others = [track for track in annotations.people(frame) if track not in asked.people.values()]
+    annotations, frame = found.annotations, found.t0
+    others = [track for track in annotations.people(frame) if track not in found.people.values()]
     facts = {
-        track: [annotations.related(edge.relation, asked.people[edge.source], track, frame) for edge in edges]
+        track: [annotations.related(edge.relation, found.people[edge.source], track, frame) for edge in edges]
         for track in others
     }
     for place, edge in enumerate(edges):
         could = sum(fact[place] != FALSE for fact in facts.values())
-        asked.check(could >= 2, f"{edge.relation!r} of {edge.source} alone leads to {edge.target}")
-    into = {edge.target: edge.relation for edge in asked.plan.edges}
+        found.check(could >= 2, f"{edge.relation!r} of {edge.source} alone leads to {edge.target}")
+    into = {edge.target: edge.relation for edge in found.plan.edges}
     roads = [into.get(edge.source, "") for edge in edges]
-    asked.check(roads == sorted(set(roads)), "the branches begin alike, or are not in the order of their relations")
+    found.check(roads == sorted(set(roads)), "the branches begin alike, or are not in the order of their relations")
     result, person = only({track: conjunction(fact) for track, fact in facts.items()})
     if person is None:
         raise Undefined(result, f"no one person for certain is what {edges[0].target} is")
     return person
 
 
-def _check_description(asked: Asked, conditions: tuple[Condition, ...]) -> None:
-    annotations, t0 = asked.annotations, asked.t0
-    for frame in sorted(asked.stated.values()):
-        asked.check(frame in annotations.keyframes, f"frame {frame} is no keyframe")
+def _check_description(found: ResolvedPlan, conditions: tuple[Condition, ...]) -> None:
+    annotations, t0 = found.annotations, found.t0
+    for frame in sorted(found.stated.values()):
+        found.check(frame in annotations.keyframes, f"frame {frame} is no keyframe")
     for condition in conditions:
         rest = [other for other in conditions if other is not condition]
-        asked.check(len(annotations.could_match(rest, t0)) >= 2, "the description has a condition too many")
-    few = 1 <= len(conditions) <= asked.rules.max_conditions
-    asked.check(few, f"the description has {len(conditions)} conditions")
+        found.check(len(annotations.could_match(rest, t0)) >= 2, "the description has a condition too many")
+    few = 1 <= len(conditions) <= found.rules.max_conditions
+    found.check(few, f"the description has {len(conditions)} conditions")
     places = all(condition.attribute in ("sector", "distance") for condition in conditions)
-    asked.check(not places or not conditions, "a place alone is no description")
+    found.check(not places or not conditions, "a place alone is no description")
     if any(condition.attribute in ("gender", "age") for condition in conditions):
-        told = annotations.face_visible(asked.people[asked.plan.root], t0)
-        asked.check(told, "gender or age is told of somebody whose face is not visible")
-    if asked.template in ("change", "consequence"):
+        visible = annotations.face_visible(found.people[found.plan.root], t0)
+        found.check(visible, "gender or age describes somebody whose face is not visible")
+    if found.template in ("change", "consequence"):
         posed = any(word in POSES for condition in conditions for word in actions_of(condition))
-        asked.check(not posed, "the description states a pose, which is what is asked")
+        found.check(not posed, "the description states a pose, which is what is found")

@@ -1,26 +1,31 @@
-"""Who people are and whom and what they are with: attributes, groups, interactions and things handled."""
+"""Attributes, groups, interactions, handled objects, and places: sector, distance, and where others are from a person.
+
+Left of a person, and from the robot's view, is counter-clockwise seen from above; panorama angles grow clockwise.
+"""
 
 from __future__ import annotations
 
+import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
 import pyarrow as pa
 
-from jrdb_avr.engine.rederive.actions import Actions
-from jrdb_avr.engine.rederive.truth import FALSE, TRUE, UNKNOWN, in_closed_gap, rows, step_of
-from jrdb_avr.schema.labels import AGES, GENDERS, OBJECTS, PERSON_CATEGORIES, POSES
+from jrdb_avr.engine.rederive.actions import ActionFacts
+from jrdb_avr.engine.rederive.truth import FALSE, SLACK, TRUE, UNKNOWN, in_closed_gap, rows, step_of
+from jrdb_avr.schema.labels import AGES, DISTANCE_BOUNDS_M, DISTANCE_WORDS, GENDERS, OBJECTS, PERSON_CATEGORIES, POSES
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules
 
-_Said = dict[int, bool]
-"""Frames at which something is said, and whether for certain."""
+_Labels = dict[int, bool]
+"""Frames at which a fact is labelled, and whether the label is certain."""
 
 _WORDS: Final = {"gender": GENDERS, "age": AGES}
 
 
-class Ties(Actions):
-    """Social, group and reasoning labels of one sequence beside its boxes."""
+class SocialFacts(ActionFacts):
+    """The social, group and reasoning labels of one sequence, in addition to its actions."""
 
     def __init__(self, tables: Mapping[str, pa.Table], rules: Rules) -> None:
         super().__init__(tables, rules)
@@ -28,38 +33,38 @@ class Ties(Actions):
         self._faces = _faces(tables["poses"])
         self._listed = {(layer, frame, track) for layer, frame, track in rows(tables["listed"], *_LISTED)}
         self._groups: dict[tuple[int, int], tuple[int, bool]] = {}
-        self._clusters: dict[int, dict[int, _Said]] = defaultdict(lambda: defaultdict(dict))
+        self._clusters: dict[int, dict[int, _Labels]] = defaultdict(lambda: defaultdict(dict))
         for frame, track, cluster, difficulty in rows(tables["groups"], "frame", "track", "cluster", "difficulty"):
             self._groups[frame, track] = (cluster, difficulty in (1, 2))
             self._clusters[track][cluster][frame] = difficulty in (1, 2)
-        self._together: dict[tuple[int, int, str], _Said] = defaultdict(dict)
+        self._together: dict[tuple[int, int, str], _Labels] = defaultdict(dict)
         columns = ("frame", "track", "partner", "label", "difficulty")
         for frame, track, partner, label, difficulty in rows(tables["interactions"], *columns):
-            # Said of one of two people it holds of both; a partner without a box in the frame gives no fact.
+            # A label of one of two people holds for both; a partner without a box in the frame gives no fact.
             if self.box(track, frame) is not None and self.box(partner, frame) is not None:
-                _say(self._together[min(track, partner), max(track, partner), label], frame, difficulty)
+                _add_label(self._together[min(track, partner), max(track, partner), label], frame, difficulty)
         names = dict(rows(tables["categories"], "category_id", "category"))
-        self._handled: dict[int, dict[tuple[str, int, int], _Said]] = defaultdict(lambda: defaultdict(dict))
+        self._handled: dict[int, dict[tuple[str, int, int], _Labels]] = defaultdict(lambda: defaultdict(dict))
         things = rows(tables["handles"], "frame", "track", "object", "category_id", "verb", "difficulty")
         for frame, track, thing, category, verb, difficulty in things:
             if self.box(track, frame) is not None and names.get(category) not in PERSON_CATEGORIES:
-                _say(self._handled[track][verb, category, thing], frame, difficulty)
+                _add_label(self._handled[track][verb, category, thing], frame, difficulty)
         self._categories = {number: name for number, name in names.items() if name in OBJECTS}
         layers = ("groups", "interactions", "handles")
         self._steps = {layer: step_of(sorted(self.layers.get(layer, []))) for layer in layers}
 
-    def _when(self, said: _Said, frame: int, layer: str) -> bool | None:
-        """Whether something is said for certain at a frame, closed gaps counting as not certain; None: not at all.
+    def _when(self, labels: _Labels, frame: int, layer: str) -> bool | None:
+        """Whether a fact is labelled with certainty at a frame; a closed gap is not certain, None means not labelled.
 
-        Of a layer with one frame per second, what two frames in a row say holds between them.
+        Of a layer with one frame per second, a fact labelled in two consecutive frames holds between them.
         """
-        if frame in said:
-            return said[frame]
+        if frame in labels:
+            return labels[frame]
         if self._steps[layer] == 1:
-            return False if in_closed_gap(said.__contains__, frame, self.rules.load.gap_frames) else None
+            return False if in_closed_gap(labels.__contains__, frame, self.rules.load.gap_frames) else None
         for before in range(frame - KEYFRAME_STEP + 1, frame):
-            if before in said and said.get(before + KEYFRAME_STEP) == said[before]:
-                return said[before]
+            if before in labels and labels.get(before + KEYFRAME_STEP) == labels[before]:
+                return labels[before]
         return None
 
     def tells(self, track: int, frame: int, layer: str) -> bool:
@@ -74,7 +79,7 @@ class Ties(Actions):
         return UNKNOWN if value not in _WORDS[name] else int(value == wanted)
 
     def face_visible(self, track: int, frame: int) -> bool:
-        """Whether head or eyes can be seen; not asked where the sequence has no poses."""
+        """Whether head or eyes are visible; true where the sequence has no poses."""
         return not self.layers.get("pose") or self._faces.get((frame, track), False)
 
     # -- groups -------------------------------------------------------------------------------------------------
@@ -101,18 +106,18 @@ class Ties(Actions):
     def _memberships(self, track: int, frame: int) -> dict[int, bool]:
         """Groups that a person is or could be in, and whether certainly."""
         found = {}
-        for cluster, said in self._clusters.get(track, {}).items():
-            certain = self._when(said, frame, "groups")
+        for cluster, labels in self._clusters.get(track, {}).items():
+            certain = self._when(labels, frame, "groups")
             if certain is not None:
                 found[cluster] = certain
         return found
 
-    # -- interactions and things --------------------------------------------------------------------------------
+    # -- interactions and objects --------------------------------------------------------------------------------
 
     def together(self, track: int, other: int, label: str, frame: int) -> int:
         """Whether two people, both with a box at the frame, are in the interaction."""
-        said = self._together.get((min(track, other), max(track, other), label))
-        certain = None if said is None else self._when(said, frame, "interactions")
+        labels = self._together.get((min(track, other), max(track, other), label))
+        certain = None if labels is None else self._when(labels, frame, "interactions")
         if certain is not None:
             return TRUE if certain else UNKNOWN
         both = self.tells(track, frame, "interactions") and self.tells(other, frame, "interactions")
@@ -126,14 +131,14 @@ class Ties(Actions):
     def handles(self, track: int, verb: str, category: str, frame: int) -> int:
         """Whether a person does this with a thing of the category; a thing of unknown category could be one.
 
-        What is a posture and no handling, and what is done with people, is not asked.
+        Verbs that are postures, and what is done with people, are unknown.
         """
         if verb in POSES or category in PERSON_CATEGORIES:
             return UNKNOWN
         possible = False
-        for (done, number, _), said in self._handled.get(track, {}).items():
+        for (done, number, _), labels in self._handled.get(track, {}).items():
             of = self._categories.get(number)
-            certain = self._when(said, frame, "handles") if done == verb and of in (category, None) else None
+            certain = self._when(labels, frame, "handles") if done == verb and of in (category, None) else None
             if certain and of == category:
                 return TRUE
             possible |= certain is not None
@@ -143,9 +148,9 @@ class Ties(Actions):
 _LISTED: Final = ("layer", "frame", "track")
 
 
-def _say(said: _Said, frame: int, difficulty: int | None) -> None:
-    """Note one label; of several for one frame the easiest counts."""
-    said[frame] = said.get(frame, False) or difficulty in (1, 2)
+def _add_label(labels: _Labels, frame: int, difficulty: int | None) -> None:
+    """Add one label; of several for one frame the easiest counts."""
+    labels[frame] = labels.get(frame, False) or difficulty in (1, 2)
 
 
 def _chosen(table: pa.Table) -> dict[tuple[int, str], str]:
@@ -168,3 +173,134 @@ def _faces(table: pa.Table) -> dict[tuple[int, int], bool]:
     points = table["keypoints"].combine_chunks().flatten().to_numpy(zero_copy_only=False).reshape(-1, 51)
     seen = (points[:, [2, 5, 8]] == 2).any(axis=1).tolist()
     return {(frame, track): face for (frame, track), face in zip(rows(table, "frame", "track"), seen, strict=True)}
+
+
+_SIDES: Final = ((0.0, "front"), (30.0, "front {}"), (45.0, "{}"), (135.0, "back {}"), (145.0, "back"))
+"""Sectors of a person by the turn, in degrees to either side, at which each begins."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Solid:
+    """A 3D box with lidar points: its centre in the robot frame, its heading in radians, its distance in metres."""
+
+    x: float
+    y: float
+    z: float
+    heading: float
+    distance: float
+
+
+class RelationFacts(SocialFacts):
+    """The places of the people of one sequence, from 2D and 3D boxes."""
+
+    def __init__(self, tables: Mapping[str, pa.Table], rules: Rules) -> None:
+        super().__init__(tables, rules)
+        self._solids: dict[tuple[int, int], _Solid] = {}
+        columns = ("frame", "track", "cx", "cy", "cz", "rot_z", "distance", "num_points")
+        for frame, track, x, y, z, turned, metres, points in rows(tables["boxes_3d"], *columns):
+            if points:
+                away = math.hypot(x, y) if metres is None else metres
+                self._solids[frame, track] = _Solid(x, y, z, math.pi - turned, away)
+        self._firsts: dict[tuple[int, int, int], dict[int, int]] = {}
+
+    # -- from the robot -----------------------------------------------------------------------------------------
+
+    def distance(self, track: int, frame: int) -> float | None:
+        """Metres from the robot where the person has a 2D box, and a 3D box with lidar points."""
+        solid = self._solid(track, frame)
+        return None if solid is None else solid.distance
+
+    def _solid(self, track: int, frame: int) -> _Solid | None:
+        return self._solids.get((frame, track)) if self.box(track, frame) is not None else None
+
+    def sectors(self, track: int, frame: int) -> list[str]:
+        """The sectors that the person could be in: two near an edge."""
+        found = []
+        for word, center in (("ahead", 180.0), ("left", 90.0), ("behind", 0.0), ("right", 270.0)):
+            away = abs((self.angle(track, frame) - center + 180) % 360 - 180)
+            if away <= 45 + self.rules.load.sector_margin_deg + SLACK:
+                found.append(word)
+        return found
+
+    def distance_words(self, track: int, frame: int) -> list[str]:
+        """The distance words that could be right of the person: two near a bound, all where nothing is known."""
+        metres = self.distance(track, frame)
+        return list(DISTANCE_WORDS) if metres is None else self._words(metres)
+
+    def _words(self, metres: float) -> list[str]:
+        margin = self.rules.load.distance_margin
+        found = []
+        for i, word in enumerate(DISTANCE_WORDS):
+            low = DISTANCE_BOUNDS_M[i - 1] * (1 - margin) - SLACK if i else -math.inf
+            high = DISTANCE_BOUNDS_M[i] * (1 + margin) + SLACK if i < len(DISTANCE_BOUNDS_M) else math.inf
+            if low <= metres <= high:
+                found.append(word)
+        return found
+
+    # -- from a person, in space --------------------------------------------------------------------------------
+
+    def seen_from(self, track: int, other: int, sector: str, word: str, frame: int) -> int:
+        """Whether another person is in this sector of a person's, at the distance of this word."""
+        here, there = self._solid(track, frame), self._solid(other, frame)
+        if here is None or there is None:
+            return UNKNOWN
+        load = self.rules.load
+        ahead, left, up = there.x - here.x, there.y - here.y, there.z - here.z
+        metres = math.sqrt(ahead**2 + left**2 + up**2)
+        if metres > load.pair_max_m + load.pair_margin_m + SLACK:
+            return FALSE
+        words = [word for word in self._words(metres) if _begins(word) < load.pair_max_m]
+        sectors = self._person_sectors(math.degrees(math.atan2(left, ahead) - here.heading))
+        if word not in words or sector not in sectors:
+            return FALSE
+        level = abs(up) <= load.pair_vertical_m
+        near = metres < load.pair_max_m - load.pair_margin_m - SLACK
+        return TRUE if len(words) == len(sectors) == 1 and level and near else UNKNOWN
+
+    def _person_sectors(self, bearing_deg: float) -> list[str]:
+        """The sectors that somebody in this direction, degrees to the left of straight ahead, could be in."""
+        turn = (bearing_deg + 180) % 360 - 180
+        side, margin = "left" if turn >= 0 else "right", self.rules.load.narrow_sector_margin_deg + SLACK
+        found = []
+        for i, (begin, name) in enumerate(_SIDES):
+            end = _SIDES[i + 1][0] if i + 1 < len(_SIDES) else 180.0
+            if begin - margin <= abs(turn) <= end + margin:
+                found.append(name.format(side))
+        return found
+
+    # -- from a person, as the robot sees it --------------------------------------------------------------------
+
+    def turn(self, track: int, other: int, frame: int, left: bool) -> float:
+        """Degrees, [0, 360), from one person to another, turning to the left or to the right."""
+        apart = (self.angle(other, frame) - self.angle(track, frame)) % 360.0 % 360.0
+        return (360.0 - apart if apart > 0 else 0.0) if left else apart
+
+    def first_beside(self, track: int, other: int, frame: int, left: bool) -> int:
+        """Whether another person is the first met when turning from a person to one side."""
+        key = (track, frame, int(left))
+        if key not in self._firsts:
+            self._firsts[key] = self._meet(track, frame, left)
+        return self._firsts[key].get(other, FALSE)
+
+    def _meet(self, track: int, frame: int, left: bool) -> dict[int, int]:
+        """Everybody who is or could be the first met: one person for certain, or several perhaps."""
+        margin, reach = self.rules.load.neighbor_margin_deg, self.rules.load.neighbor_max_deg
+        turns = {other: self.turn(track, other, frame, left) for other in self.people(frame) if other != track}
+        settling = [turn for other, turn in turns.items() if margin <= turn <= reach and self.clear(other, frame)]
+        if not settling:
+            return {other: UNKNOWN for other, turn in turns.items() if turn <= reach}
+        met = [other for other, turn in turns.items() if turn < min(settling) + margin]
+        return {other: TRUE if len(met) == 1 else UNKNOWN for other in met}
+
+    def within(self, track: int, other: int, degrees: int, frame: int, left: bool) -> int:
+        """Whether another person is at most so far to one side of a person."""
+        margin, turn = self.rules.load.neighbor_margin_deg, self.turn(track, other, frame, left)
+        if min(turn, 360.0 - turn) <= margin or abs(turn - degrees) <= margin:
+            return UNKNOWN
+        return int(turn < degrees)
+
+
+def _begins(word: str) -> float:
+    """Metres at which a distance word begins."""
+    place = DISTANCE_WORDS.index(word)
+    return DISTANCE_BOUNDS_M[place - 1] if place else 0.0

@@ -1,4 +1,4 @@
-"""Words of the second path: facts of three values, what a plan comes to, and small helpers on frames and tables."""
+"""Three-valued facts, the outcome of a plan, and helpers for frames and tables."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pyarrow as pa
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
-Result = Literal["defined", "ambiguous", "empty", "unknown"]
+OutcomeKind = Literal["defined", "ambiguous", "empty", "unknown"]
 
 FALSE, TRUE, UNKNOWN = 0, 1, 2
 """Values of a fact."""
@@ -24,7 +24,7 @@ SLACK: Final = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class NeededBox:
-    """A box that must be seen to answer; `decisive` boxes show the answer itself."""
+    """A box that must be seen to answer; a `decisive` box shows the answer itself."""
 
     node: str
     track: int
@@ -35,14 +35,14 @@ class NeededBox:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What the second path finds.
+    """What the second program finds.
 
     `answer` is a choice's text or another answer's stored JSON, None unless the outcome is "defined". `people` are the
-    tracks of the plan's nodes, `times` the frames of its times (an event's as asked for), `faults` the rules of the
-    template that do not hold.
+    tracks of the plan's nodes, `times` the frames of its times (for an event the frame that a question means), `faults`
+    the rules of the template that do not hold.
     """
 
-    outcome: Result
+    outcome: OutcomeKind
     answer: str | None = None
     target: int | None = None
     people: tuple[tuple[str, int], ...] = ()
@@ -52,11 +52,11 @@ class Outcome:
 
 
 class Undefined(Exception):  # noqa: N818 - not an error: the plan's answer is one of these outcomes
-    """The plan has no answer, for the reason given."""
+    """Raised where a plan has no answer."""
 
-    def __init__(self, outcome: Result, reason: str) -> None:
+    def __init__(self, outcome: OutcomeKind, reason: str) -> None:
         super().__init__(reason)
-        self.outcome: Result = outcome
+        self.outcome: OutcomeKind = outcome
 
 
 def rows(table: pa.Table, *names: str) -> Iterator[tuple[Any, ...]]:
