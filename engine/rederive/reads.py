@@ -1,4 +1,4 @@
-"""Read the answer of a plan: at stated times (posture, presence, distance, count) and at events (starts, ends, absences)."""
+"""Read the answer of a plan: at stated times (posture, presence, distance, count) and at events (starts, absences)."""
 
 from __future__ import annotations
 
@@ -18,8 +18,11 @@ from jrdb_avr.schema.wording import stated_actions
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """An answer, the frames of the plan's events, the frames in which the target's box shows the answer (perhaps none), and
-    the boxes of others that must be seen."""
+    """An answer and what shows it.
+
+    events: frames of the plan's events; decisive: frames in which the target's box shows the answer, perhaps none; more:
+    boxes of others that must be seen.
+    """
 
     answer: str
     events: dict[str, int]
