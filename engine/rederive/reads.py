@@ -20,7 +20,7 @@ from jrdb_avr.schema.wording import stated_actions
 class Reading:
     """An answer and what shows it.
 
-    events: frames of the plan's events; decisive: frames in which the target's box shows the answer, perhaps none; more:
+    events: frames of the plan's events; decisive: frames in which the target's box shows the answer; more:
     boxes of others that must be seen.
     """
 
