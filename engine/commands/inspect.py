@@ -53,8 +53,7 @@ def command(
         raise click.UsageError("give QUESTION ids or --sample N")
 
     from jrdb_avr.engine.observe.observer import Observer
-    from jrdb_avr.engine.pages.inspect_data import choose_questions, inspect_questions
-    from jrdb_avr.engine.pages.inspect_page import inspect_page
+    from jrdb_avr.engine.pages.inspect import choose_questions, inspect_page, inspect_questions
     from jrdb_avr.engine.pages.page import write_page
     from jrdb_avr.queries.display import step_counter
     from jrdb_avr.queries.runs import questions_hash

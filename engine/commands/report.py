@@ -92,7 +92,7 @@ def report(
         found = comparison.report(store, runs, iou=iou, paper=paper)
     if html is not None:
         from jrdb_avr.engine.pages.page import write_page
-        from jrdb_avr.engine.pages.report_page import report_page
+        from jrdb_avr.engine.pages.report import report_page
 
         write_page(html, report_page(store, found.truth, found.facts, found.runs, iou, published=paper))
         note(f"wrote {html}")

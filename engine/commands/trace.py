@@ -27,7 +27,7 @@ def command(run: str, question: str, store: Store, out: Path) -> None:
     """
     from jrdb_avr.engine.observe.observer import Observer
     from jrdb_avr.engine.pages.page import write_page
-    from jrdb_avr.engine.pages.trace_page import trace_page
+    from jrdb_avr.engine.pages.trace import trace_page
     from jrdb_avr.engine.report.traces import read_trace
 
     trace = read_trace(store, run, question)

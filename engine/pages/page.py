@@ -1,9 +1,10 @@
-"""Rendering: a template of this folder, with the style inside, as one HTML file."""
+"""Rendering of a template of this folder as one file, pictures as data URIs, and answers in words."""
 
 from __future__ import annotations
 
 import base64
 import functools
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -11,24 +12,27 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 
 from jrdb_avr.engine.console import clean
-from jrdb_avr.engine.pages.svg import shortened
+from jrdb_avr.engine.pages.svg import NODE_WIDTH, shortened
 from jrdb_avr.engine.report.formats import cell
 from jrdb_avr.queries.store import write_bytes
+from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span, decode_answer
+from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Image
+from jrdb_avr.schema.plan import Plan
 
 if TYPE_CHECKING:
     from jinja2 import Environment
     from markupsafe import Markup
 
 JPEG_QUALITY: Final = 80
-"""Of pictures in a page: it must stay a file that can be sent."""
+"""Quality of pictures in a page, so that it stays small enough to send."""
 
-_TURNING: Final = {code: f"[U+{code:04X}]" for code in (*range(0x202A, 0x202F), *range(0x2066, 0x206A))}
+_TEXT_DIRECTION: Final = {code: f"[U+{code:04X}]" for code in (*range(0x202A, 0x202F), *range(0x2066, 0x206A))}
 
 
 def render(name: str, **values: Any) -> str:
     """A template of this folder, filled in: style and scripts are inside, and nothing is fetched."""
-    return _environment().get_template(name).render(values)
+    return environment().get_template(name).render(values)
 
 
 def write_page(path: Path, html: str) -> None:
@@ -36,23 +40,19 @@ def write_page(path: Path, html: str) -> None:
     write_bytes(path, html.encode("utf-8", "replace"))
 
 
-def jpeg_bytes(image: Image, size: tuple[int, int]) -> bytes:
-    """An RGB picture as JPEG of a width and height."""
+def jpeg_uri(image: Image, size: tuple[int, int]) -> str:
+    """An RGB picture, scaled to a width and height, as the data URI of a JPEG."""
     import cv2
 
     if (image.shape[1], image.shape[0]) != size:
         image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     _, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    return bytes(data.tobytes())
-
-
-def jpeg_uri(data: bytes) -> str:
-    """A JPEG as a data URI."""
-    return "data:image/jpeg;base64," + base64.b64encode(data).decode()
+    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
 
 
 @functools.cache
-def _environment() -> Environment:
+def environment() -> Environment:
+    """The Jinja environment of the pages: escapes all values, fails on unknown names."""
     import jinja2
     from markupsafe import Markup
 
@@ -65,14 +65,14 @@ def _environment() -> Environment:
         finalize=lambda value: value if isinstance(value, Markup) else _plain(value),
     )
     environment.filters |= {"cell": cell, "json": _json, "shortened": shortened}
-    environment.globals["asset"] = lambda name: Markup(_text(name))  # noqa: S704 - files of this package
+    environment.globals |= {"asset": lambda name: Markup(_text(name)), "node_width": NODE_WIDTH}  # noqa: S704 - own files
     return environment
 
 
 def _plain(value: object) -> str:
-    """A value without control characters, which would not survive as HTML and may mislead in an editor, and with the
-    marks that turn the order of what follows them told by number: a reviewer must read what is stored."""
-    return clean(value).translate(_TURNING)
+    """A value without control characters, and with marks that reverse the text after them spelled out: a reviewer must
+    read what is stored."""
+    return clean(value).translate(_TEXT_DIRECTION)
 
 
 def _text(name: str) -> str:
@@ -87,3 +87,34 @@ def _json(value: object) -> Markup:
     for letter in "<>&\u2028\u2029":
         text = text.replace(letter, f"\\u{ord(letter):04x}")
     return Markup(text)  # noqa: S704 - escaped above
+
+
+def readable(mode: str, text: str | None, choices: Sequence[str], fps: float, unit: str = "") -> str:
+    """A stored answer in words, "" without one; a text that is no answer of the mode as it stands.
+
+    `unit` follows a number, as `unit_of` names it.
+    """
+    try:
+        answer = decode_answer(mode, text or "")
+    except DecodeError:
+        return text or ""
+    match answer:
+        case Choice(choice):
+            return f"{choice}: {choices[choice - 1] if 1 <= choice <= len(choices) else 'no such choice'}"
+        case FrameAnswer(frame):
+            return _at(frame, fps)
+        case Span(first, last):
+            return f"from {_at(first, fps)} to {_at(last, fps)}"
+        case FrameViewpoint(frame, angle):
+            return f"{_at(frame, fps)}, angle {angle:.1f}\N{DEGREE SIGN}"
+        case Number(value):
+            return f"{value:.2f}".removesuffix(".00") + (f" {unit}" if unit else "")
+
+
+def unit_of(plan: Plan) -> str:
+    """The unit of the number that answers a plan; "" where it has none."""
+    return {"seconds_between": "s", "count": "people"}.get(plan.answer.read, "")
+
+
+def _at(frame: int, fps: float) -> str:
+    return f"frame {frame} ({frame / fps:.1f} s)"

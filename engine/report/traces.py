@@ -14,9 +14,9 @@ import pyarrow.compute as pc
 from jrdb_avr.engine.report.scoring import make_truth, score_predictions
 from jrdb_avr.queries.runs import RunManifest, read_run_manifest
 from jrdb_avr.queries.store import Store, read_table
-from jrdb_avr.schema.beliefs import Fact
+from jrdb_avr.schema.beliefs import ALWAYS, Fact
 from jrdb_avr.schema.errors import InputError, StoreError
-from jrdb_avr.schema.panorama import WIDTH
+from jrdb_avr.schema.panorama import CROP, WIDTH
 
 Row = Mapping[str, Any]
 
@@ -26,19 +26,29 @@ _DIGITS: Final = 8
 
 @dataclass(frozen=True)
 class Look:
-    """A crop (with `angle` and `left`) or a whole panorama (`angle` None) that was shown at a step."""
+    """A crop (with `angle` and `left`) or a whole panorama (`angle` None) that a run looked at in a step."""
 
     step: int
     frame: int
     angle: float | None
     left: int
 
+    @property
+    def spans(self) -> list[tuple[int, int]]:
+        """The columns of the panorama, as (start, width): two parts where a crop crosses the seam."""
+        if self.angle is None:
+            return [(0, WIDTH)]
+        over = self.left + CROP - WIDTH
+        return [(self.left, CROP)] if over <= 0 else [(self.left, CROP - over), (0, over)]
+
 
 @dataclass(frozen=True)
 class Written:
-    """A line of the world model's record, its fact read."""
+    """A write to the world model, as a row of its record: at a step, and replaced by a later write at `until`."""
 
     row: Row
+    step: int
+    until: int
     fact: Fact
 
 
@@ -59,6 +69,11 @@ class Trace:
     target: Mapping[int, tuple[float, float, float, float]]
     scores: Row
     fps: float
+
+    @property
+    def refused(self) -> list[Written]:
+        """The writes that the world model refused."""
+        return [write for write in self.writes if not write.row["accepted"]]
 
 
 def read_trace(store: Store, run_id: str, question_id: str) -> Trace:
@@ -81,7 +96,9 @@ def read_trace(store: Store, run_id: str, question_id: str) -> Trace:
     fps = {row["sequence"]: row["fps"] for row in sequences.to_pylist()}
     steps = sorted(_own(read_table(path / "steps.parquet"), question_id).to_pylist(), key=lambda row: row["step"])
     world = path / "world.parquet"
-    written = _own(read_table(world), question_id).to_pylist() if world.exists() else []
+    written = _own(read_table(world), question_id).sort_by("number").to_pylist() if world.exists() else []
+    facts = [_fact(row["fact"], world) for row in written]
+    until = {number: row["step"] for row, fact in zip(written, facts, strict=True) for number in fact.replaced}
     return Trace(
         manifest,
         question,
@@ -89,7 +106,10 @@ def read_trace(store: Store, run_id: str, question_id: str) -> Trace:
         predictions.to_pylist()[0],
         steps,
         tuple(look for step in steps if (look := look_of(step)) is not None),
-        tuple(Written(row, _fact(row["fact"], world)) for row in sorted(written, key=lambda row: row["number"])),
+        tuple(
+            Written(row, row["step"], until.get(row["number"], ALWAYS), fact)
+            for row, fact in zip(written, facts, strict=True)
+        ),
         {row["frame"]: (row["x"], row["y"], row["w"], row["h"]) for row in own["evidence"].to_pylist()},
         scores,
         fps[question["sequence"]],

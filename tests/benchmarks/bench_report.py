@@ -13,7 +13,7 @@ from pathlib import Path
 
 from many_runs import QUESTION_COUNT, RUN_COUNT, write_runs
 
-START = "import jrdb_avr.engine.report.tables, jrdb_avr.engine.pages.report_page"
+START = "import jrdb_avr.engine.report.tables, jrdb_avr.engine.pages.report"
 SCORE_S, REPORT_S = 2.0, 3.0
 
 

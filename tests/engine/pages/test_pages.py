@@ -7,6 +7,7 @@ import json
 import re
 import time
 from importlib.resources import files
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -15,12 +16,19 @@ from entry import run
 from failing_runs import stored_failures
 
 from jrdb_avr.engine.observe.observer import Observer
-from jrdb_avr.engine.pages.answers import readable
-from jrdb_avr.engine.pages.inspect_data import annotated, choose_questions, inspect_questions
-from jrdb_avr.engine.pages.inspect_page import close_up, inspect_page
-from jrdb_avr.engine.pages.page import render, write_page
-from jrdb_avr.engine.pages.report_page import crossed, wrong_choices
-from jrdb_avr.engine.pages.svg import intervals, plan_graph, runs_of, scatter, stacked, tags, timeline, wrapped
+from jrdb_avr.engine.pages.inspect import (
+    Stretch,
+    TimelineRow,
+    choose_questions,
+    close_up,
+    inspect_page,
+    inspect_questions,
+    nearest_annotated,
+    runs_of,
+)
+from jrdb_avr.engine.pages.page import environment, readable, render, write_page
+from jrdb_avr.engine.pages.report import crossed, pivot
+from jrdb_avr.engine.pages.svg import plan_graph, scatter, wrapped
 from jrdb_avr.engine.validate.reviews import read_reviews
 from jrdb_avr.queries.questions import read_sequences
 from jrdb_avr.schema.plan import parse_plan
@@ -88,6 +96,21 @@ def test_the_report_shows_its_tables_and_nothing_else_runs(opened, report):
     assert not shown(driver, "img")
     assert [row.text.split()[0] for row in shown(driver, "h2 + .scroll tbody tr")][:1] == ["r"]
     assert len(shown(driver, ".intervals .answer circle")) == 1
+    # Intervals and bars are to scale, in percent.
+    _, out, _ = run("report", "--store", report.parent / "S", "--table", "all", "--json")
+    rows = json.loads(out)
+    (main,) = (row for row in rows if row["table"] == "main")
+    for kind in ("answer", "evidence", "combined"):
+        (span,) = shown(driver, f".intervals .{kind} line.span")
+        (at,) = shown(driver, f".intervals .{kind} svg.at")
+        ends = [float(span.get_attribute(name).removesuffix("%")) for name in ("x1", "x2")]
+        one = main[f"{kind}_low"] is None
+        assert ends == [main[kind if one else f"{kind}_{end}"] for end in ("low", "high")]
+        assert at.get_attribute("x") == f"{main[kind]}%"
+    causes = [row for row in rows if row["table"] == "evidence_failures" and row["times"]]
+    parts = [[float(p.get_attribute(name)) for name in ("x", "width")] for p in shown(driver, "svg.stack rect")]
+    assert [width for _, width in parts] == pytest.approx([100 * row["times"] / row["n"] for row in causes], abs=0.01)
+    assert [x for x, _ in parts[1:]] == pytest.approx([x + width for x, width in parts[:-1]], abs=0.01)
     assert "right person, loose box" in driver.find_element("tag name", "main").text
 
 
@@ -158,12 +181,12 @@ def test_no_text_of_a_question_runs_or_breaks_the_page(opened, sample_benchmark,
     text = f"{HOSTILE}{{{{7*7}}}}\u202e{'x' * 10_000}"
     multiple = next(r for r in sample_benchmark.questions("questions").to_pylist() if r["choices"])
     (one,) = inspect_questions(sample_benchmark, [multiple["question_id"]])
+    proofs = [{**proof, "variant": text, "answer": text} for proof in json.loads(one.answer["proofs"])]
     spoiled = dataclasses.replace(
         one,
         question={**one.question, "question": text, "choices": [text] * 4},
-        distractors=[text] * 4,
-        proofs=[{**proof, "variant": text, "answer": text} for proof in one.proofs],
-        lines=tuple(dataclasses.replace(line, label=text) for line in one.lines),
+        answer={**one.answer, "distractors": json.dumps([text] * 4), "proofs": json.dumps(proofs)},
+        timeline=tuple(row._replace(label=text) for row in one.timeline),
     )
     html = inspect_page([spoiled], Observer(None, read_sequences(sample_benchmark).values()), "0", lambda _: None)
     write_page(tmp_path / "h.html", html)
@@ -298,23 +321,31 @@ def test_a_plan_goes_from_left_to_right():
     places = {node.role: (node.x, node.y) for node in graph.nodes}
     assert places["a"][0] < places["b"][0] == places["c"][0] < places["d"][0]
     assert places["b"][1] < places["a"][1] == places["d"][1] < places["c"][1]
-    assert [node.target for node in graph.nodes] == [False, False, False, True]
     assert all(edge.x1 < edge.x2 for edge in graph.edges)
     assert graph.nodes[0].lines == ("gender: male",)
-    assert graph.asks == "action of d at t0"
+
+
+def timeline(*values):
+    """The timeline as drawn."""
+    macro = environment().get_template("diagrams.html").module.timeline_svg
+    return ElementTree.fromstring(str(macro(*values, roles={"a": 0, "b": 1})))
+
+
+def attributes(drawn, tag, kind, *names):
+    found = (e for e in drawn.iter(tag) if kind in e.get("class", "").split())
+    return [tuple(float(e.get(name)) for name in names) for e in found]
 
 
 def test_a_timeline_is_to_scale():
-    from jrdb_avr.engine.pages.svg import Line, Span
-
-    lines = [Line("a", "walking", (Span(0, 49, "action"), Span(50, 99, "action", False))), Line("b", "x", ())]
-    drawn = timeline(lines, {"t1": 50, "t0": 0}, 100, 15.0)
-    first, second = drawn.rows[0].bars
-    assert first.width == pytest.approx(second.width, abs=0.02)
-    assert (first.x, second.x) == (drawn.moments[0].x, drawn.moments[1].x)
-    assert [moment.name for moment in drawn.moments] == ["t0", "t1"]
-    assert second.title.endswith("(unknown)")
-    assert [row.first for row in drawn.rows] == [True, True]
+    spans = (Stretch(0, 49, "action"), Stretch(50, 99, "action", False))
+    drawn = timeline([TimelineRow("a", "walking", spans), TimelineRow("b", "x", ())], {"t1": 50, "t0": 0}, 100, 15.0)
+    (first, wide), (second, as_wide) = attributes(drawn, "rect", "bar", "x", "width")
+    assert wide == pytest.approx(as_wide, abs=0.02)
+    assert [(first,), (second,)] == attributes(drawn, "line", "moment", "x1")
+    texts = [e.text for e in drawn.iter("text")]
+    assert [text for text in texts if text in ("t0", "t1")] == ["t0", "t1"]
+    assert sum(e.text.endswith("(unknown)") for e in drawn.iter("title")) == 1
+    assert [text for text in texts if text in ("A", "B")] == ["A", "B"]
 
 
 def test_a_plan_shows_every_condition_whole():
@@ -336,12 +367,12 @@ def test_a_plan_shows_every_condition_whole():
     said = "".join(node.lines).replace(" ", "")
     for text in ("gender:male", "age:middleadulthood", "talkingonthephone", "sector:behind", "riding", "hoverboard"):
         assert text in said
-    assert graph.node[1] > 13 * len(node.lines) and all(len(line) <= 23 for line in node.lines)
+    assert graph.node_height > 13 * len(node.lines) and all(len(line) <= 23 for line in node.lines)
 
 
 def test_named_times_beside_each_other_are_told_apart():
     drawn = timeline([], {"t0": 50, "t1": 51, "t2": 90}, 100, 15.0)
-    assert [moment.y for moment in drawn.moments] == [11, 23, 11]
+    assert attributes(drawn, "text", "moment", "y") == [(11,), (23,), (11,)]
 
 
 @pytest.mark.parametrize(
@@ -368,19 +399,10 @@ def test_stretches_and_lines():
     assert wrapped("first to the right of (robot view)", 20) == ("first to the right", "of (robot view)")
 
 
-def test_charts_are_to_scale():
-    rows = [{"run": "r", "answer": 50.0, "answer_low": 0.0, "answer_high": 100.0, "evidence": 10.0, "combined": 5.0}]
-    (group,) = intervals(rows)
-    assert [(w.kind, w.x, w.low, w.high) for w in group.whiskers] == [
-        ("answer", 50.0, 0.0, 100.0),
-        ("evidence", 10.0, 10.0, 10.0),
-        ("combined", 5.0, 5.0, 5.0),
-    ]
-    dots = scatter([rows[0], rows[0] | {"run": "s", "evidence": 11.0}, rows[0] | {"answer": 90.0}, {"run": "none"}])
-    assert dots[1].y < dots[0].y and dots[0].x == dots[1].x < dots[2].x
-    parts = stacked([("a", 3), ("b", 0), ("c", 1)], 8)
-    assert [(part.name, part.x, part.width) for part in parts] == [("a", 0.0, 37.5), ("c", 37.5, 12.5)]
-    assert stacked([("a", 0)], 0) == ()
+def test_dots_are_to_scale():
+    row = {"run": "r", "answer": 50.0, "evidence": 10.0, "combined": 5.0}
+    dots, _ = scatter([row, row | {"evidence": 11.0}, row | {"answer": 90.0}, row | {"answer": None}])
+    assert dots[1].y < dots[0].y and dots[0].x == dots[1].x < dots[2].x and len(dots) == 3
 
 
 def test_a_breakdown_says_how_many_were_asked():
@@ -389,33 +411,26 @@ def test_a_breakdown_says_how_many_were_asked():
 
     rows = [row("r", "a", 8), row("s", "a", 8), row("t", "a", 1), row("r", "b", 3)]
     table = crossed(rows, "family", ["r", "s", "t"])
-    assert (table.across, table.values_across, table.counts) == (("a", "b"), True, {"a": 8, "b": 3})
+    assert (table.across, table.values_across, table.counts) == (["a", "b"], True, {"a": 8, "b": 3})
     assert [(run, [cell and cell["n"] for cell in cells]) for run, cells in table.rows] == [
         ("r", [8, 3]),
         ("s", [8, None]),
         ("t", [1, None]),
     ]
     turned = crossed(rows[:1] + rows[3:], "family", ["r"])
-    assert (turned.across, turned.values_across) == (("r",), False)
+    assert (turned.across, turned.values_across) == (["r"], False)
 
 
-def test_wrong_choices_stand_by_run_and_perturbation():
-    def row(run, name, times, total):
-        return {"run": run, "perturbation": name, "wrong_choices": total, "times": times, "percent": 1.0}
-
-    rows = [row("r", "hop.stop(1)", 2, 3), row("r", "none", 1, 3), row("s", "none", 4, 4)]
-    table = wrong_choices(rows, ["s", "r", "t"])
-    assert table.across == ("none", "hop.stop(1)")
-    assert [(run, total, [cell and cell["times"] for cell in cells]) for run, total, cells in table.rows] == [
-        ("s", 4, [4, None]),
-        ("r", 3, [1, 2]),
-    ]
+def test_rows_are_crossed_by_two_columns():
+    rows = [{"run": run, "perturbation": name} for run, name in (("s", "none"), ("r", "hop.stop(1)"), ("s", "x"))]
+    assert pivot(rows, "run", "perturbation") == {"s": {"none": rows[0], "x": rows[2]}, "r": {"hop.stop(1)": rows[1]}}
 
 
 def test_a_time_between_annotations_goes_by_the_nearest():
     hertz = [0, 15, 30, 60]
-    assert [annotated(frame, hertz, 15) for frame in (8, 22, 30, 45, 67, 70)] == [15, 15, 30, 45, 60, 70]
-    assert annotated(8, range(20), 1) == 8 and annotated(30, range(20), 1) == 30 and annotated(3, [], 1) == 3
+    assert [nearest_annotated(frame, hertz, 15) for frame in (8, 22, 30, 45, 67, 70)] == [15, 15, 30, 45, 60, 70]
+    assert [nearest_annotated(frame, range(20), 1) for frame in (8, 30)] == [8, 30]
+    assert nearest_annotated(3, [], 1) == 3
 
 
 def test_a_close_up_reaches_over_the_seam():
@@ -434,15 +449,14 @@ def test_a_close_up_reaches_over_the_seam():
 
 def test_dots_on_each_other_share_a_tag_inside_the_square():
     rows = [{"run": f"r{n}", "answer": 95.0 + n % 2, "evidence": 98.0, "combined": 1.0} for n in range(9)]
-    dots = scatter([*rows, {"run": "far", "answer": 5.0, "evidence": 5.0, "combined": 1.0}])
-    found = tags(dots)
+    _, found = scatter([*rows, {"run": "far", "answer": 5.0, "evidence": 5.0, "combined": 1.0}])
     assert sorted(tag.text for tag in found) == ["1, 2, 3, 4, 5, 6, 7, 8, 9", "10"]
     assert [tag.anchor for tag in found if len(tag.text) > 5] == ["end"]
 
 
 def test_text_of_data_and_models_is_escaped():
     about = {"questions_sha256": HOSTILE}
-    page = render("inspect.html", questions=[], count=HOSTILE, sha256=about["questions_sha256"])
+    page = render("inspect.html", questions=[], sha256=about["questions_sha256"])
     assert "<img" not in page and "\x1b" not in page
     text = page.partition('id="about">')[2].partition("</script>")[0]
     assert json.loads(text) == about

@@ -9,7 +9,7 @@ from browser import browser, complaints
 from entry import run
 from known_runs import table
 
-from jrdb_avr.engine.pages import trace_page
+from jrdb_avr.engine.pages import trace as trace_page
 from jrdb_avr.engine.report.traces import look_of, read_trace
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store

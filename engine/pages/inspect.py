@@ -1,0 +1,387 @@
+"""The inspect page: questions with their plan, people over time, proofs and views, for a person to accept or reject."""
+
+from __future__ import annotations
+
+import random
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Final, NamedTuple
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from jrdb_avr.engine.observe.observer import Observer
+from jrdb_avr.engine.pages.page import jpeg_uri, readable, render, unit_of
+from jrdb_avr.engine.pages.svg import plan_graph
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import InputError, ObserveError
+from jrdb_avr.schema.labels import POSES
+from jrdb_avr.schema.method import Image
+from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, center_angle, to_crop
+from jrdb_avr.schema.plan import Plan, parse_plan
+from jrdb_avr.schema.relations import SAME_GROUP
+from jrdb_avr.schema.rules import frames as frames_in
+
+Record = Mapping[str, Any]
+
+_NEAR_MOMENTS: Final = frames_in(5.0)
+"""The timeline has the actions at most this many frames away from the named times."""
+
+_POSE_READS: Final = ("action", "next_action")
+"""Reads whose answer is a pose."""
+
+STRIP_WIDTH: Final = 1880
+"""Pixels of a panorama in the page: half size, so that a page of twenty questions stays small enough to send."""
+
+CLOSE_UP: Final = 220
+"""Pixels of a close-up's side."""
+
+_LEAST_CLOSE_UP: Final = 110.0
+"""Panorama pixels of a close-up's side at least, so that a small person has some surroundings."""
+
+
+# -- questions --------------------------------------------------------------------------------------------------------
+
+
+class Stretch(NamedTuple):
+    """Frames of a timeline row, inclusive; `kind` decides how it is drawn; `certain` is false for unknown frames."""
+
+    first: int
+    last: int
+    kind: str
+    certain: bool = True
+
+
+class TimelineRow(NamedTuple):
+    """One thing a person does over time; `in_plan`: the plan speaks of it."""
+
+    role: str
+    label: str
+    spans: tuple[Stretch, ...]
+    in_plan: bool = False
+
+
+@dataclass(frozen=True)
+class Inspected:
+    """A question with its answer, plan, people and views.
+
+    people: the plan's nodes as (role, track); counted: further people whom the answer counts, as (role, track);
+    moments: named times as frames; annotated: the annotated frame of each named time; boxes: per frame to show, the
+    boxes of all these people as rows `role`, `x`, `y`, `w`, `h`; decisive: the needed box that answers the question.
+    """
+
+    question: Record
+    answer: Record
+    plan: Plan
+    people: Mapping[str, int]
+    counted: Mapping[str, int]
+    moments: Mapping[str, int]
+    annotated: Mapping[str, int]
+    timeline: tuple[TimelineRow, ...]
+    boxes: Mapping[int, Sequence[Record]]
+    decisive: Record
+    fps: float
+    frame_count: int
+
+
+def choose_questions(store: Store, ids: Sequence[str], sample: int | None, seed: int) -> list[str]:
+    """These ids, or a seeded sample of all. Raises InputError for an unknown id."""
+    known = store.questions("questions")["question_id"].to_pylist()
+    unknown = [name for name in ids if name not in set(known)]
+    if unknown:
+        raise InputError(f"no question {unknown[0][:40]!r} in {store.path}", field="question_id")
+    if sample is None:
+        return list(dict.fromkeys(ids))
+    return sorted(random.Random(seed).sample(sorted(known), min(sample, len(known))))  # noqa: S311 - no secret
+
+
+def inspect_questions(store: Store, ids: Sequence[str]) -> list[Inspected]:
+    """Collect what the page shows of each question. Raises StoreError where a table is missing."""
+    questions, answers = (_by_id(store.questions(name), ids) for name in ("questions", "answers"))
+    sequences = {row["sequence"]: row for row in store.questions("sequences").to_pylist()}
+    # One sequence at a time: consecutive questions mostly share one, and its tables may be large.
+    read: _Sequence | None = None
+    found = []
+    for name in ids:
+        sequence = questions[name]["sequence"]
+        if read is None or read.name != sequence:
+            read = _Sequence(store, sequence)
+        found.append(_inspected(questions[name], answers[name], sequences[sequence], read))
+    return found
+
+
+def _by_id(table: pa.Table, ids: Sequence[str]) -> dict[str, dict[str, Any]]:
+    chosen = table.filter(pc.is_in(table["question_id"], value_set=pa.array(list(ids), pa.string())))
+    return {row["question_id"]: row for row in chosen.to_pylist()}
+
+
+class _Sequence:
+    """The interval tables of a sequence that a timeline is made of."""
+
+    def __init__(self, store: Store, name: str) -> None:
+        self.name = name
+        tables = ("sightings", "actions", "interactions", "memberships", "beside", "handles")
+        self._tables = {table: store.interval(table, name) for table in tables}
+        self.frames = sorted(set(self._tables["sightings"]["frame"].to_pylist()))
+        self.step = min((b - a for a, b in pairwise(self.frames)), default=1)
+
+    def rows(self, table: str, column: str, value: int) -> list[dict[str, Any]]:
+        rows: list[dict[str, Any]] = self._tables[table].filter(pc.field(column) == value).to_pylist()
+        return rows
+
+
+def _inspected(question: Record, answer: Record, info: Record, sequence: _Sequence) -> Inspected:
+    plan = parse_plan(answer["plan"])
+    bindings = msgspec.json.decode(answer["bindings"], type=dict[str, int])
+    people = {node.id: bindings[node.id] for node in plan.nodes}
+    moments = {name: frame for name, frame in bindings.items() if name not in people}
+    needed = msgspec.json.decode(answer["needed"], type=list[dict[str, Any]])
+    # A count has no decisive box: its first needed one is the target at the first of its two times.
+    decisive = next((row for row in needed if row["decisive"]), needed[0])
+    at = {name: nearest_annotated(frame, sequence.frames, sequence.step) for name, frame in moments.items()}
+    counted = [row for row in needed if row["node"] not in people]
+    sightings = {role: sequence.rows("sightings", "track", track) for role, track in people.items()}
+    boxes: dict[int, list[Record]] = {
+        frame: [{"role": role, **row} for role, rows in sightings.items() for row in rows if row["frame"] == frame]
+        for frame in sorted({*at.values(), decisive["frame"], *(row["frame"] for row in counted)})
+    }
+    for row in counted:
+        boxes[row["frame"]].append({"role": row["node"], **row})
+    return Inspected(
+        question=question,
+        answer=answer,
+        plan=plan,
+        people=people,
+        counted={row["node"]: row["track"] for row in counted},
+        moments=moments,
+        annotated=at,
+        timeline=tuple(
+            row for role in people for row in _timeline(role, plan, people, moments, sightings[role], sequence)
+        ),
+        boxes=boxes,
+        decisive=decisive,
+        fps=info["fps"],
+        frame_count=info["frame_count"],
+    )
+
+
+def nearest_annotated(frame: int, frames: Sequence[int], step: int) -> int:
+    """The annotated frame that stands for a frame: at 1 Hz an event lies half a step from its keyframe."""
+    near = min(frames, key=lambda known: abs(known - frame), default=frame)
+    return near if abs(near - frame) <= step // 2 else frame
+
+
+# -- the timeline -----------------------------------------------------------------------------------------------------
+
+
+def _timeline(
+    role: str,
+    plan: Plan,
+    people: Mapping[str, int],
+    moments: Mapping[str, int],
+    sightings: Sequence[Record],
+    sequence: _Sequence,
+) -> list[TimelineRow]:
+    """The rows of one person: in view, actions near the named times, and whatever else the plan speaks of."""
+    track, tracks = people[role], {number: name for name, number in people.items()}
+    conditions = [condition for node in plan.nodes if node.id == role for condition in node.conditions]
+    # The relation that an answer counts may hold of anybody, as may one that describes; an edge names its target.
+    counted = {plan.answer.relation} if plan.answer.relation and role == plan.answer.of else set()
+    described = {condition.interaction for condition in conditions if condition.interaction} | counted
+    edges = {(edge.relation, people[edge.target]) for edge in plan.edges if edge.source == role}
+    relations = {edge.relation for edge in plan.edges if role in (edge.source, edge.target)} | counted
+
+    in_view = [(row["frame"], row["clear"]) for row in sightings]
+    spans = [Stretch(*span, "box") for span in runs_of([frame for frame, _ in in_view], sequence.step)]
+    spans += [Stretch(*span, "clear") for span in runs_of([frame for frame, clear in in_view if clear], sequence.step)]
+    rows = [TimelineRow(role, "in view", tuple(spans))]
+
+    first, last = min(moments.values()) - _NEAR_MOMENTS, max(moments.values()) + _NEAR_MOMENTS
+    near = [row for row in sequence.rows("actions", "track", track) if row["first"] <= last and row["last"] >= first]
+    rows += _labelled(role, "action", ((row["action"], row) for row in near), _plan_actions(role, plan))
+    for table in ("interactions", "beside"):
+        own = sequence.rows(table, "source", track)
+        named = [row for row in own if (row["label"], row["target"]) in edges or row["label"] in described]
+        targets = [tracks.get(row["target"], str(row["target"])).upper() for row in named]
+        labels = [f"\N{RIGHTWARDS ARROW} {target} {row['label']}" for target, row in zip(targets, named, strict=True)]
+        rows += _labelled(role, "relation", zip(labels, named, strict=True))
+    if SAME_GROUP in relations or any(condition.attribute == "group_size" for condition in conditions):
+        groups = sequence.rows("memberships", "track", track)
+        rows += _labelled(role, "group", ((f"group {row['cluster']}", row) for row in groups))
+    verbs = {condition.verb for condition in conditions if condition.verb}
+    handled = [row for row in sequence.rows("handles", "track", track) if row["verb"] in verbs]
+    return rows + _labelled(role, "thing", ((f"{row['verb']} a thing", row) for row in handled))
+
+
+def _plan_actions(role: str, plan: Plan) -> frozenset[str]:
+    """The actions of a person that the plan speaks of: every pose where the plan reads one."""
+    actions = {c.action for node in plan.nodes if node.id == role for c in node.conditions if c.action}
+    actions |= {time.action for time in plan.times.values() if time.of == role and time.action}
+    if plan.answer.of == role and plan.answer.read in _POSE_READS:
+        actions |= set(POSES)
+    return frozenset(actions)
+
+
+def _labelled(
+    role: str, kind: str, intervals: Iterable[tuple[str, Record]], in_plan: frozenset[str] | None = None
+) -> list[TimelineRow]:
+    """A timeline row per label, those in the plan first; `in_plan` None: all of them are."""
+    spans: dict[str, list[Stretch]] = {}
+    for label, row in intervals:
+        spans.setdefault(label, []).append(Stretch(row["first"], row["last"], kind, row["certain"]))
+    rows = [TimelineRow(role, name, tuple(own), in_plan is None or name in in_plan) for name, own in spans.items()]
+    return sorted(rows, key=lambda row: (not row.in_plan, row.label))
+
+
+def runs_of(frames: Sequence[int], step: int) -> list[tuple[int, int]]:
+    """The runs of frames in ascending order, without a gap of more than `step`."""
+    if not frames:
+        return []
+    gaps = [(a, b) for a, b in pairwise(frames) if b - a > step]
+    return list(zip([frames[0], *(b for _, b in gaps)], [*(a for a, _ in gaps), frames[-1]], strict=True))
+
+
+# -- the page ---------------------------------------------------------------------------------------------------------
+
+
+class FramedBox(NamedTuple):
+    """A person's box in the pixels of a picture of the page."""
+
+    role: str
+    x: float
+    y: float
+    w: float
+    h: float
+
+
+class View(NamedTuple):
+    """A picture with boxes; `missing` tells why there is none; `near`: close-ups of its people."""
+
+    title: str
+    uri: str = ""
+    width: int = 0
+    height: int = 0
+    boxes: Sequence[FramedBox] = ()
+    missing: str = ""
+    plate: float = 28.0
+    near: tuple[View, ...] = ()
+
+
+def inspect_page(
+    questions: Sequence[Inspected], observer: Observer, questions_sha256: str, advance: Callable[[int], None]
+) -> str:
+    """The page's HTML; calls `advance` after each question."""
+    found = []
+    for one in questions:
+        found.append(_question(one, observer))
+        advance(1)
+    return render("inspect.html", questions=found, sha256=questions_sha256)
+
+
+def _question(one: Inspected, observer: Observer) -> dict[str, Any]:
+    question, stored, unit = one.question, one.answer["answer"], unit_of(one.plan)
+    right = msgspec.json.decode(stored, type=dict[str, Any]).get("choice")
+    wrong = msgspec.json.decode(one.answer["distractors"], type=list[str | None])
+    choices = [
+        {"text": text, "right": place == right, "from": _perturbation(one, wrong[place - 1] if wrong else None)}
+        for place, text in enumerate(question["choices"], 1)
+    ]
+    proofs = msgspec.json.decode(one.answer["proofs"], type=list[dict[str, Any]])
+    if not choices:
+        for proof in proofs:
+            proof["answer"] = readable(question["answer_mode"], proof["answer"], (), one.fps, unit)
+    return {
+        "one": one,
+        "choices": choices,
+        "answer": "" if choices else readable(question["answer_mode"], stored, (), one.fps, unit),
+        "graph": plan_graph(one.plan),
+        "times": _times(one.plan),
+        "asks": _asks(one.plan),
+        "roles": {role: place for place, role in enumerate(one.people)} | dict.fromkeys(one.counted, len(one.people)),
+        "views": [_strip(one, frame, observer) for frame in one.boxes],
+        "crop": _crop(one, observer),
+        "proofs": proofs,
+    }
+
+
+def _times(plan: Plan) -> list[str]:
+    """The named times of a plan in words."""
+    words = []
+    for name, time in plan.times.items():
+        if time.frame is not None:
+            words.append(f"{name}: frame {time.frame}")
+        else:
+            what = f" {time.action}" if time.action else ""
+            words.append(f"{name}: {time.of} {time.event}s{what} after {time.after}".replace("ss ", "s "))
+    return words
+
+
+def _asks(plan: Plan) -> str:
+    counted = f" of '{plan.answer.relation}'" if plan.answer.relation else ""
+    return f"{plan.answer.read.replace('_', ' ')}{counted} of {plan.answer.of} at {', '.join(plan.answer.times)}"
+
+
+def _perturbation(one: Inspected, name: str | None) -> str:
+    """The perturbation that a wrong choice is true of; one that stops at a person begins with that person's role."""
+    stop = re.fullmatch(r"hop\.stop\((\d)\)", name or "")
+    roles = list(one.people)
+    if stop is not None and int(stop[1]) < len(roles):
+        return f"{roles[int(stop[1])].upper()} ({name})"
+    return name or ""
+
+
+def _strip(one: Inspected, frame: int, observer: Observer) -> View:
+    title = f"frame {frame}, {frame / one.fps:.1f} s"
+    if names := [_moment(one, name) for name, at in one.annotated.items() if at == frame]:
+        title = f"{', '.join(names)}: {title}"
+    if absent := one.people.keys() - {row["role"] for row in one.boxes[frame]}:
+        title += f"; no box of {', '.join(sorted(absent)).upper()}"
+    try:
+        image = observer.panorama(one.question["sequence"], frame)
+    except ObserveError as error:
+        return View(title, missing=str(error))
+    scale = STRIP_WIDTH / WIDTH
+    boxes = [
+        FramedBox(row["role"], (row["x"] + shift) * scale, row["y"] * scale, row["w"] * scale, row["h"] * scale)
+        for row in one.boxes[frame]
+        for shift in (-WIDTH, 0, WIDTH)
+        if row["x"] + shift < WIDTH and row["x"] + shift + row["w"] > 0
+    ]
+    size = STRIP_WIDTH, round(HEIGHT * scale)
+    near = tuple(close_up(row, image, frame) for row in one.boxes[frame] if row["role"] in one.people)
+    return View(title, jpeg_uri(image, size), *size, boxes, near=near)
+
+
+def _moment(one: Inspected, name: str) -> str:
+    """A named time, with its frame where that is not annotated."""
+    frame = one.moments[name]
+    return name if frame == one.annotated[name] else f"{name} (frame {frame}, between two annotated)"
+
+
+def close_up(row: Record, image: Image, frame: int) -> View:
+    """A person with some surroundings, square; across the seam if necessary."""
+    side = int(min(max(1.5 * max(row["w"], row["h"]), _LEAST_CLOSE_UP), HEIGHT))
+    left = int(row["x"] + row["w"] / 2 - side / 2)
+    top = int(min(max(row["y"] + row["h"] / 2 - side / 2, 0), HEIGHT - side))
+    cut = np.take(image, np.arange(left, left + side), axis=1, mode="wrap")[top : top + side]
+    scale, size = CLOSE_UP / side, (CLOSE_UP, CLOSE_UP)
+    box = FramedBox(
+        row["role"], (row["x"] - left) * scale, (row["y"] - top) * scale, row["w"] * scale, row["h"] * scale
+    )
+    return View(f"{row['role'].upper()} in frame {frame}", jpeg_uri(cut, size), *size, (box,), plate=24.0)
+
+
+def _crop(one: Inspected, observer: Observer) -> View:
+    row = one.decisive
+    frame, angle = row["frame"], float(center_angle(row["x"], row["w"]))
+    title = f"what answers it: {row['node'].upper()} in frame {frame}, angle {angle:.1f}\N{DEGREE SIGN}"
+    try:
+        seen = observer(one.question["sequence"], frame, angle)
+    except ObserveError as error:
+        return View(title, missing=str(error))
+    box = FramedBox(row["node"], *to_crop(Box(row["x"], row["y"], row["w"], row["h"]), seen.left))
+    return View(title, jpeg_uri(seen.image, (CROP, CROP)), CROP, CROP, (box,))

@@ -1,0 +1,104 @@
+"""The report page: tables, intervals, answer against evidence, and how runs fail."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import msgspec
+
+from jrdb_avr.engine.pages.page import render
+from jrdb_avr.engine.pages.svg import SQUARE, scatter
+from jrdb_avr.engine.report.failures import CAUSES
+from jrdb_avr.engine.report.formats import filled
+from jrdb_avr.engine.report.scored_runs import DIMENSIONS, SCORES, Facts, Judged, told_apart
+from jrdb_avr.engine.report.scoring import Truth
+from jrdb_avr.engine.report.tables import TABLES, report_table
+from jrdb_avr.queries.store import Store
+
+Row = dict[str, Any]
+
+_TITLES: Final = {name: name.replace("_", " ") for name in DIMENSIONS} | {
+    "group": "the paper's groups",
+    "time_gap_s": "time gap, seconds",
+    "separation_deg": "angular separation, degrees",
+}
+
+
+@dataclass(frozen=True)
+class Crossed:
+    """A breakdown by run and value of a dimension, the fewer of the two across: each cell a row or None.
+
+    counts: the questions of each value in most runs; cells with another `n` state it.
+    """
+
+    across: Sequence[str]
+    rows: Sequence[tuple[str, Sequence[Row | None]]]
+    counts: dict[str, int]
+    values_across: bool
+
+
+def report_page(
+    store: Store, truth: Truth, facts: Facts, runs: Sequence[Judged], iou: float, *, published: bool = False
+) -> str:
+    """The page's HTML."""
+    tables = {name: report_table(name, store, truth, facts, runs, iou, published=published) for name in TABLES}
+    names = [run.manifest.run_id for run in runs]
+    own = [row for row in tables["main"] if row["run"]]
+    dots, tags = scatter(own)
+    perturbations: Counter[str] = Counter()
+    for row in tables["wrong_choices"]:
+        perturbations[row["perturbation"]] += row["times"]
+    return render(
+        "report.html",
+        names=names,
+        iou=iou,
+        synthetic=any(run.manifest.synthetic for run in runs),
+        main=own,
+        published=[row for row in tables["main"] if not row["run"]],
+        dots=dots,
+        tags=tags,
+        square=SQUARE,
+        breakdowns=[(name, crossed(tables[name], name, names)) for name in DIMENSIONS],
+        ablation=filled(tables["ablation"]),
+        pairs=tables["pairs"],
+        causes=CAUSES,
+        failures=tables["evidence_failures"],
+        titles=_TITLES,
+        wrong=pivot(tables["wrong_choices"], "run", "perturbation"),
+        perturbations=sorted(perturbations, key=lambda name: (-perturbations[name], name)),
+        apart=told_apart(runs),
+        labels={row["run"]: row["label"] for row in own},
+        ticks=(0, 20, 40, 60, 80, 100),
+        kinds=SCORES,
+        cost=tables["cost"],
+        settings=[(run.manifest.run_id, _pretty(run.manifest.settings)) for run in runs],
+    )
+
+
+def pivot(rows: Sequence[Row], down: str, across: str) -> dict[str, dict[str, Row]]:
+    """Rows by their values in two columns, in the order of first appearance."""
+    found: dict[str, dict[str, Row]] = {}
+    for row in rows:
+        found.setdefault(row[down], {})[row[across]] = row
+    return found
+
+
+def crossed(rows: Sequence[Row], dimension: str, runs: Sequence[str]) -> Crossed:
+    """Cross the rows of a breakdown by value and run; the paper's are a run named by their label."""
+    cells = pivot([row | {"run": row["run"] or row["label"]} for row in rows], dimension, "run")
+    questions = {value: Counter(row["n"] for run, row in own.items() if run in runs) for value, own in cells.items()}
+    counts = {value: times.most_common(1)[0][0] for value, times in questions.items() if times}
+    names = [*runs, *(["paper"] if any(not row["run"] for row in rows) else [])]
+    values_across = len(names) > len(cells)
+    if values_across:
+        lines = [(run, [own.get(run) for own in cells.values()]) for run in names]
+    else:
+        lines = [(value, [own.get(run) for run in names]) for value, own in cells.items()]
+    return Crossed(list(cells) if values_across else names, lines, counts, values_across)
+
+
+def _pretty(settings: Row) -> str:
+    return msgspec.json.format(msgspec.json.encode(settings, order="sorted"), indent=2).decode()

@@ -1,0 +1,443 @@
+"""The trace page: how a run came to its answer to one question, step by step, beside the truth."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, NamedTuple
+
+import msgspec
+
+from jrdb_avr.engine.observe.observer import Observer
+from jrdb_avr.engine.pages.page import jpeg_uri, readable, render, unit_of
+from jrdb_avr.engine.pages.svg import shortened
+from jrdb_avr.engine.report.traces import Look, Row, Trace
+from jrdb_avr.schema.answers import FrameAnswer, FrameViewpoint, Span, decode_answer
+from jrdb_avr.schema.beliefs import ALWAYS
+from jrdb_avr.schema.errors import DecodeError, ObserveError
+from jrdb_avr.schema.panorama import CROP, WIDTH, Box, center_angle, iou, to_crop
+from jrdb_avr.schema.plan import parse_plan
+
+ROLES: Final = 6
+"""Colours of people in `roles.css`."""
+
+_STRIP: Final = (1128, 144)
+_SMALL: Final = (240, 240)
+_PICTURES: Final = 200
+"""Looks with a picture; the page names the others without one, so that it stays a file that can be opened."""
+
+_LONGEST: Final = 20_000
+"""Characters of a text in the page; a longer one is cut in the middle, with a note."""
+
+_NAMED: Final = 16
+"""Entities whose names stand on the map."""
+
+_FAR: Final = 450
+"""Frames beyond the looks within which the map includes the run's answer."""
+
+Names = Mapping[str, tuple[str, int]]
+"""Key of each entity -> its name and colour, in the order in which the entities were made."""
+
+
+def trace_page(trace: Trace, observer: Observer) -> str:
+    """The page's HTML."""
+    sequence = str(trace.question["sequence"])
+    strip = functools.cache(lambda frame: jpeg_uri(observer.panorama(sequence, frame), _STRIP))
+    made = [write.fact.entity for write in trace.writes if write.fact.entity is not None]
+    names = {entity.id: (entity.name, number % ROLES) for number, entity in enumerate(made)}
+    given = given_box(trace)
+    unit = unit_of(parse_plan(trace.answer["plan"]))
+    mode, choices = trace.question["answer_mode"], trace.question["choices"]
+    answers = [row["answer"] for row in (trace.answer, trace.prediction)]
+    true, own = (readable(mode, text, choices, trace.fps, unit) for text in answers)
+    true_choice, own_choice = map(_choice, answers)
+    return render(
+        "trace.html",
+        trace=trace,
+        question=trace.question,
+        prediction=trace.prediction,
+        choices=[(text, place == true_choice, place == own_choice) for place, text in enumerate(choices, 1)],
+        given=own,
+        right=true,
+        map=_map(trace, given),
+        marks=_marks(trace, names),
+        box=given,
+        panorama=WIDTH,
+        strip_size=_STRIP,
+        last_step=max((int(step["step"]) for step in trace.steps), default=0),
+        entities=_cards(trace, names),
+        web=_web(trace, names),
+        steps=_steps(trace, observer, strip),
+        final=None if given is None else _final(trace, *given, observer, strip),
+        settings=_plain(msgspec.json.encode(trace.manifest.settings).decode()),
+    )
+
+
+def given_box(trace: Trace) -> tuple[int, Box] | None:
+    """The frame and box given as evidence; None where there is none that can be drawn."""
+    frame, sides = trace.prediction["evidence_frame"], [trace.prediction[f"evidence_{key}"] for key in "xywh"]
+    if frame is None or any(side is None or not math.isfinite(side) for side in sides):
+        return None
+    return frame, Box(*sides)
+
+
+def _choice(text: str | None) -> int | None:
+    try:
+        value = msgspec.json.decode(text or "{}")
+    except (msgspec.DecodeError, UnicodeEncodeError):
+        return None
+    return value.get("choice") if isinstance(value, dict) else None
+
+
+# -- the map: panorama columns across and frames downwards -------------------------------------------------------------
+
+
+class Mark(NamedTuple):
+    """An entity that was seen in a column, or, with `end`, a relation from there to another column."""
+
+    step: int
+    role: int
+    frame: int
+    column: float
+    text: str
+    end: float | None = None
+    label: str = ""
+    below: bool = False
+
+
+def _map(trace: Trace, given: tuple[int, Box] | None) -> dict[str, Any]:
+    """The frames that the map spans, those it names, the frames of both answers, and the target's way."""
+    mode = trace.question["answer_mode"]
+    true, own = (_frames(mode, row["answer"]) for row in (trace.answer, trace.prediction))
+    frames = [look.frame for look in trace.looks] + ([] if given is None else [given[0]]) + true
+    # A run may answer with any frame; one far outside what it looked at would press the rest together.
+    low, high = min(frames, default=0) - _FAR, max(frames, default=0) + _FAR
+    own = [frame for frame in own if low <= frame <= high]
+    first, last = min(frames + own, default=0), max(frames + own, default=0)
+    # Some room for the target's way before and after.
+    room = max(15, (last - first) // 12)
+    return {
+        "low": first - room,
+        "high": last + room,
+        "ticks": sorted({first, (first + last) // 2, last}),
+        "answers": [("true", frame) for frame in true] + [("given", frame) for frame in own],
+        "way": _way(trace, first - room, last + room),
+    }
+
+
+def _frames(mode: str, text: str | None) -> list[int]:
+    """The frames that an answer names; none where it names none or is unreadable."""
+    try:
+        answer = decode_answer(mode, text or "")
+    except DecodeError:
+        return []
+    match answer:
+        case FrameAnswer(frame) | FrameViewpoint(frame):
+            return [frame]
+        case Span(first, last):
+            return [first, last]
+        case _:
+            return []
+
+
+def _way(trace: Trace, low: int, high: int) -> list[list[tuple[float, int]]]:
+    """The target's (column, frame) in stretches, which end where it is not in view or crosses the seam."""
+    way: list[list[tuple[float, int]]] = []
+    for frame, (x, _, w, _) in sorted(trace.target.items()):
+        if not low <= frame <= high:
+            continue
+        column = (x + w / 2) % WIDTH
+        if not way or frame - way[-1][-1][1] > 15 or abs(column - way[-1][-1][0]) >= WIDTH / 2:
+            way.append([])
+        way[-1].append((column, frame))
+    return way
+
+
+def _marks(trace: Trace, names: Names) -> list[Mark]:
+    """Sightings, and the relations between entities that were seen in the same frame."""
+    marks: list[Mark] = []
+    columns: dict[tuple[str, int], float] = {}
+    labelled: set[str] = set()
+    for write in trace.writes:
+        if (seen := write.fact.sighted) is not None and seen.source in names:
+            name, role = names[seen.source]
+            column = columns[seen.source, seen.frame] = (seen.box.x + seen.box.w / 2) % WIDTH
+            # The name stands at the first sighting, while there are few; above and below in turn, as the people of a
+            # plan often stand side by side.
+            label = name[:12] if seen.source not in labelled and len(names) <= _NAMED else ""
+            below = len(labelled) % 2 == 1
+            labelled.add(seen.source)
+            text = f"{name}, frame {seen.frame}"
+            marks.append(Mark(write.step, role, seen.frame, column, text, label=label, below=below))
+        if (tie := write.fact.related) is not None:
+            start, end = (columns.get((key, tie.first)) for key in (tie.source, tie.target))
+            if start is not None and end is not None:
+                marks.append(Mark(write.step, names[tie.source][1], tie.first, start, tie.name, end))
+    return marks
+
+
+# -- the world model as it grew ----------------------------------------------------------------------------------------
+
+
+class Statement(NamedTuple):
+    """A text of the world model: written at a step, replaced at `until`."""
+
+    step: int
+    until: int
+    text: str
+
+
+@dataclass
+class Card:
+    """An entity: what always holds of it, and what was seen of it by frame."""
+
+    name: str
+    role: int
+    step: int
+    kind: str
+    always: list[Statement] = field(default_factory=list)
+    frames: dict[int, list[Statement]] = field(default_factory=dict)
+
+
+def _cards(trace: Trace, names: Names) -> list[Card]:
+    """Each entity with what was written of it."""
+    cards: dict[str, Card] = {}
+    for write in trace.writes:
+        step, until, fact = write.step, write.until, write.fact
+        for freed in fact.freed:
+            if freed in cards:
+                cards[freed].always.append(Statement(step, ALWAYS, "is nobody of the plan any more"))
+        if (made := fact.entity) is not None:
+            card = cards[made.id] = Card(*names[made.id], step, made.kind)
+            if made.node:
+                card.always.append(Statement(step, ALWAYS, f"is the plan's {made.node}"))
+        if (now := fact.changed) is not None and now.id in cards:
+            text = f"is the plan's {now.node}" if now.node else f"is a {now.kind}"
+            cards[now.id].always.append(Statement(step, ALWAYS, text))
+        if (seen := fact.sighted) is not None and seen.source in cards:
+            place = Statement(step, until, f"at {seen.angle:.0f}\N{DEGREE SIGN}")
+            cards[seen.source].frames.setdefault(seen.frame, []).append(place)
+        if (has := fact.has) is not None and has.source in cards:
+            card, text = cards[has.source], f"{has.name}: {has.value}"
+            statements = card.frames.setdefault(has.first, []) if has.first == has.last else card.always
+            statements.append(Statement(step, until, text))
+    return list(cards.values())
+
+
+_NODE: Final = (126.0, 40.0)
+_STRIDE: Final = 190.0
+_ARC: Final = 32.0
+_LETTER: Final = 6.4
+_WORDS: Final = 60
+_MOST_NODES: Final = 40
+"""Of a drawing; where a hostile run wrote more, relations are a list."""
+
+
+class Knot(NamedTuple):
+    """An entity as drawn: left edge, name, colour, and the step that made it."""
+
+    x: float
+    name: str
+    role: int
+    step: int
+
+
+class Tie(NamedTuple):
+    """A relation as drawn: an arc from `x1` to `x2` of height `rise`."""
+
+    x1: float
+    x2: float
+    rise: float
+    step: int
+    until: int
+    text: str
+    title: str
+
+
+class Web(NamedTuple):
+    """The related entities in a row, and the relations above them; `left`: where the drawing begins."""
+
+    left: float
+    size: tuple[float, float]
+    node: tuple[float, float]
+    knots: list[Knot]
+    ties: list[Tie]
+
+
+def _web(trace: Trace, names: Names) -> Web | None:
+    """The relations as a drawing; None where there are none, or too many people for one."""
+    made = {write.fact.entity.id: write.step for write in trace.writes if write.fact.entity is not None}
+    related = [(write, tie) for write in trace.writes if (tie := write.fact.related) is not None]
+    joined = dict.fromkeys(key for _, tie in related for key in (tie.source, tie.target) if key in made)
+    if not joined or len(joined) > _MOST_NODES:
+        return None
+    place = {key: number * _STRIDE + 1 for number, key in enumerate(joined)}
+    several = len({tie.first for _, tie in related}) > 1
+    levels: list[list[tuple[float, float]]] = []
+    ties = []
+    for write, tie in related:
+        if tie.source not in place or tie.target not in place:
+            continue
+        shift = _NODE[0] * (0.62 if place[tie.target] > place[tie.source] else 0.38)
+        x1, x2 = place[tie.source] + shift, place[tie.target] + _NODE[0] - shift
+        title = f"{tie.name}, frame {tie.first}"
+        # The frame is part of the text where relations differ in it.
+        text = shortened(title if several else tie.name, _WORDS)
+        half = max(abs(x1 - x2), _LETTER * len(text)) / 2 + 6
+        rise = _ARC * (1 + _level(levels, ((x1 + x2) / 2 - half, (x1 + x2) / 2 + half)))
+        ties.append(Tie(x1, x2, rise, write.step, write.until, text, title))
+    knots = [Knot(x, *names[key], made[key]) for key, x in place.items()]
+    # Words may reach beyond the people at the ends.
+    ends = [end for level in levels for extent in level for end in extent]
+    left, right = min(0.0, *ends), max((len(place) - 1) * _STRIDE + _NODE[0] + 2, *ends)
+    height = max((tie.rise for tie in ties), default=0.0) + 18 + _NODE[1] + 2
+    return Web(left, (right - left, height), _NODE, knots, ties)
+
+
+def _level(levels: list[list[tuple[float, float]]], extent: tuple[float, float]) -> int:
+    """Take the lowest level that is free over an extent; its number."""
+    for number, taken in enumerate(levels):
+        if all(extent[1] < low or high < extent[0] for low, high in taken):
+            taken.append(extent)
+            return number
+    levels.append([extent])
+    return len(levels) - 1
+
+
+# -- steps -------------------------------------------------------------------------------------------------------------
+
+
+class LookView(NamedTuple):
+    """A look with the panorama and the crop as pictures; `missing` tells why there are none."""
+
+    look: Look
+    strip: str = ""
+    crop: str = ""
+    missing: str = ""
+
+
+class _Message(msgspec.Struct):
+    role: str
+    content: str
+
+
+class _Reply(msgspec.Struct):
+    content: str = ""
+    reasoning: str = ""
+    finish_reason: str = ""
+
+
+def _steps(trace: Trace, observer: Observer, strip: Callable[[int], str]) -> list[dict[str, Any]]:
+    views = {
+        look.step: _view(trace, look, observer, strip)
+        if number < _PICTURES
+        else LookView(look, missing=f"only the first {_PICTURES} looks are shown")
+        for number, look in enumerate(trace.looks)
+    }
+    refused: dict[int, list[Row]] = {}
+    for write in trace.refused:
+        refused.setdefault(write.step, []).append(write.row)
+    return [
+        _step(step) | {"refused": refused.get(step["step"], []), "view": views.get(step["step"])}
+        for step in trace.steps
+    ]
+
+
+def _step(step: Row) -> dict[str, Any]:
+    of_model = step["kind"] == "model"
+    request = _messages(step["request"]) if of_model else _plain(step["request"])
+    response = _reply(step["response"]) if of_model else _plain(step["response"])
+    # A short call and its result stand side by side.
+    short = not of_model and max(len(request), len(response)) <= 160 and "\n" not in request + response
+    return {**step, "request": request, "response": response, "short": short}
+
+
+def _view(trace: Trace, look: Look, observer: Observer, strip: Callable[[int], str]) -> LookView:
+    try:
+        if look.angle is None:
+            return LookView(look, strip(look.frame))
+        crop = observer(str(trace.question["sequence"]), look.frame, look.angle).image
+        return LookView(look, strip(look.frame), jpeg_uri(crop, _SMALL))
+    except ObserveError as error:
+        return LookView(look, missing=str(error))
+
+
+def _final(trace: Trace, frame: int, given: Box, observer: Observer, strip: Callable[[int], str]) -> dict[str, Any]:
+    """The box given as evidence and the target's box in that frame, on the strip and in the crop around the former."""
+    target = Box(*trace.target[frame]) if frame in trace.target else None
+    angle = float(center_angle(given.x, given.w))
+    found: dict[str, Any] = {
+        "frame": frame,
+        "angle": angle,
+        "iou": None if target is None else iou(given, target),
+        "target_angle": None if target is None else float(center_angle(target.x, target.w)),
+    }
+    boxes = {"given": given} if target is None else {"target": target, "given": given}
+    try:
+        seen = observer(str(trace.question["sequence"]), frame, angle)
+        return found | {
+            "uri": jpeg_uri(seen.image, (CROP, CROP)),
+            "boxes": [(name, to_crop(box, seen.left)) for name, box in boxes.items()],
+            "strip": strip(frame),
+            "on_strip": [(name, box) for name, own in boxes.items() for box in _on_strip(own)],
+        }
+    except ObserveError as error:
+        return found | {"missing": str(error)}
+
+
+def _on_strip(box: Box) -> list[Box]:
+    """A box in the pixels of a strip, at both ends where it lies across the seam."""
+    scale = _STRIP[0] / WIDTH
+    shifts = [shift for shift in (-WIDTH, 0, WIDTH) if box.x + shift < WIDTH and box.x + shift + box.w > 0]
+    return [Box((box.x + shift) * scale, box.y * scale, box.w * scale, box.h * scale) for shift in shifts]
+
+
+# -- texts of models, which may be anything ----------------------------------------------------------------------------
+
+
+def _messages(text: str) -> str:
+    """The messages sent to a model as text, images by name."""
+    try:
+        messages = msgspec.json.decode(text, type=list[_Message])
+    except (msgspec.DecodeError, UnicodeEncodeError):
+        return _cut(text)
+    return _cut("\n\n".join(f"[{message.role}]\n{message.content}" for message in messages))
+
+
+def _reply(text: str) -> str:
+    try:
+        reply = msgspec.json.decode(text, type=_Reply)
+    except (msgspec.DecodeError, UnicodeEncodeError):
+        return _cut(text)
+    thought = f"[reasoning]\n{_cut(reply.reasoning)}\n\n" if reply.reasoning else ""
+    ended = "" if reply.finish_reason in ("", "stop") else f"\n[finish_reason {reply.finish_reason}]"
+    return f"{thought}{_plain(reply.content)}{ended}"
+
+
+def _plain(text: str | None) -> str:
+    """A long JSON text indented, with the JSON objects in its strings; any other text as it is."""
+    if not text or len(text) <= 100:
+        return text or ""
+    value = _decoded(text)
+    if isinstance(value, dict):
+        inner = {name: isinstance(own, str) and own.startswith("{") for name, own in value.items()}
+        value = {name: _decoded(own) if inner[name] else own for name, own in value.items()}
+    try:
+        return _cut(text if value is text else msgspec.json.format(msgspec.json.encode(value), indent=1).decode())
+    except (UnicodeError, RecursionError):
+        return _cut(text)
+
+
+def _decoded(text: str) -> Any:
+    """The value of a JSON text; the text itself where it is not JSON."""
+    try:
+        return msgspec.json.decode(text)
+    except (msgspec.DecodeError, UnicodeError, RecursionError):
+        return text
+
+
+def _cut(text: str) -> str:
+    half, more = _LONGEST // 2, len(text) - _LONGEST
+    return text if more <= 0 else f"{text[:half]}\n[{more} characters left out]\n{text[-half:]}"
