@@ -135,4 +135,4 @@ def _check_description(found: ResolvedPlan, conditions: tuple[Condition, ...]) -
         found.check(visible, "gender or age describes somebody whose face is not visible")
     if found.template in ("change", "consequence"):
         posed = any(word in POSES for condition in conditions for word in actions_of(condition))
-        found.check(not posed, "the description states a pose, which is what is found")
+        found.check(not posed, "the description states a pose, which is the answer")

@@ -223,7 +223,7 @@ def test_consequence_is_the_next_pose():
 def test_consequence_has_rules():
     assert consequence(sits_then(until=165)).faults == ()
     assert consequence(sits_then(until=164)).faults == ("frame 150 is less than 10 s after frame 15",)
-    assert consequence(sits_then(), [SITTING]).faults == ("the description states a pose, which is what is asked",)
+    assert consequence(sits_then(), [SITTING]).faults == ("the description states a pose, which is the answer",)
 
 
 @pytest.mark.parametrize(

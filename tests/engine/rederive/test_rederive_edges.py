@@ -48,7 +48,7 @@ def test_gender_needs_a_visible_face_where_there_are_poses():
     def faults(made):
         return ask(made, "presence", [FEMALE], [15, 60, 105]).faults
 
-    hidden = ("gender or age is told of somebody whose face is not visible",)
+    hidden = ("gender or age describes somebody whose face is not visible",)
     assert faults(world()) == ()
     assert faults(world(poses=True)) == hidden
     assert faults(world(poses=True).show_face(1, [15], seen=False)) == hidden
