@@ -1,55 +1,92 @@
-"""Label vocabularies and the explicit tables that normalise their spellings.
+"""Vocabularies of the labels of people, with the words of questions and the tables that normalise spellings.
 
-Names are used, never numeric ids: projects number the last actions differently. What a table does not know is kept as
-written, reported by the loader, and never used in a question.
+Labels are identified by name, never by number, as projects number the last actions differently. Values keep the
+spelling of the annotation format, so that "food-truck", "food truck" and "food_truck" are one value. The loader
+reports a label that no table knows; no question uses it. None stands for "the annotators could not tell", which is not
+a value.
 
-Things and what people do with them: categories of the panoptic layer and verbs of the reasoning layer.
-
-Positions in these tuples are codes of the marks in sample pictures: append only.
+Every phrase of an action or interaction is an -ing phrase: it fits after "is" and after "starts". No two phrases are
+alike, and none holds " and " or a comma, at which lists of them are split. The order of poses, other actions,
+interactions, genders and ages gives the codes of the marks in sample pictures: append only.
 """
 
 from __future__ import annotations
 
+import functools
 from typing import Final
 
-POSES: Final = (
-    "walking",
-    "standing",
-    "sitting",
-    "cycling",
-    "going upstairs",
-    "going downstairs",
-    "bending",
-    "skating",
-    "scootering",
-    "running",
-    "lying",
-)
-"""Pose-type actions: a person is expected to have exactly one of them."""
+_POSES: Final = {
+    "walking": "walking",
+    "standing": "standing",
+    "sitting": "sitting",
+    "cycling": "cycling",
+    "going upstairs": "going upstairs",
+    "going downstairs": "going downstairs",
+    "bending": "bending down",
+    "skating": "skating",
+    "scootering": "riding a scooter",
+    "running": "running",
+    "lying": "lying down",
+}
+_OTHER_ACTIONS: Final = {
+    "holding sth": "holding something",
+    "listening to someone": "listening to someone",
+    "talking to someone": "talking to someone",
+    "looking at robot": "looking at the robot",
+    "looking into sth": "looking into something",
+    "looking at sth": "looking at something",
+    "typing": "typing",
+    "interaction with door": "using a door",
+    "eating sth": "eating something",
+    "talking on the phone": "talking on the phone",
+    "pointing at sth": "pointing at something",
+    "reading": "reading",
+    "pushing": "pushing something",
+    "greeting gestures": "making a greeting gesture",
+    "writing": "writing",
+    "pulling": "pulling something",
+}
 
-OTHER_ACTIONS: Final = (
-    "holding sth",
-    "listening to someone",
-    "talking to someone",
-    "looking at robot",
-    "looking into sth",
-    "looking at sth",
-    "typing",
-    "interaction with door",
-    "eating sth",
-    "talking on the phone",
-    "pointing at sth",
-    "reading",
-    "pushing",
-    "greeting gestures",
-    "writing",
-    "pulling",
-)
+POSES: Final = tuple(_POSES)
+"""Actions that are poses: a person is expected to have exactly one of them."""
 
+OTHER_ACTIONS: Final = tuple(_OTHER_ACTIONS)
 ACTIONS: Final = POSES + OTHER_ACTIONS
+ACTION_PHRASES: Final = _POSES | _OTHER_ACTIONS
+
+JOINT_PHRASES: Final[dict[str, str]] = {
+    "walking together": "walking together with {someone}",
+    "standing together": "standing together with {someone}",
+    "conversation": "having a conversation with {someone}",
+    "sitting together": "sitting together with {someone}",
+    "going upstairs together": "going upstairs together with {someone}",
+    "moving together": "moving along together with {someone}",
+    "looking at robot together": "looking at the robot together with {someone}",
+    "looking at sth together": "looking at something together with {someone}",
+    "walking toward each other": "walking towards {someone} who comes the other way",
+    "eating together": "eating together with {someone}",
+    "going downstairs together": "going downstairs together with {someone}",
+    "bending together": "bending down together with {someone}",
+    "holding sth together": "holding something together with {someone}",
+    "cycling together": "cycling together with {someone}",
+    "interaction with door together": "using a door together with {someone}",
+    "hugging": "hugging {someone}",
+    "looking into sth together": "looking into something together with {someone}",
+    "shaking hand": "shaking hands with {someone}",
+    "waving hand together": "waving hands together with {someone}",
+    "pointing at sth together": "pointing at something together with {someone}",
+}
+"""Each interaction between two people, with a place for the other person."""
+
+INTERACTIONS: Final = tuple(JOINT_PHRASES)
+INTERACTION_PHRASES: Final = {label: phrase.format(someone="someone") for label, phrase in JOINT_PHRASES.items()}
+"""Each interaction with anybody."""
+
+POSES_OF_INTERACTIONS: Final = {label: pose for label in INTERACTIONS for pose in POSES if label.startswith(pose)}
+"""The pose that an interaction implies."""
 
 IMPOSSIBLE: Final = "impossible"
-"""The annotators' word for "cannot be told", of actions and demographics; it states no fact."""
+"""The annotators' word for an action or attribute that they could not tell; it states no fact."""
 
 _ACTION_SPELLINGS: Final = {
     "opening the door": "interaction with door",
@@ -78,7 +115,7 @@ PERSON_SECTORS: Final = (
     "right",
     "front right",
 )
-"""Sectors in a person's own heading frame; left is counter-clockwise, as the person itself would say."""
+"""Sectors in a person's own heading frame; left is the person's own."""
 
 DISTANCE_WORDS: Final = ("very close", "close", "moderate", "far", "very far")
 DISTANCE_BOUNDS_M: Final = (0.5, 1.5, 5.0, 10.0)
@@ -87,29 +124,137 @@ DISTANCE_BOUNDS_M: Final = (0.5, 1.5, 5.0, 10.0)
 GENDERS: Final = ("male", "female")
 AGES: Final = ("childhood", "adolescence", "young adulthood", "middle adulthood", "late adulthood")
 
-INTERACTIONS: Final = (
-    "walking together",
-    "standing together",
-    "conversation",
-    "sitting together",
-    "going upstairs together",
-    "moving together",
-    "looking at robot together",
-    "looking at sth together",
-    "walking toward each other",
-    "eating together",
-    "going downstairs together",
-    "bending together",
-    "holding sth together",
-    "cycling together",
-    "interaction with door together",
-    "hugging",
-    "looking into sth together",
-    "shaking hand",
-    "waving hand together",
-    "pointing at sth together",
+ETHNICITIES: Final = ("caucasian/white", "negroid/black", "mongoloid/asian", "others")
+"""The annotators' guesses, in the annotation's own terms."""
+
+PLACES: Final = (
+    "cafeteria/dining_hall/food_court",
+    "open_area/campus",
+    "open_space/corridor",
+    "room/class",
+    "study_space",
+    "street",
 )
-"""Labels between two people."""
+VENUES: Final = tuple(f"{side}_{place}" for side in ("indoor", "outdoor") for place in PLACES)
+"""Kinds of place of a group."""
+
+AIMS: Final = (
+    "wandering",
+    "discussing_an_object/matter",
+    "studying/writing/reading/working",
+    "waiting_for_someone/something",
+    "socializing",
+    "excursion",
+    "attending_class/lecture/seminar",
+    "eating/ordering_food",
+    "commuting",
+    "navigating",
+)
+"""Purposes of a group."""
+
+BODY_PLACES: Final = (
+    "floor",
+    "chair",
+    "stairs",
+    "ground",
+    "platform",
+    "grass",
+    "bike",
+    "scooter",
+    "balcony",
+    "sofa",
+    "skateboard",
+    "sidewalk",
+    "pathway",
+    "desk",
+    "street",
+    "crosswalk",
+    "bench",
+    "road",
+)
+"""What the bodies of a group are on (`BPC` in the files)."""
+
+SURROUNDINGS: Final = (
+    "counter",
+    "pillar",
+    "bin",
+    "gate",
+    "table",
+    "wall",
+    "stairs",
+    "fence",
+    "door",
+    "trolley",
+    "coffee_machine",
+    "shelves",
+    "cafeteria",
+    "balcony",
+    "desk",
+    "room",
+    "elevator",
+    "sofa",
+    "bike",
+    "board",
+    "stroller",
+    "scooter",
+    "statue",
+    "platform",
+    "standboard",
+    "poster",
+    "show_case",
+    "window",
+    "floor",
+    "crutches",
+    "chair",
+    "tree",
+    "pole",
+    "bench",
+    "building",
+    "food_truck",
+    "bus",
+    "robot",
+    "baggage",
+    "stand_pillar",
+    "screen",
+    "forecourt",
+    "shop",
+    "cabinet",
+    "light_street",
+    "car",
+    "copy_machine",
+    "drink_fountain",
+    "class",
+)
+"""What stands out around a group (`SSC` in the files)."""
+
+LOCATIONS: Final = ("at",)
+"""Prepositions between a group and its surroundings (`location_pre`). No complete list is published."""
+
+DEMOGRAPHICS: Final = {"gender": "gender", "age": "age", "race": "ethnicity"}
+"""Attributes of a person: key in the files -> name here."""
+
+GROUP_INFO: Final = {
+    "venue": "venue",
+    "aim": "aim",
+    "BPC": "bpc",
+    "SSC": "ssc",
+    "location_pre": "location",
+    "inter": "inter",
+}
+"""Attributes of a group: key in the files -> name here."""
+
+VALUES: Final[dict[str, tuple[str, ...]]] = {
+    "gender": GENDERS,
+    "age": AGES,
+    "ethnicity": ETHNICITIES,
+    "venue": VENUES,
+    "aim": AIMS,
+    "bpc": BODY_PLACES,
+    "ssc": SURROUNDINGS,
+    "location": LOCATIONS,
+    "inter": INTERACTIONS,
+}
+"""The vocabulary of every attribute."""
 
 PRESENCE_ANSWERS: Final = ("both times", "only at the first time", "only at the second time", "neither time")
 DISTANCE_ANSWERS: Final = (
@@ -119,10 +264,35 @@ DISTANCE_ANSWERS: Final = (
     "not in view",
 )
 
+UNKNOWN_WORDS: Final = frozenset({IMPOSSIBLE, "unknown"})
+"""Annotators' words for "could not tell"."""
+
+_VALUE_SPELLINGS: Final[dict[str, dict[str, str]]] = {
+    # The words of the reasoning files.
+    "age": {
+        "child": "childhood",
+        "adolescent": "adolescence",
+        "young": "young adulthood",
+        "middle aged": "middle adulthood",
+        "elderly": "late adulthood",
+    },
+    "aim": {"waiting for someone/sth": "waiting_for_someone/something"},
+    "ssc": {"garbage bin": "bin"},
+}
+
 
 def plain(raw: str) -> str:
     """A label in lower case, with single blanks for `_`, `-` and any run of blanks."""
     return " ".join(raw.replace("_", " ").replace("-", " ").lower().split())
+
+
+_INTERACTION_OF: Final = {plain(label): label for label in INTERACTIONS} | {
+    "standing together together": "standing together"
+}
+_VALUE_OF: Final = {
+    name: {plain(word): word for word in words} | _VALUE_SPELLINGS.get(name, {}) for name, words in VALUES.items()
+}
+_PLACE_OF: Final = {plain(place): place for place in PLACES}
 
 
 def normal_action(raw: str) -> str:
@@ -135,183 +305,40 @@ def normal_action(raw: str) -> str:
     return _ACTION_SPELLINGS.get(word, word)
 
 
-OBJECTS: Final = (
-    "road",
-    "terrain",
-    "sky",
-    "vegetation",
-    "wall",
-    "column",
-    "building",
-    "stair",
-    "ceiling",
-    "barrier/fence",
-    "crutch",
-    "fire_extinguisher",
-    "big_socket/button",
-    "airpot",
-    "controller",
-    "umbrella",
-    "animal",
-    "monitor",
-    "carpet",
-    "cabinet",
-    "jacket",
-    "emergency_pole",
-    "helmet",
-    "peripheral",
-    "curtain",
-    "box",
-    "document",
-    "television",
-    "light_pole",
-    "board",
-    "manhole",
-    "phone",
-    "ladder",
-    "waterbottle",
-    "picture_frames",
-    "standee",
-    "store_sign",
-    "statues",
-    "cargo",
-    "tableware",
-    "accessory",
-    "other",
-    "clock",
-    "golfcart",
-    "wall_panel",
-    "decoration",
-    "hanging_light",
-    "window",
-    "poster",
-    "lift",
-    "vent",
-    "fountain",
-    "door_handle",
-    "floor/walking_path",
-    "machines",
-    "child",
-    "trash_bin",
-    "shelf",
-    "car",
-    "bicycle/scooter",
-    "bag",
-    "big_vehicle",
-    "chair/sofa",
-    "pedestrian",
-    "sign",
-    "trolley",
-    "pole/trafficcone",
-    "bicyclist/rider",
-    "table",
-    "skateboard/segway/hoverboard",
-    "glass",
-    "door",
-)
-"""Categories of things, in the standard numbering of the panoptic layer."""
+@functools.lru_cache(maxsize=10_000)
+def normal_interaction(raw: str) -> str:
+    """The vocabulary's spelling of a label between two people.
 
-PERSON_CATEGORIES: Final = frozenset({"pedestrian", "bicyclist/rider", "child"})
-"""Categories that are people: they are tracked by the box layers, and counted there only."""
-
-VERBS: Final = (
-    "working",
-    "opening",
-    "closing",
-    "entering",
-    "exiting",
-    "touching",
-    "cleaning",
-    "watering",
-    "pruning",
-    "planting",
-    "sitting",
-    "pushing",
-    "pulling",
-    "carrying",
-    "holding",
-    "looking at",
-    "looking into",
-    "looking out",
-    "presenting",
-    "organizing",
-    "leaning",
-    "painting",
-    "installing",
-    "removing",
-    "walking",
-    "standing",
-    "running",
-    "repairing",
-    "riding",
-    "parking",
-    "mounting",
-    "depositing",
-    "placing",
-    "warning",
-    "blocking",
-    "adjusting",
-    "constructing",
-    "maintaining",
-    "handling/manipulating",
-    "accessing",
-    "inspecting",
-    "storing",
-    "pressing",
-    "switching",
-    "drinking",
-    "refilling",
-    "moving",
-    "operating",
-    "displaying",
-    "arranging",
-    "talking on",
-    "browsing/engaging",
-    "loading",
-    "unloading",
-    "transporting",
-    "connecting",
-    "using",
-    "configuring",
-    "disconnecting",
-    "printing/copying",
-    "identifying",
-    "locating",
-    "promoting",
-    "advertising",
-    "finding_something",
-    "putting_something",
-    "directing",
-    "attracting",
-    "investigating",
-    "exploring",
-    "utilizing",
-    "understanding",
-    "observing",
-    "turning",
-    "wearing",
-    "adorning",
-    "replacing",
-    "matching",
-    "collecting",
-    "folding",
-    "servicing",
-    "feeding",
-    "climbing",
-    "going down",
-    "going up",
-)
-"""What a person does with a thing."""
-
-CATEGORY_PREFIXES: Final = ("t_", "m_")
-"""Prefixes of names in some files; they say nothing about the thing."""
-
-
-def normal_category(name: str) -> str:
-    """The usual spelling of a category's name: without case and prefix, underscores between words.
-
-    Names outside `OBJECTS` come back in the same spelling.
+    >>> normal_interaction("standing_together together")
+    'standing together'
     """
-    word = plain(name).replace(" ", "_")
-    prefix = next((prefix for prefix in CATEGORY_PREFIXES if word.startswith(prefix)), "")
-    return word.removeprefix(prefix)
+    word = plain(raw).replace(" something", " sth")
+    return _INTERACTION_OF.get(word, word)
+
+
+@functools.lru_cache(maxsize=10_000)
+def normal_values(attribute: str, raw: str) -> tuple[str | None, ...]:
+    """Values of a label of an attribute (a key of `VALUES`), each once; None where the annotators could not tell.
+
+    An aim may be several, joined with `&`; a venue may be written with a colon after indoor or outdoor.
+
+    >>> normal_values("age", "Young_Adulthood"), normal_values("aim", "socializing&commuting")
+    (('young adulthood',), ('socializing', 'commuting'))
+    """
+    words = raw.split("&") if attribute == "aim" else [raw.replace(":", " ") if attribute == "venue" else raw]
+    values: dict[str | None, None] = {}
+    for word in map(plain, words):
+        if word:
+            values[None if word in UNKNOWN_WORDS else _value(attribute, word)] = None
+    return tuple(values)
+
+
+def _value(attribute: str, word: str) -> str:
+    """The vocabulary's spelling of a plain word."""
+    if attribute == "inter":
+        return normal_interaction(word)
+    if attribute == "venue" and word.startswith(("indoor ", "outdoor ")):
+        # Even of an unknown place the label says whether it is indoors.
+        side, place = word.split(" ", 1)
+        return f"{side}_{_PLACE_OF.get(place, place)}"
+    return _VALUE_OF[attribute].get(word, word)

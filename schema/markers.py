@@ -26,8 +26,9 @@ import numpy as np
 import numpy.typing as npt
 
 from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.labels import AGES, GENDERS, INTERACTIONS, OBJECTS, OTHER_ACTIONS, POSES, VERBS
+from jrdb_avr.schema.labels import AGES, GENDERS, INTERACTIONS, OTHER_ACTIONS, POSES
 from jrdb_avr.schema.panorama import WIDTH, Box
+from jrdb_avr.schema.things import OBJECTS, VERBS
 
 Image = npt.NDArray[np.uint8]
 Bits = npt.NDArray[np.uint8]

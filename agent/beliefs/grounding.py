@@ -22,15 +22,13 @@ from jrdb_avr.schema.labels import (
     DISTANCE_WORDS,
     GENDERS,
     INTERACTIONS,
-    OBJECTS,
     ROBOT_SECTORS,
-    VERBS,
     normal_action,
-    normal_category,
+    normal_interaction,
     plain,
 )
 from jrdb_avr.schema.relations import RELATIONS
-from jrdb_avr.schema.social import normal_interaction, normal_verb
+from jrdb_avr.schema.things import OBJECTS, VERBS, normal_category, normal_verb
 
 LONGEST_TEXT: Final = 120
 LONGEST_ARGUMENTS: Final = 4000

@@ -9,17 +9,17 @@ from typing import Final
 
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.labels import (
+    ACTION_PHRASES,
     ACTIONS,
     AGES,
     DISTANCE_WORDS,
     GENDERS,
+    INTERACTION_PHRASES,
     INTERACTIONS,
-    OBJECTS,
     OTHER_ACTIONS,
     PERSON_SECTORS,
     POSES,
     ROBOT_SECTORS,
-    VERBS,
 )
 from jrdb_avr.schema.plan import Condition, Plan
 from jrdb_avr.schema.relations import (
@@ -32,7 +32,8 @@ from jrdb_avr.schema.relations import (
     WINDOW_DEGREES,
     person_frame_label,
 )
-from jrdb_avr.schema.wording.phrases import ACTION_PHRASES, FAR_AWAY, INTERACTION_PHRASES, THINGS, VERB_PHRASES
+from jrdb_avr.schema.things import OBJECT_PHRASES, OBJECTS, VERB_PHRASES, VERBS
+from jrdb_avr.schema.wording.phrases import FAR_AWAY
 
 VALUES: Final[dict[str, tuple[str, ...]]] = {
     "gender": GENDERS,
@@ -91,7 +92,7 @@ def _listed(labels: Collection[str], words: Callable[[str], str] = str) -> str:
 
 def _thing(category: str) -> str:
     """A thing's words, or the label where they say no more than it does."""
-    words = THINGS[category]
+    words = OBJECT_PHRASES[category]
     for article in ("a ", "an ", "the ", "some "):
         words = words.removeprefix(article)
     return category if words == category.replace("_", " ") else words

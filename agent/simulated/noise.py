@@ -21,8 +21,9 @@ from jrdb_avr.agent.model.conventions import SCALE
 from jrdb_avr.agent.model.decode import write_box
 from jrdb_avr.agent.simulated.requests import Look, Misread
 from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.labels import AGES, GENDERS, INTERACTIONS, OBJECTS, OTHER_ACTIONS, POSES
+from jrdb_avr.schema.labels import AGES, GENDERS, INTERACTIONS, OTHER_ACTIONS, POSES
 from jrdb_avr.schema.markers import ALONE, HEADING_STEP, MAX_DISTANCE_DM, Mark
+from jrdb_avr.schema.things import OBJECTS
 
 T = TypeVar("T")
 

@@ -25,15 +25,13 @@ from jrdb_avr.schema.labels import (
     DISTANCE_WORDS,
     GENDERS,
     INTERACTIONS,
-    OBJECTS,
     OTHER_ACTIONS,
-    PERSON_CATEGORIES,
     POSES,
     ROBOT_SECTORS,
-    VERBS,
 )
 from jrdb_avr.schema.plan import Attribute, Condition
 from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES, VERBS
 from jrdb_avr.schema.wording import actions_of
 
 Words = npt.NDArray[np.uint64]

@@ -21,8 +21,9 @@ import pyarrow.parquet as pq
 from jrdb_avr.engine.generate import views
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.arrays import Bools, Floats
-from jrdb_avr.schema.labels import ACTIONS, OBJECTS, POSES
+from jrdb_avr.schema.labels import ACTIONS, POSES
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules
+from jrdb_avr.schema.things import OBJECTS
 
 Ints = npt.NDArray[np.integer[Any]]
 """Whole numbers: 64 bits wide, but for the columns of candidates that are millions."""

@@ -15,8 +15,9 @@ import pyarrow as pa
 
 from jrdb_avr.engine.rederive.actions import ActionFacts
 from jrdb_avr.engine.rederive.truth import FALSE, SLACK, TRUE, UNKNOWN, in_closed_gap, rows, step_of
-from jrdb_avr.schema.labels import AGES, DISTANCE_BOUNDS_M, DISTANCE_WORDS, GENDERS, OBJECTS, PERSON_CATEGORIES, POSES
+from jrdb_avr.schema.labels import AGES, DISTANCE_BOUNDS_M, DISTANCE_WORDS, GENDERS, POSES
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules
+from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES
 
 _Labels = dict[int, bool]
 """Frames at which a fact is labelled, and whether the label is certain."""

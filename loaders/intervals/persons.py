@@ -33,8 +33,8 @@ from jrdb_avr.loaders.labelfiles.columns import (
 )
 from jrdb_avr.loaders.report import Disagreement
 from jrdb_avr.schema.arrays import Bools, Ints
-from jrdb_avr.schema.labels import PERSON_CATEGORIES
 from jrdb_avr.schema.tables import INTERVALS
+from jrdb_avr.schema.things import PERSON_CATEGORIES
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,9 @@ from jrdb_avr.loaders.intervals.people import HARD, UNREADABLE, Boxes, Groups, L
 from jrdb_avr.loaders.intervals.timeline import Timeline
 from jrdb_avr.loaders.labelfiles.columns import begins, constant, nullable, person_keys, ranked, texts, whole_numbers
 from jrdb_avr.schema.arrays import Bools, Ints
-from jrdb_avr.schema.labels import PERSON_CATEGORIES
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import INTERVALS
+from jrdb_avr.schema.things import PERSON_CATEGORIES
 
 
 @dataclass(frozen=True)

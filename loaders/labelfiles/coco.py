@@ -34,8 +34,8 @@ from jrdb_avr.loaders.labelfiles.records import record_parts
 from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.labels import OBJECTS, normal_category
 from jrdb_avr.schema.tables import ANNOTATIONS
+from jrdb_avr.schema.things import OBJECTS, normal_category
 
 SECTIONS: Final = ("images", "annotations", "categories")
 MAX_KEYS: Final = 1000

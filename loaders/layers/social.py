@@ -44,9 +44,9 @@ from jrdb_avr.loaders.layers.social_entries import (
 )
 from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.schema.arrays import Bools
-from jrdb_avr.schema.labels import INTERACTIONS, VERBS
-from jrdb_avr.schema.social import DEMOGRAPHICS, GROUP_INFO, VALUES, normal_interaction, normal_values, normal_verb
+from jrdb_avr.schema.labels import DEMOGRAPHICS, GROUP_INFO, INTERACTIONS, VALUES, normal_interaction, normal_values
 from jrdb_avr.schema.tables import ANNOTATIONS
+from jrdb_avr.schema.things import VERBS, normal_verb
 
 _NOTHING: Final = msgspec.Raw(b"")
 

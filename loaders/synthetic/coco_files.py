@@ -17,9 +17,9 @@ from jrdb_avr.loaders.synthetic.pictures import Painter
 from jrdb_avr.loaders.synthetic.skeleton import JOINTS, L_EYE, LEFT_SIDE, R_EYE, RIGHT_SIDE
 from jrdb_avr.loaders.synthetic.world import World, spans
 from jrdb_avr.schema.arrays import Ints
-from jrdb_avr.schema.labels import OBJECTS
 from jrdb_avr.schema.panorama import HEIGHT, WIDTH
 from jrdb_avr.schema.rules import KEYFRAME_STEP
+from jrdb_avr.schema.things import OBJECTS
 
 Record = dict[str, Any]
 

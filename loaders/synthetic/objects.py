@@ -14,7 +14,7 @@ from jrdb_avr.loaders.synthetic.interactions import RelationRuns
 from jrdb_avr.loaders.synthetic.motion import Motion
 from jrdb_avr.loaders.synthetic.script import ACTION, POSE, Party, Rng, Script, one_of, runs_of
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
-from jrdb_avr.schema.labels import VERBS
+from jrdb_avr.schema.things import VERBS
 
 RIGHT_HAND, LEFT_HAND, BELOW = range(3)
 """Where what a person handles is drawn with it: in a hand, or under the body."""

@@ -20,10 +20,11 @@ from jrdb_avr.loaders.synthetic.shapes import Color, shade
 from jrdb_avr.loaders.synthetic.skeleton import facing
 from jrdb_avr.loaders.synthetic.world import FARTHEST, FLOOR, World, body_rows
 from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.labels import INTERACTIONS, OTHER_ACTIONS, POSES, VERBS
+from jrdb_avr.schema.labels import INTERACTIONS, OTHER_ACTIONS, POSES
 from jrdb_avr.schema.markers import ALONE, HEADING_STEP, MAX_DISTANCE_DM, MAX_GROUP, Mark, draw
 from jrdb_avr.schema.panorama import FOCAL_ROWS, WIDTH, Box, row_of_height
 from jrdb_avr.schema.rules import KEYFRAME_STEP
+from jrdb_avr.schema.things import VERBS
 
 Image = npt.NDArray[np.uint8]
 

@@ -19,8 +19,8 @@ from jrdb_avr.loaders.synthetic.interactions import RelationRuns
 from jrdb_avr.loaders.synthetic.script import Rng, one_of
 from jrdb_avr.loaders.synthetic.world import World, spans
 from jrdb_avr.schema.arrays import Bools, Ints
-from jrdb_avr.schema.labels import AGES, GENDERS, INTERACTIONS, OBJECTS, VERBS
-from jrdb_avr.schema.social import AIMS
+from jrdb_avr.schema.labels import AGES, AIMS, GENDERS, INTERACTIONS
+from jrdb_avr.schema.things import OBJECTS, VERBS
 
 _EMPTY: Final = msgspec.Raw(b"[]")
 

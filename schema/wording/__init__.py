@@ -7,7 +7,6 @@ new row there. The phrases in its places are tables too: actions, interactions a
 """
 
 from jrdb_avr.schema.wording.people import describe, in_order, read_description
-from jrdb_avr.schema.wording.phrases import ACTION_PHRASES, INTERACTION_PHRASES
 from jrdb_avr.schema.wording.text import (
     actions_of,
     moment,
@@ -21,8 +20,6 @@ from jrdb_avr.schema.wording.text import (
 )
 
 __all__ = [
-    "ACTION_PHRASES",
-    "INTERACTION_PHRASES",
     "actions_of",
     "describe",
     "in_order",

@@ -13,9 +13,9 @@ from typing import Final
 import msgspec
 
 from jrdb_avr.schema.errors import PlanError
-from jrdb_avr.schema.labels import POSES
+from jrdb_avr.schema.labels import ACTION_PHRASES, INTERACTION_PHRASES, POSES
 from jrdb_avr.schema.plan import Condition
-from jrdb_avr.schema.wording.phrases import ACTION_PHRASES, FAR_AWAY, INTERACTION_PHRASES, handled, handling, phrase_of
+from jrdb_avr.schema.wording.phrases import FAR_AWAY, handled, handling, phrase_of
 
 _HEADS: Final[dict[tuple[str | None, str | None], str]] = {
     (None, None): "person",

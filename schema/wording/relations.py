@@ -13,8 +13,9 @@ from functools import cache
 from typing import Final, Literal
 
 from jrdb_avr.schema.errors import PlanError
+from jrdb_avr.schema.labels import JOINT_PHRASES
 from jrdb_avr.schema.relations import QUESTION_RELATIONS, RELATIONS, RELATIONS_OF, Relation, Use
-from jrdb_avr.schema.wording.phrases import FAR_AWAY, TOGETHER
+from jrdb_avr.schema.wording.phrases import FAR_AWAY
 
 Style = Literal["says", "the", "holds"]
 
@@ -39,7 +40,7 @@ def _social(label: str) -> Words:
             f"the only person {towards}",
             towards,
         )
-    phrase = TOGETHER[label]
+    phrase = JOINT_PHRASES[label]
     holds = phrase.format(someone="{x}")
     return Words(
         "{x} is " + phrase.format(someone="exactly one person, {y}"),

@@ -24,9 +24,9 @@ from jrdb_avr.loaders.layers.boxes_2d import load_2d
 from jrdb_avr.loaders.layers.panoptic import load_panoptic
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.labels import OBJECTS, PERSON_CATEGORIES, normal_category
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS
+from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES, normal_category
 
 NAME = "yard-2020-01-01_0"
 SHELF, DOOR, WALL, PERSON, TEAPOT = 57, 71, 4, 63, 900

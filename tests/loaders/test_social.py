@@ -15,19 +15,21 @@ from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.labels import AGES, GENDERS, INTERACTIONS, VERBS
-from jrdb_avr.schema.rules import LoadRules
-from jrdb_avr.schema.social import (
+from jrdb_avr.schema.labels import (
+    AGES,
     AIMS,
     BODY_PLACES,
     ETHNICITIES,
+    GENDERS,
+    INTERACTIONS,
     SURROUNDINGS,
     VALUES,
     VENUES,
     normal_interaction,
     normal_values,
-    normal_verb,
 )
+from jrdb_avr.schema.rules import LoadRules
+from jrdb_avr.schema.things import VERBS, normal_verb
 
 NAME = "yard-2020-01-01_0"
 BOX = (100, 60, 50, 200)

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 
 from jrdb_avr.schema import markers as marks
 from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.labels import AGES, GENDERS, INTERACTIONS, OBJECTS, OTHER_ACTIONS, POSES, VERBS
+from jrdb_avr.schema.labels import AGES, GENDERS, INTERACTIONS, OTHER_ACTIONS, POSES
 from jrdb_avr.schema.markers import Mark, decode, draw, encode, plate_of, read
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box
+from jrdb_avr.schema.things import OBJECTS, VERBS
 
 
 @st.composite

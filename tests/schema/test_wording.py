@@ -11,21 +11,22 @@ from hypothesis import strategies as st
 from jrdb_avr.schema import wording
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.labels import (
+    ACTION_PHRASES,
     ACTIONS,
     AGES,
     DISTANCE_WORDS,
     GENDERS,
+    INTERACTION_PHRASES,
     INTERACTIONS,
-    OBJECTS,
     OTHER_ACTIONS,
     PERSON_SECTORS,
     POSES,
     ROBOT_SECTORS,
-    VERBS,
 )
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time, canonical, parse_plan
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, QUESTION_RELATIONS, SAME_GROUP
 from jrdb_avr.schema.templates import FAMILIES, TEMPLATES, Slots
+from jrdb_avr.schema.things import OBJECTS, VERBS
 from jrdb_avr.schema.wording import (
     describe,
     in_order,
@@ -213,8 +214,8 @@ def test_this_table_holds_the_twelve_templates():
 
 
 def test_every_word_of_the_vocabularies_has_a_phrase_and_no_two_share_one():
-    assert set(wording.ACTION_PHRASES) == set(ACTIONS)
-    assert set(wording.INTERACTION_PHRASES) == set(INTERACTIONS)
+    assert set(ACTION_PHRASES) == set(ACTIONS)
+    assert set(INTERACTION_PHRASES) == set(INTERACTIONS)
     assert set(QUESTION_RELATIONS) == set(HOPS) | set(JOINS)
     states = [Condition(action=action, at="t0") for action in ACTIONS]
     states += [Condition(interaction=label, at="t0") for label in INTERACTIONS]

@@ -21,9 +21,10 @@ from jrdb_avr.engine.generate.relations import RELATIONS, find_facts
 from jrdb_avr.engine.generate.scene import coded, load_scene
 from jrdb_avr.engine.generate.search import find_candidates, search_graph
 from jrdb_avr.schema import labels as words
-from jrdb_avr.schema.labels import OBJECTS, PERSON_CATEGORIES, VERBS
+from jrdb_avr.schema.labels import POSES_OF_INTERACTIONS
 from jrdb_avr.schema.templates import TEMPLATES
-from jrdb_avr.schema.wording.phrases import POSES_OF_INTERACTIONS, POSES_OF_VERBS
+from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES, VERBS
+from jrdb_avr.schema.wording.phrases import POSES_OF_VERBS
 
 SQL = Path(__file__).parent / "sql"
 SCRIPTS = ("people", "relations", "descriptions", "events", "company", "joins")

@@ -10,10 +10,11 @@ from jrdb_avr.agent.reference.labels import vocabulary
 from jrdb_avr.agent.reference.planning import plan_form, plan_prompt, read_plan
 from jrdb_avr.queries.compiler import find_believed
 from jrdb_avr.schema.errors import PlanError
-from jrdb_avr.schema.labels import ACTIONS, AGES, DISTANCE_WORDS, GENDERS, INTERACTIONS, OBJECTS, ROBOT_SECTORS, VERBS
+from jrdb_avr.schema.labels import ACTIONS, AGES, DISTANCE_WORDS, GENDERS, INTERACTIONS, ROBOT_SECTORS
 from jrdb_avr.schema.method import Question, SequenceInfo
 from jrdb_avr.schema.plan import canonical, plan_json_schema
 from jrdb_avr.schema.relations import QUESTION_RELATIONS as RELATIONS
+from jrdb_avr.schema.things import OBJECTS, VERBS
 
 
 def task(mode="multiple_choice"):

@@ -22,9 +22,9 @@ from jrdb_avr.agent.simulated.play import REACT
 from jrdb_avr.agent.simulated.requests import Look, Sighting
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.schema.errors import DecodeError, InputError
-from jrdb_avr.schema.labels import OBJECTS, VERBS
 from jrdb_avr.schema.markers import Mark, encode
 from jrdb_avr.schema.panorama import Box, iou
+from jrdb_avr.schema.things import OBJECTS, VERBS
 
 N = 500
 RATE = 0.2
