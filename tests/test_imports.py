@@ -59,11 +59,11 @@ def test_the_folders_are_all_there():
 
 
 def test_only_what_pyproject_names_is_imported():
-    declared = {"kuzu", "duckdb", "pyarrow", "cv2", "numpy", "click", "rich", "msgspec", "openai", "yaml"}
+    declared = {"kuzu", "duckdb", "pyarrow", "cv2", "numpy", "click", "rich", "msgspec", "httpx2", "yaml"}
     declared |= {"jrdb_avr", "jinja2"}
-    # httpx carries openai's requests and comes with it, as markupsafe does with jinja2.
+    # markupsafe comes with jinja2.
     used = {name.split(".")[0] for path in modules() for name in imported(path)}
-    assert used - set(sys.stdlib_module_names) <= declared | {"httpx", "httpx2", "markupsafe"}
+    assert used - set(sys.stdlib_module_names) <= declared | {"markupsafe"}
 
 
 def test_the_agents_edge_never_opens_the_private_tables():
@@ -73,7 +73,7 @@ def test_the_agents_edge_never_opens_the_private_tables():
             assert private not in text, path
 
 
-HEAVY = ("kuzu", "duckdb", "pyarrow", "cv2", "numpy", "openai", "rich", "msgspec", "jinja2")
+HEAVY = ("kuzu", "duckdb", "pyarrow", "cv2", "numpy", "httpx2", "rich", "msgspec", "jinja2")
 
 
 def loaded_after(code):
@@ -90,4 +90,4 @@ def test_the_command_line_starts_light():
     ["queries.store", "queries.graph.guard", "queries.sql", "queries.graph.handle", "engine.observe.observer"],
 )
 def test_engines_are_imported_where_they_are_used(module):
-    assert not loaded_after(f"import jrdb_avr.{module}") & {"kuzu", "duckdb", "cv2", "openai", "rich"}
+    assert not loaded_after(f"import jrdb_avr.{module}") & {"kuzu", "duckdb", "cv2", "httpx2", "rich"}

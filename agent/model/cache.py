@@ -26,14 +26,14 @@ class _Line(msgspec.Struct):
     request: str
 
 
-class _Kept(msgspec.Struct):
+class _Entry(msgspec.Struct):
     request: str
     reply: Reply
 
 
 # Made at import: threads that meet a type first at the same time crash the decoder.
 _LINE: Final = msgspec.json.Decoder(_Line)
-_KEPT: Final = msgspec.json.Decoder(_Kept)
+_ENTRY: Final = msgspec.json.Decoder(_Entry)
 _UNREADABLE: Final = (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 
@@ -67,12 +67,12 @@ class Calls:
             if (place := self._places.get(digest)) is None:
                 return None
             at, size = place
-            kept = _KEPT.decode(os.pread(file, size, at))
-            return kept.reply if kept.request == digest else None
+            entry = _ENTRY.decode(os.pread(file, size, at))
+            return entry.reply if entry.request == digest else None
         except _UNREADABLE:
             return None
 
-    def keep(self, digest: str, reply: Reply) -> None:
+    def append(self, digest: str, reply: Reply) -> None:
         """Append a reply. Raises StoreError where the disk refuses."""
         # A line end before the line, too: the last line may have been cut short.
         line = b"\n" + msgspec.json.encode({"request": digest, "reply": reply}) + b"\n"

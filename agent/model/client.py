@@ -1,10 +1,9 @@
-"""Client of OpenAI-compatible servers.
+"""Client of OpenAI-compatible chat servers.
 
-A call is a pure function of its request (temperature 0), so a call that finished cleanly is kept on disk under the
-sha256 of the whole request and never paid for twice. Retried: what the transport or the server broke (no connection,
-timeout, cut-off or unreadable reply, 5xx), and, for longer, what a busy server puts off (429). Anything else that the
-server refuses is an EndpointError at once. The key is read from the environment and goes nowhere but into the request's
-header.
+A call is a pure function of its request (temperature 0), so a call that finishes cleanly is stored under the sha256 of
+the whole request and never paid for twice. The client repeats what the transport or the server breaks (no connection,
+timeout, cut-off or unreadable reply, 5xx) and waits longer for a busy server (429). Any other refusal is an
+EndpointError at once. The key comes from the environment and goes only into the request's header.
 """
 
 from __future__ import annotations
@@ -13,68 +12,51 @@ import functools
 import ipaddress
 import math
 import os
+import queue
 import random
 import re
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 from urllib.parse import urlsplit
 
 import msgspec
 
 from jrdb_avr.agent.model.cache import Calls
-from jrdb_avr.agent.model.conventions import CONTRACT, Convention
-from jrdb_avr.agent.model.limits import limit, within
+from jrdb_avr.agent.model.conventions import CONTRACT, DEFAULTS, Convention, Options
 from jrdb_avr.agent.model.messages import Message, fingerprint, wire
-from jrdb_avr.agent.model.options import DEFAULTS, Options
-from jrdb_avr.agent.model.reply import Reply as Reply
-from jrdb_avr.agent.model.reply import read_completion, spoken
+from jrdb_avr.agent.model.reply import Reply, read_completion, spoken
 from jrdb_avr.schema.errors import EndpointError
 
 if TYPE_CHECKING:
     import ssl
 
     import httpx2
-    import openai
+
+T = TypeVar("T")
 
 KEY_VARIABLE: Final = "OPENAI_API_KEY"
-_ACCOUNT_VARIABLES: Final = ("OPENAI_ORG_ID", "OPENAI_PROJECT_ID")
-"""What the client's library reads of the environment by itself, and sends along."""
-
-_UNSAID: Final = tuple(
-    f"X-Stainless-{name}"
-    for name in (
-        "Arch",
-        "Async",
-        "Lang",
-        "OS",
-        "Package-Version",
-        "Read-Timeout",
-        "Retry-Count",
-        "Runtime",
-        "Runtime-Version",
-    )
-)
-"""Headers by which the client's library would tell of itself and this machine: nothing that a model's server needs, and
-each takes time in every call.
-"""
+MOST_BYTES: Final = 16 << 20
+"""Longest reply accepted; a few thousand tokens take some kilobytes."""
 
 _LONGEST_PAUSE_S: Final = 60.0
 _LONGEST_BUSY_S: Final = 4.0
-"""Before a busy server is asked again, if it does not say when: a place becomes free as soon as any reply is done."""
+"""Longest pause before the next try at a busy server that names none: a place is free as soon as any reply ends."""
 _BUSY_S: Final = 120.0
-"""Pauses in all that one call grants a busy server. Of many questions in flight each waits for the others."""
+"""Sum of the pauses that one call grants a busy server: each of many calls in flight waits for the others."""
 _LEAST_PAUSE_S: Final = 0.5
 _CONNECT_S: Final = 20.0
 _PROBE_TIMEOUT_S: Final = 180.0
 _PROBE_RETRIES: Final = 1
 _VERSION_TIMEOUT_S: Final = 5.0
 _SECRET: Final = 16
-"""Characters of a key from which on it is one; shorter ones, as "EMPTY" or "x", are words that a reply may hold."""
+"""Shortest key that is hidden; shorter ones, such as "EMPTY" or "x", are words that a reply may hold."""
 _NO_CREDIT: Final = "insufficient_quota"
-"""The error code of a 429 that no waiting mends."""
+"""The error code of a 429 that waiting does not mend."""
 _REMEDIES: Final = {
     401: f"; put the server's key into ${KEY_VARIABLE}",
     403: f"; put a key that may use the model into ${KEY_VARIABLE}",
@@ -84,26 +66,25 @@ _REMEDIES: Final = {
 
 
 class Chat(Protocol):
-    """Anything that completes a chat. `schema` is the JSON Schema the reply should keep to."""
+    """Anything that completes a chat. `schema` is the JSON Schema that the reply should follow."""
 
     def complete(self, messages: Sequence[Message], schema: Mapping[str, Any] | None = None) -> Reply: ...
 
 
+@dataclass
 class _BrokenError(Exception):
-    """A try that may be repeated, with the pause that the server asks for (seconds); `busy`: it is only put off."""
+    """A failed try that may be repeated; `pause` is the server's Retry-After in seconds, `busy` marks a 429."""
 
-    def __init__(self, reason: str, pause: float | None = None, busy: bool = False) -> None:
-        super().__init__(reason)
-        self.reason = reason
-        self.pause = pause
-        self.busy = busy
+    reason: str
+    pause: float | None = None
+    busy: bool = False
 
 
 class Client:
-    """Completes chats at `base_url` with `model`; used by many threads at once.
+    """Completes chats at `base_url` with `model`; safe for many threads at once.
 
-    `convention` says how the model is told to think or not, and what of a reply is its answer. `cache` is a file for
-    finished calls.
+    `convention` says how to switch thinking and which part of a reply is its answer. `cache` is a file of finished
+    calls.
     """
 
     def __init__(
@@ -114,7 +95,6 @@ class Client:
         *,
         convention: Convention = CONTRACT,
         cache: Path | None = None,
-        key_variable: str = KEY_VARIABLE,
         pause: Callable[[float], None] = time.sleep,
     ) -> None:
         self.base_url = _checked_url(base_url)
@@ -122,66 +102,54 @@ class Client:
         self.options = options
         self.convention = convention
         self._calls = None if cache is None else Calls(cache)
-        self._key = _checked_key(key_variable)
-        for variable in _ACCOUNT_VARIABLES:
-            _checked_key(variable)
+        self._key = _environment_key()
+        self._secret = _secret_pattern(self._key)
         self._pause = pause
         self._served: dict[str, None] = {}
         self._lock = threading.Lock()
-        # A connection each for calls in flight: the library's pool looks at all of its connections, the idle ones by a
-        # poll, twice a call. The first is made at once, as an environment may be refused.
-        self._idle = [self._connect()]
-
-    def _connect(self) -> openai.OpenAI:
-        import openai
-
-        return openai.OpenAI(
-            base_url=self.base_url,
-            api_key=self._key or "none",
-            max_retries=0,
-            timeout=self.options.timeout_s,
-            http_client=_transport(self.base_url),
-        )
+        # One connection per call in flight: the library's pool inspects all of its connections twice a call. The first
+        # one is made at once, because the environment may be unusable.
+        self._idle = [_connection(self.base_url)]
 
     def settings(self) -> dict[str, Any]:
-        """What the manifest of a run says of the server and the sampling; no secret is in it."""
+        """Server and sampling settings for a run's manifest; they hold no secret."""
         return {
             "base_url": self.base_url,
             "temperature": 0,
-            **self.options.settings(),
+            **asdict(self.options),
             "chat_template_kwargs": dict(self.options.template(self.convention)),
         }
 
     @property
     def served(self) -> tuple[str, ...]:
-        """The model ids that the server has named so far, kept calls included, in the order of their first reply."""
+        """The model ids that replies have named so far, cached ones included, in the order of their first reply."""
         with self._lock:
             return tuple(self._served)
 
     def complete(self, messages: Sequence[Message], schema: Mapping[str, Any] | None = None) -> Reply:
-        """Complete a chat, from the cache where the same request finished cleanly before.
+        """Complete a chat, from the cache where the same request has finished cleanly before.
 
         Raises EndpointError when the server cannot be reached after all retries or refuses the request.
         """
         request = self._request(schema)
-        if self._calls is None:
-            return self._noted(self._send({**request, "messages": wire(messages)}, self.options.retries))
-        digest = self._calls.digest({**request, "messages": fingerprint(messages)})
-        kept = self._calls.read(digest)
-        if kept is not None and self._stands(kept):
-            return self._noted(kept)
+        digest = ""
+        if self._calls is not None:
+            digest = self._calls.digest({**request, "messages": fingerprint(messages)})
+            cached = self._calls.read(digest)
+            if cached is not None and self._cacheable(cached):
+                return self._noted(cached)
         reply = self._noted(self._send({**request, "messages": wire(messages)}, self.options.retries))
-        if self._stands(reply):
-            self._calls.keep(digest, reply)
+        if self._calls is not None and self._cacheable(reply):
+            self._calls.append(digest, reply)
         return reply
 
-    def _stands(self, reply: Reply) -> bool:
-        """Whether a reply is worth keeping: it finished cleanly, said something, and is of the model first met."""
+    def _cacheable(self, reply: Reply) -> bool:
+        """Whether a reply finished cleanly, has an answer, and comes from the first model that replied."""
         of_model = reply.model == next(iter(self.served), reply.model)
         return of_model and reply.finished and bool(spoken(reply, self.convention))
 
-    def ask(self, messages: Sequence[Message], schema: Mapping[str, Any] | None = None) -> Reply:
-        """Complete a chat now, whatever is kept, and give up soon: of a server of which nothing is known yet.
+    def probe(self, messages: Sequence[Message], schema: Mapping[str, Any] | None = None) -> Reply:
+        """Complete a chat without the cache and give up soon, as the server is still unknown.
 
         Raises EndpointError, as `complete`.
         """
@@ -189,17 +157,18 @@ class Client:
         return self._noted(self._send(request, _PROBE_RETRIES, _PROBE_TIMEOUT_S))
 
     def server_version(self) -> str:
-        """What the server says of its version at `/version`, as vLLM does; empty where it says nothing."""
+        """The version that the server reports at `/version`, as vLLM does; empty where it reports none."""
         import httpx2
 
         parts = urlsplit(self.base_url)
         try:
-            with _transport(self.base_url) as http:
-                answer = http.get(f"{parts.scheme}://{parts.netloc}/version", timeout=_VERSION_TIMEOUT_S)
-            version = msgspec.json.decode(answer.content, type=dict[str, Any]).get("version")
+            with _connection(self.base_url) as http:
+                url = f"{parts.scheme}://{parts.netloc}/version"
+                response, data = _exchange(http, "GET", url, _VERSION_TIMEOUT_S)
+            version = msgspec.json.decode(data, type=dict[str, Any]).get("version")
         except (httpx2.HTTPError, EndpointError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             return ""
-        return self._one_line(version)[:80] if answer.status_code == 200 and isinstance(version, str) else ""
+        return self._one_line(version)[:80] if response.status_code == 200 and isinstance(version, str) else ""
 
     def _noted(self, reply: Reply) -> Reply:
         with self._lock:
@@ -216,7 +185,7 @@ class Client:
         # Encoded once and sent as bytes: a request may hold megabytes of pictures.
         body = msgspec.json.encode(request)
         timeout_s = min(self.options.timeout_s, most_s)
-        # A probe, and who wants no retries, is not kept waiting by a busy server either.
+        # A busy server does not delay a probe either, or a call without retries.
         patience_s = _BUSY_S if retries and most_s == math.inf else 0.0
         tries = broken_tries = 0
         while True:
@@ -227,7 +196,7 @@ class Client:
                 wait = broken.pause
                 if wait is None:
                     wait = min(0.5 * 2.0 ** min(tries - 1, 10), _LONGEST_BUSY_S if broken.busy else _LONGEST_PAUSE_S)
-                # Not all that were refused together come back together.
+                # The random share spreads calls that were refused together.
                 wait = min(max(wait, _LEAST_PAUSE_S), _LONGEST_PAUSE_S) * random.uniform(1, 1.5)  # noqa: S311
                 if broken.busy and patience_s > 0:
                     patience_s -= wait
@@ -242,85 +211,77 @@ class Client:
 
     def _try(self, body: bytes, timeout_s: float) -> Reply:
         import httpx2
-        import openai
-
-        def post() -> httpx2.Response:
-            try:
-                connection = self._idle.pop()
-            except IndexError:
-                connection = self._connect()
-            try:
-                response: httpx2.Response = connection.post(
-                    f"{self.base_url}/chat/completions",
-                    content=body,
-                    cast_to=httpx2.Response,
-                    options={
-                        "headers": dict.fromkeys(_UNSAID, openai.Omit()),
-                        "timeout": httpx2.Timeout(timeout_s, connect=min(timeout_s, _CONNECT_S)),
-                    },
-                )
-                return response
-            finally:
-                self._idle.append(connection)
 
         try:
-            # To send a request, to wait for the reply, to read it: each has its own time.
-            response = within(min(timeout_s, _CONNECT_S) + 3 * timeout_s, post)
-            data = response.content
+            # Sending the request, waiting for the reply and reading it may each take the whole time.
+            response, data = within(min(timeout_s, _CONNECT_S) + 3 * timeout_s, lambda: self._post(body, timeout_s))
         except TimeoutError:
             raise _BrokenError(f"no whole reply within {timeout_s:g} s") from None
-        except openai.APITimeoutError as error:
-            if isinstance(error.__cause__, httpx2.ConnectTimeout):
-                raise _BrokenError("cannot reach the server (nothing takes the connection)") from None
+        except httpx2.ConnectTimeout:
+            raise _BrokenError("cannot reach the server (it accepts no connection)") from None
+        except httpx2.TimeoutException:
             raise _BrokenError(f"no reply within {timeout_s:g} s") from None
-        except openai.APIConnectionError as error:
-            if isinstance(error.__cause__, EndpointError):
-                raise EndpointError(f"{self.base_url}: {error.__cause__}") from None
-            raise _BrokenError(f"cannot reach the server ({self._one_line(error.__cause__ or error)})") from None
-        except openai.APIStatusError as error:
-            reason = f"HTTP {error.status_code}: {self._one_line(error.message)}"
-            busy = error.status_code == 429 and error.code != _NO_CREDIT
-            if busy or error.status_code >= 500:
-                raise _BrokenError(reason, _retry_after(error.response.headers.get("retry-after")), busy) from None
-            raise EndpointError(f"{self.base_url}: {reason}{_REMEDIES.get(error.status_code, '')}") from None
         except httpx2.HTTPError as error:
-            raise _BrokenError(f"the reply broke off ({self._one_line(error)})") from None
-        if len(self._key) >= _SECRET:
-            # A server may echo what it was sent, and a reply is stored.
-            data = data.replace(self._key.encode(), b"[key]")
+            raise _BrokenError(f"cannot reach the server, or its reply broke off ({self._one_line(error)})") from None
+        except EndpointError as error:
+            raise EndpointError(f"{self.base_url}: {error}") from None
+        if self._secret is not None:
+            # A server may echo its request, and replies are stored.
+            data = self._secret.sub(b"[key]", data)
+        if not response.is_success:
+            raise self._refusal(response, data)
         try:
-            return self._without_key(read_completion(data))
+            return read_completion(data)
         except ValueError as error:
             kind = self._one_line(response.headers.get("content-type", "bytes").partition(";")[0])
             raise _BrokenError(f"the reply is no chat completion but {kind[:40]} ({self._one_line(error)})") from None
 
-    def _without_key(self, reply: Reply) -> Reply:
-        """The reply without a key that was written in JSON's escapes, as some servers write / and +."""
-        if len(self._key) < _SECRET:
-            return reply
-        texts = {name: text for name, text in msgspec.structs.asdict(reply).items() if isinstance(text, str)}
-        return msgspec.structs.replace(
-            reply, **{name: text.replace(self._key, "[key]") for name, text in texts.items() if self._key in text}
-        )
+    def _post(self, body: bytes, timeout_s: float) -> tuple[httpx2.Response, bytes]:
+        try:
+            connection = self._idle.pop()
+        except IndexError:
+            connection = _connection(self.base_url)
+        headers = {"Content-Type": "application/json"} | ({"Authorization": f"Bearer {self._key}"} if self._key else {})
+        try:
+            return _exchange(connection, "POST", f"{self.base_url}/chat/completions", timeout_s, body, headers)
+        finally:
+            self._idle.append(connection)
+
+    def _refusal(self, response: httpx2.Response, data: bytes) -> Exception:
+        """The error of a reply whose HTTP status is no success."""
+        status, message, code = response.status_code, data.decode(errors="replace"), None
+        try:
+            match msgspec.json.decode(data):
+                case {"error": {"message": str(message), **rest}} | {"message": str(message), **rest}:
+                    code = rest.get("code")
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            pass
+        reason = f"HTTP {status}: {self._one_line(message)}"
+        busy = status == 429 and code != _NO_CREDIT
+        if busy or status >= 500:
+            return _BrokenError(reason, _retry_after(response.headers.get("retry-after")), busy)
+        return EndpointError(f"{self.base_url}: {reason}{_REMEDIES.get(status, '')}")
 
     def _one_line(self, error: object) -> str:
         # The key goes before the text is cut, or its beginning could stay.
-        text = str(error)
-        return _one_line(text.replace(self._key, "[key]") if self._key else text) or type(error).__name__
+        text = str(error).replace(self._key, "[key]") if self._key else str(error)
+        return " ".join(text.split())[:300] or type(error).__name__
 
 
-def _transport(base_url: str) -> httpx2.Client:
+# -- one exchange over HTTP -------------------------------------------------------------------------------------------
+
+
+def _connection(base_url: str) -> httpx2.Client:
     import httpx2
-    import openai
 
     # A proxy of the environment cannot reach this machine's own loopback address.
     environment = not _is_loopback(base_url)
     try:
-        return openai.DefaultHttpxClient(
+        return httpx2.Client(
             trust_env=environment,
             verify=_certificates(environment),
-            event_hooks={"response": [limit]},
-            headers={"Accept-Encoding": "identity"},
+            follow_redirects=True,
+            headers={"Accept": "application/json", "Accept-Encoding": "identity"},
         )
     except (httpx2.InvalidURL, ValueError, ImportError):
         raise EndpointError(
@@ -330,14 +291,86 @@ def _transport(base_url: str) -> httpx2.Client:
 
 @functools.cache
 def _certificates(environment: bool) -> ssl.SSLContext:
-    """The certificates to trust. Loading them takes as long as many calls do, and all clients may share them."""
+    """The trusted certificates, shared by all connections: loading them takes as long as many calls."""
     import httpx2
 
     return httpx2.create_ssl_context(trust_env=environment)
 
 
+def _exchange(
+    http: httpx2.Client,
+    method: str,
+    url: str,
+    timeout_s: float,
+    body: bytes | None = None,
+    headers: Mapping[str, str] | None = None,
+) -> tuple[httpx2.Response, bytes]:
+    """Send a request and read the whole reply.
+
+    Raises EndpointError for a reply over 16 MB and for a compressed one, of which few bytes may become many, and
+    httpx2.ReadTimeout for one that has not ended in time: the library's timeouts bound each wait for bytes only.
+    """
+    import httpx2
+
+    timeout = httpx2.Timeout(timeout_s, connect=min(timeout_s, _CONNECT_S))
+    with http.stream(method, url, content=body, headers=headers, timeout=timeout) as response:
+        if response.headers.get("content-encoding", "").strip().lower() not in ("", "identity"):
+            raise EndpointError("the reply is compressed, but the request accepts no compression: switch it off there")
+        data, end = bytearray(), time.monotonic() + timeout_s
+        for chunk in response.iter_raw():
+            data += chunk
+            if len(data) > MOST_BYTES:
+                raise EndpointError(f"the reply is longer than {MOST_BYTES >> 20} MB: is this a chat server?")
+            if time.monotonic() > end:
+                raise httpx2.ReadTimeout(f"the reply did not end within {timeout_s:g} s")
+        return response, bytes(data)
+
+
+def within(seconds: float, work: Callable[[], T]) -> T:
+    """Run `work` in another thread and return its result, or raise what it raises.
+
+    Raises TimeoutError where it does not end in time, and abandons the thread. The library's timeouts do not bound how
+    many bytes the head of a reply and the announcements before it (102 Processing) may have.
+    """
+    done: Future[T] = Future()
+    try:
+        # Threads are reused: starting one takes longer than much of a call.
+        tasks = _idle_threads.pop()
+    except IndexError:
+        tasks = queue.SimpleQueue()
+        threading.Thread(target=_serve, args=(tasks,), daemon=True).start()
+    tasks.put((work, done))
+    return done.result(seconds)
+
+
+_Tasks = queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]]
+
+_idle_threads: Final[list[_Tasks]] = []
+"""The queues that idle threads wait for."""
+
+# A forked process has none of the threads.
+os.register_at_fork(after_in_child=_idle_threads.clear)
+
+
+def _serve(tasks: _Tasks) -> None:
+    while True:
+        work, done = tasks.get()
+        finish: Callable[[], None]
+        try:
+            finish = functools.partial(done.set_result, work())
+        except BaseException as error:
+            finish = functools.partial(done.set_exception, error)
+        # Idle before the caller goes on, which may have more work at once.
+        _idle_threads.append(tasks)
+        finish()
+        # Results do not stay alive while the thread waits.
+        del work, done, finish
+
+
+# -- address and key --------------------------------------------------------------------------------------------------
+
 _SECRETIVE: Final = re.compile(r"[?#]|^([^/]*//)?[^/]*@")
-"""What of an address may hold a password: user info, query, fragment."""
+"""Parts of an address that may hold a password: user info, query, fragment."""
 
 
 def _checked_url(base_url: str) -> str:
@@ -358,16 +391,6 @@ def _checked_url(base_url: str) -> str:
     return base_url.rstrip("/")
 
 
-def _checked_key(variable: str) -> str:
-    """The key of the environment. Raises EndpointError, without it, for one that cannot stand in a header."""
-    key = os.environ.get(variable, "").strip()
-    if not all("!" <= character <= "~" for character in key):
-        raise EndpointError(
-            f"${variable} holds a character that no key has (a space, a line end, a letter beyond ASCII)"
-        )
-    return key
-
-
 def _is_loopback(base_url: str) -> bool:
     host = urlsplit(base_url).hostname or ""
     try:
@@ -376,13 +399,25 @@ def _is_loopback(base_url: str) -> bool:
         return host == "localhost"
 
 
+def _environment_key() -> str:
+    """The key of the environment. Raises EndpointError, without it, for one that a header cannot hold."""
+    key = os.environ.get(KEY_VARIABLE, "").strip()
+    if not all("!" <= character <= "~" for character in key):
+        raise EndpointError(
+            f"${KEY_VARIABLE} holds a character that no key has (a space, a line end, a letter beyond ASCII)"
+        )
+    return key
+
+
+def _secret_pattern(key: str) -> re.Pattern[bytes] | None:
+    """Matches the key in a reply, also with JSON's escapes, as some servers write / and +; None for a short key."""
+    forms = (rf"(?:\\?{re.escape(character)}|\\u00(?i:{ord(character):02x}))" for character in key)
+    return re.compile("".join(forms).encode()) if len(key) >= _SECRET else None
+
+
 def _retry_after(value: str | None) -> float | None:
     try:
         seconds = float(value or "")
     except ValueError:
         return None
     return seconds if seconds >= 0 else None
-
-
-def _one_line(error: object) -> str:
-    return " ".join(str(error).split())[:300]

@@ -4,6 +4,8 @@ The contract of the prompts is the same for all: `bbox`, x1 y1 x2 y2, in thousan
 under which other keys a backbone writes its boxes out of habit, and in which order and scale the numbers of each key
 are to be read. Nothing here is ever chosen by looking at a true box: a convention is declared, or found by
 `calibrate` on drawn rectangles that belong to no question.
+
+What is set of an endpoint beside its address and model: part of a run's manifest, never changed while it runs.
 """
 
 from __future__ import annotations
@@ -134,3 +136,45 @@ def convention_of(model: str) -> Convention:
     """The convention of a backbone whose name the model id holds, however it is spelled; CONTRACT for any other."""
     plain = re.sub(r"[\s_:/]+", "-", model.lower())
     return next((convention for pattern, convention in _FAMILIES if pattern.search(plain)), CONTRACT)
+
+
+RESPONSE_FORMATS: Final[tuple[ResponseFormat, ...]] = ("json_schema", "json_object", "none")
+THINKING: Final[tuple[Thinking, ...]] = ("off", "on", "template")
+
+
+@dataclass(frozen=True)
+class Options:
+    """Request settings of a server, stored in a run's manifest and never changed while it runs.
+
+    `response_format`: what makes the reply JSON: the schema itself, the promise of some JSON object, or the prompt
+    alone. `thinking`: off or on, or as the server's template has it. `max_tokens` bounds a reply, thinking included;
+    `timeout_s` bounds each wait for a reply; `retries` is how often a broken try is repeated.
+    """
+
+    response_format: ResponseFormat = "json_schema"
+    thinking: Thinking = "off"
+    max_tokens: int = 2048
+    timeout_s: float = 300.0
+    retries: int = 4
+
+    def thinks(self, convention: Convention) -> bool | None:
+        """Whether replies are declared to hold thinking; None where nothing is declared."""
+        return convention.thinks if self.thinking == "template" else self.thinking == "on"
+
+    def template(self, convention: Convention) -> Mapping[str, Any]:
+        """The request's `chat_template_kwargs`: sent only where they change what the template does by itself."""
+        if self.thinking == "template" or convention.thinks == (self.thinking == "on"):
+            return {}
+        return convention.switch.get(self.thinking, {})
+
+    def response(self, schema: Mapping[str, Any]) -> dict[str, Any]:
+        """The request's `response_format` for a schema; empty where none is sent."""
+        if self.response_format == "none":
+            return {}
+        form: dict[str, Any] = {"type": self.response_format}
+        if self.response_format == "json_schema":
+            form["json_schema"] = {"name": "reply", "schema": dict(schema), "strict": True}
+        return {"response_format": form}
+
+
+DEFAULTS: Final = Options()

@@ -236,7 +236,7 @@ def require(checks: Sequence[Check], method: str | None = None) -> list[str]:
 
 
 def _checks(client: Client) -> Iterator[Check]:
-    text = client.ask(_message(render("preflight_text")))
+    text = client.probe(_message(render("preflight_text")))
     yield _text(client, text)
     shaped = _asked(client, *_shape_request(client))
     yield _schema(client, shaped)
@@ -401,7 +401,7 @@ def _asked(
     client: Client, messages: Sequence[Message], schema: Mapping[str, Any] | None = None
 ) -> Reply | EndpointError:
     try:
-        return client.ask(messages, schema)
+        return client.probe(messages, schema)
     except EndpointError as error:
         return error
 

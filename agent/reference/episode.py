@@ -18,9 +18,9 @@ import msgspec
 
 from jrdb_avr.agent.methods.attempt import Attempt, Verdict, duplicate, panorama_line, panorama_picture
 from jrdb_avr.agent.model import decode
-from jrdb_avr.agent.model.client import Reply
 from jrdb_avr.agent.model.messages import Message, Part, Picture, crop_line, crop_picture
 from jrdb_avr.agent.model.prompts import render
+from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.agent.reference.limits import LIMITS, Limits
 from jrdb_avr.agent.reference.tool_calls import FINAL, Call, call_schema, printable, read_calls, read_look, refusal
 from jrdb_avr.schema.errors import DecodeError

@@ -2,6 +2,7 @@
 
 from jrdb_avr.agent.methods.attempt import Attempt, final_parts, heading, on_crop
 from jrdb_avr.agent.model import decode
+from jrdb_avr.agent.model.conventions import CONTRACT
 from jrdb_avr.agent.model.messages import Message, crop_line, crop_picture
 from jrdb_avr.agent.model.prompts import mode_text
 from jrdb_avr.schema.errors import DecodeError
@@ -23,7 +24,7 @@ class Glance:
         return {"looks": 1}
 
     def answer(self, task):
-        attempt = Attempt(task, self.chat, decode.CONTRACT)
+        attempt = Attempt(task, self.chat, CONTRACT)
         frames = task.sequence.frames
         seen = attempt.look(frames[len(frames) // 2], 180.0)
         text = mode_text(task.question.answer_mode, task.sequence.frame_count)

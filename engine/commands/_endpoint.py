@@ -9,7 +9,7 @@ from typing import Any, Final, TypeVar
 
 import click
 
-from jrdb_avr.agent.model.options import DEFAULTS, RESPONSE_FORMATS, THINKING, Options
+from jrdb_avr.agent.model.conventions import DEFAULTS, RESPONSE_FORMATS, THINKING, Options
 
 C = TypeVar("C", bound=Callable[..., Any])
 

@@ -18,8 +18,7 @@ import msgspec
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.calibrate import Calibration
 from jrdb_avr.agent.model.client import Client
-from jrdb_avr.agent.model.conventions import Convention, convention_of
-from jrdb_avr.agent.model.options import DEFAULTS, Options
+from jrdb_avr.agent.model.conventions import DEFAULTS, Convention, Options, convention_of
 from jrdb_avr.agent.model.preflight import preflight, require
 from jrdb_avr.agent.simulated.noise import PERFECT, Knobs
 from jrdb_avr.engine.run.methods import MARKER

@@ -22,7 +22,7 @@ import numpy as np
 from older_worlds import older_record
 
 from jrdb_avr.agent.model.client import Client
-from jrdb_avr.agent.model.decode import CONTRACT
+from jrdb_avr.agent.model.conventions import CONTRACT
 from jrdb_avr.engine.run.answering import answer_all
 from jrdb_avr.engine.run.journal import Journal
 from jrdb_avr.engine.run.methods import make_method, open_world

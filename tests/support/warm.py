@@ -17,7 +17,6 @@ IMPORTED = (
     "cv2",
     "duckdb",
     "kuzu",
-    "openai",
     "httpx2",
     "pyarrow.parquet",
     "jrdb_avr.agent.model.client",

@@ -14,7 +14,7 @@ from jrdb_avr.agent.methods.attempt import uniform_frames
 from jrdb_avr.agent.methods.chain_of_thought import LONGEST_FACT, MOST_FACTS, ChainOfThought
 from jrdb_avr.agent.methods.monolithic import Monolithic
 from jrdb_avr.agent.methods.search_recognize import SearchRecognize
-from jrdb_avr.agent.model.decode import convention_of
+from jrdb_avr.agent.model.conventions import convention_of
 from jrdb_avr.agent.model.messages import Picture
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.engine.run.methods import METHODS, make_method

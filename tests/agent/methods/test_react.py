@@ -239,7 +239,7 @@ def test_frame_ranges_are_short():
 @example(27, -10)
 def test_one_degree_is_a_duplicate_whatever_rounding_says(tenths, turn):
     """Two looks, counted in whole tenths of a degree: ten apart are one look, eleven are two."""
-    from jrdb_avr.agent.model.client import Reply
+    from jrdb_avr.agent.model.reply import Reply
     from jrdb_avr.schema.method import Observation, Question, SequenceInfo, Task
 
     image = np.zeros((480, 480, 3), np.uint8)

@@ -18,11 +18,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jrdb_avr.agent.model.cache import Calls
-from jrdb_avr.agent.model.client import Client, Reply
-from jrdb_avr.agent.model.conventions import convention_of
+from jrdb_avr.agent.model.client import Client
+from jrdb_avr.agent.model.conventions import Options, convention_of
 from jrdb_avr.agent.model.messages import Message, Picture, fingerprint, transcript, wire
-from jrdb_avr.agent.model.options import Options
-from jrdb_avr.agent.model.reply import read_completion
+from jrdb_avr.agent.model.reply import Reply, read_completion
 from jrdb_avr.schema.errors import EndpointError, StoreError
 
 ASK = [Message("user", ("hello",))]
@@ -143,7 +142,7 @@ def test_a_busy_server_is_waited_for_but_not_for_ever(headers):
             made.complete(ASK)
         assert 120 <= sum(pauses) < 180
         assert len(server.requests) == len(pauses) + 1
-        for soon in (client(server, retries=0)[0].complete, client(server)[0].ask):
+        for soon in (client(server, retries=0)[0].complete, client(server)[0].probe):
             before = len(server.requests)
             with pytest.raises(EndpointError, match="HTTP 429"):
                 soon(ASK)
@@ -189,7 +188,7 @@ def test_json_of_another_content_type_is_heard():
 
 
 def test_a_reply_without_end_is_not_read_to_its_end(monkeypatch):
-    monkeypatch.setattr("jrdb_avr.agent.model.limits.MOST_BYTES", 100_000)
+    monkeypatch.setattr("jrdb_avr.agent.model.client.MOST_BYTES", 100_000)
     with FakeServer(sequence_of("x" * 90_000, "x" * 200_000)) as server:
         made, _ = client(server)
         assert len(made.complete(ASK).content) == 90_000
@@ -322,13 +321,6 @@ def test_a_proxy_that_is_none_is_told(monkeypatch, proxy):
     Client("http://localhost:1/v1", "fake")
 
 
-@pytest.mark.parametrize("variable", ["OPENAI_ORG_ID", "OPENAI_PROJECT_ID"])
-def test_what_the_library_reads_of_the_environment_is_checked(monkeypatch, variable):
-    monkeypatch.setenv(variable, "caf\u00e9")
-    with pytest.raises(EndpointError, match=variable):
-        Client("http://localhost:1/v1", "fake")
-
-
 def test_few_bytes_that_would_become_many_are_not_unpacked():
     bomb = gzip.compress(json.dumps(completion("x" * 5_000_000)).encode())
     script = sequence_of(Body(bomb, headers=(("Content-Encoding", "gzip"),)))
@@ -454,7 +446,7 @@ calls = Calls(Path(sys.argv[1]))
 digest = calls.digest({"model": "x"})
 print("ready", flush=True)
 while True:
-    calls.keep(digest, Reply(sys.argv[2] * 300_000, finish_reason="stop"))
+    calls.append(digest, Reply(sys.argv[2] * 300_000, finish_reason="stop"))
     time.sleep(0.01)
 """
 
@@ -489,13 +481,13 @@ def test_a_line_that_was_cut_short_costs_one_call(tmp_path):
     calls = Calls(path)
     names = [calls.digest({"n": number}) for number in range(3)]
     for name in names[:2]:
-        calls.keep(name, Reply(name))
+        calls.append(name, Reply(name))
     whole = path.read_bytes()
     first = whole.index(b"\n\n") + 1
     for size in range(first, len(whole) + 1):
         path.write_bytes(whole[:size])
         again = Calls(path)
-        again.keep(names[2], Reply(names[2]))
+        again.append(names[2], Reply(names[2]))
         for reader in (again, Calls(path)):
             assert reader.read(names[2]).content == names[2]
             assert reader.read(names[0]).content == names[0]
@@ -506,7 +498,7 @@ def test_a_line_that_was_cut_short_costs_one_call(tmp_path):
 
 def test_what_cannot_be_read_leaves_no_file_open(tmp_path, monkeypatch):
     path = tmp_path / CALLS
-    Calls(path).keep("a", Reply("hi"))
+    Calls(path).append("a", Reply("hi"))
     calls = Calls(path)
 
     def refuse(*_):
@@ -530,7 +522,7 @@ def test_a_call_just_kept_is_found_by_whoever_reads_meanwhile(tmp_path):
             super().discard(digest)
             found.append(calls.read(digest))
 
-    calls.keep("a", Reply("hi"))
+    calls.append("a", Reply("hi"))
     calls._unread = Unread(calls._unread)
     assert calls.read("a").content == "hi"
     assert [reply.content for reply in found] == ["hi"]
@@ -542,9 +534,9 @@ from pathlib import Path
 from jrdb_avr.agent.model.cache import Calls
 from jrdb_avr.agent.model.reply import Reply
 
-atexit.register(lambda: calls.keep("b", Reply("late")))
+atexit.register(lambda: calls.append("b", Reply("late")))
 calls = Calls(Path(sys.argv[1]))
-calls.keep("a", Reply("hi"))
+calls.append("a", Reply("hi"))
 """
 
 
@@ -559,7 +551,7 @@ def test_many_threads_keep_and_find_calls(tmp_path):
 
     def work(number):
         digest = calls.digest({"n": number % 50})
-        calls.keep(digest, Reply(f"{number % 50} " * 200))
+        calls.append(digest, Reply(f"{number % 50} " * 200))
         return calls.read(digest).content == f"{number % 50} " * 200
 
     with ThreadPoolExecutor(16) as pool:
@@ -649,7 +641,15 @@ def test_nothing_of_this_machine_is_told():
         client(server)[0].complete(ASK)
     (headers,) = server.headers
     assert headers["content-type"] == "application/json"
-    assert not [name for name in headers if name.startswith("x-stainless")]
+    assert set(headers) <= {
+        "host",
+        "accept",
+        "accept-encoding",
+        "connection",
+        "user-agent",
+        "content-type",
+        "content-length",
+    }
 
 
 def test_a_key_that_is_a_word_leaves_replies_alone(monkeypatch):
@@ -689,7 +689,7 @@ def test_a_reply_that_is_not_utf8_is_tried_again():
         assert made.complete(ASK).content == "hi"
         assert len(pauses) == 1
     with FakeServer(sequence_of(broken)) as server, pytest.raises(EndpointError, match="no chat completion"):
-        client(server)[0].ask(ASK)
+        client(server)[0].probe(ASK)
 
 
 def test_a_cached_call_that_is_not_utf8_is_made_again(tmp_path):
@@ -738,7 +738,7 @@ def test_a_probe_does_not_wait_as_long_as_a_question(monkeypatch):
     monkeypatch.setattr("jrdb_avr.agent.model.client._PROBE_TIMEOUT_S", 0.2)
     with FakeServer(sequence_of(Slow(1.0, "hi"))) as server:
         with pytest.raises(EndpointError, match="no reply within"):
-            client(server)[0].ask(ASK)
+            client(server)[0].probe(ASK)
         assert client(server)[0].complete(ASK).content == "hi"
 
 
@@ -762,7 +762,7 @@ def test_a_kept_call_of_another_model_is_made_again(tmp_path):
     with FakeServer(lambda request, n: completion(f"reply {n}", model=["a", "b", "b"][n])) as server:
         client(server, cache=tmp_path / CALLS)[0].complete(ASK)
         made, _ = client(server, cache=tmp_path / CALLS)
-        made.ask([Message("user", ("who are you",))])
+        made.probe([Message("user", ("who are you",))])
         assert made.complete(ASK).content == "reply 2"
         assert made.served == ("b",)
 

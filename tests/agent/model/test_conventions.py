@@ -7,9 +7,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from jrdb_avr.agent.model.conventions import BACKBONES, CONTRACT, Convention, convention_of
+from jrdb_avr.agent.model.conventions import BACKBONES, CONTRACT, Convention, Options, convention_of
 from jrdb_avr.agent.model.decode import box_key, read_box, write_box
-from jrdb_avr.agent.model.options import Options
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box
 

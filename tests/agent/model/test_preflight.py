@@ -10,8 +10,7 @@ from fake_server import FakeServer, Status, completion, images, schema_of, seein
 
 from jrdb_avr.agent.methods.attempt import PANORAMAS
 from jrdb_avr.agent.model.client import Client
-from jrdb_avr.agent.model.conventions import convention_of
-from jrdb_avr.agent.model.options import Options
+from jrdb_avr.agent.model.conventions import Options, convention_of
 from jrdb_avr.agent.model.preflight import AGENTS, CROPS, FIXED_CONTEXT, LOOKING, PLANNING, demands, preflight, require
 from jrdb_avr.agent.simulated.noise import Knobs
 from jrdb_avr.agent.simulated.server import Server

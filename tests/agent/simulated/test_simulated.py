@@ -451,7 +451,7 @@ def test_other_talk_gets_a_polite_reply(play):
 
 def test_the_child_process_serves_and_ends(tmp_path):
     with marker_server(tmp_path / "log") as url:
-        assert Client(url, "marker").ask(HELLO).model == "marker"
+        assert Client(url, "marker").probe(HELLO).model == "marker"
     with pytest.raises(urllib.error.URLError):
         post(url, b"{}")
 
@@ -463,7 +463,7 @@ def test_the_server_ends_with_its_parent():
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:
         url = parent.stdout.readline().strip()
-        assert Client(url, "marker").ask(HELLO).model == "marker"
+        assert Client(url, "marker").probe(HELLO).model == "marker"
         parent.kill()
     for _ in range(100):
         try:
@@ -529,7 +529,7 @@ def test_a_client_that_goes_away_is_no_traceback():
             gone.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             gone.close()
         time.sleep(0.2)
-        assert Client(url, "marker").ask(HELLO).model == "marker"
+        assert Client(url, "marker").probe(HELLO).model == "marker"
     assert told == []
 
 

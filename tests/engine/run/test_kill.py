@@ -33,7 +33,7 @@ ASKED = 8
 # One process that has everything imported and no thread forks each run: a run costs its own work alone.
 LAUNCHER = """
 import os, sys
-import cv2, kuzu, openai, httpx2, pyarrow.parquet
+import cv2, kuzu, httpx2, pyarrow.parquet
 from jrdb_avr.agent.methods import react
 from jrdb_avr.agent.reference import method
 from jrdb_avr.engine import cli

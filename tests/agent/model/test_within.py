@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from jrdb_avr.agent.model.limits import within
+from jrdb_avr.agent.model.client import within
 
 
 def workers():
