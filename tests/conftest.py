@@ -107,13 +107,13 @@ def cheap_processes():
     """
     import warm
 
-    from jrdb_avr.agent.simulated import child
+    from jrdb_avr.agent.simulated import server
     from jrdb_avr.loaders import verify
     from jrdb_avr.queries import workers as shards
     from jrdb_avr.queries.graph import guard
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(child, "subprocess", warm.MARKERS)
+        patch.setattr(server, "start_process", warm.start_server)
         patch.setattr(guard, "subprocess", warm.STATEMENTS)
         patch.setattr(shards, "multiprocessing", warm.PROCESSES)
         patch.setattr(verify, "multiprocessing", warm.PROCESSES)

@@ -1,4 +1,4 @@
-"""Messages to a model: text and pictures, as they are sent, hashed and told in a transcript."""
+"""Messages to a model: text and pictures, in the forms that are sent, hashed and written to a transcript."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
 import msgspec
+import numpy as np
 
 from jrdb_avr.schema.errors import ObserveError
-from jrdb_avr.schema.method import Observation
+from jrdb_avr.schema.method import Image, Observation
 
 JPEG_QUALITY: Final = 95
 
 
 @dataclass(frozen=True)
 class Picture:
-    """JPEG bytes that travel inline; `name` stands for them wherever bytes are left out.
+    """JPEG bytes that are sent inline; `name` stands for them wherever bytes are left out.
 
     uri, digest: of the bytes, made with the picture: a cached property would be made under a lock that all pictures of
     a run share.
@@ -47,17 +48,22 @@ class Message:
 
 def crop_picture(observation: Observation) -> Picture:
     """The crop of an observation as JPEG of quality 95."""
+    name = f"{observation.sequence} {observation.frame_id} {observation.angle_deg:.12g}"
+    return jpeg_picture(name, observation.image[:, :, ::-1])
+
+
+def jpeg_picture(name: str, image: Image) -> Picture:
+    """A BGR image as JPEG of quality 95. Raises ObserveError where it cannot be encoded."""
     import cv2
 
-    image = cv2.cvtColor(observation.image, cv2.COLOR_RGB2BGR)
-    done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    done, data = cv2.imencode(".jpg", np.ascontiguousarray(image), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     if not done:
-        raise ObserveError(f"the crop of frame {observation.frame_id} cannot be written as JPEG")
-    return Picture(f"{observation.sequence} {observation.frame_id} {observation.angle_deg:.12g}", data.tobytes())
+        raise ObserveError(f"the picture {name!r} cannot be written as JPEG")
+    return Picture(name, data.tobytes())
 
 
 def crop_metadata(observation: Observation) -> dict[str, Any]:
-    """What a model is told of a crop: where and when it was taken, nothing of what it shows."""
+    """The metadata of a crop that a model gets: where and when it was taken, nothing of what it shows."""
     return {
         "frame_id": observation.frame_id,
         "timestamp": round(observation.timestamp, 3),

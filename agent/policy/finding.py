@@ -1,13 +1,11 @@
-"""Finding the person of a description by its mark: each condition is true, false or unknown of a sighting."""
+"""Find the person of a description by the marks: each condition is true, false or unknown of a sighting."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
-from jrdb_avr.agent.policy.explorer import AROUND, Eyes
-from jrdb_avr.agent.simulated.requests import Sighting
+from jrdb_avr.agent.policy.explorer import AROUND, Explorer, Sighting
 from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS, POSES
 from jrdb_avr.schema.markers import ALONE
 from jrdb_avr.schema.panorama import angle_error
@@ -16,152 +14,150 @@ from jrdb_avr.schema.rules import KEYFRAME_STEP
 
 _SECTOR_ANGLES: Final = {"ahead": 180.0, "right": 270.0, "behind": 0.0, "left": 90.0}
 _SWEEP: Final = tuple(180.0 + turn for turn in AROUND)
-
-ALONE_SIZE: Final = 1
-
-_SHOWN_ACTIONS: Final = 2
+_ALONE_SIZE: Final = 1
+_MARK_ACTIONS: Final = 2
 """A mark has room for this many actions beside the pose."""
 
 
-@dataclass(frozen=True)
-class Found:
-    """The person, or None; `missing` says why not, or what was not certain."""
+class FoundPerson(NamedTuple):
+    """The person, or None; `missing` is the reason why not, or what was not certain."""
 
     sighting: Sighting | None
     missing: str = ""
 
 
-def find(conditions: Sequence[Condition], frame: int, eyes: Eyes) -> Found:
+def counts_group(conditions: Sequence[Condition]) -> bool:
+    """Whether a description names the size of a group, which is only known after a look all round."""
+    return any(c.attribute == "group_size" and c.value != _ALONE_SIZE for c in conditions)
+
+
+def find(conditions: Sequence[Condition], frame: int, explorer: Explorer) -> FoundPerson:
     """The one person at a legal frame of whom every condition is true.
 
-    The description fits one person alone, so looking ends at the first certain match; a group must first be counted
-    all round. Raises Spent when looks run out.
+    The description fits one person alone, so looking ends at the first certain match; a group is counted all round
+    first. Raises BudgetExhausted when looks run out.
     """
-    sized = any(c.attribute == "group_size" and c.value != ALONE_SIZE for c in conditions)
-    angles: tuple[float, ...]
-    sectors = [str(c.value) for c in conditions if c.attribute == "sector"]
-    if sectors and not sized:
-        middle = _SECTOR_ANGLES[sectors[0]]
-        angles = (middle - 22.0, middle + 22.0, middle)
-    else:
-        angles = _SWEEP
-    for angle in angles:
-        eyes.look(frame, angle % 360.0)
-        if not sized and (match := _only(conditions, eyes.at(frame), ())):
-            return Found(match)
-    return _count(conditions, frame, eyes) if sized else among(conditions, eyes.at(frame))
+    sized = counts_group(conditions)
+    sector = next((_SECTOR_ANGLES[str(c.value)] for c in conditions if c.attribute == "sector"), None)
+    for angle in _SWEEP if sector is None or sized else (sector - 22.0, sector + 22.0, sector):
+        explorer.look(frame, angle % 360.0)
+        if not sized and (match := _only(conditions, explorer.at(frame))):
+            return FoundPerson(match)
+    return _count(conditions, frame, explorer) if sized else among(conditions, explorer.at(frame))
 
 
-def among(conditions: Sequence[Condition], people: Sequence[Sighting]) -> Found:
-    """The one of everybody who was read at a frame; where not every condition could be read, the one who is left."""
-    if match := _only(conditions, people, ()):
-        return Found(match)
+def among(conditions: Sequence[Condition], people: Sequence[Sighting]) -> FoundPerson:
+    """The described one of the people read at a frame; where a condition is unknown, the only one who may fit."""
+    if match := _only(conditions, people):
+        return FoundPerson(match)
     fitting = possible(conditions, people)
     if len(fitting) == 1:
-        return Found(fitting[0], "mark unreadable: not every condition could be read")
+        return FoundPerson(fitting[0], "mark unreadable: not every condition could be read")
     return _nobody(fitting)
 
 
-def _nobody(fitting: Sequence[Sighting]) -> Found:
+def _nobody(fitting: Sequence[Sighting]) -> FoundPerson:
     what = "several could fit, as not every condition could be read" if fitting else "nobody who was read fits"
-    return Found(None, f"mark unreadable: {what}")
+    return FoundPerson(None, f"mark unreadable: {what}")
 
 
-def _count(conditions: Sequence[Condition], frame: int, eyes: Eyes) -> Found:
-    """The person in a group of the right size; where several could be, those hidden are sought a second away.
+def _count(conditions: Sequence[Condition], frame: int, explorer: Explorer) -> FoundPerson:
+    """The person in a group of the right size; where several may fit, hidden people are looked for a second away.
 
-    Somebody who was read and is in the group asked for is always among those who could be: hidden people make a group
-    look smaller, never larger.
+    A member of the described group who was read always fits: hidden people make a group look smaller, never larger.
     """
-    people = eyes.at(frame)
+    people = explorer.at(frame)
     fitting = possible(conditions, people)
-    match = _only(conditions, people, ())
     if len(fitting) == 1:
-        return Found(fitting[0], "" if match else "mark unreadable: not all of the group was read")
+        certain = _only(conditions, people)
+        return FoundPerson(fitting[0], "" if certain else "mark unreadable: not all of the group was read")
     others: list[Sighting] = []
     for offset in (KEYFRAME_STEP, -KEYFRAME_STEP):
-        then = eyes.legal(frame + offset)
+        then = explorer.legal(frame + offset)
         for person in fitting:
-            eyes.look(then, person.angle)
-        others += eyes.at(then)
+            explorer.look(then, person.angle)
+        others += explorer.at(then)
     match = _only(conditions, people, others)
-    if match is None:
-        return _nobody(fitting)
-    return Found(match, "mark unreadable: a group may be larger than what was read")
+    return (
+        FoundPerson(match, "mark unreadable: a group may be larger than what was read") if match else _nobody(fitting)
+    )
 
 
-def _only(conditions: Sequence[Condition], people: Sequence[Sighting], others: Sequence[Sighting]) -> Sighting | None:
+def _only(
+    conditions: Sequence[Condition], people: Sequence[Sighting], others: Sequence[Sighting] = ()
+) -> Sighting | None:
     """The only one of the people of whom every condition is true, if there is one."""
     certain = [p for p in people if all(holds(c, p, [*people, *others]) for c in conditions)]
     return certain[0] if len(certain) == 1 else None
 
 
 def possible(conditions: Sequence[Condition], people: Sequence[Sighting]) -> list[Sighting]:
-    """Those of whom no condition is false."""
+    """The people of whom no condition is false."""
     return [p for p in people if all(holds(c, p, people) is not False for c in conditions)]
 
 
 def likely(conditions: Sequence[Condition], people: Sequence[Sighting], *, exact: bool) -> Sighting | None:
-    """The best guess: of those who could fit, whoever most is true of, then the nearest to the camera.
+    """The best guess: of the people who may fit, whoever most conditions are true of, then the nearest to the camera.
 
-    None where nobody could. Not `exact`: the people are seen at another time than the conditions hold at, so that
-    nothing but gender and age is false of anybody.
+    None where nobody may fit. Not `exact`: the people are seen at another time than the conditions hold at, so that
+    nothing but gender and age rules anybody out.
     """
 
-    def could(person: Sighting) -> bool:
-        held = ((c, holds(c, person, people)) for c in conditions)
-        return all(truth is not False or not (exact or c.at is None) for c, truth in held)
+    def may_fit(person: Sighting) -> bool:
+        ruling = (c for c in conditions if exact or c.at is None)
+        return all(holds(c, person, people) is not False for c in ruling)
 
     def worth(person: Sighting) -> tuple[float, ...]:
         true = sum(holds(c, person, people) is True for c in conditions)
-        # Where a mark is read in part, more may be true than where it says something else.
-        return (true, not person.complete, person.box.h, -person.mark.identity)
+        # A mark that is read in part may hold more of the conditions than one that says something else.
+        return (true, not person.complete, person.box.h, -person.identity)
 
-    return max(filter(could, people), key=worth, default=None)
+    return max(filter(may_fit, people), key=worth, default=None)
 
 
 def holds(condition: Condition, person: Sighting, people: Sequence[Sighting]) -> bool | None:
     """Whether a condition is true of a person; None where unknown. Groups are counted among `people`."""
     mark = person.mark
-    if condition.action is not None:
-        if condition.action in POSES:
-            return None if mark.pose is None else mark.pose == condition.action
+    if condition.action is not None and condition.action not in POSES:
         if condition.action in mark.actions:
             return True
-        return None if len(mark.actions) >= _SHOWN_ACTIONS else False
+        return None if len(mark.actions) >= _MARK_ACTIONS else False
+    # A mark shows one interaction and one object, and a person may have several.
     if condition.interaction is not None:
-        if mark.interaction == condition.interaction:
-            return True
-        # A mark shows one interaction, and a person may be in several.
-        return False if person.complete and mark.interaction is None else None
+        return mark.interaction == condition.interaction or _unless_other(person, mark.interaction)
     if condition.object is not None:
-        if (mark.object, mark.verb) == (condition.object, condition.verb):
-            return True
-        # A mark shows one thing, and a person may handle several.
-        return False if person.complete and mark.object is None else None
+        return (mark.object, mark.verb) == (condition.object, condition.verb) or _unless_other(person, mark.object)
+    read: str | None = None
     match condition.attribute:
+        case None:
+            read = mark.pose
         case "gender":
-            return None if mark.gender is None else mark.gender == condition.value
+            read = mark.gender
         case "age":
-            return None if mark.age is None else mark.age == condition.value
+            read = mark.age
+        case "distance":
+            read = None if mark.distance_dm is None else distance_word(mark.distance_dm / 10)
         case "sector":
             return bool(angle_error(person.angle, _SECTOR_ANGLES[str(condition.value)]) <= 45.0)
-        case "distance":
-            return None if mark.distance_dm is None else distance_word(mark.distance_dm / 10) == condition.value
-        case _:
+        case "group_size":
             return _group_holds(condition, person, people)
+    return None if read is None else read == (condition.action or condition.value)
+
+
+def _unless_other(person: Sighting, other: str | None) -> bool | None:
+    """False where the mark was read in full and is empty there; unknown where another value takes the one place."""
+    return False if person.complete and other is None else None
 
 
 def _group_holds(condition: Condition, person: Sighting, people: Sequence[Sighting]) -> bool | None:
-    if person.mark.group is None:
+    group = person.mark.group
+    if group is None:
         return None
-    if person.mark.group == ALONE or condition.value == ALONE_SIZE:
-        return person.mark.group == ALONE and condition.value == ALONE_SIZE
-    size = len({other.mark.identity for other in people if other.mark.group == person.mark.group})
-    if size == condition.value:
-        return True
+    if group == ALONE or condition.value == _ALONE_SIZE:
+        return group == ALONE and condition.value == _ALONE_SIZE
+    size = len({other.identity for other in people if other.mark.group == group})
     # Somebody of the group may be hidden.
-    return None if size < int(str(condition.value)) else False
+    return None if size < int(str(condition.value)) else size == condition.value
 
 
 def distance_word(metres: float) -> str:

@@ -1,7 +1,7 @@
-"""From one person to the next: whom a relation leads to among those whose marks were read in one frame.
+"""Follow a plan's relations from person to person, among the people whose marks were read in one frame.
 
-Everybody within reach of the relation has to be read first, so the frame is looked at all round; who cannot be read is
-not there for the marker model, and a hop may then lead to somebody else.
+Everybody within reach of the relation has to be read first, so the policy looks all round at the frame. A person who
+cannot be read does not exist for the policy, and a hop may then lead to somebody else.
 """
 
 from __future__ import annotations
@@ -10,9 +10,8 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-from jrdb_avr.agent.policy.explorer import AROUND, Eyes
+from jrdb_avr.agent.policy.explorer import AROUND, Explorer, Sighting
 from jrdb_avr.agent.policy.finding import distance_word
-from jrdb_avr.agent.simulated.requests import Sighting
 from jrdb_avr.schema.labels import PERSON_SECTORS
 from jrdb_avr.schema.markers import ALONE
 from jrdb_avr.schema.plan import Plan
@@ -22,37 +21,30 @@ _REACH_DEG: Final = 60.0
 """How far away the first to the left or right may be."""
 
 _NEAR_M: Final = 5.0
-"""Who is farther apart is not said to be in somebody's front or back."""
+"""People farther apart have no relation of front and back."""
 
 _SECTOR_EDGES: Final = (30.0, 45.0, 135.0, 145.0)
 """Bearings off somebody's heading at which front, front side, side, back side and back meet."""
 
 
-def look_round(eyes: Eyes, frame: int) -> list[Sighting]:
-    """Everybody who can be read in a legal frame. Raises Spent when looks run out."""
+def look_round(explorer: Explorer, frame: int) -> list[Sighting]:
+    """Everybody whose mark can be read in a legal frame. Raises BudgetExhausted when looks run out."""
     for turn in AROUND:
-        eyes.look(frame, (180.0 + turn) % 360.0)
-    return eyes.at(frame)
-
-
-def walk(plan: Plan, root: Sighting, people: Sequence[Sighting]) -> Sighting | None:
-    """The plan's target, from the person described on; None where a hop leads to nobody or to several."""
-    return path(plan, root, people).get(plan.target)
+        explorer.look(frame, (180.0 + turn) % 360.0)
+    return explorer.at(frame)
 
 
 def path(plan: Plan, root: Sighting, people: Sequence[Sighting]) -> dict[str, Sighting]:
-    """Who each node is, from the person described on, up to the first hop that leads to nobody or to several."""
+    """The person of each node, from the one described, up to the first hop that leads to nobody or to several."""
     known = {plan.root: root}
-    for node in plan.nodes:
-        if node.id == plan.root:
-            continue
-        # Nodes stand in the order in which they are reached.
+    # Nodes stand in the order in which they are reached.
+    for node in (node for node in plan.nodes if node.id != plan.root):
         leading = [edge for edge in plan.edges if edge.target == node.id]
-        met = {seen.mark.identity for seen in known.values()}
+        met = {seen.identity for seen in known.values()}
         reached = [
             seen
             for seen in people
-            if seen.mark.identity not in met
+            if seen.identity not in met
             and all(related(edge.relation, known[edge.source], seen, people) for edge in leading)
         ]
         if len(reached) != 1:
@@ -64,7 +56,8 @@ def path(plan: Plan, root: Sighting, people: Sequence[Sighting]) -> dict[str, Si
 def related(relation: str, source: Sighting, target: Sighting, people: Sequence[Sighting]) -> bool:
     """Whether the target has the relation to the source, by their marks and where they stand among the people read."""
     row = RELATIONS[relation]
-    turn = _left if row.side == "left" else _right
+    # Degrees turn from the source to the left or to the right.
+    turn = -1 if row.side == "left" else 1
     match row.kind:
         case "group":
             return source.mark.group not in (None, ALONE) and source.mark.group == target.mark.group
@@ -73,30 +66,22 @@ def related(relation: str, source: Sighting, target: Sighting, people: Sequence[
             return _tells(source, relation, target) or _tells(target, relation, source)
         case "first":
             # Not by object: the source may have been read in another look at the same frame.
-            own_identity = source.mark.identity
-            turns = {seen.mark.identity: turn(source, seen) for seen in people if seen.mark.identity != own_identity}
-            own = turns[target.mark.identity]
+            others = [seen for seen in people if seen.identity != source.identity]
+            turns = {seen.identity: turn * (seen.angle - source.angle) % 360.0 for seen in others}
+            own = turns[target.identity]
             return own <= _REACH_DEG and own == min(turns.values())
         case "window":
-            return 0 < turn(source, target) <= row.degrees
+            return 0 < turn * (target.angle - source.angle) % 360.0 <= row.degrees
         case "person":
             return _seen_from(source, target) == relation
 
 
 def _tells(person: Sighting, label: str, partner: Sighting) -> bool:
-    return person.mark.interaction == label and person.mark.partner == partner.mark.identity
-
-
-def _left(source: Sighting, target: Sighting) -> float:
-    return (source.angle - target.angle) % 360.0
-
-
-def _right(source: Sighting, target: Sighting) -> float:
-    return (target.angle - source.angle) % 360.0
+    return person.mark.interaction == label and person.mark.partner == partner.identity
 
 
 def _seen_from(source: Sighting, target: Sighting) -> str | None:
-    """Where the target is in the source's own frame; None where a mark does not tell, or where it is too far."""
+    """The sector of the target in the source's own frame; None where a mark lacks what decides, or it is too far."""
     if source.mark.heading_deg is None or source.mark.distance_dm is None or target.mark.distance_dm is None:
         return None
     (x0, y0), (x1, y1) = _place(source), _place(target)

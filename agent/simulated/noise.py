@@ -1,102 +1,88 @@
-"""How well the marker model plays: rates of honest imperfection, and the draws that decide by them.
+"""Noise of the simulated model: fields of marks misread, wrong boxes, and replies that are no answer.
 
-A draw is a hash of the seed and of what it is about: the whole request for what happens to a reply, the question and
-the picture for what is misread. No clock and no order of calls is in it, so a run that was resumed meets the same
-faults as one that was not, and the same request gets the same reply.
-
-What goes wrong where a knob is turned up: a field of a mark misread, a wrong box, a reply that is no answer.
+A draw is a hash of the seed and of its subject: the whole request for faults of a reply, the question and the picture
+for misread fields. It depends on no clock and no order of calls, so a resumed run meets the same faults as one that was
+not interrupted, and the same request gets the same reply.
 """
 
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, TypeVar
+from typing import Annotated, Any, Final, TypeVar
 
 import msgspec
 
 from jrdb_avr.agent.model.conventions import SCALE
 from jrdb_avr.agent.model.decode import write_box
-from jrdb_avr.agent.simulated.requests import Look, Misread
+from jrdb_avr.agent.policy.explorer import Look
+from jrdb_avr.agent.simulated.requests import Misread
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.labels import AGES, GENDERS, INTERACTIONS, OTHER_ACTIONS, POSES
 from jrdb_avr.schema.markers import ALONE, HEADING_STEP, MAX_DISTANCE_DM, Mark
 from jrdb_avr.schema.things import OBJECTS
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 
-_SECONDS: Final = 600.0
-_MOST_SEED: Final = 2**53
 _HASHED: Final = 2.0**64
+_Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 
 
 class Knobs(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Rates are shares of 0 to 1; at none of them above 0 nothing of a reply changes.
+    """Error rates of the simulated model, shares of 0 to 1; with none above 0, no byte of a reply changes.
 
-    wrong_box: of the boxes given, those that are shifted or another person's. wrong_attribute: of a mark's fields that
-    can be read, those misread, for each look anew. refusal, truncated, malformed: of the replies, those that are
-    refused; of the others those cut off at the token limit; of the others those that are no JSON object. thinking: of
-    the replies, those with thinking before them. latency: seconds that each reply waits. seed: of all draws.
+    wrong_box: share of boxes that are shifted or another person's. wrong_attribute: share of a mark's readable fields
+    that are misread, for each look anew. refusal, truncated, malformed: share of replies that are refused; of the
+    others, cut off at the token limit; of the others, no JSON object. thinking: share of replies with thinking before
+    them. latency: seconds that each reply waits. seed: of all draws.
     """
 
-    wrong_box: float = 0.0
-    wrong_attribute: float = 0.0
-    malformed: float = 0.0
-    refusal: float = 0.0
-    truncated: float = 0.0
-    thinking: float = 0.0
-    latency: float = 0.0
-    seed: int = 0
+    wrong_box: _Share = 0.0
+    wrong_attribute: _Share = 0.0
+    malformed: _Share = 0.0
+    refusal: _Share = 0.0
+    truncated: _Share = 0.0
+    thinking: _Share = 0.0
+    latency: Annotated[float, msgspec.Meta(ge=0, le=600)] = 0.0
+    seed: Annotated[int, msgspec.Meta(ge=0, le=2**53)] = 0
 
 
 PERFECT: Final = Knobs()
+_RANGES: Final = {"latency": "a number from 0 to 600 seconds", "seed": f"a whole number from 0 to {2**53}"}
 
 
 def parse(settings: Iterable[str]) -> Knobs:
-    """The knobs of texts such as "wrong_box=0.1" or "seed=3". Raises InputError in one line for anything else."""
+    """The knobs of texts such as "wrong_box=0.1" or "seed=3". Raises InputError in one line for any other text."""
     names = Knobs.__struct_fields__
-    given: dict[str, float] = {}
+    values: dict[str, float] = {}
     for setting in settings:
         name, equals, text = (part.strip() for part in setting.partition("="))
         if name not in names or not equals:
             raise InputError(f"{setting[:60]!r} is no knob: give NAME=VALUE with a name of {', '.join(names)}")
-        if name in given:
+        if name in values:
             raise InputError(f"the knob {name} is given twice")
-        given[name] = _value(name, text)
-    return msgspec.convert(given, Knobs, strict=False)
-
-
-def _value(name: str, text: str) -> float:
-    if name == "seed":
-        if not (text.isascii() and text.isdigit() and len(text) <= 16 and int(text) <= _MOST_SEED):
-            raise InputError(f"seed={text[:40]} must be a whole number from 0 to {_MOST_SEED}")
-        return int(text)
-    most, unit = (_SECONDS, " seconds") if name == "latency" else (1.0, "")
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 <= value <= most:
-        raise InputError(f"{name}={text[:40]} must be a number from 0 to {most:g}{unit}")
-    return value
+        try:
+            values[name] = getattr(msgspec.convert({name: text}, Knobs, strict=False), name)
+        except msgspec.ValidationError:
+            raise InputError(f"{name}={text[:40]} must be {_RANGES.get(name, 'a number from 0 to 1')}") from None
+    return msgspec.convert(values, Knobs)
 
 
 def turned(knobs: Knobs) -> dict[str, float]:
-    """The knobs that are not as they are by default, as a run's manifest holds them."""
-    shown = msgspec.structs.asdict(knobs)
-    return {name: value for name, value in shown.items() if value != getattr(PERFECT, name)}
+    """The knobs that differ from their defaults, for a run's manifest."""
+    values = msgspec.structs.asdict(knobs)
+    return {name: value for name, value in values.items() if value != getattr(PERFECT, name)}
 
 
 def settings(knobs: Knobs) -> list[str]:
-    """The texts that `parse` makes the knobs of."""
+    """The texts that `parse` reads the knobs from."""
     return [f"{name}={value!r}" for name, value in turned(knobs).items()]
 
 
 @dataclass(frozen=True)
 class Draws:
-    """Draws about one thing, such as a request by its hash: each is named, and the same whenever it is asked for."""
+    """Named draws about one subject, such as a request by its hash: equal names give equal draws."""
 
     seed: int
     about: str
@@ -107,14 +93,14 @@ class Draws:
         return int.from_bytes(hashlib.sha256(text).digest()[:8], "big") / _HASHED
 
     def happens(self, rate: float, *what: object) -> bool:
+        """True for this share of the names."""
         return rate > 0 and self.share(*what) < rate
 
-    def pick(self, options: Sequence[T], *what: object) -> T:
-        """One of the options, of which there is one at least."""
+    def pick(self, options: Sequence[_T], *what: object) -> _T:
+        """One of the options, which must not be empty."""
         return options[min(int(self.share(*what) * len(options)), len(options) - 1)]
 
 
-_GROUPS: Final = tuple(range(ALONE, 13))
 _TURNS: Final = tuple(range(45, 360, 45))
 _NEARER_OR_FARTHER: Final = (0.5, 0.7, 1.5, 2.0)
 _SORRY: Final = "I am sorry, but I cannot help with questions about people in pictures."
@@ -129,15 +115,14 @@ class Wording:
     refusal: str | None = None
 
 
-# -- what is read -----------------------------------------------------------------------------------------------------
+# -- reading ---------------------------------------------------------------------------------------------------------
 
 
 def misread(knobs: Knobs, question: str) -> Misread | None:
-    """How the marks of a question are misread, if at all.
+    """How the marks of a question are misread; None where they are not.
 
-    A field of somebody in a picture is misread the same whenever the picture is sent for this question, and apart from
-    what any other picture shows of it: looking twice helps, looking longer does not. Who it is and where is never
-    misread.
+    A field of a person in a picture is misread alike whenever the picture is sent for this question, and independently
+    of other pictures: looking twice helps, looking longer does not. Identity and place are never misread.
     """
     if not knobs.wrong_attribute:
         return None
@@ -158,62 +143,54 @@ _FIELDS: Final = ("gender", "age", "pose", "actions", "group", "distance_dm", "h
 """A partner goes with its interaction, and a verb with its object."""
 
 
+_OPTIONS: Final[Mapping[str, Sequence[Any]]] = {
+    "gender": GENDERS,
+    "age": AGES,
+    "pose": POSES,
+    "actions": OTHER_ACTIONS,
+    "group": range(ALONE, 13),
+    "interaction": INTERACTIONS,
+    "object": OBJECTS,
+}
+
+
 def _another(name: str, mark: Mark, draws: Draws) -> Any:
     """Another value of a field that has one."""
     value = getattr(mark, name)
     match name:
-        case "actions":
-            # One action is taken for another; where there is none, one is seen that is not there.
-            seen = draws.pick([action for action in OTHER_ACTIONS if action not in value], "as", name)
-            return (seen, *value[1:])
         case "distance_dm":
             far = min(round(value * draws.pick(_NEARER_OR_FARTHER, "as", name)), MAX_DISTANCE_DM)
             return far if far != value else value + 1
         case "heading_deg":
             return (value + draws.pick(_TURNS, "as", name)) // HEADING_STEP * HEADING_STEP % 360
-    tables: dict[str, Sequence[Any]] = {
-        "gender": GENDERS,
-        "age": AGES,
-        "pose": POSES,
-        "group": _GROUPS,
-        "interaction": INTERACTIONS,
-        "object": OBJECTS,
-    }
-    return draws.pick([other for other in tables[name] if other != value], "as", name)
+    known = value if name == "actions" else (value,)
+    other = draws.pick([option for option in _OPTIONS[name] if option not in known], "as", name)
+    # One action is taken for another; where there is none, one is seen that is not there.
+    return (other, *value[1:]) if name == "actions" else other
 
 
-# -- what is said -----------------------------------------------------------------------------------------------------
+# -- replying ---------------------------------------------------------------------------------------------------------
 
 
-def with_wrong_boxes(
-    reply: Mapping[str, Any], looks: Sequence[Look], knobs: Knobs, draws: Draws
-) -> tuple[Mapping[str, Any], int]:
-    """The reply with some of its boxes wrong, and how many."""
-    wrong = 0
+def with_wrong_boxes(reply: Mapping[str, Any], looks: Sequence[Look], knobs: Knobs, draws: Draws) -> Mapping[str, Any]:
+    """The reply with some of its boxes wrong."""
 
     def entry(number: int, place: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-        nonlocal wrong
         look = _look_of(place, looks)
-        # Who was never found has an empty box, and there is nothing to spoil.
+        # A person who was never found has an empty box, which stays.
         if look is None or not place.get(key) or not draws.happens(knobs.wrong_box, "box", number):
             return place
-        wrong += 1
         return {**place, key: _wrong_box(place[key], look, draws, number)}
 
-    changed = dict(reply)
-    for name, key in (("evidence_bboxes", "bbox"), ("calls", "box")):
-        if isinstance(reply.get(name), list):
-            changed[name] = [entry(number, place, key) for number, place in enumerate(reply[name])]
-    return changed, wrong
+    lists = ((name, key) for name, key in (("evidence_bboxes", "bbox"), ("calls", "box")) if reply.get(name))
+    return {**reply, **{name: [entry(n, place, key) for n, place in enumerate(reply[name])] for name, key in lists}}
 
 
 def _look_of(place: Mapping[str, Any], looks: Sequence[Look]) -> Look | None:
     """The newest picture that a box lies in."""
     name, frame = place.get("observation"), place.get("frame_id")
-    return next(
-        (look for look in reversed(looks) if (look.name == name if name is not None else f"{look.frame:06d}" == frame)),
-        None,
-    )
+    fitting = (look for look in looks if (f"{look.frame:06d}" == frame if name is None else look.name == name))
+    return next(reversed([*fitting]), None)
 
 
 def _wrong_box(box: list[int], look: Look, draws: Draws, number: int) -> list[int]:
@@ -232,7 +209,7 @@ def _wrong_box(box: list[int], look: Look, draws: Draws, number: int) -> list[in
 
 
 def word(content: str, knobs: Knobs, draws: Draws) -> tuple[Wording, str]:
-    """The reply as it is sent, and the name of the knob that spoiled it, or ""."""
+    """The reply as it is sent, and the name of the knob that spoiled it, if any."""
     if draws.happens(knobs.refusal, "refusal"):
         return Wording("", refusal=_SORRY), "refusal"
     thought = think(knobs, draws)

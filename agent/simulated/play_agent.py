@@ -1,16 +1,15 @@
-"""The marker plays the reference agent: what it reads goes into the graph, and what the graph holds it knows again.
+"""Play the reference agent: write what the marks show into its graph, and read back what the graph holds.
 
-The person of the description is sought look by look; where hops lead on, or a group is counted, everybody matters and
-the frame is looked at all round in one turn, as people who are not written down are forgotten with their pictures.
-From then on the read is the policy of the other methods, over looks put together from the graph, in the order in which
-they were made. Events that the policy leaves too far apart for the solver are closed in on with the looks that remain.
+With looks: the model searches for the described person look by look. Where hops lead on, or a group is counted,
+everybody matters: it looks all round the frame in one turn, because people who are not written down are forgotten with
+their pictures. From then on it reads the answer by the policy of the other methods, over looks restored from the graph
+in the order in which they were made. Events that the policy leaves too far apart for the solver are closed in on with
+the looks that remain.
 
-The marker plays the reference agent that is shown panoramas and cannot look: it writes down what they show.
+Without looks: it writes down what the panoramas show. Where none shows the time of the description, it takes the
+likeliest person of the nearest one; what it writes is true of that panorama alone, so the solver lacks the rest.
 
-Where no panorama shows the time of the description, the person is taken for whom the nearest one shows; what is written
-is true of that panorama alone, so the solver lacks what the question names.
-
-The marker plays the reference agent without a world model: all pictures so far are in the chat.
+Without a graph: all pictures so far are in the chat.
 """
 
 from __future__ import annotations
@@ -19,115 +18,149 @@ import re
 from collections.abc import Sequence
 from typing import Any, Final
 
-from jrdb_avr.agent.policy.enclosing import NEAR, Event, between, events
-from jrdb_avr.agent.policy.explorer import AROUND, Eyes, Spent, Want, same
-from jrdb_avr.agent.policy.finding import ALONE_SIZE, Found, among, find, holds, likely, possible
-from jrdb_avr.agent.policy.game import Game
+from jrdb_avr.agent.policy.enclosing import NEAR, BoundedEvent, between, bounded_events
+from jrdb_avr.agent.policy.explorer import (
+    AROUND,
+    BudgetExhausted,
+    FixedExplorer,
+    Look,
+    NeedObservation,
+    RestoredExplorer,
+    Sighting,
+    same_angle,
+)
+from jrdb_avr.agent.policy.finding import FoundPerson, among, counts_group, find, holds, likely, possible
 from jrdb_avr.agent.policy.hops import path, related
-from jrdb_avr.agent.policy.policy import find_target, read_answer
-from jrdb_avr.agent.simulated.memory import Memory, Round
-from jrdb_avr.agent.simulated.notes import Notes, entity_name, read_notes
-from jrdb_avr.agent.simulated.requests import Look, Request, Sighting, Turn
-from jrdb_avr.agent.simulated.shown import Shown
-from jrdb_avr.agent.simulated.writing import Draft, placed
+from jrdb_avr.agent.policy.policy import answer_of, find_target
+from jrdb_avr.agent.policy.state import EpisodeState
+from jrdb_avr.agent.simulated.notes import Draft, entity_name, placed, read_notes
+from jrdb_avr.agent.simulated.requests import Request, StageReply
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.rules import FPS
-
-LEFT: Final = r"\d+, left: (\d{1,9})$"
 
 _MOST_CALLS: Final = 32
 _REFUSED: Final = re.compile(r"\d+\. final_answer: refused")
 _ENDED: Final = re.compile(r'Your last turn was malformed.*"calls" must be a list of 1 to ')
 
-_KEPT: Final = 2
-"""Of those who could be the one described so many are written down: with two it is not known who it is."""
+_CANDIDATES: Final = 2
+"""Most people who may fit the description that are written down: with two it is not known which one it is."""
 
 _COUNTED: Final = AROUND[:5]
-"""Turns from somebody at which those who belong to that person are looked for."""
+"""Turns from a person at which the people related to that person are looked for."""
 
 
-def remember(request: Request) -> Turn:
-    """A turn of the reference agent that looks. Raises DecodeError for a prompt that lacks a line."""
-    player = Player(request, read_notes(request))
+def agent_turn(request: Request) -> StageReply:
+    """A turn with the graph, or with the chat in its place; with looks, or with panoramas in theirs.
+
+    Raises DecodeError for a prompt that lacks a line.
+    """
+    passive = any(look.panorama for look in request.looks)
+    if request.line("Plan: ") is None:
+        return _chat(request, passive)
+    return _remember_shown(request) if passive else _remember(request)
+
+
+def _remember(request: Request) -> StageReply:
+    player = _Player(request)
     looks: list[dict[str, Any]] = []
     answer: dict[str, Any] | None = None
     try:
         answer = player.play()
-    except Want as want:
-        looks = player.look(want.frame, (want.angle,))
-    except Round as wanted:
-        looks = player.look(wanted.frame, wanted.angles)
-    return hand_in(request, player.draft, looks, answer, player.game.missing)
+    except NeedObservation as need:
+        looks = player.look(need.frame, need.angles)
+    return _hand_in(request, player.draft, looks, answer, player.state.missing)
 
 
-def hand_in(
+def _hand_in(
     request: Request, draft: Draft, looks: Sequence[dict[str, Any]], answer: dict[str, Any] | None, missing: list[str]
-) -> Turn:
-    """What is written, and then the looks or the final answer.
+) -> StageReply:
+    """The calls that write, and then the looks or the final answer.
 
     The turn ends the question where an answer was refused, as all that was read has been written by then, and where
-    there is nothing to answer: a turn without a call, said twice, is the end of an episode.
+    there is nothing to answer: a turn without a call, sent twice, is the end of an episode.
     """
-    left = request.number("Tool calls made: ", LEFT)
-    if refused(request):
-        return Turn({"calls": []}, [*missing, "the answer was refused"])
+    left = request.left("Tool calls made: ")
+    if _was_refused(request):
+        return _refused(missing)
     room = min(_MOST_CALLS, left)
     last = list(looks)
     if not looks or len(draft.calls) + len(looks) >= left:
         last = [] if answer is None else [{"tool": "final_answer", **answer}]
     calls = [*draft.calls, *last] if len(draft.calls) + len(last) <= room else draft.calls[:room]
     ended = not calls or calls[-1]["tool"] == "final_answer"
-    return Turn({"calls": calls}, missing if ended else None)
+    return StageReply({"calls": calls}, missing if ended else None)
 
 
-def refused(request: Request) -> bool:
-    """Whether the last turn's final answer was refused, or the end of the episode has been asked for already."""
+def _was_refused(request: Request) -> bool:
+    """Whether the last turn's final answer was refused, or the prompt already requests the end of the episode."""
     return any(_REFUSED.match(line) or _ENDED.match(line) for line in request.lines)
 
 
-class Player:
-    """One turn: what is known, what is to be written, and the read of the answer as far as it has come."""
+def _refused(missing: Sequence[str] = ()) -> StageReply:
+    return StageReply({"calls": []}, [*missing, "the answer was refused"])
 
-    def __init__(self, request: Request, notes: Notes) -> None:
-        self.notes = notes
-        self.draft = Draft(notes)
+
+def _write_plan(
+    state: EpisodeState, draft: Draft, person: Sighting, conditions: Sequence[Condition], people: Sequence[Sighting]
+) -> Sighting | None:
+    """Write the people of the plan that the described person leads to; returns the plan's target."""
+    nodes = path(state.plan, person, people)
+    draft.people(state.plan, nodes)
+    draft.conditions(person, conditions)
+    if state.plan.target not in nodes:
+        state.note("mark unreadable: a hop leads to nobody, or to several")
+    return nodes.get(state.plan.target)
+
+
+# -- with looks -------------------------------------------------------------------------------------------------------
+
+
+class _Player:
+    """One turn: what the graph holds, what to write, and the read of the answer as far as it has come."""
+
+    def __init__(self, request: Request) -> None:
+        self.notes = read_notes(request)
+        self.draft = Draft(self.notes)
         self._plan = request.plan
-        self._left = request.number("Looks made: ", LEFT)
+        self._left = request.left("Looks made: ")
         self._legal = request.legal()
-        self.game = Game(request.plan, request.choices, self._memory(0), close=NEAR)
-        self._then = self.game.eyes.legal(self.game.t0)
+        self.state = EpisodeState(request.plan, request.choices, self._explorer(0), close=NEAR)
+        self._then = self.state.explorer.legal(self.state.t0)
 
-    def _memory(self, known: int) -> Memory:
-        return Memory(self._legal, self.notes.looks, self._left, known, len(self._plan.answer.times))
+    def _explorer(self, known: int) -> RestoredExplorer:
+        return RestoredExplorer(self._legal, self.notes.looks, self._left, known, len(self._plan.answer.times))
+
+    def _at(self, frame: int) -> list[Sighting]:
+        """Everybody whom any look shows at a frame."""
+        return self._explorer(len(self.notes.looks)).at(frame)
 
     def look(self, frame: int, angles: Sequence[float]) -> list[dict[str, Any]]:
-        """The calls that look; none where nothing is left to look with, or where it has been looked already."""
-        made = [look.angle for look in self.notes.looks if look.frame == frame]
-        angles = [round(angle % 360.0, 3) for angle in angles if not any(same(angle, other) for other in made)]
-        return [{"tool": "observe", "frame_id": f"{frame:06d}", "angle_deg": angle} for angle in angles[: self._left]]
+        """The calls that look; none where no look is left, or all have been made already."""
+        made = self._angles_at(frame)
+        due = [round(angle % 360.0, 3) for angle in angles if not any(same_angle(angle, other) for other in made)]
+        return [_observe(frame, angle) for angle in due[: self._left]]
+
+    def _angles_at(self, frame: int) -> list[float]:
+        return [look.angle for look in self.notes.looks if look.frame == frame]
 
     def play(self) -> dict[str, Any] | None:
-        """The final answer without its tool's name, or None where nobody was found. Raises Want and Round."""
+        """The final answer without its tool's name, or None where nobody was found. Raises NeedObservation."""
         person = self._target()
         if person is None:
             return None
-        identity = person.mark.identity
+        identity = person.identity
         for frame in sorted({look.frame for look in self.notes.newest} | {self._then}):
             if (seen := self.notes.of(identity, frame)) is not None:
                 self.draft.read(self._plan, seen)
-        self.game.eyes = self._memory(self._survey())
-        if self._plan.answer.read == "count":
-            answer = {"value": str(self._count(person))}
-        else:
-            answer = read_answer(self.game, person)
+        self.state.explorer = self._explorer(self._survey())
+        counts = self._plan.answer.read == "count"
+        answer = {"value": str(self._count(person))} if counts else answer_of(self.state, person)
         frames = sorted({look.frame for look in self.notes.looks})
         all_seen = {frame: s for frame in frames if (s := self.notes.of(identity, frame)) is not None}
-        known = events(self._plan, self._then, all_seen)
+        known = bounded_events(self._plan, self._then, all_seen)
         self._close_in(known, all_seen)
         self._show_whole(known, all_seen)
-        return {"answer": self._enclosed(answer, known), "entity": entity_name(identity)}
-
-    # -- who it is ----------------------------------------------------------------------------------------------------
+        return {"answer": self._bounded(answer, known), "entity": entity_name(identity)}
 
     def _survey(self) -> int:
         """How many looks were made to find the person: the first ones, all at the time of the description."""
@@ -135,90 +168,74 @@ class Player:
         return next((place for place, frame in enumerate(frames) if frame != self._then), len(frames))
 
     def _target(self) -> Sighting | None:
-        """Whom the question asks about, at the time of the description; writes down who of the plan is found."""
-        held = self.notes.holders.get(self._plan.target)
-        if held is not None:
-            return self.notes.of(held, self._then)
-        root = next(node for node in self._plan.nodes if node.id == self._plan.root)
-        people = self._memory(len(self.notes.looks)).at(self._then)
-        sized = any(c.attribute == "group_size" and c.value != ALONE_SIZE for c in root.conditions)
-        if self._plan.edges or sized or self._plan.answer.read == "count":
+        """The question's person at the time of the description; writes down the people of the plan that are found."""
+        holder = self.notes.holders.get(self._plan.target)
+        if holder is not None:
+            return self.notes.of(holder, self._then)
+        conditions, people = self.state.description, self._at(self._then)
+        if self._plan.edges or counts_group(conditions) or self._plan.answer.read == "count":
             if not self.notes.looks:
-                raise Round(self._then, [180.0 + turn for turn in AROUND])
-            found = among(root.conditions, people)
+                raise NeedObservation(self._then, *(180.0 + turn for turn in AROUND))
+            found = among(conditions, people)
         else:
-            found = self._seek(root.conditions, people)
+            found = self._seek(conditions, people)
         if found.missing:
-            self.game.note(found.missing)
-        if found.sighting is None:
-            return None
-        nodes = path(self._plan, found.sighting, people)
-        self.draft.people(self._plan, nodes)
-        self.draft.conditions(found.sighting, root.conditions)
-        if self._plan.target not in nodes:
-            self.game.note("mark unreadable: a hop leads to nobody, or to several")
-        return nodes.get(self._plan.target)
+            self.state.note(found.missing)
+        return found.sighting and _write_plan(self.state, self.draft, found.sighting, conditions, people)
 
-    def _seek(self, conditions: Sequence[Condition], people: Sequence[Sighting]) -> Found:
-        """The person described, look by look; who could be it is written down before the next look."""
+    def _seek(self, conditions: Sequence[Condition], people: Sequence[Sighting]) -> FoundPerson:
+        """The described person, look by look; writes down who may fit before the next look."""
         try:
-            return find(conditions, self._then, self.game.eyes)
-        except Want:
+            return find(conditions, self._then, self.state.explorer)
+        except NeedObservation:
             newest = [seen for look in self.notes.newest for seen in look.sightings]
-            written = {name for name, _ in self.notes.sighted}
+            written = self.notes.people
             for seen in possible(conditions, people):
-                name = entity_name(seen.mark.identity)
-                if name not in written and len(written) < _KEPT and any(seen is other for other in newest):
+                name = entity_name(seen.identity)
+                if name not in written and len(written) < _CANDIDATES and any(seen is other for other in newest):
                     written.add(name)
                     self.draft.person(seen)
                     self.draft.conditions(seen, [c for c in conditions if holds(c, seen, people)])
             raise
-        except Spent:
-            return Found(None, "budget: the person was not found")
-
-    # -- what is read of that person ----------------------------------------------------------------------------------
+        except BudgetExhausted:
+            return FoundPerson(None, "budget: the person was not found")
 
     def _count(self, person: Sighting) -> int:
         """How many are seen to have the relation: all round at the first time, then near the person until the last."""
-        begin, end = (self.game.eyes.legal(self.game.frame_of(name)) for name in self._plan.answer.times)
+        begin, end = (self.state.explorer.legal(self.state.frame_of(name)) for name in self._plan.answer.times)
         relation = self._plan.answer.relation
         assert relation is not None, "a count names its relation"
-        own = entity_name(person.mark.identity)
         for frame in sorted({look.frame for look in self.notes.newest}):
-            people = self._memory(len(self.notes.looks)).at(frame)
-            seen = self.notes.of(person.mark.identity, frame)
+            people, seen = self._at(frame), self.notes.of(person.identity, frame)
             for other in people:
                 if seen is not None and other is not seen and related(relation, seen, other, people):
                     self.draft.member(seen, relation, other)
         for third in (1, 2, 3):
-            then = self.game.eyes.legal(begin + (end - begin) * third / 3)
-            if self._left >= len(_COUNTED) and not any(look.frame == then for look in self.notes.looks):
-                last = [s for look in self.notes.looks if (s := look.of(person.mark.identity)) is not None][-1]
-                raise Round(then, [last.angle + turn for turn in _COUNTED])
-        return max(len(self.draft.partners(own, relation)), 1)
+            then = self.state.explorer.legal(begin + (end - begin) * third / 3)
+            if self._left >= len(_COUNTED) and not self._angles_at(then):
+                last = [s for look in self.notes.looks if (s := look.of(person.identity)) is not None][-1]
+                raise NeedObservation(then, *(last.angle + turn for turn in _COUNTED))
+        return max(len(self.draft.partners(person, relation)), 1)
 
-    # -- what the solver asks for -------------------------------------------------------------------------------------
-
-    def _close_in(self, known: dict[str, Event], seen: dict[int, Sighting]) -> None:
-        """Look inside an event that is not enclosed nearly enough, while there are looks."""
+    def _close_in(self, known: dict[str, BoundedEvent], seen: dict[int, Sighting]) -> None:
+        """Look inside an event that is not bounded nearly enough, while there are looks."""
         for name in sorted(known):
             frame = between(known[name], self._legal, [look.frame for look in self.notes.looks])
             if not known[name].known and frame is not None and self._left:
                 nearest = min(seen, key=lambda other: (abs(other - frame), other))
-                raise Want(frame, seen[nearest].angle)
+                raise NeedObservation(frame, seen[nearest].angle)
 
-    def _show_whole(self, known: dict[str, Event], seen: dict[int, Sighting]) -> None:
-        """Look once more where the box that will be shown was cut off by its picture's edge."""
-        asked = [
+    def _show_whole(self, known: dict[str, BoundedEvent], seen: dict[int, Sighting]) -> None:
+        """Look once more where the box that becomes the evidence was cut off by its picture's edge."""
+        frames = [
             known[name].high if name in known else self._plan.times[name].frame for name in self._plan.answer.times
         ]
-        shown = next((seen[frame] for frame in reversed(asked) if frame in seen), seen[self._then])
-        if not shown.whole and self._left:
-            made = [look.angle for look in self.notes.looks if look.frame == shown.frame]
-            if not any(same(angle, shown.angle) for angle in made):
-                raise Want(shown.frame, shown.angle)
+        evidence = next((seen[frame] for frame in reversed(frames) if frame in seen), seen[self._then])
+        made = any(same_angle(angle, evidence.angle) for angle in self._angles_at(evidence.frame))
+        if not evidence.whole and self._left and not made:
+            raise NeedObservation(evidence.frame, evidence.angle)
 
-    def _enclosed(self, answer: Any, known: dict[str, Event]) -> Any:
+    def _bounded(self, answer: Any, known: dict[str, BoundedEvent]) -> Any:
         """The answer by the middles of the events, where all of them have been seen."""
         if set(known) != set(self._plan.answer.times):
             return answer
@@ -235,90 +252,85 @@ class Player:
                 return {"value": f"{max((moments[1] - moments[0]) / FPS, 1.0):.1f}"}
 
 
-def remember_shown(request: Request) -> Turn:
-    """A turn of the reference agent without looks. Raises DecodeError for a prompt that lacks a line."""
+def _observe(frame: int, angle: float) -> dict[str, Any]:
+    return {"tool": "observe", "frame_id": f"{frame:06d}", "angle_deg": round(angle % 360.0, 3)}
+
+
+# -- without looks ----------------------------------------------------------------------------------------------------
+
+
+def _remember_shown(request: Request) -> StageReply:
     notes = read_notes(request)
     draft = Draft(notes)
-    game = Game(request.plan, request.choices, Shown(notes.looks))
-    person = _target(game, draft)
+    state = EpisodeState(request.plan, request.choices, FixedExplorer(notes.looks))
+    person = _shown_target(state, draft)
     answer = None
     if person is not None:
-        _write_everywhere(game, notes, draft, person)
-        answer = {"answer": read_answer(game, person), "entity": entity_name(person.mark.identity)}
-    game.note_unseen()
-    return hand_in(request, draft, (), answer, game.missing)
+        for frame in state.explorer.frames:
+            if (seen := notes.of(person.identity, frame)) is not None:
+                draft.read(state.plan, seen)
+        answer = {"answer": answer_of(state, person), "entity": entity_name(person.identity)}
+    state.note_unseen()
+    return _hand_in(request, draft, (), answer, state.missing)
 
 
-def _target(game: Game, draft: Draft) -> Sighting | None:
-    """Whom the question asks about, in the panorama nearest to the description, and who of the plan is found there."""
-    plan = game.plan
-    root = next(node for node in plan.nodes if node.id == plan.root)
-    frame = game.eyes.legal(game.t0)
-    exact, people = frame == game.t0, game.eyes.at(frame)
-    found = among(root.conditions, people)
+def _shown_target(state: EpisodeState, draft: Draft) -> Sighting | None:
+    """The question's person in the panorama nearest to the description; writes down the people of the plan there."""
+    conditions, frame = state.description, state.explorer.legal(state.t0)
+    exact, people = frame == state.t0, state.explorer.at(frame)
+    found = among(conditions, people)
     if found.missing:
-        game.note(found.missing)
-    person = found.sighting if exact else likely(root.conditions, people, exact=False)
+        state.note(found.missing)
+    person = found.sighting if exact else likely(conditions, people, exact=False)
     if person is None:
         return None
-    nodes = path(plan, person, people)
-    draft.people(plan, nodes)
-    # At the time of the description who is left is held to be the one described; at another the likeliest is taken.
-    draft.conditions(person, [c for c in root.conditions if exact or holds(c, person, people)])
-    if plan.target not in nodes:
-        game.note("mark unreadable: a hop leads to nobody, or to several")
-    return nodes.get(plan.target)
+    # At the time of the description the one who is left is held to fit all of it; at another the likeliest may not.
+    held = [c for c in conditions if exact or holds(c, person, people)]
+    return _write_plan(state, draft, person, held, people)
 
 
-def _write_everywhere(game: Game, notes: Notes, draft: Draft, person: Sighting) -> None:
-    for frame in game.eyes.frames:
-        if (seen := notes.of(person.mark.identity, frame)) is not None:
-            draft.read(game.plan, seen)
+# -- without a graph --------------------------------------------------------------------------------------------------
 
 
-def chat(request: Request) -> Turn:
-    """A turn of the chat: the next look, or the final answer. Raises DecodeError for a prompt that lacks a line."""
-    if refused(request):
-        return Turn({"calls": []}, ["the answer was refused"])
-    passive = any(look.panorama for look in request.looks)
-    eyes = Shown(request.looks) if passive else _eyes(request)
-    game = Game(request.plan, request.choices, eyes, beside=not passive)
+def _chat(request: Request, passive: bool) -> StageReply:
+    """The next look, or the final answer."""
+    if _was_refused(request):
+        return _refused()
+    explorer: FixedExplorer | RestoredExplorer
+    if passive:
+        explorer = FixedExplorer(request.looks)
+    else:
+        left, rounds = request.left("Looks made: "), len(request.plan.answer.times)
+        explorer = RestoredExplorer(request.legal(), request.looks, left, rounds=rounds)
+    state = EpisodeState(request.plan, request.choices, explorer, beside=not passive)
     try:
-        person = find_target(game)
-        answer = read_answer(game, person)
+        person = find_target(state)
+        answer = answer_of(state, person)
         if passive:
-            game.note_unseen()
-        box = _evidence(game, person)
-    except Want as want:
-        call = {"tool": "observe", "frame_id": f"{want.frame:06d}", "angle_deg": round(want.angle % 360.0, 3)}
-        return Turn({"calls": [call]})
-    return Turn({"calls": [{"tool": "final_answer", "answer": answer, **box}]}, game.missing)
+            state.note_unseen()
+        box = _evidence(state, person)
+    except NeedObservation as need:
+        return StageReply({"calls": [_observe(need.frame, need.angles[0])]})
+    return StageReply({"calls": [{"tool": "final_answer", "answer": answer, **box}]}, state.missing)
 
 
-def _eyes(request: Request) -> Eyes:
-    left = request.number("Looks made: ", LEFT)
-    return Memory(request.legal(), request.looks, left, rounds=len(request.plan.answer.times))
-
-
-def _evidence(game: Game, person: Sighting | None) -> dict[str, Any]:
+def _evidence(state: EpisodeState, person: Sighting | None) -> dict[str, Any]:
     """Observation and box of a look that shows the person whole, the newest of them; looks once more for one.
 
     No box where the person was never found: the call is refused, and the question ends with an answer alone.
     """
     if person is None:
-        return {"observation": game.eyes.looks[-1].name, "box": []}
-    identity = person.mark.identity
-    found = _newest(game.eyes.looks, identity)
-    if not found[1].whole:
+        return {"observation": state.explorer.looks[-1].name, "box": []}
+    look, seen = _newest(state.explorer.looks, person.identity)
+    if not seen.whole:
         try:
-            again = game.eyes.again(found[1].frame, found[1].angle)
-            seen = again.of(identity)
-            found = (again, seen) if seen is not None else found
-        except Spent:
-            game.note("budget: no look was left to show the person again")
-    return placed(*found)
+            again = state.explorer.again(seen.frame, seen.angle)
+            look, seen = (again, better) if (better := again.of(person.identity)) else (look, seen)
+        except BudgetExhausted:
+            state.note("budget: no look was left to show the person again")
+    return placed(look, seen)
 
 
-def _newest(looks: list[Look], identity: int) -> tuple[Look, Sighting]:
-    found = [(look, seen) for look in looks if (seen := look.of(identity)) is not None]
-    return max(enumerate(found), key=lambda entry: (entry[1][1].whole, entry[0]))[1]
+def _newest(looks: Sequence[Look], identity: int) -> tuple[Look, Sighting]:
+    found = [(look, seen) for look in reversed(looks) if (seen := look.of(identity)) is not None]
+    return max(found, key=lambda entry: entry[1].whole)

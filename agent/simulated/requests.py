@@ -1,9 +1,7 @@
-"""What a request says: its stage, the question, the legal frames, and the marks in its pictures.
+"""Parse a request: its stage, the question, the legal frames, and the marks in its pictures.
 
-A request is told apart by the last line of its newest user message. What the stages have in common is read here; a
-stage reads lines of its own from `Request.lines`.
-
-What a play hands back.
+The last line of the newest user message names the stage. This module reads what all stages have in common; a stage
+reads lines of its own from `Request.lines`.
 """
 
 from __future__ import annotations
@@ -11,19 +9,21 @@ from __future__ import annotations
 import base64
 import binascii
 import hashlib
+import itertools
 import re
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Annotated, Any, Final
+from dataclasses import dataclass
+from typing import Annotated, Any, Final, NamedTuple
 
 import msgspec
 
 from jrdb_avr.agent.model.prompts import read_frame_ranges
+from jrdb_avr.agent.policy.explorer import Look, Sighting
 from jrdb_avr.schema.errors import DecodeError, PlanError
 from jrdb_avr.schema.markers import Mark, Reading, read
-from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, angle_of_column
+from jrdb_avr.schema.panorama import WIDTH, angle_of_column
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.wording import parse
 
@@ -32,67 +32,27 @@ _ANNOUNCED: Final = re.compile(
 )
 _CHOICE: Final = re.compile(r"\d+\. (.+)")
 _URI: Final = "data:image/jpeg;base64,"
-_AHEAD: Final = 180.0
+AHEAD: Final = 180.0
 """Panorama angle of a whole panorama's middle column."""
 
-
-@dataclass(frozen=True)
-class Sighting:
-    """A mark read in a picture: whose, where in the picture (pixels), and the panorama angle of the box's centre.
-
-    `width` is the picture's, in pixels.
-    """
-
-    frame: int
-    mark: Mark
-    box: Box
-    complete: bool
-    angle: float
-    width: int = CROP
-
-    @property
-    def whole(self) -> bool:
-        """Whether the picture shows the box from side to side."""
-        return self.box.x >= 0 and self.box.x + self.box.w <= self.width
-
-
-@dataclass(frozen=True)
-class Look:
-    """A picture that was sent, and what was read in it: a crop, or a whole panorama.
-
-    `left` is the panorama column of its left edge, `name` the observation's where the request gives one.
-    """
-
-    frame: int
-    angle: float
-    sightings: tuple[Sighting, ...]
-    panorama: bool = False
-    name: str = ""
-    left: int = 0
-    width: int = CROP
-    height: int = HEIGHT
-
-    def of(self, identity: int) -> Sighting | None:
-        return next((s for s in self.sightings if s.mark.identity == identity), None)
+FrameId = Annotated[str, msgspec.Meta(pattern="^[0-9]{6}$")]
 
 
 @dataclass(frozen=True)
 class Request:
-    """A request as the marker understands it.
+    """A parsed request.
 
     `stage` is the last line of the newest user message and `lines` are all of them; `frames` are the legal ones (none
-    where the method does not choose); `looks` are the pictures of all user messages, in order; `messages` are raw.
+    where the method does not choose); `looks` are the pictures of all user messages, in order.
     """
 
     stage: str
     lines: tuple[str, ...]
     question: str
-    template: str
     plan: Plan
     choices: tuple[str, ...]
     frames: tuple[int, ...]
     looks: tuple[Look, ...]
-    messages: Sequence[Mapping[str, Any]] = field(repr=False, default=())
 
     def line(self, start: str) -> str | None:
         """The rest of the first line that begins so, in the newest user message."""
@@ -104,17 +64,16 @@ class Request:
             raise DecodeError("the prompt names no legal frame")
         return self.frames
 
-    def number(self, start: str, pattern: str = r"(\d{1,9})") -> int:
-        """A count in such a line. Raises DecodeError where it is not there."""
-        found = re.match(pattern, self.line(start) or "")
+    def left(self, start: str) -> int:
+        """How many of a budget are left, by the line that begins so. Raises DecodeError where there is none."""
+        found = re.match(r"\d+, left: (\d{1,9})$", self.line(start) or "")
         if not found:
             raise DecodeError(f"the prompt lacks a line {start!r} with a count")
         return int(found[1])
 
 
-@dataclass(frozen=True)
-class Picture:
-    """What was read in an image: its size in pixels, its sha256, and the marks."""
+class PictureMarks(NamedTuple):
+    """The marks read in an image, with its size in pixels and its sha256."""
 
     digest: bytes
     width: int
@@ -123,31 +82,36 @@ class Picture:
 
 
 Misread = Callable[[bytes, Mark], Mark]
-"""What is taken for a mark in the picture of a sha256."""
+"""Returns what a mark in the picture of a sha256 is taken for."""
 
 
 class Reader:
-    """Reads marks from data URIs; remembers by hash what it has read, as every turn sends all pictures again."""
+    """Reads marks from data URIs; caches them by hash, as every turn sends all pictures again."""
 
-    def __init__(self, remembered: int = 8192) -> None:
-        self._seen: OrderedDict[tuple[bytes, bool], Picture] = OrderedDict()
-        self._remembered = remembered
+    def __init__(self, cached: int = 8192) -> None:
+        self._cache: OrderedDict[tuple[bytes, bool], PictureMarks] = OrderedDict()
+        self._cached = cached
         self._lock = threading.Lock()
 
-    def picture(self, uri: str, *, wrap: bool) -> Picture:
-        """The marks in a JPEG given as a data URI; `wrap` for a whole panorama. Raises DecodeError for else."""
+    def picture(self, part: Mapping[str, Any], *, wrap: bool) -> PictureMarks:
+        """The marks in a message part that holds a JPEG as a data URI; `wrap` for a whole panorama.
+
+        Raises DecodeError for any other part.
+        """
+        url = part.get("image_url")
+        uri = str(url.get("url") if isinstance(url, dict) else url)
         digest = hashlib.sha256(uri.encode()).digest()
         key = (digest, wrap)
         with self._lock:
-            if key in self._seen:
-                self._seen.move_to_end(key)
-                return self._seen[key]
+            if key in self._cache:
+                self._cache.move_to_end(key)
+                return self._cache[key]
         image = _image(uri)
-        found = Picture(digest, image.shape[1], image.shape[0], tuple(read(image, wrap=wrap)))
+        found = PictureMarks(digest, image.shape[1], image.shape[0], tuple(read(image, wrap=wrap)))
         with self._lock:
-            self._seen[key] = found
-            while len(self._seen) > self._remembered:
-                self._seen.popitem(last=False)
+            self._cache[key] = found
+            while len(self._cache) > self._cached:
+                self._cache.popitem(last=False)
         return found
 
 
@@ -177,42 +141,42 @@ def read_request(
     stages: Collection[str],
     misread: Callable[[str], Misread | None] = lambda _: None,
 ) -> Request | None:
-    """The request; None for a conversation whose last line is none of the stages'.
+    """Parse a request; None for a conversation whose last line names none of the stages.
 
-    The question and its choices may stand in an earlier user message, as in a chat. `misread` says how the marks of a
-    question are misread. Raises DecodeError for a question or a picture that cannot be read.
+    The question and its choices may stand in an earlier user message, as in a chat. `misread` returns how the marks of
+    a question are misread. Raises DecodeError for a question or a picture that cannot be read.
     """
-    said = [parts for message in messages if (parts := user_parts(message)) is not None]
-    if not said:
-        return None
-    lines = lines_of(said[-1])
+    turns = user_turns(messages)
+    lines = lines_of(turns[-1]) if turns else ()
     stage = lines[-1] if lines else ""
     if stage not in stages:
         return None
-    told = next((found for parts in (said[-1], *said) if _line(found := lines_of(parts), "Question: ") is not None), ())
-    question = _line(told, "Question: ")
+    texts = (lines, *map(lines_of, turns))
+    heading = next((text for text in texts if _line(text, "Question: ") is not None), ())
+    question = _line(heading, "Question: ")
     if question is None:
         raise DecodeError("the prompt has no line 'Question: ...'")
     try:
-        template, plan = parse(question)
+        _, plan = parse(question)
     except PlanError as error:
         raise DecodeError(f"the marker model does not know this question: {error}") from None
-    legal = _line(told, "Legal frames: ")
+    legal = _line(heading, "Legal frames: ")
     frames = () if legal is None else tuple(read_frame_ranges(legal))
     misread_mark = misread(question)
-    looks = tuple(look for parts in said for look in _looks(parts, reader, misread_mark))
-    return Request(stage, lines, question, template, plan, _choices(told), frames, looks, messages)
+    looks = tuple(look for parts in turns for look in _looks(parts, reader, misread_mark))
+    return Request(stage, lines, question, plan, _choices(heading), frames, looks)
 
 
-def user_parts(message: object) -> list[dict[str, Any]] | None:
-    """The parts of a user message's content; None for other messages and other content."""
-    if not isinstance(message, dict) or message.get("role") in ("system", "assistant"):
-        return None
-    content = message.get("content")
-    parts = [{"type": "text", "text": content}] if isinstance(content, str) else content
-    if not isinstance(parts, list) or not all(isinstance(part, dict) for part in parts):
-        return None
-    return parts
+def user_turns(messages: Sequence[Mapping[str, Any]]) -> list[list[dict[str, Any]]]:
+    """The parts of each user message; messages of other roles or with other content are left out."""
+    turns = []
+    for message in messages:
+        content = message.get("content")
+        parts = [{"type": "text", "text": content}] if isinstance(content, str) else content
+        user = message.get("role") not in ("system", "assistant")
+        if user and isinstance(parts, list) and all(isinstance(part, dict) for part in parts):
+            turns.append(parts)
+    return turns
 
 
 def lines_of(parts: Sequence[dict[str, Any]]) -> tuple[str, ...]:
@@ -227,22 +191,18 @@ def _line(lines: Sequence[str], start: str) -> str | None:
 
 def _choices(lines: Sequence[str]) -> tuple[str, ...]:
     """The numbered lines that follow the line `Choices:`."""
-    choices: list[str] = []
-    for line in lines[lines.index("Choices:") + 1 :] if "Choices:" in lines else ():
-        numbered = _CHOICE.fullmatch(line)
-        if not numbered:
-            break
-        choices.append(numbered[1])
-    return tuple(choices)
+    after = lines[lines.index("Choices:") + 1 :] if "Choices:" in lines else ()
+    numbered = itertools.takewhile(bool, map(_CHOICE.fullmatch, after))
+    return tuple(found[1] for found in numbered if found)
 
 
 # -- its pictures -----------------------------------------------------------------------------------------------------
 
 
 class _Metadata(msgspec.Struct):
-    """What stands before a picture; without an angle it is a whole panorama."""
+    """The JSON object before a picture; without an angle the picture is a whole panorama."""
 
-    frame_id: Annotated[str, msgspec.Meta(pattern="^[0-9]{6}$")]
+    frame_id: FrameId
     angle_deg: float | None = None
     left: int = 0
 
@@ -256,8 +216,7 @@ def _looks(parts: Sequence[dict[str, Any]], reader: Reader, misread: Misread | N
     place: _Metadata | None = None
     name = ""
     for part in parts:
-        last = str(part.get("text", "")).rpartition("\n")[2]
-        announced = _ANNOUNCED.fullmatch(last)
+        announced = _ANNOUNCED.fullmatch(str(part.get("text", "")).rpartition("\n")[2])
         if announced:
             try:
                 place = _METADATA.decode(announced[2])
@@ -265,44 +224,36 @@ def _looks(parts: Sequence[dict[str, Any]], reader: Reader, misread: Misread | N
                 raise DecodeError(f"a picture's line cannot be read: {error}") from None
             name = announced[1] or ""
         elif part.get("type") == "image_url" and place is not None:
-            picture = reader.picture(uri_of(part), wrap=place.angle_deg is None)
-            looks.append(_look(place, name, picture, misread))
+            looks.append(_look(place, name, reader.picture(part, wrap=place.angle_deg is None), misread))
             place = None
     return looks
 
 
-def uri_of(part: Mapping[str, Any]) -> str:
-    """The address of a part that is an image."""
-    image = part.get("image_url")
-    return str(image.get("url") if isinstance(image, dict) else image)
-
-
-def _look(place: _Metadata, name: str, picture: Picture, misread: Misread | None) -> Look:
+def _look(place: _Metadata, name: str, picture: PictureMarks, misread: Misread | None) -> Look:
     frame, panorama = int(place.frame_id), place.angle_deg is None
     # A panorama may be sent smaller than it is, a crop is as large as it was cut.
     scale = WIDTH / picture.width if panorama else 1.0
-    sightings = [
+    sightings = tuple(
         Sighting(
             frame,
-            reading.mark if misread is None else misread(picture.digest, reading.mark),
-            reading.box,
-            reading.complete,
-            angle_of_column(place.left + (reading.box.x + reading.box.w / 2) * scale),
+            misread(picture.digest, mark) if misread else mark,
+            box,
+            complete,
+            angle_of_column(place.left + (box.x + box.w / 2) * scale),
             picture.width,
         )
-        for reading in picture.readings
-    ]
-    angle = _AHEAD if place.angle_deg is None else place.angle_deg
-    return Look(frame, angle, tuple(sightings), panorama, name, place.left, picture.width, picture.height)
+        for mark, box, complete in picture.readings
+    )
+    angle = AHEAD if place.angle_deg is None else place.angle_deg
+    return Look(frame, angle, sightings, panorama, name, place.left, picture.width, picture.height)
 
 
-@dataclass(frozen=True)
-class Turn:
-    """The reply's object; `missing` says what was missing where it ends the question, and is None where it does not."""
+class StageReply(NamedTuple):
+    """The reply to one stage; `missing` lists what was missing where it ends the question, else it is None."""
 
     reply: Mapping[str, Any]
     missing: list[str] | None = None
 
 
-Play = Callable[[Request], Turn]
+Play = Callable[[Request], StageReply]
 """Plays one stage: a pure function of the request. Raises DecodeError for a request that lacks a line."""

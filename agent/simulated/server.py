@@ -1,28 +1,48 @@
-"""The socket of the marker model: chat completions over HTTP on the loopback interface."""
+"""Serve the simulated model: chat completions over HTTP on the loopback interface.
+
+The server plays the stages of a question, and does what the probes of a server ask for as far as marks and JSON go: it
+repeats a word or an object, fills in a JSON Schema, and finds the rectangle with a mark in a drawn picture.
+"""
 
 from __future__ import annotations
 
 import functools
 import hashlib
+import re
+import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 
-from jrdb_avr.agent.simulated.noise import PERFECT, Draws, Knobs, Wording, misread, think, with_wrong_boxes, word
+from jrdb_avr.agent.model.decode import write_box
+from jrdb_avr.agent.model.probes import BOX_LINE, CORNER_LINE, CROP_LINE, PANORAMA_LINE
+from jrdb_avr.agent.simulated.noise import (
+    PERFECT,
+    Draws,
+    Knobs,
+    Wording,
+    misread,
+    settings,
+    think,
+    with_wrong_boxes,
+    word,
+)
 from jrdb_avr.agent.simulated.play import STAGES
-from jrdb_avr.agent.simulated.requests import Reader, Request, Turn, read_request
-from jrdb_avr.agent.simulated.talk import talk
-from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.agent.simulated.requests import PictureMarks, Reader, Request, lines_of, read_request, user_turns
+from jrdb_avr.schema.errors import DecodeError, EndpointError
 
 MODEL: Final = "marker"
 _LONGEST_REQUEST: Final = 256 * 1024 * 1024
 _IMAGE_TOKENS: Final = 256
+READY: Final = "marker ready at "
+"""Begins the line that the process prints once it takes requests; the server's address follows."""
 
 
 class _Request(msgspec.Struct):
@@ -38,7 +58,7 @@ _REQUEST: Final = msgspec.json.Decoder(_Request)
 class Server(ThreadingHTTPServer):
     """Serves until `shutdown`.
 
-    `log` receives one JSON line per question answered: what was asked, what was missing, and which knob spoiled it.
+    `log` receives one JSON line per answered question: the question, what was missing, and which knob spoiled it.
     """
 
     daemon_threads = True
@@ -53,87 +73,74 @@ class Server(ThreadingHTTPServer):
 
     @property
     def url(self) -> str:
-        """The base URL that a client is given."""
+        """The base URL for a client."""
         return f"http://127.0.0.1:{self.server_port}/v1"
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A client that goes away, as when a run is killed, is no fault to tell; anything else is."""
+        """Ignore a client that goes away, as when a run is killed; report anything else."""
         if not isinstance(sys.exception(), ConnectionError):
             super().handle_error(request, client_address)
 
     def reply(self, body: bytes) -> dict[str, Any]:
-        """The completion for a request's body. Raises DecodeError for what cannot be understood."""
+        """The completion for a request's body. Raises DecodeError for one that cannot be understood."""
         try:
-            request = _REQUEST.decode(body)
+            message = _REQUEST.decode(body)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             raise DecodeError(f"no chat-completions request: {error}") from None
         knobs = self.knobs
         draws = Draws(knobs.seed, "" if knobs == PERFECT else hashlib.sha256(body).hexdigest())
-        asked = read_request(request.messages, self.reader, STAGES, functools.partial(misread, knobs))
-        if asked is None:
-            wording = Wording(think(knobs, draws) + talk(request.messages, request.response_format, self.reader))
+        request = read_request(message.messages, self.reader, STAGES, functools.partial(misread, knobs))
+        if request is None:
+            wording = Wording(think(knobs, draws) + probe_reply(message.messages, message.response_format, self.reader))
         else:
-            wording = self._play(asked, draws)
+            wording = self._play(request, draws)
         time.sleep(knobs.latency)
-        return _completion(request, wording)
+        return _completion(message, wording)
 
-    def _play(self, asked: Request, draws: Draws) -> Wording:
-        turn = STAGES[asked.stage](asked)
-        reply, wrong = with_wrong_boxes(turn.reply, asked.looks, self.knobs, draws)
+    def _play(self, request: Request, draws: Draws) -> Wording:
+        turn = STAGES[request.stage](request)
+        reply = with_wrong_boxes(turn.reply, request.looks, self.knobs, draws)
         wording, spoiled = word(msgspec.json.encode(reply).decode(), self.knobs, draws)
-        self._tell(asked, turn, [*(["wrong_box"] if wrong else ()), *([spoiled] if spoiled else ())])
+        if self._log is not None and turn.missing is not None:
+            knobs = [*(["wrong_box"] if reply != turn.reply else ()), *([spoiled] if spoiled else ())]
+            line = {
+                "stage": request.stage,
+                "question": request.question,
+                "choices": request.choices,
+                "looks": len(request.looks),
+                "missing": turn.missing,
+                **({"knobs": knobs} if knobs else {}),
+            }
+            with self._lock, self._log.open("ab") as file:
+                file.write(msgspec.json.encode(line) + b"\n")
         return wording
-
-    def _tell(self, asked: Request, turn: Turn, knobs: list[str]) -> None:
-        if turn.missing is None:
-            return
-        line = {
-            "stage": asked.stage,
-            "question": asked.question,
-            "choices": asked.choices,
-            "looks": len(asked.looks),
-            "missing": turn.missing,
-        }
-        self._write({**line, "knobs": knobs} if knobs else line)
-
-    def _write(self, line: Mapping[str, Any]) -> None:
-        if self._log is None:
-            return
-        with self._lock, self._log.open("ab") as file:
-            file.write(msgspec.json.encode(line) + b"\n")
 
 
 def _completion(request: _Request, wording: Wording) -> dict[str, Any]:
-    texts, images = _sizes(request.messages)
+    texts = images = 0
+    for message in request.messages:
+        content = message.get("content")
+        for part in content if isinstance(content, list) else [{"text": content}]:
+            if isinstance(part, dict):
+                texts += len(str(part.get("text") or ""))
+                images += part.get("type") == "image_url"
     prompt_tokens = texts // 4 + images * _IMAGE_TOKENS
     completion_tokens = len(wording.content or wording.refusal or "") // 4
-    message: dict[str, Any] = {"role": "assistant", "content": wording.content}
+    answer: dict[str, Any] = {"role": "assistant", "content": wording.content}
     if wording.refusal is not None:
-        message |= {"content": None, "refusal": wording.refusal}
+        answer |= {"content": None, "refusal": wording.refusal}
     return {
         "id": "marker",
         "object": "chat.completion",
         "created": 0,
         "model": request.model,
-        "choices": [{"index": 0, "finish_reason": wording.finish_reason, "message": message}],
+        "choices": [{"index": 0, "finish_reason": wording.finish_reason, "message": answer}],
         "usage": {
             "prompt_tokens": prompt_tokens,
             "completion_tokens": completion_tokens,
             "total_tokens": prompt_tokens + completion_tokens,
         },
     }
-
-
-def _sizes(messages: list[dict[str, Any]]) -> tuple[int, int]:
-    """Characters of text and number of images."""
-    texts = images = 0
-    for message in messages:
-        content = message.get("content")
-        for part in content if isinstance(content, list) else [{"text": content}]:
-            if isinstance(part, dict):
-                texts += len(str(part.get("text") or ""))
-                images += part.get("type") == "image_url"
-    return texts, images
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -147,22 +154,25 @@ class _Handler(BaseHTTPRequestHandler):
         length = self.headers.get("Content-Length", "")
         if not (length.isascii() and length.isdigit()) or int(length) > _LONGEST_REQUEST:
             self.close_connection = True
-            self._send(413, {"error": {"message": "a request needs a Content-Length of at most 256 MB"}})
+            self._refuse(413, "a request needs a Content-Length of at most 256 MB")
             return
         body = self.rfile.read(int(length))
         if not self.path.endswith("/chat/completions"):
-            self._send(404, {"error": {"message": f"there is no {self.path}; use /v1/chat/completions"}})
+            self._refuse(404, f"there is no {self.path}; use /v1/chat/completions")
             return
         try:
             self._send(200, self.server.reply(body))
         except DecodeError as error:
-            self._send(400, {"error": {"message": str(error)}})
+            self._refuse(400, str(error))
 
     def do_GET(self) -> None:
         if self.path.endswith("/models"):
             self._send(200, {"object": "list", "data": [{"id": MODEL, "object": "model"}]})
         else:
-            self._send(404, {"error": {"message": f"there is no {self.path}; use /v1/models"}})
+            self._refuse(404, f"there is no {self.path}; use /v1/models")
+
+    def _refuse(self, status: int, message: str) -> None:
+        self._send(status, {"error": {"message": message}})
 
     def _send(self, status: int, value: Mapping[str, Any]) -> None:
         data = msgspec.json.encode(value)
@@ -173,4 +183,117 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(data)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Silence: a line per request on stderr would break the progress bar of a run."""
+        """Print nothing: a line per request on stderr would break the progress bar of a run."""
+
+
+start_process: Any = subprocess.Popen
+"""Starts the server's process; tests put a faster start in its place."""
+
+
+@contextmanager
+def marker_server(log: Path | None = None, knobs: Knobs = PERFECT) -> Iterator[str]:
+    """Serve from a child process while a `with` block lasts, and yield the base URL; `log` and `knobs` as in `Server`.
+
+    Raises EndpointError if it does not start.
+    """
+    command = [sys.executable, "-m", "jrdb_avr.agent.simulated"]
+    if log is not None:
+        command += ["--log", str(log)]
+    command += [part for setting in settings(knobs) for part in ("--knob", setting)]
+    # The process ends when the pipe to its standard input closes, however this process ends.
+    with start_process(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            line = process.stdout.readline()
+            if not line.startswith(READY):
+                raise EndpointError("the marker model's server did not start: run 'python -m jrdb_avr.agent.simulated'")
+            yield line.removeprefix(READY).strip()
+        finally:
+            process.kill()
+
+
+# -- probes -----------------------------------------------------------------------------------------------------------
+
+_WORD: Final = re.compile(r"Reply with the one word: (\w{1,40})")
+_OBJECT: Final = re.compile(r"Reply with the JSON object (\{.*\}) and nothing else\.")
+_FRAME: Final = re.compile(r'Picture \d+: \{"frame_id": ?"(\d{6})"\}')
+_DEEPEST: Final = 6
+_MOST_ITEMS: Final = 4
+_LONGEST: Final = 100
+"""Bounds on the sizes that a schema may ask for: lists of lists grow fast."""
+
+
+def probe_reply(messages: Sequence[Mapping[str, Any]], response_format: object, reader: Reader) -> str:
+    """The text of a reply to a request that is no stage of a question.
+
+    Raises DecodeError where its picture is missing or cannot be read.
+    """
+    turns = user_turns(messages)
+    parts = turns[-1] if turns else []
+    lines = lines_of(parts)
+    text, last = "\n".join(lines), lines[-1] if lines else ""
+    if last in (CORNER_LINE, BOX_LINE, PANORAMA_LINE, CROP_LINE):
+        return msgspec.json.encode(_picture_reply(last, text, parts, reader)).decode()
+    if found := _OBJECT.search(text):
+        return found[1]
+    match response_format:
+        case {"type": "json_schema", "json_schema": {"schema": {**schema}}}:
+            return msgspec.json.encode(instance(schema)).decode()
+    found = _WORD.search(text)
+    return found[1] if found else '{"ok":true}'
+
+
+def _picture_reply(last: str, text: str, parts: Sequence[Mapping[str, Any]], reader: Reader) -> dict[str, Any]:
+    """The reply to a probe with pictures, of which one shows a mark."""
+    pictures = (
+        (reader.picture(part, wrap=False), str(before.get("text", "")))
+        for before, part in zip(({}, *parts), parts, strict=False)
+        if part.get("type") == "image_url"
+    )
+    number, picture, before = next(
+        ((n, picture, before) for n, (picture, before) in enumerate(pictures, 1) if picture.readings),
+        (0, PictureMarks(b"", 0, 0, ()), ""),
+    )
+    if number == 0:
+        raise DecodeError("no picture of the request shows a mark")
+    mark = picture.readings[0].box
+    if last == CORNER_LINE:
+        down = "upper" if mark.y + mark.h / 2 < picture.height / 2 else "lower"
+        across = "left" if mark.x + mark.w / 2 < picture.width / 2 else "right"
+        return {"corner": f"{down} {across}"}
+    if last == PANORAMA_LINE:
+        return {"calls": [{"tool": "final_answer", "answer": number, "entity": "p1"}]}
+    frame = _FRAME.search(text if last == BOX_LINE else before)
+    if frame is None:
+        raise DecodeError("the request does not name its picture's frame")
+    if last == CROP_LINE:
+        return {"action": "observe", "frame_id": frame[1], "angle_deg": 180}
+    return {"evidence_bboxes": [{"frame_id": frame[1], "bbox": write_box(mark, picture.width, picture.height)}]}
+
+
+def instance(schema: object, depth: int = 0) -> Any:
+    """The simplest value that follows a JSON Schema made of types, enumerations, and least lengths and numbers."""
+    if depth > _DEEPEST:
+        return None
+    match schema:
+        case {"enum": [first, *_]}:
+            return first
+        case {"anyOf": [first, *_]}:
+            return instance(first, depth + 1)
+        case {"type": "object", "properties": {**properties}}:
+            return {str(name): instance(form, depth + 1) for name, form in properties.items()}
+        case {"type": "array", "items": items, **rest}:
+            return [instance(items, depth + 1)] * _least(rest, "minItems", _MOST_ITEMS)
+        case {"type": "string", **rest}:
+            return "-" * _least(rest, "minLength")
+        case {"type": "integer" | "number", **rest}:
+            return _least(rest, "minimum")
+        case {"type": "boolean"}:
+            return True
+        case {"type": "object"}:
+            return {}
+    return None
+
+
+def _least(schema: Mapping[Any, Any], key: str, most: int = _LONGEST) -> int:
+    least = schema.get(key, 0)
+    return least if isinstance(least, int) and 0 <= least <= most else 0

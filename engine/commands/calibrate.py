@@ -34,7 +34,7 @@ def command(store: Store, model: str, base_url: str | None, options: Any, as_jso
     from jrdb_avr.agent.model.calibrate import PICTURES, calibrate
     from jrdb_avr.agent.model.client import Client
     from jrdb_avr.agent.model.conventions import convention_of
-    from jrdb_avr.agent.model.preflight import preflight, require
+    from jrdb_avr.agent.preflight import preflight, require
     from jrdb_avr.engine.run.endpoint import serving, write_calibration
     from jrdb_avr.queries.display import step_counter
 

@@ -26,7 +26,7 @@ def command(model: str, base_url: str | None, options: Any, as_json: bool) -> No
     """
     from jrdb_avr.agent.model.client import Client
     from jrdb_avr.agent.model.conventions import convention_of
-    from jrdb_avr.agent.model.preflight import preflight, require
+    from jrdb_avr.agent.preflight import preflight, require
     from jrdb_avr.engine.run.endpoint import serving
     from jrdb_avr.schema.errors import EndpointError
 

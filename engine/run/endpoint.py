@@ -19,7 +19,7 @@ from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.calibrate import Calibration
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import DEFAULTS, Convention, Options, convention_of
-from jrdb_avr.agent.model.preflight import preflight, require
+from jrdb_avr.agent.preflight import preflight, require
 from jrdb_avr.agent.simulated.noise import PERFECT, Knobs
 from jrdb_avr.engine.run.methods import MARKER
 from jrdb_avr.queries.store import Store, is_plain_name, write_json
@@ -91,7 +91,7 @@ def serving(model: str, base_url: str | None, log: Path | None = None, knobs: Kn
 
     `log` and `knobs` are the marker server's. Raises EndpointError for another model without an address.
     """
-    from jrdb_avr.agent.simulated.child import marker_server
+    from jrdb_avr.agent.simulated.server import marker_server
 
     if base_url is not None:
         yield base_url

@@ -24,7 +24,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.agent.beliefs.world_model import World
-from jrdb_avr.agent.model.options import DEFAULTS, Options
+from jrdb_avr.agent.model.conventions import DEFAULTS, Options
 from jrdb_avr.agent.simulated.noise import PERFECT, Knobs, turned
 from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.run.answering import answer_all

@@ -124,7 +124,7 @@ STATEMENTS = SimpleNamespace(run=_served, TimeoutExpired=subprocess.TimeoutExpir
 
 
 @contextlib.contextmanager
-def _serving(command, *, stdin, stdout, text):
+def start_server(command, *, stdin, stdout, text):
     """As `subprocess.Popen` of `python -m jrdb_avr.agent.simulated`: its output and its lifeline are pipes too."""
     assert command[1:3] == ["-m", "jrdb_avr.agent.simulated"] and stdin == stdout == subprocess.PIPE and text
     held, lifeline = multiprocessing.Pipe(duplex=False)
@@ -150,7 +150,3 @@ def _marker(arguments, held, told):
     sys.stdin, sys.stdout = os.fdopen(0, closefd=False), os.fdopen(1, "w", closefd=False)
     sys.argv = ["marker", *arguments]
     main()
-
-
-MARKERS = SimpleNamespace(Popen=_serving, PIPE=subprocess.PIPE)
-"""For `child.subprocess`: the child that serves the marker model."""

@@ -9,10 +9,11 @@ import pytest
 from click.testing import CliRunner
 from fake_server import FakeServer, Status, completion, images, marked, sound, texts
 
-from jrdb_avr.agent.model.calibrate import CORNERS, calibrate, corner_picture, drawn_rectangles, request
+from jrdb_avr.agent.model.calibrate import calibrate, request
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import CONTRACT, Options, Reading, convention_of
 from jrdb_avr.agent.model.messages import wire
+from jrdb_avr.agent.model.probes import CORNERS, corner_picture, drawn_rectangles
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.engine.cli import group
 from jrdb_avr.engine.run.endpoint import connect, convention_path, read_calibration, write_calibration

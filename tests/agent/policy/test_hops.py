@@ -2,8 +2,8 @@
 
 import pytest
 
-from jrdb_avr.agent.policy.hops import related, walk
-from jrdb_avr.agent.simulated.requests import Sighting
+from jrdb_avr.agent.policy.explorer import Sighting
+from jrdb_avr.agent.policy.hops import path, related
 from jrdb_avr.schema.markers import Mark
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import AnswerSpec, Edge, Node, Plan, Time
@@ -76,18 +76,22 @@ def plan(*edges):
     )
 
 
+def target(plan, root, people):
+    return path(plan, root, people).get(plan.target)
+
+
 def test_a_walk_goes_on_from_everybody_reached_and_never_back():
     people = [seen(1, 200.0), seen(2, 180.0), seen(3, 150.0), seen(4, 230.0)]
     there = plan(("a", FIRST_LEFT, "b"), ("b", FIRST_LEFT, "c"))
-    assert walk(there, people[0], people).mark.identity == 3
-    assert walk(plan(("a", FIRST_LEFT, "b"), ("b", FIRST_RIGHT, "c")), people[0], people) is None
+    assert target(there, people[0], people).mark.identity == 3
+    assert target(plan(("a", FIRST_LEFT, "b"), ("b", FIRST_RIGHT, "c")), people[0], people) is None
 
 
 def test_a_fork_joins_at_the_one_who_fits_both():
     people = [seen(1, 180.0), seen(2, 160.0), seen(3, 200.0), seen(4, 120.0), seen(5, 140.0), seen(6, 260.0)]
     left, right = "within 90 degrees to the left of (robot view)", "within 60 degrees to the left of (robot view)"
     fork = plan(("a", FIRST_LEFT, "b"), ("a", FIRST_RIGHT, "c"), ("b", left, "d"), ("c", right, "d"))
-    assert walk(fork, people[0], people).mark.identity == 5
+    assert target(fork, people[0], people).mark.identity == 5
 
 
 def test_a_person_read_in_two_looks_is_not_its_own_neighbour():
@@ -101,4 +105,4 @@ def test_a_person_read_in_two_looks_is_not_its_own_neighbour():
         (Edge("a", FIRST_RIGHT, "b", "t0"),),
         AnswerSpec(mode="multiple_choice", read="action", of="b", at="t0"),
     )
-    assert walk(plan, a, [again, b]) is b
+    assert target(plan, a, [again, b]) is b

@@ -4,12 +4,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jrdb_avr.agent.policy.enclosing import Event, between, events
-from jrdb_avr.agent.policy.explorer import AROUND, NEARBY, Spent, Want
-from jrdb_avr.agent.simulated.memory import Memory
-from jrdb_avr.agent.simulated.notes import read_notes
-from jrdb_avr.agent.simulated.requests import Look, Request, Sighting
-from jrdb_avr.agent.simulated.writing import Draft, attribute_of
+from jrdb_avr.agent.policy.enclosing import BoundedEvent, between, bounded_events
+from jrdb_avr.agent.policy.explorer import (
+    AROUND,
+    NEARBY,
+    BudgetExhausted,
+    Look,
+    NeedObservation,
+    RestoredExplorer,
+    Sighting,
+)
+from jrdb_avr.agent.simulated.notes import Draft, attribute_of, read_notes
+from jrdb_avr.agent.simulated.requests import Request
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.markers import Mark
 from jrdb_avr.schema.panorama import WIDTH, Box, center_angle, crop_left, from_crop
@@ -43,7 +49,7 @@ def asking(action="reading", end=False):
 
 def request(graph=GRAPH, looks=()):
     lines = (f"Plan: {canonical(asking())}", f"Graph: {graph}")
-    return Request("", lines, "q", "start", asking(), (), tuple(range(0, 600, 5)), tuple(looks))
+    return Request("", lines, "q", asking(), (), tuple(range(0, 600, 5)), tuple(looks))
 
 
 def seen(frame, identity=7, x=200.0, **mark):
@@ -99,29 +105,29 @@ def test_a_graph_that_cannot_be_read_is_named(graph):
 def test_looks_of_a_frame_are_those_of_the_first_turns_whatever_the_boxes_say():
     first = seen(15)
     looks = [Look(15, 180.0, (first,)), Look(60, 150.0, ()), Look(60, 190.0, ())]
-    memory = Memory(range(0, 600, 5), looks, 21, known=1)
-    with pytest.raises(Want) as want:
+    memory = RestoredExplorer(range(0, 600, 5), looks, 21, known=1)
+    with pytest.raises(NeedObservation) as want:
         memory.follow(7, 60, NEARBY)
-    assert (want.value.frame, want.value.angle) == (60, 110.0), "the third turn, from where the first look was made"
+    assert (want.value.frame, *want.value.angles) == (60, 110.0), "the third turn, from where the first look was made"
 
 
 def test_absences_at_two_times_fit_into_eighteen_looks_less_one():
     looks = [Look(15, 180.0, (seen(15),))]
     for left in (16, 17):
-        memory, made = Memory(range(0, 600, 5), looks, left, known=1, rounds=2), []
+        memory, made = RestoredExplorer(range(0, 600, 5), looks, left, known=1, rounds=2), []
         for frame in (150, 300):
             while True:
-                memory = Memory(range(0, 600, 5), [*looks, *made], left - len(made), known=1, rounds=2)
+                memory = RestoredExplorer(range(0, 600, 5), [*looks, *made], left - len(made), known=1, rounds=2)
                 try:
                     if frame == 300:
                         memory.follow(7, 150, AROUND)
                     memory.follow(7, frame, AROUND)
                     break
-                except Want as want:
-                    made.append(Look(want.frame, want.angle, ()))
+                except NeedObservation as want:
+                    made.append(Look(want.frame, want.angles[0], ()))
         assert len(made) == left
-    memory = Memory(range(0, 600, 5), looks, 0, known=1)
-    with pytest.raises(Spent):
+    memory = RestoredExplorer(range(0, 600, 5), looks, 0, known=1)
+    with pytest.raises(BudgetExhausted):
         memory.follow(7, 150, AROUND)
 
 
@@ -133,22 +139,22 @@ def reads(frames, action="reading"):
 
 
 def test_an_event_lies_between_the_last_sighting_before_it_and_the_first_after_it():
-    found = events(asking(end=True), 15, reads({60: False, 90: False, 110: True, 150: True, 200: False}))
-    assert found == {"t1": Event(90, 110), "t2": Event(150, 200)}
+    found = bounded_events(asking(end=True), 15, reads({60: False, 90: False, 110: True, 150: True, 200: False}))
+    assert found == {"t1": BoundedEvent(90, 110), "t2": BoundedEvent(150, 200)}
     assert found["t1"].known and not found["t2"].known
     assert found["t1"].middle == 100
 
 
 def test_an_end_waits_for_its_start_and_a_start_for_the_description():
-    assert events(asking(end=True), 15, reads({60: False})) == {}
-    assert events(asking(end=True), 15, reads({10: True, 60: True})) == {"t1": Event(15, 60)}
+    assert bounded_events(asking(end=True), 15, reads({60: False})) == {}
+    assert bounded_events(asking(end=True), 15, reads({10: True, 60: True})) == {"t1": BoundedEvent(15, 60)}
 
 
 @given(st.sets(st.integers(0, 60)), st.integers(0, 59), st.integers(1, 60))
 def test_what_is_looked_at_next_lies_inside_and_is_new(tried, low, width):
     legal = range(0, 61, 3)
     inside = [frame for frame in legal if low < frame < low + width and frame not in tried]
-    chosen = between(Event(low, low + width), legal, tried)
+    chosen = between(BoundedEvent(low, low + width), legal, tried)
     assert (chosen in inside) if inside else chosen is None
 
 

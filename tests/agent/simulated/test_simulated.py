@@ -22,17 +22,14 @@ from hypothesis import strategies as st
 from painted_world import Actor, World, still
 
 from jrdb_avr.agent.methods.react import ReAct
-from jrdb_avr.agent.model.calibrate import BOX_LINE
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.messages import Message
-from jrdb_avr.agent.model.preflight import CORNER_LINE
-from jrdb_avr.agent.policy.explorer import Eyes, Spent, Want
+from jrdb_avr.agent.model.probes import BOX_LINE
+from jrdb_avr.agent.policy.explorer import BudgetExhausted, Explorer, Look, NeedObservation, Sighting
 from jrdb_avr.agent.policy.finding import distance_word, holds
-from jrdb_avr.agent.simulated.child import marker_server
-from jrdb_avr.agent.simulated.play import ANSWER, BOX, CHOICE, FACTS, REACT
-from jrdb_avr.agent.simulated.play import PLACE as PLACE_STAGE
-from jrdb_avr.agent.simulated.requests import Look, Sighting
-from jrdb_avr.agent.simulated.server import Server
+from jrdb_avr.agent.preflight import CORNER_LINE
+from jrdb_avr.agent.simulated.play import STAGES
+from jrdb_avr.agent.simulated.server import Server, marker_server
 from jrdb_avr.schema.answers import FrameAnswer, Span, frames_iou
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 from jrdb_avr.schema.markers import Mark
@@ -281,7 +278,7 @@ def sighting(frame=0, x=200.0, angle=180.0, identity=7, complete=True, **mark):
 
 
 def eyes_of(looks=(), left=24):
-    return Eyes(tuple(range(0, 100, 5)), looks, left)
+    return Explorer(tuple(range(0, 100, 5)), looks, left)
 
 
 def test_eyes_replay_what_was_seen_and_want_the_next():
@@ -291,19 +288,19 @@ def test_eyes_replay_what_was_seen_and_want_the_next():
     assert eyes.sightings(7)[0].frame == 0
     assert eyes.look(0, 180.4) is eyes.looks[0]
     eyes.look(50, 90.0)
-    with pytest.raises(Want) as caught:
+    with pytest.raises(NeedObservation) as caught:
         eyes.look(50, 135.0)
-    assert (caught.value.frame, caught.value.angle) == (50, 135.0)
+    assert (caught.value.frame, *caught.value.angles) == (50, 135.0)
 
 
 def test_eyes_keep_one_look_for_the_evidence():
     eyes = eyes_of([Look(0, 180.0, (sighting(),))], left=1)
     eyes.look(0, 180.0)
-    with pytest.raises(Spent):
+    with pytest.raises(BudgetExhausted):
         eyes.look(5, 180.0)
-    with pytest.raises(Want) as caught:
+    with pytest.raises(NeedObservation) as caught:
         eyes.again(0, 180.0)
-    assert abs(caught.value.angle - 180.0) > 1.0
+    assert abs(caught.value.angles[0] - 180.0) > 1.0
 
 
 def test_legal_is_the_nearest_frame():
@@ -356,6 +353,7 @@ KNOWN = (
     "Find the only person who is standing at 1.0 s (frame 15). "
     "What is that person's posture or movement at 4.0 s (frame 60)?"
 )
+ANSWER, FACTS, PLACE_STAGE, BOX, CHOICE, REACT, *_ = STAGES
 PLACE = '{"frame_id":"000000","angle_deg":0.0,"left":3520}'
 
 
@@ -458,7 +456,7 @@ def test_the_child_process_serves_and_ends(tmp_path):
 
 def test_the_server_ends_with_its_parent():
     code = (
-        "import sys, time\nfrom jrdb_avr.agent.simulated.child import marker_server\n"
+        "import sys, time\nfrom jrdb_avr.agent.simulated.server import marker_server\n"
         "with marker_server() as url:\n    print(url, flush=True)\n    time.sleep(60)\n"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:

@@ -1,0 +1,149 @@
+"""Pictures and requests that probe a server: drawn pictures with known contents, none of them a question's.
+
+Each picture shows, on a plain background, one *marked* rectangle: it has a colour that a prompt can name, and holds a
+mark of `schema.markers`, whose black and white grid a person, a model and the simulated model can all tell from the
+plain shapes round it. Everything follows from a seed. The last line of a probe's prompt identifies it.
+"""
+
+from __future__ import annotations
+
+import functools
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from jrdb_avr.agent.model.messages import Picture, jpeg_picture
+from jrdb_avr.schema.markers import Image, Mark, draw
+from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box
+
+CORNER_LINE: Final = "The corner, as one JSON object:"
+BOX_LINE: Final = "The rectangle's box, as one JSON object:"
+PANORAMA_LINE: Final = "The panorama's number, as one JSON object:"
+CROP_LINE: Final = "The picture's frame, as one JSON object:"
+
+CORNERS: Final = ("upper left", "upper right", "lower left", "lower right")
+
+SHAPES: Final = ((CROP, CROP), (WIDTH, HEIGHT))
+"""Width and height of the pictures that methods send: a crop, a panorama."""
+
+_COLORS: Final = {
+    "red": (185, 30, 30),
+    "green": (30, 135, 45),
+    "blue": (30, 70, 185),
+    "yellow": (185, 165, 20),
+    "purple": (125, 40, 145),
+}
+_GREY: Final = (105, 105, 105)
+_GRAIN: Final = 8
+_SIDE_PX: Final = (60, 180)
+_HEIGHT_PX: Final = (90, 300)
+_DISTRACTORS: Final = 5
+_APART_PX: Final = 6
+_TRIES: Final = 200
+
+
+@dataclass(frozen=True)
+class DrawnPicture:
+    """A picture of `width` x `height` pixels with a marked rectangle, and the rectangle's box and colour."""
+
+    picture: Picture
+    width: int
+    height: int
+    box: Box
+    color: str
+
+
+@functools.cache
+def corner_picture(corner: str) -> Picture:
+    """A crop-sized picture with a marked rectangle in one of the `CORNERS`."""
+    w, h, edge = 150, 190, 15
+    x = edge if corner.endswith("left") else CROP - edge - w
+    y = edge if corner.startswith("upper") else CROP - edge - h
+    image = _plain(CROP, CROP)
+    _marked(image, Box(x, y, w, h), "red", 0)
+    return _picture(f"drawn {corner}", image)
+
+
+@functools.cache
+def plain_crop() -> Picture:
+    """A crop-sized picture without any shape."""
+    return _picture("drawn nothing", _plain(CROP, CROP))
+
+
+@functools.cache
+def drawn_panorama(marked: bool) -> Picture:
+    """A panorama, with a marked rectangle or without.
+
+    Its pixels differ slightly, so that its file is as large as a real one's (650 kB).
+    """
+    grain = np.random.default_rng(0).integers(-_GRAIN, _GRAIN + 1, (HEIGHT, WIDTH, 1), dtype=np.int8)
+    image = (_plain(WIDTH, HEIGHT).astype(np.int16) + grain).astype(np.uint8)
+    if marked:
+        _marked(image, Box(1500, 130, 180, 240), "red", 0)
+    return _picture(f"drawn panorama {marked}", image)
+
+
+def drawn_rectangles(n: int, seed: int) -> list[DrawnPicture]:
+    """`n` pictures, crop- and panorama-shaped in turn, each with one marked rectangle among plain shapes."""
+    rng = random.Random(seed)  # noqa: S311
+    return [_drawn(rng, number, *SHAPES[number % len(SHAPES)]) for number in range(n)]
+
+
+def _drawn(rng: random.Random, number: int, width: int, height: int) -> DrawnPicture:
+    image = _plain(width, height)
+    color, *others = rng.sample(sorted(_COLORS), len(_COLORS))
+    taken: list[Box] = []
+    for _ in range(1 + _DISTRACTORS * (1 if width == height else 3)):
+        if (box := _place(rng, width, height, taken)) is None:
+            break
+        taken.append(box)
+    for box in taken[1:]:
+        _shape(image, box, rng.choice(others), rng.random() < 0.5)
+    _marked(image, taken[0], color, rng.randrange(4096))
+    return DrawnPicture(_picture(f"drawn {number:03d} {width}x{height}", image), width, height, taken[0], color)
+
+
+def _place(rng: random.Random, width: int, height: int, taken: Sequence[Box]) -> Box | None:
+    """A free place; None where none is found."""
+    for _ in range(_TRIES):
+        w, h = rng.randint(*_SIDE_PX), rng.randint(*_HEIGHT_PX)
+        x, y = rng.randint(0, width - w), rng.randint(0, height - h)
+        if not any(
+            abs(x + w / 2 - b.x - b.w / 2) < (w + b.w) / 2 + _APART_PX
+            and abs(y + h / 2 - b.y - b.h / 2) < (h + b.h) / 2 + _APART_PX
+            for b in taken
+        ):
+            return Box(x, y, w, h)
+    return None
+
+
+def _plain(width: int, height: int) -> Image:
+    return np.full((height, width, 3), _GREY, np.uint8)
+
+
+def _shape(image: Image, box: Box, color: str, round_: bool) -> None:
+    import cv2
+
+    x, y, w, h = (int(v) for v in box)
+    if round_:
+        cv2.ellipse(image, (x + w // 2, y + h // 2), (w // 2, h // 2), 0, 0, 360, _COLORS[color], -1)
+    else:
+        cv2.rectangle(image, (x, y), (x + w - 1, y + h - 1), _COLORS[color], -1)
+
+
+def _marked(image: Image, box: Box, color: str, identity: int) -> None:
+    _shape(image, box, color, False)
+    draw(image, box, Mark(identity))
+    # The mark's frame has a colour of its own: the rectangle keeps the one that the prompt names. A plate comes no
+    # nearer to the edge than two pixels.
+    x, y, w, h = (int(v) for v in box)
+    for thick in range(2):
+        image[[y + thick, y + h - 1 - thick], x : x + w] = _COLORS[color]
+        image[y : y + h, [x + thick, x + w - 1 - thick]] = _COLORS[color]
+
+
+def _picture(name: str, image: Image) -> Picture:
+    return jpeg_picture(name, image[:, :, ::-1])
