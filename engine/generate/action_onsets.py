@@ -1,30 +1,30 @@
-"""When and where somebody starts an action after t0: what action_search reads, here of people other than its target."""
+"""When and where people start actions: what action_search reads, here of people other than its target."""
 
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator
+from typing import Any
 
-from jrdb_avr.engine.generate.conditions import FALSE, TRUE, UNKNOWN
+import pyarrow as pa
+
+from jrdb_avr.engine.generate.conditions import FALSE, TRUE, UNSURE
 from jrdb_avr.engine.generate.scene import NOBODY, Scene
 from jrdb_avr.schema.answers import FrameViewpoint, same_answer
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
 
-class Watched:
+class ActionOnsets:
     """Starts and states of a scene's actions, by person."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self._spans: dict[tuple[int, str], list[tuple[int, int, bool]]] = defaultdict(list)
-        columns = ("track", "action", "first", "last", "certain")
-        for track, action, first, last, certain in zip(
-            *(scene.actions[name].to_pylist() for name in columns), strict=True
-        ):
-            self._spans[track, action].append((first, last, certain))
+        for track, action, *span in _rows(scene.actions, "first", "last", "certain"):
+            self._spans[track, action].append((span[0], span[1], span[2]))
         self._segments: dict[tuple[int, str], list[tuple[int, int, int]]] = defaultdict(list)
-        columns = ("track", "action", "start", "quiet_from", "first")
-        for track, action, *times in zip(*(scene.segments[name].to_pylist() for name in columns), strict=True):
+        for track, action, *times in _rows(scene.segments, "start", "quiet_from", "first"):
             self._segments[track, action].append((times[0], times[1], times[2]))
 
     def start(self, track: int, action: str, after: int) -> FrameViewpoint | None:
@@ -46,23 +46,32 @@ class Watched:
         return False
 
     def state(self, track: int, action: str, frame: int) -> int:
-        """Whether the person performs the action at a frame; unknown without a box."""
+        """Whether the person performs the action at a frame; not sure without a box."""
         line = self.scene.box_of(track, frame)
         if line == NOBODY:
-            return UNKNOWN
+            return UNSURE
         covering = [certain for first, last, certain in self._spans[track, action] if first <= frame <= last]
         if action in POSES:
             pose = int(self.scene.poses[line])
             if pose == NOBODY or (not all(covering) and POSES[pose] != action):
-                return UNKNOWN
+                return UNSURE
             return TRUE if POSES[pose] == action else FALSE
         if any(covering):
             return TRUE
-        return UNKNOWN if covering or not self.scene.listed[line] else FALSE
+        return UNSURE if covering or not self.scene.listed[line] else FALSE
+
+    def possible_poses(self, track: int, frame: int) -> set[str]:
+        """Poses that a person may or may not have at a frame: hard labels, and closed gaps."""
+        spans = {pose: self._spans.get((track, pose), []) for pose in POSES}
+        return {pose for pose in POSES if any(a <= frame <= b and not certain for a, b, certain in spans[pose])}
+
+
+def _rows(table: pa.Table, *columns: str) -> Iterator[tuple[Any, ...]]:
+    return zip(*(table[name].to_pylist() for name in ("track", "action", *columns)), strict=True)
 
 
 def start_of(scene: Scene, segment: int) -> FrameViewpoint:
-    """The start of a stable segment, by its row: the frame asked for, and where the person is seen at the first one."""
+    """The start of a stable segment, by its row: the stored frame, and where the person is seen at the first one."""
     row = {name: scene.segments[name][segment].as_py() for name in ("track", "start", "first")}
     return viewpoint(scene, scene.box_of(row["track"], row["first"]), row["start"])
 

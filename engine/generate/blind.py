@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.engine.generate.balance import answer_bin, bin_name, wait_bin
+from jrdb_avr.engine.generate.bins import answer_bin, bin_name, wait_bin
 from jrdb_avr.schema.answers import (
     Answer,
     Choice,
@@ -38,7 +38,7 @@ AIMS: Final = {"multiple_choice": 0.35, "frame": 0.25, "span": 0.25, "frame_view
 
 
 @dataclass(frozen=True, slots=True)
-class Posed:
+class QuestionText:
     """A question as its text says it, with its answer."""
 
     sequence: str
@@ -78,14 +78,14 @@ def asked_for(mode: str, read: str) -> str:
     return {"multiple_choice": "choice", "frame_viewpoint": "frame and angle"}.get(mode, mode)
 
 
-def posed(questions: pa.Table, answers: pa.Table) -> list[Posed]:
+def question_texts(questions: pa.Table, answers: pa.Table) -> list[QuestionText]:
     """The questions with their answers, by question id. Raises PlanError for a text that is none of ours."""
     stored = dict(zip(answers["question_id"].to_pylist(), answers["answer"].to_pylist(), strict=True))
     found = []
     for row in sorted(questions.to_pylist(), key=lambda row: row["question_id"]):
         _, plan = parse(row["question"])
         found.append(
-            Posed(
+            QuestionText(
                 row["sequence"],
                 row["template"],
                 plan.answer.read,
@@ -99,18 +99,18 @@ def posed(questions: pa.Table, answers: pa.Table) -> list[Posed]:
     return found
 
 
-def blind_check(questions: Sequence[Posed]) -> list[dict[str, Any]]:
+def blind_check(questions: Sequence[QuestionText]) -> list[dict[str, Any]]:
     """One row per template and kind of answer: n, each guesser's share of right answers, the aim, and why it is missed.
 
     A guesser that does not apply has None; so have counts as aim, and `reason` where nothing is above the aim.
     """
-    groups: dict[tuple[str, str], list[Posed]] = defaultdict(list)
+    groups: dict[tuple[str, str], list[QuestionText]] = defaultdict(list)
     for question in questions:
         groups[question.template, question.asks].append(question)
     return [{"template": template, "asks": asks, **_check(group)} for (template, asks), group in sorted(groups.items())]
 
 
-def _check(group: list[Posed]) -> dict[str, Any]:
+def _check(group: list[QuestionText]) -> dict[str, Any]:
     mode = group[0].mode
     choice = mode == "multiple_choice"
     scores = {
@@ -135,7 +135,7 @@ FEW: Final = 30
 """Fewer questions than this are too few to tell a share of right answers."""
 
 
-def _reason(group: Sequence[Posed], above: Sequence[str]) -> str:
+def _reason(group: Sequence[QuestionText], above: Sequence[str]) -> str:
     """Why some guessers score above the aim: what of the answers is too much alike."""
     n = len(group)
     parts = [f"only {n} question{'s' * (n > 1)}, one is {100 / n:.0f} %"] if n < FEW else []
@@ -150,28 +150,28 @@ def _reason(group: Sequence[Posed], above: Sequence[str]) -> str:
     return "; ".join(parts)
 
 
-def _chosen(question: Posed) -> str:
+def _chosen(question: QuestionText) -> str:
     """The text of the right choice."""
     assert isinstance(question.answer, Choice)
     return question.choices[question.answer.choice - 1]
 
 
-def _most_frequent(group: Iterable[Posed]) -> float:
+def _most_frequent(group: Iterable[QuestionText]) -> float:
     counts = Counter(map(_chosen, group))
     return max(counts.values()) / counts.total()
 
 
 # -- constants ----------------------------------------------------------------------------------------------------
 
-Base = Callable[[Posed], int]
+Base = Callable[[QuestionText], int]
 """The frame from which a guess is counted; 0 for a constant."""
 
 
-def _constant(question: Posed) -> int:
+def _constant(question: QuestionText) -> int:
     return 0
 
 
-def _best_offset(group: Sequence[Posed]) -> float:
+def _best_offset(group: Sequence[QuestionText]) -> float:
     """The best score of an offset from any one of the stated times."""
 
     def stated(position: int) -> Base:
@@ -181,12 +181,12 @@ def _best_offset(group: Sequence[Posed]) -> float:
     return max(_best(group, stated(position)) for position in range(count))
 
 
-def _best(group: Sequence[Posed], base: Base) -> float:
+def _best(group: Sequence[QuestionText], base: Base) -> float:
     guess = best_guess(group, base)
     return sum(same_answer(_moved(guess, base(q)), q.answer) for q in group) / len(group)
 
 
-def best_guess(group: Sequence[Posed], base: Base) -> Answer:
+def best_guess(group: Sequence[QuestionText], base: Base) -> Answer:
     """The answer, relative to `base`, that is right for the most questions; the smallest of equals."""
     relative = [_moved(question.answer, -base(question)) for question in group]
     match relative[0]:
@@ -218,7 +218,7 @@ def _moved(answer: Answer, frames: int) -> Answer:
 
 # -- the text-only guesser ----------------------------------------------------------------------------------------
 
-_ALIKE: Final[tuple[Callable[[Posed], Any], ...]] = (
+_ALIKE: Final[tuple[Callable[[QuestionText], Any], ...]] = (
     lambda q: (q.words, tuple(sorted(q.choices)), q.waits),
     lambda q: (q.words, q.waits),
     lambda q: q.words,
@@ -227,18 +227,18 @@ _ALIKE: Final[tuple[Callable[[Posed], Any], ...]] = (
 )
 """What makes two texts alike, strictest first: where no other sequence has such a question, the next is tried."""
 
-_Pools = dict[Any, dict[str, list[Posed]]]
+_Pools = dict[Any, dict[str, list[QuestionText]]]
 """Questions by what makes them alike, and by sequence."""
 
 
-def _text_only(group: Sequence[Posed]) -> float:
+def _text_only(group: Sequence[QuestionText]) -> float:
     guess = _guess_choice if group[0].mode == "multiple_choice" else _guess_time
     pools = [_by_sequence(group, alike) for alike in _ALIKE]
     memo: dict[tuple[int, Any, str], Any] = {}
     return sum(guess(question, pools, memo) for question in group) / len(group)
 
 
-def _guess_choice(question: Posed, pools: list[_Pools], memo: dict[tuple[int, Any, str], Any]) -> float:
+def _guess_choice(question: QuestionText, pools: list[_Pools], memo: dict[tuple[int, Any, str], Any]) -> float:
     for level, alike in enumerate(_ALIKE):
         key = (level, alike(question), question.sequence)
         if key not in memo:
@@ -249,7 +249,7 @@ def _guess_choice(question: Posed, pools: list[_Pools], memo: dict[tuple[int, An
     return 1 / len(question.choices)
 
 
-def _guess_time(question: Posed, pools: list[_Pools], memo: dict[tuple[int, Any, str], Any]) -> float:
+def _guess_time(question: QuestionText, pools: list[_Pools], memo: dict[tuple[int, Any, str], Any]) -> float:
     for level, alike in enumerate(_ALIKE):
         key = (level, alike(question), question.sequence)
         if key not in memo:
@@ -260,15 +260,15 @@ def _guess_time(question: Posed, pools: list[_Pools], memo: dict[tuple[int, Any,
     return 0.0
 
 
-def _others(pools: _Pools, key: Any, sequence: str) -> list[Posed]:
+def _others(pools: _Pools, key: Any, sequence: str) -> list[QuestionText]:
     return [question for name, part in pools[key].items() if name != sequence for question in part]
 
 
-def _from_first(question: Posed) -> int:
+def _from_first(question: QuestionText) -> int:
     return question.times[0]
 
 
-def _by_sequence(group: Iterable[Posed], alike: Callable[[Posed], Any]) -> _Pools:
+def _by_sequence(group: Iterable[QuestionText], alike: Callable[[QuestionText], Any]) -> _Pools:
     pools: _Pools = defaultdict(lambda: defaultdict(list))
     for question in group:
         pools[alike(question)][question.sequence].append(question)

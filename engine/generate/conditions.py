@@ -1,9 +1,9 @@
 """Conditions of people at keyframes: which hold, which certainly do not, and whom each excludes.
 
 A *sighting* is a person with a box at a keyframe. A condition is coded by its place in `Conditions.vocabulary`, which
-holds every condition that is true of somebody in the scene; for each sighting it is TRUE, FALSE or UNKNOWN. A *use*
+holds every condition that is true of somebody in the scene; for each sighting it is TRUE, FALSE or UNSURE. A *use*
 is a condition at a keyframe, numbered `keyframe * len(vocabulary) + code`. It excludes the people of whom it is
-certainly false; those of whom it is unknown could match. Sets of a keyframe's people are bit masks, 64 to a word.
+certainly false; those of whom it is not sure could match. Sets of a keyframe's people are bit masks, 64 to a word.
 """
 
 from __future__ import annotations
@@ -16,8 +16,18 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from jrdb_avr.engine.generate.relations import KIND, SOCIAL, Facts, untold_others
-from jrdb_avr.engine.generate.scene import NOBODY, Ints, Scene, coded, flags, moments_of, spread
+from jrdb_avr.engine.generate.relations import KIND, SOCIAL, Facts, unknown_others
+from jrdb_avr.engine.generate.scene import (
+    NO_MATCH,
+    NOBODY,
+    SEVERAL,
+    UNDECIDED,
+    Ints,
+    Scene,
+    coded,
+    flags,
+    handled_categories,
+)
 from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.labels import (
     ACTIONS,
@@ -34,10 +44,11 @@ from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES, VERBS
 from jrdb_avr.schema.wording import actions_of
 
-Words = npt.NDArray[np.uint64]
+Masks = npt.NDArray[np.uint64]
 States = npt.NDArray[np.int8]
 
-FALSE, TRUE, UNKNOWN = 0, 1, 2
+FALSE, TRUE, UNSURE = 0, 1, 2
+"""Whether a condition holds of somebody."""
 
 ANCHOR_TIME: Final = "t0"
 """Name of the time at which the conditions of a description hold."""
@@ -47,13 +58,13 @@ ANCHOR_TIME: Final = "t0"
 class Conditions:
     """Who is there at each keyframe, what is true of them, and whom that excludes.
 
-    rows, moment, keyframe, slot: per sighting, its row in `boxes`, its moment, its keyframe's number and its place in
-    the masks. states: (sightings, codes). held: per sighting the uses by which it may be described, by the rules'
-    order of kinds, filled up with NOBODY. rank: per code the place of its kind in that order. everybody: per keyframe
-    the mask of all people with a box; slots: per keyframe and slot the moment, NOBODY where there is none.
+    moment, keyframe, slot: per sighting, its moment, its keyframe's number and its place in the masks. kinds: per code
+    the kind of its condition. states: (sightings, codes). held: per sighting the uses by which it may be described, by
+    the rules' order of kinds, filled up with NOBODY. rank: per code the place of its kind in that order. everybody: per
+    keyframe the mask of all people with a box; slots: per keyframe and slot the moment, NOBODY where there is none.
     """
 
-    rows: Ints
+    scene: Scene
     moment: Ints
     keyframe: Ints
     slot: Ints
@@ -62,24 +73,25 @@ class Conditions:
     rank: Ints
     states: States
     held: Ints
-    everybody: Words
+    everybody: Masks
     slots: Ints
 
     @cached_property
-    def masks(self) -> Words:
-        """Per use, the mask of the people of whom it is certainly false."""
-        return self._masks(FALSE)
+    def masks(self) -> Masks:
+        """Per use, the mask of the people of whom it is certainly false; a last row, for no use, excludes nobody."""
+        return self._masks(FALSE, 0)
 
     @cached_property
-    def sure(self) -> Words:
-        """Per use, the mask of the people of whom it is certainly true."""
-        return self._masks(TRUE)
+    def sure(self) -> Masks:
+        """Per use, the mask of the people of whom it is certainly true; a last row, for no use, is full."""
+        return self._masks(TRUE, ~np.uint64(0))
 
-    def _masks(self, state: int) -> Words:
+    def _masks(self, state: int, last: int | np.uint64) -> Masks:
         bits = np.zeros((len(self.everybody), len(self.vocabulary), self.slots.shape[1]), dtype=bool)
         sighting, code = np.nonzero(self.states == state)
         bits[self.keyframe[sighting], code, self.slot[sighting]] = True
-        return packed(bits.reshape(-1, self.slots.shape[1]))
+        masks = packed(bits.reshape(-1, self.slots.shape[1]))
+        return np.vstack([masks, np.full((1, masks.shape[1]), last, dtype=np.uint64)])
 
     def of_kind(self, *kinds: str) -> Bools:
         """Per code, whether it is of one of these kinds."""
@@ -93,25 +105,64 @@ class Conditions:
     @cached_property
     def stated_poses(self) -> Bools:
         """(codes, poses): the poses that a condition's words name, as "walking together" names one."""
-        return np.array(
-            [[pose in actions_of(condition) for pose in POSES] for condition in self.vocabulary], dtype=bool
-        ).reshape(-1, len(POSES))
+        stated = [[pose in actions_of(condition) for pose in POSES] for condition in self.vocabulary]
+        return np.array(stated, dtype=bool).reshape(-1, len(POSES))
 
     def code(self, uses: Ints) -> Ints:
         """Codes of uses."""
         return uses % max(len(self.vocabulary), 1)
 
-    def condition(self, use: int) -> Condition:
-        """The plan's condition of a use."""
-        return self.vocabulary[use % len(self.vocabulary)]
+    def used(self, uses: Ints) -> tuple[Condition, ...]:
+        """The plan's conditions of some uses."""
+        return tuple(self.vocabulary[code] for code in self.code(uses[uses != NOBODY]).tolist())
 
-    def alone(self) -> Words:
+    def any_of(self, which: Bools, uses: Ints) -> Bools:
+        """Per set of uses, whether any is of the marked codes."""
+        if not len(which):
+            return np.zeros(len(uses), dtype=bool)
+        return np.asarray(np.any(which[self.code(uses)] & (uses != NOBODY), axis=1))
+
+    @cached_property
+    def alone(self) -> Masks:
         """Per sighting, the mask that holds only this person."""
-        masks = np.zeros((len(self.rows), self.everybody.shape[1]), dtype=np.uint64)
-        masks[np.arange(len(self.rows)), self.slot // 64] = np.uint64(1) << (self.slot % 64).astype(np.uint64)
+        masks = np.zeros((len(self.moment), self.everybody.shape[1]), dtype=np.uint64)
+        masks[np.arange(len(self.moment)), self.slot // 64] = np.uint64(1) << (self.slot % 64).astype(np.uint64)
         return masks
 
-    def members(self, keyframe: int, mask: Words) -> Ints:
+    @cached_property
+    def sighting_of(self) -> Ints:
+        """Per moment, its sighting, NOBODY where there is no box."""
+        sighting = np.full(self.scene.moment_count, NOBODY)
+        sighting[self.moment] = np.arange(len(self.moment))
+        return sighting
+
+    def could_match(self, keyframe: Ints, uses: Ints) -> Masks:
+        """Masks of the people at keyframes whom no use of each set excludes."""
+        could: Masks = self.everybody[keyframe]
+        for use in np.moveaxis(uses, -1, 0):
+            could = could & ~self.masks[use]
+        return could
+
+    def matches(self, keyframe: Ints, uses: Ints) -> Ints:
+        """The moment of the one person at a keyframe of whom all uses of a set are certainly true while nobody else
+        could match; else NO_MATCH, SEVERAL or UNDECIDED."""
+        sure: Masks = np.broadcast_to(self.everybody[keyframe], (*uses.shape[:-1], self.everybody.shape[1]))
+        for use in np.moveaxis(uses, -1, 0):
+            sure = sure & self.sure[use]
+        return self.singled_out(keyframe, self.could_match(keyframe, uses), sure)
+
+    def singled_out(self, keyframe: Ints, could: Masks, sure: Masks) -> Ints:
+        """The moment of the one person in both masks of a keyframe's people; else NO_MATCH, SEVERAL or UNDECIDED."""
+        possible, certain = count(could), count(sure)
+        result = np.where(certain >= 2, SEVERAL, np.where(possible == 0, NO_MATCH, UNDECIDED))
+        single = (possible == 1) & (certain == 1)
+        # The place of the one bit set: how many lie below it, word by word.
+        word = could[single].argmax(axis=1)
+        bit = np.bitwise_count(could[single][np.arange(len(word)), word] - np.uint64(1)).astype(np.int64)
+        result[single] = self.slots[np.broadcast_to(keyframe, single.shape)[single], 64 * word + bit]
+        return result
+
+    def members(self, keyframe: int, mask: Masks) -> Ints:
         """Moments of a mask's people, ascending."""
         slots = np.flatnonzero(np.unpackbits(mask.view(np.uint8), bitorder="little"))
         return np.sort(self.slots[keyframe, slots])
@@ -129,15 +180,15 @@ class _Column:
 
 def find_conditions(scene: Scene, facts: Facts, rules: Rules) -> Conditions:
     """All conditions true of somebody at a keyframe of the scene; `facts` are its relations."""
-    moments = np.flatnonzero(scene.moment_rows != NOBODY)
     # By keyframe, then person: people of a keyframe lie side by side and their slots count up.
-    moments = moments[np.lexsort((moments, moments % len(scene.keyframes)))] if len(moments) else moments
-    keyframe = moments % max(len(scene.keyframes), 1)
+    place = scene.seen_moments % max(len(scene.keyframes), 1)
+    order = np.argsort(place, kind="stable")
+    moments, keyframe = scene.seen_moments[order], place[order]
     rows = scene.moment_rows[moments]
     people = np.bincount(keyframe, minlength=len(scene.keyframes))
-    start = np.cumsum(people) - people
-    slot = np.arange(len(rows)) - start[keyframe]
-    width = 64 * max(1, -(-int(people.max(initial=0)) // 64))
+    slot = np.arange(len(rows)) - (np.cumsum(people) - people)[keyframe]
+    slots = np.full((len(scene.keyframes), 64 * max(1, -(-int(people.max(initial=0)) // 64))), NOBODY)
+    slots[keyframe, slot] = moments
     columns = [
         column
         for find in (_persons, _actions, _objects, _interactions, _places)
@@ -150,10 +201,8 @@ def find_conditions(scene: Scene, facts: Facts, rules: Rules) -> Conditions:
     for code, column in enumerate(columns):
         if column.usable is not None:
             usable[:, code] &= column.usable
-    slots = np.full((len(scene.keyframes), width), NOBODY)
-    slots[keyframe, slot] = moments
     return Conditions(
-        rows=rows,
+        scene=scene,
         moment=moments,
         keyframe=keyframe,
         slot=slot,
@@ -177,25 +226,32 @@ def _held(usable: Bools, rank: Ints, keyframe: Ints) -> Ints:
     return held
 
 
-def packed(bits: Bools) -> Words:
+def packed(bits: Bools) -> Masks:
     """Rows of booleans, a multiple of 64 wide, as rows of 64-bit words."""
     return np.ascontiguousarray(np.packbits(bits, axis=1, bitorder="little")).view(np.uint64)
 
 
+def count(masks: Masks) -> Ints:
+    """People in each mask."""
+    return np.asarray(np.bitwise_count(masks).sum(axis=-1, dtype=np.int64))
+
+
 def _state(true: Bools, false: Bools) -> States:
-    return np.where(true, TRUE, np.where(false, FALSE, UNKNOWN)).astype(np.int8)
+    return np.where(true, TRUE, np.where(false, FALSE, UNSURE)).astype(np.int8)
 
 
 # -- the kinds --------------------------------------------------------------------------------------------------
 
 
 def _persons(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[_Column]:
-    """Gender and age; used only of people whose face can be seen, where the pose layer tells."""
-    persons = scene.persons(moments)
+    """Gender and age; used only of people whose face can be seen, where the pose layer knows."""
+    person = scene.people(moments)
     seen = scene.flag("face_visible")[rows] if "pose" in scene.layers else None
     attributes: tuple[tuple[Attribute, tuple[str, ...]], ...] = (("gender", GENDERS), ("age", AGES))
     for name, words in attributes:
-        value = scene.person_codes(name, words)[persons]
+        codes = np.full(len(scene.tracks), NOBODY)
+        codes[scene.person_of(scene.persons["track"].to_numpy())] = coded(scene.persons[name], words)
+        value = codes[person]
         for code, word in enumerate(words):
             state = _state(value == code, (value != NOBODY) & (value != code))
             yield _Column(name, Condition(attribute=name, value=word), state, seen)
@@ -204,13 +260,12 @@ def _persons(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[
 def _actions(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[_Column]:
     sure = np.zeros((len(ACTIONS), scene.moment_count), dtype=bool)
     maybe = np.zeros_like(sure)
-    row, keyframe = spread(scene, scene.actions)
-    moment = moments_of(scene, scene.actions, "track", row, keyframe)
+    row, moment = scene.covered(scene.actions, "track")
     action = coded(scene.actions["action"], ACTIONS)[row]
     certain = flags(scene.actions, "certain")[row]
     maybe[action, moment] = True
     sure[action[certain], moment[certain]] = True
-    pose, listed = scene.poses[rows], scene.flag("listed")[rows]
+    pose, listed = scene.poses[rows], scene.listed[rows]
     for code, word in enumerate(POSES):
         # A closed gap of a pose leaves it possible beside the pose that is listed.
         state = _state(pose == code, (pose != NOBODY) & (pose != code) & ~maybe[code, moments])
@@ -222,11 +277,10 @@ def _actions(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[
 
 def _objects(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[_Column]:
     """What is done with a thing of a category; a thing of unknown category could be any."""
-    row, keyframe = spread(scene, scene.handles)
-    moment = moments_of(scene, scene.handles, "track", row, keyframe)
+    row, moment = scene.covered(scene.handles, "track")
     certain = flags(scene.handles, "certain")[row]
     verb = coded(scene.handles["verb"], VERBS)[row]
-    thing = scene.handled_categories[row]
+    thing = handled_categories(scene)[row]
     listed = scene.flag("handles_listed")[rows]
     for pair in np.unique(np.stack([verb, thing])[:, (verb != NOBODY) & (thing != NOBODY)], axis=1).T.tolist():
         action, category = VERBS[pair[0]], OBJECTS[pair[1]]
@@ -240,11 +294,11 @@ def _objects(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[
 
 
 def _interactions(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[_Column]:
-    """An interaction with anybody; false where everybody's lists were read and none tells of it."""
+    """An interaction with anybody; false where everybody's lists were read and none holds it."""
     social = KIND[facts.relation] == SOCIAL
     if not social.any():
         return
-    open_to = untold_others(scene, facts.told)[SOCIAL]
+    open_to = unknown_others(scene, facts.known)[SOCIAL]
     for code, label in enumerate(INTERACTIONS):
         of_label = social & (facts.relation == code)
         true = _marked(scene, facts.source[of_label & facts.certain])
@@ -265,7 +319,7 @@ def _places(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[_
         ("distance", "distance_word", DISTANCE_WORDS),
     )
     for kind, column, words in attributes:
-        value, other = scene.codes(column, words)[rows], scene.codes(f"{column}_other", words)[rows]
+        value, other = (coded(scene.boxes[name], words)[rows] for name in (column, f"{column}_other"))
         known = value != NOBODY
         for code, word in enumerate(words):
             true = (value == code) & (other == NOBODY)

@@ -59,6 +59,17 @@ _TOLD: Final = 2
 """Rules that are told of a template: those that refused most."""
 
 
+def refusal_row(
+    line: Mapping[str, Any], rule: str, detail: str | None = None, count: int | None = None
+) -> dict[str, Any]:
+    """A row of `rejected`: how many candidates of `line`'s sequence and template a rule refused or, without a count,
+    one of them as an example."""
+    example = {"kind": "example", "candidates": 1, "target_track": line.get("target_track"), "plan": line.get("plan")}
+    what = example if count is None else {"kind": "count", "candidates": count, "target_track": None, "plan": None}
+    where = {"sequence": line["sequence"], "family": FAMILIES[line["template"]], "template": line["template"]}
+    return {**what, **where, "rule": rule, "detail": detail}
+
+
 def tallies(rejected: pa.Table, questions: pa.Table) -> list[dict[str, Any]]:
     """A row per template: family, template, candidates, refused by each of RULES, proven, by the others, questions."""
     counts = rejected.filter(pc.equal(rejected["kind"], "count")).select(["template", "rule", "candidates"])

@@ -1,9 +1,9 @@
 """Whom people are in a relation with over time: everybody they meet from a keyframe on, as long as that is known.
 
 At a keyframe it is known who is in a relation with a person where the person has a box and those who could be in it are
-exactly those who certainly are. A *company* is a person's from one keyframe to the last one through which that is
-known; it *meets* everybody who is in the relation at any keyframe of it. Where every frame is annotated, whoever could
-be in it between two keyframes must be met at a keyframe too, or the number would not hold of all frames.
+exactly those who certainly are. An *encounter window* is a person's from one keyframe to the last one through which
+that is known; it *meets* everybody who is in the relation at any keyframe of it. Where every frame is annotated,
+whoever could be in it between two keyframes must be met at a keyframe too, or the number would not hold of all frames.
 """
 
 from __future__ import annotations
@@ -12,49 +12,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
-from jrdb_avr.engine.generate.relations import GROUP, KIND, RELATIONS, SOCIAL, Facts, find_facts, untold_others
-from jrdb_avr.engine.generate.scene import NOBODY, Ints, Scene
+from jrdb_avr.engine.generate.relations import GROUP, KIND, RELATIONS, SOCIAL, Facts, find_facts, unknown_others
+from jrdb_avr.engine.generate.scene import NOBODY, Ints, Scene, ints, masked, named
 from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.rules import Rules, frames
 
 
-@dataclass(frozen=True)
-class Company:
-    """Companies long and large enough to be asked about, and whom they meet, sorted by company and person.
+def encounter_tables(scene: Scene, facts: Facts, rules: Rules) -> dict[str, pa.Table]:
+    """The graph's tables `Company`, `Keeps` and `Meets`: the encounter windows that begin at any moment, reach over
+    `long_wait_s` and meet `count_min` people or more.
 
-    moment, relation, until: per company the moment at which it begins, the relation, and the last keyframe's frame.
-    owner, person, met, seen, maybe: per meeting the company, whom, and the first keyframe at which it is certain, at
-    which besides both are in clear view, and by which it could have been between two keyframes; NOBODY for none.
+    Company: the relation, and `until`, the last keyframe's frame. Meets, sorted by window and person: the first
+    keyframe at which the meeting is certain (met), at which besides both are in clear view (seen), and by which it
+    could have been between two keyframes (maybe); null for none.
     """
-
-    moment: Ints
-    relation: Ints
-    until: Ints
-    owner: Ints
-    person: Ints
-    met: Ints
-    seen: Ints
-    maybe: Ints
-
-    def tables(self, scene: Scene) -> dict[str, pa.Table]:
-        """The graph's tables `Company`, `Keeps` and `Meets`."""
-        number = np.arange(len(self.moment))
-        relation = pc.take(pa.array(RELATIONS, pa.string()), pa.array(self.relation))
-        times = {
-            name: pa.array(column, mask=column == NOBODY)
-            for name, column in (("met", self.met), ("seen", self.seen), ("maybe", self.maybe))
-        }
-        return {
-            "Company": pa.table({"id": number, "relation": relation, "until": self.until}),
-            "Keeps": pa.table({"from": self.moment, "to": number}),
-            "Meets": pa.table({"from": self.owner, "to": self.person, **times, "image": scene.has_image(self.seen)}),
-        }
-
-
-def find_company(scene: Scene, facts: Facts, rules: Rules) -> Company:
-    """Companies that begin at any moment and reach over `long_wait_s`, meeting `count_min` people or more."""
     every = _at_every_frame(scene)
     lines = np.unique(_lines_of(scene, facts, _counted(facts)))
     at_keyframes, between = _Rows.of(scene, facts, lines), _Rows.of(every, find_facts(every), lines)
@@ -71,29 +43,34 @@ def find_company(scene: Scene, facts: Facts, rules: Rules) -> Company:
     could = marked(between, frames_between[between.keyframe] != NOBODY, frames_between)
     both = certain & scene.present[lines[of_line] // len(RELATIONS)] & scene.present[other]
     met, seen, maybe = _next(certain), _next(both), _next(could) + 1
-    until = _known_until(scene, every, lines, at_keyframes, between, frames_between)
+    until = _known_until(scene, lines, at_keyframes, between, frames_between)
     within = met <= until[of_line]
     people = np.zeros((len(lines), count), np.int64)
     np.add.at(people, of_line, within)
     reach = np.where(until == NOBODY, 0, scene.keyframes[until] - scene.keyframes)
     begins = (reach >= frames(rules.long_wait_s)) & (people >= rules.count_min)
-    chosen_line, chosen_at = np.nonzero(begins)
+    line, start = np.nonzero(begins)
     number = np.full(begins.shape, NOBODY)
-    number[begins] = np.arange(len(chosen_line))
+    number[begins] = np.arange(len(line))
     row, place = np.nonzero((within | (maybe <= until[of_line])) & begins[of_line])
     order = np.lexsort((other[row], number[of_line[row], place]))
     row, place = row[order], place[order]
     clock = np.append(scene.keyframes, [NOBODY, NOBODY])
-    return Company(
-        moment=lines[chosen_line] // len(RELATIONS) * count + chosen_at,
-        relation=lines[chosen_line] % len(RELATIONS),
-        until=scene.keyframes[until[chosen_line, chosen_at]],
-        owner=number[of_line[row], place],
-        person=other[row],
-        met=clock[met[row, place]],
-        seen=clock[seen[row, place]],
-        maybe=clock[maybe[row, place]],
-    )
+    times = {name: clock[first[row, place]] for name, first in (("met", met), ("seen", seen), ("maybe", maybe))}
+    windows = {
+        "id": np.arange(len(line)),
+        "relation": named(lines[line] % len(RELATIONS), RELATIONS),
+        "until": scene.keyframes[until[line, start]],
+    }
+    meets = {
+        "from": number[of_line[row], place],
+        "to": other[row],
+        **{name: masked(column) for name, column in times.items()},
+        "image": scene.has_image(times["seen"]),
+    }
+    moment = lines[line] // len(RELATIONS) * count + start
+    keeps = {"from": moment, "to": windows["id"]}
+    return {"Company": pa.table(windows), "Keeps": pa.table(keeps), "Meets": pa.table(meets)}
 
 
 @dataclass(frozen=True)
@@ -104,23 +81,23 @@ class _Rows:
     pair: Ints
     keyframe: Ints
     certain: Bools
-    untold: Ints
+    unknown: Ints
 
     @classmethod
     def of(cls, scene: Scene, facts: Facts, lines: Ints) -> _Rows:
-        """`untold` is (lines, keyframes): how many others could be in the relation for want of knowledge alone."""
+        """`unknown` is (lines, keyframes): how many others could be in the relation for want of knowledge alone."""
         rows = _counted(facts)
         rows = rows[np.isin(_lines_of(scene, facts, rows), lines)]
         line = np.searchsorted(lines, _lines_of(scene, facts, rows))
-        source, target, kind = facts.source[rows], facts.target[rows], KIND[facts.relation[rows]]
+        source, target = facts.source[rows], facts.target[rows]
         count = len(scene.keyframes)
         moments = (lines // len(RELATIONS))[:, None] * count + np.arange(count)
-        untold = untold_others(scene, facts.told)[KIND[lines % len(RELATIONS)][:, None], moments]
-        untold[scene.moment_rows[moments] == NOBODY] = 0
+        unknown = unknown_others(scene, facts.known)[KIND[lines % len(RELATIONS)][:, None], moments]
+        unknown[scene.moment_rows[moments] == NOBODY] = 0
         # Those of whom nothing is known and who have a fact are known by it.
-        np.subtract.at(untold, (line, source % count), ~(facts.told[kind, source] & facts.told[kind, target]))
+        np.subtract.at(unknown, (line, source % count), facts.unread[rows])
         pair = line * len(scene.tracks) + target // count
-        return cls(line, pair, source % count, facts.certain[rows], untold)
+        return cls(line, pair, source % count, facts.certain[rows], unknown)
 
 
 def _counted(facts: Facts) -> Ints:
@@ -134,7 +111,7 @@ def _lines_of(scene: Scene, facts: Facts, rows: Ints) -> Ints:
 
 def _at_every_frame(scene: Scene) -> Scene:
     """The scene as if every frame with a box were a keyframe, without the relations that are not counted."""
-    every = np.union1d(scene.keyframes, scene.boxes["frame"].to_numpy().astype(np.int64))
+    every = np.union1d(scene.keyframes, ints(scene.boxes, "frame"))
     return replace(scene, keyframes=every, beside=scene.beside.slice(0, 0))
 
 
@@ -145,18 +122,16 @@ def _between(scene: Scene, every: Scene) -> Ints:
     return np.where(outside, NOBODY, before)
 
 
-def _known_until(
-    scene: Scene, every: Scene, lines: Ints, at_keyframes: _Rows, between: _Rows, frames_between: Ints
-) -> Ints:
+def _known_until(scene: Scene, lines: Ints, at_keyframes: _Rows, between: _Rows, frames_between: Ints) -> Ints:
     """(lines, keyframes): the last keyframe through which it is known from this one on who is met, or NOBODY."""
     count = len(scene.keyframes)
     moments = (lines // len(RELATIONS))[:, None] * count + np.arange(count)
-    known = (scene.moment_rows[moments] != NOBODY) & (at_keyframes.untold == 0)
+    known = (scene.moment_rows[moments] != NOBODY) & (at_keyframes.unknown == 0)
     unsure = ~at_keyframes.certain
     known[at_keyframes.line[unsure], at_keyframes.keyframe[unsure]] = False
     # Where nothing is known of somebody between two keyframes, nothing leads from the one to the other.
     broken = np.zeros((len(lines), count), bool)
-    line, frame = np.nonzero((between.untold > 0) & (frames_between != NOBODY))
+    line, frame = np.nonzero((between.unknown > 0) & (frames_between != NOBODY))
     broken[line, frames_between[frame]] = True
     return np.where(known, np.minimum(_next(~known) - 1, _next(broken)), NOBODY)
 

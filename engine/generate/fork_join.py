@@ -1,9 +1,13 @@
-"""Joins: the one person whom two relations, of two people, single out together, though each alone holds of several.
+"""Fork-joins: two people reached from the one described, and the fourth whom a relation of each singles out together,
+though each relation alone holds of several; with the proofs that no part of this can be left out.
 
 For every person at a keyframe and every relation that may join, two sets are kept as bit masks, 64 people to a word:
-who could have it, and who certainly does. They hold the facts of `relations`, everybody of whom nothing is told, and
+who could have it, and who certainly does. They hold the facts of `relations`, everybody of whom nothing is known, and
 the windows, which are worked out here from the centres of all boxes, clear views or not. Whom two relations single out
 is then found set-wise, with the people of the plan left out.
+
+The walks run in the scene's graph, along `Step` and `Fits`; the joins at their ends are read from the masks. The hops
+of a fork are numbered as its edges are: 1 and 2 lead to b and c, 3 and 4 join d to them.
 """
 
 from __future__ import annotations
@@ -14,16 +18,17 @@ from typing import Final
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
-from jrdb_avr.engine.generate.conditions import Conditions, Words, packed
-from jrdb_avr.engine.generate.relations import EMPTY, KIND, RELATIONS, ROBOT_VIEW, SEVERAL, UNKNOWN, Facts
-from jrdb_avr.engine.generate.scene import NOBODY, Ints, Scene
-from jrdb_avr.schema.arrays import Bools, Floats
+from jrdb_avr.engine.generate.candidates import Candidates, Effect, PerturbationResult
+from jrdb_avr.engine.generate.chains import Read, program_shifts, read_people
+from jrdb_avr.engine.generate.conditions import Conditions, Masks, count, packed
+from jrdb_avr.engine.generate.context import SearchContext
+from jrdb_avr.engine.generate.relations import KIND, RELATIONS, ROBOT_VIEW, Facts
+from jrdb_avr.engine.generate.scene import NO_MATCH, NOBODY, SEVERAL, UNDECIDED, Ints, ints, named
+from jrdb_avr.engine.generate.search_graph import add_table
 from jrdb_avr.schema.panorama import clockwise
 from jrdb_avr.schema.relations import RELATIONS as ROWS
 from jrdb_avr.schema.relations import RELATIONS_OF
-from jrdb_avr.schema.rules import Rules
 
 JOINING: Final = np.array([RELATIONS.index(label) for label in RELATIONS_OF["join"]], np.int64)
 """Relations that may hold of several people, as indices into RELATIONS."""
@@ -37,80 +42,59 @@ _BLOCK: Final = 1 << 18
 class Joins:
     """Who could and who certainly does have each joining relation with each person at a keyframe.
 
-    row: per moment its row in the masks, NOBODY where there is no box; column: per relation its column, NOBODY where it
-    certainly holds of nobody in the scene and so joins nothing; slot: per moment its place in the masks; slots: per
-    keyframe and slot the moment; could, sure: (rows, columns, words) of bits by slot.
+    column: per relation its column, NOBODY where it certainly holds of nobody in the scene and so joins nothing;
+    could, sure: (sightings, columns, words) of bits.
     """
 
-    row: Ints
+    conditions: Conditions
     column: Ints
-    slot: Ints
-    slots: Ints
-    could: Words
-    sure: Words
+    could: Masks
+    sure: Masks
 
     @property
     def relations(self) -> Ints:
         """The relations that join somebody to somebody."""
         return np.flatnonzero(self.column != NOBODY)
 
-    def others(self, source: Ints, relation: Ints, apart: Sequence[Ints]) -> tuple[Words, Words]:
+    def others(self, source: Ints, relation: Ints, apart: Sequence[Ints]) -> tuple[Masks, Masks]:
         """Masks of those who could, and who certainly do, have a relation with a person, leaving out some people."""
-        place = self.row[source], self.column[relation]
-        kept = ~np.bitwise_or.reduce([self._bit(moment) for moment in apart])
+        sighting_of, alone = self.conditions.sighting_of, self.conditions.alone
+        place = sighting_of[source], self.column[relation]
+        kept = ~np.bitwise_or.reduce([alone[sighting_of[moment]] for moment in apart])
         return self.could[place] & kept, self.sure[place] & kept
 
     def joined(self, b: Ints, r3: Ints, c: Ints, r4: Ints, apart: Sequence[Ints]) -> Ints:
         """The moment of the one person who has both relations, `r3` with `b` and `r4` with `c`, for certain while
-        nobody else could; or EMPTY, SEVERAL or UNKNOWN. The people in `apart` do not count."""
-        found = np.full(len(b), UNKNOWN)
+        nobody else could; or NO_MATCH, SEVERAL or UNDECIDED. The people in `apart` do not count."""
+        found = np.full(len(b), UNDECIDED)
         for low in range(0, len(b), _BLOCK):
             block = slice(low, low + _BLOCK)
             left_out = [moment[block] for moment in apart]
             could_b, sure_b = self.others(b[block], r3[block], left_out)
             could_c, sure_c = self.others(c[block], r4[block], left_out)
-            found[block] = self._only(b[block], could_b & could_c, sure_b & sure_c)
+            keyframe = b[block] % len(self.conditions.slots)
+            found[block] = self.conditions.singled_out(keyframe, could_b & could_c, sure_b & sure_c)
         return found
-
-    def _only(self, at: Ints, could: Words, sure: Words) -> Ints:
-        possible, certain = count(could), count(sure)
-        found = np.where(certain >= 2, SEVERAL, np.where(possible == 0, EMPTY, UNKNOWN))
-        single = np.flatnonzero((possible == 1) & (certain == 1))
-        # The place of the one bit set: how many lie below it, word by word.
-        word = could[single].argmax(axis=1)
-        bit = np.bitwise_count(could[single, word] - np.uint64(1)).astype(np.int64)
-        found[single] = self.slots[at[single] % len(self.slots), 64 * word + bit]
-        return found
-
-    def _bit(self, moment: Ints) -> Words:
-        """Per moment the mask that holds only this person."""
-        masks = np.zeros((len(moment), self.could.shape[2]), np.uint64)
-        slot = self.slot[moment]
-        masks[np.arange(len(moment)), slot // 64] = np.uint64(1) << (slot % 64).astype(np.uint64)
-        return masks
 
     def table(self, a: Ints, b: Ints, c: Ints) -> pa.Table:
         """The graph's table `Joined`: whom the relations of each b and c single out beside each a, where each relation
         alone could hold of two or more. Columns from (b), to (d), a, c, r3, r4."""
-        relations = self.relations
-        parts: list[tuple[Ints, ...]] = []
-        step = max(1, _BLOCK // max(1, len(relations) ** 2))
+        parts = [np.zeros((6, 0), np.int64)]
+        step = max(1, _BLOCK // max(1, len(self.relations) ** 2))
         for low in range(0, len(a), step):
             people = [moments[low : low + step] for moments in (a, b, c)]
-            fork, r3, r4 = self._open(people, relations)
+            fork, r3, r4 = self._open(people)
             of_a, of_b, of_c = (moments[fork] for moments in people)
             d = self.joined(of_b, r3, of_c, r4, (of_a, of_b, of_c))
-            single = d >= 0
-            parts.append(tuple(column[single] for column in (of_b, d, of_a, of_c, r3, r4)))
-        none = (np.zeros(0, np.int64),) * 6
-        columns = [np.concatenate(column) for column in zip(none, *parts, strict=True)]
-        words = pa.array(RELATIONS, pa.string())
-        named = [pc.take(words, pa.array(column)) for column in columns[4:]]
-        return pa.table([*map(pa.array, columns[:4]), *named], names=["from", "to", "a", "c", "r3", "r4"])
+            parts.append(np.stack([of_b, d, of_a, of_c, r3, r4])[:, d >= 0])
+        columns = np.concatenate(parts, axis=1)
+        names = ["from", "to", "a", "c", "r3", "r4"]
+        return pa.table([*map(pa.array, columns[:4]), *(named(r, RELATIONS) for r in columns[4:])], names=names)
 
-    def _open(self, people: Sequence[Ints], relations: Ints) -> tuple[Ints, Ints, Ints]:
+    def _open(self, people: Sequence[Ints]) -> tuple[Ints, Ints, Ints]:
         """(fork, r3, r4) of all pairs of relations that hold of somebody for certain and could of two or more."""
         usable = []
+        relations = self.relations
         for source in people[1:]:
             each = np.repeat(np.arange(len(source)), len(relations))
             labels = np.tile(relations, len(source))
@@ -120,70 +104,124 @@ class Joins:
         return fork, relations[left], relations[right]
 
 
-def count(masks: Words) -> Ints:
-    """People in each mask."""
-    return np.asarray(np.bitwise_count(masks).sum(axis=-1, dtype=np.int64))
+# -- who has which relation ---------------------------------------------------------------------------------------
 
 
-def find_joins(scene: Scene, facts: Facts, conditions: Conditions, rules: Rules) -> Joins:
-    """The joining relations of everybody with a box at a keyframe; `facts` are the scene's relations, and `conditions`
-    tell who is there."""
-    row, slot = np.full((2, scene.moment_count), NOBODY)
-    row[conditions.moment] = np.arange(len(conditions.moment))
-    slot[conditions.moment] = conditions.slot
+def find_joins(context: SearchContext) -> Joins:
+    """The joining relations of everybody with a box at a keyframe."""
+    facts, conditions = context.facts, context.descriptions.conditions
     leading = np.unique(facts.relation[facts.certain])
     used = np.union1d(JOINING[np.isin(JOINING, leading)], [RELATIONS.index(row.label) for row in _WINDOWS])
     column = np.full(len(RELATIONS), NOBODY)
     column[used] = np.arange(len(used))
     shape = (len(conditions.moment), len(used), conditions.everybody.shape[1])
-    joins = Joins(row, column, slot, conditions.slots, np.zeros(shape, np.uint64), np.zeros(shape, np.uint64))
+    joins = Joins(conditions, column, np.zeros(shape, np.uint64), np.zeros(shape, np.uint64))
     _add_facts(joins, facts)
-    _add_untold(joins, facts, conditions)
-    _add_windows(joins, scene, rules.load.neighbor_margin_deg)
+    _add_unknown(joins, facts)
+    _add_windows(joins, context.rules.load.neighbor_margin_deg)
     return joins
 
 
 def _add_facts(joins: Joins, facts: Facts) -> None:
-    usable = joins.column[facts.relation] != NOBODY
+    conditions, usable = joins.conditions, joins.column[facts.relation] != NOBODY
     for masks, kept in ((joins.could, usable), (joins.sure, usable & facts.certain)):
-        slot = joins.slot[facts.target[kept]]
-        place = joins.row[facts.source[kept]], joins.column[facts.relation[kept]], slot // 64
+        source, target = (conditions.sighting_of[moment[kept]] for moment in (facts.source, facts.target))
+        slot = conditions.slot[target]
+        place = source, joins.column[facts.relation[kept]], slot // 64
         np.bitwise_or.at(masks, place, np.uint64(1) << (slot % 64).astype(np.uint64))
 
 
-def _add_untold(joins: Joins, facts: Facts, conditions: Conditions) -> None:
-    """Of two people of whom one does not tell, every relation of the kind is possible."""
-    there, everybody = joins.slots != NOBODY, conditions.everybody[conditions.keyframe]
+def _add_unknown(joins: Joins, facts: Facts) -> None:
+    """Of two people of whom one is not known, every relation of the kind is possible."""
+    conditions = joins.conditions
+    there, everybody = conditions.slots != NOBODY, conditions.everybody[conditions.keyframe]
     for kind in np.unique(KIND[joins.relations]).tolist():
         if kind == ROBOT_VIEW:
             continue
-        told = facts.told[kind]
-        silent = packed(there & ~told[joins.slots])[conditions.keyframe]
-        open_to = np.where(told[conditions.moment, None], silent, everybody) & ~conditions.alone()
-        columns = joins.column[[relation for relation in joins.relations.tolist() if KIND[relation] == kind]]
+        known = facts.known[kind]
+        silent = packed(there & ~known[conditions.slots])[conditions.keyframe]
+        open_to = np.where(known[conditions.moment, None], silent, everybody) & ~conditions.alone
+        columns = joins.column[joins.relations[KIND[joins.relations] == kind]]
         joins.could[:, columns] |= open_to[:, None]
 
 
-def _add_windows(joins: Joins, scene: Scene, margin: float) -> None:
+def _add_windows(joins: Joins, margin: float) -> None:
     """Everybody within so many degrees to one side of each person: certain but for those near an edge."""
-    for slots in joins.slots:
+    conditions = joins.conditions
+    scene = conditions.scene
+    for slots in conditions.slots:
         people = slots[slots != NOBODY]
-        angle = scene.geometry["angle"][scene.moment_rows[people]]
-        right: Floats = clockwise(angle[:, None], angle[None, :])
+        # Of a slot without a person the angle is anybody's, and is masked out.
+        angle = scene.geometry["angle"][scene.moment_rows[slots]]
+        right = clockwise(angle[: len(people), None], angle[None, :])
         left = np.where(right > 0, 360.0 - right, 0.0)
         near = np.minimum(left, right) <= margin
-        other = ~np.eye(len(people), dtype=bool)
+        other = (slots != NOBODY) & (slots != people[:, None])
         for window in _WINDOWS:
             turn = left if window.side == "left" else right
             unknown = near | (np.abs(turn - window.degrees) <= margin)
             inside = turn < window.degrees
-            at = joins.row[people], joins.column[RELATIONS.index(window.label)]
-            joins.could[at] = _wide((inside | unknown) & other, len(slots))
-            joins.sure[at] = _wide(inside & ~unknown & other, len(slots))
+            at = conditions.sighting_of[people], joins.column[RELATIONS.index(window.label)]
+            joins.could[at] = packed((inside | unknown) & other)
+            joins.sure[at] = packed(inside & ~unknown & other)
 
 
-def _wide(bits: Bools, width: int) -> Words:
-    """Rows of bits for the first slots of a keyframe, which are filled without holes, as masks."""
-    wide = np.zeros((len(bits), width), bool)
-    wide[:, : bits.shape[1]] = bits
-    return packed(wide)
+# -- candidates and proofs ----------------------------------------------------------------------------------------
+
+
+def find_forks(context: SearchContext, joins: Joins) -> pa.Table:
+    """The rows of fork_join, for whose query the scene's graph has the table `Joined` for a while."""
+    forks = context.query("generators", "fork")
+    add_table(context.graph, "Joined", joins.table(*(ints(forks, node) for node in "abc")))
+    found = context.query("generators", "fork_join")
+    context.graph.execute("DROP TABLE Joined")
+    return found
+
+
+def fork_proofs(context: SearchContext, joins: Joins, paths: Candidates) -> list[PerturbationResult]:
+    """hop.stop at a, b and c, hop.skip of every hop, and time.shift and time.drop of the program of paths in the graph.
+
+    It is enough that one of b and c has another pose: the two branches have no order.
+    """
+
+    def read(people: Sequence[Ints], apart: Sequence[Ints] | None = None, rows: Candidates = paths) -> Read:
+        return read_people(context, rows, _joined(joins, rows, people, people if apart is None else apart))
+
+    a, b, c = (paths.people[node] for node in "abc")
+    proofs = [
+        PerturbationResult("hop.stop", str(place), *read_people(context, paths, moment), any_of=place > 0)
+        for place, moment in enumerate((a, b, c))
+    ]
+    proofs.append(PerturbationResult("hop.skip", "1", *read((a, a, c), (a, c))))
+    proofs.append(PerturbationResult("hop.skip", "2", *read((a, b, a), (a, b))))
+    for skipped, source, relation in (("3", c, "r4"), ("4", b, "r3")):
+        # What is left holds of the target, so nobody else for certain means that it cannot be decided.
+        _, sure = joins.others(source, paths.relations[relation], (a, b, c))
+        reached = np.where(count(sure) >= 2, SEVERAL, UNDECIDED)
+        proofs.append(PerturbationResult("hop.skip", skipped, *read_people(context, paths, reached)))
+    proofs += program_shifts(context, paths, "abc", read)
+    found = context.query("necessity", "fork_join_drop")
+    number = ints(found, "id")
+    outcome, _ = read([ints(found, node) for node in "abc"], rows=paths.take(number))
+    different = outcome == Effect.DIFFERENT
+    known = different | (outcome == Effect.SAME)
+    defined, others = (np.bincount(number[which], minlength=len(paths)) for which in (known, different))
+    return [*proofs, PerturbationResult.of_drop(defined, 1 + (others > 0))]
+
+
+def _joined(joins: Joins, paths: Candidates, people: Sequence[Ints], apart: Sequence[Ints]) -> Ints:
+    """Where programs end whose a, b and c are these people, or nobody for a reason, while those in `apart` are no d.
+
+    The branches have no order: where one leads to nobody there is no d, whatever the other does.
+    """
+    a, b, c = people
+    d = np.full(len(paths), UNDECIDED)
+    for why in (SEVERAL, NO_MATCH):
+        d[(b == why) | (c == why)] = why
+    d[a < 0] = a[a < 0]
+    there = (a >= 0) & (b >= 0) & (c >= 0)
+    d[there & (b == c)] = NO_MATCH
+    rows = np.flatnonzero(there & (b != c))
+    r3, r4 = (paths.relations[name][rows] for name in ("r3", "r4"))
+    d[rows] = joins.joined(b[rows], r3, c[rows], r4, [moments[rows] for moments in apart])
+    return d

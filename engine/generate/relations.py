@@ -15,7 +15,19 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.engine.generate.scene import NOBODY, NOWHERE, Ints, Scene, coded, flags, moments_of, spread
+from jrdb_avr.engine.generate.scene import (
+    NO_MATCH,
+    NOBODY,
+    NOWHERE,
+    SEVERAL,
+    UNDECIDED,
+    Ints,
+    Scene,
+    coded,
+    find_sorted,
+    flags,
+    named,
+)
 from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.relations import LAYER_OF_KIND, QUESTION_RELATIONS, SAME_GROUP
@@ -36,28 +48,31 @@ KIND: Final = np.array([_LAYERS.index(LAYER_OF_KIND[ROWS[label].kind]) for label
 STATED_POSES: Final = np.array([[pose in poses_of(relation) for pose in POSES] for relation in RELATIONS])
 """(relations, poses): the poses that a relation's words name."""
 
-EMPTY, SEVERAL, UNKNOWN = NOWHERE
-"""Steps that lead to nobody: nobody could match, two or more certainly do, or it cannot be told."""
-
 
 @dataclass(frozen=True)
 class Facts:
     """Every pair of moments with a relation that is or could be, once per relation.
 
-    told (kinds, moments): whether a moment tells who its partners in a kind are. Of two people of whom one does not
-    tell, every relation of the kind that has no fact is unknown.
+    known (kinds, moments): whether it is known of a moment who its partners in a kind are. Of two people of whom one is
+    not known, every relation of the kind that has no fact is unknown.
     """
 
     source: Ints
     relation: Ints
     target: Ints
     certain: Bools
-    told: Bools
+    known: Bools
+
+    @property
+    def unread(self) -> Bools:
+        """Per fact, whether without it the relation would be unknown: of one of the two the kind is not known."""
+        kind = KIND[self.relation]
+        return np.asarray(~(self.known[kind, self.source] & self.known[kind, self.target]))
 
 
 @dataclass(frozen=True)
 class Steps:
-    """For every moment with a box and every relation that leads anywhere in the scene: its target, or EMPTY, ..."""
+    """Target of every moment with a box by every relation that leads anywhere in the scene; or NO_MATCH, ..."""
 
     source: Ints
     relation: Ints
@@ -71,29 +86,20 @@ class Steps:
         leading = np.unique(self.relation)
         ends = np.repeat(np.array(NOWHERE), len(leading))
         relation = np.concatenate([self.relation, np.tile(leading, len(NOWHERE))])
-        steps = pa.table(
-            {
-                "from": np.concatenate([self.source, ends]),
-                "to": np.concatenate([self.target, ends]),
-                "relation": pc.take(pa.array(RELATIONS, pa.string()), pa.array(relation)),
-            }
-        )
+        source, target = (np.concatenate([moments, ends]) for moments in (self.source, self.target))
+        steps = pa.table({"from": source, "to": target, "relation": named(relation, RELATIONS)})
         return {"Step": steps, "Leads": steps.filter(pc.greater_equal(steps["to"], 0))}
 
 
 def find_facts(scene: Scene) -> Facts:
     """All relations at the keyframes of a scene, between people with a box there."""
-    parts = [
-        _pairs_of(scene, scene.interactions),
-        _pairs_of(scene, scene.beside),
-        _groups(scene),
-    ]
-    source, relation, target, certain = (np.concatenate([part[i] for part in parts]) for i in range(4))
+    parts = [_labelled_pairs(scene, scene.interactions), _labelled_pairs(scene, scene.beside), _groups(scene)]
+    source, relation, target, certain = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     # A pair may have a row by each of two spans: what is certain by one of them is certain.
     key = (source * len(RELATIONS) + relation) * scene.moment_count + target
     order = np.lexsort((~certain, key))
-    kept = order[np.flatnonzero(np.r_[True, key[order][1:] != key[order][:-1]][: len(order)])]
-    return Facts(source[kept], relation[kept], target[kept], certain[kept], _told(scene))
+    kept = order[np.unique(key[order], return_index=True)[1]]
+    return Facts(source[kept], relation[kept], target[kept], certain[kept], _known(scene))
 
 
 def find_steps(scene: Scene, facts: Facts) -> Steps:
@@ -101,47 +107,39 @@ def find_steps(scene: Scene, facts: Facts) -> Steps:
     cell = facts.source * len(RELATIONS) + facts.relation
     cells, first, place, rows = np.unique(cell, return_index=True, return_inverse=True, return_counts=True)
     owner, relation = cells // len(RELATIONS), cells % len(RELATIONS)
-    kind = KIND[facts.relation]
-    # Those of whom nothing is known count beside those who have a fact, and are not counted twice.
-    untold = ~(facts.told[kind, facts.source] & facts.told[kind, facts.target])
-    others = untold_others(scene, facts.told)
-    could = rows + others[KIND[relation], owner] - np.bincount(place, weights=untold, minlength=len(cells))
+    # People of whom nothing is known count beside those who have a fact, and are not counted twice.
+    others = unknown_others(scene, facts.known)
+    could = rows + others[KIND[relation], owner] - np.bincount(place, weights=facts.unread, minlength=len(cells))
     sure = np.bincount(place, weights=facts.certain, minlength=len(cells))
     single = (could == 1) & (sure == 1)
-    target = np.where(single, facts.target[first], np.where(sure >= 2, SEVERAL, UNKNOWN))
+    target = np.where(single, facts.target[first], np.where(sure >= 2, SEVERAL, UNDECIDED))
     leading = np.unique(relation[single])
-    moments = np.flatnonzero(scene.moment_rows != NOBODY)
-    source, by = np.repeat(moments, len(leading)), np.tile(leading, len(moments))
-    result = np.where(others[KIND[by], source] > 0, UNKNOWN, EMPTY)
-    if len(cells):
-        wanted = source * len(RELATIONS) + by
-        at = np.minimum(np.searchsorted(cells, wanted), len(cells) - 1)
-        result = np.where(cells[at] == wanted, target[at], result)
+    source, by = np.repeat(scene.seen_moments, len(leading)), np.tile(leading, len(scene.seen_moments))
+    result = np.where(others[KIND[by], source] > 0, UNDECIDED, NO_MATCH)
+    at = find_sorted(source * len(RELATIONS) + by, cells)
+    result[at != NOBODY] = target[at[at != NOBODY]]
     return Steps(source, by, result)
 
 
-def untold_others(scene: Scene, told: Bools) -> Ints:
+def unknown_others(scene: Scene, known: Bools) -> Ints:
     """(kinds, moments): with how many others every relation of a kind is possible for want of knowledge."""
-    there = scene.moment_rows != NOBODY
-    keyframe = np.arange(scene.moment_count) % max(len(scene.keyframes), 1)
-    people = np.bincount(keyframe[there], minlength=len(scene.keyframes))
-    result = np.zeros(told.shape, np.int64)
-    for kind in range(len(told)):
-        silent = np.bincount(keyframe[there & ~told[kind]], minlength=len(scene.keyframes))
-        result[kind] = np.where(told[kind], silent[keyframe], people[keyframe] - 1)
-    return result
+    there = np.zeros(scene.moment_count, dtype=bool)
+    there[scene.seen_moments] = True
+    shape = len(scene.tracks), len(scene.keyframes)
+    silent = (there & ~known).reshape(len(known), *shape).sum(axis=1)
+    people = there.reshape(shape).sum(axis=0)
+    others = np.where(known.reshape(len(known), *shape), silent[:, None], people - 1)
+    return np.asarray(others.reshape(known.shape), dtype=np.int64)
 
 
-def _told(scene: Scene) -> Bools:
-    told = np.ones((len(_LAYERS), scene.moment_count), bool)
-    there = np.flatnonzero(scene.moment_rows != NOBODY)
-    rows = scene.moment_rows[there]
-    told[SOCIAL, there] = scene.flag("interactions_listed")[rows]
-    told[PERSON_VIEW, there] = scene.flag("located")[rows]
-    row, keyframe = spread(scene, scene.memberships)
-    told[GROUP] = False
-    told[GROUP, moments_of(scene, scene.memberships, "track", row, keyframe)] = True
-    return told
+def _known(scene: Scene) -> Bools:
+    known = np.ones((len(_LAYERS), scene.moment_count), bool)
+    there, rows = scene.seen_moments, scene.moment_rows[scene.seen_moments]
+    known[SOCIAL, there] = scene.flag("interactions_listed")[rows]
+    known[PERSON_VIEW, there] = scene.flag("located")[rows]
+    known[GROUP] = False
+    known[GROUP, scene.covered(scene.memberships, "track")[1]] = True
+    return known
 
 
 # -- facts by kind ----------------------------------------------------------------------------------------------
@@ -149,31 +147,24 @@ def _told(scene: Scene) -> Bools:
 _Part = tuple[Ints, Ints, Ints, Bools]
 
 
-def _pairs_of(scene: Scene, table: pa.Table) -> _Part:
+def _labelled_pairs(scene: Scene, table: pa.Table) -> _Part:
     """Facts of a table of labelled spans between a source and a target track; unknown labels are left out."""
-    codes = coded(table["label"], RELATIONS)
-    row, keyframe = spread(scene, table)
-    known = codes[row] != NOBODY
-    row, keyframe = row[known], keyframe[known]
-    source, target = (moments_of(scene, table, who, row, keyframe) for who in ("source", "target"))
-    there = (scene.moment_rows[source] != NOBODY) & (scene.moment_rows[target] != NOBODY)
-    certain = flags(table, "certain")[row]
-    return source[there], codes[row][there], target[there], certain[there]
+    row, source, target = scene.covered(table, "source", "target")
+    relation = coded(table["label"], RELATIONS)[row]
+    there = (scene.moment_rows[source] != NOBODY) & (scene.moment_rows[target] != NOBODY) & (relation != NOBODY)
+    return source[there], relation[there], target[there], flags(table, "certain")[row][there]
 
 
 def _groups(scene: Scene) -> _Part:
     """Pairs of members of one cluster: certain where both memberships are."""
-    table = scene.memberships
-    row, keyframe = spread(scene, table)
-    moment = moments_of(scene, table, "track", row, keyframe)
+    row, moment = scene.covered(scene.memberships, "track")
     there = scene.moment_rows[moment] != NOBODY
-    row, keyframe, moment = row[there], keyframe[there], moment[there]
-    cluster = np.unique(table["cluster"].to_numpy(), return_inverse=True)[1][row]
-    certain = flags(table, "certain")[row]
-    group = keyframe * (int(cluster.max(initial=0)) + 1) + cluster
+    row, moment = row[there], moment[there]
+    cluster = np.unique(scene.memberships["cluster"].to_numpy(), return_inverse=True)[1][row]
+    certain = flags(scene.memberships, "certain")[row]
+    group = moment % max(len(scene.keyframes), 1) * (int(cluster.max(initial=0)) + 1) + cluster
     order = np.argsort(group, kind="stable")
-    moment, certain, group = moment[order], certain[order], group[order]
-    source, target = _within(group)
+    source, target = (order[rows] for rows in _within(group[order]))
     other = moment[source] != moment[target]
     source, target = source[other], target[other]
     relation = np.full(len(source), RELATIONS.index(SAME_GROUP))

@@ -3,7 +3,7 @@
 People and keyframes are numbered in order. A person at a keyframe is a *moment*, numbered
 `person * len(keyframes) + keyframe`, so that the moments of one person lie side by side.
 
-Stretches without a box between two boxes of a person, in which the person is certainly absent.
+An *absence* is a stretch without a box between two boxes of a person, in which the person is certainly absent.
 """
 
 from __future__ import annotations
@@ -28,26 +28,18 @@ from jrdb_avr.schema.things import OBJECTS
 Ints = npt.NDArray[np.integer[Any]]
 """Whole numbers: 64 bits wide, but for the columns of candidates that are millions."""
 
-
 NOWHERE: Final = (-1, -2, -3)
-"""Ids of the moments that stand for nobody: none could match, several certainly do, it cannot be told."""
+NO_MATCH, SEVERAL, UNDECIDED = NOWHERE
+"""Ids of the moments that stand for nobody: none could match, several certainly do, it cannot be decided."""
 
 NOBODY: Final = -1
 """Row number of a box that is not there, and the code of an unknown value."""
 
-_TABLES: Final = (
-    "sequence",
-    "frames",
-    "persons",
-    "sightings",
-    "actions",
-    "segments",
-    "memberships",
-    "interactions",
-    "beside",
-    "handles",
-    "objects",
-)
+_SPREAD: Final = 1 << 32
+"""Factor of the person in a key made of person and frame."""
+
+_AS_THEY_ARE: Final = ("memberships", "interactions", "beside", "handles", "objects", "persons")
+_TABLES: Final = ("sequence", "frames", "sightings", "actions", "segments", *_AS_THEY_ARE)
 
 
 @dataclass(frozen=True)
@@ -56,6 +48,8 @@ class Scene:
 
     sequence: str
     fps: float
+    frame_count: int
+    action_step: int
     layers: frozenset[str]
     keyframes: Ints
     tracks: Ints
@@ -69,7 +63,7 @@ class Scene:
     beside: pa.Table
     handles: pa.Table
     objects: pa.Table
-    persons_table: pa.Table
+    persons: pa.Table
 
     # -- boxes ------------------------------------------------------------------------------------------------
 
@@ -80,10 +74,6 @@ class Scene:
     def flag(self, name: str) -> Bools:
         """A boolean column of `boxes`, null as false."""
         return flags(self.boxes, name)
-
-    def codes(self, name: str, words: tuple[str, ...]) -> Ints:
-        """A text column of `boxes` as indices into `words`; null and other words are NOBODY."""
-        return coded(self.boxes[name], words)
 
     @cached_property
     def geometry(self) -> dict[str, Floats]:
@@ -101,19 +91,23 @@ class Scene:
         return self.flag("listed")
 
     @cached_property
+    def poses(self) -> Ints:
+        """Per box: index into POSES of the one certain pose, else NOBODY."""
+        return coded(self.boxes["pose"], POSES)
+
+    @cached_property
+    def distances(self) -> Floats:
+        """Per box: metres from the robot where the 3D box has lidar points, else NaN."""
+        return np.where(self.flag("located"), self.column("distance"), np.nan)
+
+    @cached_property
     def box_keys(self) -> Ints:
         """Sorted (person, frame) keys of the boxes."""
-        person = np.searchsorted(self.tracks, self.boxes["track"].to_numpy())
-        return np.asarray(person * _SPREAD + self.boxes["frame"].to_numpy(), dtype=np.int64)
+        return np.asarray(self.person_of(ints(self.boxes, "track")) * _SPREAD + ints(self.boxes, "frame"))
 
     def box_rows(self, persons: Ints, frames: Ints) -> Ints:
         """Row in `boxes` of each (person, frame), NOBODY where there is no box."""
-        keys = np.asarray(persons, dtype=np.int64) * _SPREAD + frames
-        at = np.searchsorted(self.box_keys, keys)
-        inside = np.minimum(at, max(len(self.box_keys) - 1, 0))
-        if len(self.box_keys) == 0:
-            return np.full(len(keys), NOBODY)
-        return np.where(self.box_keys[inside] == keys, inside, NOBODY)
+        return find_sorted(np.asarray(persons, dtype=np.int64) * _SPREAD + frames, self.box_keys)
 
     def person_of(self, tracks: Ints) -> Ints:
         """Number of each track's person."""
@@ -121,46 +115,19 @@ class Scene:
 
     def box_of(self, track: int, frame: int) -> int:
         """Row in `boxes` of one person at one frame, or NOBODY."""
-        return self._row_of.get(track * _SPREAD + frame, NOBODY)
+        return self._row_of.get((track, frame), NOBODY)
 
     @cached_property
-    def _row_of(self) -> dict[int, int]:
+    def _row_of(self) -> dict[tuple[int, int], int]:
         """Row in `boxes` by track and frame: a look-up costs a hundredth of what one in arrays does."""
-        keys = self.boxes["track"].to_numpy() * np.int64(_SPREAD) + self.boxes["frame"].to_numpy()
-        return dict(zip(keys.tolist(), range(len(keys)), strict=True))
+        keys = zip(self.boxes["track"].to_pylist(), self.boxes["frame"].to_pylist(), strict=True)
+        return {key: row for row, key in enumerate(keys)}
 
-    def moment_of(self, track: int, frame: int) -> int:
-        """Number of a person's moment at a keyframe."""
-        person, keyframe = np.searchsorted(self.tracks, track), np.searchsorted(self.keyframes, frame)
-        return int(person) * len(self.keyframes) + int(keyframe)
-
-    def possible_actions(self, track: int, frame: int) -> frozenset[str]:
-        """Actions that a person may or may not perform at a frame: hard labels, and closed gaps."""
-        actions, spans = self._open_spans
-        inside = (spans[0] == track) & (spans[1] <= frame) & (frame <= spans[2])
-        return frozenset(actions[i] for i in np.flatnonzero(inside).tolist())
-
-    @cached_property
-    def _open_spans(self) -> tuple[list[str], Ints]:
-        rows = self.actions.filter(pc.invert(self.actions["certain"]))
-        spans = [rows[name].to_numpy() for name in ("track", "first", "last")]
-        return rows["action"].to_pylist(), np.stack(spans).astype(np.int64)
-
-    # -- people and things --------------------------------------------------------------------------------------
-
-    def person_codes(self, name: str, words: tuple[str, ...]) -> Ints:
-        """A text column of the people as indices into `words`, per person; NOBODY where unknown."""
-        codes = np.full(len(self.tracks), NOBODY)
-        codes[self.person_of(self.persons_table["track"].to_numpy())] = coded(self.persons_table[name], words)
-        return codes
-
-    @cached_property
-    def handled_categories(self) -> Ints:
-        """Per row of `handles`: index into OBJECTS of the thing's category, NOBODY where unknown."""
-        keys = zip(self.objects["object"].to_pylist(), self.objects["category_id"].to_pylist(), strict=True)
-        things = dict(zip(keys, coded(self.objects["category"], OBJECTS).tolist(), strict=True))
-        handled = zip(self.handles["object"].to_pylist(), self.handles["category_id"].to_pylist(), strict=True)
-        return np.array([things.get(key, NOBODY) for key in handled], dtype=np.int64)
+    def has_image(self, frames: Ints) -> Bools:
+        """Whether each frame has an image; true everywhere where the sequence has none at all."""
+        if "images" not in self.layers:
+            return np.ones(len(frames), dtype=bool)
+        return np.isin(frames, self.images)
 
     # -- moments ----------------------------------------------------------------------------------------------
 
@@ -169,7 +136,7 @@ class Scene:
         """How many moments there are: every person at every keyframe, with a box or without."""
         return len(self.tracks) * len(self.keyframes)
 
-    def persons(self, moments: Ints) -> Ints:
+    def people(self, moments: Ints) -> Ints:
         """Number of each moment's person."""
         return moments // len(self.keyframes)
 
@@ -177,17 +144,31 @@ class Scene:
         """Frame of each moment."""
         return self.keyframes[moments % len(self.keyframes)]
 
+    def track(self, moment: int) -> int:
+        """Track of one moment's person."""
+        return int(self.tracks[moment // len(self.keyframes)])
+
+    def absent_at(self, track: int, frame: int) -> bool:
+        """Whether a person is certainly absent at a keyframe."""
+        person, keyframe = np.searchsorted(self.tracks, track), np.searchsorted(self.keyframes, frame)
+        return bool(self.absent[int(person) * len(self.keyframes) + int(keyframe)])
+
     @cached_property
     def moment_rows(self) -> Ints:
         """Row in `boxes` of every moment, NOBODY where the person has no box."""
         moments = np.arange(self.moment_count)
-        return self.box_rows(self.persons(moments), self.frames(moments))
+        return self.box_rows(self.people(moments), self.frames(moments))
+
+    @cached_property
+    def seen_moments(self) -> Ints:
+        """The moments at which the person has a box."""
+        return np.flatnonzero(self.moment_rows != NOBODY)
 
     @cached_property
     def absent(self) -> Bools:
         """Per moment: the frame and both neighbours are annotated and hold no box of the person."""
         moments = np.arange(self.moment_count)
-        persons, frames = self.persons(moments), self.frames(moments)
+        persons, frames = self.people(moments), self.frames(moments)
         gone = np.ones(len(moments), dtype=bool)
         for shift in (-KEYFRAME_STEP, 0, KEYFRAME_STEP):
             gone &= np.isin(frames + shift, self.annotated)
@@ -197,36 +178,47 @@ class Scene:
     @cached_property
     def present(self) -> Bools:
         """(persons, keyframes): whether the person is in clear view."""
-        rows = self.moment_rows
-        there = (rows != NOBODY) & (self.clear[rows] if len(self.clear) else False)
-        return np.asarray(there.reshape(len(self.tracks), len(self.keyframes)))
-
-    def has_image(self, frames: Ints) -> Bools:
-        """Whether each frame has an image; true everywhere where the sequence has none at all."""
-        if "images" not in self.layers:
-            return np.ones(len(frames), dtype=bool)
-        return np.isin(frames, self.images)
-
-    @cached_property
-    def poses(self) -> Ints:
-        """Per box: index into POSES of the one certain pose, else NOBODY."""
-        return self.codes("pose", POSES)
+        there = np.zeros(self.moment_count, dtype=bool)
+        there[self.seen_moments] = self.clear[self.moment_rows[self.seen_moments]]
+        return there.reshape(len(self.tracks), len(self.keyframes))
 
     @cached_property
     def moment_poses(self) -> npt.NDArray[np.int8]:
         """Per moment: index into POSES of the one certain pose, else NOBODY."""
         poses = np.full(self.moment_count, NOBODY, dtype=np.int8)
-        there = self.moment_rows != NOBODY
-        poses[there] = self.poses[self.moment_rows[there]]
+        poses[self.seen_moments] = self.poses[self.moment_rows[self.seen_moments]]
         return poses
 
-    @cached_property
-    def distances(self) -> Floats:
-        """Per box: metres from the robot where the 3D box has lidar points, else NaN."""
-        return np.where(self.flag("located"), self.column("distance"), np.nan)
+    def covered(self, table: pa.Table, *people: str) -> tuple[Ints, ...]:
+        """Every row of an interval table once per keyframe that it covers: row number, then the moments of the people
+        in these columns of tracks."""
+        low = np.searchsorted(self.keyframes, table["first"].to_numpy(), side="left")
+        high = np.searchsorted(self.keyframes, table["last"].to_numpy(), side="right")
+        span = np.maximum(high - low, 0)
+        row = np.repeat(np.arange(len(table)), span)
+        keyframe = np.arange(len(row)) - np.repeat(np.cumsum(span) - span, span) + low[row]
+        return row, *(self.person_of(table[who].to_numpy())[row] * len(self.keyframes) + keyframe for who in people)
 
 
-_SPREAD: Final = 1 << 32
+# -- columns ------------------------------------------------------------------------------------------------------
+
+
+def find_sorted(values: Ints, keys: Ints) -> Ints:
+    """Index of each value in the ascending keys, NOBODY where it is not among them."""
+    if not len(keys):
+        return np.full(values.shape, NOBODY)
+    at = np.minimum(np.searchsorted(keys, values), len(keys) - 1)
+    return np.where(keys[at] == values, at, NOBODY)
+
+
+def ints(table: pa.Table, name: str) -> Ints:
+    """A column of whole numbers; null is NOBODY."""
+    return np.asarray(pc.fill_null(table[name], NOBODY).to_numpy(), dtype=np.int64)
+
+
+def flags(table: pa.Table, name: str) -> Bools:
+    """A column of booleans; null is false."""
+    return np.asarray(pc.fill_null(table[name], False).to_numpy(), dtype=bool)
 
 
 def coded(column: pa.ChunkedArray, words: tuple[str, ...]) -> Ints:
@@ -235,23 +227,17 @@ def coded(column: pa.ChunkedArray, words: tuple[str, ...]) -> Ints:
     return np.asarray(pc.fill_null(found, NOBODY).to_numpy(), dtype=np.int64)
 
 
-def flags(table: pa.Table, name: str) -> Bools:
-    """A column of booleans; null is false."""
-    return np.asarray(pc.fill_null(table[name], False).to_numpy(), dtype=bool)
+def named(codes: Ints, words: tuple[str, ...]) -> pa.Array:
+    """The words of indices into `words`; NOBODY is null."""
+    return pc.take(pa.array(words, pa.string()), masked(codes))
 
 
-def spread(scene: Scene, table: pa.Table) -> tuple[Ints, Ints]:
-    """Every row of an interval table with every keyframe's number that it covers."""
-    low = np.searchsorted(scene.keyframes, table["first"].to_numpy(), side="left")
-    high = np.searchsorted(scene.keyframes, table["last"].to_numpy(), side="right")
-    span = np.maximum(high - low, 0)
-    row = np.repeat(np.arange(len(table)), span)
-    return row, np.arange(len(row)) - np.repeat(np.cumsum(span) - span, span) + low[row]
+def masked(numbers: Ints) -> pa.Array:
+    """Numbers as an Arrow column; NOBODY is null."""
+    return pa.array(numbers, mask=numbers == NOBODY)
 
 
-def moments_of(scene: Scene, table: pa.Table, who: str, row: Ints, keyframe: Ints) -> Ints:
-    """Moments of rows of a table at keyframes, both by number as `spread` gives them; `who` is a column of tracks."""
-    return scene.person_of(table[who].to_numpy())[row] * len(scene.keyframes) + keyframe
+# -- reading ------------------------------------------------------------------------------------------------------
 
 
 def load_scene(store: Store, sequence: str) -> Scene:
@@ -259,8 +245,8 @@ def load_scene(store: Store, sequence: str) -> Scene:
     return make_scene({kind: store.interval(kind, sequence) for kind in _TABLES})
 
 
-def weight(store: Store, sequence: str) -> int:
-    """How long a sequence takes, compared with others: its number of 2D boxes."""
+def box_count(store: Store, sequence: str) -> int:
+    """Number of a sequence's 2D boxes, by which the time it takes is estimated."""
     return int(pq.read_metadata(store.interval_path("sightings", sequence)).num_rows)
 
 
@@ -268,29 +254,40 @@ def make_scene(tables: dict[str, pa.Table]) -> Scene:
     """A scene from the interval tables of one sequence, by kind, in any row order."""
     head = tables["sequence"].to_pylist()[0]
     grid = tables["frames"].sort_by("frame")
-    known = pc.is_in(tables["actions"]["action"], value_set=pa.array(ACTIONS, pa.string()))
-    named = pc.is_in(tables["segments"]["action"], value_set=pa.array(ACTIONS, pa.string()))
-    order = [("track", "ascending"), ("action", "ascending"), ("first", "ascending"), ("last", "ascending")]
+    order = [(name, "ascending") for name in ("track", "action", "first", "last")]
+    actions, segments = (
+        table.filter(pc.is_in(table["action"], value_set=pa.array(ACTIONS, pa.string()))).sort_by(order)
+        for table in (tables["actions"], tables["segments"])
+    )
     return Scene(
         sequence=head["sequence"],
         fps=head["fps"],
+        frame_count=head["frame_count"],
+        action_step=head["action_step"],
         layers=frozenset(head["layers"]),
         keyframes=np.array(sorted(head["keyframes"]), dtype=np.int64),
-        tracks=np.unique(np.concatenate([tables[k]["track"].to_numpy() for k in ("persons", "sightings")])).astype(
-            np.int64
-        ),
-        annotated=grid.filter(grid["annotated"])["frame"].to_numpy().astype(np.int64),
-        images=grid.filter(grid["image"])["frame"].to_numpy().astype(np.int64),
+        tracks=np.union1d(ints(tables["persons"], "track"), ints(tables["sightings"], "track")),
+        annotated=ints(grid.filter(grid["annotated"]), "frame"),
+        images=ints(grid.filter(grid["image"]), "frame"),
         boxes=tables["sightings"].sort_by([("track", "ascending"), ("frame", "ascending")]).combine_chunks(),
-        actions=tables["actions"].filter(known).sort_by(order),
-        segments=tables["segments"].filter(named).sort_by(order),
-        memberships=tables["memberships"],
-        interactions=tables["interactions"],
-        beside=tables["beside"],
-        handles=tables["handles"],
-        objects=tables["objects"],
-        persons_table=tables["persons"],
+        actions=actions,
+        segments=segments,
+        **{name: tables[name] for name in _AS_THEY_ARE},
     )
+
+
+def handled_categories(scene: Scene) -> Ints:
+    """Per row of `handles`: index into OBJECTS of the thing's category, NOBODY where unknown."""
+    codes = coded(scene.objects["category"], OBJECTS).tolist()
+    categories = dict(zip(_things(scene.objects), codes, strict=True))
+    return np.array([categories.get(thing, NOBODY) for thing in _things(scene.handles)], dtype=np.int64)
+
+
+def _things(table: pa.Table) -> list[tuple[int, int]]:
+    return list(zip(table["object"].to_pylist(), table["category_id"].to_pylist(), strict=True))
+
+
+# -- absences -----------------------------------------------------------------------------------------------------
 
 
 def absence_tables(scene: Scene, rules: Rules) -> dict[str, pa.Table]:
@@ -302,33 +299,26 @@ def absence_tables(scene: Scene, rules: Rules) -> dict[str, pa.Table]:
     frames; ahead: both boxes are seen straight ahead.
     """
     person, leaves, returns, rows = _absences(scene)
-    keyframes, count = scene.keyframes, len(scene.keyframes)
+    last = np.searchsorted(scene.keyframes, leaves) - 1
     since = np.full(len(person), NOBODY)
-    if len(person):
-        last = np.searchsorted(keyframes, leaves) - 1
-        since = np.where(last < 0, NOBODY, _present_since(scene)[person, np.maximum(last, 0)])
-    x, w = scene.geometry["x"], scene.geometry["w"]
-    ahead = views.ahead(x, w, rules.visible_share)
+    since[last >= 0] = _present_since(scene)[person[last >= 0], last[last >= 0]]
+    ahead = views.ahead(scene.geometry["x"], scene.geometry["w"], rules.visible_share)
     number = np.arange(len(person))
-    return {
-        "Absence": pa.table(
-            {
-                "id": number,
-                "leaves": leaves,
-                "returns": returns,
-                "present_from": pa.array(keyframes[np.maximum(since, 0)] if count else since, mask=since == NOBODY),
-                "clear": scene.clear[rows] & scene.clear[rows + 1],
-                "image": scene.has_image(leaves) & scene.has_image(returns),
-                "ahead": ahead[rows] & ahead[rows + 1],
-            }
-        ),
-        "Leaves": pa.table({"from": person, "to": number}),
+    absences = {
+        "id": number,
+        "leaves": leaves,
+        "returns": returns,
+        "present_from": pc.take(pa.array(scene.keyframes), masked(since)),
+        "clear": scene.clear[rows] & scene.clear[rows + 1],
+        "image": scene.has_image(leaves) & scene.has_image(returns),
+        "ahead": ahead[rows] & ahead[rows + 1],
     }
+    return {"Absence": pa.table(absences), "Leaves": pa.table({"from": person, "to": number})}
 
 
 def _absences(scene: Scene) -> tuple[Ints, Ints, Ints, Ints]:
     """Person, last frame before, first frame after, and the row in `boxes` of the last frame before."""
-    track, frame = (scene.boxes[name].to_numpy().astype(np.int64) for name in ("track", "frame"))
+    track, frame = ints(scene.boxes, "track"), ints(scene.boxes, "frame")
     rows = np.flatnonzero((track[1:] == track[:-1]) & (frame[1:] > frame[:-1] + 1))
     person, leaves, returns = scene.person_of(track[rows]), frame[rows], frame[rows + 1]
     # How many keyframes before each the person is absent at.
@@ -342,8 +332,7 @@ def _absences(scene: Scene) -> tuple[Ints, Ints, Ints, Ints]:
 
 def _annotated_between(annotated: Ints, first: Ints, last: Ints) -> Bools:
     """Whether every frame of the 2D layer's grid strictly between two of its frames is annotated."""
-    steps = np.diff(annotated)
-    step = KEYFRAME_STEP if np.all(steps % KEYFRAME_STEP == 0) else 1
+    step = KEYFRAME_STEP if np.all(np.diff(annotated) % KEYFRAME_STEP == 0) else 1
     known = np.searchsorted(annotated, last) - np.searchsorted(annotated, first, side="right")
     return np.asarray(known == -((first - last) // step) - 1)
 

@@ -1,78 +1,41 @@
-"""time.shift and time.drop of questions that hold the person and move the asked times."""
+"""time.shift and time.drop of questions that hold the person and move the stated later time."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from jrdb_avr.engine.generate.candidates import (
-    DIFFERENT,
-    EMPTY,
-    OUTSIDE,
-    SAME,
-    UNKNOWN,
-    Codes,
-    Perturbed,
-    ask,
-    codes,
-    ints,
-    rows_of,
-)
-from jrdb_avr.engine.generate.scene import NOBODY, Ints, Scene
-from jrdb_avr.queries.graph.handle import Graph
-from jrdb_avr.schema.rules import FPS, Rules, frames
-from jrdb_avr.schema.templates import Template
+from jrdb_avr.engine.generate.candidates import Candidates, Effect, PerturbationResult, choice_codes
+from jrdb_avr.engine.generate.chains import beyond, both_ways
+from jrdb_avr.engine.generate.context import SearchContext
+from jrdb_avr.engine.generate.scene import NOBODY, find_sorted, ints
 
 
-def asked_proofs(
-    scene: Scene, graph: Graph, template: Template, rules: Rules, moments: Mapping[str, Ints], stored: Codes
-) -> tuple[Perturbed, ...]:
-    """Both shifts and the drop. `moments`: the target's moment at t0 and at the asked times."""
-    step = frames(rules.shift_s)
-    shifts = [_shift(scene, graph, template, rules, moments, stored, by) for by in (-step, step)]
-    return (*shifts, _drop(scene, graph, template, rules, moments))
+def held_person_proofs(context: SearchContext, candidates: Candidates) -> list[PerturbationResult]:
+    """Both shifts and the drop."""
+    shifts = [_shift(context, candidates, by) for by in both_ways(context)]
+    # Every candidate is among the keyframes counted, so each has its row.
+    read = context.query("necessity", f"{candidates.template.time_queries}_drop")
+    row = find_sorted(candidates.people[candidates.template.target], ints(read, "at0"))
+    return [*shifts, PerturbationResult.of_drop(ints(read, "defined")[row], ints(read, "answers")[row])]
 
 
-def _shift(
-    scene: Scene,
-    graph: Graph,
-    template: Template,
-    rules: Rules,
-    moments: Mapping[str, Ints],
-    stored: Codes,
-    by: int,
-) -> Perturbed:
-    """Read the answer with all asked times moved together; the person and t0 stay.
+def _shift(context: SearchContext, candidates: Candidates, by: int) -> PerturbationResult:
+    """Read the answer with t1 moved; the person and t0 stay.
 
     The query leaves out what is unknown, and gives no answer where the person who is read is absent.
     """
-    times = {name: scene.frames(moment) for name, moment in moments.items()}
-    read = ask(graph, "necessity", f"{template.time_queries}_shift", rules, by=by)
-    row = rows_of(read, {f"at{name[1:]}": moment for name, moment in moments.items()}, limit=scene.moment_count)
-    found = row != NOBODY
-    answer = np.full(len(row), NOBODY, dtype=np.int8)
-    answer[found] = codes(read["answer"])[row[found]]
-    outcome = np.where(answer == stored, SAME, np.where(answer == NOBODY, EMPTY, DIFFERENT)).astype(np.int8)
-    outcome[~found] = UNKNOWN
-    outside = np.zeros(len(row), dtype=bool)
-    for name, frame in times.items():
-        if name != "t0":
-            moved = frame + by
-            outside |= (moved <= times["t0"]) | (moved < scene.keyframes[0]) | (moved > scene.keyframes[-1])
-    outcome[outside] = OUTSIDE
-    answer[outside] = NOBODY
-    return Perturbed("time.shift", f"{by / FPS:+g} s", outcome, answer, either=True)
-
-
-def _drop(scene: Scene, graph: Graph, template: Template, rules: Rules, moments: Mapping[str, Ints]) -> Perturbed:
-    """same: every other keyframe at which the answer is known gives the same one; empty: it is known nowhere else."""
-    read = ask(graph, "necessity", f"{template.time_queries}_drop", rules)
-    keys = {"at0": moments["t0"]}
-    if "t2" in moments:
-        keys["spacing"] = scene.frames(moments["t2"]) - scene.frames(moments["t1"])
-    row = rows_of(read, keys, limit=max(scene.moment_count, int(scene.keyframes[-1]) + 1))
-    # Every candidate is among the keyframes counted, so each has its row.
-    defined, answers = ints(read, "defined")[row], ints(read, "answers")[row]
-    outcome = np.where(answers > 1, DIFFERENT, np.where(defined > 1, SAME, EMPTY)).astype(np.int8)
-    return Perturbed("time.drop", "all keyframes", outcome, np.full(len(row), NOBODY, dtype=np.int8))
+    scene, t0, t1 = context.scene, candidates.frames["t0"], candidates.frames["t1"]
+    read = context.query("necessity", f"{candidates.template.time_queries}_shift", by=by)
+    moments = {"at0": candidates.people[candidates.template.target]}
+    moments["at1"] = moments["at0"] + np.searchsorted(scene.keyframes, t1) - np.searchsorted(scene.keyframes, t0)
+    key, keys = np.zeros(len(t0), dtype=np.int64), np.zeros(len(read), dtype=np.int64)
+    # Rows are ordered by these columns, of which some queries read but the second.
+    for name in [name for name in moments if name in read.column_names]:
+        key, keys = key * scene.moment_count + moments[name], keys * scene.moment_count + ints(read, name)
+    row = find_sorted(key, keys)
+    # A last row stands for NOBODY.
+    answer = np.append(choice_codes(read["answer"]), np.int8(NOBODY))[row]
+    known = np.where(answer == candidates.answer, Effect.SAME, Effect.DIFFERENT)
+    read_nothing = np.where(row == NOBODY, Effect.UNKNOWN, Effect.EMPTY)
+    outcome = np.where(answer == NOBODY, read_nothing, known).astype(np.int8)
+    return PerturbationResult.of_shift(by, outcome, answer, (t1 + by <= t0) | beyond(context, t1 + by))

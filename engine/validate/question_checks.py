@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import msgspec
 
-from jrdb_avr.engine.generate.proofs import expected_proofs, failing_proofs
+from jrdb_avr.engine.generate.proofs import expected, failing
 from jrdb_avr.engine.rederive import Annotations, NeededBox, rederive
 from jrdb_avr.engine.validate.outcomes import Validation
 from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, FrameViewpoint, Span, decode_answer, encode_answer
@@ -123,13 +123,13 @@ def _check_private(
         report.check("proofs", False, f"{name}: {error}")
         return
     named = [(str(one.get("kind")), str(one.get("variant"))) for one in proofs]
-    expected = expected_proofs(row["template"], plan, rules)
-    known = sorted(named) == sorted(expected)
-    odd = sorted(expected.symmetric_difference(named)) or sorted(named)
+    wanted = expected(row["template"], plan, rules)
+    known = sorted(named) == sorted(wanted)
+    odd = sorted(wanted.symmetric_difference(named)) or sorted(named)
     report.check("proofs", known, f"{name}: proofs missing, or not expected: {', '.join(map(' '.join, odd))}")
     holds = {key: one.get("holds") is True for key, one in zip(named, proofs, strict=True)}
-    failing = failing_proofs(row["template"], holds)
-    report.check("proofs", not failing, f"{name}: {', '.join(failing)} do not hold")
+    broken = failing(row["template"], holds)
+    report.check("proofs", not broken, f"{name}: {', '.join(broken)} do not hold")
     fitting = len(distractors) == len(row["choices"])
     if fitting and isinstance(answer, Choice) and answer.choice <= len(distractors):
         fitting = distractors[answer.choice - 1] is None

@@ -13,19 +13,20 @@ from typing import Any, Final
 
 import numpy as np
 
-from jrdb_avr.engine.generate.candidates import PASSED, RULES, Candidates, candidate_table
+from jrdb_avr.engine.generate.candidates import PASSED, RULES, Candidates, to_table
 from jrdb_avr.engine.generate.conditions import find_conditions
-from jrdb_avr.engine.generate.descriptions import Descriptions, describe_given
-from jrdb_avr.engine.generate.distractors import make_choices
-from jrdb_avr.engine.generate.proofs import make_record, proof
-from jrdb_avr.engine.generate.relations import RELATIONS, Steps, find_facts, find_steps
-from jrdb_avr.engine.generate.scene import NOBODY, Ints, Scene, load_scene, weight
-from jrdb_avr.engine.generate.search import find_candidates, search_graph
+from jrdb_avr.engine.generate.context import SearchContext
+from jrdb_avr.engine.generate.descriptions import resolve
+from jrdb_avr.engine.generate.records import make_record
+from jrdb_avr.engine.generate.relations import RELATIONS, find_facts
+from jrdb_avr.engine.generate.scene import NOBODY, Ints, box_count, load_scene
+from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.engine.rederive import Annotations, rederive
 from jrdb_avr.engine.validate.stored import Difference, Stored, decoded, read_plans, short
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import map_shards
 from jrdb_avr.schema.plan import Plan, canonical
+from jrdb_avr.schema.questions import Proof
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import Template
 
@@ -34,7 +35,7 @@ _TOLERANCE: Final = 1e-9
 
 
 @dataclass(frozen=True)
-class Job:
+class ReplayJob:
     """A sequence whose questions' proofs are to be run again."""
 
     store: Path
@@ -57,16 +58,16 @@ def replay(
     by_sequence: dict[str, list[Stored]] = {}
     for question in questions:
         by_sequence.setdefault(question.sequence, []).append(question)
-    jobs = [Job(store.path, name, rules, tuple(members)) for name, members in sorted(by_sequence.items())]
+    jobs = [ReplayJob(store.path, name, rules, tuple(members)) for name, members in sorted(by_sequence.items())]
     found: dict[str, list[Difference]] = {}
-    for index, differences in map_shards(replay_sequence, jobs, workers, lambda job: weight(store, job.sequence)):
+    for index, differences in map_shards(replay_sequence, jobs, workers, lambda job: box_count(store, job.sequence)):
         for difference in differences:
             found.setdefault(difference.question_id, []).append(difference)
         advance(len(jobs[index].questions))
     return [difference for question in questions for difference in found.pop(question.question_id, [])]
 
 
-def replay_sequence(job: Job) -> list[Difference]:
+def replay_sequence(job: ReplayJob) -> list[Difference]:
     """Run the proofs of one sequence's questions again."""
     store = Store(job.store)
     scene = load_scene(store, job.sequence)
@@ -74,7 +75,7 @@ def replay_sequence(job: Job) -> list[Difference]:
     given, differences = read_plans(job.questions)
     conditions = find_conditions(scene, facts, job.rules)
     stated = [(_root(plan), _frame(plan)) for _, plan, _ in given]
-    descriptions, names = describe_given(scene, conditions, stated, job.rules)
+    descriptions, names = resolve(conditions, stated, job.rules)
     searched: dict[str, list[tuple[Stored, Plan, int]]] = {}
     forms: dict[str, Template] = {}
     for (question, plan, form), name in zip(given, names, strict=True):
@@ -84,11 +85,9 @@ def replay_sequence(job: Job) -> list[Difference]:
         forms[form.query] = form
         searched.setdefault(form.query, []).append((question, plan, name))
     annotations = Annotations.read(store, job.sequence, job.rules)
-    steps = find_steps(scene, facts)
-    with search_graph(scene, facts, descriptions, job.rules) as graph:
+    with SearchContext(scene, job.rules, facts, descriptions) as context:
         for query, members in searched.items():
-            candidates = find_candidates(scene, facts, descriptions, graph, forms[query], job.rules)
-            again = _Again(scene, steps, descriptions, candidates, annotations, job.rules)
+            again = _Regenerated(context, find_candidates(context, forms[query]), annotations)
             for (question, plan, _), line in zip(members, _lines(again, members), strict=True):
                 differences += again.compared(question, plan, line)
     return differences
@@ -104,10 +103,10 @@ def _frame(plan: Plan) -> int:
 
 
 _Line = Mapping[str, Any]
-"""A candidate as `candidate_table` tells of it."""
+"""A candidate as a row of `to_table`."""
 
 
-def _lines(again: _Again, members: Sequence[tuple[Stored, Plan, int]]) -> list[_Line | None]:
+def _lines(again: _Regenerated, members: Sequence[tuple[Stored, Plan, int]]) -> list[_Line | None]:
     """For each plan with the number of its description, the candidate that has this plan, None where there is none."""
     candidates = again.candidates
     order = np.argsort(candidates.name, kind="stable")
@@ -123,7 +122,7 @@ def _lines(again: _Again, members: Sequence[tuple[Stored, Plan, int]]) -> list[_
             rows = rows[codes[rows] == (RELATIONS.index(relation) if relation in RELATIONS else NOBODY)]
         likely.append(rows)
     every = np.unique(np.concatenate(likely)) if likely else np.zeros(0, np.int64)
-    table = candidate_table(again.scene, again.descriptions, candidates, every)
+    table = to_table(again.context, candidates, every)
     lines = {line["row"]: line for line in table.to_pylist()}
     texts = [canonical(plan) for _, plan, _ in members]
     return [
@@ -138,52 +137,43 @@ def _relation(plan: Plan, name: str) -> str | None:
 
 
 @dataclass(frozen=True)
-class _Again:
+class _Regenerated:
     """Candidates of a template, found and proven again."""
 
-    scene: Scene
-    steps: Steps
-    descriptions: Descriptions
+    context: SearchContext
     candidates: Candidates
     annotations: Annotations
-    rules: Rules
 
     def compared(self, question: Stored, plan: Plan, line: _Line | None) -> Iterator[Difference]:
         """What differs from what is stored; `line` is the candidate with the question's plan."""
         if line is None:
             yield Difference(question.question_id, "plan", "the stored plan finds no candidate")
             return
-        row, answer, stored = line["row"], line["answer"], question.row
-        refusing = int(self.candidates.rule[row])
+        refusing = int(self.candidates.rule[line["row"]])
         if refusing != PASSED:
             yield Difference(question.question_id, RULES[refusing], "refuses the candidate, run again")
             return
-        record = make_record(self.scene, self.descriptions, self.candidates, row, answer, self.rules)
-        second = rederive(self.annotations, plan, question.template, self.rules)
-        agrees = second.outcome == "defined" and second.answer == answer and not second.faults
+        second = rederive(self.annotations, plan, question.template, self.context.rules)
+        agrees = second.outcome == "defined" and second.answer == line["answer"] and not second.faults
         outcome = "same" if agrees else "different" if second.outcome == "defined" else second.outcome
-        proofs = [*record.proofs, proof("rederive", "annotations", agrees, outcome, second.answer)]
-        yield from _proofs_differ(question, proofs)
-        columns = {
-            "answer": (question.said, answer),
-            "target_track": (stored["target_track"], line["target_track"]),
-            "bindings": (decoded(stored["bindings"]), record.bindings),
-            "needed": (decoded(stored["needed"]), [box.plain() for box in record.needed]),
-        }
-        columns |= {
-            name: (stored[name], getattr(record, name))
-            for name in ("hops", "time_gap_s", "separation_deg", "people_in_scene")
-        }
-        if self.candidates.template.answer is None:
-            choices = make_choices(
-                self.scene, self.steps, self.descriptions, self.candidates, row, line["key"], self.rules
-            )
-            columns["choices"] = (list(question.choices), list(choices.texts) if choices else None)
-            told = list(choices.perturbations) if choices else None
-            columns["distractors"] = (decoded(stored["distractors"]), told)
+        rederived = Proof("rederive", "annotations", agrees, outcome, second.answer)
+        record = make_record(self.context, self.candidates, line, rederived)
+        if record is None:
+            yield Difference(question.question_id, "choices", "now there are fewer than three wrong answers")
+            return
+        again = record.columns()
+        yield from _proofs_differ(question, decoded(again["proofs"]))
+        columns = {"answer": (question.said, line["answer"]), "choices": (list(question.choices), list(record.choices))}
+        columns |= {name: (question.row[name], again[name]) for name in _COMPARED}
         for name, (before, now) in columns.items():
+            if name in _JSON:
+                before, now = decoded(str(before)), decoded(str(now))
             if not _same(before, now):
                 yield Difference(question.question_id, name, f"stored {short(before)}, now {short(now)}")
+
+
+_JSON: Final = ("bindings", "needed", "distractors")
+_COMPARED: Final = ("target_track", *_JSON, "hops", "time_gap_s", "separation_deg", "people_in_scene")
 
 
 def _proofs_differ(question: Stored, again: Sequence[Mapping[str, Any]]) -> Iterator[Difference]:

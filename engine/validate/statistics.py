@@ -16,7 +16,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from jrdb_avr.engine.generate.blind import Posed, blind_check, posed
+from jrdb_avr.engine.generate.blind import QuestionText, blind_check, question_texts
 from jrdb_avr.engine.generate.diagnostics import shortfalls, tallies
 from jrdb_avr.engine.generate.selection import PROFILES
 from jrdb_avr.queries.store import Store
@@ -101,7 +101,7 @@ class _Needed(msgspec.Struct):
 class Asked:
     """A question with its private side and what is measured of it."""
 
-    posed: Posed
+    posed: QuestionText
     family: str
     target: int
     distractors: tuple[str | None, ...]
@@ -112,7 +112,7 @@ def statistics(store: Store) -> dict[str, list[dict[str, Any]]]:
     """Rows of every table in TITLES. Raises StoreError where there are no questions."""
     questions, answers, rejected = (store.questions(name) for name in ("questions", "answers", "rejected"))
     private = answers.sort_by("question_id").to_pylist()
-    asked = [_asked(one, own) for one, own in zip(posed(questions, answers), private, strict=True)]
+    asked = [_asked(one, own) for one, own in zip(question_texts(questions, answers), private, strict=True)]
     sequences = store.manifest().sequences
     lacking = _lacking({name: entry.layers for name, entry in sequences.items()})
     counts = {(row["template"], row["layer"]): row["sequences_without"] for row in lacking}
@@ -137,7 +137,7 @@ def statistics(store: Store) -> dict[str, list[dict[str, Any]]]:
     }
 
 
-def _asked(question: Posed, own: Mapping[str, Any]) -> Asked:
+def _asked(question: QuestionText, own: Mapping[str, Any]) -> Asked:
     needed = msgspec.json.decode(own["needed"], type=list[_Needed])
     measures = {name: float(own[name]) for name in MEASURES if name in own}
     angles = np.array([center_angle(box.x, box.w) for box in needed])

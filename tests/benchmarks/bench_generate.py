@@ -34,13 +34,13 @@ import numpy as np
 import pyarrow.parquet as pq
 from bench_load import Clock, Memory, sample
 
-from jrdb_avr.engine.generate import search
+from jrdb_avr.engine.generate import context as contexts
+from jrdb_avr.engine.generate import records, search
 from jrdb_avr.engine.generate import sequence as shard
-from jrdb_avr.engine.generate.candidates import ask, ints
-from jrdb_avr.engine.generate.descriptions import describe_people
+from jrdb_avr.engine.generate.context import SearchContext
 from jrdb_avr.engine.generate.relations import KIND, RELATIONS, find_facts, find_steps
 from jrdb_avr.engine.generate.run import generate
-from jrdb_avr.engine.generate.scene import NOBODY, coded, load_scene
+from jrdb_avr.engine.generate.scene import NOBODY, coded, ints, load_scene
 from jrdb_avr.loaders.load import load
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.queries.graph.handle import Graph
@@ -96,9 +96,9 @@ def measure_steps(store):
     steps, templates = Exclusive(), Exclusive()
     rows = defaultdict(int)
 
-    def found(scene, facts, descriptions, graph, template, rules):
+    def found(context, template):
         with templates(template.name), steps("search and proofs"):
-            result = search.find_candidates(scene, facts, descriptions, graph, template, rules)
+            result = search.find_candidates(context, template)
         rows[template.name] += len(result)
         return result
 
@@ -107,25 +107,25 @@ def measure_steps(store):
             judge(self, forms)
 
     named = {
-        "load_scene": "tables of the sequence",
-        "find_facts": "relations and descriptions",
-        "describe_people": "relations and descriptions",
-        "search_graph": "graph of the sequence",
-        "candidate_table": "plans and keys",
-        "rederive": "second path",
-        "make_record": "records and choices",
-        "make_choices": "records and choices",
+        (shard, "load_scene"): "tables of the sequence",
+        (contexts, "find_facts"): "relations and descriptions",
+        (contexts, "describe_people"): "relations and descriptions",
+        (contexts, "scene_graph"): "graph of the sequence",
+        (shard, "to_table"): "plans and keys",
+        (shard, "rederive"): "second path",
+        (shard, "make_record"): "records and choices",
+        (records, "make_choices"): "records and choices",
     }
     with contextlib.ExitStack() as stack:
         stack.enter_context(mock.patch.object(shard, "find_candidates", found))
         stack.enter_context(mock.patch.object(shard._Search, "judge", judged))
         read = steps.timed("second path: its tables", shard.Annotations.read)
         stack.enter_context(mock.patch.object(shard.Annotations, "read", read))
-        for name, step in named.items():
-            stack.enter_context(mock.patch.object(shard, name, steps.timed(step, getattr(shard, name))))
+        for (module, name), step in named.items():
+            stack.enter_context(mock.patch.object(module, name, steps.timed(step, getattr(module, name))))
         for sequence in sorted(store.manifest().sequences):
             with templates("(for all)"), steps("examples, thinning out, the rest"):
-                shard.search_sequence(shard.Job(store.path, sequence, RULES))
+                shard.search_sequence(shard.SequenceJob(store.path, sequence, RULES))
     for title, clock in (("step", steps), ("template", templates)):
         whole = sum(clock.seconds.values())
         print(f"\n{title:36}{'cpu s':>9}{'share':>9}" + ("" if clock is steps else f"{'candidates':>13}"))
@@ -223,7 +223,7 @@ def people_there(scene, facts):
     count = len(scene.keyframes)
     there = [{} for _ in range(count)]
     for moment in np.flatnonzero(scene.moment_rows != NOBODY).tolist():
-        told = facts.told[:, moment].tolist()
+        told = facts.known[:, moment].tolist()
         there[moment % count][moment // count] = int(scene.moment_poses[moment]), told
     return there
 
@@ -290,24 +290,24 @@ def measure_chains(store):
 
     for sequence in sorted(store.manifest().sequences):
         scene = load_scene(store, sequence)
-        facts = find_facts(scene)
-        names = describe_people(scene, facts, RULES)
+        context = SearchContext.of(scene, RULES)
+        facts, names = context.facts, context.descriptions
         starts = [(name, int(names.moment[name])) for name in np.flatnonzero(names.general).tolist()]
         with clock("built"):
             graphs = {"timed edges": Timed(scene, facts), "a graph per keyframe": PerKeyframe(scene, facts)}
         edges["timed edges"] += graphs["timed edges"].graph.number_of_edges()
         edges["a graph per keyframe"] += len(facts.source)
-        with search.search_graph(scene, facts, names, RULES) as graph:
+        with context:
             with clock("relations"):
                 leads = find_steps(scene, find_facts(scene)).tables()["Leads"]
                 with Graph.memory() as other:
                     other.execute("CREATE NODE TABLE Moment(id INT64 PRIMARY KEY)")
-                    other.copy("Moment", graph.query("MATCH (m:Moment) RETURN m.id AS id", ordered=False))
+                    other.copy("Moment", context.graph.query("MATCH (m:Moment) RETURN m.id AS id", ordered=False))
                     other.execute("CREATE REL TABLE Leads(FROM Moment TO Moment, relation STRING)")
                     other.copy("Leads", leads)
             for template, columns in CHAINS.items():
                 with clock("here", template):
-                    table = ask(graph, "generators", template, RULES)
+                    table = context.query("generators", template)
                 numbers = [
                     coded(table[column], RELATIONS) if column[0] == "r" else ints(table, column) for column in columns
                 ]

@@ -12,14 +12,12 @@ import duckdb
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.engine.generate.candidates import RULES, VALUES, ask, codes, ints
-from jrdb_avr.engine.generate.chains import Paths, paths_in_graph
-from jrdb_avr.engine.generate.descriptions import describe_people
-from jrdb_avr.engine.generate.fork_join import find_joins
-from jrdb_avr.engine.generate.forks import find_forks
-from jrdb_avr.engine.generate.relations import RELATIONS, find_facts
-from jrdb_avr.engine.generate.scene import coded, load_scene
-from jrdb_avr.engine.generate.search import find_candidates, search_graph
+from jrdb_avr.engine.generate.candidates import RULES, VALUES
+from jrdb_avr.engine.generate.chains import paths_in_graph
+from jrdb_avr.engine.generate.context import SearchContext
+from jrdb_avr.engine.generate.fork_join import find_forks, find_joins
+from jrdb_avr.engine.generate.scene import ints, load_scene
+from jrdb_avr.engine.generate.search import find_candidates, list_candidates
 from jrdb_avr.schema import labels as words
 from jrdb_avr.schema.labels import POSES_OF_INTERACTIONS
 from jrdb_avr.schema.templates import TEMPLATES
@@ -70,11 +68,10 @@ class Search:
     """
 
     def __init__(self, store, sequence, rules, values):
-        self.rules, self.found = rules, {}
+        self.found = {}
         self.scene = load_scene(store, sequence)
-        self.facts = find_facts(self.scene)
-        self.descriptions = describe_people(self.scene, self.facts, rules)
-        self.graph = search_graph(self.scene, self.facts, self.descriptions, rules)
+        self.context = SearchContext.of(self.scene, rules)
+        self.descriptions = self.context.descriptions
         self.database = duckdb.connect(config={"threads": 1})
         for table in TABLES:
             self.database.read_parquet(str(store.interval_path(table, sequence))).create(table)
@@ -86,7 +83,7 @@ class Search:
             self.database.execute((SQL / f"{script}.sql").read_text())
 
     def close(self):
-        self.graph.close()
+        self.context.graph.close()
         self.database.close()
 
     def _give(self, table, names, rows):
@@ -116,7 +113,7 @@ class Search:
     def _judged(self, name):
         """Candidates that no one query lists, with the rule that refuses each."""
         template = next(template for template in TEMPLATES.values() if template.name == name)
-        found = find_candidates(self.scene, self.facts, self.descriptions, self.graph, template, self.rules)
+        found = find_candidates(self.context, template)
         texts, number = self.descriptions.texts
         rules, answers = pa.array([*RULES, None]), pa.array(VALUES)
         columns = [pa.array(texts, pa.string()).take(pa.array(number[found.name])), found.frames["t0"]]
@@ -131,17 +128,16 @@ class Search:
 
     def _search(self, name):
         if name == "fork_join":
-            joins = find_joins(self.scene, self.facts, self.descriptions.conditions, self.rules)
-            return find_forks(self.graph, joins, self.rules)
+            return find_forks(self.context, find_joins(self.context))
         if name == "gap_count_people":
             return self._people_counted()
-        found = ask(self.graph, "generators", name, self.rules)
+        found = self.context.query("generators", name)
         return found.rename_columns(["at0", "b", "c"]) if name == "fork" else found
 
     def _people_counted(self):
         """Whom companies meet, the company being told by where it begins and its relation."""
         text = "MATCH (m:Moment)-[:Keeps]->(c:Company) RETURN c.id AS id, m.id AS at0, c.relation AS r1 ORDER BY id"
-        companies, met = self.graph.query(text), ask(self.graph, "generators", "gap_count_people", self.rules)
+        companies, met = self.context.graph.query(text), self.context.people_met
         rows = met["company"].to_numpy()
         return pa.table(
             {
@@ -158,22 +154,17 @@ class Search:
         """The paths of a template's candidates, put into both databases."""
         found = self._found(name)
         template = next(template for template in TEMPLATES.values() if template.name == name)
-        people = {node: ints(found, "at0" if node == "a" else node) for node in template.people}
-        relations = {relation: coded(found[relation], RELATIONS) for relation in template.relations}
-        description = self.descriptions.texts[1][ints(found, "name")]
-        times = {"t0": self.scene.frames(people["a"])}
-        segments = np.full(len(found), -1)
-        paths = Paths(template, description, people, relations, times, segments, codes(found["answer"]))
+        paths = list_candidates(self.context, template, found)
         self.database.execute(
             "CREATE OR REPLACE TEMP TABLE paths AS"
             f" SELECT * FROM ({(SQL / 'generators' / f'{name}.sql').read_text()}) found({', '.join(OF_PATHS[name])})"
         )
-        with paths_in_graph(self.graph, paths):
+        with paths_in_graph(self.context, paths):
             yield found
 
     def perturbed(self, name, found=None, **values):
         """The rows of a necessity query; `found` are the candidates whose paths are in the graph."""
-        rows = ask(self.graph, "necessity", name, self.rules, **values)
+        rows = self.context.query("necessity", name, **values)
         if found is not None:
             paths = found.select(["name", "at0", *(n for n in ("r1", "r2", "r3", "r4") if n in found.column_names)])
             columns = paths.take(rows["id"])
@@ -204,7 +195,7 @@ class Search:
         """Tracks of moments; reasons for nobody stay as they are."""
         if not len(moments):
             return moments
-        return np.where(moments < 0, moments, self.scene.tracks[self.scene.persons(np.maximum(moments, 0))])
+        return np.where(moments < 0, moments, self.scene.tracks[self.scene.people(np.maximum(moments, 0))])
 
 
 def _table(columns):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jrdb_avr.engine.generate.blind import Posed, best_guess, blind_check, posed
+from jrdb_avr.engine.generate.blind import QuestionText, best_guess, blind_check, question_texts
 from jrdb_avr.schema.answers import Choice, FrameAnswer, Number, Span, encode_answer, same_answer
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.tables import QUESTIONS
@@ -18,13 +18,13 @@ POSES = ("walking", "standing", "sitting", "cycling")
 
 
 def choice(sequence, answer, words=("reading",), times=(0, 60), choices=POSES):
-    return Posed(
+    return QuestionText(
         sequence, "change", "action", "multiple_choice", choices, words, times, Choice(choices.index(answer) + 1)
     )
 
 
 def start(sequence, t0, frame, words=("walking",)):
-    return Posed(sequence, "start", "start", "frame", (), words, (t0,), FrameAnswer(frame))
+    return QuestionText(sequence, "start", "start", "frame", (), words, (t0,), FrameAnswer(frame))
 
 
 def test_choice_guessers_by_hand():
@@ -70,15 +70,17 @@ def test_frames_by_hand():
 
 def test_each_stated_time_is_tried():
     rows = [
-        Posed("a", "start", "start", "frame", (), (), (0, second), FrameAnswer(second + 50))
+        QuestionText("a", "start", "start", "frame", (), (), (0, second), FrameAnswer(second + 50))
         for second in (100, 500, 900)
     ]
     assert blind_check(rows)[0]["offset"] == 1.0
 
 
 def test_seconds_and_counts_are_judged_apart():
-    rows = [Posed("a", "gap", "seconds_between", "number", (), (), (0,), Number(v)) for v in (5.0, 20.0, 21.0, 40.0)]
-    rows += [Posed("a", "gap", "count", "number", (), (), (0, 300), Number(v)) for v in (4.0, 5.0, 6.0)]
+    rows = [
+        QuestionText("a", "gap", "seconds_between", "number", (), (), (0,), Number(v)) for v in (5.0, 20.0, 21.0, 40.0)
+    ]
+    rows += [QuestionText("a", "gap", "count", "number", (), (), (0, 300), Number(v)) for v in (4.0, 5.0, 6.0)]
     counts, seconds = blind_check(rows)
     assert [row["template"] for row in (counts, seconds)] == ["gap", "gap"]
     assert (seconds["asks"], seconds["n"], seconds["constant"], seconds["aim"]) == ("seconds", 4, 0.75, 0.58)
@@ -114,7 +116,7 @@ def test_no_constant_frame_is_better(frames):
 @settings(deadline=None)
 def test_no_constant_number_is_better(tenths):
     values = [tenth / 10 for tenth in tenths]
-    rows = [Posed("a", "gap", "seconds_between", "number", (), (), (0,), Number(v)) for v in values]
+    rows = [QuestionText("a", "gap", "seconds_between", "number", (), (), (0,), Number(v)) for v in values]
     tried = [value * factor for value in values for factor in (0.5, 1, 2)]
     best = max(sum(0.5 <= c / v <= 2.0 for v in values) for c in tried)
     assert sum(same_answer(best_guess(rows, lambda q: 0), Number(v)) for v in values) == best
@@ -122,7 +124,7 @@ def test_no_constant_number_is_better(tenths):
 
 def test_spans_try_their_own_answers():
     rows = [
-        Posed("a", "span", "span", "span", (), (), (0,), Span(*pair))
+        QuestionText("a", "span", "span", "span", (), (), (0,), Span(*pair))
         for pair in ((0, 99), (10, 109), (20, 119), (500, 550))
     ]
     assert blind_check(rows)[0]["constant"] == 0.75
@@ -153,8 +155,10 @@ def test_posed_reads_the_public_text():
         schema=QUESTIONS["questions"],
     )
     answers = pa.table({"question_id": ["0" * 16], "answer": [encode_answer(Choice(3))]})
-    (question,) = posed(questions, answers)
-    assert question == Posed("s", "change", "action", "multiple_choice", POSES, ("reading",), (15, 90), Choice(3))
+    (question,) = question_texts(questions, answers)
+    assert question == QuestionText(
+        "s", "change", "action", "multiple_choice", POSES, ("reading",), (15, 90), Choice(3)
+    )
     assert question.waits == (1,)
     assert blind_check([question])[0]["text_only"] == 0.25
 

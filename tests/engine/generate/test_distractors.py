@@ -6,22 +6,22 @@ from quick_store import quick_store
 from test_generate_worlds import SEQUENCE, build
 from worlds import person
 
-from jrdb_avr.engine.generate.sequence import Job, search_sequence
+from jrdb_avr.engine.generate.sequence import SequenceJob, search_sequence
 from jrdb_avr.schema.rules import Rules
 
 
 def kept(tmp_path, world, template):
     """The kept candidates of a template, by stated seconds."""
     store = quick_store(tmp_path, world)
-    found = search_sequence(Job(store.path, SEQUENCE, Rules(max_per_person=1000, near_duplicate_s=0.0)))
-    rows = [] if found.kept is None else found.kept.to_pylist()
+    found = search_sequence(SequenceJob(store.path, SEQUENCE, Rules(max_per_person=1000, near_duplicate_s=0.0)))
+    rows = found.pool.to_pylist()
     return {tuple(t // 15 for t in row["times"]): row for row in rows if row["template"] == template}
 
 
 def told(row):
     """{choice: perturbation} of the wrong choices."""
     pairs = zip(row["choices"], json.loads(row["distractors"]), strict=True)
-    return {text: why for text, why in pairs if text != row["answer"]}
+    return {text: why for text, why in pairs if text != row["answer_text"]}
 
 
 def test_wrong_poses_come_from_mistakes_first(tmp_path):
@@ -32,8 +32,8 @@ def test_wrong_poses_come_from_mistakes_first(tmp_path):
         ]
     )
     row = kept(tmp_path, world, "change")[0, 10]
-    assert row["answer"] == "walking"
-    assert row["choices"][row["true_choice"] - 1] == "walking"
+    assert row["answer_text"] == "walking"
+    assert row["choices"][json.loads(row["answer"])["choice"] - 1] == "walking"
     found = told(row)
     assert found["sitting"] == "pose at t0"
     assert found["standing"] == "time.shift +3 s"
@@ -62,7 +62,7 @@ def test_the_look_alike_goes_on_in_another_way(tmp_path):
         ]
     )
     row = kept(tmp_path, world, "consequence")[0,]
-    assert row["answer"] == "walking"
+    assert row["answer_text"] == "walking"
     found = told(row)
     assert found["sitting"] == "pose at t0"
     # The one stands up from walking; the other stands from beginning to end, which is no next pose.
@@ -83,7 +83,7 @@ def test_the_look_alike_leads_somewhere_else(tmp_path):
         ]
     )
     row = kept(tmp_path, world, "two_hop")[2,]
-    assert (row["target_track"], row["answer"]) == (3, "sitting")
+    assert (row["target_track"], row["answer_text"]) == (3, "sitting")
     found = told(row)
     assert found["standing"] == "hop.stop(1)"
     # The same two steps from 4, who reads too, lead to 6; those from 7 to 5 and on to 4, who stands.
@@ -94,7 +94,7 @@ def test_presence_offers_all_four_answers(tmp_path):
     world = build(["1 | sssssssss--------- | column 400", "2 | tttttttttttttttttt | column 900"])
     # Of the same two times after different descriptions only one question is kept.
     row = next(row for when, row in kept(tmp_path, world, "presence").items() if when[1:] == (7, 12))
-    assert row["answer"] == "only at the first time"
+    assert row["answer_text"] == "only at the first time"
     assert len(set(row["choices"])) == 4
     assert told(row)["neither time"] == "time.shift +3 s"
 

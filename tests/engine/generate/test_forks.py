@@ -13,10 +13,10 @@ from quick_store import quick_store
 from worlds import person
 
 from jrdb_avr.engine.generate.candidates import PASSED, RULES, VALUES
-from jrdb_avr.engine.generate.descriptions import describe_people
-from jrdb_avr.engine.generate.relations import RELATIONS, find_facts, find_steps
+from jrdb_avr.engine.generate.context import SearchContext
+from jrdb_avr.engine.generate.relations import RELATIONS
 from jrdb_avr.engine.generate.scene import load_scene
-from jrdb_avr.engine.generate.search import find_candidates, search_graph
+from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import TEMPLATES
 
@@ -146,11 +146,10 @@ def compare(seed, folder):
     """Check one world; returns how many candidates each rule refuses."""
     seconds, rules = crowd(random.Random(seed)), Rules()
     scene = load_scene(quick_store(folder, root_of(seconds)), SEQUENCE)
-    facts = find_facts(scene)
-    names, steps = describe_people(scene, facts, rules), find_steps(scene, facts)
     template = next(t for t in TEMPLATES.values() if t.name == "fork_join")
-    with search_graph(scene, facts, names, rules) as graph:
-        rows = find_candidates(scene, facts, names, graph, template, rules)
+    with SearchContext.of(scene, rules) as context:
+        rows = find_candidates(context, template)
+    names, steps = context.descriptions, context.steps
 
     def track(moment):
         nowhere = {-1: EMPTY, -2: SEVERAL, -3: UNKNOWN}

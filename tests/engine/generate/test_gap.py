@@ -1,6 +1,7 @@
 """All questions about gaps of busy small worlds: what the search finds is what the second path finds by trying all."""
 
 import itertools
+import json
 import random
 import tempfile
 from collections import Counter
@@ -15,18 +16,18 @@ from hypothesis import strategies as st
 from quick_store import memory_store, quick_store
 from worlds import member, person, person_3d
 
-from jrdb_avr.engine.generate.candidates import PASSED, candidate_table
+from jrdb_avr.engine.generate.candidates import PASSED, to_table
 from jrdb_avr.engine.generate.candidates import RULES as RULES_OF_CANDIDATES
-from jrdb_avr.engine.generate.descriptions import describe_people
-from jrdb_avr.engine.generate.proofs import make_record
-from jrdb_avr.engine.generate.relations import find_facts
+from jrdb_avr.engine.generate.context import SearchContext
+from jrdb_avr.engine.generate.records import make_record
 from jrdb_avr.engine.generate.scene import load_scene
-from jrdb_avr.engine.generate.search import find_candidates, search_graph
-from jrdb_avr.engine.generate.sequence import Job, search_sequence
+from jrdb_avr.engine.generate.search import find_candidates
+from jrdb_avr.engine.generate.sequence import SequenceJob, search_sequence
 from jrdb_avr.engine.rederive import UNKNOWN, Annotations, rederive
 from jrdb_avr.schema.answers import decode_answer, encode_answer
 from jrdb_avr.schema.panorama import visible_share
 from jrdb_avr.schema.plan import canonical, parse_plan
+from jrdb_avr.schema.questions import Proof
 from jrdb_avr.schema.relations import SAME_GROUP
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import TEMPLATES, Slots
@@ -86,19 +87,17 @@ def busy_world(rng):
 
 def searched(scene):
     """{form: {(plan, answer, needed boxes, people and times)}} of the proven candidates."""
-    facts = find_facts(scene)
-    names = describe_people(scene, facts, RULES)
     found = {}
-    with search_graph(scene, facts, names, RULES) as graph:
+    with SearchContext.of(scene, RULES) as context:
         for form in FORMS:
-            rows = find_candidates(scene, facts, names, graph, form, RULES)
+            rows = find_candidates(context, form)
             proven = np.flatnonzero(rows.rule == PASSED)
             found[form.form] = set()
-            for line in candidate_table(scene, names, rows, proven, keyed=False).to_pylist():
-                record = make_record(scene, names, rows, line["row"], line["answer"], RULES)
+            for line in to_table(context, rows, proven).to_pylist():
+                record = make_record(context, rows, line, Proof("rederive", "annotations", True, "same"))
                 needed = frozenset((box.node, box.track, box.frame, box.decisive) for box in record.needed)
                 found[form.form].add((line["plan"], line["answer"], needed, tuple(sorted(record.bindings.items()))))
-    return names, found
+    return context.descriptions, found
 
 
 def settled(annotations, outcome, plan):
@@ -192,12 +191,12 @@ def test_forms_are_judged_together(tmp_path, monkeypatch):
     store = quick_store(tmp_path, busy_world(random.Random(9)))
     file = tmp_path / "candidates.parquet"
     rules = msgspec.structs.replace(RULES, max_per_person=2)
-    found = search_sequence(Job(store.path, NAME, rules, file))
-    assert found.faults == () and found.lacking == {}
+    found = search_sequence(SequenceJob(store.path, NAME, rules, file))
+    assert found.faults == [] and found.lacking == {}
     counts = {what: count for (template, what), count in found.counts.items() if template == "gap"}
     assert len(counts) == len(found.counts)
     assert counts["candidates"] == counts["proven"] + sum(counts.get(rule, 0) for rule in RULES_OF_CANDIDATES)
-    kept = found.kept.to_pylist()
+    kept = found.pool.to_pylist()
     assert counts["proven"] == len(kept) + counts["near_duplicate"] + counts["max_per_person"]
     written = pq.read_table(file).to_pylist()
     assert len(written) == counts["proven"] and {row["template"] for row in written} == {"gap"}
@@ -205,7 +204,8 @@ def test_forms_are_judged_together(tmp_path, monkeypatch):
     assert max(Counter(row["target_track"] for row in kept).values()) == 2
     for first, second in itertools.combinations(kept, 2):
         if first["target_track"] == second["target_track"]:
-            apart = [abs(a - b) for a, b in zip(first["read_frames"], second["read_frames"], strict=True)]
+            times = [json.loads(row["bindings"]) for row in (first, second)]
+            apart = [abs(times[0][name] - times[1][name]) for name in ("t1", "t2")]
             assert max(apart) > 30
     for row in kept:
         answer = decode_answer("number", row["answer"])
@@ -219,15 +219,15 @@ def test_without_actions_absences_and_counts_are_asked_about(tmp_path, monkeypat
     for rows in world[NAME]["2d"].values():
         for row in rows:
             del row["action_label"]
-    found = search_sequence(Job(quick_store(tmp_path, world).path, NAME, RULES))
+    found = search_sequence(SequenceJob(quick_store(tmp_path, world).path, NAME, RULES))
     assert found.lacking == {} and found.counts["gap", "candidates"] > 0
 
 
 def test_without_boxes_there_is_nothing_to_ask(tmp_path, monkeypatch):
     monkeypatch.setattr("jrdb_avr.engine.generate.sequence.FORMS", {"gap": tuple(FORMS)})
     store = quick_store(tmp_path, {NAME: {"3d": {0: [person_3d(1, 3.0, 0.0)], 15: []}}})
-    found = search_sequence(Job(store.path, NAME, RULES))
-    assert found.lacking == {"gap": ("2d",)} and found.counts == {} and found.kept is None
+    found = search_sequence(SequenceJob(store.path, NAME, RULES))
+    assert found.lacking == {"gap": ("2d",)} and found.counts == {} and len(found.pool) == 0
 
 
 @settings(max_examples=examples(4), deadline=None, suppress_health_check=list(HealthCheck))

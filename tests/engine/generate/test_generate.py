@@ -22,8 +22,9 @@ from test_generate_oracle import lively_world
 
 from jrdb_avr.engine.commands.generate import generate as generate_command
 from jrdb_avr.engine.generate import views
+from jrdb_avr.engine.generate.diagnostics import REFUSALS
 from jrdb_avr.engine.generate.publish import GENERATION_KEY, TABLES
-from jrdb_avr.engine.generate.run import REFUSALS, generate
+from jrdb_avr.engine.generate.run import generate
 from jrdb_avr.engine.generate.templates import plan_texts
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Span, decode_answer

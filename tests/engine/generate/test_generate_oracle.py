@@ -17,11 +17,10 @@ from quick_store import memory_store
 from random_worlds import random_world
 from worlds import member, person, person_3d, pose
 
-from jrdb_avr.engine.generate.candidates import PASSED, candidate_table
-from jrdb_avr.engine.generate.descriptions import describe_people
-from jrdb_avr.engine.generate.relations import find_facts
+from jrdb_avr.engine.generate.candidates import PASSED, to_table
+from jrdb_avr.engine.generate.context import SearchContext
 from jrdb_avr.engine.generate.scene import load_scene
-from jrdb_avr.engine.generate.search import find_candidates, search_graph
+from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.loaders.synthetic.write import plan, write
@@ -40,15 +39,13 @@ FORMS = {"gap_count", "gap_absence"}
 def candidates(store, sequence):
     """What the engine finds and proves."""
     scene, rules = load_scene(store, sequence), Rules()
-    facts = find_facts(scene)
-    descriptions = describe_people(scene, facts, rules)
     result = []
-    with search_graph(scene, facts, descriptions, rules) as graph:
+    with SearchContext.of(scene, rules) as context:
         for template in TEMPLATES.values():
             if set(template.layers) <= scene.layers:
-                found = find_candidates(scene, facts, descriptions, graph, template, rules)
+                found = find_candidates(context, template)
                 rows = np.flatnonzero(found.rule == PASSED)
-                table = candidate_table(scene, descriptions, found, rows, keyed=False)
+                table = to_table(context, found, rows, keyed=False)
                 result += table.select(["template", "target_track", "plan", "answer"]).to_pylist()
     assert len({row["plan"] for row in result}) == len(result)
     return {tuple(row.values()) for row in result}

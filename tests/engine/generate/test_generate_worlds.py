@@ -10,11 +10,11 @@ from quick_store import memory_store
 from worlds import member, person, person_3d
 
 from jrdb_avr.engine.generate.candidates import OUTCOMES, PASSED, RULES, VALUES
-from jrdb_avr.engine.generate.descriptions import describe_people
-from jrdb_avr.engine.generate.relations import RELATIONS, find_facts
+from jrdb_avr.engine.generate.context import SearchContext
+from jrdb_avr.engine.generate.relations import RELATIONS
 from jrdb_avr.engine.generate.scene import NOBODY, load_scene
-from jrdb_avr.engine.generate.search import find_candidates, search_graph
-from jrdb_avr.engine.generate.sequence import Job, search_sequence
+from jrdb_avr.engine.generate.search import find_candidates
+from jrdb_avr.engine.generate.sequence import SequenceJob, search_sequence
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import TEMPLATES
@@ -110,15 +110,14 @@ def judge(store, claimed):
     """
     rules = Rules()
     scene = load_scene(store, SEQUENCE)
-    facts = find_facts(scene)
-    names = describe_people(scene, facts, rules)
     people = len(scene.keyframes)
     found = {}
-    with search_graph(scene, facts, names, rules) as graph:
+    with SearchContext.of(scene, rules) as context:
+        names = context.descriptions
         for template in TEMPLATES.values():
             if template.query not in claimed or not set(template.layers) <= scene.layers:
                 continue
-            rows = find_candidates(scene, facts, names, graph, template, rules)
+            rows = find_candidates(context, template)
             for i in range(len(rows)):
                 path = walk(scene, rows, i)
                 track = int(path.split()[-1])
@@ -138,7 +137,7 @@ def judge(store, claimed):
 
 def kept(store):
     """{(template, target): questions} without near-duplicates and those above the cap."""
-    table = search_sequence(Job(store.path, SEQUENCE, Rules())).kept
+    table = search_sequence(SequenceJob(store.path, SEQUENCE, Rules())).pool
     return Counter(zip(*(table[name].to_pylist() for name in ("template", "target_track")), strict=True))
 
 
@@ -165,7 +164,7 @@ def named(scene, rows, i):
     """The actions whose start is asked for, or the relation of those counted."""
     if rows.template.counts:
         return RELATIONS[rows.relations["r1"][i]]
-    segments = [int(column[i]) for column in (rows.segment, rows.segment2) if column[i] != NOBODY]
+    segments = [int(column[i]) for column in rows.segments if column[i] != NOBODY]
     if not segments or rows.template.answer is None:
         return None
     return " then ".join(scene.segments["action"][segment].as_py() for segment in segments)
@@ -174,7 +173,7 @@ def named(scene, rows, i):
 def walk(scene, rows, i):
     """The people of a candidate with the letters of relations between them: "1 L 2 G 3", "1 L 2 L60 4, 1 G 3 G 4"."""
     edges = dict(zip(rows.template.edges, rows.template.relations, strict=False))
-    tracks = {node: str(scene.tracks[scene.persons(moment[[i]])[0]]) for node, moment in rows.people.items()}
+    tracks = {node: str(scene.tracks[scene.people(moment[[i]])[0]]) for node, moment in rows.people.items()}
     roads = []
     for edge in [edge for edge in edges if edge[0] == "a"]:
         words = [tracks["a"]]

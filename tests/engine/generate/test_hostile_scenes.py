@@ -15,12 +15,11 @@ from quick_store import graphless_store, quick_store
 from worlds import member, person, person_3d
 
 from jrdb_avr.engine.generate import chains as paths
-from jrdb_avr.engine.generate.descriptions import describe_people
-from jrdb_avr.engine.generate.relations import find_facts
+from jrdb_avr.engine.generate.context import SearchContext
 from jrdb_avr.engine.generate.run import generate
 from jrdb_avr.engine.generate.scene import load_scene
-from jrdb_avr.engine.generate.search import find_candidates, search_graph
-from jrdb_avr.engine.generate.sequence import Job, search_sequence
+from jrdb_avr.engine.generate.search import find_candidates
+from jrdb_avr.engine.generate.sequence import SequenceJob, search_sequence
 from jrdb_avr.engine.rederive import Annotations, rederive
 from jrdb_avr.engine.validate.checks import validate
 from jrdb_avr.schema.plan import parse_plan
@@ -278,14 +277,12 @@ def test_once_a_second_starts_are_about(made):
 def test_blocks_of_paths_prove_what_all_together_prove(made, monkeypatch):
     _, store, _, _ = made
     scene, rules = load_scene(store, sequence_of("crowd")), Rules()
-    facts = find_facts(scene)
-    names = describe_people(scene, facts, rules)
     for template in (row for row in TEMPLATES.values() if row.name in ("two_hop", "three_hop")):
         found = []
         for block in (10**6, 97):
             monkeypatch.setattr(paths, "BLOCK", block)
-            with search_graph(scene, facts, names, rules) as graph:
-                found.append(find_candidates(scene, facts, names, graph, template, rules))
+            with SearchContext.of(scene, rules) as context:
+                found.append(find_candidates(context, template))
         whole, parts = found
         assert len(whole) > 97
         assert np.array_equal(whole.rule, parts.rule)
@@ -332,6 +329,6 @@ def test_a_fair_neither_takes_for_ever_nor_all_memory(tmp_path):
     name = sequence_of("fair")
     store = quick_store(tmp_path, {name: fair()})
     with multiprocessing.get_context("spawn").Pool(1) as pool:
-        seconds, size, number = pool.apply(cost_of_search, (Job(store.path, name, Rules()),))
+        seconds, size, number = pool.apply(cost_of_search, (SequenceJob(store.path, name, Rules()),))
     assert number["three_hop"] > 50_000 and number["presence"] > 1_000_000 and number["gap"] > 10_000
     assert seconds < 120 and size < 2 << 30

@@ -5,18 +5,18 @@ import random
 import numpy as np
 import pytest
 from effort import DEEP
+from msgspec.structs import astuple
 from quick_store import memory_store
 from random_worlds import random_world
 from test_generate_oracle import lively_world
 
-from jrdb_avr.engine.generate.candidates import PASSED, candidate_table
+from jrdb_avr.engine.generate.candidates import PASSED, to_table
 from jrdb_avr.engine.generate.conditions import find_conditions
-from jrdb_avr.engine.generate.descriptions import describe_people
-from jrdb_avr.engine.generate.proofs import make_record
-from jrdb_avr.engine.generate.relations import EMPTY, RELATIONS, SEVERAL, find_facts, find_steps
-from jrdb_avr.engine.generate.relations import UNKNOWN as CANNOT_BE_TOLD
-from jrdb_avr.engine.generate.scene import load_scene
-from jrdb_avr.engine.generate.search import find_candidates, search_graph
+from jrdb_avr.engine.generate.context import SearchContext
+from jrdb_avr.engine.generate.records import bindings, needed_boxes
+from jrdb_avr.engine.generate.relations import RELATIONS, find_facts, find_steps
+from jrdb_avr.engine.generate.scene import NO_MATCH, SEVERAL, UNDECIDED, load_scene
+from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN, Annotations, rederive
 from jrdb_avr.schema.labels import DISTANCE_WORDS, POSES, ROBOT_SECTORS
 from jrdb_avr.schema.plan import Condition, parse_plan
@@ -94,7 +94,7 @@ def test_both_paths_see_the_same_actions_in_random_worlds(random_store):
 
 def test_both_paths_see_the_same_relations_in_random_worlds(random_store):
     """Every relation that leads to somebody anywhere, from everybody at every keyframe."""
-    outcomes = {EMPTY: ("empty", None), SEVERAL: ("ambiguous", None), CANNOT_BE_TOLD: ("unknown", None)}
+    outcomes = {NO_MATCH: ("empty", None), SEVERAL: ("ambiguous", None), UNDECIDED: ("unknown", None)}
     seen = {}
     for sequence in random_store.sequences:
         annotations = Annotations.read(random_store, sequence, RULES)
@@ -137,25 +137,22 @@ def test_both_paths_see_the_same_conditions_in_random_worlds(random_store):
 def compare(store, sequence, most=60):
     """Ask the second path for what the first has proven, at most so many of a template; how many were asked for."""
     scene = load_scene(store, sequence)
-    facts = find_facts(scene)
-    descriptions = describe_people(scene, facts, RULES)
     annotations = Annotations.read(store, sequence, RULES)
     counts = {}
-    with search_graph(scene, facts, descriptions, RULES) as graph:
+    with SearchContext.of(scene, RULES) as context:
         for template in TEMPLATES.values():
             if not set(template.layers) <= scene.layers:
                 continue
-            found = find_candidates(scene, facts, descriptions, graph, template, RULES)
+            found = find_candidates(context, template)
             rows = np.flatnonzero(found.rule == PASSED)
             rows = rows[:: max(1, len(rows) // most)]
-            for line in candidate_table(scene, descriptions, found, rows, keyed=False).to_pylist():
+            for line in to_table(context, found, rows, keyed=False).to_pylist():
                 second = rederive(annotations, parse_plan(line["plan"]), template.name, RULES)
-                record = make_record(scene, descriptions, found, line["row"], line["answer"], RULES)
                 told = (second.outcome, second.answer, second.target, second.faults)
                 assert told == ("defined", line["answer"], line["target_track"], ()), line["plan"]
-                assert dict(second.people) | dict(second.times) == record.bindings, line["plan"]
+                assert dict(second.people) | dict(second.times) == bindings(context, found, line["row"]), line["plan"]
                 boxes = {(box.node, box.track, box.frame, *box.box, box.decisive) for box in second.needed}
-                assert boxes == {tuple(box.plain().values()) for box in record.needed}, line["plan"]
+                assert boxes == {astuple(box) for box in needed_boxes(context, found, line["row"])}, line["plan"]
                 counts[template.query] = counts.get(template.query, 0) + 1
     return counts
 

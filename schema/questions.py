@@ -1,0 +1,79 @@
+"""One question with everything that is stored of it: its row of `questions`, and its private row of `answers`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final, Self
+
+import msgspec
+
+from jrdb_avr.schema.answers import AnswerMode, Choice, decode_answer
+
+
+class Proof(msgspec.Struct, frozen=True):
+    """One proof: whether it holds, how the program's answer compares, and what it answers where it does."""
+
+    kind: str
+    variant: str
+    holds: bool
+    outcome: str
+    answer: str | None = None
+
+
+class NeededBox(msgspec.Struct, frozen=True):
+    """A box that whoever answers must see; the decisive ones do not all lie in the view straight ahead."""
+
+    node: str
+    track: int
+    frame: int
+    x: float
+    y: float
+    w: float
+    h: float
+    decisive: bool
+
+
+class QuestionRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """A question: the columns of `questions`, then those of `answers`, whose JSON texts are read."""
+
+    question_id: str
+    sequence: str
+    family: str
+    template: str
+    question: str
+    choices: tuple[str, ...]
+    answer_mode: AnswerMode
+    answer: str
+    target_track: int
+    plan: str
+    proofs: tuple[Proof, ...]
+    distractors: tuple[str | None, ...]
+    rules: str
+    hops: int
+    time_gap_s: float
+    separation_deg: float
+    people_in_scene: int
+    bindings: dict[str, int]
+    needed: tuple[NeededBox, ...]
+
+    @classmethod
+    def read(cls, row: Mapping[str, Any], own: Mapping[str, Any]) -> Self:
+        """The record of a row of `questions` and its row of `answers`. Raises msgspec.MsgspecError for a bad text."""
+        texts = {name: msgspec.json.decode(own[name]) for name in _JSON_COLUMNS}
+        return msgspec.convert({**own, **row, **texts}, cls)
+
+    def columns(self) -> dict[str, Any]:
+        """The columns of both tables."""
+        texts = {name: msgspec.json.encode(getattr(self, name)).decode() for name in _JSON_COLUMNS}
+        return msgspec.structs.asdict(self) | texts
+
+    @property
+    def answer_text(self) -> str:
+        """The true choice's text, empty where there is no such choice, or the answer's JSON."""
+        answer = decode_answer(self.answer_mode, self.answer)
+        if not isinstance(answer, Choice):
+            return self.answer
+        return self.choices[answer.choice - 1] if answer.choice <= len(self.choices) else ""
+
+
+_JSON_COLUMNS: Final = ("proofs", "distractors", "bindings", "needed")
