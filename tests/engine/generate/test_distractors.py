@@ -109,6 +109,6 @@ def test_a_pose_in_a_closed_gap_is_no_choice(tmp_path):
         here = [person(1, (400, 100, 50, 150), mine), person(2, (900, 100, 50, 150), {"bending": 1})]
         labels[frame] = here
     rows = kept(tmp_path, {SEQUENCE: {"2d": labels}}, "change")
-    assert rows[0, 10]["answer"] == "standing"
+    assert rows[0, 10]["answer_text"] == "standing"
     assert "walking" not in rows[0, 10]["choices"]
     assert "walking" in rows[0, 9]["choices"]
