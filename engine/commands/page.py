@@ -1,51 +1,97 @@
-"""The commands' own help as a page of the documentation: `python -m jrdb_avr.engine.commands.page > docs/commands.md`.
+"""Pages of the documentation that the code itself writes: the help of the commands, and the Python API.
 
-A test compares the page with the commands, so that neither says what the other does not.
+    python -m jrdb_avr.engine.commands.page commands > docs/commands.md
+    python -m jrdb_avr.engine.commands.page api > docs/api.md
+
+Tests compare the pages with the code, so that neither says what the other does not.
 """
 
 from __future__ import annotations
 
+import inspect
+import re
+import sys
 from collections.abc import Iterator
-from typing import Final
+from typing import Any, Final
 
 import click
 
+import jrdb_avr
 from jrdb_avr.engine.cli import COMMANDS, group
 
 NAME: Final = "jrdb-avr"
-_WIDTH: Final = 100
+_HOW: Final[dict[str, Any]] = {"terminal_width": 100, "max_content_width": 100, "help_option_names": ["-h", "--help"]}
 
 
 def commands_page() -> str:
-    """The page in Markdown: every command, with those inside a group after it."""
+    """The page of the commands in Markdown: each with its help, those inside a group after it."""
     parts = ["# Commands\n", "What `--help` of each command prints. This page is made by them: see the foot of it.\n"]
-    top = click.Context(group, info_name=NAME, terminal_width=_WIDTH, max_content_width=_WIDTH)
+    top = click.Context(group, info_name=NAME, **_HOW)
     for name in COMMANDS:
-        command = group.get_command(top, name)
-        assert command is not None
-        for path, text in _helps(command, name, top):
+        for path, text in _helps(group, name, top):
             parts.append(f"{'#' * len(path.split())} `{path}`\n\n```text\n{text}\n```\n")
-    parts.append("Made by `python -m jrdb_avr.engine.commands.page > docs/commands.md`.\n")
+    parts.append("Made by `python -m jrdb_avr.engine.commands.page commands > docs/commands.md`.\n")
     return "\n".join(parts)
 
 
-def _helps(command: click.Command, name: str, parent: click.Context) -> Iterator[tuple[str, str]]:
-    context = click.Context(
-        command,
-        info_name=name,
-        parent=parent,
-        terminal_width=_WIDTH,
-        max_content_width=_WIDTH,
-        help_option_names=["-h", "--help"],
-    )
+def _helps(parent: click.Group, name: str, above: click.Context) -> Iterator[tuple[str, str]]:
+    command = parent.get_command(above, name)
+    assert command is not None
+    context = click.Context(command, info_name=name, parent=above, **_HOW)
     lines = [line.rstrip() for line in command.get_help(context).splitlines()]
     yield context.command_path, "\n".join(lines).strip()
     if isinstance(command, click.Group):
         for own in command.list_commands(context):
-            inner = command.get_command(context, own)
-            if inner is not None:
-                yield from _helps(inner, own, context)
+            yield from _helps(command, own, context)
+
+
+def api_page() -> str:
+    """The page of the Python API in Markdown: the public names of `jrdb_avr` with signatures and docstrings."""
+    values = {name: getattr(jrdb_avr, name) for name in jrdb_avr.__all__}
+    functions = {name: value for name, value in values.items() if inspect.isfunction(value)}
+    errors = {name: value for name, value in values.items() if isinstance(value, type) and issubclass(value, Exception)}
+    classes = {name: value for name, value in values.items() if isinstance(value, type) and name not in errors}
+    parts = ["# Python API\n", "What `import jrdb_avr` offers; names load on first use.\n"]
+    for title, members in (("Functions", functions), ("Classes", classes), ("Errors and warnings", errors)):
+        parts.append(f"## {title}\n")
+        for name, value in members.items():
+            parts.append(f"### `{name}`\n\n{_signature(name, value)}{_doc(value)}\n{_members(value)}")
+    parts.append("Made by `python -m jrdb_avr.engine.commands.page api > docs/api.md`.\n")
+    return "\n".join(parts)
+
+
+def _signature(name: str, value: Any) -> str:
+    if isinstance(value, type) and (issubclass(value, Exception) or getattr(value, "_is_protocol", False)):
+        return ""
+    signature = inspect.signature(value)
+    # Annotations are texts, which print with quotes.
+    lines = [re.sub(r": '([^']*)'", r": \1", f"    {own},\n") for own in signature.parameters.values()]
+    star = next((i for i, own in enumerate(signature.parameters.values()) if own.kind is own.KEYWORD_ONLY), None)
+    if star is not None:
+        lines.insert(star, "    *,\n")
+    end = f" -> {signature.return_annotation}" if inspect.isfunction(value) else ""
+    inside = f"\n{''.join(lines)}" if lines else ""
+    return f"```python\n{name}({inside}){end}\n```\n\n"
+
+
+def _doc(value: Any) -> str:
+    """The docstring, with its indented examples as code."""
+    return re.sub(r"(?m)((?:^ {4}.*\n?)+)", r"```python\n\1\n```", inspect.getdoc(value) or "").replace(
+        "\n\n```\n", "\n```\n"
+    )
+
+
+def _members(value: Any) -> str:
+    """A list of a class's public methods and properties, each with the first line of its docstring."""
+    if not isinstance(value, type):
+        return ""
+    lines = [
+        f"- `{name}`: {(inspect.getdoc(member) or '').splitlines()[0]}\n"
+        for name, member in vars(value).items()
+        if not name.startswith("_") and (inspect.isroutine(member) or isinstance(member, property)) and member.__doc__
+    ]
+    return "".join([*lines, "\n"] if lines else [])
 
 
 if __name__ == "__main__":
-    click.echo(commands_page(), nl=False)
+    click.echo({"commands": commands_page, "api": api_page}[sys.argv[1]](), nl=False)

@@ -18,7 +18,7 @@ HELPS = {
 
 def test_the_page_is_what_the_commands_say():
     # In a process of its own: a command keeps the help option that it was first asked with, here by any other test.
-    command = "-m jrdb_avr.engine.commands.page"
+    command = "-m jrdb_avr.engine.commands.page commands"
     made = subprocess.run([sys.executable, *command.split()], capture_output=True, check=True, encoding="utf-8")
     assert made.stdout == PAGE, f"python {command} > docs/commands.md"
 
