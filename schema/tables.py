@@ -1,12 +1,15 @@
-"""Arrow schemas of every Parquet table: the column names are part of the public interface.
+"""Arrow schemas of every Parquet table, with the meaning of each column: the names are part of the public interface.
 
-Annotation tables hold what the files say, one row per fact, raw values kept. Interval tables hold what follows from
+Annotation tables hold what the files state, one row per fact, with raw values. Interval tables hold what follows from
 them under `LoadRules`; all of them can be rebuilt. Frames are integer label keys; boxes are stitched pixels; 3D is in
 metres in the robot frame (x forward, y left, z up); intervals are inclusive on both ends.
+
+`python -m jrdb_avr.schema.tables > docs/tables.md` writes the reference page.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Final
 
 import pyarrow as pa
@@ -15,14 +18,13 @@ _S = pa.string()
 _I = pa.int32()
 _F = pa.float64()
 _B = pa.bool_()
+_CODE = pa.int8()
+_LONG = pa.int64()
 
 
-def _schema(*fields: tuple[str, pa.DataType] | tuple[str, pa.DataType, bool]) -> pa.Schema:
-    """Fields as (name, type) or, where null is a value, (name, type, True)."""
-    return pa.schema([pa.field(f[0], f[1], nullable=len(f) > 2) for f in fields])
+def _list(item: pa.DataType, size: int = -1) -> pa.DataType:
+    return pa.list_(pa.field("item", item, nullable=False), size)
 
-
-_BOX = (("x", _F), ("y", _F), ("w", _F), ("h", _F))
 
 LAYERS: Final = (
     "2d",
@@ -42,367 +44,406 @@ LAYERS: Final = (
 `groups` come with the 2D boxes; `demographics`, `interactions` and `group_info` with the social file (or, where that
 lacks, the reasoning file); `handles` with the reasoning file."""
 
-ANNOTATIONS: Final[dict[str, pa.Schema]] = {
-    # One row per (layer, frame) that the layer knows, also where it says "nobody here".
-    "frames": _schema(("sequence", _S), ("layer", _S), ("frame", _I), ("records", _I)),
-    # has_attributes: the record came with an `attributes` object. has_actions: with a usable action list.
-    "boxes_2d": _schema(
-        ("sequence", _S),
-        ("frame", _I),
-        ("track", _I),
-        *_BOX,
-        ("has_attributes", _B),
-        ("occlusion", _S, True),
-        ("truncated", _B, True),
-        ("interpolated", _B, True),
-        ("no_eval", _B, True),
-        ("has_actions", _B),
-        ("file_id", _S, True),
+COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
+    "sequence": (_S, "name of the sequence"),
+    "layer": (_S, "layer of labels"),
+    "frame": (_I, "frame number"),
+    "track": (_I, "the person, within the sequence"),
+    "records": (_I, "records of the layer at the frame"),
+    "x": (_F, "left edge, stitched pixels"),
+    "y": (_F, "upper edge, stitched pixels"),
+    "w": (_F, "width"),
+    "h": (_F, "height"),
+    "first": (_I, "first frame, inclusive"),
+    "last": (_I, "last frame, inclusive"),
+    "first_s": (_F, "seconds of the first frame"),
+    "last_s": (_F, "seconds of the last frame"),
+    "certain": (_B, "false: the fact is unknown, it could be so"),
+    "gap": (_B, "a closed gap between two intervals"),
+    "difficulty": (_CODE, "annotators' code: 1 easy, 2 medium, 3 hard, null unreadable"),
+    "raw": (_S, "the label as written"),
+    "cluster": (_LONG, "number of the group"),
+    "attribute": (_S, "which attribute"),
+    "value": (_S, "its value, null where annotators could not tell"),
+    "votes": (_I, "frames with this value"),
+    "chosen": (_B, "the value of more than half of the votes"),
+    "source": (_I, "the person that the relation starts from"),
+    "target": (_I, "the other person"),
+    "partner": (_I, "the other person"),
+    "label": (_S, "the relation"),
+    "verb": (_S, "what is done with the thing"),
+    "object": (_I, "track of the thing, within its category"),
+    "category_id": (_I, "number of the thing's category in its file"),
+    "category": (_S, "name of the category, null if unknown"),
+    "action": (_S, "name of the action"),
+    "pose": (_S, "the one certain pose, null if unknown"),
+    "seconds": (_F, "time in seconds"),
+    "keyframe": (_B, "a keyframe of the sequence"),
+    "annotated": (_B, "the 2D layer knows the frame"),
+    "image": (_B, "there is a panorama"),
+    "angle": (_F, "panorama angle, degrees: 180 ahead, 90 left"),
+    "sector": (_S, "direction as the robot sees it"),
+    "sector_other": (_S, "the other possible sector near an edge"),
+    "distance": (_F, "metres from the robot"),
+    "distance_word": (_S, "the distance in a word"),
+    "distance_word_other": (_S, "the other possible word near a bound"),
+    "clear": (_B, "a clear view under the rules"),
+    "face_visible": (_B, "head or an eye marked visible, null without a pose"),
+    "listed": (_B, "the person has an action list at the frame"),
+    "interactions_listed": (_B, "the interaction list was read whole"),
+    "handles_listed": (_B, "the list of things handled was read whole"),
+    "group_size": (_I, "people in the group, null if unknown"),
+    "located": (_B, "3D box with lidar points"),
+    "heading": (_F, "direction of the person, radians, left is positive"),
+    "occlusion": (_S, "how far it is hidden"),
+    "no_eval": (_B, "left out of evaluation by the annotators"),
+    "sensor": (_S, "camera, or kind of sensor"),
+    "timestamp": (_F, "seconds since the epoch"),
+    "question_id": (_S, "id of the question"),
+    "run_id": (_S, "id of the run"),
+    "segmentation": (_S, "run-length code as written"),
+    "keypoints": (_list(_F, 51), "17 times x, y, visibility"),
+    "gender": (_S, "by vote, null if unknown"),
+    "age": (_S, "by vote, null if unknown"),
+    "ethnicity": (_S, "by vote, null if unknown"),
+    "has_attributes": (_B, "the record came with attributes"),
+    "has_actions": (_B, "the record has a usable action list"),
+    "truncated": (_B, "cut off by the image, as annotated"),
+    "interpolated": (_B, "filled in between two annotated boxes, as annotated"),
+    "file_id": (_S, "identifier of the label in its file"),
+    "activity": (_S, "the shared activity"),
+    "cx": (_F, "centre, metres forward of the robot"),
+    "cy": (_F, "centre, metres left of the robot"),
+    "cz": (_F, "centre, metres up"),
+    "l": (_F, "length, metres"),
+    "rot_z": (_F, "rotation about the vertical axis as written, radians"),
+    "num_points": (_I, "lidar points inside"),
+    "area": (_F, "pixels of the segment"),
+    "width": (_I, "width of the image, pixels"),
+    "height": (_I, "height of the image, pixels"),
+    "fx": (_F, "focal length across, pixels"),
+    "fy": (_F, "focal length down, pixels"),
+    "fps": (_F, "frames per second"),
+    "frame_count": (_I, "frames of the sequence"),
+    "layers": (_list(_S), "layers that the sequence has"),
+    "action_step": (_I, "frames between action labels: 1, or 15 where they come once a second"),
+    "keyframes": (_list(_I), "frame numbers of the keyframes"),
+    "frames": (_list(_I), "frame numbers that can be observed"),
+    "first_frame": (_I, "first frame with a label"),
+    "last_frame": (_I, "last frame with a label"),
+    "start": (
+        _I,
+        "frame of the start that a question expects: half a step earlier where labels come once a second",
     ),
-    # difficulty null: a label with an unreadable code; it makes the action unknown, as a 3 does.
-    "actions": _schema(
-        ("sequence", _S),
-        ("frame", _I),
-        ("track", _I),
-        ("action", _S),
-        ("raw", _S),
-        ("difficulty", pa.int8(), True),
-    ),
-    "groups": _schema(
-        ("sequence", _S),
-        ("frame", _I),
-        ("track", _I),
-        ("cluster", pa.int64()),
-        ("difficulty", pa.int8(), True),
-    ),
-    "social_activities": _schema(("sequence", _S), ("frame", _I), ("track", _I), ("activity", _S), ("value", _F, True)),
-    "boxes_3d": _schema(
-        ("sequence", _S),
-        ("frame", _I),
-        ("track", _I),
-        ("cx", _F),
-        ("cy", _F),
-        ("cz", _F),
-        ("l", _F),
-        ("w", _F),
-        ("h", _F),
-        ("rot_z", _F),
-        ("distance", _F, True),
-        ("num_points", _I, True),
-        ("interpolated", _B, True),
-        ("no_eval", _B, True),
-    ),
-    # One row per label. attribute: gender, age or ethnicity. value null: annotators could not tell.
-    "demographics": _schema(
-        ("sequence", _S),
-        ("frame", _I),
-        ("track", _I),
-        ("attribute", _S),
-        ("value", _S, True),
-        ("raw", _S),
-        ("difficulty", pa.int8(), True),
-    ),
-    # One row per (person, partner, label) as written, so mostly both directions.
-    "interactions": _schema(
-        ("sequence", _S),
-        ("frame", _I),
-        ("track", _I),
-        ("partner", _I),
-        ("label", _S),
-        ("raw", _S),
-        ("difficulty", pa.int8(), True),
-    ),
-    # attribute: venue, aim, bpc (what the body is on), ssc (salient surroundings), location or inter.
-    "group_info": _schema(
-        ("sequence", _S),
-        ("frame", _I),
-        ("track", _I),
-        ("attribute", _S),
-        ("value", _S, True),
-        ("raw", _S),
-        ("difficulty", pa.int8(), True),
-    ),
-    # (object, category_id) is the thing in `panoptic`; the name of the category is in `categories`.
-    "handles": _schema(
-        ("sequence", _S),
-        ("frame", _I),
-        ("track", _I),
-        ("object", _I),
-        ("category_id", _I),
-        ("verb", _S),
-        ("raw", _S),
-        ("difficulty", pa.int8(), True),
-    ),
-    # A person whose whole list of `layer` (interactions or handles) could be read: what it does not hold is false.
-    "listed": _schema(("sequence", _S), ("layer", _S), ("frame", _I), ("track", _I)),
-    # keypoints: 17 times x, y in stitched pixels and visibility (0 not visible, 1 occluded, 2 visible).
-    "poses": _schema(
-        ("sequence", _S),
-        ("frame", _I),
-        ("track", _I),
-        ("keypoints", pa.list_(pa.field("item", _F, nullable=False), 51)),
-    ),
-    # object null: stuff (walls, sky) has no tracks. segmentation: the run-length code as written.
-    "panoptic": _schema(
-        ("sequence", _S),
-        ("frame", _I),
-        ("object", _I, True),
-        ("category_id", _I),
-        *((name, _F, True) for name in "xywh"),
-        ("area", _F, True),
-        ("segmentation", _S, True),
-    ),
-    # Category numbers are the file's own. category null: a name outside the vocabulary.
-    "categories": _schema(("sequence", _S), ("category_id", _I), ("category", _S, True), ("raw", _S)),
-    # sensor: images or clouds. timestamp: seconds since the epoch.
-    "timestamps": _schema(("sequence", _S), ("sensor", _S), ("frame", _I), ("timestamp", _F)),
-    # Pinhole intrinsics of the cameras that the panorama is stitched from, pixels.
-    "calibration": _schema(
-        ("sequence", _S),
-        ("sensor", _S),
-        ("width", _I, True),
-        ("height", _I, True),
-        *((n, _F) for n in ("fx", "fy", "cx", "cy")),
-    ),
+    "end": (_I, "frame of the end, likewise"),
+    "quiet_from": (_I, "from here to the segment the action is false"),
+    "closed": (_B, "the action is false for a second after the end, with the person present"),
+    "family": (_S, "family of templates"),
+    "template": (_S, "name of the template"),
+    "question": (_S, "text of the question"),
+    "choices": (_list(_S), "the four answers to choose from; empty for frames and spans"),
+    "answer_mode": (_S, "kind of answer"),
+    "answer": (_S, "the answer, as JSON"),
+    "target_track": (_I, "track of the question's target"),
+    "plan": (_S, "the plan, as JSON"),
+    "proofs": (_S, "each proof with its result, as JSON"),
+    "distractors": (_S, "why each wrong choice is there, as JSON"),
+    "rules": (_S, "hash of the rules it was made under"),
+    "hops": (_I, "relations in the question"),
+    "time_gap_s": (_F, "seconds from the description to the last time that it takes"),
+    "separation_deg": (_F, "turn of the target from the description to the decisive frame, degrees"),
+    "people_in_scene": (_I, "people with a box at the time of the description"),
+    "bindings": (_S, "tracks and frames of the plan's names, as JSON"),
+    "needed": (_S, "boxes that a method must see, as JSON"),
+    "kind": (_S, "kind of row: count or example"),
+    "rule": (_S, "the rule that refused"),
+    "candidates": (_LONG, "how many were refused"),
+    "detail": (_S, "why the example was refused"),
+    "reviewer": (_S, "the reviewer"),
+    "decision": (_S, "the decision"),
+    "reason": (_S, "the reason"),
+    "status": (_S, "answered, invalid or error"),
+    "evidence_frame": (_I, "frame of the evidence box"),
+    "evidence_x": (_F, "left edge of the evidence box, stitched pixels"),
+    "evidence_y": (_F, "its upper edge"),
+    "evidence_w": (_F, "its width"),
+    "evidence_h": (_F, "its height"),
+    "n_observations": (_I, "observations made"),
+    "n_model_calls": (_I, "calls of the model"),
+    "prompt_tokens": (_LONG, "tokens sent to the model"),
+    "completion_tokens": (_LONG, "tokens written by the model"),
+    "step": (_I, "number of the turn"),
+    "tool": (_S, "the tool"),
+    "arguments": (_S, "arguments of the tool, JSON"),
+    "accepted": (_B, "false: refused, the world model is unchanged"),
+    "fact": (_S, "the fact stored in the world model, JSON"),
+    "request": (_S, "the request, without image bytes"),
+    "response": (_S, "the response"),
+    "answer_score": (_CODE, "1 for a right answer"),
+    "evidence_score": (_CODE, "1 for a right box"),
+    "combined_score": (_CODE, "1 where both are right"),
+    "invalid": (_B, "no usable answer"),
 }
+"""Type and meaning of a column wherever it stands; see `SPECIAL`."""
 
-_SPAN = (("first", _I), ("last", _I), ("first_s", _F), ("last_s", _F))
-
-INTERVALS: Final[dict[str, pa.Schema]] = {
-    # One row. keyframes: int32 list; layers: which of LAYERS the sequence has; action_step: 1 or 15.
-    "sequence": _schema(
-        ("sequence", _S),
-        ("fps", _F),
-        ("frame_count", _I),
-        ("layers", pa.list_(pa.field("item", _S, nullable=False))),
-        ("action_step", _I),
-        ("keyframes", pa.list_(pa.field("item", _I, nullable=False))),
-        ("has_attributes", _B),
-    ),
-    # seconds: from the timestamps where there are any, counted from frame 0; else frame / fps.
-    # annotated: the 2D layer knows the frame (its boxes are all the people there are).
-    "frames": _schema(
-        ("sequence", _S),
-        ("frame", _I),
-        ("seconds", _F),
-        ("keyframe", _B),
-        ("annotated", _B),
-        ("image", _B),
-    ),
-    "persons": _schema(
-        ("sequence", _S),
-        ("track", _I),
-        ("gender", _S, True),
-        ("age", _S, True),
-        ("ethnicity", _S, True),
-        ("first_frame", _I),
-        ("last_frame", _I),
-    ),
-    # How many frames say what of a person; chosen: the value that more than half of them say.
-    "demographics": _schema(
-        ("sequence", _S), ("track", _I), ("attribute", _S), ("value", _S), ("votes", _I), ("chosen", _B)
-    ),
-    # One row per 2D box.
-    # clear: the clear view of the rules. located: 3D box with lidar points at this frame.
-    # listed: the person has an action list, so an action not performed is false. pose: the one certain pose.
-    # face_visible: head or an eye is marked visible; null where the person has no pose at this frame.
-    # interactions_listed, handles_listed: the list was read, so what it does not hold is false.
-    # group_size: null when unknown. sector/distance_word: the word; *_other: the second possible word near an
-    # edge, null when the first is certain. A null distance_word: the distance is unknown.
-    "sightings": _schema(
-        ("sequence", _S),
-        ("frame", _I),
-        ("track", _I),
-        *_BOX,
-        ("angle", _F),
-        ("occlusion", _S, True),
-        ("no_eval", _B),
-        ("clear", _B),
-        ("face_visible", _B, True),
-        ("listed", _B),
-        ("interactions_listed", _B),
-        ("handles_listed", _B),
-        ("pose", _S, True),
-        ("cluster", pa.int64(), True),
-        ("group_size", _I, True),
-        ("sector", _S),
-        ("sector_other", _S, True),
-        ("located", _B),
-        ("distance", _F, True),
-        ("distance_word", _S, True),
-        ("distance_word_other", _S, True),
-        ("cx", _F, True),
-        ("cy", _F, True),
-        ("cz", _F, True),
-        ("heading", _F, True),
-    ),
-    # certain = false: hard or unreadable label, one of two poses, or (gap = true) a closed gap.
-    "actions": _schema(
-        ("sequence", _S),
-        ("track", _I),
-        ("action", _S),
-        *_SPAN,
-        ("difficulty", pa.int8(), True),
-        ("certain", _B),
-        ("gap", _B),
-    ),
-    "memberships": _schema(
-        ("sequence", _S), ("track", _I), ("cluster", pa.int64()), *_SPAN, ("certain", _B), ("gap", _B)
-    ),
-    # Both directions of every fact. certain = false: hard or unreadable label, or (gap = true) a closed gap.
-    "interactions": _schema(
-        ("sequence", _S),
-        ("source", _I),
-        ("target", _I),
-        ("label", _S),
-        *_SPAN,
-        ("certain", _B),
-        ("gap", _B),
-    ),
-    "handles": _schema(
-        ("sequence", _S),
-        ("track", _I),
-        ("object", _I),
-        ("category_id", _I),
-        ("verb", _S),
-        *_SPAN,
-        ("certain", _B),
-        ("gap", _B),
-    ),
-    # Things with a track, people left out. category null: unknown, or the panoptic layer does not hold the thing.
-    "objects": _schema(
-        ("sequence", _S),
-        ("object", _I),
-        ("category_id", _I),
-        ("category", _S, True),
-        ("first_frame", _I, True),
-        ("last_frame", _I, True),
-    ),
-    # What members' records say of their group; chosen: what more than half of those that tell the attribute say.
-    "group_info": _schema(
-        ("sequence", _S), ("cluster", pa.int64()), ("attribute", _S), ("value", _S), ("votes", _I), ("chosen", _B)
-    ),
-    # source -> target: where the target is, seen from the source. Person frame: label '<sector>, <distance word>'.
-    # Robot view: one-keyframe rows of FIRST_LEFT and FIRST_RIGHT; an uncertain one may have several targets.
-    "beside": _schema(("sequence", _S), ("source", _I), ("target", _I), ("label", _S), *_SPAN, ("certain", _B)),
-    # Stable segments of actions: [first, last] with the action; start and end as asked for (half a step wider at 1 Hz).
-    # quiet_from: the earliest frame from which on the action is false at every annotated frame before the segment.
-    # closed: the action is false, and the person present, for a second after the end.
-    "segments": _schema(
-        ("sequence", _S),
-        ("track", _I),
-        ("action", _S),
-        ("first", _I),
-        ("last", _I),
-        ("start", _I),
-        ("end", _I),
-        ("quiet_from", _I),
-        ("closed", _B),
-    ),
+SPECIAL: Final[dict[tuple[str, str], tuple[pa.DataType, str]]] = {
+    ("annotations_social_activities", "value"): (_F, "its value, null where annotators could not tell"),
+    ("annotations_boxes_3d", "w"): (_F, "width, metres"),
+    ("annotations_boxes_3d", "h"): (_F, "height, metres"),
+    ("annotations_boxes_3d", "distance"): (_F, "metres from the robot, as written"),
+    ("annotations_calibration", "cx"): (_F, "principal point across, pixels"),
+    ("annotations_calibration", "cy"): (_F, "principal point down, pixels"),
+    ("annotations_listed", "layer"): (_S, "interactions or handles"),
+    ("intervals_sequence", "has_attributes"): (_B, "some record came with attributes"),
+    ("predictions", "answer"): (_S, "the answer as JSON, null for none"),
+    ("predictions", "raw"): (_S, "the model's last text"),
+    ("predictions", "seconds"): (_F, "duration, seconds"),
+    ("steps", "seconds"): (_F, "duration, seconds"),
+    ("world", "number"): (_I, "number of the write, from 0"),
+    ("world", "step"): (_I, "number of the model call that it came with"),
+    ("world", "reason"): (_S, "why it was refused"),
 }
+"""Type and meaning of a column in one table."""
 
-QUESTIONS: Final[dict[str, pa.Schema]] = {
-    "questions": _schema(
-        ("question_id", _S),
-        ("sequence", _S),
-        ("family", _S),
-        ("template", _S),
-        ("question", _S),
-        ("choices", pa.list_(pa.field("item", _S, nullable=False))),
-        ("answer_mode", _S),
-    ),
-    "sequences": _schema(
-        ("sequence", _S),
-        ("fps", _F),
-        ("frame_count", _I),
-        ("frames", pa.list_(pa.field("item", _I, nullable=False))),
-    ),
-    "answers": _schema(
-        ("question_id", _S),
-        ("answer", _S),
-        ("target_track", _I),
-        ("plan", _S),
-        ("proofs", _S),
-        ("distractors", _S),
-        ("rules", _S),
-        ("hops", _I),
-        ("time_gap_s", _F),
-        ("separation_deg", _F),
-        ("people_in_scene", _I),
-        ("bindings", _S),
-        ("needed", _S),
-    ),
-    "evidence": _schema(("question_id", _S), ("frame", _I), *_BOX),
-    # kind "count": candidates refused by a rule per sequence and template; kind "example": one of them, with detail.
-    "rejected": _schema(
-        ("kind", _S),
-        ("sequence", _S),
-        ("family", _S),
-        ("template", _S),
-        ("rule", _S),
-        ("candidates", pa.int64()),
-        ("target_track", _I, True),
-        ("plan", _S, True),
-        ("detail", _S, True),
-    ),
-    "reviews": _schema(("question_id", _S), ("reviewer", _S), ("decision", _S), ("reason", _S)),
-}
 
-CANDIDATES: Final = _schema(
-    ("sequence", _S), ("family", _S), ("template", _S), ("target_track", _I), ("plan", _S), ("answer", _S)
+def column(view: str, name: str) -> tuple[pa.DataType, str]:
+    """Type and meaning of a column of a view."""
+    return SPECIAL.get((view, name)) or COLUMNS[name]
+
+
+ABOUT: Final[dict[str, str]] = {}
+"""What each view holds."""
+
+
+def _schema(view: str, columns: str) -> pa.Schema:
+    """Schema of named columns; `?` marks a column in which null is a value."""
+    names = [(name.rstrip("?"), name.endswith("?")) for name in columns.split()]
+    return pa.schema([pa.field(name, column(view, name)[0], nullable) for name, nullable in names])
+
+
+def _schemas(prefix: str, tables: dict[str, tuple[str, str]]) -> dict[str, pa.Schema]:
+    """Schemas by table, from what each table holds and its columns."""
+    ABOUT.update({prefix + table: about for table, (about, _) in tables.items()})
+    return {table: _schema(prefix + table, columns) for table, (_, columns) in tables.items()}
+
+
+ANNOTATIONS: Final = _schemas(
+    "annotations_",
+    {
+        # One row per (layer, frame) that the layer knows, also where it says "nobody here".
+        "frames": (
+            "Frames that each layer annotates, also those with nobody.",
+            "sequence layer frame records",
+        ),
+        # has_attributes: the record came with an `attributes` object. has_actions: with a usable action list.
+        "boxes_2d": (
+            "Boxes of people in the stitched panorama, with their attributes.",
+            "sequence frame track x y w h has_attributes occlusion? truncated? interpolated? no_eval? has_actions "
+            "file_id?",
+        ),
+        # difficulty null: a label with an unreadable code; it makes the action unknown, as a 3 does.
+        "actions": ("Action labels of people.", "sequence frame track action raw difficulty?"),
+        "groups": ("Group of each person.", "sequence frame track cluster difficulty?"),
+        "social_activities": ("Shared activities of a person, as written.", "sequence frame track activity value?"),
+        "boxes_3d": (
+            "Boxes of people in the robot frame (x forward, y left, z up), metres.",
+            "sequence frame track cx cy cz l w h rot_z distance? num_points? interpolated? no_eval?",
+        ),
+        # One row per label. attribute: gender, age or ethnicity. value null: annotators could not tell.
+        "demographics": (
+            "Gender, age and ethnicity labels, one row per label.",
+            "sequence frame track attribute value? raw difficulty?",
+        ),
+        # One row per (person, partner, label) as written, so mostly both directions.
+        "interactions": (
+            "Interaction labels of a person with a partner, mostly in both directions.",
+            "sequence frame track partner label raw difficulty?",
+        ),
+        # attribute: venue, aim, bpc (what the body is on), ssc (salient surroundings), location or inter.
+        "group_info": (
+            "Attributes of a group in a member's record.",
+            "sequence frame track attribute value? raw difficulty?",
+        ),
+        # (object, category_id) is the thing in `panoptic`; the name of the category is in `categories`.
+        "handles": (
+            "What a person does with a thing.",
+            "sequence frame track object category_id verb raw difficulty?",
+        ),
+        # A person whose whole list of `layer` (interactions or handles) could be read: what it does not hold is false.
+        "listed": (
+            "People whose whole list of a layer could be read: what it does not hold is false.",
+            "sequence layer frame track",
+        ),
+        # keypoints: 17 times x, y in stitched pixels and visibility (0 not visible, 1 occluded, 2 visible).
+        "poses": ("Key points of people.", "sequence frame track keypoints"),
+        # object null: stuff (walls, sky) has no tracks. segmentation: the run-length code as written.
+        "panoptic": (
+            "Segments of things and stuff, with run-length codes.",
+            "sequence frame object? category_id x? y? w? h? area? segmentation?",
+        ),
+        # Category numbers are the file's own. category null: a name outside the vocabulary.
+        "categories": ("Names of the panoptic layer's category numbers.", "sequence category_id category? raw"),
+        # sensor: images or clouds. timestamp: seconds since the epoch.
+        "timestamps": ("When each sensor took each frame.", "sequence sensor frame timestamp"),
+        # Pinhole intrinsics of the cameras that the panorama is stitched from, pixels.
+        "calibration": ("Intrinsics of the cameras behind the panorama.", "sequence sensor width? height? fx fy cx cy"),
+    },
 )
+
+INTERVALS: Final = _schemas(
+    "intervals_",
+    {
+        # One row. keyframes: int32 list; layers: which of LAYERS the sequence has; action_step: 1 or 15.
+        "sequence": ("One row per sequence.", "sequence fps frame_count layers action_step keyframes has_attributes"),
+        # seconds: from the timestamps where there are any, counted from frame 0; else frame / fps.
+        # annotated: the 2D layer knows the frame (its boxes are all the people there are).
+        "frames": ("Every frame that some layer annotates.", "sequence frame seconds keyframe annotated image"),
+        "persons": (
+            "Every person, with the attributes that most frames agree on.",
+            "sequence track gender? age? ethnicity? first_frame last_frame",
+        ),
+        # How many frames say what of a person; chosen: the value that more than half of them say.
+        "demographics": (
+            "Votes of frames for each attribute of a person.",
+            "sequence track attribute value votes chosen",
+        ),
+        # One row per 2D box.
+        # clear: the clear view of the rules. located: 3D box with lidar points at this frame.
+        # listed: the person has an action list, so an action not performed is false. pose: the one certain pose.
+        # face_visible: head or an eye is marked visible; null where the person has no pose at this frame.
+        # interactions_listed, handles_listed: the list was read, so what it does not hold is false.
+        # group_size: null when unknown. sector/distance_word: the word; *_other: the second possible word near an
+        # edge, null when the first is certain. A null distance_word: the distance is unknown.
+        "sightings": (
+            "One row per 2D box: direction, distance, visibility, pose and group at that frame.",
+            "sequence frame track x y w h angle occlusion? no_eval clear face_visible? listed interactions_listed "
+            "handles_listed pose? cluster? group_size? sector sector_other? located distance? distance_word? "
+            "distance_word_other? cx? cy? cz? heading?",
+        ),
+        # certain = false: hard or unreadable label, one of two poses, or (gap = true) a closed gap.
+        "actions": (
+            "Actions of people, from frame to frame.",
+            "sequence track action first last first_s last_s difficulty? certain gap",
+        ),
+        "memberships": (
+            "Groups of people, from frame to frame.",
+            "sequence track cluster first last first_s last_s certain gap",
+        ),
+        # Both directions of every fact. certain = false: hard or unreadable label, or (gap = true) a closed gap.
+        "interactions": (
+            "Interactions of two people, from frame to frame, in both directions.",
+            "sequence source target label first last first_s last_s certain gap",
+        ),
+        "handles": (
+            "What people do with things, from frame to frame.",
+            "sequence track object category_id verb first last first_s last_s certain gap",
+        ),
+        # Things with a track, people left out. category null: unknown, or the panoptic layer does not hold the thing.
+        "objects": (
+            "Things with a track, people left out.",
+            "sequence object category_id category? first_frame? last_frame?",
+        ),
+        # What members' records say of their group; chosen: what more than half of those that tell the attribute say.
+        "group_info": (
+            "Votes of members' records for each attribute of their group.",
+            "sequence cluster attribute value votes chosen",
+        ),
+        # source -> target: where the target is, seen from the source. Person frame: label '<sector>, <distance word>'.
+        # Robot view: one-keyframe rows of FIRST_LEFT and FIRST_RIGHT; an uncertain one may have several targets.
+        "beside": (
+            "Where the target is, seen from the source.",
+            "sequence source target label first last first_s last_s certain",
+        ),
+        # Stable segments: [first, last]; start and end as questions expect them: half a step wider at 1 Hz.
+        # quiet_from: the earliest frame from which on the action is false at every annotated frame before the segment.
+        # closed: the action is false, and the person present, for a second after the end.
+        "segments": (
+            "Stable segments of actions, which questions about starts and spans use.",
+            "sequence track action first last start end quiet_from closed",
+        ),
+    },
+)
+
+QUESTIONS: Final = _schemas(
+    "",
+    {
+        "questions": ("The public questions.", "question_id sequence family template question choices answer_mode"),
+        "sequences": ("Frames of each sequence that can be observed.", "sequence fps frame_count frames"),
+        "answers": (
+            "Answer, target, plan and proofs of each question.",
+            "question_id answer target_track plan proofs distractors rules hops time_gap_s separation_deg "
+            "people_in_scene bindings needed",
+        ),
+        "evidence": ("Every box of each question's target.", "question_id frame x y w h"),
+        # kind "count": candidates that a rule refuses, per sequence and template; kind "example": one of them.
+        "rejected": (
+            "Refused candidates: counts by rule, and examples.",
+            "kind sequence family template rule candidates target_track? plan? detail?",
+        ),
+        "reviews": ("Decisions of reviewers about questions.", "question_id reviewer decision reason"),
+    },
+)
+
+RUNS: Final = _schemas(
+    "",
+    {
+        "predictions": (
+            "Answers of each run.",
+            "run_id question_id status answer? evidence_frame? evidence_x? evidence_y? evidence_w? evidence_h? raw "
+            "reason n_observations n_model_calls prompt_tokens completion_tokens seconds",
+        ),
+        "steps": (
+            "Every model turn and observation of each run.",
+            "run_id question_id step kind request response seconds",
+        ),
+        "world": (
+            "Every write of an agent into its world model, accepted or refused, in order.",
+            "run_id question_id number step tool arguments accepted reason fact",
+        ),
+        "scores": ("Scores of each run.", "run_id question_id answer_score evidence_score combined_score invalid"),
+    },
+)
+
+CANDIDATES: Final = _schema("candidates", "sequence family template target_track plan answer")
 """`generate --candidates FILE`; a choice answer as its text, any other as its stored JSON."""
-
-_MAYBE_BOX = tuple((f"evidence_{key}", _F, True) for key in "xywh")
-
-RUNS: Final[dict[str, pa.Schema]] = {
-    "predictions": _schema(
-        ("run_id", _S),
-        ("question_id", _S),
-        ("status", _S),
-        ("answer", _S, True),
-        ("evidence_frame", _I, True),
-        *_MAYBE_BOX,
-        ("raw", _S),
-        ("reason", _S),
-        ("n_observations", _I),
-        ("n_model_calls", _I),
-        ("prompt_tokens", pa.int64()),
-        ("completion_tokens", pa.int64()),
-        ("seconds", _F),
-    ),
-    "steps": _schema(
-        ("run_id", _S),
-        ("question_id", _S),
-        ("step", _I),
-        ("kind", _S),
-        ("request", _S),
-        ("response", _S),
-        ("seconds", _F),
-    ),
-    "world": _schema(
-        ("run_id", _S),
-        ("question_id", _S),
-        ("number", _I),
-        ("step", _I),
-        ("tool", _S),
-        ("arguments", _S),
-        ("accepted", _B),
-        ("reason", _S),
-        ("fact", _S),
-    ),
-    "scores": _schema(
-        ("run_id", _S),
-        ("question_id", _S),
-        ("answer_score", pa.int8()),
-        ("evidence_score", pa.int8()),
-        ("combined_score", pa.int8()),
-        ("invalid", _B),
-    ),
-}
 
 PRIVATE: Final = ("answers", "evidence", "rejected", "reviews")
 """Tables of `questions/` that the process talking to a model never opens."""
 
 CANARY: Final = "jrdb-avr benchmark data must not be trained on; canary 4c1f0c0e-2f0b-4f0e-9f44-8e2a6a1d7b35"
 """Stored under the key `canary` in the metadata of every released file."""
+
+
+def tables_page() -> str:
+    """The reference page of all tables, in Markdown."""
+    lines = [
+        "# Tables of a store",
+        "",
+        "Every table is a view in `jrdb-avr sql`; `SHOW TABLES` and `DESCRIBE intervals_actions` work there too. A",
+        "table that is not written yet is an empty view. Written by `python -m jrdb_avr.schema.tables`.",
+        "",
+        "`sightings_keypoints` is `intervals_sightings` with one column more: `keypoints`, those of",
+        "`annotations_poses` at the same frame, or null.",
+        "",
+    ]
+    for name, schema, private in views():
+        secret = " Private: never opened by the process that talks to a model." if private else ""
+        lines += [f"## `{name}`", "", f"{ABOUT[name]}{secret}", "", "| column | type | meaning |", "|--|--|--|"]
+        lines += [f"| `{field.name}` | {_type(field)} | {column(name, field.name)[1]} |" for field in schema]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def views() -> Iterator[tuple[str, pa.Schema, bool]]:
+    """Name, schema and privacy of each view."""
+    for prefix, group in (("annotations_", ANNOTATIONS), ("intervals_", INTERVALS), ("", QUESTIONS), ("", RUNS)):
+        for name, schema in group.items():
+            yield f"{prefix}{name}", schema, group is QUESTIONS and name in PRIVATE
+
+
+def _type(field: pa.Field) -> str:
+    return f"{field.type}".replace(" not null", "").replace("item: ", "") + (" or null" if field.nullable else "")
+
+
+if __name__ == "__main__":
+    print(tables_page())
