@@ -19,7 +19,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from jrdb_avr.agent.model.options import Options as Options
+    from jrdb_avr.agent.model.conventions import Options as Options
     from jrdb_avr.engine.generate.run import Generation as Generation
     from jrdb_avr.engine.generate.run import generate as generate
     from jrdb_avr.engine.observe.observer import Observer as Observer
@@ -77,7 +77,7 @@ _NAMES: Final = {
     "engine.validate.outcomes": ("Validation",),
     "engine.run.live_scores": ("LiveScore",),
     "schema.rules": ("Rules", "LoadRules"),
-    "agent.model.options": ("Options",),
+    "agent.model.conventions": ("Options",),
     "schema.method": (
         "Method",
         "Task",
