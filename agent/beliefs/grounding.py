@@ -1,8 +1,8 @@
-"""What an agent may write into its world model: the arguments of its tools, read into claims or refused.
+"""What an agent may write into its world model: the arguments of its tools, read or refused.
 
 Arguments are whatever JSON a model wrote. They are checked for form and words here, and against the episode (what has
-been observed and sighted) in `world`. Everything that passes is short, plain text or a finite number; what is refused
-raises DecodeError with a reason that the model can act on.
+been observed and sighted) in `world_model`. Everything that passes is short, plain text or a finite number; what is
+refused raises DecodeError with a reason that the model can act on.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import json
 import math
 import re
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
 from typing import Any, Final
 
 from jrdb_avr.agent.model.decode import only_keys
@@ -38,80 +37,48 @@ _ID: Final = re.compile(r"[A-Za-z0-9_-]{1,32}")
 _NAME: Final = re.compile(r"[A-Za-z0-9_ ]{1,40}")
 
 
-@dataclass(frozen=True)
-class EntityClaim:
-    """`add_entity` but for its box; node: "" where none is claimed."""
-
-    id: str
-    kind: str
-    node: str
-    observation: str
-
-
-@dataclass(frozen=True)
-class AttributeClaim:
-    """`add_attribute`: a text, or a number with its text (a text's number is 0)."""
-
-    entity: str
-    name: str
-    value: str
-    number: float
-    observation: str
-
-
-@dataclass(frozen=True)
-class RelationClaim:
-    """`add_relation`."""
-
-    source: str
-    name: str
-    target: str
-    observation: str
-
-
-def read_entity(arguments: object) -> EntityClaim:
-    """Read `add_entity`. Raises DecodeError."""
+def read_entity(arguments: object) -> tuple[str, str, str, str]:
+    """Read `add_entity` but for its box: id, kind, node ("" where there is none), observation. Raises DecodeError."""
     part = _part(arguments, ("id", "kind", "observation", "box"), ("node",))
-    node = part.get("node")
-    return EntityClaim(
-        _id(part["id"], "id"),
-        _name(part["kind"], "kind"),
-        "" if node is None else _text(node, "node"),
-        _text(part["observation"], "observation"),
-    )
+    entity, kind = _id(part["id"], "id"), _name(part["kind"], "kind")
+    node = "" if part.get("node") is None else _text(part["node"], "node")
+    return entity, kind, node, _text(part["observation"], "observation")
 
 
-def read_attribute(arguments: object) -> AttributeClaim:
-    """Read `add_attribute`; names and values that the solver knows come back in its spelling. Raises DecodeError."""
+def read_attribute(arguments: object) -> tuple[str, str, str, float, str]:
+    """Read `add_attribute`: entity, name, value as text, as number (0 where it is a text) and observation.
+
+    Names and values that the solver knows come back in its spelling. Raises DecodeError.
+    """
     part = _part(arguments, ("entity", "name", "value", "observation"))
-    entity, name = _id(part["entity"], "entity"), _name(part["name"], "name")
+    entity, name, value = _id(part["entity"], "entity"), _name(part["name"], "name"), part["value"]
     observation = _text(part["observation"], "observation")
-    known = "_".join(name.lower().split())
-    if known in NUMBERS:
-        number = _number(part["value"], known, *NUMBERS[known])
-        return AttributeClaim(entity, known, _digits(number), number, observation)
+    known, number = "_".join(name.lower().split()), 0.0
     if known in _WORDS:
         spell, words = _WORDS[known]
-        value = spell(_text(part["value"], "value"))
-        if value not in words:
-            raise DecodeError(f"{known} has no value {shown(part['value'])}; it is {_some(words)}")
-        return AttributeClaim(entity, known, value, 0.0, observation)
-    if known == "object":
-        return AttributeClaim(entity, known, _handled(_text(part["value"], "value")), 0.0, observation)
-    if isinstance(part["value"], int | float):
-        number = _number(part["value"], "value")
-        return AttributeClaim(entity, name, _digits(number), number, observation)
-    return AttributeClaim(entity, name, _text(part["value"], "value"), 0.0, observation)
+        text = spell(_text(value, "value"))
+        if text not in words:
+            raise DecodeError(f"{known} has no value {quoted(value)}; it is {_some(words)}")
+    elif known == "object":
+        text = _handled(_text(value, "value"))
+    elif known in NUMBERS or isinstance(value, int | float):
+        number = _number(value, *((known, *NUMBERS[known]) if known in NUMBERS else ("value",)))
+        text = _digits(number)
+    else:
+        text = _text(value, "value")
+    return entity, known if known in (*_WORDS, *NUMBERS, "object") else name, text, number, observation
 
 
-def read_relation(arguments: object) -> RelationClaim:
-    """Read `add_relation`; a name that the solver knows comes back in its spelling. Raises DecodeError."""
+def read_relation(arguments: object) -> tuple[str, str, str, str]:
+    """Read `add_relation`: source, name, target and observation; a name that the solver knows comes back in its
+    spelling. Raises DecodeError.
+    """
     part = _part(arguments, ("source", "name", "target", "observation"))
     source, target = _id(part["source"], "source"), _id(part["target"], "target")
     if source == target:
         raise DecodeError("a relation joins two different entities")
     name = _text(part["name"], "name")
-    return RelationClaim(source, _RELATIONS.get(plain(name), name), target, _text(part["observation"], "observation"))
+    return source, _RELATIONS.get(plain(name), name), target, _text(part["observation"], "observation")
 
 
 def as_json(arguments: object) -> str:
@@ -128,7 +95,7 @@ def one_line(text: str) -> str:
     return " ".join(text[:LONGEST_ARGUMENTS].split()).encode("utf-8", "backslashreplace").decode()
 
 
-def shown(value: object) -> str:
+def quoted(value: object) -> str:
     """A model's word in a message of ours: short printable ASCII whatever it holds."""
     if not isinstance(value, str):
         return f"of type {type(value).__name__}"
@@ -203,7 +170,7 @@ def _handled(value: str) -> str:
     verb, colon, category = value.partition(":")
     verb, category = normal_verb(verb), normal_category(category)
     if not colon or verb not in VERBS or category not in OBJECTS:
-        raise DecodeError(f'object must be "verb: thing" in the labels\' words, as "holding: bag", not {shown(value)}')
+        raise DecodeError(f'object must be "verb: thing" in the labels\' words, as "holding: bag", not {quoted(value)}')
     return f"{verb}: {category}"
 
 

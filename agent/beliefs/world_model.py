@@ -1,10 +1,10 @@
 """The agent's world model: what it saw and believes, written under the grounding rule and never otherwise.
 
 A write is accepted only if it names an observation that its own episode has made; all of it is checked before it goes
-into the world tables, with its line of the record. What is refused leaves that line and nothing else. Each line is told
-to `keep` once it is in the tables.
+into the world tables, with its line of the record. What is refused leaves that line and nothing else. Each line goes to
+`record` once it is in the tables.
 
-An episode knows its current facts by itself: it needs them to check a write, and `graph` shows them without asking the
+An episode knows its rows by itself: it needs them to check a write, and `graph` and `rows` list them without the
 engine. The tables, which the solver reads, hold the same.
 """
 
@@ -13,24 +13,23 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any, Final
 
 import msgspec
 
-from jrdb_avr.agent.beliefs.believed import Believed, Edge, place_of, sighting_place
 from jrdb_avr.agent.beliefs.grounding import (
-    AttributeClaim,
-    RelationClaim,
+    NUMBERS,
     as_json,
     one_line,
+    quoted,
     read_attribute,
     read_entity,
     read_relation,
-    shown,
 )
-from jrdb_avr.agent.beliefs.slots import slots_of
+from jrdb_avr.queries.beliefs.episode import Edge, EpisodeRows
 from jrdb_avr.queries.beliefs.graph import WorldGraph
-from jrdb_avr.queries.beliefs.writes import drop_episode, episodes_of, write_statements
+from jrdb_avr.queries.beliefs.record import drop_world, writes_held
 from jrdb_avr.schema.beliefs import (
     ALWAYS,
     TIMELESS,
@@ -42,15 +41,17 @@ from jrdb_avr.schema.beliefs import (
     ObservationRow,
     RelationRow,
     SightingRow,
+    SlotRow,
     Tool,
     Write,
-    episode_key,
     name_of,
 )
 from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.method import Observation, Panorama, Question, RecordWrite
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, center_angle, from_crop
 from jrdb_avr.schema.plan import Plan, canonical
+from jrdb_avr.schema.relations import RELATIONS
 
 MOST_ENTITIES: Final = 64
 MOST_WRITES: Final = 2000
@@ -62,47 +63,30 @@ MOST_WAITING: Final = 100
 _MIDDLE_DEG: Final = 180.0
 """The angle of a whole panorama: that of its middle column."""
 
-
 _ROUNDING: Final = 1e-6
 """Pixels by which a box that was scaled to its image may end beyond it."""
+
+_SEVERAL: Final = ("action", "interaction", "object")
+"""Attributes of which an entity may have several at a frame, but one pose."""
+
+_ORDER: Final = {
+    "sighted": ("who", "frame", "written"),
+    "attributes": ("who", "name", "first", "value"),
+    "relations": ("source", "name", "target", "first"),
+    "looks": ("frame", "edge", "width"),
+    "entities": ("who",),
+}
+"""The statements of `queries/reads/world`, and the columns that they order their rows by."""
+
+_NO_FRAME: Final = -1
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What became of a call: `said` is "done", or why it was refused."""
+    """Result of a call: `said` is "done", or why it was refused."""
 
     accepted: bool
     said: str
-
-
-@dataclass(frozen=True, slots=True)
-class _Seen:
-    """An observation of an episode: the columns of the panorama that it covers, and what a model is told of it."""
-
-    name: str
-    frame: int
-    angle: float
-    left: int
-    width: int
-    said: dict[str, Any]
-
-    @classmethod
-    def of(cls, name: str, observation: Observation | Panorama) -> _Seen:
-        said: dict[str, Any] = {"frame_id": observation.frame_id}
-        if isinstance(observation, Panorama):
-            return cls(name, observation.frame_index, _MIDDLE_DEG, 0, WIDTH, said | {"panorama": True})
-        angle, left = observation.angle_deg, observation.left
-        return cls(name, observation.frame_index, angle, left, CROP, said | {"angle_deg": angle})
-
-    def place(self, box: Box) -> XYWH:
-        """A box of this image's pixels in stitched ones. Raises DecodeError for what is no box in the image."""
-        right, lower = box.x + box.w, box.y + box.h
-        if not (0 <= box.x < right <= self.width + _ROUNDING and 0 <= box.y < lower <= HEIGHT + _ROUNDING):
-            raise DecodeError("the box must lie in the observation's image and have an area")
-        return XYWH(*map(float, from_crop(box, self.left)))
-
-
-DONE: Final = Result(True, "done")
 
 
 class World:
@@ -112,49 +96,46 @@ class World:
         """Raises QueryError or StoreError, as all that reads the graph does."""
         self.graph = graph
         self.run_id = run_id
-        self._begun = episodes_of(graph, run_id)
+        self._begun = set(writes_held(graph.graph, run_id))
 
-    def episode(self, question: Question, keep: RecordWrite) -> Episode:
+    def episode(self, question: Question, record: RecordWrite) -> Episode:
         """Begin a question's episode; what an earlier try of it left is taken away.
 
         Raises QueryError or StoreError, as all writes of an episode do, where the graph cannot be written.
         """
-        key = episode_key(self.run_id, question.question_id)
-        if key in self._begun:
-            drop_episode(self.graph, key)
-        self._begun.add(key)
-        return Episode(self.graph, self.run_id, question, keep)
+        if question.question_id in self._begun:
+            with self.graph.graph.transaction():
+                drop_world(self.graph.graph, self.run_id, [question.question_id])
+        self._begun.add(question.question_id)
+        return Episode(self.graph, self.run_id, question, record)
 
 
 class Episode:
     """What is believed about one question. Made by `World.episode`."""
 
-    def __init__(self, graph: WorldGraph, run_id: str, question: Question, keep: RecordWrite) -> None:
-        self.key = episode_key(run_id, question.question_id)
+    def __init__(self, graph: WorldGraph, run_id: str, question: Question, record: RecordWrite) -> None:
         self._graph = graph
-        self._keep = keep
-        self._writes = 0
+        self._record = record
+        self._rows = EpisodeRows(run_id, question.question_id)
+        self.key = self._rows.key
         # Writes that are known here, but not in the tables yet.
         self._waiting: list[tuple[Write, Fact]] = []
         # The beginning waits for what follows it.
         self._together = True
         self._accepted = 0
-        self._observations: dict[str, _Seen] = {}
-        self._entities: dict[str, EntityRow] = {}
         self._nodes: frozenset[str] = frozenset()
         # The edges that are current, each under what it is that a later write of the same replaces.
-        self._edges: dict[Hashable, Believed] = {}
-        self._row = EpisodeRow(self.key, run_id, question.question_id, question.sequence, "")
-        self._write("begin", {"question_id": question.question_id}, 0, Fact(episode=self._row))
+        self._current: dict[Hashable, Edge] = {}
+        self._begun = EpisodeRow(self.key, run_id, question.question_id, question.sequence, "")
+        self._write("begin", {"question_id": question.question_id}, 0, Fact(episode=self._begun))
         self._together = False
 
     # -- what is not the model's own ----------------------------------------------------------------------------------
 
     def plan(self, plan: Plan, step: int) -> None:
-        """Take the plan: its text, and a slot for all that it asks for. To be called once."""
-        text = canonical(plan)
-        row = msgspec.structs.replace(self._row, plan=text)
-        self._write("plan", msgspec.to_builtins(plan), step, Fact(episode=row, slots=slots_of(plan, self.key)))
+        """Take the plan: its text, and a slot for each of its goals. To be called once."""
+        row = msgspec.structs.replace(self._begun, plan=canonical(plan))
+        self._write("plan", msgspec.to_builtins(plan), step, Fact(episode=row, slots=_slots(plan, self.key)))
         self._nodes = frozenset(node.id for node in plan.nodes)
 
     def observed(self, observation: Observation | Panorama, step: int) -> str:
@@ -162,184 +143,130 @@ class Episode:
 
         This is the record's line of an accepted look; `noted` is for those that were refused.
         """
-        number = len(self._observations) + 1
-        seen = _Seen.of(f"o{number}", observation)
-        row = ObservationRow(
-            f"{self.key}/{seen.name}", self.key, number, step, seen.frame, seen.angle, seen.left, seen.width
-        )
-        self._write("observe", seen.said, step, Fact(observation=row))
-        self._observations[seen.name] = seen
-        return seen.name
+        number = len(self._rows.observations) + 1
+        place = (_MIDDLE_DEG, 0, WIDTH)
+        if isinstance(observation, Observation):
+            place = (observation.angle_deg, observation.left, CROP)
+        look = ObservationRow(f"{self.key}/o{number}", self.key, number, step, observation.frame_index, *place)
+        self._write("observe", _described(look), step, Fact(observation=look))
+        return f"o{number}"
 
     def noted(self, tool: Tool, arguments: object, step: int, accepted: bool, reason: str = "") -> None:
-        """Keep a line of the record of a call that writes nothing: a look refused, get_graph, final_answer."""
-        self._line(Write(self._writes, step, tool, as_json(arguments), accepted, one_line(reason), ""), Fact())
+        """Record a call that writes nothing: a look refused, get_graph, final_answer."""
+        self._write(tool, arguments, step, None, accepted, one_line(reason))
 
     def refused(self, tool: Tool, arguments: object, reason: str, step: int) -> Result:
-        """Keep a line of the record of a call that is refused."""
-        kept = one_line(reason)
-        self.noted(tool, arguments, step, False, kept)
-        return Result(False, kept)
+        """Record a call that is refused."""
+        self.noted(tool, arguments, step, False, reason)
+        return Result(False, one_line(reason))
 
     # -- the model's writes -------------------------------------------------------------------------------------------
 
-    def add_entity(self, arguments: object, box: Box | str, step: int) -> Result:
-        """Add an entity, or another sighting of one that is there, with the kind and node that it has from now on.
+    def add(self, tool: Tool, arguments: object, step: int, box: Box | str = "") -> Result:
+        """Carry out a writing tool, or refuse it.
 
-        arguments: as the model wrote them, any JSON; box: in pixels of the observation's image, or why the one in the
-        arguments cannot be read.
+        `add_entity` adds an entity, or another sighting of one that is there, with the kind and node that it has from
+        now on; `add_attribute` what is seen of an entity in an observation; `add_relation` what joins two in one.
+
+        arguments: as the model wrote them, any JSON; box: of an entity, in pixels of the observation's image, or why
+        the one in the arguments cannot be read.
         """
         try:
-            fact = self._sighting(arguments, box, step)
+            if tool == "add_entity":
+                fact = self._sighting(arguments, box, step)
+            else:
+                fact = (self._attribute if tool == "add_attribute" else self._relation)(arguments, step)
         except DecodeError as error:
-            return self.refused("add_entity", arguments, str(error), step)
-        return self._accept("add_entity", arguments, step, fact)
-
-    def add_attribute(self, arguments: object, step: int) -> Result:
-        """Say what is seen of an entity in an observation; arguments: as the model wrote them, any JSON."""
-        try:
-            fact = self._attribute(read_attribute(arguments), step)
-        except DecodeError as error:
-            return self.refused("add_attribute", arguments, str(error), step)
-        return self._accept("add_attribute", arguments, step, fact)
-
-    def add_relation(self, arguments: object, step: int) -> Result:
-        """Say what joins two entities in an observation; arguments: as the model wrote them, any JSON."""
-        try:
-            fact = self._relation(read_relation(arguments), step)
-        except DecodeError as error:
-            return self.refused("add_relation", arguments, str(error), step)
-        return self._accept("add_relation", arguments, step, fact)
+            return self.refused(tool, arguments, str(error), step)
+        self._accepted += 1
+        for edge in (fact.sighted, fact.has, fact.related):
+            if edge is not None:
+                self._current[_place(edge)] = edge
+        self._write(tool, arguments, step, fact)
+        return Result(True, "done")
 
     def _sighting(self, arguments: object, box: Box | str, step: int) -> Fact:
-        claim = read_entity(arguments)
-        seen = self._seen(claim.observation)
+        name, kind, node, observation = read_entity(arguments)
+        look = self._look(observation)
         if isinstance(box, str):
             raise DecodeError(box)
-        self._room()
-        if claim.node and claim.node not in self._nodes:
+        self._check_room()
+        if node and node not in self._nodes:
             known = ", ".join(sorted(self._nodes)) or "there is no plan"
-            raise DecodeError(f"node {shown(claim.node)} is none of the plan's: {known}")
-        there = self._entities.get(claim.id)
-        if there is None and len(self._entities) >= MOST_ENTITIES:
+            raise DecodeError(f"node {quoted(node)} is none of the plan's: {known}")
+        key, entities = f"{self.key}/{name}", self._rows.entities
+        there = entities.get(key)
+        if there is None and len(entities) >= MOST_ENTITIES:
             raise DecodeError(f"there are {MOST_ENTITIES} entities already, and no more are taken")
-        place = seen.place(box)
-        row = EntityRow(
-            f"{self.key}/{claim.id}",
-            self.key,
-            claim.id,
-            there.number if there else len(self._entities) + 1,
-            claim.kind,
-            claim.node or (there.node if there else ""),
-            there.step if there else step,
-        )
-        sighted = SightingRow(
-            row.id,
-            f"{self.key}/{seen.name}",
-            self.key,
-            self._writes,
-            step,
-            seen.frame,
-            place,
-            center_angle(place.x, place.w),
-        )
+        place = _stitched(look, box)
+        row = there or EntityRow(key, self.key, name, len(entities) + 1, kind, node, step)
+        row = msgspec.structs.replace(row, kind=kind, node=node or row.node)
+        angle = center_angle(place.x, place.w)
+        sighted = SightingRow(key, look.id, self.key, self._rows.written, step, look.frame, place, angle)
         return Fact(
             entity=None if there else row,
             changed=row if there not in (None, row) else None,
-            freed=tuple(e.id for e in self._entities.values() if row.node and e.node == row.node and e.id != row.id),
+            freed=tuple(one.id for one in entities.values() if row.node and one.node == row.node and one.id != key),
             sighted=sighted,
             replaced=self._replaced(sighted),
         )
 
-    def _attribute(self, claim: AttributeClaim, step: int) -> Fact:
-        seen = self._seen(claim.observation)
-        entity = self._sighted(claim.entity, seen)
-        self._room()
-        always = claim.name in TIMELESS
-        has = AttributeRow(
-            entity,
-            f"{self.key}/{seen.name}",
-            self.key,
-            self._writes,
-            step,
-            claim.name,
-            claim.value,
-            claim.number,
-            0 if always else seen.frame,
-            ALWAYS if always else seen.frame,
-        )
+    def _attribute(self, arguments: object, step: int) -> Fact:
+        name, attribute, value, number, observation = read_attribute(arguments)
+        look = self._look(observation)
+        key = self._sighted(name, look)
+        self._check_room()
+        frames = (0, ALWAYS) if attribute in TIMELESS else (look.frame, look.frame)
+        has = AttributeRow(key, look.id, self.key, self._rows.written, step, attribute, value, number, *frames)
         return Fact(has=has, replaced=self._replaced(has))
 
-    def _relation(self, claim: RelationClaim, step: int) -> Fact:
-        seen = self._seen(claim.observation)
-        source, target = self._sighted(claim.source, seen), self._sighted(claim.target, seen)
-        self._room()
-        related = RelationRow(
-            source,
-            target,
-            self.key,
-            self._writes,
-            step,
-            claim.name,
-            f"{self.key}/{seen.name}",
-            seen.frame,
-            seen.frame,
-        )
+    def _relation(self, arguments: object, step: int) -> Fact:
+        first, relation, second, observation = read_relation(arguments)
+        look = self._look(observation)
+        source, target = self._sighted(first, look), self._sighted(second, look)
+        self._check_room()
+        write, frame = self._rows.written, look.frame
+        related = RelationRow(source, target, self.key, write, step, relation, look.id, frame, frame)
         return Fact(related=related, replaced=self._replaced(related))
 
     # -- the grounding rule -------------------------------------------------------------------------------------------
 
-    def _seen(self, name: str) -> _Seen:
+    def _look(self, name: str) -> ObservationRow:
         """An observation of this episode. Raises DecodeError."""
-        if name not in self._observations:
-            made = ", ".join(list(self._observations)[-8:]) or "none yet"
-            raise DecodeError(f"observation {shown(name)} has not been made; made: {made}")
-        return self._observations[name]
+        looks = self._rows.observations
+        if f"{self.key}/{name}" not in looks:
+            made = ", ".join([name_of(key) for key in looks][-8:]) or "none yet"
+            raise DecodeError(f"observation {quoted(name)} has not been made; made: {made}")
+        return looks[f"{self.key}/{name}"]
 
-    def _sighted(self, name: str, seen: _Seen) -> str:
+    def _sighted(self, name: str, look: ObservationRow) -> str:
         """The key of an entity that has been sighted at an observation's frame. Raises DecodeError."""
-        entity = self._entities.get(name)
-        if entity is None:
-            raise DecodeError(f"there is no entity {shown(name)}: add it first")
-        if sighting_place(entity.id, seen.frame) not in self._edges:
-            raise DecodeError(f"{name} has no sighting at frame {seen.frame:06d}: add it to {seen.name} first")
-        return entity.id
+        key = f"{self.key}/{name}"
+        if key not in self._rows.entities:
+            raise DecodeError(f"there is no entity {quoted(name)}: add it first")
+        if ("sighted", key, look.frame) not in self._current:
+            raise DecodeError(f"{name} has no sighting at frame {look.frame:06d}: add it to {name_of(look.id)} first")
+        return key
 
-    def _room(self) -> None:
+    def _check_room(self) -> None:
         """Raises DecodeError where no more writes are taken."""
         if self._accepted >= MOST_WRITES:
             raise DecodeError(f"{MOST_WRITES} writes have been made, and no more are taken")
 
     def _replaced(self, edge: Edge) -> tuple[int, ...]:
         """The write of the edge that this one takes the place of, if there is one."""
-        before = self._edges.get(place_of(edge))
-        return () if before is None else (before.edge.write,)
+        before = self._current.get(_place(edge))
+        return () if before is None else (before.write,)
 
     # -- writing ------------------------------------------------------------------------------------------------------
 
-    def _accept(self, tool: Tool, arguments: object, step: int, fact: Fact) -> Result:
-        """Know what has been found good from now on, and write it."""
-        self._accepted += 1
-        for key in fact.freed:
-            name = name_of(key)
-            self._entities[name] = msgspec.structs.replace(self._entities[name], node="")
-        for entity in (fact.entity, fact.changed):
-            if entity is not None:
-                self._entities[entity.name] = entity
-        for edge in (fact.sighted, fact.has, fact.related):
-            if edge is not None:
-                self._edges[place_of(edge)] = Believed.of(edge)
-        # Last: all that waits may be put into the tables now, and this with it.
-        self._write(tool, arguments, step, fact)
-        return DONE
-
-    def _write(self, tool: Tool, arguments: object, step: int, fact: Fact) -> None:
-        text = msgspec.json.encode(fact).decode()
-        self._line(Write(self._writes, step, tool, as_json(arguments), True, "", text), fact)
-
-    def _line(self, write: Write, fact: Fact) -> None:
-        self._waiting.append((write, fact))
-        self._writes += 1
+    def _write(
+        self, tool: Tool, arguments: object, step: int, fact: Fact | None, accepted: bool = True, reason: str = ""
+    ) -> None:
+        text = "" if fact is None else msgspec.json.encode(fact).decode()
+        write = Write(self._rows.written, step, tool, as_json(arguments), accepted, reason, text)
+        self._rows.apply(write.number, step, fact)
+        self._waiting.append((write, fact or Fact()))
         if not self._together or len(self._waiting) >= MOST_WAITING:
             self.settle()
 
@@ -356,67 +283,157 @@ class Episode:
             self.settle()
 
     def settle(self) -> None:
-        """Put what waits into the tables, and tell `keep` of it. Raises as all writes do."""
+        """Put what waits into the tables, then record it. Raises as all writes do."""
         made, self._waiting = self._waiting, []
         if made:
-            self._graph.write(*write_statements(self.key, made, self._entities))
+            # Each statement is a transaction: one round them all takes longer, and others wait for it.
+            self._graph.write(*([statement] for statement in self._rows.statements(made)))
             for write, _ in made:
-                self._keep(write)
+                self._record(write)
 
     # -- what is believed ---------------------------------------------------------------------------------------------
 
     def rows(self) -> dict[str, list[Mapping[str, Any]]]:
         """What is currently believed, as the statements of `queries/reads/world` give it, by their names."""
-        rows: dict[str, list[Mapping[str, Any]]] = {"sighted": [], "attributes": [], "relations": []}
-        for one in self._edges.values():
-            rows[one.kind].append(one.row)
-        looks: list[Mapping[str, Any]] = [
-            {"frame": seen.frame, "edge": seen.left, "width": seen.width} for seen in self._observations.values()
-        ]
-        entities: list[Mapping[str, Any]] = [
-            {"who": entity.name, "node": entity.node} for entity in self._entities.values()
-        ]
-        return {
-            "sighted": sorted(rows["sighted"], key=lambda row: (row["who"], row["frame"], row["written"])),
-            "attributes": sorted(
-                rows["attributes"], key=lambda row: (row["who"], row["name"], row["first"], row["value"])
-            ),
-            "relations": sorted(
-                rows["relations"], key=lambda row: (row["source"], row["name"], row["target"], row["first"])
-            ),
-            "looks": sorted(looks, key=lambda row: (row["frame"], row["edge"], row["width"])),
-            "entities": sorted(entities, key=lambda row: row["who"]),
-        }
-
-    # -- what is shown ------------------------------------------------------------------------------------------------
+        rows: dict[str, list[Mapping[str, Any]]] = {name: [] for name in _ORDER}
+        for edge in self._current.values():
+            name, row = _read_row(edge)
+            rows[name].append(row)
+        looks = self._rows.observations.values()
+        rows["looks"] = [{"frame": look.frame, "edge": look.left, "width": look.width} for look in looks]
+        rows["entities"] = [{"who": one.name, "node": one.node} for one in self._rows.entities.values()]
+        return {name: sorted(rows[name], key=itemgetter(*columns)) for name, columns in _ORDER.items()}
 
     def graph(self, missing: Sequence[str] = ()) -> dict[str, Any]:
-        """What `get_graph` shows: observations and what is currently believed, and `missing`: what the plan still
-        lacks.
-        """
-        sightings: dict[str, list[Mapping[str, Any]]] = {entity.id: [] for entity in self._entities.values()}
+        """The result of `get_graph`: observations, what is currently believed, and `missing`: what the plan lacks."""
+        sightings: dict[str, list[Mapping[str, Any]]] = {key: [] for key in self._rows.entities}
         attributes: dict[str, list[Mapping[str, Any]]] = {key: [] for key in sightings}
         relations = []
-        for one in sorted(self._edges.values(), key=lambda one: one.edge.write):
-            match one.edge:
-                case SightingRow(source=source):
-                    sightings[source].append(one.shown)
-                case AttributeRow(source=source):
-                    attributes[source].append(one.shown)
+        for edge in sorted(self._current.values(), key=lambda edge: edge.write):
+            match edge:
+                case SightingRow():
+                    sightings[edge.source].append(_displayed_sighting(edge))
+                case AttributeRow():
+                    attributes[edge.source].append(_displayed_attribute(edge))
                 case RelationRow():
-                    relations.append(one.shown)
-        return {
-            "observations": [{"observation": name, **seen.said} for name, seen in self._observations.items()],
-            "entities": [
-                {
-                    "id": entity.name,
-                    "kind": entity.kind,
-                    **({"node": entity.node} if entity.node else {}),
-                    "sightings": sightings[entity.id],
-                    "attributes": attributes[entity.id],
-                }
-                for entity in self._entities.values()
-            ],
-            "relations": relations,
-            "missing": list(missing),
-        }
+                    relations.append(_displayed_relation(edge))
+        entities = [
+            {"id": entity.name, "kind": entity.kind}
+            | ({"node": entity.node} if entity.node else {})
+            | {"sightings": sightings[key], "attributes": attributes[key]}
+            for key, entity in self._rows.entities.items()
+        ]
+        looks = [{"observation": name_of(key), **_described(look)} for key, look in self._rows.observations.items()]
+        return {"observations": looks, "entities": entities, "relations": relations, "missing": list(missing)}
+
+
+# -- rows -------------------------------------------------------------------------------------------------------------
+
+
+def _place(edge: Edge) -> Hashable:
+    """What the edge is a statement of: a later one of the same place takes it.
+
+    At a frame an entity has one sighting, one pose, and one value of every attribute but those of `_SEVERAL`; gender
+    and age it has once. Of one source there is one first person to the left and one to the right; two people stand in
+    one place of the source's own view, and otherwise in several relations, of which some hold both ways.
+    """
+    match edge:
+        case SightingRow():
+            return ("sighted", edge.source, edge.frame)
+        case AttributeRow() if edge.name in TIMELESS:
+            return ("has", edge.source, edge.name)
+        case AttributeRow() if edge.name == "action" and edge.value in POSES:
+            return ("has", edge.source, "pose", edge.first)
+        case AttributeRow() if edge.name in _SEVERAL:
+            return ("has", edge.source, edge.name, edge.first, edge.value)
+        case AttributeRow():
+            return ("has", edge.source, edge.name, edge.first)
+    relation = RELATIONS.get(edge.name)
+    match relation and relation.kind:
+        case "first":
+            return ("related", edge.source, edge.name, edge.first)
+        case "person":
+            return ("related", edge.source, "view", edge.first, edge.target)
+        case "social" | "group":
+            return ("related", frozenset((edge.source, edge.target)), edge.name, edge.first)
+    return ("related", edge.source, edge.name, edge.first, edge.target)
+
+
+def _slots(plan: Plan, episode: str) -> tuple[SlotRow, ...]:
+    """The slots of a plan: each node with its conditions, the edges, and the read.
+
+    A slot's `name` is the attribute (or action, object, interaction), the relation or the read; `value` what it is to
+    be, and of the read the names of its times. `frame` is the stated frame at which it holds, -1 where there is none.
+    """
+    rows: list[tuple[str, str, str, str, str]] = []
+    times: list[str | None] = []
+    for node in plan.nodes:
+        rows.append(("node", node.id, "", "", ""))
+        rows += [("condition", node.id, "", *condition.wanted) for condition in node.conditions]
+        times += [None, *(condition.at for condition in node.conditions)]
+    rows += [("edge", edge.source, edge.target, edge.relation, "") for edge in plan.edges]
+    rows.append(("read", plan.answer.of, "", plan.answer.read, ", ".join(plan.answer.times)))
+    times += [*(edge.at for edge in plan.edges), plan.answer.times[0]]
+    stated = [None if time is None else plan.times[time].frame for time in times]
+    frames = [_NO_FRAME if frame is None else frame for frame in stated]
+    places = enumerate(zip(rows, frames, strict=True))
+    return tuple(SlotRow(f"{episode}/{number}", episode, number, *row, frame) for number, (row, frame) in places)
+
+
+def _stitched(look: ObservationRow, box: Box) -> XYWH:
+    """A box of an observation's image in stitched pixels. Raises DecodeError for what is no box in the image."""
+    right, lower = box.x + box.w, box.y + box.h
+    if not (0 <= box.x < right <= look.width + _ROUNDING and 0 <= box.y < lower <= HEIGHT + _ROUNDING):
+        raise DecodeError("the box must lie in the observation's image and have an area")
+    return XYWH(*map(float, from_crop(box, look.left)))
+
+
+def _read_row(edge: Edge) -> tuple[str, dict[str, Any]]:
+    """The statement of `queries/reads/world` that gives an edge, and the row that it gives."""
+    ends = {"source": name_of(edge.source), "target": name_of(edge.target)}
+    match edge:
+        case SightingRow():
+            place = {"frame": edge.frame, "box": edge.box._asdict(), "angle": edge.angle}
+            return "sighted", {"who": ends["source"], **place, "written": edge.write}
+        case AttributeRow():
+            row = {"who": ends["source"], "name": edge.name, "value": edge.value, "number": edge.number}
+            return "attributes", row | {"first": edge.first, "last": edge.last}
+        case RelationRow():
+            return "relations", ends | {"name": edge.name, "first": edge.first, "last": edge.last}
+
+
+def _described(look: ObservationRow) -> dict[str, Any]:
+    """An observation as the model reads it."""
+    place = {"panorama": True} if look.width == WIDTH else {"angle_deg": look.angle}
+    return {"frame_id": f"{look.frame:06d}", **place}
+
+
+def _displayed_sighting(edge: SightingRow) -> dict[str, Any]:
+    """A sighting as the model reads it: the box in stitched pixels, x, y, w, h."""
+    return {
+        "observation": name_of(edge.target),
+        "frame_id": f"{edge.frame:06d}",
+        "angle_deg": round(edge.angle, 1),
+        "box": [round(value, 1) for value in edge.box],
+    }
+
+
+def _displayed_attribute(edge: AttributeRow) -> dict[str, Any]:
+    """An attribute as the model reads it: name and value, at the frame where it holds at one only."""
+    return {
+        "name": edge.name,
+        "value": edge.number if edge.name in NUMBERS else edge.value,
+        **({} if edge.name in TIMELESS else {"frame_id": f"{edge.first:06d}"}),
+        "observation": name_of(edge.target),
+    }
+
+
+def _displayed_relation(edge: RelationRow) -> dict[str, Any]:
+    """A relation as the model reads it: who stands in which one to whom, at which frame."""
+    return {
+        "source": name_of(edge.source),
+        "name": edge.name,
+        "target": name_of(edge.target),
+        "frame_id": f"{edge.first:06d}",
+        "observation": name_of(edge.observation),
+    }

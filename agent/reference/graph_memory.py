@@ -131,17 +131,12 @@ class GraphMemory:
             self.world.refused(_TOOLS[call.tool], call.arguments, reason, step)
 
     def carry_out(self, call: Call, views: Mapping[str, View], step: int) -> str:
-        match call.tool:
-            case "add_entity":
-                result = self.world.add_entity(*self._with_box(call.arguments, views), step)
-            case "add_attribute":
-                result = self.world.add_attribute(call.arguments, step)
-            case "add_relation":
-                result = self.world.add_relation(call.arguments, step)
-            case _:
-                decode.only_keys(call.arguments, (), "get_graph")
-                self.world.noted("get_graph", call.arguments, step, True)
-                return "done"
+        if call.tool == "get_graph":
+            decode.only_keys(call.arguments, (), "get_graph")
+            self.world.noted("get_graph", call.arguments, step, True)
+            return "done"
+        arguments, box = self._with_box(call.arguments, views) if call.tool == "add_entity" else (call.arguments, "")
+        result = self.world.add(_TOOLS[call.tool], arguments, step, box)
         if not result.accepted:
             return refusal(result.said)
         self._changed()

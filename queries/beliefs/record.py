@@ -8,7 +8,6 @@ ended, which are then copied in: the same tables as the run itself wrote, write 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from importlib import resources
 from typing import Any, Final
 
@@ -16,41 +15,18 @@ import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from jrdb_avr.queries.beliefs.episode import EpisodeRows, world_schema
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store, read_table
-from jrdb_avr.schema.beliefs import (
-    ALWAYS,
-    WORLD_NODES,
-    WORLD_RELS,
-    AttributeRow,
-    EntityRow,
-    EpisodeRow,
-    Fact,
-    ObservationRow,
-    RelationRow,
-    SightingRow,
-    SlotRow,
-    episode_hash,
-    episode_key,
-)
+from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS, Fact
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.tables import RUNS
+
+_LINE: Final = ("run_id", "question_id", "number", "step", "tool", "arguments", "accepted", "reason")
 
 BATCH_WRITES: Final = 150_000
 """Writes from which on runs are copied: every further COPY of a table of edges rewrites what is there, and a million
 writes at once would take gigabytes."""
-
-_TYPES: Final[dict[str, pa.DataType]] = {
-    "STRING": pa.string(),
-    "INT64": pa.int64(),
-    "DOUBLE": pa.float64(),
-    "BOOLEAN": pa.bool_(),
-    # As text, which the engine reads.
-    "UUID": pa.string(),
-    "STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)": pa.struct([(name, pa.float64()) for name in "xywh"]),
-}
-
-_Edge = SightingRow | AttributeRow | RelationRow
 
 
 def read_record(store: Store, run_id: str) -> pa.Table:
@@ -79,19 +55,22 @@ def replayed(record: pa.Table) -> dict[str, pa.Table]:
     no run can have written: a fact of no known form, a write twice, a row of another episode, an edge to nothing.
     """
     record = record.sort_by([("run_id", "ascending"), ("question_id", "ascending"), ("number", "ascending")])
-    tables = _Tables()
-    columns = [record[name].to_pylist() for name in ("run_id", "question_id", "number", "step", "tool", "arguments")]
-    columns += [record[name].to_pylist() for name in ("accepted", "reason")]
-    episode: _Episode | None = None
-    for (run, question, *row), fact in zip(zip(*columns, strict=True), _facts(record["fact"]), strict=True):
+    tables: dict[str, list[tuple[Any, ...]]] = {name: [] for name in (*WORLD_NODES, *WORLD_RELS)}
+    columns = [record[name].to_pylist() for name in _LINE]
+    episode: EpisodeRows | None = None
+    for (run, question, *line), fact in zip(zip(*columns, strict=True), _facts(record["fact"]), strict=True):
         if episode is None or (episode.run, episode.question) != (run, question):
             if episode is not None:
-                episode.close(tables)
-            episode = _Episode(run, question)
-        episode.write(tables, row, fact)
+                episode.add_to(tables)
+            episode = EpisodeRows(run, question)
+        number, step, *_ = line
+        episode.apply(number, step, fact)
+        key = f"{episode.key}/{number}"
+        tables["Write"].append((key, episode.key, *line))
+        tables["Wrote"].append((episode.key, key))
     if episode is not None:
-        episode.close(tables)
-    return tables.arrow()
+        episode.add_to(tables)
+    return {name: _arrow(world_schema(name), rows) for name, rows in tables.items()}
 
 
 def _facts(texts: pa.ChunkedArray) -> Iterator[Fact | None]:
@@ -104,16 +83,6 @@ def _facts(texts: pa.ChunkedArray) -> Iterator[Fact | None]:
     if len(facts) != len(texts):
         raise StoreError("a record of a world model holds two facts in one write")
     return iter(facts)
-
-
-@dataclass
-class _Tables:
-    """Rows by table, as tuples in the order of its columns."""
-
-    rows: dict[str, list[tuple[Any, ...]]] = field(default_factory=lambda: {n: [] for n in (*WORLD_NODES, *WORLD_RELS)})
-
-    def arrow(self) -> dict[str, pa.Table]:
-        return {name: _arrow(world_schema(name), rows) for name, rows in self.rows.items()}
 
 
 def _arrow(schema: pa.Schema, rows: Sequence[tuple[Any, ...]]) -> pa.Table:
@@ -130,110 +99,6 @@ def _boxes(column: Sequence[tuple[float, float, float, float]]) -> pa.Array:
     return pa.StructArray.from_arrays(
         [pa.array(side, pa.float64()) for side in zip(*column, strict=True)], list("xywh")
     )
-
-
-def world_schema(table: str) -> pa.Schema:
-    """The columns of a table of the world namespace as COPY takes them: edges begin with the two keys."""
-    if table in WORLD_RELS:
-        columns = ["from STRING", "to STRING", *WORLD_RELS[table][2]]
-    else:
-        columns = WORLD_NODES[table].replace(" PRIMARY KEY", "").split(", ")
-    parts = (column.split(" ", 1) for column in columns)
-    return pa.schema([(name, _TYPES[kind]) for name, kind in parts])
-
-
-class _Episode:
-    """One episode while its writes are replayed."""
-
-    def __init__(self, run: str, question: str) -> None:
-        self.run, self.question = run, question
-        self.key = episode_key(run, question)
-        self.begun: EpisodeRow | None = None
-        self.written = -1
-        self.observations: dict[str, ObservationRow] = {}
-        self.entities: dict[str, EntityRow] = {}
-        self.slots: dict[str, SlotRow] = {}
-        self.edges: dict[int, _Edge] = {}
-        self.until: dict[int, int] = {}
-
-    def write(self, tables: _Tables, row: Sequence[Any], fact: Fact | None) -> None:
-        """Take the next write: number, step, tool, arguments, accepted, reason; and its fact."""
-        number, step, *_ = row
-        if number != self.written + 1:
-            raise self.broken(f"has no write {self.written + 1}, or has it twice")
-        self.written = number
-        key = f"{self.key}/{number}"
-        tables.rows["Write"].append((key, self.key, *row))
-        tables.rows["Wrote"].append((self.key, key))
-        if fact is None:
-            return
-        if fact.episode is not None:
-            self.begun = fact.episode
-        for slot in fact.slots:
-            self.add(self.slots, slot)
-        if fact.observation is not None:
-            self.add(self.observations, fact.observation)
-        for freed in fact.freed:
-            if freed not in self.entities:
-                raise self.broken(f"frees {freed[:80]!r}, which it does not hold")
-            self.entities[freed] = msgspec.structs.replace(self.entities[freed], node="")
-        if fact.entity is not None:
-            self.add(self.entities, fact.entity)
-        if fact.changed is not None:
-            if fact.changed.id not in self.entities:
-                raise self.broken(f"changes {fact.changed.id[:80]!r}, which it does not hold")
-            self.entities[fact.changed.id] = fact.changed
-        edges = [edge for edge in (fact.sighted, fact.has, fact.related) if edge is not None]
-        if len(edges) > 1 or any(edge.write != number for edge in edges):
-            raise self.broken(f"makes an edge in write {number} that is not its own")
-        for edge in edges:
-            self.edges[number] = edge
-        for replaced in fact.replaced:
-            if replaced not in self.edges:
-                raise self.broken(f"replaces write {replaced}, which made nothing")
-            self.until[replaced] = step
-
-    def add(self, rows: dict[str, Any], row: ObservationRow | EntityRow | SlotRow) -> None:
-        if row.id in rows:
-            raise self.broken(f"makes {row.id[:80]!r} twice")
-        rows[row.id] = row
-
-    def close(self, tables: _Tables) -> None:
-        """Hand the episode's rows over."""
-        begun = self.begun
-        if begun is None or (begun.id, begun.run, begun.question) != (self.key, self.run, self.question):
-            raise self.broken("does not begin as its own")
-        rows = tables.rows
-        rows["Episode"].append(msgspec.structs.astuple(begun))
-        held: tuple[tuple[str, str, dict[str, Any]], ...] = (
-            ("Observation", "Made", self.observations),
-            ("Entity", "Holds", self.entities),
-            ("Slot", "Asks", self.slots),
-        )
-        of_episode = episode_hash(self.key)
-        for node, edge, found in held:
-            for key, row in found.items():
-                if row.episode != self.key or not key.startswith(f"{self.key}/"):
-                    raise self.broken(f"holds {key[:80]!r} of another episode")
-                columns = msgspec.structs.astuple(row)
-                rows[node].append(columns if isinstance(row, SlotRow) else (*columns, of_episode))
-                rows[edge].append((self.key, key))
-        for number, made in self.edges.items():
-            self.close_edge(rows, number, made)
-
-    def close_edge(self, rows: dict[str, list[tuple[Any, ...]]], number: int, edge: _Edge) -> None:
-        table = {SightingRow: "Sighted", AttributeRow: "Has", RelationRow: "Related"}[type(edge)]
-        targets = self.entities if isinstance(edge, RelationRow) else self.observations
-        if edge.episode != self.key or edge.source not in self.entities or edge.target not in targets:
-            raise self.broken(f"makes an edge in write {number} between what it does not hold")
-        until = self.until.get(number)
-        ends = [self.entities[edge.source].name]
-        if isinstance(edge, RelationRow):
-            ends.append(self.entities[edge.target].name)
-        rows[table].append((*msgspec.structs.astuple(edge), until is None, ALWAYS if until is None else until, *ends))
-
-    def broken(self, why: str) -> StoreError:
-        return StoreError(f"the record of episode {self.key[:120]} {why}: evaluate its run again")
 
 
 # -- into a graph -----------------------------------------------------------------------------------------------------

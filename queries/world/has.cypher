@@ -1,3 +1,9 @@
-// What is seen of an entity in an observation.
-MATCH (n:Entity {id: $source}), (o:Observation {id: $target})
-CREATE (n)-[:Has {episode: $episode, write: $write, step: $step, name: $name, value: $value, number: $number, first: $first, last: $last, current: $current, until: $until, who: $who}]->(o)
+// What is seen of entities in observations. (The engine finds no key by a row's value.)
+MATCH (n:Entity {episode_hash: UUID($hash)})
+UNWIND $rows AS r
+WITH r, n
+WHERE n.number = r.source_number
+MATCH (o:Observation {episode_hash: UUID($hash)})
+WITH r, n, o
+WHERE o.number = r.target_number
+CREATE (n)-[:Has {episode: $episode, write: r.write, step: r.step, name: r.name, value: r.value, number: r.number, first: r.first, last: r.last, current: r.current, until: r.until, who: r.who}]->(o)

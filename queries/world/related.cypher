@@ -1,3 +1,9 @@
-// What joins two entities in an observation.
-MATCH (n:Entity {id: $source}), (m:Entity {id: $target})
-CREATE (n)-[:Related {episode: $episode, write: $write, step: $step, name: $name, observation: $observation, first: $first, last: $last, current: $current, until: $until, who: $who, whom: $whom}]->(m)
+// What joins entities in observations. (The engine finds no key by a row's value.)
+MATCH (n:Entity {episode_hash: UUID($hash)})
+UNWIND $rows AS r
+WITH r, n
+WHERE n.number = r.source_number
+MATCH (m:Entity {episode_hash: UUID($hash)})
+WITH r, n, m
+WHERE m.number = r.target_number
+CREATE (n)-[:Related {episode: $episode, write: r.write, step: r.step, name: r.name, observation: r.observation, first: r.first, last: r.last, current: r.current, until: r.until, who: r.who, whom: r.whom}]->(m)

@@ -1,3 +1,9 @@
-// Where an entity is in an observation.
-MATCH (n:Entity {id: $source}), (o:Observation {id: $target})
-CREATE (n)-[:Sighted {episode: $episode, write: $write, step: $step, frame: $frame, box: {x: $x, y: $y, w: $w, h: $h}, angle: $angle, current: $current, until: $until, who: $who}]->(o)
+// Where entities are in observations. (The engine finds no key by a row's value.)
+MATCH (n:Entity {episode_hash: UUID($hash)})
+UNWIND $rows AS r
+WITH r, n
+WHERE n.number = r.source_number
+MATCH (o:Observation {episode_hash: UUID($hash)})
+WITH r, n, o
+WHERE o.number = r.target_number
+CREATE (n)-[:Sighted {episode: $episode, write: r.write, step: r.step, frame: r.frame, box: {x: r.x, y: r.y, w: r.w, h: r.h}, angle: r.angle, current: r.current, until: r.until, who: r.who}]->(o)

@@ -137,13 +137,15 @@ def write_turn(episode, step):
     seen = {"observation": episode.observed(look, step)}
     for name in PEOPLE:
         entity = {"id": name, "kind": "person", "box": [1, 2, 3, 4], **seen}
-        assert episode.add_entity(entity, Box(10, 10, 40, 90), step).accepted
+        assert episode.add("add_entity", entity, step, Box(10, 10, 40, 90)).accepted
         facts = [("action", ACTIONS[step % 3])]
         facts += [("gender", "female" if name == "p1" else "male")] if step == 1 else []
         for what, value in facts:
-            assert episode.add_attribute({"entity": name, "name": what, "value": value, **seen}, step).accepted
+            attribute = {"entity": name, "name": what, "value": value, **seen}
+            assert episode.add("add_attribute", attribute, step).accepted
     for source, name, target in TIES:
-        assert episode.add_relation({"source": source, "name": name, "target": target, **seen}, step).accepted
+        relation = {"source": source, "name": name, "target": target, **seen}
+        assert episode.add("add_relation", relation, step).accepted
 
 
 def main():

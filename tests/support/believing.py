@@ -63,24 +63,22 @@ class Believer:
                     said["node"] = rng.choice("abc")
                 x = rng.uniform(0, 400)
                 box = Box(x, 10.0, rng.uniform(5, 70), 100.0) if rng.random() < 0.9 else "the box is no box"
-                if episode.add_entity(said, box, step).accepted:
+                if episode.add("add_entity", said, step, box).accepted:
                     people.append(said["id"])
             elif kind < 0.65:
                 name, value = rng.choice(
                     (("gender", "female"), ("gender", "male"), ("age", "young adulthood"), ("action", "sitting"), *MORE)
                 )
                 said = {"entity": rng.choice(people), "name": name, "value": value, "observation": seen}
-                episode.add_attribute(said, step)
+                episode.add("add_attribute", said, step)
             elif kind < 0.85:
                 names = ["conversation", "in the same group as", "first to the right of (robot view)", "likes"]
                 said = {"source": rng.choice(people), "name": rng.choice(names), "observation": seen}
-                episode.add_relation(
-                    {**said, "target": rng.choice(sorted(set(people) - {said["source"]}) or people)}, step
-                )
+                said["target"] = rng.choice(sorted(set(people) - {said["source"]}) or people)
+                episode.add("add_relation", said, step)
             elif kind < 0.95:
-                rng.choice((episode.add_entity, lambda a, b, s: episode.add_attribute(a, s)))(
-                    rng.choice(WILD), Box(0, 0, 5, 5), step
-                )
+                tool = rng.choice(("add_entity", "add_attribute"))
+                episode.add(tool, rng.choice(WILD), step, Box(0, 0, 5, 5))
             else:
                 episode.noted("get_graph", {}, step, True)
         episode.noted("final_answer", {"answer": 1, "entity": "p1"}, self.turns, rng.random() < 0.5, "not yet")

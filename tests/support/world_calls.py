@@ -118,5 +118,5 @@ def play(episode, calls):
             case "refused":
                 said.append(episode.refused("final_answer", *values, step))
             case _:
-                said.append(getattr(episode, tool)(*values, step))
+                said.append(episode.add(tool, values[0], step, *values[1:]))
     return said

@@ -119,26 +119,27 @@ def believe(world, number=0):
     name = episode.observed(look(15), 1)
     for i, person in enumerate(("p1", "p2")):
         given = {"id": person, "kind": "person", "observation": name, "box": []}
-        assert episode.add_entity(given, Box(10 + 100 * i, 10, 50, 90), 1).accepted
+        assert episode.add("add_entity", given, 1, Box(10 + 100 * i, 10, 50, 90)).accepted
         told = {"entity": person, "name": "gender", "value": "female", "observation": name}
-        assert episode.add_attribute(told, 1).accepted
+        assert episode.add("add_attribute", told, 1).accepted
     joined = {"source": "p1", "name": "conversation", "target": "p2", "observation": name}
-    assert episode.add_relation(joined, 1).accepted
+    assert episode.add("add_relation", joined, 1).accepted
     return episode
 
 
 def add(episode, name="p1", observation="o1", box=BOX, step=1, **more):
     given = {"id": name, "kind": "person", "observation": observation, "box": [1, 2, 3, 4], **more}
-    return episode.add_entity(given, box, step)
+    return episode.add("add_entity", given, step, box)
 
 
 def say(episode, name, value, entity="p1", observation="o1", step=1):
-    return episode.add_attribute({"entity": entity, "name": name, "value": value, "observation": observation}, step)
+    given = {"entity": entity, "name": name, "value": value, "observation": observation}
+    return episode.add("add_attribute", given, step)
 
 
 def join(episode, name, source="p1", target="p2", observation="o1", step=1):
     given = {"source": source, "name": name, "target": target, "observation": observation}
-    return episode.add_relation(given, step)
+    return episode.add("add_relation", given, step)
 
 
 def seen_twice(episode, *frames, people=("p1", "p2")):

@@ -83,7 +83,7 @@ def episode(graph):
         (lambda e: join(e, "conversation", "p1", "p1"), "joins two different entities"),
         (lambda e: join(e, "conversation", observation="o2"), "p1 has no sighting at frame 000030"),
         (lambda e: join(e, "x" * 121), "name must be a text of 1 to 120 printable characters"),
-        (lambda e: e.add_relation(None, 1), "the call must be an object"),
+        (lambda e: e.add("add_relation", None, 1), "the call must be an object"),
     ],
 )
 def test_a_refused_write_leaves_its_line_and_nothing_else(graph, call, why):
@@ -226,7 +226,7 @@ def test_long_and_unreadable_arguments_are_kept_as_texts(episode):
     for _ in range(100_000):
         deep = [deep]
     for arguments in (deep, {"id": "x" * 10**6}, {"id": 10**5000}, {"id": {1, 2}}, {"id": math.nan}):
-        assert not episode.add_entity(arguments, BOX, 1).accepted
+        assert not episode.add("add_entity", arguments, 1, BOX).accepted
     while deep:
         deep = deep[0]
 
