@@ -1,21 +1,19 @@
 """The reference agent's solver: what a plan comes to over the beliefs of one episode.
 
-The plan is compiled to Cypher, and solved and read by the solver that also runs the stored plans on the scene. What was
-not written down is unknown, and what is unknown is no match. Where the graph does not give an answer yet,
-`Belief.missing` says in words what it lacks.
+An answer is judged by the compiled plan, which the engine runs, and which is solved and read by the solver that also
+runs the stored plans on the scene. What is missing after every turn is found without the engine, by matching the plan
+with the episode's rows. What was not written down is unknown, and what is unknown is no match.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
-import pyarrow as pa
 
-from jrdb_avr.agent.beliefs.likely import likeliest, rest
-from jrdb_avr.agent.beliefs.parts import Parts, bindings, parts_of
 from jrdb_avr.queries.compiler import (
     Asked,
     BeliefReader,
@@ -23,21 +21,36 @@ from jrdb_avr.queries.compiler import (
     Queried,
     Rows,
     Solution,
+    find_believed,
     outcome_of_target,
     read_with,
     solve_with,
 )
 from jrdb_avr.queries.compiler.beliefs import DISTANCE_CUT_M, Moment, notes_of
+from jrdb_avr.queries.compiler.believed_find import believed_order, filled
+from jrdb_avr.queries.compiler.find import stated_frame, times_of
 from jrdb_avr.schema.answers import TIE, Answer, Choice, decode_answer, same_answer
+from jrdb_avr.schema.beliefs import episode_key
+from jrdb_avr.schema.method import Question
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan
+from jrdb_avr.schema.relations import SYMMETRIC
 from jrdb_avr.schema.rules import Rules
+
+if TYPE_CHECKING:
+    from jrdb_avr.agent.beliefs.world_model import World
 
 TIMEOUT_S: Final = 10.0
 """For each statement."""
 
+MOST_VISITS: Final = 10_000_000
+"""Texts that a compiled plan may compare: the engine serves one episode at a time, and takes about 3 ns for each."""
+
+_MOST_STEPS: Final = 2_000
+"""Bindings weighed; those of a real plan are a few dozens. Beyond them the best one so far is taken."""
+
 _MOST_MISSING: Final = 12
-"""Lines of `missing`: a model is told no more at once."""
+"""Lines of `missing`: a model reads no more at once."""
 
 
 @dataclass(frozen=True)
@@ -59,123 +72,115 @@ class Belief:
     missing: tuple[str, ...] = ()
 
 
-def solve_beliefs(graph: Queried, episode: str, plan: Plan, rules: Rules, rows: Rows | None = None) -> Belief:
-    """Solve a plan over the beliefs of the episode with this key: compiled, by the engine.
-
-    rows: what is believed, where that is at hand: the engine then only looks for the people. A plan that so many sets
-    of people nearly fit that the engine would be kept from other episodes is not run, and counts as ambiguous.
-    Raises PlanError for a plan that cannot be compiled, QueryError where a statement takes too long.
-    """
-    reader = BeliefReader(graph, episode, TIMEOUT_S, rows)
-    parts = parts_of(reader, plan)
-    if bindings(parts) is None:
-        return _TOO_MANY
-    return _belief(reader, parts, solve_with(reader, [Asked(plan, episode)], _cut(rules))[0])
-
-
-def weigh_beliefs(rows: Rows, plan: Plan, rules: Rules) -> Belief:
-    """The same of an episode whose beliefs are at hand, without the engine: what is missing after every turn. What
-    counts as an answer is what `solve_beliefs` finds.
-    """
-    reader = BeliefReader(_Nothing(), "", TIMEOUT_S, rows)
-    parts = parts_of(reader, plan)
-    found = bindings(parts)
-    if found is None:
-        return _TOO_MANY
-    outcome, people = outcome_of_target(plan, found)
-    solution = read_with(reader, Asked(plan, ""), people, _cut(rules)) if people else Solution(outcome)
-    return _belief(reader, parts, solution)
-
-
-def best_guess(graph: Queried, episode: str, plan: Plan, rules: Rules, rows: Rows | None = None) -> Belief | None:
-    """What is read of the entity that comes nearest to being the plan's target, None where there is nobody.
-
-    That is the one with which most conditions and edges hold, then the one seen at most frames, then the smallest name.
-    Its outcome is defined where the plan's read is known of it, else unknown, and its newest box is seen then. Nothing
-    is read of others. rows: as of `solve_beliefs`.
-    """
-    reader = BeliefReader(graph, episode, TIMEOUT_S, rows)
-    parts = parts_of(reader, plan)
-    if not parts.people:
-        return None
-    fits = {who: likeliest(parts, {plan.target: who})[1] for who in parts.people}
-    best = min(parts.people, key=lambda who: (-fits[who], -len({one.frame for one in reader.moments(who)}), who))
-    solution = read_with(reader, Asked(plan, episode), {plan.target: best}, _cut(rules))
-    if solution.outcome == "unknown":
-        reader.shown.clear()
-    return _belief(reader, parts, solution)
-
-
-class _Nothing:
-    """In the place of a graph, where all that is believed is at hand."""
-
-    def query(
-        self,
-        cypher: str,
-        params: Mapping[str, Any] | None = None,
-        *,
-        ordered: bool = True,
-        timeout_s: float | None = None,
-    ) -> pa.Table:
-        raise AssertionError("what is at hand is not asked for")
-
-
-def _cut(rules: Rules) -> Rules:
-    """Rules under which distances are compared as the protocol of the agent says."""
-    cut = DISTANCE_CUT_M - TIE
-    return msgspec.structs.replace(rules, distance_changed_m=cut, distance_same_m=cut)
-
-
-def _belief(reader: BeliefReader, parts: Parts, solution: Solution) -> Belief:
-    plan = parts.plan
-    people = {node: str(who) for node, who in solution.people.items()}
-    if not people:
-        return Belief(solution.outcome, missing=_lacking(reader, parts, solution.outcome))
-    seen = _seen(reader.moments(people[plan.target]), reader.shown.get(0, []))
-    missing = () if solution.outcome == "defined" else _unread(reader, plan, people)
-    return Belief(solution.outcome, people, dict(solution.times), solution.answer, seen, missing)
-
-
 _TOO_MANY: Final = Belief(
     "ambiguous", missing=("too many sets of people come near to fitting; what tells them apart is missing",)
 )
 
 
-def legal(plan: Plan, belief: Belief, proposed: Answer, entity: str, choices: Sequence[str]) -> str:
-    """Why a final answer is refused, "" where it is legal: the graph gives one target, which is `entity`, and an answer
-    that is the same as the proposed one as scores go.
-    """
-    lacks = "; ".join(belief.missing)
-    if belief.outcome == "empty":
-        return f"nobody in the graph fits the plan; missing: {lacks}"
-    if belief.outcome == "ambiguous":
-        return f"the graph has no single target; {lacks}"
-    target = belief.people[plan.target]
-    if entity != target:
-        return f"the plan's target in the graph is {target}, not {entity}"
-    if belief.outcome == "unknown" or belief.answer is None:
-        return f"the graph does not give the answer; missing: {lacks}"
-    truth = answer_of(plan, belief, choices)
-    if truth is None:
-        return f"the graph's answer is {belief.answer!r}, which is none of the choices"
-    if not same_answer(proposed, truth):
-        said = belief.answer
-        if isinstance(truth, Choice):
-            said = f"choice {truth.choice}, {belief.answer!r}"
-        return f"the graph's answer is {said}, which the proposed one is not"
-    return ""
+@dataclass(frozen=True)
+class BeliefSolver:
+    """Solves plans over the beliefs of the episode with this key."""
+
+    graph: Queried
+    key: str
+    choices: Sequence[str] = ()
+    rules: Rules = Rules()  # noqa: RUF009
+
+    def check(self, plan: Plan) -> None:
+        """Raises PlanError for a plan that cannot be compiled."""
+        find_believed(plan)
+
+    def solve(self, plan: Plan, rows: Rows | None = None) -> Belief:
+        """What the beliefs come to by the compiled plan.
+
+        rows: what is believed, where that is at hand: the engine then only looks for the people. A plan that so many
+        sets of people nearly fit that the engine would be kept from other episodes is not run, and counts as ambiguous.
+        Raises PlanError for a plan that cannot be compiled, QueryError where a statement takes too long.
+        """
+        reader, match = self._match(plan, rows)
+        if match.bindings is None:
+            return _TOO_MANY
+        return _belief(reader, match, solve_with(reader, [Asked(plan, self.key)], self._cut)[0])
+
+    def weigh(self, plan: Plan, rows: Rows) -> Belief:
+        """The same of beliefs that are at hand, without the engine."""
+        reader, match = self._match(plan, rows)
+        if match.bindings is None:
+            return _TOO_MANY
+        outcome, people = outcome_of_target(plan, match.bindings)
+        solution = read_with(reader, Asked(plan, self.key), people, self._cut) if people else Solution(outcome)
+        return _belief(reader, match, solution)
+
+    def guess(self, plan: Plan, rows: Rows | None = None) -> Belief | None:
+        """What is read of the entity that comes nearest to being the plan's target, None where there is nobody.
+
+        That is the one with which most conditions and edges hold, then the one seen at most frames, then the smallest
+        name. Its outcome is defined where the plan's read is known of it, else unknown, and its newest box is seen
+        then. Nothing is read of others.
+        """
+        reader, match = self._match(plan, rows)
+        if not match.people:
+            return None
+        fits = {who: match.likeliest({plan.target: who})[1] for who in match.people}
+        best = min(match.people, key=lambda who: (-fits[who], -len({one.frame for one in reader.moments(who)}), who))
+        solution = read_with(reader, Asked(plan, self.key), {plan.target: best}, self._cut)
+        if solution.outcome == "unknown":
+            reader.shown.clear()
+        return _belief(reader, match, solution)
+
+    def answer(self, plan: Plan, belief: Belief) -> Answer | None:
+        """The answer that is read from the beliefs, None where there is none, or none of the choices says it."""
+        if belief.outcome != "defined" or belief.answer is None:
+            return None
+        if plan.answer.mode != "multiple_choice":
+            return decode_answer(plan.answer.mode, belief.answer)
+        return Choice(list(self.choices).index(belief.answer) + 1) if belief.answer in self.choices else None
+
+    def fault(self, plan: Plan, belief: Belief, proposed: Answer, entity: str) -> str:
+        """Why a final answer is refused, "" where it is legal: the graph gives one target, which is `entity`, and an
+        answer that is the same as the proposed one as scores go.
+        """
+        missing = "; ".join(belief.missing)
+        if belief.outcome == "empty":
+            return f"nobody in the graph fits the plan; missing: {missing}"
+        if belief.outcome == "ambiguous":
+            return f"the graph has no single target; {missing}"
+        target = belief.people[plan.target]
+        if entity != target:
+            return f"the plan's target in the graph is {target}, not {entity}"
+        if belief.outcome == "unknown" or belief.answer is None:
+            return f"the graph does not give the answer; missing: {missing}"
+        truth = self.answer(plan, belief)
+        if truth is None:
+            return f"the graph's answer is {belief.answer!r}, which is none of the choices"
+        if same_answer(proposed, truth):
+            return ""
+        text = f"choice {truth.choice}, {belief.answer!r}" if isinstance(truth, Choice) else belief.answer
+        return f"the graph's answer is {text}, which the proposed one is not"
+
+    @property
+    def _cut(self) -> Rules:
+        """Rules under which distances are compared as the protocol of the agent says."""
+        cut = DISTANCE_CUT_M - TIE
+        return msgspec.structs.replace(self.rules, distance_changed_m=cut, distance_same_m=cut)
+
+    def _match(self, plan: Plan, rows: Rows | None) -> tuple[BeliefReader, PlanMatch]:
+        reader = BeliefReader(self.graph, self.key, TIMEOUT_S, rows)
+        return reader, match_plan(reader, plan)
 
 
-def answer_of(plan: Plan, belief: Belief, choices: Sequence[str]) -> Answer | None:
-    """The answer that is read from the graph, None where there is none, or none of the choices says it."""
-    if belief.outcome != "defined" or belief.answer is None:
-        return None
-    if plan.answer.mode != "multiple_choice":
-        return decode_answer(plan.answer.mode, belief.answer)
-    return Choice(list(choices).index(belief.answer) + 1) if belief.answer in choices else None
+def beliefs_of(world: World, question: Question) -> BeliefSolver:
+    """The solver of a question's episode."""
+    return BeliefSolver(world.graph, episode_key(world.run_id, question.question_id), question.choices)
 
 
-# -- boxes ------------------------------------------------------------------------------------------------------------
+def _belief(reader: BeliefReader, match: PlanMatch, solution: Solution) -> Belief:
+    people = {node: str(who) for node, who in solution.people.items()}
+    if not people:
+        return Belief(solution.outcome, missing=_unfound(reader, match, solution.outcome))
+    seen = _seen(reader.moments(people[match.plan.target]), reader.shown.get(0, []))
+    missing = () if solution.outcome == "defined" else _unread(reader, match.plan, people)
+    return Belief(solution.outcome, people, dict(solution.times), solution.answer, seen, missing)
 
 
 def _seen(moments: Sequence[Moment], frames: Sequence[int]) -> tuple[int, Box] | None:
@@ -188,18 +193,15 @@ def _seen(moments: Sequence[Moment], frames: Sequence[int]) -> tuple[int, Box] |
     return None if newest is None else (newest.frame, newest.box)
 
 
-# -- what is missing --------------------------------------------------------------------------------------------------
-
-
-def _lacking(reader: BeliefReader, parts: Parts, outcome: Outcome) -> tuple[str, ...]:
+def _unfound(reader: BeliefReader, match: PlanMatch, outcome: Outcome) -> tuple[str, ...]:
     """What keeps the plan's people from being found."""
     if outcome == "ambiguous":
-        target = parts.plan.target
-        fits = ", ".join(sorted({one[target] for one in bindings(parts) or ()}))
+        target = match.plan.target
+        fits = ", ".join(sorted({one[target] for one in match.bindings or ()}))
         return (f"several fit as {target}: {fits}; what tells them apart is missing",)
-    said = {node: who for who, node in reader.nodes().items() if node}
-    named, _ = likeliest(parts, {node: who for node, who in said.items() if who in parts.people})
-    return tuple(rest(parts, named)[:_MOST_MISSING])
+    named = {node: who for who, node in reader.nodes().items() if node and who in match.people}
+    likeliest, _ = match.likeliest(named)
+    return tuple(match.missing(likeliest)[:_MOST_MISSING])
 
 
 def _unread(reader: BeliefReader, plan: Plan, people: Mapping[str, str]) -> tuple[str, ...]:
@@ -207,13 +209,176 @@ def _unread(reader: BeliefReader, plan: Plan, people: Mapping[str, str]) -> tupl
     notes = notes_of(plan, reader.notes.get(0, []))
     if plan.answer.of not in people:
         notes.insert(0, f"several fit as {plan.answer.of}; what tells them apart is missing")
-    unplaced = [name for name, time in plan.times.items() if time.event == "end" and not _follows_start(plan, name)]
     if plan.answer.read != "next_action":
-        notes += [f"time {name}: an end is read only after the start of the same action" for name in unplaced]
+        for name, time in plan.times.items():
+            start = plan.times[time.after or name]
+            if time.event == "end" and (start.event, start.action) != ("start", time.action):
+                notes.append(f"time {name}: an end is read only after the start of the same action")
     return tuple(f"the answer: {note}" for note in notes[:_MOST_MISSING]) or ("the answer: it is not known",)
 
 
-def _follows_start(plan: Plan, name: str) -> bool:
-    time = plan.times[name]
-    before = plan.times[time.after or name]
-    return before.event == "start" and before.action == time.action
+# -- matching a plan with rows ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class PlanMatch:
+    """Entities that satisfy each part of a plan, by an episode's rows alone: what the compiled plan finds.
+
+    people: those who are seen at all; sighted: by node and time; conditions: by node and number; edges: pairs from
+    source to target. texts: how many texts the compiled plan gathers.
+    """
+
+    plan: Plan
+    people: tuple[str, ...]
+    sighted: Mapping[tuple[str, str], frozenset[str]]
+    conditions: Mapping[tuple[str, int], frozenset[str]]
+    edges: tuple[frozenset[tuple[str, str]], ...]
+    texts: int
+
+    @cached_property
+    def bindings(self) -> list[dict[str, str]] | None:
+        """All bindings of the plan's nodes to different people of whom every part holds; None where to find them the
+        compiled plan would compare more texts than `MOST_VISITS`.
+
+        It goes the way of the compiled plan: at each node it tries everybody, and compares what each part that can be
+        decided by then needs with all that it has gathered.
+        """
+        parts = [*self.sighted.items(), *self.conditions.items()]
+        own = {node.id: [who for (name, _), who in parts if name == node.id] for node in self.plan.nodes}
+        people = sorted(frozenset[str]().union(*(who for _, who in parts)))
+        compared = filled(max(map(len, own.values())))
+        places: dict[str, int] = {}
+        found: list[tuple[str, ...]] = [()]
+        visits = 0
+        for node, edges in believed_order(self.plan):
+            places[node] = len(places)
+            fit = people
+            for who in own[node]:
+                visits += len(found) * len(fit) * self.texts
+                fit = [one for one in fit if one in who]
+            # A statement compares some parts more than once, so that it is one of a few.
+            visits += len(found) * len(fit) * self.texts * (compared - len(own[node]))
+            if visits > MOST_VISITS:
+                return None
+            found = [(*bound, who) for bound in found for who in fit if who not in bound]
+            for i, edge in edges:
+                visits += 2 * len(found) * self.texts
+                if visits > MOST_VISITS:
+                    return None
+                source, target = places[edge.source], places[edge.target]
+                found = [bound for bound in found if (bound[source], bound[target]) in self.edges[i]]
+        return [dict(zip(places, bound, strict=True)) for bound in found]
+
+    def likeliest(self, named: Mapping[str, str]) -> tuple[dict[str, str], int]:
+        """A binding of nodes to different people, those `named` among them, under which most conditions and edges hold,
+        and how many do. Of equal ones the first is taken, in the order of names; nobody is bound who adds nothing.
+        """
+        order, free = [*named], [node.id for node in self.plan.nodes if node.id not in named]
+        while free:
+            # Along edges, so that what joins a person to the rest is known when it is chosen.
+            near = [n for n in free if any({n, o} == {e.source, e.target} for e in self.plan.edges for o in order)]
+            order.append((near or free)[0])
+            free.remove(order[-1])
+        place = {node: at for at, node in enumerate(order)}
+        decided = [max(place[edge.source], place[edge.target]) for edge in self.plan.edges]
+        decided += [place[node] for node, _ in self.conditions]
+        candidates = {node: self._candidates(node) for node in order[len(named) :]}
+        best: dict[str, str] = {}
+        most, steps = -1, 1
+
+        def bind(at: int, bound: dict[str, str], held: int) -> None:
+            """Try everybody for the node at a place, and nobody."""
+            nonlocal best, most, steps
+            if held + sum(one >= at for one in decided) <= most or steps > _MOST_STEPS:
+                return
+            if at == len(order):
+                best, most = bound, held
+                return
+            tried = [bound | {order[at]: who} for who in candidates[order[at]] if who not in bound.values()]
+            steps += len(tried)
+            for count, one in sorted(((self._held(one), one) for one in tried), key=lambda pair: -pair[0]):
+                bind(at + 1, one, count)
+            bind(at + 1, bound, held)
+
+        bind(len(named), dict(named), self._held(named))
+        return best, most
+
+    def _candidates(self, node: str) -> list[str]:
+        """Those of whom any part of a node holds."""
+        found = set[str]().union(*(who for (name, _), who in self.conditions.items() if name == node))
+        for edge, pairs in zip(self.plan.edges, self.edges, strict=True):
+            if node in (edge.source, edge.target):
+                found |= {pair[0 if node == edge.source else 1] for pair in pairs}
+        return sorted(found)
+
+    def _held(self, bound: Mapping[str, str]) -> int:
+        """How many conditions and edges hold under a binding."""
+        return sum(bound.get(node) in who for (node, _), who in self.conditions.items()) + sum(
+            (bound.get(edge.source), bound.get(edge.target)) in pairs
+            for edge, pairs in zip(self.plan.edges, self.edges, strict=True)
+        )
+
+    def missing(self, bound: Mapping[str, str]) -> list[str]:
+        """What does not hold under a binding, in words."""
+        named = {node.id: f"{node.id} ({bound[node.id]})" if node.id in bound else node.id for node in self.plan.nodes}
+        lines = []
+        for node in self.plan.nodes:
+            who = bound.get(node.id)
+            if who is None:
+                lines.append(f"{node.id}: nobody is known to be it")
+            else:
+                unseen = [time for (name, time), seen in self.sighted.items() if name == node.id and who not in seen]
+                lines += [f"{named[node.id]}: not seen{self._when(time)}" for time in unseen]
+            for i, condition in enumerate(node.conditions):
+                if who not in self.conditions[node.id, i]:
+                    wanted = " ".join(condition.wanted)
+                    lines.append(f"{named[node.id]}: {wanted} is not known{self._when(condition.at)}")
+        for edge, pairs in zip(self.plan.edges, self.edges, strict=True):
+            if (bound.get(edge.source), bound.get(edge.target)) not in pairs:
+                ends = f"{named[edge.source]} -> {named[edge.target]}"
+                lines.append(f"edge {ends}: {edge.relation} is not known{self._when(edge.at)}")
+        return lines
+
+    def _when(self, time: str | None) -> str:
+        frame = self.plan.times[time].frame if time is not None else None
+        return "" if frame is None else f" at frame {frame:06d}"
+
+
+def match_plan(reader: BeliefReader, plan: Plan) -> PlanMatch:
+    """Match the parts of a plan with an episode's rows. Raises PlanError where a part holds at no stated frame."""
+    seen = reader.all("sighted")
+    sighted: dict[tuple[str, str], frozenset[str]] = {}
+    conditions: dict[tuple[str, int], frozenset[str]] = {}
+    texts: dict[Hashable, int] = {}
+    pairs: dict[tuple[str, int], frozenset[tuple[str, str]]] = {}
+
+    def held(kind: str, frame: int, **wanted: Any) -> list[Mapping[str, Any]]:
+        rows = [row for row in reader.all(kind) if row["first"] <= frame <= row["last"]]
+        return [row for row in rows if all(row[name] == value for name, value in wanted.items())]
+
+    def joined(relation: str, frame: int) -> frozenset[tuple[str, str]]:
+        found = frozenset((row["source"], row["target"]) for row in held("relations", frame, name=relation))
+        return pairs.setdefault((relation, frame), found)
+
+    for node in plan.nodes:
+        times = times_of(plan, node.id)
+        for time in times:
+            frame = stated_frame(plan, time)
+            sighted[node.id, time] = frozenset(row["who"] for row in seen if row["frame"] == frame)
+            texts[frame] = len(sighted[node.id, time])
+        for i, condition in enumerate(node.conditions):
+            frame = stated_frame(plan, condition.at or times[0])
+            name, value = condition.wanted
+            who = {row["who"] for row in held("attributes", frame, name=name, value=value)}
+            texts[name, value, frame] = len(who)
+            if condition.interaction is not None:
+                who.update(end for pair in joined(value, frame) for end in pair)
+            conditions[node.id, i] = frozenset(who)
+    edges = []
+    for edge in plan.edges:
+        found = joined(edge.relation, stated_frame(plan, edge.at))
+        edges.append(found | {(b, a) for a, b in found} if edge.relation in SYMMETRIC else found)
+    ends = any(one.interaction is not None for node in plan.nodes for one in node.conditions)
+    gathered = sum(texts.values()) + (3 if ends else 1) * sum(map(len, pairs.values()))
+    people = tuple(sorted({row["who"] for row in seen}))
+    return PlanMatch(plan, people, sighted, conditions, tuple(edges), gathered)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
@@ -19,7 +19,7 @@ from jrdb_avr.agent.model.messages import Message, Part
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.agent.reference.episode import Turn, View, view_parts
 from jrdb_avr.agent.reference.tool_calls import FINAL, WRITING, Call, call_schema, one_line, refusal, turn_schema
-from jrdb_avr.schema.answers import Answer, Evidence
+from jrdb_avr.schema.answers import Evidence
 from jrdb_avr.schema.beliefs import Tool
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Panorama, Question
@@ -27,9 +27,8 @@ from jrdb_avr.schema.panorama import HEIGHT, WIDTH, Box
 from jrdb_avr.schema.plan import Plan, canonical
 
 if TYPE_CHECKING:
-    from jrdb_avr.agent.beliefs.solver import Belief
+    from jrdb_avr.agent.beliefs.solver import Belief, BeliefSolver
     from jrdb_avr.agent.beliefs.world_model import Episode as WorldEpisode
-    from jrdb_avr.queries.compiler import Rows
 
 _NAME: Final = {"type": "string", "pattern": "^[A-Za-z0-9_-]{1,32}$"}
 OBSERVATION_SCHEMA: Final = {"type": "string", "pattern": "^o[0-9]+$"}
@@ -39,34 +38,6 @@ _TOOLS: Final[dict[str, Tool]] = {
     name: name for name in ("observe", "add_entity", "add_attribute", "add_relation", "get_graph", "final_answer")
 }
 """The tools whose refused calls are kept."""
-
-
-class Solver(Protocol):
-    """What is asked of an episode's beliefs."""
-
-    def check(self, plan: Plan) -> None:
-        """Raises PlanError for a plan that cannot be solved."""
-        ...
-
-    def weigh(self, plan: Plan, rows: Rows) -> Belief:
-        """What the beliefs, `rows`, come to, told at once: for what is missing."""
-        ...
-
-    def solve(self, plan: Plan, rows: Rows) -> Belief:
-        """What the beliefs come to by the compiled plan: what an answer is judged by."""
-        ...
-
-    def guess(self, plan: Plan, rows: Rows) -> Belief | None:
-        """What is read of who comes nearest to the target, None where nobody was seen."""
-        ...
-
-    def answer(self, plan: Plan, belief: Belief) -> Answer | None:
-        """The answer that is read from the beliefs, None where there is none or no choice says it."""
-        ...
-
-    def fault(self, plan: Plan, belief: Belief, proposed: Answer, entity: str) -> str:
-        """Why a final answer is not legal, "" where it is."""
-        ...
 
 
 @dataclass
@@ -79,7 +50,7 @@ class GraphMemory:
 
     attempt: Attempt
     world: WorldEpisode
-    solver: Solver
+    solver: BeliefSolver
     plan: Plan
     system: str
     heading: str

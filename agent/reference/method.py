@@ -6,13 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from jrdb_avr.agent.beliefs.solving import beliefs_of
+from jrdb_avr.agent.beliefs.solver import BeliefSolver, beliefs_of
 from jrdb_avr.agent.methods.attempt import Attempt, shared_settings
 from jrdb_avr.agent.model.client import Chat
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention
 from jrdb_avr.agent.reference.chat_memory import ChatMemory
 from jrdb_avr.agent.reference.episode import Episode, Memory
-from jrdb_avr.agent.reference.graph_memory import GraphMemory, Solver
+from jrdb_avr.agent.reference.graph_memory import GraphMemory
 from jrdb_avr.agent.reference.limits import LIMITS, Limits
 from jrdb_avr.agent.reference.planning import make_plan
 from jrdb_avr.agent.reference.prompts import system_prompt, task_heading
@@ -33,7 +33,7 @@ class ReferenceAgent:
     world: World | None = None
     looks: bool = True
     limits: Limits = LIMITS
-    solving: Callable[[World, Question], Solver] = beliefs_of
+    solving: Callable[[World, Question], BeliefSolver] = beliefs_of
 
     @property
     def remembers(self) -> bool:

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from older_worlds import older_record
 
-from jrdb_avr.agent.beliefs.solving import beliefs_of
+from jrdb_avr.agent.beliefs.solver import beliefs_of
 from jrdb_avr.agent.beliefs.world_model import World
 from jrdb_avr.queries.beliefs import graph as world_graph
 from jrdb_avr.queries.beliefs.record import merge_world

@@ -7,7 +7,7 @@ import time
 import pytest
 from believed import CIRCLE, Story, parsed, planned, write
 
-from jrdb_avr.agent.beliefs.solver import best_guess, legal, solve_beliefs
+from jrdb_avr.agent.beliefs.solver import BeliefSolver
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.compiler import find_believed
 from jrdb_avr.queries.compiler.mapping import read_text
@@ -15,7 +15,6 @@ from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.beliefs import world_ddl
 from jrdb_avr.schema.errors import PlanError
-from jrdb_avr.schema.rules import Rules
 
 KEYS = itertools.count()
 WOMAN = {"attribute": "gender", "value": "female"}
@@ -33,15 +32,19 @@ class Site:
         return key
 
     def solve(self, story, plan):
-        return solve_beliefs(self.graph, self.begun(story), parsed(plan), Rules())
+        return BeliefSolver(self.graph, self.begun(story)).solve(parsed(plan))
 
     def answer(self, story, plan):
         answer = self.solve(story, plan).answer
         return json.loads(answer) if answer is not None and answer.startswith("{") else answer
 
     def guess(self, story, plan):
-        belief = best_guess(self.graph, self.begun(story), parsed(plan), Rules())
+        belief = BeliefSolver(self.graph, self.begun(story)).guess(parsed(plan))
         return None if belief is None else belief.seen
+
+
+def legal(plan, belief, proposed, entity, choices):
+    return BeliefSolver(None, "", choices).fault(plan, belief, proposed, entity)
 
 
 @pytest.fixture(scope="module")
@@ -186,7 +189,7 @@ def test_an_interaction_holds_by_a_relation_too(site):
 def test_another_episode_tells_nothing(site):
     write(site.graph, {"run/one": woman(30, action="walking"), "run/one/2": woman(30, action="sitting")})
     write(site.graph, {"other/one": woman(30, action="bending").sees("p9", 0, gender="female")})
-    assert solve_beliefs(site.graph, "run/one", parsed(planned()), Rules()).answer == "walking"
+    assert BeliefSolver(site.graph, "run/one").solve(parsed(planned())).answer == "walking"
 
 
 def test_what_holds_at_an_event_is_refused_by_name():
@@ -199,8 +202,8 @@ def test_every_statement_passes_the_world_models_door():
     with WorldGraph.memory() as world:
         plan = planned("presence", ["t1", "t2"], BOTH, {"a": [WOMAN], "b": []}, [("a", "conversation", "b", "t0")])
         plan["nodes"][0]["conditions"] += [{"object": "bag", "verb": "holding", "at": "t0"}]
-        belief = solve_beliefs(world, "none", parsed(plan), Rules())
-        assert belief.outcome == "empty" and best_guess(world, "none", parsed(plan), Rules()) is None
+        belief = BeliefSolver(world, "none").solve(parsed(plan))
+        assert belief.outcome == "empty" and BeliefSolver(world, "none").guess(parsed(plan)) is None
         for name in ("sighted", "attributes", "relations", "looks", "entities"):
             assert world.query(read_text("world", name), {"scope": "none"}).num_rows == 0
 
@@ -436,17 +439,17 @@ def test_the_likeliest_target_is_read_like_one_that_was_found(site):
     story = Story().sees("p1", 0).sees("p2", 0).sees("p2", 30, action="sitting").sees("p2", 60, action="walking")
     assert site.solve(story, planned()).outcome == "empty"
     key = site.begun(story)
-    guess = best_guess(site.graph, key, parsed(planned()), Rules())
+    guess = BeliefSolver(site.graph, key).guess(parsed(planned()))
     assert (guess.outcome, dict(guess.people), guess.answer, guess.seen[0]) == ("defined", {"a": "p2"}, "sitting", 30)
-    guess = best_guess(site.graph, key, parsed(planned("start", "t1", START)), Rules())
+    guess = BeliefSolver(site.graph, key).guess(parsed(planned("start", "t1", START)))
     assert (json.loads(guess.answer), guess.seen[0]) == ({"frame": 45}, 60)
-    guess = best_guess(site.graph, key, parsed(planned(at="t0")), Rules())
+    guess = BeliefSolver(site.graph, key).guess(parsed(planned(at="t0")))
     assert (guess.outcome, guess.answer, guess.seen[0]) == ("unknown", None, 60)
     # An event of somebody else waits for who that is, and nobody was found.
     nodes = {"a": [WOMAN], "b": []}
     times = {"t0": {"frame": 0}, "t1": START["t1"] | {"of": "a"}}
     plan = planned("action", "t1", times, nodes, [("a", "conversation", "b", "t0")])
-    assert best_guess(site.graph, key, parsed(plan), Rules()).outcome == "unknown"
+    assert BeliefSolver(site.graph, key).guess(parsed(plan)).outcome == "unknown"
 
 
 def test_more_sets_of_people_than_are_tried_are_several(site):
@@ -461,7 +464,7 @@ def test_more_sets_of_people_than_are_tried_are_several(site):
     started = time.process_time()
     belief = site.solve(story, planned(at="t0", nodes=nodes, edges=edges))
     assert belief.outcome == "ambiguous" and "too many sets of people" in belief.missing[0]
-    assert best_guess(site.graph, site.begun(story), parsed(planned(at="t0", nodes=nodes, edges=edges)), Rules())
+    assert BeliefSolver(site.graph, site.begun(story)).guess(parsed(planned(at="t0", nodes=nodes, edges=edges)))
     assert time.process_time() - started < 5
 
 

@@ -10,10 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle_beliefs import Mind
 
-from jrdb_avr.agent.beliefs.solver import solve_beliefs, weigh_beliefs
+from jrdb_avr.agent.beliefs.solver import BeliefSolver
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.compiler import find_believed
-from jrdb_avr.schema.rules import Rules
 
 WORDS = (
     "x",
@@ -105,7 +104,7 @@ def test_strange_words_and_shapes_come_to_what_brute_force_finds(world, seed):
     mind = Mind(story.rows)
     for _ in range(8):
         plan = strange_plan(rng, mind)
-        belief = solve_beliefs(world, key, parsed(plan), Rules())
+        belief = BeliefSolver(world, key).solve(parsed(plan))
         found = list(mind.bindings(plan))
         targets = {one[plan["target"]] for one in found}
         outcome = "empty" if not found else "ambiguous" if len(targets) > 1 else belief.outcome
@@ -149,6 +148,6 @@ def test_a_plan_that_would_keep_the_engine_is_not_run():
     talks = {"a": [{"interaction": "conversation", "at": "t0"}], "b": []}
     for nodes, many in ((talks, True), ({"a": [], "b": []}, False)):
         plan = parsed(planned(nodes=nodes, edges=[("a", "hugging", "b", "t0")]))
-        belief = weigh_beliefs(rows, plan, Rules())
+        belief = BeliefSolver(None, "").weigh(plan, rows)
         assert any("too many sets of people" in line for line in belief.missing) == many
         assert belief.outcome == "ambiguous"

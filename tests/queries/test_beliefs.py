@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from oracle_beliefs import Mind, plain
 from random_beliefs import READS, random_plan, random_story
 
-from jrdb_avr.agent.beliefs.solver import best_guess, solve_beliefs, weigh_beliefs
+from jrdb_avr.agent.beliefs.solver import BeliefSolver
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.beliefs import world_ddl
 from jrdb_avr.schema.rules import Rules
@@ -56,16 +56,16 @@ def compare(graph, seed, outcomes=OUTCOMES):
     mind = Mind(story.rows)
     for read in ALL_READS:
         plan, expected = wanted(rng, mind, story, read, rng.choice(outcomes))
-        belief = solve_beliefs(graph, key, parsed(plan), RULES)
+        belief = BeliefSolver(graph, key, rules=RULES).solve(parsed(plan))
         assert told(belief) == expected, (seed, plan, expected)
         assert bool(belief.missing) == (belief.outcome != "defined"), (seed, plan)
         # The same without the engine, in whatever order the rows come.
-        assert weigh_beliefs(rows_of(story, rng), parsed(plan), RULES) == belief, (seed, plan)
+        assert BeliefSolver(None, "", rules=RULES).weigh(parsed(plan), rows_of(story, rng)) == belief, (seed, plan)
         if belief.people:
             frame, box = belief.seen
             assert mind.sighted[belief.people[plan["target"]], frame]["box"] == tuple(box)
         if not belief.people or rng.random() < 0.2:
-            guess = best_guess(graph, key, parsed(plan), RULES)
+            guess = BeliefSolver(graph, key, rules=RULES).guess(parsed(plan))
             assert told(guess) == mind.guess(plan), (seed, plan)
             frame, box = guess.seen
             who = guess.people[plan["target"]]
@@ -122,6 +122,6 @@ def test_an_episode_without_beliefs_is_empty(graph):
     write(graph, {"empty/1": Story(), "empty/2": story})
     plan = parsed(random_plan(rng, story, "action"))
     for key in ("empty/1", "never begun"):
-        belief = solve_beliefs(graph, key, plan, RULES)
+        belief = BeliefSolver(graph, key, rules=RULES).solve(plan)
         assert belief.outcome == "empty" and belief.missing
-        assert best_guess(graph, key, plan, RULES) is None
+        assert BeliefSolver(graph, key, rules=RULES).guess(plan) is None

@@ -4,8 +4,7 @@ import json
 from dataclasses import dataclass
 from types import SimpleNamespace
 
-from jrdb_avr.agent.beliefs.solver import Belief, answer_of
-from jrdb_avr.agent.beliefs.solving import beliefs_of
+from jrdb_avr.agent.beliefs.solver import Belief, BeliefSolver, beliefs_of
 from jrdb_avr.agent.beliefs.world_model import World as Beliefs
 from jrdb_avr.agent.model.messages import Picture
 from jrdb_avr.agent.model.reply import Reply
@@ -117,7 +116,7 @@ class StubSolver:
         return None if self.box is None else Belief("unknown", {"a": "p1"}, seen=self.box)
 
     def answer(self, plan, belief):
-        return answer_of(plan, belief, CHOICES)
+        return BeliefSolver(None, "", CHOICES).answer(plan, belief)
 
     def fault(self, plan, belief, proposed, entity):
         return self.lacking
