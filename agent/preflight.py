@@ -45,10 +45,10 @@ from jrdb_avr.agent.model.probes import (
 )
 from jrdb_avr.agent.model.prompts import render
 from jrdb_avr.agent.model.reply import Reply, thought
-from jrdb_avr.agent.reference.episode import LOOK_SCHEMA
+from jrdb_avr.agent.reference.episode import LIMITS
 from jrdb_avr.agent.reference.graph_memory import graph_turn_schema
-from jrdb_avr.agent.reference.limits import LIMITS
 from jrdb_avr.agent.reference.planning import plan_form
+from jrdb_avr.agent.reference.tool_calls import LOOK_SCHEMA
 from jrdb_avr.schema.errors import DecodeError, EndpointError
 from jrdb_avr.schema.method import Panorama, Question
 

@@ -90,9 +90,11 @@ def as_json(arguments: object) -> str:
     return text if len(text) <= LONGEST_ARGUMENTS else json.dumps(text[: LONGEST_ARGUMENTS // 2] + "...")
 
 
-def one_line(text: str) -> str:
-    """A reason as the record keeps it: on one line, of an end, and with what UTF-8 cannot hold written out."""
-    return " ".join(text[:LONGEST_ARGUMENTS].split()).encode("utf-8", "backslashreplace").decode()
+def printable(text: str, most: int | None = None) -> str:
+    """The first `most` characters of a text as a message can hold it: on one line, and with what UTF-8 cannot hold
+    written out.
+    """
+    return " ".join(text[:most].split()).encode("utf-8", "backslashreplace").decode()
 
 
 def quoted(value: object) -> str:

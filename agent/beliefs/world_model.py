@@ -19,9 +19,10 @@ from typing import Any, Final
 import msgspec
 
 from jrdb_avr.agent.beliefs.grounding import (
+    LONGEST_ARGUMENTS,
     NUMBERS,
     as_json,
-    one_line,
+    printable,
     quoted,
     read_attribute,
     read_entity,
@@ -153,12 +154,12 @@ class Episode:
 
     def noted(self, tool: Tool, arguments: object, step: int, accepted: bool, reason: str = "") -> None:
         """Record a call that writes nothing: a look refused, get_graph, final_answer."""
-        self._write(tool, arguments, step, None, accepted, one_line(reason))
+        self._write(tool, arguments, step, None, accepted, printable(reason, LONGEST_ARGUMENTS))
 
     def refused(self, tool: Tool, arguments: object, reason: str, step: int) -> Result:
         """Record a call that is refused."""
         self.noted(tool, arguments, step, False, reason)
-        return Result(False, one_line(reason))
+        return Result(False, printable(reason, LONGEST_ARGUMENTS))
 
     # -- the model's writes -------------------------------------------------------------------------------------------
 

@@ -14,9 +14,8 @@ from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.decode import BOX_SCHEMA, box_key, read_box
 from jrdb_avr.agent.model.messages import Message
 from jrdb_avr.agent.model.reply import Reply, spoken
-from jrdb_avr.agent.reference.episode import Turn, View, view_parts
 from jrdb_avr.agent.reference.graph_memory import OBSERVATION_SCHEMA
-from jrdb_avr.agent.reference.tool_calls import FINAL, Call, call_schema, turn_schema
+from jrdb_avr.agent.reference.tool_calls import FINAL, Call, Turn, View, call_schema, turn_schema, view_parts
 from jrdb_avr.schema.answers import Answer, Evidence, encode_answer
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Panorama

@@ -3,137 +3,73 @@
 The loop is the same in all variants. What differs is the memory, which says what a turn shows, takes what is written
 down and judges the final answer, and whether there is anything to look with. Nothing but the task and the model's
 replies decides what happens: a run that was killed replays its finished calls to the same transcript.
-
-What a turn shows: observations under their names, results, and what is left of the budget.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import msgspec
 
-from jrdb_avr.agent.methods.attempt import Attempt, Verdict, duplicate, panorama_line, panorama_picture
+from jrdb_avr.agent.beliefs.grounding import printable
+from jrdb_avr.agent.methods.attempt import DUPLICATE_DEG, PANORAMAS, Attempt, Verdict, duplicate, fixed_settings
 from jrdb_avr.agent.model import decode
-from jrdb_avr.agent.model.messages import Message, Part, Picture, crop_line, crop_picture
-from jrdb_avr.agent.model.prompts import render
-from jrdb_avr.agent.model.reply import Reply
-from jrdb_avr.agent.reference.limits import LIMITS, Limits
-from jrdb_avr.agent.reference.tool_calls import FINAL, Call, call_schema, printable, read_calls, read_look, refusal
+from jrdb_avr.agent.reference.chat_memory import ChatMemory
+from jrdb_avr.agent.reference.graph_memory import GraphMemory
+from jrdb_avr.agent.reference.tool_calls import (
+    FINAL,
+    LOOK_SCHEMA,
+    MOST_PER_TURN,
+    Call,
+    Turn,
+    View,
+    read_calls,
+    read_look,
+    refusal,
+    view_of,
+)
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Panorama, Prediction
-from jrdb_avr.schema.panorama import CROP, WIDTH
 
 
 @dataclass(frozen=True)
-class View:
-    """An observation as it is named and shown. left, width: its columns in the panorama; line: its metadata."""
-
-    name: str
-    kind: str
-    frame: int
-    left: int
-    width: int
-    line: str
-    picture: Picture
-
-
-def crop_view(name: str, observation: Observation) -> View:
-    """A look."""
-    line, picture = crop_line(observation), crop_picture(observation)
-    return View(name, "Picture", observation.frame_index, observation.left, CROP, line, picture)
-
-
-def panorama_view(name: str, panorama: Panorama) -> View:
-    """A panorama of a fixed context."""
-    line, picture = panorama_line(panorama), panorama_picture(panorama)
-    return View(name, "Panorama", panorama.frame_index, 0, WIDTH, line, picture)
-
-
-def view_parts(views: Sequence[View]) -> list[Part]:
-    """Each picture behind the line that numbers, names and places it."""
-    parts: list[Part] = []
-    for number, view in enumerate(views, 1):
-        parts += [f"{view.kind} {number}, observation {view.name}: {view.line}", view.picture]
-    return parts
-
-
-@dataclass(frozen=True)
-class Turn:
-    """What has changed since the last turn, and what is left.
-
-    results: of the last turn's calls; fresh: the pictures that they made; looks, calls: made and left.
+class Limits:
+    """looks: observations made; calls: tool calls carried out or refused, looks included, the plan left out; repairs:
+    tries after a refused plan; malformed: turns that are no list of calls, the last of which ends the question;
+    panoramas: those of a fixed context.
     """
 
-    results: Sequence[str]
-    fresh: Sequence[View]
-    error: str
-    looks: tuple[int, int]
-    calls: tuple[int, int]
+    looks: int = 24
+    calls: int = 80
+    repairs: int = 3
+    malformed: int = 2
+    panoramas: int = PANORAMAS
 
-    def result_lines(self) -> str:
-        """The results as numbered lines."""
-        lines = [f"{number}. {result}" for number, result in enumerate(self.results, 1)]
-        return "\n".join(["Results of your last calls:", *(lines or ["none"])])
+    def model_calls(self, plans: bool) -> int:
+        """Model calls at most: a good turn has a call at least, and the last malformed one ends the question."""
+        return (1 + self.repairs if plans else 0) + self.calls + self.malformed - 1
 
-    def state(self) -> str:
-        """The lines that close every turn."""
-        error = f"Your last turn was malformed, and a second such turn ends the question: {self.error}"
-        return render(
-            "agent_state",
-            looks=self.looks[0],
-            looks_left=self.looks[1],
-            calls=self.calls[0],
-            calls_left=self.calls[1],
-            error=error if self.error else "",
-        )
-
-
-LOOK_SCHEMA: Final = call_schema("observe", {"frame_id": decode.FRAME_ID_SCHEMA, "angle_deg": {"type": "number"}})
+    def settings(self, looks: bool, plans: bool) -> dict[str, Any]:
+        """What a run's manifest says of a variant's budgets."""
+        told = {
+            "calls": self.calls,
+            "calls_per_turn": MOST_PER_TURN,
+            "malformed": self.malformed,
+            "model_calls": self.model_calls(plans),
+        }
+        told |= {"repairs": self.repairs} if plans else {}
+        seen = {"looks": self.looks, "duplicate_deg": DUPLICATE_DEG} if looks else fixed_settings(self.panoramas)
+        return told | seen
 
 
-class Memory(Protocol):
-    """What a variant remembers by. `step` is the place of the turn's model call in the transcript."""
+LIMITS: Final = Limits()
+"""Those of the benchmark."""
 
-    @property
-    def tools(self) -> Sequence[str]:
-        """The tools that there are besides `observe`."""
-        ...
-
-    def schema(self, looks: Mapping[str, Any] | None) -> dict[str, Any]:
-        """The JSON Schema of a turn; `looks` is that of a look, where there are looks."""
-        ...
-
-    def messages(self, turn: Turn) -> list[Message]:
-        """What the model is sent."""
-        ...
-
-    def replied(self, reply: Reply) -> None:
-        """Told what the model said."""
-        ...
-
-    def named(self, seen: Observation | Panorama, step: int) -> str:
-        """The name of an observation that has been made."""
-        ...
-
-    def refused(self, call: Call, step: int, reason: str) -> None:
-        """Told of a call that is refused outside of `carry_out`, or for which that raises DecodeError."""
-        ...
-
-    def carry_out(self, call: Call, views: Mapping[str, View], step: int) -> str:
-        """Carry out a call but a look or a final answer; its result. Raises DecodeError where it is refused unseen."""
-        ...
-
-    def judge(self, call: Call, views: Mapping[str, View], step: int) -> Verdict:
-        """The prediction that a legal final answer makes. Raises DecodeError where it is not legal."""
-        ...
-
-    def solved(self, reason: str) -> Verdict:
-        """The prediction at the end of an episode that `reason` ended without a legal final answer."""
-        ...
+Memory = ChatMemory | GraphMemory
+"""What a variant remembers by."""
 
 
 @dataclass
@@ -181,8 +117,12 @@ class Episode:
     def show(self, panoramas: Sequence[Panorama]) -> None:
         """Make panoramas the first observations."""
         for panorama in panoramas:
-            name = self.memory.named(panorama, self.attempt.steps - 1)
-            self.views[name] = panorama_view(name, panorama)
+            self._name(panorama, self.attempt.steps - 1)
+
+    def _name(self, seen: Observation | Panorama, step: int) -> str:
+        name = self.memory.named(seen, step)
+        self.views[name] = view_of(name, seen)
+        return name
 
     def _tools(self) -> Collection[str]:
         return (*(("observe",) if self.looking else ()), *self.memory.tools)
@@ -221,9 +161,7 @@ class Episode:
             raise DecodeError(reason)
         observation = self.attempt.look(frame, angle)
         self.made.append((frame, angle))
-        name = self.memory.named(observation, step)
-        self.views[name] = crop_view(name, observation)
-        return name
+        return self._name(observation, step)
 
     def _ended(self, reason: str) -> Prediction:
         return self.attempt.ended(self.memory.solved(reason))

@@ -17,8 +17,18 @@ from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.decode import BOX_SCHEMA, box_key, read_box
 from jrdb_avr.agent.model.messages import Message, Part
 from jrdb_avr.agent.model.reply import Reply
-from jrdb_avr.agent.reference.episode import Turn, View, view_parts
-from jrdb_avr.agent.reference.tool_calls import FINAL, WRITING, Call, call_schema, one_line, refusal, turn_schema
+from jrdb_avr.agent.reference.tool_calls import (
+    FINAL,
+    WRITING,
+    Call,
+    Turn,
+    View,
+    call_schema,
+    compact_json,
+    refusal,
+    turn_schema,
+    view_parts,
+)
 from jrdb_avr.schema.answers import Evidence
 from jrdb_avr.schema.beliefs import Tool
 from jrdb_avr.schema.errors import DecodeError
@@ -76,7 +86,7 @@ class GraphMemory:
             self.heading,
             *(pictures if self.fixed else []),
             f"Plan: {canonical(self.plan)}",
-            f"Graph: {one_line(self.world.graph(self._weighed().missing))}",
+            f"Graph: {compact_json(self.world.graph(self._weighed().missing))}",
             turn.result_lines(),
             *([] if self.fixed else pictures),
             turn.state(),

@@ -1,18 +1,26 @@
-"""Reading one turn: an object with a list of calls, of which each is carried out or refused by itself.
+"""One turn: the calls that the model makes, and the results and pictures that it is sent.
 
-The turn is the model's, so it is taken for hostile: what is no such object is malformed (DecodeError), a call in it
+A turn of the model is an object with a list of calls, of which each is carried out or refused by itself.
+
+It is taken for hostile: what is no such object is malformed (DecodeError), a call in it
 that cannot be carried out carries its fault, and what is handed on is small and shallow whatever was sent.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from jrdb_avr.agent.beliefs.grounding import printable
+from jrdb_avr.agent.methods.attempt import panorama_line, panorama_picture
 from jrdb_avr.agent.model import decode
+from jrdb_avr.agent.model.messages import Part, Picture, crop_line, crop_picture
+from jrdb_avr.agent.model.prompts import render
 from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.method import Observation, Panorama
+from jrdb_avr.schema.panorama import CROP, WIDTH
 
 MOST_PER_TURN: Final = 32
 """Calls in one turn."""
@@ -37,7 +45,7 @@ class Call:
     @property
     def said(self) -> str:
         """The call as the transcript shows it."""
-        return one_line({"tool": self.tool, **self.arguments})
+        return compact_json({"tool": self.tool, **self.arguments})
 
 
 def read_calls(turn: Mapping[str, Any], tools: Collection[str]) -> list[Call]:
@@ -53,8 +61,8 @@ def _read_call(given: object, tools: Collection[str], last: bool) -> Call:
         return Call("?", {}, 'a call is an object that names its "tool"')
     tool = given["tool"]
     if tool not in tools:
-        return Call("?", {}, f"there is no tool {one_line(tool[:40])}; there are {', '.join(tools)}")
-    if _depth(given) > _DEPTH or len(one_line(given)) > LONGEST_CALL:
+        return Call("?", {}, f"there is no tool {compact_json(tool[:40])}; there are {', '.join(tools)}")
+    if _depth(given) > _DEPTH or len(compact_json(given)) > LONGEST_CALL:
         return Call(tool, {}, "the call is too deep or too long")
     arguments = {name: value for name, value in given.items() if name != "tool"}
     if tool == FINAL and not last:
@@ -82,17 +90,12 @@ def read_look(arguments: Mapping[str, Any], legal: Collection[int]) -> tuple[int
 _COMPACT: Final = json.JSONEncoder(separators=(",", ":"))
 
 
-def one_line(value: object) -> str:
+def compact_json(value: object) -> str:
     """A value that was read from JSON as JSON on one line, in ASCII."""
     try:
         return _COMPACT.encode(value)
     except (RecursionError, ValueError):
         raise DecodeError("the reply is too deep or too long") from None
-
-
-def printable(text: str) -> str:
-    """A text as a message can hold it: on one line, and with what UTF-8 cannot hold written out."""
-    return " ".join(text.split()).encode("utf-8", "backslashreplace").decode()
 
 
 def refusal(reason: str) -> str:
@@ -112,3 +115,68 @@ def turn_schema(calls: Collection[Mapping[str, Any]]) -> dict[str, Any]:
     return decode.closed_object(
         {"calls": {"type": "array", "minItems": 1, "maxItems": MOST_PER_TURN, "items": {"anyOf": list(calls)}}}
     )
+
+
+LOOK_SCHEMA: Final = call_schema("observe", {"frame_id": decode.FRAME_ID_SCHEMA, "angle_deg": {"type": "number"}})
+
+
+# -- what a turn shows ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class View:
+    """An observation as it is named and shown. left, width: its columns in the panorama; line: its metadata."""
+
+    name: str
+    kind: str
+    frame: int
+    left: int
+    width: int
+    line: str
+    picture: Picture
+
+
+def view_of(name: str, seen: Observation | Panorama) -> View:
+    """An observation under its name: a look, or a panorama of a fixed context."""
+    if isinstance(seen, Panorama):
+        return View(name, "Panorama", seen.frame_index, 0, WIDTH, panorama_line(seen), panorama_picture(seen))
+    return View(name, "Picture", seen.frame_index, seen.left, CROP, crop_line(seen), crop_picture(seen))
+
+
+def view_parts(views: Sequence[View]) -> list[Part]:
+    """Each picture behind the line that numbers, names and places it."""
+    parts: list[Part] = []
+    for number, view in enumerate(views, 1):
+        parts += [f"{view.kind} {number}, observation {view.name}: {view.line}", view.picture]
+    return parts
+
+
+@dataclass(frozen=True)
+class Turn:
+    """What has changed since the last turn, and what is left.
+
+    results: of the last turn's calls; fresh: the pictures that they made; looks, calls: made and left.
+    """
+
+    results: Sequence[str]
+    fresh: Sequence[View]
+    error: str
+    looks: tuple[int, int]
+    calls: tuple[int, int]
+
+    def result_lines(self) -> str:
+        """The results as numbered lines."""
+        lines = [f"{number}. {result}" for number, result in enumerate(self.results, 1)]
+        return "\n".join(["Results of your last calls:", *(lines or ["none"])])
+
+    def state(self) -> str:
+        """The lines that close every turn."""
+        error = f"Your last turn was malformed, and a second such turn ends the question: {self.error}"
+        return render(
+            "agent_state",
+            looks=self.looks[0],
+            looks_left=self.looks[1],
+            calls=self.calls[0],
+            calls_left=self.calls[1],
+            error=error if self.error else "",
+        )

@@ -31,7 +31,7 @@ from reference_play import (
 
 from jrdb_avr.agent.beliefs.world_model import World as Beliefs
 from jrdb_avr.agent.model.reply import Reply
-from jrdb_avr.agent.reference.limits import Limits
+from jrdb_avr.agent.reference.episode import Limits
 from jrdb_avr.agent.reference.method import ReferenceAgent
 from jrdb_avr.agent.reference.tool_calls import MOST_PER_TURN, read_calls
 from jrdb_avr.engine.run import answering
