@@ -185,12 +185,10 @@ def _belief(reader: BeliefReader, match: PlanMatch, solution: Solution) -> Belie
 
 def _seen(moments: Sequence[Moment], frames: Sequence[int]) -> tuple[int, Box] | None:
     """The box in the last of these frames that has one, else the newest box."""
-    by_frame = {moment.frame: moment for moment in moments}
-    for frame in reversed(frames):
-        if frame in by_frame:
-            return frame, by_frame[frame].box
-    newest = max(moments, key=lambda moment: moment.written, default=None)
-    return None if newest is None else (newest.frame, newest.box)
+    boxes = {moment.frame: moment.box for moment in moments}
+    by_age = [moment.frame for moment in sorted(moments, key=lambda moment: moment.written)]
+    frame = next((frame for frame in reversed([*by_age, *frames]) if frame in boxes), None)
+    return None if frame is None else (frame, boxes[frame])
 
 
 def _unfound(reader: BeliefReader, match: PlanMatch, outcome: Outcome) -> tuple[str, ...]:

@@ -309,15 +309,10 @@ class Episode:
         """The result of `get_graph`: observations, what is currently believed, and `missing`: what the plan lacks."""
         sightings: dict[str, list[Mapping[str, Any]]] = {key: [] for key in self._rows.entities}
         attributes: dict[str, list[Mapping[str, Any]]] = {key: [] for key in sightings}
-        relations = []
+        relations: list[Mapping[str, Any]] = []
         for edge in sorted(self._current.values(), key=lambda edge: edge.write):
-            match edge:
-                case SightingRow():
-                    sightings[edge.source].append(_displayed_sighting(edge))
-                case AttributeRow():
-                    attributes[edge.source].append(_displayed_attribute(edge))
-                case RelationRow():
-                    relations.append(_displayed_relation(edge))
+            place = {SightingRow: sightings, AttributeRow: attributes}.get(type(edge))
+            (relations if place is None else place[edge.source]).append(_displayed(edge))
         entities = [
             {"id": entity.name, "kind": entity.kind}
             | ({"node": entity.node} if entity.node else {})
@@ -409,32 +404,18 @@ def _described(look: ObservationRow) -> dict[str, Any]:
     return {"frame_id": f"{look.frame:06d}", **place}
 
 
-def _displayed_sighting(edge: SightingRow) -> dict[str, Any]:
-    """A sighting as the model reads it: the box in stitched pixels, x, y, w, h."""
-    return {
-        "observation": name_of(edge.target),
-        "frame_id": f"{edge.frame:06d}",
-        "angle_deg": round(edge.angle, 1),
-        "box": [round(value, 1) for value in edge.box],
-    }
-
-
-def _displayed_attribute(edge: AttributeRow) -> dict[str, Any]:
-    """An attribute as the model reads it: name and value, at the frame where it holds at one only."""
-    return {
-        "name": edge.name,
-        "value": edge.number if edge.name in NUMBERS else edge.value,
-        **({} if edge.name in TIMELESS else {"frame_id": f"{edge.first:06d}"}),
-        "observation": name_of(edge.target),
-    }
-
-
-def _displayed_relation(edge: RelationRow) -> dict[str, Any]:
-    """A relation as the model reads it: who stands in which one to whom, at which frame."""
-    return {
-        "source": name_of(edge.source),
-        "name": edge.name,
-        "target": name_of(edge.target),
-        "frame_id": f"{edge.first:06d}",
-        "observation": name_of(edge.observation),
-    }
+def _displayed(edge: Edge) -> dict[str, Any]:
+    """A belief as the model reads it, at the frame where it holds at one only; boxes in stitched pixels, x, y, w, h."""
+    source, target = name_of(edge.source), name_of(edge.target)
+    match edge:
+        case SightingRow():
+            box = [round(value, 1) for value in edge.box]
+            angle = round(edge.angle, 1)
+            return {"observation": target, "frame_id": f"{edge.frame:06d}", "angle_deg": angle, "box": box}
+        case AttributeRow():
+            value = edge.number if edge.name in NUMBERS else edge.value
+            frame = {} if edge.name in TIMELESS else {"frame_id": f"{edge.first:06d}"}
+            return {"name": edge.name, "value": value, **frame, "observation": target}
+        case RelationRow():
+            ends = {"source": source, "name": edge.name, "target": target}
+            return ends | {"frame_id": f"{edge.first:06d}", "observation": name_of(edge.observation)}

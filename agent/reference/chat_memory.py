@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import msgspec
 
@@ -29,16 +29,13 @@ LONGEST_REPLY: Final = 8000
 class ChatMemory:
     """The chat of one question. proposed: what could be read of the newest final answer that was refused."""
 
+    tools: ClassVar = (FINAL,)
     attempt: Attempt
     system: str
     heading: str
     history: list[Message] = field(default_factory=list)
     names: int = 0
     proposed: Verdict = field(default_factory=Verdict)
-
-    @property
-    def tools(self) -> tuple[str, ...]:
-        return (FINAL,)
 
     # -- what the model is shown --------------------------------------------------------------------------------------
 
@@ -92,13 +89,9 @@ class ChatMemory:
         except DecodeError as error:
             faults.append(str(error))
         self.proposed = Verdict(answer, evidence, tuple(faults))
-        told = {
-            "answer": None if answer is None else msgspec.Raw(encode_answer(answer).encode()),
-            "evidence": evidence,
-            "box_key": key,
-            "faults": faults,
-        }
-        self.attempt.record("solve", {"observation": call.said}, told, started)
+        stored = None if answer is None else msgspec.Raw(encode_answer(answer).encode())
+        parsed = {"answer": stored, "evidence": evidence, "box_key": key, "faults": faults}
+        self.attempt.record("solve", {"observation": call.said}, parsed, started)
         if faults:
             raise DecodeError("; ".join(faults))
         return self.proposed

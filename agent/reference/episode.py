@@ -54,15 +54,10 @@ class Limits:
 
     def settings(self, looks: bool, plans: bool) -> dict[str, Any]:
         """What a run's manifest says of a variant's budgets."""
-        told = {
-            "calls": self.calls,
-            "calls_per_turn": MOST_PER_TURN,
-            "malformed": self.malformed,
-            "model_calls": self.model_calls(plans),
-        }
-        told |= {"repairs": self.repairs} if plans else {}
+        calls = {"calls": self.calls, "calls_per_turn": MOST_PER_TURN, "malformed": self.malformed}
+        planned = {"repairs": self.repairs} if plans else {}
         seen = {"looks": self.looks, "duplicate_deg": DUPLICATE_DEG} if looks else fixed_settings(self.panoramas)
-        return told | seen
+        return calls | {"model_calls": self.model_calls(plans)} | planned | seen
 
 
 LIMITS: Final = Limits()

@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import msgspec
 
@@ -58,6 +58,7 @@ class GraphMemory:
     beliefs come to by the episode and by the compiled plan, None where something has been seen or written since.
     """
 
+    tools: ClassVar = (*WRITING, "get_graph", FINAL)
     attempt: Attempt
     world: WorldEpisode
     solver: BeliefSolver
@@ -68,10 +69,6 @@ class GraphMemory:
     latest: tuple[View, ...] = ()
     weighed: Belief | None = None
     compiled: Belief | None = None
-
-    @property
-    def tools(self) -> tuple[str, ...]:
-        return (*WRITING, "get_graph", FINAL)
 
     # -- what the model is shown --------------------------------------------------------------------------------------
 
@@ -188,20 +185,16 @@ class GraphMemory:
 def graph_turn_schema(question: Question, nodes: Sequence[str], looks: Mapping[str, Any] | None) -> dict[str, Any]:
     """The JSON Schema of a turn on a plan with these nodes; `looks` is that of a look, where there are looks."""
     node = {"type": "string", "enum": list(nodes)}
-    seen = {"observation": OBSERVATION_SCHEMA}
+    text, seen = {"type": "string"}, {"observation": OBSERVATION_SCHEMA}
+    entity = {"id": _NAME, "kind": text, "node": node, **seen, "box": BOX_SCHEMA}
+    value = {"type": ["string", "number"]}
+    answer = decode.answer_schema(question.answer_mode, question.choices)
     calls = [
-        call_schema(
-            "add_entity",
-            {"id": _NAME, "kind": {"type": "string"}, "node": node, **seen, "box": BOX_SCHEMA},
-            optional=("node",),
-        ),
-        call_schema(
-            "add_attribute",
-            {"entity": _NAME, "name": {"type": "string"}, "value": {"type": ["string", "number"]}, **seen},
-        ),
-        call_schema("add_relation", {"source": _NAME, "name": {"type": "string"}, "target": _NAME, **seen}),
+        call_schema("add_entity", entity, optional=("node",)),
+        call_schema("add_attribute", {"entity": _NAME, "name": text, "value": value, **seen}),
+        call_schema("add_relation", {"source": _NAME, "name": text, "target": _NAME, **seen}),
         call_schema("get_graph", {}),
-        call_schema(FINAL, {"answer": decode.answer_schema(question.answer_mode, question.choices), "entity": _NAME}),
+        call_schema(FINAL, {"answer": answer, "entity": _NAME}),
     ]
     return turn_schema([*([looks] if looks else []), *calls])
 

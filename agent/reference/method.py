@@ -46,12 +46,8 @@ class ReferenceAgent:
 
     def settings(self) -> dict[str, Any]:
         """What the manifest of a run says of the method."""
-        return {
-            "active_observation": self.looks,
-            "world_model": self.remembers,
-            **self.limits.settings(self.looks, self.remembers),
-            **shared_settings(self.convention),
-        }
+        variant = {"active_observation": self.looks, "world_model": self.remembers}
+        return variant | self.limits.settings(self.looks, self.remembers) | shared_settings(self.convention)
 
     def answer(self, task: Task) -> Prediction:
         """Play one question, within `limits.model_calls` model calls."""

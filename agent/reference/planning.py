@@ -150,12 +150,7 @@ _LEFT_OUT: Final = frozenset({"title", "description", "default", "propertyNames"
 
 # -- labels -----------------------------------------------------------------------------------------------------------
 
-VALUES: Final[dict[str, tuple[str, ...]]] = {
-    "gender": GENDERS,
-    "age": AGES,
-    "sector": ROBOT_SECTORS,
-    "distance": DISTANCE_WORDS,
-}
+_VALUES: Final = {"gender": GENDERS, "age": AGES, "sector": ROBOT_SECTORS, "distance": DISTANCE_WORDS}
 """The values of the attributes that have labels."""
 
 _AGE_WORDS: Final = {
@@ -234,7 +229,7 @@ def _check_condition(field: str, condition: Condition) -> None:
         if not isinstance(condition.value, int) or not 1 <= condition.value <= 1000:
             raise PlanError(f"{field}.value", "is the number of people in the group, 1 or more")
     elif condition.attribute is not None:
-        _check(f"{field}.value", str(condition.value), VALUES[condition.attribute])
+        _check(f"{field}.value", str(condition.value), _VALUES[condition.attribute])
 
 
 def _check(field: str, label: str | None, labels: Collection[str]) -> None:

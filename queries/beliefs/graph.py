@@ -12,7 +12,6 @@ import contextlib
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Self
 
 import pyarrow as pa
@@ -66,24 +65,15 @@ class WorldGraph:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
-    def query(
-        self,
-        cypher: str,
-        params: Mapping[str, Any] | None = None,
-        *,
-        ordered: bool = True,
-        timeout_s: float | None = None,
-    ) -> pa.Table:
-        """Run one reading statement, as `Graph.query` does. Raises QueryError also where it reaches beyond the world
-        tables.
+    def query(self, cypher: str, params: Mapping[str, Any] | None = None, **options: Any) -> pa.Table:
+        """Run one reading statement, as `Graph.query` does, with its options. Raises QueryError also where it reaches
+        beyond the world tables.
         """
         self._check(cypher, params or {}, writes=False)
-        return self.graph.query(cypher, params, ordered=ordered, timeout_s=timeout_s)
+        return self.graph.query(cypher, params, **options)
 
     def write(self, *transactions: Sequence[Statement]) -> None:
         """Run statements that make, change or delete rows of the world tables, each list as one transaction.
