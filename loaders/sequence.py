@@ -18,15 +18,14 @@ import pyarrow.compute as pc
 
 from jrdb_avr.loaders.intervals.persons import disagreements
 from jrdb_avr.loaders.intervals.spans import absent_partners
-from jrdb_avr.loaders.labelfiles.columns import constant
+from jrdb_avr.loaders.labelfiles.columns import LayerTables, constant
 from jrdb_avr.loaders.layers.boxes_2d import load_2d
 from jrdb_avr.loaders.layers.boxes_3d import heading_check, load_3d
 from jrdb_avr.loaders.layers.calibration import cameras_check, load_calibration
 from jrdb_avr.loaders.layers.frame_offset import check_shift, tracks_of
-from jrdb_avr.loaders.layers.layer import Reading
 from jrdb_avr.loaders.layers.panoptic import load_panoptic
 from jrdb_avr.loaders.layers.pose import load_pose
-from jrdb_avr.loaders.layers.social_files import load_reasoning, load_social
+from jrdb_avr.loaders.layers.social import load_reasoning, load_social
 from jrdb_avr.loaders.layers.timestamps import frame_rate, load_timestamps
 from jrdb_avr.loaders.problems import Problem, Problems, shorten
 from jrdb_avr.loaders.report import Cameras, Disagreement, Heading, ShiftCheck, Stamps, UnknownLabel
@@ -35,7 +34,7 @@ from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import ANNOTATIONS, LAYERS
 
-READERS: Final[dict[str, Callable[[Path, str, Problems], Reading]]] = {
+READERS: Final[dict[str, Callable[[Path, str, Problems], LayerTables]]] = {
     "2d": load_2d,
     "3d": load_3d,
     "social": load_social,
@@ -96,7 +95,7 @@ class Annotated:
 
 def annotate(files: SequenceFiles) -> Annotated:
     """Read every file of a sequence. A file that cannot be used as a whole is a problem, never an error."""
-    readings: dict[str, Reading] = {}
+    readings: dict[str, LayerTables] = {}
     problems: list[Problems] = []
     shifts: list[ShiftCheck] = []
     for layer in LAYER_FILES:
@@ -121,7 +120,7 @@ def annotate(files: SequenceFiles) -> Annotated:
     return _together(files, readings, problems, shifts)
 
 
-def _read(layer: str, path: Path, sequence: str, readings: dict[str, Reading], problems: Problems) -> Reading:
+def _read(layer: str, path: Path, sequence: str, readings: dict[str, LayerTables], problems: Problems) -> LayerTables:
     if layer != "reasoning":
         return READERS[layer](path, sequence, problems)
     social = readings.get("social")
@@ -129,7 +128,7 @@ def _read(layer: str, path: Path, sequence: str, readings: dict[str, Reading], p
     return load_reasoning(path, sequence, problems, social=not served)
 
 
-def _check(layer: str, reading: Reading, readings: dict[str, Reading]) -> ShiftCheck | None:
+def _check(layer: str, reading: LayerTables, readings: dict[str, LayerTables]) -> ShiftCheck | None:
     """The frame numbers of a file beside those of the 2D boxes; None for a layer without boxes."""
     boxes = tracks_of(layer, reading)
     if boxes is None:
@@ -139,7 +138,7 @@ def _check(layer: str, reading: Reading, readings: dict[str, Reading]) -> ShiftC
 
 
 def _together(
-    files: SequenceFiles, readings: dict[str, Reading], problems: list[Problems], shifts: list[ShiftCheck]
+    files: SequenceFiles, readings: dict[str, LayerTables], problems: list[Problems], shifts: list[ShiftCheck]
 ) -> Annotated:
     tables: dict[str, pa.Table] = {}
     frames: dict[str, tuple[Ints, Ints]] = {}

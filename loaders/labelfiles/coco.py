@@ -2,57 +2,60 @@
 
 Frames come from the base name of an image's `file_name` and from nothing else: image numbers follow the frames by
 rules that differ from release to release, and `width` and `height` are those of another camera. What names another
-sequence, or shares its number with another image, is refused together with its annotations.
+sequence, or shares its number with another image, is refused together with its annotations. Category numbers are the
+file's own too, so categories are known by name: `schema/labels.py` lists them, and a name outside its vocabulary stays
+as written and is reported.
 
 Memory is bounded by the file's size: long values stay raw until a chunk of records is turned into columns.
-
-The categories of a file in the COCO style: their numbers are the file's own, so they are known by name.
-
-What a name stands for is told by `schema/labels.py`; a name outside its vocabulary is kept as written and reported.
 """
 
 from __future__ import annotations
 
-import codecs
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
+from operator import attrgetter
 from pathlib import Path
-from typing import Annotated, Final, Generic, TypeVar
+from typing import Annotated, Any, Final, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.loaders.labelfiles import records as fields
+from jrdb_avr.loaders.labelfiles import records
 from jrdb_avr.loaders.labelfiles.columns import Refusals
-from jrdb_avr.loaders.labelfiles.frames import BROKEN, MAX_RECORDS, SCAN_FROM, RecordReader, key_text, read_file
-from jrdb_avr.loaders.labelfiles.jsonscan import MalformedError, elements, end_of_text, members
-from jrdb_avr.loaders.labelfiles.keys import WrittenKeys
-from jrdb_avr.loaders.labelfiles.records import record_parts
+from jrdb_avr.loaders.labelfiles.frames import (
+    MAX_RECORDS,
+    Frame,
+    RecordReader,
+    batches,
+    read_file,
+    scanned_sections,
+)
+from jrdb_avr.loaders.labelfiles.json import BROKEN, NOTHING, MalformedError, elements, strict_members
+from jrdb_avr.loaders.labelfiles.records import Rule
 from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import ANNOTATIONS
 from jrdb_avr.schema.things import OBJECTS, normal_category
 
-SECTIONS: Final = ("images", "annotations", "categories")
-MAX_KEYS: Final = 1000
-"""Members of the outermost object."""
 MAX_LISTED: Final = 400_000
 """The most images or annotations of one file: twice the boxes of people in JRDB's fullest sequence."""
 CHUNK: Final = 10_000
 """Records that are handed on at once."""
-MAX_BATCH: Final = 4 << 20
-"""Bytes of text that are decoded at once where a list is not clean."""
+SCAN_FROM: Final = 64 << 20
+"""Lists of this many bytes or more are cut by the scanner, whose memory does not depend on the number of members."""
+MAX_OUTSIDE: Final = 64 << 10
+"""Bytes outside the lists of a file that is not cut by the scanner."""
 NUMBER_LIMIT: Final = 2**62
+MAX_CATEGORY: Final = 2**31 - 2
 
 Number = Annotated[int, msgspec.Meta(ge=-NUMBER_LIMIT, le=NUMBER_LIMIT)]
 """A number of the file's own, for images or annotations."""
 
-_NOTHING: Final = msgspec.Raw(b"")
-_COLON: Final = re.compile(rb"[ \t\r\n]*:[ \t\r\n]*")
 _FRAME: Final = re.compile(r"([0-9]{6})\.(?:jpg|jpeg|png)")
 _SEQUENCE: Final = re.compile(r".+-[0-9]{4}-[0-9]{2}-[0-9]{2}_[0-9]+")
 """How JRDB names its sequences: place, date and number."""
@@ -60,139 +63,77 @@ _SEQUENCE: Final = re.compile(r".+-[0-9]{4}-[0-9]{2}-[0-9]{2}_[0-9]+")
 R = TypeVar("R", bound=msgspec.Struct)
 
 
-class _File(msgspec.Struct, gc=False):
-    images: msgspec.Raw = _NOTHING
-    annotations: msgspec.Raw = _NOTHING
-    categories: msgspec.Raw = _NOTHING
+class _Sections(msgspec.Struct, gc=False):
+    images: msgspec.Raw = NOTHING
+    annotations: msgspec.Raw = NOTHING
+    categories: msgspec.Raw = NOTHING
 
 
-@dataclass(frozen=True)
-class CocoFile:
-    """The bytes of a file, and where in them its lists stand."""
+_MAPPING: Final = msgspec.json.Decoder(dict[str, msgspec.Raw])
+
+
+class CocoFile(NamedTuple):
+    """The raw lists of a file."""
 
     name: str
-    data: bytes
-    spans: dict[str, tuple[int, int]]
-    """Start and end of each of SECTIONS that the file has."""
+    sections: dict[str, memoryview]
+
+    def has_list(self, section: str) -> bool:
+        """Whether the file has a list of that name."""
+        return section in self.sections and bytes(self.sections[section][:1]) == b"["
 
 
 def open_coco(path: Path, problems: Problems) -> CocoFile:
     """Read a file and find its lists; the first of equal keys. Raises InputError where it has no images or annotations
     or is no JSON on the outside."""
-    data = read_file(path).removeprefix(codecs.BOM_UTF8)
-    name = path.name
-    spans = _quick_spans(data) if len(data) < SCAN_FROM else None
-    if spans is None:
-        spans = _scanned_spans(data, name, problems)
-    for section in SECTIONS[:2]:
-        begin, _ = spans.get(section, (len(data), 0))
-        if data[begin : begin + 1] != b"[":
-            raise InputError(f'{name}: there is no list "{section}"', file=name)
-    return CocoFile(name, data, spans)
-
-
-def _quick_spans(data: bytes) -> dict[str, tuple[int, int]] | None:
-    """Spans found by decoding; None where the file is not clean and must be scanned."""
+    name, data = path.name, read_file(path)
     try:
-        file = msgspec.json.decode(data, type=_File)
-    except BROKEN:
-        return None
-    spans = {}
-    rest, end = [], 0
-    for section in SECTIONS:
-        raw = bytes(getattr(file, section))
-        if raw:
-            quoted = f'"{section}"'.encode()
-            value = _COLON.match(data, data.find(quoted) + len(quoted))
-            if value is None or not data.startswith(raw, value.end()):
-                return None
-            spans[section] = (value.end(), value.end() + len(raw))
-    for begin, stop in sorted(spans.values()):
-        rest.append(data[end:begin])
-        end = stop
-    outside = b"".join([*rest, data[end:]])
-    # Of a repeated key, decoding keeps the last only.
-    return spans if all(outside.count(f'"{name}"'.encode()) == (name in spans) for name in SECTIONS) else None
-
-
-def _scanned_spans(data: bytes, name: str, problems: Problems) -> dict[str, tuple[int, int]]:
-    spans: dict[str, tuple[int, int]] = {}
-    try:
-        last = keys = 0
-        for key, begin, end in members(data):
-            last, keys = end, keys + 1
-            if keys > MAX_KEYS:
-                raise InputError(f"{name}: more than {MAX_KEYS} keys", file=name)
-            section = key_text(key)
-            if section in spans:
-                problems.add("file", "key twice, the first is kept", field=section)
-            elif section in SECTIONS:
-                spans[section] = (begin, end)
-        if not end_of_text(data, last):
-            raise InputError(f"{name}: not JSON: there is text after its end", file=name)
+        file = CocoFile(name, _strict_sections(data) or scanned_sections(data, _Sections.__struct_fields__, problems))
     except MalformedError as error:
         raise InputError(f"{name}: not JSON: {error}", file=name) from None
-    return spans
+    for section in ("images", "annotations"):
+        if not file.has_list(section):
+            raise InputError(f'{name}: there is no list "{section}"', file=name)
+    return file
 
 
-class ListReader(Generic[R]):
-    """Decodes the records of a list, as `RecordReader` does those of a frame, whose arguments it takes: all at once
-    where they are clean, else in batches, else one by one. `repair` gets the record, an empty place and the problems.
-    """
-
-    def __init__(
-        self,
-        record: type[R],
-        repair: Callable[[bytes, str, Problems], R | None],
-        once: tuple[str, ...],
-        clean: Callable[[list[R], WrittenKeys], bool] = lambda records, written: True,
-    ) -> None:
-        self._all = msgspec.json.Decoder(list[record])  # type: ignore[valid-type]
-        self._batch = RecordReader(record, repair, once, clean)
-
-    def read(self, file: CocoFile, section: str, problems: Problems) -> Iterator[list[R]]:
-        """Usable records of a list, in chunks, at least one. Raises InputError where the list is no JSON or endless."""
-        begin, end = file.spans[section]
-        records = self._clean(file.data[begin:end]) if end - begin < SCAN_FROM else None
-        if records is not None:
-            _bounded(file, section, len(records))
-            for i in range(0, max(1, len(records)), CHUNK):
-                yield records[i : i + CHUNK]
-            return
-        for batch in _batches(file, section):
-            found = self._batch.read(b"[" + b",".join(batch) + b"]", "", problems)
-            yield found[0] if found else []
-
-    def _clean(self, raw: bytes) -> list[R] | None:
-        """All records, where decoding loses nothing."""
-        try:
-            records: list[R] = self._all.decode(raw)
-        except BROKEN:
-            return None
-        return records if self._batch.plain(records, raw) else None
-
-
-def _batches(file: CocoFile, section: str) -> Iterator[list[bytes]]:
-    """The raw records of a list, cut by the scanner."""
-    batch: list[bytes] = []
-    size = listed = 0
+def _strict_sections(data: bytes) -> dict[str, memoryview] | None:
+    """The lists of a file; None where it is not strict JSON or repeats a key."""
     try:
-        for begin, end in elements(file.data, file.spans[section][0]):
-            batch.append(file.data[begin:end])
-            size += end - begin
-            if len(batch) == MAX_RECORDS or size > MAX_BATCH:
-                listed += len(batch)
-                _bounded(file, section, listed)
-                yield batch
-                batch, size = [], 0
+        sections = msgspec.json.decode(data, type=_Sections)
+    except BROKEN:
+        return None
+    inside = sum(len(memoryview(getattr(sections, name))) for name in _Sections.__struct_fields__)
+    found = strict_members(memoryview(data), _MAPPING) if len(data) - inside < MAX_OUTSIDE else None
+    return None if found is None else {key: memoryview(data)[begin:end] for key, (begin, end) in found.items()}
+
+
+def read_list(file: CocoFile, section: str, reader: RecordReader[R], problems: Problems) -> Iterator[list[R]]:
+    """Usable records of a list, in chunks, at least one. Raises InputError where the list is no JSON or endless."""
+    raw = file.sections[section]
+    records = reader.decode(bytes(raw), MAX_LISTED) if len(raw) < SCAN_FROM else None
+    if records is not None:
+        for i in range(0, max(1, len(records)), CHUNK):
+            yield records[i : i + CHUNK]
+        return
+    listed = 0
+    try:
+        for batch in batches(elements(raw), len, MAX_RECORDS):
+            listed += len(batch)
+            if listed > MAX_LISTED:
+                raise InputError(f"{file.name}: more than {MAX_LISTED:,} {section}", file=file.name)
+            frame = Frame(-1, "", b"[" + b",".join(batch) + b"]")
+            for _, found, _ in reader.read([frame], problems):
+                yield found
     except MalformedError as error:
         raise InputError(f"{file.name}: not JSON in {section}: {error}", file=file.name) from None
-    yield batch
 
 
-def _bounded(file: CocoFile, section: str, listed: int) -> None:
-    if listed > MAX_LISTED:
-        raise InputError(f"{file.name}: more than {MAX_LISTED:,} {section}", file=file.name)
+def _file_number(value: object) -> int:
+    return records.whole(value, -NUMBER_LIMIT, NUMBER_LIMIT)
+
+
+NUMBER: Final = Rule(_file_number, "record")
 
 
 # -- images --------------------------------------------------------------------------------------------------------
@@ -203,6 +144,15 @@ class Image(msgspec.Struct, gc=False):
 
     id: Number
     file_name: str
+
+
+_IMAGES: Final = RecordReader(
+    Image,
+    {"id": NUMBER, "file_name": Rule(records.string, "record", "file_name: ")},
+    once=("id", "file_name"),
+    place=lambda parts, frame: shorten(parts.get("file_name", b"")),
+    within="images.",
+)
 
 
 @dataclass(frozen=True)
@@ -225,13 +175,18 @@ class Images:
 def read_images(file: CocoFile, sequence: str, problems: Problems) -> Images:
     """The images of the file that are frames of `sequence`; what else is listed is refused. Raises InputError."""
     listed: list[tuple[Image, int | None]] = []
-    for images in _IMAGES.read(file, "images", problems):
+
+    def refuse(image: Image, reason: str, field: str) -> None:
+        value = getattr(image, field)
+        problems.add("frame", reason, frame=shorten(image.file_name), field=f"images.{field}", value=value)
+
+    for images in read_list(file, "images", _IMAGES, problems):
         for image in images:
             try:
                 listed.append((image, _frame_of(image.file_name, sequence)))
             except ValueError as error:
                 listed.append((image, None))
-                _refuse_image(image, str(error), "file_name", problems)
+                refuse(image, str(error), "file_name")
     first: dict[int, int | None] = {}
     # Nobody can tell to which of two images with one number its annotations belong.
     ambiguous = {image.id for image, frame in listed if first.setdefault(image.id, frame) != frame}
@@ -240,13 +195,12 @@ def read_images(file: CocoFile, sequence: str, problems: Problems) -> Images:
         if frame is None:
             continue
         if image.id in ambiguous:
-            _refuse_image(image, "image number of two files, neither is kept", "id", problems)
+            refuse(image, "image number of two files, neither is kept", "id")
         elif frame in number_of:
-            _refuse_image(image, "frame listed twice, the first is kept", "file_name", problems)
+            refuse(image, "frame listed twice, the first is kept", "file_name")
         else:
             number_of[frame] = image.id
-    kept = sorted((number, frame) for frame, number in number_of.items())
-    pairs = np.array(kept, np.int64).reshape(-1, 2)
+    pairs = np.array(sorted((number, frame) for frame, number in number_of.items()), np.int64).reshape(-1, 2)
     return Images(np.ascontiguousarray(pairs[:, 0]), np.ascontiguousarray(pairs[:, 1]))
 
 
@@ -261,72 +215,28 @@ def _frame_of(file_name: str, sequence: str) -> int:
     return int(match[1])
 
 
-def _refuse_image(image: Image, reason: str, field: str, problems: Problems) -> None:
-    value = image.id if field == "id" else image.file_name
-    problems.add("frame", reason, frame=shorten(image.file_name), field=f"images.{field}", value=value)
-
-
-def _repair_image(raw: bytes, frame: str, problems: Problems) -> Image | None:
-    parts = record_parts(raw, frame, problems)
-    if parts is None:
-        return None
-    where = shorten(parts.get("file_name", b""))
-    number = repaired_number(parts, "id", where, problems, "images.id")
-    if number is None:
-        return None
-    try:
-        name = fields.loose(parts.get("file_name", b"null"))
-        if not isinstance(name, str):
-            raise ValueError("not a text")
-    except ValueError as error:
-        problems.add(
-            "record", f"file_name: {error}", frame=where, field="images.file_name", value=parts.get("file_name")
-        )
-        return None
-    return Image(number, name)
-
-
-_IMAGES: Final = ListReader(Image, _repair_image, ("id", "file_name"))
-
-
 # -- annotations ---------------------------------------------------------------------------------------------------
 
 
-def place_of(parts: dict[str, bytes]) -> str:
-    """What a report calls an annotation whose frame is not known."""
-    return f"annotation {shorten(parts.get('id', b'without id'), 30)}"
+def annotation_reader(record: type[R], rules: records.Rules, once: Any, inner_keys: Any = None) -> RecordReader[R]:
+    """A reader of annotations, which a report calls by their id as long as their frame is not known."""
+    more = {"inner_keys": inner_keys} if inner_keys else {}
+    return RecordReader(record, rules, once, place=lambda parts, frame: _place(parts.get("id", b"")), **more)
 
 
-def repaired_number(
-    parts: dict[str, bytes], key: str, where: str, problems: Problems, field: str | None = None
-) -> int | None:
-    """A whole number of a record, also as 7.0 or "7"; None, with the reason counted, if there is none.
-
-    `field` is what a report calls the key, where it is not the key.
-    """
-    try:
-        if key not in parts:
-            raise ValueError("missing")
-        return fields.whole(fields.loose(parts[key]), -NUMBER_LIMIT, NUMBER_LIMIT)
-    except ValueError as error:
-        problems.add("record", f"{key}: {error}", frame=where, field=field or key, value=parts.get(key, b""))
-        return None
+def _place(number: bytes) -> str:
+    return f"annotation {shorten(number or b'without id', 30)}"
 
 
-def known_images(images: Images, image_id: Ints, names: Callable[[int], object], problems: Problems) -> Ints:
-    """Frame per annotation, -1 for those of no usable image, which are counted; `names` gives their numbers."""
+def annotation_frames(annotations: list[Any], images: Images, problems: Problems) -> Ints:
+    """Frame per annotation (which has `image_id` and a raw `id`); -1, counted, for those of no usable image."""
+    image_id = np.fromiter(map(attrgetter("image_id"), annotations), np.int64, len(annotations))
     frame = images.rows(image_id)
-    lost = frame < 0
-    if lost.any():
-        row = int(lost.argmax())
-        problems.add(
-            "record",
-            "its image is not in the file, or was refused",
-            frame=f"annotation {shorten(str(names(row)), 30)}",
-            field="image_id",
-            value=int(image_id[row]),
-            count=int(lost.sum()),
-        )
+    lost = np.flatnonzero(frame < 0)
+    for row in islice(lost.tolist(), 1):
+        reason, place = "its image is not in the file, or was refused", _place(bytes(annotations[row].id))
+        value = int(image_id[row])
+        problems.add("record", reason, frame=place, field="image_id", value=value, count=len(lost))
     return frame
 
 
@@ -340,7 +250,7 @@ def crowded(frame: Ints, refusals: Refusals) -> Bools:
     return full
 
 
-MAX_CATEGORY: Final = 2**31 - 2
+# -- categories ----------------------------------------------------------------------------------------------------
 
 
 class Category(msgspec.Struct, gc=False):
@@ -350,6 +260,14 @@ class Category(msgspec.Struct, gc=False):
     name: str
 
 
+_CATEGORIES: Final = RecordReader(
+    Category,
+    {"id": NUMBER, "name": Rule(records.text, "record", "name: ")},
+    once=("id", "name"),
+    place=lambda parts, frame: "",
+    within="categories.",
+)
+
 Categories = dict[int, tuple[str, str | None]]
 """For each number of the file's: the name as written, and its usual name, None outside the vocabulary."""
 
@@ -358,28 +276,25 @@ def read_categories(file: CocoFile, problems: Problems) -> tuple[Categories, Cou
     """The list of categories, and names outside the vocabulary. Without a list every category is unknown."""
     names: Categories = {}
     ambiguous: set[int] = set()
-    begin, _ = file.spans.get("categories", (len(file.data), 0))
-    if file.data[begin : begin + 1] != b"[":
+    if not file.has_list("categories"):
         problems.add("file", "there is no list of categories: what things are is unknown", field="categories")
         return names, Counter()
-    for chunk in _CATEGORIES.read(file, "categories", problems):
+    for chunk in read_list(file, "categories", _CATEGORIES, problems):
         for category in chunk:
             try:
-                raw = fields.text(category.name)
-                if not 0 <= category.id <= MAX_CATEGORY:
-                    raise ValueError("number out of range")
+                raw = records.text(category.name)
+                number = records.whole(category.id, 0, MAX_CATEGORY)
             except ValueError as error:
                 problems.add("record", str(error), field="categories", value=(category.id, category.name))
                 continue
             usual = normal_category(raw)
-            name = usual if usual in OBJECTS else None
-            if category.id not in names:
-                names[category.id] = (raw, name)
-            elif normal_category(names[category.id][0]) == usual:
+            if number not in names:
+                names[number] = (raw, usual if usual in OBJECTS else None)
+            elif normal_category(names[number][0]) == usual:
                 problems.add("record", "category twice, the first is kept", field="categories", value=raw)
             else:
                 # Nobody can tell which of the two its annotations are of.
-                ambiguous.add(category.id)
+                ambiguous.add(number)
                 problems.add("record", "category number of two names, neither is kept", field="categories", value=raw)
     kept = {number: names[number] for number in sorted(names) if number not in ambiguous}
     return kept, Counter(("categories", normal_category(raw)) for raw, name in kept.values() if name is None)
@@ -392,18 +307,3 @@ def categories_table(sequence: str, categories: Categories) -> pa.Table:
         for number, (raw, name) in categories.items()
     ]
     return pa.Table.from_pylist(rows, ANNOTATIONS["categories"])
-
-
-def _repair_category(raw: bytes, frame: str, problems: Problems) -> Category | None:
-    parts = record_parts(raw, frame, problems)
-    number = None if parts is None else repaired_number(parts, "id", "", problems, "categories.id")
-    if parts is None or number is None:
-        return None
-    try:
-        return Category(number, fields.text(fields.loose(parts.get("name", b"null"))))
-    except ValueError as error:
-        problems.add("record", f"name: {error}", field="categories.name", value=parts.get("name", b"missing"))
-        return None
-
-
-_CATEGORIES: Final = ListReader(Category, _repair_category, ("id", "name"))

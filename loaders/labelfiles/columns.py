@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -89,6 +91,11 @@ class Distinct(dict[Any, int]):
         return code
 
 
+def numbered(codes: Distinct, values: Iterable[Any], n: int) -> Ints:
+    """The numbers of `n` values."""
+    return np.fromiter(map(codes.__getitem__, values), np.int64, n)
+
+
 class Refusals:
     """Counts what is refused of records that came in file order, naming the frame of the first."""
 
@@ -110,6 +117,21 @@ class Refusals:
         """Add a problem of `count` rows, of which `row` is the first."""
         frame = f"{int(self._frame[row]):06d}.{self._suffix}"
         self._problems.add(kind, reason, frame=frame, field=field, value=value, count=count)
+
+
+@dataclass(frozen=True)
+class LayerTables:
+    """What the loader of one layer makes of one sequence's file."""
+
+    tables: dict[str, pa.Table]
+    """Annotation tables by name."""
+    frames: dict[str, tuple[Ints, Ints]]
+    """Per layer of the `frames` table: its frames, ascending, and the records in each."""
+    unknown: Counter[tuple[str, str]] = field(default_factory=Counter)
+    """Labels outside the vocabulary: count per (field, label)."""
+    boxes: pa.Table | None = None
+    """Columns frame, track, x, y, w, h: the file's own 2D boxes, where they are not its facts. They tell whether its
+    frame numbers agree with those of the 2D layer."""
 
 
 def mask_of(rows: Ints, n: int) -> Bools:

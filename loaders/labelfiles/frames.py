@@ -1,139 +1,57 @@
-"""A JRDB label file, `{"labels": {"<frame>.<suffix>": [record, ...]}}`, read frame by frame.
+"""A JRDB label file, `{"labels": {"<frame>.<suffix>": [record, ...]}}`, read frame by frame into columns.
 
-The outer level is cut into raw frames first and each frame is decoded alone: memory stays small, and what is broken
-stays in its own frame or record. A file that cannot be used as a whole raises InputError.
+The file is cut into raw frames and each frame is decoded alone: what is broken stays in its own frame or record.
+Decoded records are the largest thing in memory, so they live for a batch of frames only. What repeats from record to
+record (label ids, raw label objects) is numbered; the numbers are the columns. A file that cannot be used as a whole
+raises InputError.
 """
 
 from __future__ import annotations
 
 import codecs
+import contextlib
 import errno
 import os
 import re
 import stat
-from collections.abc import Callable, Iterator, Sequence
-from itertools import chain, islice, repeat
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import chain, repeat
 from operator import attrgetter, is_not
 from pathlib import Path
-from typing import Any, Final, Generic, NamedTuple, TypeVar
+from typing import Annotated, Any, Final, Generic, NamedTuple, TypeVar
 
 import msgspec
+import numpy as np
+import numpy.typing as npt
 
-from jrdb_avr.loaders.labelfiles.json import OtherLayoutError, frame_texts
-from jrdb_avr.loaders.labelfiles.jsonscan import MalformedError, elements, end_of_text, members
-from jrdb_avr.loaders.labelfiles.keys import WrittenKeys
+from jrdb_avr.loaders.labelfiles.columns import Distinct, numbered
+from jrdb_avr.loaders.labelfiles.json import BROKEN, MalformedError, elements, keys_exceed, members, strict_members
+from jrdb_avr.loaders.labelfiles.records import TWICE, Rules, read_fields, record_parts
 from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.schema.errors import InputError
 
-MAX_FILE: Final = 160 << 20
-"""Bytes of the largest file that is read into memory as a whole."""
-MAX_FRAMED: Final = 512 << 20
-"""Bytes of the largest file of frames: where these are laid out as usual, only one at a time is in memory."""
+MAX_FILE: Final = 320 << 20
+"""Bytes of the largest file that is read: twice those of JRDB's fullest sequence."""
 _PIECE: Final = 1 << 20
 MAX_FRAME: Final = 4 << 20
 MAX_RECORDS: Final = 1000
 """Records of one frame: JRDB's fullest have about a hundred, and pairs of people grow with the square."""
-SCAN_FROM: Final = 64 << 20
-"""Lists of this many bytes or more are cut by the scanner, whose memory does not depend on the number of members."""
+MAX_GATHERED: Final = 400_000
+"""Records of one file; twice as many as JRDB's fullest sequence has boxes."""
+BATCH_BYTES: Final = 1 << 19
+"""Bytes of text of the frames that are read together."""
 
+MAX_KEYS: Final = 1000
+"""Members of the outermost object."""
+
+_OPENING: Final = re.compile(rb'[ \t\r\n]*\{[ \t\r\n]*"labels"[ \t\r\n]*:[ \t\r\n]*')
+_CLOSING: Final = re.compile(rb"\}[ \t\r\n]*\Z")
+_FRAMES: Final = msgspec.json.Decoder(dict[Annotated[str, msgspec.Meta(pattern=r"^[0-9]{6}\.")], msgspec.Raw])
+"""Other keys than those of frames are left to the scanner: objects of many small members could fill the memory."""
+
+Columns = dict[str, npt.NDArray[Any]]
 R = TypeVar("R", bound=msgspec.Struct)
-
-BROKEN: Final = (msgspec.DecodeError, RecursionError, UnicodeError)
-
-
-class RecordReader(Generic[R]):
-    """Decodes records of type R: whole frames at once where they are clean, else one by one.
-
-    `repair` gets the bytes of a record that is not clean, the frame key and the problems, and returns what can be used
-    of it or None. `once` names the fields that a record has at most once, fields of one meaning together: where a frame
-    holds their keys more often than decoded records have them, a record repeats one (JSON leaves open which of the two
-    counts), and the frame is taken record by record. `clean` looks deeper into decoded records and their keys.
-    """
-
-    def __init__(
-        self,
-        record: type[R],
-        repair: Callable[[bytes, str, Problems], R | None],
-        once: tuple[str | tuple[str, ...], ...],
-        clean: Callable[[list[R], WrittenKeys], bool] = lambda records, written: True,
-    ) -> None:
-        self._frame = msgspec.json.Decoder(list[record])  # type: ignore[valid-type]
-        self._record = msgspec.json.Decoder(record)
-        self._repair = repair
-        info = {field.name: field for field in msgspec.structs.fields(record)}
-        groups = [[info[name] for name in ((group,) if isinstance(group, str) else group)] for group in once]
-        self._once = [([f'"{field.encode_name}"'.encode() for field in group], group) for group in groups]
-        self._clean = clean
-
-    def decode(self, raw: bytes) -> list[R] | None:
-        """The records of a frame, if all are of the form expected. Decoding may have lost repeated keys."""
-        try:
-            return self._frame.decode(raw)
-        except BROKEN:
-            return None
-
-    def read_frames(
-        self, frames: Sequence[Frame], problems: Problems
-    ) -> Iterator[tuple[Frame, tuple[list[R], bool] | None]]:
-        """As `read`, of frames as `read_frames` cuts them by means of `decode`: beside each what is read of it."""
-        # Looking for repeated keys in few long texts takes half the time of looking in many short ones.
-        decoded = [frame for frame in frames if frame.records is not None and len(frame.records) <= MAX_RECORDS]
-        records = list(chain.from_iterable(frame.records or () for frame in decoded))
-        plain = {frame.number for frame in decoded} if self.plain(records, b",".join(f.raw for f in decoded)) else ()
-        for frame in frames:
-            if frame.number in plain:
-                yield frame, (frame.records or [], True)
-            else:
-                yield frame, self.read(frame.raw, frame.key, problems)
-
-    def read(self, raw: bytes, frame: str, problems: Problems) -> tuple[list[R], bool] | None:
-        """The usable records of a frame, and whether every record was; None where the frame is no list."""
-        found = self.decode(raw)
-        if found is not None and len(found) <= MAX_RECORDS and self.plain(found, raw):
-            return found, True
-        records = []
-        try:
-            spans = []
-            for span in elements(raw):
-                spans.append(span)
-                if len(spans) > MAX_RECORDS:
-                    problems.add("frame", f"frame with more than {MAX_RECORDS} records", frame=frame)
-                    return None
-        except MalformedError as error:
-            problems.add("frame", "frame is no list of records", frame=frame, value=str(error))
-            return None
-        for begin, end in spans:
-            record = self._one(raw[begin:end], frame, problems)
-            if record is not None:
-                records.append(record)
-        return records, len(records) == len(spans)
-
-    def _one(self, raw: bytes, frame: str, problems: Problems) -> R | None:
-        try:
-            record = self._record.decode(raw)
-            if self.plain([record], raw):
-                return record
-        except BROKEN:
-            pass
-        return self._repair(raw, frame, problems)
-
-    def plain(self, records: list[R], raw: bytes) -> bool:
-        """Whether no key is repeated, none being written with escapes, so that decoding lost nothing."""
-        # Looking for one byte is many times as fast as for two.
-        if b"\\" in raw and b"\\u" in raw:
-            return False
-        written = WrittenKeys(raw)
-        for keys, fields in self._once:
-            if written.exceed(sum(_having(records, field) for field in fields), *keys):
-                return False
-        return self._clean(records, written)
-
-
-def _having(records: list[R], field: msgspec.structs.FieldInfo) -> int:
-    """Records that have a field; one with the default written out counts as lacking it."""
-    if field.required:
-        return len(records)
-    return sum(map(is_not, map(attrgetter(field.name), records), repeat(field.default)))
+Keys = tuple[str | tuple[str, ...], ...]
 
 
 class Frame(NamedTuple):
@@ -143,41 +61,137 @@ class Frame(NamedTuple):
     key: str
     raw: bytes
     """Its value."""
-    records: list[Any] | None
-    """What decoding made of it, if that was tried and succeeded."""
 
 
-def read_frames(
-    path: Path, suffixes: tuple[str, ...], decode: Callable[[bytes], list[Any] | None], problems: Problems
-) -> Iterator[Frame]:
-    """The frames of a label file; the first of equal keys. `decode` reads clean frames, as `RecordReader.decode`.
+def _nothing_more(parts: dict[str, bytes], place: str, problems: Problems) -> dict[str, Any]:
+    return {}
 
-    Raises InputError, naming the file, if the file cannot be read as a whole. That may happen after frames were
-    yielded: whoever reads keeps nothing of such a file.
+
+class RecordReader(Generic[R]):
+    """Decodes records of type R: many frames at once where they are clean, else frame by frame or record by record.
+
+    `rules` say how fields of a record that does not decode are read; raw fields need none. `once` names the fields that
+    a record has at most once, fields of one meaning together: where a text holds their keys more often than decoded
+    records have them, a record repeats one (JSON leaves open which of the two counts). `inner_keys` gives keys inside
+    decoded records with their number; None where a record must be looked at alone. `place` names a record in the
+    report, where that is not its frame; `more` reads fields that no rule can, and those that refused ones fall back to.
     """
-    key_form = re.compile(r"([0-9]{6})\.(?:" + "|".join(suffixes) + ")")
-    seen: set[int] = set()
-    for key, raw, records in _cut(path, lambda raw: decode(raw) if len(raw) <= MAX_FRAME else None, problems):
-        match = key_form.fullmatch(key)
-        if match is None:
-            problems.add("frame", "frame key is not six digits and " + "/".join(suffixes), frame=shorten(key))
-        elif int(match[1]) in seen:
-            problems.add("frame", "frame key twice, the first is kept", frame=key)
-        elif len(raw) > MAX_FRAME:
-            problems.add("frame", f"frame larger than {MAX_FRAME >> 20} MB", frame=key)
-        else:
-            seen.add(int(match[1]))
-            yield Frame(int(match[1]), key, raw, records)
+
+    def __init__(
+        self,
+        record: type[R],
+        rules: Rules,
+        once: Keys,
+        inner_keys: Callable[[list[R]], list[tuple[int, tuple[bytes, ...]]] | None] = lambda records: [],
+        place: Callable[[dict[str, bytes], str], str] = lambda parts, frame: frame,
+        more: Callable[[dict[str, bytes], str, Problems], dict[str, Any]] = _nothing_more,
+        within: str = "",
+    ) -> None:
+        self._frame = msgspec.json.Decoder(list[record])  # type: ignore[valid-type]
+        self._type, self._rules, self._inner_keys, self._place, self._more = record, rules, inner_keys, place, more
+        self._within = within
+        info = {field.name: field for field in msgspec.structs.fields(record)}
+        self._raw = [name for name, field in info.items() if field.type is msgspec.Raw]
+        groups = [[info[name] for name in ((group,) if isinstance(group, str) else group)] for group in once]
+        self._once = [(tuple(f'"{field.encode_name}"'.encode() for field in group), group) for group in groups]
+
+    def read(self, frames: Sequence[Frame], problems: Problems) -> Iterator[tuple[Frame, list[R], bool]]:
+        """Frames that are lists, the usable records of each, and whether every record of it is usable."""
+        decoded = [self._decode(frame.raw, MAX_RECORDS) for frame in frames]
+        # Looking for repeated keys in few long texts takes half the time of looking in many short ones.
+        clean = [(frame.raw, records) for frame, records in zip(frames, decoded, strict=True) if records is not None]
+        all_plain = self._plain(list(chain.from_iterable(item[1] for item in clean)), b",".join(i[0] for i in clean))
+        for frame, records in zip(frames, decoded, strict=True):
+            if records is not None and (all_plain or self._plain(records, frame.raw)):
+                yield frame, records, True
+            else:
+                yield from self._one_by_one(frame, problems)
+
+    def decode(self, raw: bytes, most: int) -> list[R] | None:
+        """All records of a list, where decoding loses nothing and they are no more than `most`."""
+        records = self._decode(raw, most)
+        return records if records is not None and self._plain(records, raw) else None
+
+    def _decode(self, raw: bytes, most: int) -> list[R] | None:
+        """As `decode`; repeated keys may be lost."""
+        try:
+            records: list[R] = self._frame.decode(raw)
+        except BROKEN:
+            return None
+        return records if len(records) <= most else None
+
+    def _plain(self, records: list[R], text: bytes) -> bool:
+        """Whether no key is repeated, none being written with escapes, so that decoding lost nothing."""
+        # Looking for one byte is many times as fast as for two.
+        inner = None if b"\\" in text and b"\\u" in text else self._inner_keys(records)
+        return inner is not None and not keys_exceed(
+            text, [(sum(_having(records, field) for field in group), keys) for keys, group in self._once] + inner
+        )
+
+    def _one_by_one(self, frame: Frame, problems: Problems) -> Iterator[tuple[Frame, list[R], bool]]:
+        try:
+            raws: list[bytes] = []
+            for raw in elements(frame.raw):
+                raws.append(bytes(raw))
+                if len(raws) > MAX_RECORDS:
+                    problems.add("frame", f"frame with more than {MAX_RECORDS} records", frame=frame.key)
+                    return
+        except MalformedError as error:
+            problems.add("frame", "frame is no list of records", frame=frame.key, value=str(error))
+            return
+        found = []
+        for record in raws:
+            found += self.decode(b"[" + record + b"]", 1) or self._repair(record, frame.key, problems)
+        yield frame, found, len(found) == len(raws)
+
+    def _repair(self, raw: bytes, frame: str, problems: Problems) -> list[R]:
+        """What can be used of a record that does not decode as it stands; nothing, with the reason counted, if none."""
+        try:
+            parts = record_parts(raw, frame, problems)
+        except MalformedError:
+            problems.add("record", "record is no object", frame=frame, value=raw)
+            return []
+        place = self._place(parts, frame)
+        values = read_fields(parts, self._rules, place, problems, self._within)
+        if values is None:
+            return []
+        values |= {name: msgspec.Raw(parts[name]) for name in self._raw if name in parts}
+        return [self._type(**(self._more(parts, place, problems) | values))]
+
+
+def _having(records: list[Any], field: msgspec.structs.FieldInfo) -> int:
+    """Records that have a field; one with the default written out counts as lacking it."""
+    if field.required:
+        return len(records)
+    return sum(map(is_not, map(attrgetter(field.name), records), repeat(field.default)))
+
+
+@contextlib.contextmanager
+def _named_errors(name: str) -> Iterator[None]:
+    """Errors of the system and of the text's structure as InputError with the file's name."""
+    try:
+        yield
+    except OSError as error:
+        reason = os.strerror(error.errno or errno.EIO)
+        raise InputError(f"{name}: cannot be read: {reason}", file=name) from None
+    except MalformedError as error:
+        raise InputError(f"{name}: not JSON: {error}", file=name) from None
 
 
 def read_file(path: Path) -> bytes:
-    """The bytes of a label file. Raises InputError if it is no file, too large, unreadable, empty or not UTF-8."""
+    """The text of a label file, without a byte order mark.
+
+    Raises InputError if it is no file, too large, unreadable, empty or not UTF-8.
+    """
     name = path.name
-    try:
-        _check(path, MAX_FILE)
+    with _named_errors(name):
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            raise InputError(f"{name}: not a file", file=name)
+        if status.st_size > MAX_FILE:
+            size = f"{status.st_size / (1 << 20):.0f} MB"
+            raise InputError(f"{name}: {size}, larger than the limit of {MAX_FILE >> 20} MB", file=name)
         data = path.read_bytes()
-    except OSError as error:
-        raise _unreadable(name, error) from None
     if not data or data.isspace():
         raise InputError(f"{name}: the file is empty", file=name)
     if not data.isascii():
@@ -189,70 +203,129 @@ def read_file(path: Path) -> bytes:
                 decoder.decode(data[begin : begin + _PIECE], final=begin + _PIECE >= len(data))
             except UnicodeDecodeError as error:
                 raise InputError(f"{name}: not UTF-8 at byte {begin - behind + error.start}", file=name) from None
-    return data
+    return data.removeprefix(codecs.BOM_UTF8)
 
 
-def _check(path: Path, limit: int, of: str = "") -> None:
-    """Raises InputError for what is no file or larger than the limit, OSError for what cannot be looked at."""
-    status = path.stat()
-    if not stat.S_ISREG(status.st_mode):
-        raise InputError(f"{path.name}: not a file", file=path.name)
-    if status.st_size > limit:
-        size = f"{status.st_size / (1 << 20):.0f} MB"
-        raise InputError(f"{path.name}: {size}, larger than the limit of {limit >> 20} MB{of}", file=path.name)
+def read_frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> Iterator[Frame]:
+    """The frames of a label file; the first of equal keys.
+
+    Raises InputError, naming the file, if the file cannot be read as a whole. That may happen after frames were
+    yielded: whoever reads uses nothing of such a file.
+    """
+    key_form = re.compile(r"([0-9]{6})\.(?:" + "|".join(suffixes) + ")")
+    seen: set[int] = set()
+    with _named_errors(path.name):
+        for key, raw in _frame_texts(path, problems):
+            match = key_form.fullmatch(key)
+            if match is None:
+                problems.add("frame", "frame key is not six digits and " + "/".join(suffixes), frame=shorten(key))
+            elif int(match[1]) in seen:
+                problems.add("frame", "frame key twice, the first is kept", frame=key)
+            elif len(raw) > MAX_FRAME:
+                problems.add("frame", f"frame larger than {MAX_FRAME >> 20} MB", frame=key)
+            else:
+                seen.add(int(match[1]))
+                yield Frame(int(match[1]), key, bytes(raw))
 
 
-def _unreadable(name: str, error: OSError) -> InputError:
-    return InputError(f"{name}: cannot be read: {os.strerror(error.errno or errno.EIO)}", file=name)
+def _frame_texts(path: Path, problems: Problems) -> Iterator[tuple[str, bytes | memoryview]]:
+    """Keys and raw values of frames, in the order of the file, repeated keys included."""
+    data = read_file(path)
+    opening, closing = _OPENING.match(data), _CLOSING.search(data, max(0, len(data) - 100))
+    spans = strict_members(memoryview(data)[opening.end() : closing.start()], _FRAMES) if opening and closing else None
+    if opening is None or spans is None:
+        labels = scanned_sections(data, ("labels",), problems).get("labels")
+        if labels is None:
+            raise InputError(f'{path.name}: there is no object "labels"', file=path.name)
+        if bytes(labels[:1]) != b"{":
+            raise InputError(f'{path.name}: "labels" is not an object', file=path.name)
+        yield from members(labels)
+        return
+    start = opening.end() + path.stat().st_size - len(data)
+    # The columns grow while the frames are read: by now the whole text need not be in memory.
+    del data, opening, closing
+    with path.open("rb") as file:
+        for key, (begin, end) in spans.items():
+            file.seek(start + begin)
+            yield key, file.read(end - begin)
 
 
-def _cut(
-    path: Path, decode: Callable[[bytes], list[Any] | None], problems: Problems
-) -> Iterator[tuple[str, bytes, list[Any] | None]]:
-    """Keys, texts and decoded records of frames, in the order of the file, repeated keys included."""
-    name = path.name
-    found = 0
-    try:
-        _check(path, MAX_FRAMED)
-        with path.open("rb") as file:
-            try:
-                for frame in frame_texts(file, decode):
-                    yield frame
-                    found += 1
-                return
-            except OtherLayoutError:
-                pass
-        _check(path, MAX_FILE, " of files not laid out as usual (is it whole?)")
-    except OSError as error:
-        raise _unreadable(name, error) from None
-    for key, raw in islice(_scan(read_file(path).removeprefix(codecs.BOM_UTF8), name, problems), found, None):
-        yield key, raw, None
+def scanned_sections(data: bytes, wanted: Sequence[str], problems: Problems) -> dict[str, memoryview]:
+    """The wanted members of the outermost object of a file, the first of equal keys. Raises MalformedError."""
+    found: dict[str, memoryview] = {}
+    for i, (key, value) in enumerate(members(data)):
+        if i == MAX_KEYS:
+            raise MalformedError(f"more than {MAX_KEYS} keys")
+        if key in found:
+            problems.add("file", TWICE, field=key)
+        elif key in wanted:
+            found[key] = value
+    return found
 
 
-def _scan(data: bytes, name: str, problems: Problems) -> Iterator[tuple[str, bytes]]:
-    try:
-        end, found = 0, []
-        for key, begin, stop in members(data):
-            end = stop
-            if key_text(key) == "labels":
-                found.append(begin)
-        if not end_of_text(data, end):
-            raise InputError(f"{name}: not JSON: there is text after its end", file=name)
-        if not found:
-            raise InputError(f'{name}: there is no object "labels"', file=name)
-        if data[found[0] : found[0] + 1] != b"{":
-            raise InputError(f'{name}: "labels" is not an object', file=name)
-        if len(found) > 1:
-            problems.add("file", "key twice, the first is kept", field="labels", count=len(found) - 1)
-        for key, begin, stop in members(data, found[0]):
-            yield key_text(key), data[begin:stop]
-    except MalformedError as error:
-        raise InputError(f"{name}: not JSON: {error}", file=name) from None
+# -- columns -------------------------------------------------------------------------------------------------------
 
 
-def key_text(key: bytes) -> str:
-    """The text of a quoted key; what is no JSON text is read as it stands."""
-    try:
-        return msgspec.json.decode(key, type=str)
-    except BROKEN:
-        return key.decode("utf-8", "replace")
+class Gathered(NamedTuple):
+    """Columns of all usable records of a file, in its order."""
+
+    columns: Columns
+    """`frame` beside those of the layer."""
+    known: list[int]
+    """Frames that are lists."""
+    complete: list[int]
+    """Frames of which every record is usable."""
+
+
+def gather(
+    path: Path,
+    suffixes: tuple[str, ...],
+    reader: RecordReader[R],
+    take: Callable[[list[R]], Columns],
+    problems: Problems,
+) -> Gathered:
+    """Read a label file. `take` makes columns of records. Raises InputError if the file as a whole cannot be used."""
+    known: list[int] = []
+    complete: list[int] = []
+    parts: list[Columns] = []
+    size = 0
+    for batch in batches(read_frames(path, suffixes, problems), lambda frame: len(frame.raw)):
+        read = list(reader.read(batch, problems))
+        known += [frame.number for frame, _, _ in read]
+        complete += [frame.number for frame, _, whole in read if whole]
+        records = list(chain.from_iterable(found for _, found, _ in read))
+        numbers = np.array([frame.number for frame, _, _ in read], np.int64)
+        counts = np.array([len(found) for _, found, _ in read], np.int64)
+        parts.append({"frame": np.repeat(numbers, counts), **take(records)})
+        size += len(records)
+        if size > MAX_GATHERED:
+            raise InputError(f"{path.name}: more than {MAX_GATHERED:,} records", file=path.name)
+    columns = {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
+    return Gathered(columns, known, complete)
+
+
+T = TypeVar("T")
+
+
+def batches(items: Iterable[T], size: Callable[[T], int], most: int | None = None) -> Iterator[list[T]]:
+    """Items in order, in batches of about BATCH_BYTES and of no more than `most`; at least one, which may be empty."""
+    batch: list[T] = []
+    total = 0
+    for item in items:
+        batch.append(item)
+        total += size(item)
+        if total >= BATCH_BYTES or len(batch) == most:
+            yield batch
+            batch, total = [], 0
+    yield batch
+
+
+def take_fields(records: list[Any], names: Iterable[str], codes: dict[str, Distinct]) -> Columns:
+    """Columns of fields as the numbers of their values; raw fields by their bytes."""
+    columns = {}
+    for name in names:
+        values: Any = map(attrgetter(name), records)
+        if records and isinstance(getattr(records[0], name), msgspec.Raw):
+            values = map(bytes, values)
+        columns[name] = numbered(codes[name], values, len(records))
+    return columns

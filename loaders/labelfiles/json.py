@@ -1,110 +1,226 @@
-"""The frames of a label file that is laid out as such files are, one after another, without the file in memory.
+"""JSON texts cut into raw parts: by msgspec where a text is strict JSON without repeated keys, else by a scanner.
 
-A file is read window by window. What stands between two frame keys is taken for a frame's value if it is one whole
-JSON value by msgspec's own reading and a comma follows: a text has no two readings, so nothing else can begin there.
-Any other layout (a bare NaN, a second `labels`, keys of another form) is left to the scanner in `jsonscan`: the frames
-found until then are those that the scanner finds first.
+Strict decoding keeps the last of repeated keys and refuses a file for one bare NaN. So a strict result is only taken
+where it covers its whole text; any other text (repeated keys, a NaN, a file cut short) is cut by the scanner, which
+checks the structure it walks over and not the scalars inside. Each part is then judged alone. The scanner's memory does
+not depend on the number of members.
 """
 
 from __future__ import annotations
 
+import functools
+import json
 import re
-from collections.abc import Callable, Iterator
-from typing import BinaryIO, Final, TypeVar
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
 
 import msgspec
+import numpy as np
+import numpy.typing as npt
 
-WINDOW: Final = 8 << 20
-MAX_VALUE: Final = 64 << 20
-"""Bytes of one frame at most, sixteen times as many as are read of one: memory is bounded by it."""
+BROKEN: Final = (msgspec.DecodeError, RecursionError, UnicodeError)
+"""What strict decoding raises."""
 
-_OPENING: Final = re.compile(rb'(?:\xef\xbb\xbf)?[ \t\r\n]*\{[ \t\r\n]*"labels"[ \t\r\n]*:[ \t\r\n]*\{[ \t\r\n]*')
-_KEY: Final = re.compile(rb'"[0-9]{6}(\.[a-z]{3,4})"[ \t\r\n]*:')
-_NUMBER: Final = '"000000'
-"""What stands before the suffix of a key."""
-_LONGEST: Final = 64
-"""Bytes of a key with its colon that may be cut by the end of a window; with more blanks it is not found."""
-_BLANKS: Final = b" \t\r\n"
-_ANYTHING: Final = msgspec.json.Decoder(msgspec.Raw)
-_BROKEN: Final = (msgspec.DecodeError, RecursionError, UnicodeError)
+ABSENT: Final = (b"", b"null")
+"""Raw values of a key that is not there: a null says no more than a missing key."""
 
-T = TypeVar("T")
+NOTHING: Final = msgspec.Raw(b"")
+"""Default of raw fields."""
+
+_BLANK: Final = rb"[ \t\r\n]*"
+_STRING: Final = rb'"[^"\\]*(?:\\.[^"\\]*)*"'
+_MEMBER: Final = re.compile(_BLANK + rb"[{,]" + _BLANK + rb'"([^"\\]*)"' + _BLANK + rb":" + _BLANK)
+_MARK: Final = re.compile(_BLANK + rb"(.?)" + _BLANK, re.DOTALL)
+_KEY: Final = re.compile(rb"(" + _STRING + rb")" + _BLANK + rb":" + _BLANK, re.DOTALL)
+_SCALAR: Final = re.compile(_STRING + rb'|[^,\[\]{}\s"]+', re.DOTALL)
+_TOKEN: Final = re.compile(_STRING + rb'|["\[\]{}]', re.DOTALL)
+
+Spans = dict[str, tuple[int, int]]
 
 
-class OtherLayoutError(ValueError):
-    """The rest of a file is not laid out as usual, or is not UTF-8 or JSON."""
+class MalformedError(ValueError):
+    """The text is not JSON in structure: most often it ends too early."""
 
 
-def frame_texts(file: BinaryIO, decode: Callable[[bytes], T | None]) -> Iterator[tuple[str, bytes, T | None]]:
-    """Key and text of each frame of a file at its beginning, and what `decode` makes of the text: None where it is not
-    one JSON value of the form expected, which is then looked at more loosely.
+def strict_members(text: memoryview, decoder: msgspec.json.Decoder[dict[str, msgspec.Raw]]) -> Spans | None:
+    """Start and end of each value of an object by key; None where decoding fails or loses a member."""
+    try:
+        found = decoder.decode(text)
+    except BROKEN:
+        return None
+    spans, end = {}, 0
+    for key, raw in found.items():
+        mark = _MEMBER.match(text, end)
+        if mark is None or mark[1] != key.encode():
+            return None
+        begin, end = mark.end(), mark.end() + len(memoryview(raw))
+        if text[begin:end] != memoryview(raw):
+            return None
+        spans[key] = begin, end
+    # After the last member there is only the closing bracket, unless a member is lost.
+    return spans if not found or bytes(text[end : end + 100]).strip() == b"}" else None
 
-    Raises OtherLayoutError where the layout is another, possibly after frames were yielded, and OSError where the file
-    cannot be read.
+
+def members(text: bytes | memoryview) -> Iterator[tuple[str, memoryview]]:
+    """Keys and raw values of an object, repeated keys included.
+
+    Raises MalformedError where the structure breaks, possibly after some members were yielded.
     """
-    text = file.read(WINDOW)
-    opening = _OPENING.match(text)
-    key = _KEY.match(text, opening.end()) if opening else None
-    if key is None:
-        raise OtherLayoutError
-    # Keys are looked for by the suffix of the first: a literal beginning makes the search many times as fast.
-    suffix = re.escape(key[1])
-    later = re.compile(suffix + rb'(?<="[0-9]{6}' + suffix + rb')"[ \t\r\n]*:')
-    name = _name(text, key.start(1), key.end(1))
-    begin = search = key.end()
-    while True:
-        following = later.search(text, search)
-        if following is None:
-            more = file.read(WINDOW)
-            if more:
-                if len(text) - begin > MAX_VALUE:
-                    raise OtherLayoutError
-                text, search = text[begin:] + more, max(0, len(text) - begin - _LONGEST)
-                begin = 0
-                continue
-            value = _last(text[begin:])
-        else:
-            value = _before(text[begin : following.start() - len(_NUMBER)], b",")
-        if value is None or not _is_utf8(value):
-            raise OtherLayoutError
-        decoded = decode(value)
-        if decoded is None and not _is_json(value):
-            raise OtherLayoutError
-        yield name, value, decoded
-        if following is None:
-            return
-        name = _name(text, following.start(), following.start() + len(key[1]))
-        begin = search = following.end()
+    for key, value in _scan(text, b"{", b"}"):
+        try:
+            name = msgspec.json.decode(key, type=str)
+        except BROKEN:
+            name = key.decode("utf-8", "replace")
+        yield name, value
 
 
-def _is_utf8(value: bytes) -> bool:
+def elements(text: bytes | memoryview) -> Iterator[memoryview]:
+    """The raw elements of a list. Raises MalformedError as `members`."""
+    return (value for _, value in _scan(text, b"[", b"]"))
+
+
+def _scan(text: bytes | memoryview, opening: bytes, closing: bytes) -> Iterator[tuple[bytes, memoryview]]:
+    """The members of an object (quoted key, value) or the elements of a list (no key, value)."""
+    text = memoryview(text)
+    mark = _match(_MARK, text, 0)
+    if mark[1] != opening:
+        raise MalformedError("not an object" if opening == b"{" else "not a list")
+    position, key = mark.end(), b""
+    ends = text[position : position + 1] == closing
+    position += ends
+    while not ends:
+        if opening == b"{":
+            named = _KEY.match(text, position)
+            if named is None:
+                raise MalformedError("a key with its colon is missing")
+            key, position = named[1], named.end()
+        end = _value_end(text, position)
+        yield key, text[position:end]
+        mark = _match(_MARK, text, end)
+        ends, position = mark[1] == closing, mark.end()
+        if not ends and mark[1] != b",":
+            raise MalformedError("a comma is missing" if mark[1] else "the text ends early")
+    if _match(_MARK, text, position)[1]:
+        raise MalformedError("there is text after its end")
+
+
+def _match(form: re.Pattern[bytes], text: memoryview, position: int) -> re.Match[bytes]:
+    match = form.match(text, position)
+    assert match is not None
+    return match
+
+
+def _value_end(text: memoryview, start: int) -> int:
+    first = bytes(text[start : start + 1])
+    if first not in (b"[", b"{"):
+        scalar = _SCALAR.match(text, start)
+        if scalar is None:
+            raise MalformedError("a value is missing" if first else "the text ends early")
+        return scalar.end()
+    depth = 0
+    for token in _TOKEN.finditer(text, start):
+        mark = token[0]
+        if mark == b'"':
+            raise MalformedError("a string does not end")
+        depth += (mark in b"[{") - (mark in b"]}")
+        if depth == 0:
+            return token.end()
+    raise MalformedError("the text ends early")
+
+
+# -- values --------------------------------------------------------------------------------------------------------
+
+
+class Members:
+    """A JSON object with its members as written."""
+
+    def __init__(self, items: list[tuple[str, Any]]) -> None:
+        self.items = items
+
+    def __repr__(self) -> str:
+        return "{...}"
+
+
+def parse(raw: bytes | memoryview) -> Any:
+    """Any JSON value, bare NaN and Infinity included; objects are `Members`. Raises ValueError."""
     try:
-        return value.isascii() or bool(value.decode())
-    except UnicodeError:
-        return False
+        # Text, not bytes: of bytes the decoder would guess an encoding, and take a NUL and a digit for a number.
+        return json.loads(str(raw, "utf-8"), object_pairs_hook=Members)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    except ValueError:
+        raise ValueError("not JSON") from None
 
 
-def _is_json(value: bytes) -> bool:
-    """Whether a text is one whole JSON value."""
+def first_members(value: object) -> tuple[dict[str, Any], list[str]]:
+    """The members of a parsed object, first of equal keys, and the keys that stood there again. Raises ValueError."""
+    if not isinstance(value, Members):
+        raise ValueError("not an object")
+    first: dict[str, Any] = {}
+    again = []
+    for key, item in value.items:
+        if key in first:
+            again.append(key)
+        first.setdefault(key, item)
+    return first, again
+
+
+def parse_members(raw: bytes) -> tuple[dict[str, Any], list[str]]:
+    """As `first_members`, of a raw object. Raises ValueError."""
     try:
-        _ANYTHING.decode(value)
-    except _BROKEN:
-        return False
-    return True
+        quick = msgspec.json.decode(raw)
+    except BROKEN:
+        quick = None
+    # A colon for each key and no other: none is repeated.
+    if isinstance(quick, dict) and len(quick) == raw.count(b":"):
+        return quick, []
+    return first_members(parse(raw))
 
 
-def _name(text: bytes, start: int, end: int) -> str:
-    """The key whose suffix stands from `start` to `end`."""
-    return text[start - len(_NUMBER) + 1 : end].decode()
+# -- repeated keys -------------------------------------------------------------------------------------------------
+
+_WIDTH: Final = 8
+_SHORT: Final = 4096
+"""A text shorter than this, such as one record, is faster searched for every key than for its colons."""
+_SHORTEST: Final = 5
+"""Bytes of the shortest member of an object, `"":1,`. Where there are more colons, strings are full of them."""
+_FIRST_INK: Final = np.uint64((ord(" ") + 1) << 56)
+"""Endings from here on have no blank for their last byte."""
 
 
-def _before(text: bytes, mark: bytes) -> bytes | None:
-    """What stands before the mark that the text ends with, blanks aside; None where it ends otherwise."""
-    text = text.rstrip(_BLANKS)
-    return text[: -len(mark)].rstrip(_BLANKS) if text.endswith(mark) else None
+def keys_exceed(text: bytes, limits: Sequence[tuple[int, tuple[bytes, ...]]]) -> bool:
+    """Whether keys (ASCII, in quotes) stand in a text more often than their limit, those of one limit all together.
+
+    Decoding keeps one of repeated keys: then the text holds more keys than were decoded. Searching for every key would
+    take as long as decoding, so the text is read once, and the eight bytes before each colon are compared with the
+    keys. A string with the text of a key may count for one, but no key is missed where none is written with escapes.
+    """
+    endings = _endings(text)
+    for limit, keys in limits:
+        # Other keys can end as one of these does, so only few endings prove anything.
+        few = endings is not None and sum(_ending_as(endings, key) for key in keys) <= limit
+        if not few and sum(map(text.count, keys)) > limit:
+            return True
+    return False
 
 
-def _last(text: bytes) -> bytes | None:
-    """What stands before the two brackets that end a file."""
-    inner = _before(text, b"}")
-    return None if inner is None else _before(inner, b"}")
+def _endings(text: bytes) -> npt.NDArray[np.uint64] | None:
+    """The eight bytes before each colon as a number, its last byte the highest; None where that tells no keys."""
+    colons = np.frombuffer(text, np.uint8) == ord(":")
+    if len(text) < _SHORT or np.count_nonzero(colons) > len(text) // _SHORTEST:
+        return None
+    before: npt.NDArray[np.uint64] = np.ndarray((len(text) + 1,), "<u8", b" " * _WIDTH + text, 0, (1,))
+    endings = before[np.flatnonzero(colons)]
+    return None if len(endings) and endings.min() < _FIRST_INK else endings
+
+
+def _ending_as(endings: npt.NDArray[np.uint64], key: bytes) -> int:
+    ending, shift = _ending_of(key)
+    return int(np.count_nonzero((endings >> shift if shift else endings) == ending))
+
+
+@functools.cache
+def _ending_of(key: bytes) -> tuple[np.uint64, np.uint64]:
+    """The ending of a key as a number, and how far endings are shifted to be compared with it."""
+    ending = key[-_WIDTH:]
+    return np.uint64(int.from_bytes(ending, "little")), np.uint64(8 * (_WIDTH - len(ending)))

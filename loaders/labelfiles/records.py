@@ -1,25 +1,20 @@
-"""What the label records of every layer share: the person they are of, and repair of records that are not clean.
+"""Fields of label records: what counts as usable, and what can be used of a record that does not decode as it stands.
 
-Single fields of label records: what counts as usable, and how spellings of one thing are read as one.
-
-Every function takes a decoded JSON value of any type and raises ValueError, with the reason, where it is unusable.
+Functions that read a field take a decoded JSON value of any type and raise ValueError, with the reason, where it is
+unusable. Each layer lists its fields with such functions as `Rules`.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
-import json
 import math
 import re
-from collections.abc import Sequence
-from typing import Any, Final
+from collections.abc import Callable, Mapping
+from typing import Any, Final, NamedTuple
 
-import msgspec
-import numpy as np
-
-from jrdb_avr.loaders.labelfiles.jsonscan import MalformedError, members
+from jrdb_avr.loaders.labelfiles.json import first_members, members, parse
 from jrdb_avr.loaders.problems import Problems, shorten
-from jrdb_avr.schema.arrays import Ints
 
 MAX_TRACK: Final = 2**31 - 2
 MAX_PIXEL: Final = 1e5
@@ -27,8 +22,7 @@ MAX_PIXEL: Final = 1e5
 MAX_METRE: Final = 1e4
 MAX_TEXT: Final = 100
 
-ABSENT: Final = (b"", b"null")
-"""Raw values of a key that is not there: a null says no more than a missing key."""
+TWICE: Final = "key twice, the first is kept"
 
 _PERSON: Final = re.compile(r"pedestrian:([0-9]{1,10})")
 _WHOLE: Final = re.compile(r"-?[0-9]{1,19}")
@@ -89,6 +83,13 @@ def flag(value: object) -> bool:
     raise ValueError("neither true nor false")
 
 
+def string(value: object) -> str:
+    """A text as it stands."""
+    if not isinstance(value, str):
+        raise ValueError("not a text")
+    return value
+
+
 def difficulty(value: object) -> int:
     """A difficulty code 1..3, also as 1.0 or "1"."""
     return whole(value, 1, 3)
@@ -101,9 +102,7 @@ def _clean(value: str) -> str:
 
 def text(value: object) -> str:
     """Text that can be stored and printed: no lone surrogates, no control characters, not empty, not endless."""
-    if not isinstance(value, str):
-        raise ValueError("not a text")
-    clean = _clean(value)
+    clean = _clean(string(value))
     if not clean:
         raise ValueError("empty text")
     if len(clean) > MAX_TEXT:
@@ -111,123 +110,88 @@ def text(value: object) -> str:
     return clean
 
 
-def pairs(raw: bytes) -> tuple[list[tuple[str, Any]], list[str]]:
-    """The members of a JSON object, first of equal keys, and the keys that stood there again.
+def numbers(value: object, n: int, count: str) -> list[float]:
+    """A list of `n` finite numbers; `count` is `n` in the words of the reason."""
+    if not isinstance(value, list) or len(value) != n:
+        raise ValueError(f"not {count} numbers")
+    return [number(item) for item in value]
 
-    NaN and Infinity are let through, for the field's own check. Raises ValueError for anything but an object.
+
+def label_id(value: object) -> str:
+    """A label id of any kind; which are of tracked people is judged for all records at once."""
+    with contextlib.suppress(NotAPersonError):
+        track_of(value)
+    return str(value)
+
+
+def box(value: object) -> tuple[float, ...]:
+    """A 2D box: x, y, width and height."""
+    return tuple(numbers(value, 4, "four"))
+
+
+# -- records that do not decode ------------------------------------------------------------------------------------
+
+
+class Rule(NamedTuple):
+    """How a field is read where its record does not decode."""
+
+    read: Callable[[Any], Any] | Rules
+    """A function of the decoded value; or the rules of a sub-object's members, each of which may be null."""
+    costs: str = "field"
+    """What is lost where the field cannot be read: `field`, `record`, or `object` for the sub-object it is in."""
+    reason: str = ""
+    """Begins the reasons for refusing the field."""
+    make: Callable[..., Any] = dict
+    """Makes the sub-object of its members."""
+
+
+Rules = Mapping[str, Rule]
+
+
+def optional(read: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A function that reads a field which may be missing or null."""
+    return lambda value: None if value is None else read(value)
+
+
+def record_parts(raw: bytes | memoryview, place: str, problems: Problems, kind: str = "") -> dict[str, bytes]:
+    """Raw values of an object by key, first of equal keys; `kind` begins the names of its fields.
+
+    Raises MalformedError if it is no object.
     """
-    try:
-        quick = msgspec.json.decode(raw)
-    except (msgspec.DecodeError, RecursionError, UnicodeError):
-        quick = None
-    # A colon for each key and no other: none is repeated.
-    if isinstance(quick, dict) and len(quick) == raw.count(b":"):
-        return list(quick.items()), []
-    return object_members(loose(raw))
-
-
-def object_members(value: object) -> tuple[list[tuple[str, Any]], list[str]]:
-    """As `pairs`, of a value that `loose` gave, or that stood inside one."""
-    if not isinstance(value, _Members):
-        raise ValueError("not an object")
-    first: dict[str, Any] = {}
-    again = []
-    for key, item in value.items:
-        if key in first:
-            again.append(key)
-        else:
-            first[key] = item
-    return list(first.items()), again
-
-
-def loose(raw: bytes) -> Any:
-    """Any JSON value, bare NaN and Infinity included; objects come as a private type. Raises ValueError."""
-    try:
-        # Text, not bytes: of bytes the decoder would guess an encoding, and take a NUL and a digit for a number.
-        return json.loads(raw.decode(), object_pairs_hook=_Members)
-    except RecursionError:
-        raise ValueError("nested too deeply") from None
-    except ValueError:
-        raise ValueError("not JSON") from None
-
-
-class _Members:
-    """A JSON object with its members as written."""
-
-    def __init__(self, items: list[tuple[str, Any]]) -> None:
-        self.items = items
-
-    def __repr__(self) -> str:
-        return "{...}"
-
-
-OTHER: Final = -1
-BAD: Final = -2
-
-
-def track_codes(labels: Sequence[str], code: Ints) -> Ints:
-    """Track per row of numbered label ids; OTHER for what is no tracked person, BAD for no label id at all."""
-    found = np.array([_track_or_code(label) for label in labels], np.int64)
-    return found[code] if len(found) else code
-
-
-def _track_or_code(label: str) -> int:
-    try:
-        return track_of(label)
-    except NotAPersonError:
-        return OTHER
-    except ValueError:
-        return BAD
-
-
-def record_parts(raw: bytes, frame: str, problems: Problems) -> dict[str, bytes] | None:
-    """Raw values of a record by key, first of equal keys; None, with the reason counted, if it is no object."""
     parts: dict[str, bytes] = {}
-    try:
-        for key, begin, end in members(raw):
-            name = loose(key)
-            if name in parts:
-                problems.add("field", "key twice, the first is kept", frame=frame, field=shorten(name))
-            else:
-                parts[name] = raw[begin:end]
-    except (MalformedError, ValueError):
-        problems.add("record", "record is no object", frame=frame, value=raw)
-        return None
+    for name, value in members(raw):
+        if name in parts:
+            problems.add("field", TWICE, frame=place, field=kind + shorten(name))
+        else:
+            parts[name] = bytes(value)
     return parts
 
 
-def repaired_label(parts: dict[str, bytes], frame: str, problems: Problems) -> str | None:
-    """The record's label id, whether of a person or not; None, with the reason counted, if it has none."""
-    raw = parts.get("label_id", b"null")
-    try:
-        label = loose(raw)
-        track_of(label)
-    except NotAPersonError:
-        pass  # skipped by column, with the others of its kind
-    except ValueError as error:
-        problems.add("record", str(error), frame=frame, field="label_id", value=raw)
-        return None
-    return str(label)
+def read_fields(
+    parts: Mapping[str, Any], rules: Rules, place: str, problems: Problems, within: str = ""
+) -> dict[str, Any] | None:
+    """Usable fields by name; None, with the reason counted, where one is unusable that the record cannot do without.
 
-
-def repaired_box(
-    parts: dict[str, bytes], frame: str, problems: Problems, kind: str = "record"
-) -> tuple[float, float, float, float] | None:
-    """The record's 2D box, four numbers; None, with the reason counted, if it has none. `kind`: what is lost then."""
-    try:
-        box = loose(parts.get("box", b"null"))
-        if not isinstance(box, list) or len(box) != 4:
-            raise ValueError("not four numbers")
-        x, y, w, h = (number(value) for value in box)
-    except ValueError as error:
-        problems.add(kind, f"box: {error}", frame=frame, field="box", value=parts.get("box", b"missing"))
-        return None
-    return x, y, w, h
-
-
-def unpacked(raw: bytes, field: str, frame: str, problems: Problems) -> dict[str, Any]:
-    """Members of a sub-object, first of equal keys, repeated ones counted. Raises ValueError if it is no object."""
-    items, again = pairs(raw)
-    for name in again:
-        problems.add("field", "key twice, the first is kept", frame=frame, field=f"{field}.{shorten(name)}")
-    return dict(items)
+    `parts` are raw values, or decoded members of a sub-object, which raises ValueError instead; `within` begins the
+    names of fields in the report.
+    """
+    values: dict[str, Any] = {}
+    for name, rule in rules.items():
+        part = parts.get(name)
+        try:
+            value = parse(part) if isinstance(part, bytes) else part
+            if callable(rule.read):
+                values[name] = rule.read(value)
+            elif value is not None or rule.costs == "record":
+                inner, again = first_members(value)
+                for key in again:
+                    problems.add("field", TWICE, frame=place, field=f"{name}.{shorten(key)}")
+                values[name] = rule.make(**read_fields(inner, rule.read, place, problems, f"{name}.") or {})
+        except ValueError as error:
+            if rule.costs == "object":
+                raise ValueError(f"{name}: {error}") from None
+            shown = b"missing" if part is None else part
+            problems.add(rule.costs, f"{rule.reason}{error}", frame=place, field=within + name, value=shown)
+            if rule.costs == "record":
+                return None
+    return values

@@ -15,10 +15,9 @@ import numpy as np
 import pyarrow as pa
 import yaml
 
-from jrdb_avr.loaders.labelfiles import records as fields
-from jrdb_avr.loaders.labelfiles.columns import constant
+from jrdb_avr.loaders.labelfiles import records
+from jrdb_avr.loaders.labelfiles.columns import LayerTables, constant
 from jrdb_avr.loaders.labelfiles.frames import read_file
-from jrdb_avr.loaders.layers.layer import Reading
 from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.loaders.report import Cameras
 from jrdb_avr.schema.errors import InputError
@@ -36,7 +35,7 @@ _NUMBER: Final = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[
 Row = tuple[str, int | None, int | None, float, float, float, float]
 
 
-def load_calibration(path: Path, sequence: str, problems: Problems) -> Reading:
+def load_calibration(path: Path, sequence: str, problems: Problems) -> LayerTables:
     """The cameras of a root, for one sequence. Raises InputError if the file as a whole cannot be used."""
     rows: list[Row] = []
     for name, node in _cameras(path, problems).items():
@@ -51,7 +50,7 @@ def load_calibration(path: Path, sequence: str, problems: Problems) -> Reading:
         for name, column in zip(names, columns, strict=True)
     }
     table = pa.table({"sequence": constant(sequence, len(rows)), **values}).cast(ANNOTATIONS["calibration"])
-    return Reading({"calibration": table}, {})
+    return LayerTables({"calibration": table}, {})
 
 
 def cameras_check(table: pa.Table) -> Cameras | None:
@@ -98,13 +97,13 @@ def _members(node: yaml.Node | None, place: str, problems: Problems) -> dict[str
 
 def _camera(name: str, node: yaml.Node, problems: Problems) -> Row:
     """A row of the table. Raises ValueError where there is no usable matrix."""
-    shown = fields.text(name)
+    shown = records.text(name)
     values = _members(node, shown, problems)
     sizes: list[int | None] = []
     for field in ("width", "height"):
         size = values.get(field)
         try:
-            sizes.append(None if size is None else fields.whole(_scalar(size), 1, MAX_PIXELS))
+            sizes.append(None if size is None else records.whole(_scalar(size), 1, MAX_PIXELS))
         except ValueError as error:
             sizes.append(None)
             problems.add("field", str(error), frame=shown, field=field)
@@ -140,4 +139,4 @@ def _scalar(node: yaml.Node) -> str:
 def _number(text: str) -> float:
     if not _NUMBER.fullmatch(text):
         raise ValueError("K: not nine numbers")
-    return fields.number(float(text))
+    return records.number(float(text))

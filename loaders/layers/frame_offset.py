@@ -20,8 +20,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from jrdb_avr.loaders.labelfiles.columns import paired, whole_numbers
-from jrdb_avr.loaders.layers.layer import Reading
+from jrdb_avr.loaders.labelfiles.columns import LayerTables, paired, whole_numbers
 from jrdb_avr.loaders.report import ShiftCheck
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.panorama import WIDTH, angle_of_azimuth, column_of_angle
@@ -85,7 +84,7 @@ class Slope:
     error: float
 
 
-def tracks_of(layer: str, reading: Reading) -> Tracks | None:
+def tracks_of(layer: str, reading: LayerTables) -> Tracks | None:
     """The people of a file, for layers that place them; None for the others.
 
     Poses are left out: the points that can be seen lead or trail a walking person, which looks like a shift.

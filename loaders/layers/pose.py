@@ -6,6 +6,7 @@ points that are occluded have coordinates too. Only part of the people have a po
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from itertools import chain
 from operator import attrgetter
@@ -16,22 +17,29 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.loaders.labelfiles import records as fields
+from jrdb_avr.loaders.labelfiles import records
 from jrdb_avr.loaders.labelfiles.coco import (
-    ListReader,
+    NUMBER,
     Number,
+    annotation_frames,
+    annotation_reader,
     crowded,
-    known_images,
     open_coco,
-    place_of,
     read_images,
-    repaired_number,
+    read_list,
 )
-from jrdb_avr.loaders.labelfiles.columns import Refusals, constant, first_of_equal, known_frames, mask_of, person_keys
-from jrdb_avr.loaders.labelfiles.records import record_parts
-from jrdb_avr.loaders.layers.layer import Reading
+from jrdb_avr.loaders.labelfiles.columns import (
+    LayerTables,
+    Refusals,
+    constant,
+    first_of_equal,
+    known_frames,
+    mask_of,
+    person_keys,
+)
+from jrdb_avr.loaders.labelfiles.json import ABSENT, BROKEN, NOTHING, parse
 from jrdb_avr.loaders.problems import Problems
-from jrdb_avr.schema.arrays import Bools, Floats, Ints
+from jrdb_avr.schema.arrays import Floats, Ints
 from jrdb_avr.schema.tables import ANNOTATIONS
 
 POINTS: Final = 17
@@ -44,30 +52,28 @@ class Annotation(msgspec.Struct, gc=False):
 
     image_id: Number
     track_id: Number
-    keypoints: msgspec.Raw = msgspec.Raw(b"")
-    id: int | str | None = None
+    keypoints: msgspec.Raw = NOTHING
+    id: msgspec.Raw = NOTHING
 
 
+_READER: Final = annotation_reader(
+    Annotation, {"image_id": NUMBER, "track_id": NUMBER}, ("image_id", "track_id", "keypoints")
+)
 _SEVENTEEN: Final = tuple[(float,) * VALUES]  # type: ignore[misc]
-_ROW: Final = msgspec.json.Decoder(_SEVENTEEN)
 _ROWS: Final = msgspec.json.Decoder(list[_SEVENTEEN])  # type: ignore[valid-type]
 
 
-def load_pose(path: Path, sequence: str, problems: Problems) -> Reading:
+def load_pose(path: Path, sequence: str, problems: Problems) -> LayerTables:
     """Read a pose file. Raises InputError if the file as a whole cannot be used."""
     file = open_coco(path, problems)
     images = read_images(file, sequence, problems)
     parts: list[tuple[Ints, Ints, Floats]] = []
-    for chunk in _ANNOTATIONS.read(file, "annotations", problems):
-        n = len(chunk)
-        ids = list(map(attrgetter("id"), chunk))
-        image = np.fromiter(map(attrgetter("image_id"), chunk), np.int64, n)
-        track = np.fromiter(map(attrgetter("track_id"), chunk), np.int64, n)
-        frame = known_images(images, image, ids.__getitem__, problems)
-        parts.append(_usable(frame, track, list(map(attrgetter("keypoints"), chunk)), problems))
-    frame = np.concatenate([part[0] for part in parts])
-    track = np.concatenate([part[1] for part in parts])
-    values = np.concatenate([part[2] for part in parts])
+    for chunk in read_list(file, "annotations", _READER, problems):
+        track = np.fromiter(map(attrgetter("track_id"), chunk), np.int64, len(chunk))
+        frame = annotation_frames(chunk, images, problems)
+        rows, points = _usable(frame, track, [annotation.keypoints for annotation in chunk], problems)
+        parts.append((frame[rows], track[rows], points))
+    frame, track, values = (np.concatenate(part) for part in zip(*parts, strict=True))
     parts.clear()
     refusals = Refusals(frame, "jpg", problems)
     full = crowded(frame, refusals)
@@ -80,87 +86,44 @@ def load_pose(path: Path, sequence: str, problems: Problems) -> Reading:
     known = known_frames(np.setdiff1d(images.frame, frame[full]), frame[rows])
     if not np.array_equal(rows, np.arange(len(frame))):
         frame, track, values = frame[rows], track[rows], values[rows]
-    return Reading({"poses": _table(sequence, frame, track, values)}, {"pose": known})
+    points = pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), VALUES)
+    columns = {"sequence": constant(sequence, len(frame)), "frame": frame, "track": track, "keypoints": points}
+    return LayerTables({"poses": pa.table(columns).cast(ANNOTATIONS["poses"])}, {"pose": known})
 
 
-def _usable(frame: Ints, track: Ints, raws: Sequence[msgspec.Raw], problems: Problems) -> tuple[Ints, Ints, Floats]:
-    """Frame, track and values (n, 51) of the records of a chunk whose every part can be used."""
+def _usable(frame: Ints, track: Ints, raws: Sequence[msgspec.Raw], problems: Problems) -> tuple[Ints, Floats]:
+    """The rows of a chunk whose every part can be used, and their values (n, 51)."""
     refusals = Refusals(frame, "jpg", problems)
-    person = (track >= 0) & (track <= fields.MAX_TRACK)
+    person = (track >= 0) & (track <= records.MAX_TRACK)
     refusals.count((frame >= 0) & ~person, "record", "number out of range", "track_id", lambda row: int(track[row]))
-    rows = np.flatnonzero((frame >= 0) & person)
-    given, values = _decoded(rows, raws, refusals)
+    rows, values = _decoded(np.flatnonzero((frame >= 0) & person).tolist(), raws, refusals)
     points = values.reshape(-1, POINTS, 3)
-    near: Bools = np.asarray((np.abs(points[:, :, :2]) <= fields.MAX_PIXEL).all(axis=(1, 2)))
-    code = points[:, :, 2]
-    coded: Bools = np.asarray(((code == 2) | (code == 1) | (code == 0)).all(axis=1))
+    near = (np.abs(points[:, :, :2]) <= records.MAX_PIXEL).all(axis=(1, 2))
+    coded = np.isin(points[:, :, 2], (0, 1, 2)).all(axis=1)
     for fault, reason in ((~near, "far outside the image"), (near & ~coded, "visibility is not 0, 1 or 2")):
-        wrong = mask_of(given[fault], len(frame))
+        wrong = mask_of(rows[fault], len(frame))
         refusals.count(wrong, "record", f"keypoints: {reason}", "keypoints", lambda row: bytes(raws[row]))
     good = near & coded
-    if good.all():
-        return frame[given], track[given], values
-    return frame[given[good]], track[given[good]], values[good]
+    return (rows, values) if good.all() else (rows[good], values[good])
 
 
-def _decoded(rows: Ints, raws: Sequence[msgspec.Raw], refusals: Refusals) -> tuple[Ints, Floats]:
+def _decoded(rows: list[int], raws: Sequence[msgspec.Raw], refusals: Refusals) -> tuple[Ints, Floats]:
     """Those of the rows that have 51 finite numbers, and the numbers."""
-    here = []
-    for row in rows.tolist():
-        raw = bytes(raws[row])
-        if raw in fields.ABSENT:
-            refusals.add("record", "keypoints: missing", "keypoints", row, raw, 1)
-        else:
-            here.append(row)
-    found: Sequence[Sequence[float]]
-    try:
-        found = _ROWS.decode(b"[" + b",".join([raws[row] for row in here]) + b"]")
-        if len(found) != len(here):  # one of the raw values is no single one
-            raise msgspec.DecodeError
-    except msgspec.DecodeError:
-        found, kept = [], []
-        for row in here:
+    absent = [row for row in rows if bytes(raws[row]) in ABSENT]
+    for row in absent:
+        refusals.add("record", "keypoints: missing", "keypoints", row, bytes(raws[row]), 1)
+    rows = [row for row in rows if bytes(raws[row]) not in ABSENT] if absent else rows
+    found: Any = ()
+    with contextlib.suppress(*BROKEN):
+        found = _ROWS.decode(b"[" + b",".join([raws[row] for row in rows]) + b"]")
+    if len(found) != len(rows):  # one of the raw values is no single one
+        found = {}
+        for row in rows:
             raw = bytes(raws[row])
             try:
-                found.append(_numbers(raw))
+                found[row] = records.numbers(parse(raw), VALUES, str(VALUES))
             except ValueError as error:
                 refusals.add("record", f"keypoints: {error}", "keypoints", row, raw, 1)
-            else:
-                kept.append(row)
-        here = kept
-    flat = np.fromiter(chain.from_iterable(found), np.float64, VALUES * len(here))
-    return np.array(here, np.int64), flat.reshape(-1, VALUES)
-
-
-def _numbers(raw: bytes) -> Sequence[float]:
-    """The keypoints of a record. Raises ValueError where they are not 51 finite numbers."""
-    try:
-        return _ROW.decode(raw)  # type: ignore[no-any-return]
-    except (msgspec.DecodeError, RecursionError):
-        value = fields.loose(raw)
-    if not isinstance(value, list) or len(value) != VALUES:
-        raise ValueError(f"not {VALUES} numbers")
-    return [fields.number(item) for item in value]
-
-
-def _table(sequence: str, frame: Ints, track: Ints, values: Floats) -> pa.Table:
-    schema = ANNOTATIONS["poses"]
-    points = pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), VALUES)
-    columns: dict[str, Any] = {"frame": frame, "track": track, "keypoints": points}
-    return pa.table({"sequence": constant(sequence, len(frame)), **columns}).cast(schema)
-
-
-def _repair(raw: bytes, frame: str, problems: Problems) -> Annotation | None:
-    """What can be used of a record that does not decode as it stands; None, with the reason counted, if nothing."""
-    parts = record_parts(raw, frame, problems)
-    if parts is None:
-        return None
-    where = place_of(parts)
-    image = repaired_number(parts, "image_id", where, problems)
-    track = None if image is None else repaired_number(parts, "track_id", where, problems)
-    if image is None or track is None:
-        return None
-    return Annotation(image, track, msgspec.Raw(parts.get("keypoints", b"")), where.removeprefix("annotation "))
-
-
-_ANNOTATIONS: Final = ListReader(Annotation, _repair, ("image_id", "track_id", "keypoints"))
+        rows, found = list(found), found.values()
+    flat = np.fromiter(chain.from_iterable(found), np.float64, VALUES * len(rows))
+    return np.array(rows, np.int64), flat.reshape(-1, VALUES)

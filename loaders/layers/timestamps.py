@@ -7,33 +7,33 @@ itself or the order of the others is refused.
 
 from __future__ import annotations
 
-import codecs
 import os
 import re
 from bisect import bisect_left
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-import msgspec
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.loaders.labelfiles import records as fields
-from jrdb_avr.loaders.labelfiles.columns import constant
+from jrdb_avr.loaders.labelfiles import records
+from jrdb_avr.loaders.labelfiles.columns import LayerTables, constant
 from jrdb_avr.loaders.labelfiles.frames import read_file
-from jrdb_avr.loaders.labelfiles.jsonscan import MalformedError, elements, end_of_text, members
-from jrdb_avr.loaders.labelfiles.records import record_parts
-from jrdb_avr.loaders.layers.layer import Reading
-from jrdb_avr.loaders.problems import Problems
+from jrdb_avr.loaders.labelfiles.json import MalformedError, Members, elements, first_members, members, parse
+from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import ANNOTATIONS
 
 MAX_ENTRIES: Final = 100_000
+MAX_BYTES: Final = 32 << 20
+"""Thirty times the real files."""
 MAX_FRAME: Final = 999_999
 MAX_SECONDS: Final = 1e11
 """A larger stamp counts something other than seconds since the epoch."""
+DEPTH: Final = 5
+"""Objects and lists around the innermost value of a file."""
 
 
 class Sensor(NamedTuple):
@@ -52,33 +52,19 @@ SENSORS: Final = (
 """By name, as the table is sorted."""
 
 
-class _Picture(msgspec.Struct, gc=False):
-    url: str | None = None
-    timestamp: float | str | None = None
+class Stamp(NamedTuple):
+    """When a frame was taken."""
 
-
-class _Entry(msgspec.Struct, gc=False):
-    frame_id: int | str | None = None
-    timestamp: float | str | None = None
-    cameras: list[_Picture] | None = None
-    pointclouds: list[_Picture] | None = None
-
-
-class _File(msgspec.Struct, gc=False):
-    data: list[_Entry]
-
-
-class _Stamp(NamedTuple):
     frame: int
     seconds: float
 
 
-def load_timestamps(folder: Path, sequence: str, problems: Problems) -> Reading:
+def load_timestamps(folder: Path, sequence: str, problems: Problems) -> LayerTables:
     """Read what there is of the two files; one that cannot be used does not cost the other.
 
     Raises InputError where the folder holds neither of them or neither can be used.
     """
-    found: dict[str, list[_Stamp]] = {}
+    found: dict[str, list[Stamp]] = {}
     errors = []
     for sensor in SENSORS:
         path = folder / sensor.file
@@ -104,7 +90,7 @@ def load_timestamps(folder: Path, sequence: str, problems: Problems) -> Reading:
         }
     ).cast(ANNOTATIONS["timestamps"])
     known, records = np.unique(frame, return_counts=True)
-    return Reading({"timestamps": table}, {"timestamps": (known, records)})
+    return LayerTables({"timestamps": table}, {"timestamps": (known, records)})
 
 
 def frame_rate(frame: Ints, seconds: Sequence[float]) -> float | None:
@@ -114,36 +100,88 @@ def frame_rate(frame: Ints, seconds: Sequence[float]) -> float | None:
     return float(np.median(np.diff(frame) / np.diff(np.asarray(seconds, np.float64))))
 
 
-def _stamps(path: Path, sensor: Sensor, problems: Problems) -> list[_Stamp]:
-    """The stamp of each usable entry, in the order of the file."""
-    data = read_file(path).removeprefix(codecs.BOM_UTF8)
-    name_form = re.compile(rf"([0-9]{{6}})\.(?:{sensor.suffixes})")
+def _stamps(path: Path, sensor: Sensor, problems: Problems) -> list[Stamp]:
+    """The stamp of each usable entry, in the order of the file. Raises InputError where it is no JSON or endless."""
+    data = read_file(path)
+    if len(data) > MAX_BYTES:
+        raise InputError(f"{sensor.file}: larger than the limit of {MAX_BYTES >> 20} MB", file=sensor.file)
+    try:
+        top, again = first_members(_tree(data.strip()))
+    except ValueError as error:
+        raise InputError(f"{sensor.file}: not JSON: {error}", file=sensor.file) from None
+    entries = top.get("data")
+    if not isinstance(entries, list):
+        raise InputError(f'{sensor.file}: there is no list "data"', file=sensor.file)
+    if "data" in again:
+        problems.add("file", records.TWICE, field="data", count=again.count("data"))
+    if len(entries) > MAX_ENTRIES:
+        raise InputError(f"{sensor.file}: more than {MAX_ENTRIES} entries", file=sensor.file)
     stamps = []
-    for place, entry in _entries(data, sensor, problems):
-        try:
-            frame = _frame(entry, sensor, name_form)
-        except ValueError as error:
-            problems.add("record", str(error), frame=place, field="frame_id", value=entry.frame_id)
+    for i, entry in enumerate(entries):
+        place = f"{sensor.file}, entry {i}"
+        values = _members(entry, place, problems)
+        if values is None:
             continue
+        field, reason = "frame_id", ""
         try:
-            stamps.append(_Stamp(frame, _seconds(entry.timestamp)))
+            frame = _frame(values.get("frame_id"), _file_names(values.get(sensor.key), sensor, place, problems), sensor)
+            field, reason = "timestamp", "timestamp: "
+            stamps.append(Stamp(frame, _seconds(values.get("timestamp"))))
         except ValueError as error:
-            problems.add("record", f"timestamp: {error}", frame=place, field="timestamp", value=entry.timestamp)
+            problems.add("record", f"{reason}{error}", frame=place, field=field, value=values.get(field))
     return stamps
 
 
-def _frame(entry: _Entry, sensor: Sensor, name_form: re.Pattern[str]) -> int:
-    """The one frame that all of an entry agrees on. Raises ValueError."""
-    frames = set()
-    if entry.frame_id is not None:
+def _tree(raw: bytes | memoryview, depth: int = DEPTH) -> Any:
+    """A parsed value; a part that is no JSON is its bytes, which the check of every field refuses.
+
+    Raises MalformedError where the structure breaks outside the entries.
+    """
+    try:
+        return parse(raw)
+    except ValueError:
+        first = bytes(raw[:1]) if depth else b""
+    try:
+        if first == b"[":
+            return [_tree(value, depth - 1) for value in elements(raw)]
+        if first == b"{":
+            return Members([(key, _tree(value, depth - 1)) for key, value in members(raw)])
+    except MalformedError:
+        if depth >= DEPTH - 1:
+            raise
+    return bytes(raw)
+
+
+def _members(value: object, place: str, problems: Problems) -> dict[str, Any] | None:
+    """The members of an object, first of equal keys; None, counted, for anything else."""
+    try:
+        found, again = first_members(value)
+    except ValueError:
+        problems.add("record", "record is no object", frame=place, value=value)
+        return None
+    for key in again:
+        problems.add("field", records.TWICE, frame=place, field=shorten(key))
+    return found
+
+
+def _file_names(files: object, sensor: Sensor, place: str, problems: Problems) -> list[str]:
+    """The base names of an entry's files."""
+    if files is not None and not isinstance(files, list):
+        problems.add("field", "not a list", frame=place, field=sensor.key, value=files)
+        return []
+    urls = [(_members(file, place, problems) or {}).get("url") for file in files or ()]
+    return [url.rpartition("/")[2] for url in urls if isinstance(url, str)]
+
+
+def _frame(frame_id: object, names: list[str], sensor: Sensor) -> int:
+    """The one frame on which an entry and the names of its files agree. Raises ValueError."""
+    matches = [re.fullmatch(rf"([0-9]{{6}})\.(?:{sensor.suffixes})", name) for name in names]
+    frames = {int(match[1]) for match in matches if match}
+    if frame_id is not None:
         try:
-            frames.add(fields.whole(entry.frame_id, 0, MAX_FRAME))
+            frames.add(records.whole(frame_id, 0, MAX_FRAME))
         except ValueError as error:
             raise ValueError(f"frame_id: {error}") from None
-    for picture in getattr(entry, sensor.key) or ():
-        match = name_form.fullmatch((picture.url or "").rpartition("/")[2])
-        if match:
-            frames.add(int(match[1]))
     if len(frames) > 1:
         raise ValueError("frame_id and the names of files do not agree")
     if not frames:
@@ -155,15 +193,15 @@ def _seconds(value: object) -> float:
     """A stamp, also as text. Raises ValueError."""
     if isinstance(value, str) and re.fullmatch(r"[0-9]{1,11}(\.[0-9]{1,20})?", value):
         value = float(value)
-    seconds = fields.number(value)
+    seconds = records.number(value)
     if not 0 <= seconds <= MAX_SECONDS:
         raise ValueError("no seconds since the epoch")
     return seconds
 
 
-def _increasing(stamps: list[_Stamp], sensor: Sensor, problems: Problems) -> list[_Stamp]:
+def _increasing(stamps: list[Stamp], sensor: Sensor, problems: Problems) -> list[Stamp]:
     """The first stamp of each frame, and of those the longest part that increases; by frame."""
-    first: dict[int, _Stamp] = {}
+    first: dict[int, Stamp] = {}
     for stamp in stamps:
         if stamp.frame in first:
             _refuse(stamp, "frame twice, the first is kept", sensor, problems)
@@ -177,7 +215,7 @@ def _increasing(stamps: list[_Stamp], sensor: Sensor, problems: Problems) -> lis
     return [stamp for i, stamp in enumerate(ordered) if i in kept]
 
 
-def _refuse(stamp: _Stamp, reason: str, sensor: Sensor, problems: Problems) -> None:
+def _refuse(stamp: Stamp, reason: str, sensor: Sensor, problems: Problems) -> None:
     suffix = sensor.suffixes.split("|")[0]
     problems.add("record", reason, frame=f"{stamp.frame:06d}.{suffix}", field="timestamp", value=stamp.seconds)
 
@@ -199,92 +237,3 @@ def _longest_increasing(values: list[float]) -> list[int]:
             chain.append(i)
             wanted -= 1
     return chain
-
-
-# -- entries -----------------------------------------------------------------------------------------------------
-
-
-def _entries(data: bytes, sensor: Sensor, problems: Problems) -> Iterator[tuple[str, _Entry]]:
-    """The entries of a file, each with its place. Raises InputError where it is no JSON or endless."""
-    try:
-        entries = msgspec.json.decode(data, type=_File).data
-    except (msgspec.DecodeError, RecursionError, UnicodeError):
-        entries = None
-    # Of a repeated key, decoding keeps the last only: then the text holds more keys than were read.
-    if entries is None or not _whole(data, entries) or len(entries) > MAX_ENTRIES:
-        yield from _scanned(data, sensor, problems)
-    else:
-        for i, entry in enumerate(entries):
-            yield _place(sensor, i), entry
-
-
-def _whole(data: bytes, entries: list[_Entry]) -> bool:
-    pictures = [
-        picture for entry in entries for listed in (entry.cameras, entry.pointclouds) if listed for picture in listed
-    ]
-    read = {
-        "data": 1,
-        "frame_id": sum(entry.frame_id is not None for entry in entries),
-        "timestamp": sum(entry.timestamp is not None for entry in entries)
-        + sum(picture.timestamp is not None for picture in pictures),
-        "url": sum(picture.url is not None for picture in pictures),
-        "cameras": sum(entry.cameras is not None for entry in entries),
-        "pointclouds": sum(entry.pointclouds is not None for entry in entries),
-    }
-    return all(data.count(f'"{key}"'.encode()) == count for key, count in read.items())
-
-
-def _scanned(data: bytes, sensor: Sensor, problems: Problems) -> Iterator[tuple[str, _Entry]]:
-    """Entries of a file that is not clean, each judged alone."""
-    try:
-        found, last = [], 0
-        for key, begin, end in members(data):
-            last = end
-            if key == b'"data"':
-                found.append(data[begin:end])
-        if not end_of_text(data, last):
-            raise InputError(f"{sensor.file}: not JSON: there is text after its end", file=sensor.file)
-        if not found or not found[0].startswith(b"["):
-            raise InputError(f'{sensor.file}: there is no list "data"', file=sensor.file)
-        if len(found) > 1:
-            problems.add("file", "key twice, the first is kept", field="data", count=len(found) - 1)
-        for i, (begin, end) in enumerate(elements(found[0])):
-            if i == MAX_ENTRIES:
-                raise InputError(f"{sensor.file}: more than {MAX_ENTRIES} entries", file=sensor.file)
-            place = _place(sensor, i)
-            parts = record_parts(found[0][begin:end], place, problems)
-            if parts is not None:
-                yield place, _repaired(parts, sensor, place, problems)
-    except MalformedError as error:
-        raise InputError(f"{sensor.file}: not JSON: {error}", file=sensor.file) from None
-
-
-def _repaired(parts: dict[str, bytes], sensor: Sensor, place: str, problems: Problems) -> _Entry:
-    """An entry whose values may be anything; a list of files that is none is refused."""
-    entry = _Entry(*(_loose(parts.get(name)) for name in ("frame_id", "timestamp")))
-    raw = parts.get(sensor.key, b"null")
-    if raw == b"null":
-        return entry
-    pictures = []
-    try:
-        for begin, end in elements(raw):
-            inner = record_parts(raw[begin:end], place, problems)
-            if inner is not None:
-                url = _loose(inner.get("url"))
-                pictures.append(_Picture(url if isinstance(url, str) else None))
-    except MalformedError as error:
-        problems.add("field", str(error), frame=place, field=sensor.key, value=raw)
-    setattr(entry, sensor.key, pictures)
-    return entry
-
-
-def _loose(raw: bytes | None) -> Any:
-    """A JSON value; what is no JSON stays bytes, which every field's check refuses (as text, 01 would be a number)."""
-    try:
-        return None if raw is None else fields.loose(raw)
-    except ValueError:
-        return raw or None
-
-
-def _place(sensor: Sensor, i: int) -> str:
-    return f"{sensor.file}, entry {i}"

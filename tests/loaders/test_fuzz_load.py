@@ -23,7 +23,7 @@ from oracle_reading import Found, RefusedError, read
 from test_load_facts import compare_tables
 from worlds import CAMERAS, STAMPS, as_bytes, member, person, person_3d, pose, thing, write_root
 
-from jrdb_avr.loaders.layers.social_files import load_reasoning
+from jrdb_avr.loaders.layers.social import load_reasoning
 from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.loaders.root import find_root

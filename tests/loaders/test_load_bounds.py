@@ -11,7 +11,7 @@ import os
 import pytest
 from worlds import member, person, write_root
 
-from jrdb_avr.loaders.labelfiles import columns, expand, gather
+from jrdb_avr.loaders.labelfiles import columns, facts, frames
 from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.schema.rules import LoadRules
@@ -44,9 +44,9 @@ def many_labels(n):
     ("module", "name", "social", "reason"),
     [
         (columns, "MAX_DISTINCT", different, "more than 20 different values of one field"),
-        (gather, "MAX_GATHERED", different, "more than 20 records"),
-        (expand, "MAX_FACTS", talking, "more than 20 labels of one kind"),
-        (expand, "MAX_FACTS", many_labels, "more than 20 labels of one kind"),
+        (frames, "MAX_GATHERED", different, "more than 20 records"),
+        (facts, "MAX_FACTS", talking, "more than 20 labels of one kind"),
+        (facts, "MAX_FACTS", many_labels, "more than 20 labels of one kind"),
     ],
 )
 def test_a_file_that_says_too_much_is_refused_and_the_rest_loads(monkeypatch, tmp_path, module, name, social, reason):

@@ -5,9 +5,6 @@ Each case is one record or file put beside good ones. Nothing gives a traceback,
 
 from __future__ import annotations
 
-import contextlib
-import io
-import itertools
 import json
 import os
 import time
@@ -19,8 +16,6 @@ from quick_store import MemoryStore, kept_in, without_graph
 from worlds import load_reported, person, person_3d, write_root
 
 from jrdb_avr.loaders.labelfiles import frames as labelfile
-from jrdb_avr.loaders.labelfiles import gather
-from jrdb_avr.loaders.labelfiles import json as spans
 from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.loaders.report import as_row
@@ -28,7 +23,6 @@ from jrdb_avr.loaders.root import find_root
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError, InputError
 from jrdb_avr.schema.rules import LoadRules
-from jrdb_avr.schema.tables import ANNOTATIONS
 
 NAME = "yard-2020-01-01_0"
 GOOD = person(1, (100, 60, 50, 200), {"walking": 1}, (5, 1))
@@ -192,7 +186,7 @@ def test_a_repeated_frame_key_is_found_whatever_the_layout(tmp_path, frames, col
     text = f'{{"labels":{{"000000.jpg"{colon}[{json.dumps(GOOD)}],{",".join([*members, ""])}"{again}"{colon}[]}}}}'
     problems = Problems("x.json")
     (tmp_path / "x.json").write_text(text)
-    read = list(labelfile.read_frames(tmp_path / "x.json", ("jpg",), undecided, problems))
+    read = list(labelfile.read_frames(tmp_path / "x.json", ("jpg",), problems))
     assert [frame.number for frame in read] == list(range(frames))
     assert json.loads(read[0].raw) == [GOOD]
     assert [(p.kind, p.reason, p.frame) for p in problems.listed()] == [
@@ -546,48 +540,33 @@ def test_a_file_name_that_is_no_unicode_can_be_reported(tmp_path, graphless):
     assert json.loads(msgspec.json.encode([as_row(report) for report in reports]))
 
 
-@pytest.mark.parametrize(("limit", "text"), [("MAX_FRAMED", WHOLE + " " * 1000), ("MAX_FILE", WHOLE + "x" * 1000)])
-def test_a_file_over_the_limit_is_refused(tmp_path, monkeypatch, limit, text, graphless):
-    monkeypatch.setattr(labelfile, limit, 1000)
+@pytest.mark.parametrize("text", [WHOLE + " " * 1000, WHOLE + "x" * 1000])
+def test_a_file_over_the_limit_is_refused(tmp_path, monkeypatch, text, graphless):
+    monkeypatch.setattr(labelfile, "MAX_FILE", 1000)
     world = {NAME: {"2d": text}, "good-1": {"2d": {0: [GOOD]}}}
     _, reports = load_reported(tmp_path, world)
     assert "larger than the limit" in reports[1].problems[0].reason
 
 
-@pytest.mark.parametrize("window", [80, 97, 200, 1 << 20])
-def test_spans_are_those_of_the_text_whatever_the_window(tmp_path, monkeypatch, window):
-    monkeypatch.setattr(spans, "WINDOW", window)
-    values = [[], [{"a": '"000009.jpg": [' * 9}], [["]},", "\u00e9" * 200]], [{"000007.jpg": 1}][:0], [1.5, None]]
-    pad = " " * 7
-    text = f'\ufeff{{{pad}"labels": {{ ' + f"{pad},{pad}".join(
-        f'"{i:06d}.jpg"{pad}:{pad}{json.dumps(v, ensure_ascii=False)}' for i, v in enumerate(values)
-    )
-    data = (text + f"{pad}}}{pad}}}\n").encode()
-    found = list(spans.frame_texts(io.BytesIO(data), undecided))
-    assert [key for key, _, _ in found] == [f"{i:06d}.jpg" for i in range(len(values))]
-    assert [json.loads(value) for _, value, _ in found] == values
-
-
-def undecided(value):
-    return None
-
-
-def strict(value):
-    """Frames by Python's reading of strict JSON."""
-    try:
-        return json.loads(value, parse_constant=int)
-    except ValueError:
-        return None
-
-
 SHORT = '{"labels": {"000000.jpg": [], "000001.jpg": [{"a": [1, 2]}]}}'
+PAD = " " * 7
+USUAL = (
+    SHORT,
+    SHORT.replace("1, 2", '"000009.jpg: [", "]},", "\u00e9"'),
+    "\ufeff" + SHORT.replace(":", f"{PAD}:{PAD}").replace(",", f"\n,{PAD}") + "\n",
+    SHORT.replace("}]}}", f"}}]{PAD}}}{PAD}}}{PAD}"),
+    '{"labels": {}}',
+)
 ODD = (
-    *(SHORT[:end] for end in range(len(SHORT))),
+    *(SHORT[:end] for end in range(1, len(SHORT))),
     SHORT.replace("1, 2", "NaN"),
     SHORT.replace("[],", "[] [],"),
     SHORT.replace("[],", "[]"),
     SHORT.replace("[],", '[], "notes": [],'),
     SHORT.replace("[],", '[], "00000a.jpg": [],'),
+    SHORT.replace("[],", '[], "000000.jpg": [],'),
+    SHORT.replace("[],", '[3, "\\"000001.jpg\\": []"], "000000.jpg": [],'),
+    SHORT.replace("[],", '[], "00000\\u0030.jpg": [1],'),
     SHORT.replace("[],", "[},"),
     SHORT + "}",
     SHORT[:-1] + ', "labels": {}}',
@@ -596,41 +575,26 @@ ODD = (
 )
 
 
-@pytest.mark.parametrize("text", ODD)
-@pytest.mark.parametrize("decode", [undecided, strict])
-def test_any_other_text_is_left_to_the_scanner(text, decode):
-    found = []
-    with pytest.raises(spans.OtherLayoutError):
-        for key, value, _ in spans.frame_texts(io.BytesIO(text.encode()), decode):
-            found.append((key, value.strip()))
-    # The scanner goes on after what was found.
-    with contextlib.suppress(InputError):
-        scanned = []
-        for frame in labelfile._scan(text.encode(), "x.json", Problems("x.json")):
-            scanned.append(frame)
-        assert scanned[: len(found)] == found
+def frames_of(folder, text):
+    """Frames and problems of a text; the problem alone where it is refused."""
+    (folder / "x.json").write_text(text)
+    problems = Problems("x.json")
+    try:
+        return [*labelfile.read_frames(folder / "x.json", ("jpg",), problems)], problems.listed()
+    except InputError as error:
+        return str(error)
 
 
-def test_no_spans_are_found_in_what_is_not_utf_8():
-    good = SHORT.replace("1, 2", '"\u00e9"')
-    assert len(list(spans.frame_texts(io.BytesIO(good.encode()), undecided))) == 2
-    with pytest.raises(spans.OtherLayoutError):
-        list(spans.frame_texts(io.BytesIO(good.encode("latin-1")), undecided))
-
-
-def test_the_scanner_cuts_files_to_the_same_tables(tmp_path, monkeypatch):
-    plain, _ = loaded(tmp_path / "plain", WHOLE)
-    usual = labelfile.frame_texts
-    for kept in range(3):
-
-        def given_up(file, decode, kept=kept):
-            yield from itertools.islice(usual(file, decode), kept)
-            raise spans.OtherLayoutError
-
-        monkeypatch.setattr(labelfile, "frame_texts", given_up)
-        scanned, _ = loaded(tmp_path / f"scanned{kept}", WHOLE)
-        for layer in ANNOTATIONS:
-            assert plain.annotation(layer, NAME).equals(scanned.annotation(layer, NAME))
+@pytest.mark.parametrize("text", [*USUAL, *ODD])
+def test_the_scanner_and_the_decoder_cut_files_alike(tmp_path, monkeypatch, text):
+    found = frames_of(tmp_path, text)
+    scanned = []
+    members = labelfile.members
+    monkeypatch.setattr(labelfile, "members", lambda data: scanned.append(data) or members(data))
+    frames_of(tmp_path, text)
+    assert bool(scanned) == (text in ODD)
+    monkeypatch.setattr(labelfile, "strict_members", lambda text, decoder: None)
+    assert frames_of(tmp_path, text) == found
 
 
 def test_the_first_byte_that_is_not_utf_8_is_named(tmp_path, monkeypatch):
@@ -678,7 +642,7 @@ def test_of_a_file_that_is_refused_nothing_else_is_said(tmp_path, monkeypatch):
     """Its frames are read before its end is seen: what was wrong in them is no news, and no record was 'kept'."""
     twice = json.dumps(person_3d(2, 3.0, 1.0)).replace('"label_id"', '"label_id": "pedestrian:1", "label_id"')
     whole = f'{{"labels": {{"000000.pcd": [{twice}], "000000.pcd": [], "000015.pcd": []}}}}'
-    monkeypatch.setattr(gather, "BATCH_BYTES", 1)
+    monkeypatch.setattr(labelfile, "BATCH_BYTES", 1)
     _, report = loaded(tmp_path / "whole", whole, "3d")
     assert [p.kind for p in report.problems] == ["field", "frame"]
     for name, cut in (("cut", whole[:-2]), ("longer", whole + "]")):

@@ -10,8 +10,7 @@ from test_social import BOX, NAME, read, reasons, record, rows
 from test_social_intervals import placed
 from worlds import member, person, thing, write_root
 
-from jrdb_avr.loaders.layers import social as relations
-from jrdb_avr.loaders.layers.social_files import load_reasoning
+from jrdb_avr.loaders.layers.social import _READER, load_reasoning
 from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.queries.store import Store
@@ -62,8 +61,8 @@ def test_beside_a_social_file_only_things_are_read(tmp_path):
 def test_clean_records_are_never_repaired(tmp_path, monkeypatch, loader, alias):
     """Entries of the list that is not read have the same keys as those of the one that is."""
     repaired = []
-    repair = relations._repair
-    monkeypatch.setattr(relations, "_repair", lambda raw, *rest: repaired.append(raw) or repair(raw, *rest))
+    repair = _READER._repair
+    monkeypatch.setattr(_READER, "_repair", lambda raw, *rest: repaired.append(raw) or repair(raw, *rest))
     friends = [(2, {"hugging": "1"}), (3, {"moving together": "2"})]
     things = [((4, 17), {"holding": "1"})]
     people = [

@@ -10,7 +10,7 @@ import json
 import pytest
 from worlds import member, write_root
 
-from jrdb_avr.loaders.layers.social_files import load_social
+from jrdb_avr.loaders.layers.social import load_social
 from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.loaders.root import find_root
