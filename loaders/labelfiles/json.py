@@ -53,8 +53,9 @@ def strict_members(text: memoryview, decoder: msgspec.json.Decoder[dict[str, msg
         mark = _MEMBER.match(text, end)
         if mark is None or mark[1] != key.encode():
             return None
-        begin, end = mark.end(), mark.end() + len(memoryview(raw))
-        if text[begin:end] != memoryview(raw):
+        value = bytes(raw)
+        begin, end = mark.end(), mark.end() + len(value)
+        if bytes(text[begin:end]) != value:
             return None
         spans[key] = begin, end
     # After the last member there is only the closing bracket, unless a member is lost.
