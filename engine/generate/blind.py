@@ -10,11 +10,13 @@ constants tried are the template's own answers.
 
 from __future__ import annotations
 
+import functools
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 
@@ -57,25 +59,16 @@ class QuestionText:
 
     @property
     def asks(self) -> str:
-        """What kind of answer is asked for; of a template's forms a count is judged unlike seconds."""
-        return asked_for(self.mode, self.read)
+        """The kind of answer in a word or two; of a template's forms a count is judged unlike seconds."""
+        if self.mode == "number":
+            return "count" if self.read == "count" else "seconds"
+        return {"multiple_choice": "choice", "frame_viewpoint": "frame and angle"}.get(self.mode, self.mode)
 
     @property
     def bin(self) -> str:
         """The bin of the answer; what is levelled in selection."""
         answer = encode_answer(self.answer)
         return bin_name(self.mode, self.read, answer_bin(self.mode, answer, self.times, self.read))
-
-
-def asked_for(mode: str, read: str) -> str:
-    """The kind of answer in a word or two.
-
-    >>> asked_for("number", "seconds_between")
-    'seconds'
-    """
-    if mode == "number":
-        return "count" if read == "count" else "seconds"
-    return {"multiple_choice": "choice", "frame_viewpoint": "frame and angle"}.get(mode, mode)
 
 
 def question_texts(questions: pa.Table, answers: pa.Table) -> list[QuestionText]:
@@ -111,24 +104,21 @@ def blind_check(questions: Sequence[QuestionText]) -> list[dict[str, Any]]:
 
 
 def _check(group: list[QuestionText]) -> dict[str, Any]:
-    mode = group[0].mode
-    choice = mode == "multiple_choice"
-    scores = {
-        "uniform": sum(1 / len(q.choices) for q in group) / len(group) if choice else None,
-        "most_frequent": _most_frequent(group) if choice else None,
-        "constant": None if choice else _best(group, _constant),
-        "offset": None if choice or mode == "number" else _best_offset(group),
-        "text_only": _text_only(group),
-    }
+    mode, n = group[0].mode, len(group)
+    scores: dict[str, float | None] = dict.fromkeys(("uniform", "most_frequent", "constant", "offset"))
+    if mode == "multiple_choice":
+        scores["uniform"] = sum(1 / len(q.choices) for q in group) / n
+        scores["most_frequent"] = max(Counter(map(_chosen, group)).values()) / n
+    else:
+        scores["constant"] = _best(group, [0] * n)
+    if mode not in ("multiple_choice", "number"):
+        positions = range(min(len(q.times) for q in group))
+        scores["offset"] = max(_best(group, [q.times[position] for q in group]) for position in positions)
+    scores["text_only"] = _text_only(group)
     aim = None if group[0].read == "count" else AIMS[mode]
     above = [name for name, score in scores.items() if score is not None and aim is not None and score > aim]
-    return {
-        "n": len(group),
-        **scores,
-        "aim": aim,
-        "within_aim": None if aim is None else not above,
-        "reason": _reason(group, above) if above else None,
-    }
+    within = None if aim is None else not above
+    return {"n": n, **scores, "aim": aim, "within_aim": within, "reason": _reason(group, above) if above else None}
 
 
 FEW: Final = 30
@@ -156,39 +146,17 @@ def _chosen(question: QuestionText) -> str:
     return question.choices[question.answer.choice - 1]
 
 
-def _most_frequent(group: Iterable[QuestionText]) -> float:
-    counts = Counter(map(_chosen, group))
-    return max(counts.values()) / counts.total()
-
-
 # -- constants ----------------------------------------------------------------------------------------------------
 
-Base = Callable[[QuestionText], int]
-"""The frame from which a guess is counted; 0 for a constant."""
+
+def _best(group: Sequence[QuestionText], bases: Sequence[int]) -> float:
+    """The best score of one answer for all, counted from a frame of each question; 0 for a constant."""
+    guess = best_guess([_moved(q.answer, -base) for q, base in zip(group, bases, strict=True)])
+    return sum(same_answer(_moved(guess, base), q.answer) for q, base in zip(group, bases, strict=True)) / len(group)
 
 
-def _constant(question: QuestionText) -> int:
-    return 0
-
-
-def _best_offset(group: Sequence[QuestionText]) -> float:
-    """The best score of an offset from any one of the stated times."""
-
-    def stated(position: int) -> Base:
-        return lambda question: question.times[position]
-
-    count = min(len(question.times) for question in group)
-    return max(_best(group, stated(position)) for position in range(count))
-
-
-def _best(group: Sequence[QuestionText], base: Base) -> float:
-    guess = best_guess(group, base)
-    return sum(same_answer(_moved(guess, base(q)), q.answer) for q in group) / len(group)
-
-
-def best_guess(group: Sequence[QuestionText], base: Base) -> Answer:
-    """The answer, relative to `base`, that is right for the most questions; the smallest of equals."""
-    relative = [_moved(question.answer, -base(question)) for question in group]
+def best_guess(relative: Sequence[Answer]) -> Answer:
+    """The answer that is right for the most of these; the smallest of equals."""
     match relative[0]:
         case FrameAnswer():
             # A window that holds the most answers can begin at one of them.
@@ -206,19 +174,21 @@ def best_guess(group: Sequence[QuestionText], base: Base) -> Answer:
 
 
 def _moved(answer: Answer, frames: int) -> Answer:
-    match answer:
-        case FrameAnswer(frame):
-            return FrameAnswer(frame + frames)
-        case Span(start, end):
-            return Span(start + frames, end + frames)
-        case FrameViewpoint(frame, angle):
-            return FrameViewpoint(frame + frames, angle)
-    return answer
+    """An answer with its frames counted from another one."""
+    names = _FRAMES.get(type(answer), ())
+    return msgspec.structs.replace(answer, **{name: getattr(answer, name) + frames for name in names})
+
+
+_FRAMES: Final[dict[type[Answer], tuple[str, ...]]] = {
+    FrameAnswer: ("frame",),
+    FrameViewpoint: ("frame",),
+    Span: ("start_frame", "end_frame"),
+}
 
 
 # -- the text-only guesser ----------------------------------------------------------------------------------------
 
-_ALIKE: Final[tuple[Callable[[QuestionText], Any], ...]] = (
+_ALIKE: Final[tuple[Callable[[QuestionText], Hashable], ...]] = (
     lambda q: (q.words, tuple(sorted(q.choices)), q.waits),
     lambda q: (q.words, q.waits),
     lambda q: q.words,
@@ -227,49 +197,28 @@ _ALIKE: Final[tuple[Callable[[QuestionText], Any], ...]] = (
 )
 """What makes two texts alike, strictest first: where no other sequence has such a question, the next is tried."""
 
-_Pools = dict[Any, dict[str, list[QuestionText]]]
-"""Questions by what makes them alike, and by sequence."""
-
 
 def _text_only(group: Sequence[QuestionText]) -> float:
-    guess = _guess_choice if group[0].mode == "multiple_choice" else _guess_time
-    pools = [_by_sequence(group, alike) for alike in _ALIKE]
-    memo: dict[tuple[int, Any, str], Any] = {}
-    return sum(guess(question, pools, memo) for question in group) / len(group)
-
-
-def _guess_choice(question: QuestionText, pools: list[_Pools], memo: dict[tuple[int, Any, str], Any]) -> float:
-    for level, alike in enumerate(_ALIKE):
-        key = (level, alike(question), question.sequence)
-        if key not in memo:
-            memo[key] = Counter(map(_chosen, _others(pools[level], key[1], question.sequence)))
-        offered = [text for text in question.choices if memo[key][text]]
-        if offered:
-            return float(min(offered, key=lambda text: (-memo[key][text], text)) == _chosen(question))
-    return 1 / len(question.choices)
-
-
-def _guess_time(question: QuestionText, pools: list[_Pools], memo: dict[tuple[int, Any, str], Any]) -> float:
-    for level, alike in enumerate(_ALIKE):
-        key = (level, alike(question), question.sequence)
-        if key not in memo:
-            others = _others(pools[level], key[1], question.sequence)
-            memo[key] = best_guess(others, _from_first) if others else None
-        if memo[key] is not None:
-            return float(same_answer(_moved(memo[key], _from_first(question)), question.answer))
-    return 0.0
-
-
-def _others(pools: _Pools, key: Any, sequence: str) -> list[QuestionText]:
-    return [question for name, part in pools[key].items() if name != sequence for question in part]
-
-
-def _from_first(question: QuestionText) -> int:
-    return question.times[0]
-
-
-def _by_sequence(group: Iterable[QuestionText], alike: Callable[[QuestionText], Any]) -> _Pools:
-    pools: _Pools = defaultdict(lambda: defaultdict(list))
+    pools: dict[tuple[int, Hashable], list[QuestionText]] = defaultdict(list)
     for question in group:
-        pools[alike(question)][question.sequence].append(question)
-    return pools
+        for level, alike in enumerate(_ALIKE):
+            pools[level, alike(question)].append(question)
+
+    @functools.cache
+    def learned(sequence: str, level: int, key: Hashable) -> Counter[str] | Answer | None:
+        others = [question for question in pools[level, key] if question.sequence != sequence]
+        if group[0].mode == "multiple_choice":
+            return Counter(map(_chosen, others))
+        return best_guess([_moved(q.answer, -q.times[0]) for q in others]) if others else None
+
+    def score(question: QuestionText) -> float:
+        for level, alike in enumerate(_ALIKE):
+            guess = learned(question.sequence, level, alike(question))
+            if isinstance(guess, Counter):
+                if offered := [text for text in question.choices if guess[text]]:
+                    return float(min(offered, key=lambda text: (-guess[text], text)) == _chosen(question))
+            elif guess is not None:
+                return float(same_answer(_moved(guess, question.times[0]), question.answer))
+        return 1 / len(question.choices) if question.choices else 0.0
+
+    return sum(map(score, group)) / len(group)

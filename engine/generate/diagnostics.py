@@ -5,7 +5,7 @@ Worked out from the published tables alone, so that `generate` and, at any later
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
@@ -55,8 +55,8 @@ SOUGHT: Final = {
 }
 """What has to happen in a scene for a candidate of each template."""
 
-_TOLD: Final = 2
-"""Rules that are told of a template: those that refused most."""
+_NAMED: Final = 2
+"""How many of the rules that refused most are named of a template."""
 
 
 def refusal_row(
@@ -93,53 +93,39 @@ def shortfalls(
     sequences: int,
     aims: Mapping[str, int | None] | None = None,
 ) -> list[dict[str, Any]]:
-    """A row per template: how far its candidates came, the rules that refused most of them, and what is to be said.
+    """A row per template: how far its candidates came, the rules that refused most of them, and why they are few.
 
     `rows` are those of `tallies`; `lacking`: (template, layer) -> how many of `sequences` are without it; `aims`: how
-    many questions of a template were asked for. `why` is a sentence where there are fewer than FEW questions, and
-    than were asked for, or where sequences lack a layer, else None.
+    many questions of a template were wanted. `why` is a sentence where there are fewer than FEW questions, and than
+    were wanted, or where sequences lack a layer, else None.
     """
     found = []
     for row in rows:
-        wanted = (aims or {}).get(row["template"])
+        name, wanted = row["template"], (aims or {}).get(row["template"])
+        ranked = sorted((rule for rule in REFUSALS if row[rule]), key=lambda rule: -row[rule])
+        # The rules that refused most, and what kept proven candidates from becoming questions at the end.
+        most = ranked[:_NAMED] + [
+            rule for rule in ranked[_NAMED:] if rule == "balance" and row[rule] > row["questions"]
+        ]
+        shares = [f"{rule} {_percent(row[rule], row['candidates'])}" for rule in most]
+        missing = {layer: count for (template, layer), count in sorted(lacking.items()) if template == name}
+        skipped = [_without(layer, count, sequences) for layer, count in missing.items()]
+        why = [f"skipped, {text}" for text in skipped]
         few = row["questions"] < (FEW if wanted is None else min(FEW, wanted))
-        ranked = sorted(REFUSALS, key=lambda rule: (-row[rule], REFUSALS.index(rule)))
-        told = [rule for number, rule in enumerate(ranked) if row[rule] and _worth_telling(row, rule, number)]
-        missing = [(layer, count) for (name, layer), count in sorted(lacking.items()) if name == row["template"]]
-        found.append(
-            {
-                "family": row["family"],
-                "template": row["template"],
-                "candidates": row["candidates"],
-                "proven": row["proven"],
-                "questions": row["questions"],
-                "refused_most": ", ".join(f"{rule} {_percent(row[rule], row['candidates'])}" for rule in told) or None,
-                "skipped": "; ".join(_without(layer, count, sequences) for layer, count in missing) or None,
-                "why": _why(row, few, told, missing, sequences),
-            }
-        )
+        if few and all(count < sequences for count in missing.values()):
+            why += _why_few(row, most)
+        known = {column: row[column] for column in ("family", "template", "candidates", "proven", "questions")}
+        texts = {"refused_most": ", ".join(shares), "skipped": "; ".join(skipped), "why": "; ".join(why)}
+        found.append(known | {column: text or None for column, text in texts.items()})
     return found
 
 
-def _worth_telling(row: Mapping[str, Any], rule: str, number: int) -> bool:
-    """The rules that refused most, and what kept proven candidates from becoming questions at the end."""
-    return number < _TOLD or (rule == "balance" and row[rule] > row["questions"])
-
-
-def _why(
-    row: Mapping[str, Any], few: bool, told: Sequence[str], missing: Sequence[tuple[str, int]], sequences: int
-) -> str | None:
-    parts = [f"skipped, {_without(layer, count, sequences)}" for layer, count in missing]
-    if few and all(count < sequences for _, count in missing):
-        if row["candidates"]:
-            parts.append(
-                f"{_number(row['questions'], 'question')} of {_number(row['candidates'], 'candidate')}, "
-                f"{row['proven']:,} proven"
-            )
-            parts += [f"{rule} refused {_percent(row[rule], row['candidates'])}: {MEANINGS[rule]}" for rule in told]
-        else:
-            parts.append(f"no candidate, nowhere is it certain that {SOUGHT[row['template']]}")
-    return "; ".join(parts) or None
+def _why_few(row: Mapping[str, Any], most: Sequence[str]) -> list[str]:
+    if not row["candidates"]:
+        return [f"no candidate, nowhere is it certain that {SOUGHT[row['template']]}"]
+    numbers = f"{_number(row['questions'], 'question')} of {_number(row['candidates'], 'candidate')}"
+    refused = [f"{rule} refused {_percent(row[rule], row['candidates'])}: {MEANINGS[rule]}" for rule in most]
+    return [f"{numbers}, {row['proven']:,} proven", *refused]
 
 
 def _number(count: int, what: str) -> str:
@@ -160,23 +146,15 @@ def fillings(selection: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
     `selection` is the report of `select`.
     """
-    families: dict[str, list[Mapping[str, Any]]] = {}
+    families: dict[str, list[Mapping[str, Any]]] = defaultdict(list)
     for row in selection:
         if row["aim"] is not None:
-            families.setdefault(row["family"], []).append(row)
+            families[row["family"]].append(row)
     found = []
     for family, rows in families.items():
         aimed, reached = sum(row["aim"] for row in rows), sum(row["kept"] for row in rows)
         short = [f"{row['template']} {row['kept']} of {row['aim']}" for row in rows if row["kept"] < row["aim"]]
         more = [f"{row['template']} +{row['kept'] - row['aim']}" for row in rows if row["kept"] > row["aim"]]
-        found.append(
-            {
-                "family": family,
-                "aimed": aimed,
-                "reached": reached,
-                "missing": aimed - reached,
-                "short": ", ".join(short) or None,
-                "filled_by": ", ".join(more) or None,
-            }
-        )
+        numbers = {"family": family, "aimed": aimed, "reached": reached, "missing": aimed - reached}
+        found.append(numbers | {"short": ", ".join(short) or None, "filled_by": ", ".join(more) or None})
     return found
