@@ -1,4 +1,4 @@
-"""What crops show: boxes against the view straight ahead and against any one view, set-wise.
+"""What crops show: boxes against the view straight ahead and against any one view, set-wise; and how few show all.
 
 The functions take arrays of boxes in stitched pixels and agree with `schema.panorama.visible_share`, which judges one
 box at a time.
@@ -6,6 +6,9 @@ box at a time.
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_right
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 import numpy as np
@@ -41,3 +44,34 @@ def single_view(x: Floats, w: Floats, share: float) -> bool:
     edges = np.concatenate([x + inset - CROP, x + w - inset])
     lefts = np.unique(np.concatenate([np.floor(edges), np.ceil(edges)]) % WIDTH)
     return bool(np.any(np.all(shares(x[None, :], w[None, :], lefts[:, None]) >= share, axis=1)))
+
+
+def min_crops_of_frame(centers: Iterable[float]) -> int:
+    """The fewest crops that show at least half of the width of every box of one frame.
+
+    `centers` are the boxes' centre columns, any value, wrapped. A crop begins at a whole column and shows at least
+    half of a box exactly where the box's centre lies inside it or on its edge, as long as the box is at most two crops
+    wide. So what is wanted is a cover of points on a circle by closed arcs. Every arc of a cover may be turned
+    clockwise until it begins at one of its points, and from there on each next arc best begins at the first point that
+    is still missing: trying each point as the first gives the fewest.
+    """
+    points = sorted({center % WIDTH % WIDTH for center in centers})
+    turned = points + [point + WIDTH for point in points]
+    return min((_arcs(turned, first, first + len(points)) for first in range(len(points))), default=0)
+
+
+def _arcs(points: Sequence[float], first: int, end: int) -> int:
+    """Arcs that hold the points from `first` to before `end`, each begun at the first that is missing."""
+    count = 0
+    while first < end:
+        first = bisect_right(points, math.floor(points[first]) + CROP)
+        count += 1
+    return count
+
+
+def min_crops(boxes: Iterable[tuple[int, float, float]]) -> int:
+    """The fewest looks that show every box: (frame, left edge, width) each; a look shows one crop of one frame."""
+    frames: dict[int, list[float]] = {}
+    for frame, x, w in boxes:
+        frames.setdefault(frame, []).append(x + w / 2)
+    return sum(min_crops_of_frame(centers) for centers in frames.values())

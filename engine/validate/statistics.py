@@ -1,12 +1,7 @@
-"""What a benchmark holds: counts, distributions, why there are few of a kind, and how well it can be answered blind.
-
-How few crops of the panorama show everybody who has to be seen.
-"""
+"""What a benchmark holds: counts, distributions, why there are few of a kind, and how well it can be answered blind."""
 
 from __future__ import annotations
 
-import math
-from bisect import bisect_right
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,43 +14,12 @@ import numpy as np
 from jrdb_avr.engine.generate.blind import QuestionText, blind_check, question_texts
 from jrdb_avr.engine.generate.diagnostics import shortfalls, tallies
 from jrdb_avr.engine.generate.selection import PROFILES
+from jrdb_avr.engine.generate.views import min_crops
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice
-from jrdb_avr.schema.panorama import CROP, WIDTH, angle_error, center_angle
+from jrdb_avr.schema.panorama import angle_error, center_angle
 from jrdb_avr.schema.tables import LAYERS
 from jrdb_avr.schema.templates import FAMILIES, FORMS
-
-
-def fewest_crops(centers: Iterable[float]) -> int:
-    """The fewest crops that show at least half of the width of every box of one frame.
-
-    `centers` are the boxes' centre columns, any value, wrapped. A crop begins at a whole column and shows at least
-    half of a box exactly where the box's centre lies inside it or on its edge, as long as the box is at most two crops
-    wide. So what is asked is a cover of points on a circle by closed arcs. Every arc of a cover may be turned
-    clockwise until it begins at one of its points, and from there on each next arc best begins at the first point that
-    is still missing: trying each point as the first gives the fewest.
-    """
-    points = sorted({center % WIDTH % WIDTH for center in centers})
-    turned = points + [point + WIDTH for point in points]
-    return min((_arcs(turned, first, first + len(points)) for first in range(len(points))), default=0)
-
-
-def _arcs(points: Sequence[float], first: int, end: int) -> int:
-    """Arcs that hold the points from `first` to before `end`, each begun at the first that is missing."""
-    count = 0
-    while first < end:
-        first = bisect_right(points, math.floor(points[first]) + CROP)
-        count += 1
-    return count
-
-
-def crops_needed(boxes: Iterable[tuple[int, float, float]]) -> int:
-    """The fewest looks that show every box: (frame, left edge, width) each; a look shows one crop of one frame."""
-    frames: dict[int, list[float]] = {}
-    for frame, x, w in boxes:
-        frames.setdefault(frame, []).append(x + w / 2)
-    return sum(fewest_crops(centers) for centers in frames.values())
-
 
 TITLES: Final = {
     "family": "Questions per family, beside the paper's",
@@ -88,7 +52,7 @@ MEASURES: Final = {
 time_gap_s: seconds from the description to the last time asked about; separation_deg: how far the person asked
 about turns from the description to what decides, as the robot sees it; apart_deg: the largest turn between any two
 needed boxes, at whatever times; hops: relations to go by; people_in_scene: people with a box at the description's time;
-crops: the fewest looks that show every needed box (`covering`)."""
+crops: the fewest looks that show every needed box (`views.min_crops`)."""
 
 
 class _Needed(msgspec.Struct):
@@ -142,7 +106,7 @@ def _asked(question: QuestionText, own: Mapping[str, Any]) -> Asked:
     measures = {name: float(own[name]) for name in MEASURES if name in own}
     angles = np.array([center_angle(box.x, box.w) for box in needed])
     measures["apart_deg"] = float(angle_error(angles[:, None], angles).max())
-    measures["crops"] = float(crops_needed((box.frame, box.x, box.w) for box in needed))
+    measures["crops"] = float(min_crops((box.frame, box.x, box.w) for box in needed))
     return Asked(
         posed=question,
         family=FAMILIES[question.template],

@@ -6,8 +6,7 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from jrdb_avr.engine.generate.views import single_view
-from jrdb_avr.engine.validate.statistics import crops_needed, fewest_crops
+from jrdb_avr.engine.generate.views import min_crops, min_crops_of_frame, single_view
 
 WIDTH = 3760
 COLUMNS = st.one_of(
@@ -46,16 +45,16 @@ def brute_force(boxes):
 @settings(deadline=None, max_examples=60)
 def test_no_set_of_crops_is_smaller(drawn):
     boxes = [(center - w / 2, w) for center, w in drawn]
-    fewest = fewest_crops(x + w / 2 for x, w in boxes)
+    fewest = min_crops_of_frame(x + w / 2 for x, w in boxes)
     assert fewest == brute_force(boxes)
     x, w = np.array([box[0] for box in boxes]), np.array([box[1] for box in boxes])
     assert single_view(x, w, 0.5) == (fewest <= 1)
 
 
 def test_the_whole_circle():
-    assert fewest_crops(range(WIDTH)) == 8
-    assert fewest_crops([]) == 0 and fewest_crops([-5.0, 3755.0, 7515.0]) == 1
+    assert min_crops_of_frame(range(WIDTH)) == 8
+    assert min_crops_of_frame([]) == 0 and min_crops_of_frame([-5.0, 3755.0, 7515.0]) == 1
 
 
 def test_frames_are_looked_at_one_by_one():
-    assert crops_needed([(0, 100.0, 50.0), (0, 200.0, 50.0), (15, 100.0, 50.0), (15, 1900.0, 50.0)]) == 3
+    assert min_crops([(0, 100.0, 50.0), (0, 200.0, 50.0), (15, 100.0, 50.0), (15, 1900.0, 50.0)]) == 3
