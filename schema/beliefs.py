@@ -27,82 +27,6 @@ ALWAYS: Final = 10_000_000
 TIMELESS: Final = frozenset({"gender", "age"})
 """Attributes that hold at every frame."""
 
-WORLD_NODES: Final[dict[str, str]] = {
-    "Episode": "id STRING PRIMARY KEY, run STRING, question STRING, sequence STRING, plan STRING",
-    # A crop covers columns [left, left + width) of the panorama, over the seam; a whole panorama all 3760.
-    "Observation": "id STRING PRIMARY KEY, episode STRING, number INT64, step INT64, frame INT64, angle DOUBLE, "
-    "left INT64, width INT64, episode_hash UUID",
-    "Entity": "id STRING PRIMARY KEY, episode STRING, name STRING, number INT64, kind STRING, node STRING, step INT64, "
-    "episode_hash UUID",
-    # What the plan asks for: a node (somebody is to be found), a condition, an edge, or the read. What a kind lacks is
-    # "", and -1 for the frame of what is asked at no stated one.
-    "Slot": "id STRING PRIMARY KEY, episode STRING, number INT64, kind STRING, node STRING, other STRING, "
-    "name STRING, value STRING, frame INT64",
-    "Write": "id STRING PRIMARY KEY, episode STRING, number INT64, step INT64, tool STRING, arguments STRING, "
-    "accepted BOOLEAN, reason STRING",
-}
-
-WORLD_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
-    "Made": ("Episode", "Observation", ()),
-    "Holds": ("Episode", "Entity", ()),
-    "Asks": ("Episode", "Slot", ()),
-    "Wrote": ("Episode", "Write", ()),
-    "Sighted": (
-        "Entity",
-        "Observation",
-        (
-            "episode STRING",
-            # The write that made it: no two edges of an episode have one.
-            "write INT64",
-            "step INT64",
-            "frame INT64",
-            # Stitched pixels, as the agent saw it; the angle is that of the box's centre.
-            "box STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)",
-            "angle DOUBLE",
-            "current BOOLEAN",
-            "until INT64",
-            "who STRING",
-        ),
-    ),
-    "Has": (
-        "Entity",
-        "Observation",
-        (
-            "episode STRING",
-            "write INT64",
-            "step INT64",
-            "name STRING",
-            # A number is its text and itself; of a text, `number` is 0.
-            "value STRING",
-            "number DOUBLE",
-            "first INT64",
-            "last INT64",
-            "current BOOLEAN",
-            "until INT64",
-            "who STRING",
-        ),
-    ),
-    "Related": (
-        "Entity",
-        "Entity",
-        (
-            "episode STRING",
-            "write INT64",
-            "step INT64",
-            "name STRING",
-            "observation STRING",
-            "first INT64",
-            "last INT64",
-            "current BOOLEAN",
-            "until INT64",
-            # The two ends, by name.
-            "who STRING",
-            "whom STRING",
-        ),
-    ),
-}
-"""Per relationship table: from, to, and its columns as name and type."""
-
 Tool = Literal["begin", "plan", "observe", "get_graph", "add_entity", "add_attribute", "add_relation", "final_answer"]
 
 
@@ -125,7 +49,11 @@ class Write:
     fact: str
 
 
-class EpisodeRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class _Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A row of a table; its fields are the columns."""
+
+
+class EpisodeRow(_Row, frozen=True):
     """A row of `Episode`; the plan is "" until one is accepted."""
 
     id: str
@@ -135,8 +63,11 @@ class EpisodeRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     plan: str
 
 
-class ObservationRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A row of `Observation` but for the hash, and of `Made` from its episode."""
+class ObservationRow(_Row, frozen=True):
+    """A row of `Observation` without the hash, and of `Made` from its episode.
+
+    A crop covers columns [left, left + width) of the panorama, over the seam; a whole panorama all 3760.
+    """
 
     id: str
     episode: str
@@ -148,10 +79,8 @@ class ObservationRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     width: int
 
 
-class EntityRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A row of `Entity` but for the hash, and of `Holds` from its episode. `kind` and `node` may change, the rest does
-    not.
-    """
+class EntityRow(_Row, frozen=True):
+    """A row of `Entity` without the hash, and of `Holds` from its episode. Only `kind` and `node` may change."""
 
     id: str
     episode: str
@@ -162,8 +91,12 @@ class EntityRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     step: int
 
 
-class SlotRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A row of `Slot`, and of `Asks` from its episode."""
+class SlotRow(_Row, frozen=True):
+    """A row of `Slot`, and of `Asks` from its episode: a part of the plan.
+
+    kind: a node (a person to be found), a condition, an edge, or the read. What a kind lacks is "", and -1 for the
+    frame of a part at no stated time.
+    """
 
     id: str
     episode: str
@@ -185,8 +118,12 @@ class XYWH(NamedTuple):
     h: float
 
 
-class SightingRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A row of `Sighted`; source and target are keys of the nodes."""
+class SightingRow(_Row, frozen=True):
+    """A row of `Sighted`; source and target are keys of the nodes.
+
+    write: the write that made it; no two edges of an episode have the same. box: as the agent saw it; angle: that of
+    the box's centre.
+    """
 
     source: str
     target: str
@@ -198,8 +135,8 @@ class SightingRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     angle: float
 
 
-class AttributeRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A row of `Has`."""
+class AttributeRow(_Row, frozen=True):
+    """A row of `Has`. `value` is a text; `number` its number, 0 where it is none."""
 
     source: str
     target: str
@@ -213,7 +150,7 @@ class AttributeRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     last: int
 
 
-class RelationRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class RelationRow(_Row, frozen=True):
     """A row of `Related`; `observation` is the key of its node."""
 
     source: str
@@ -246,6 +183,49 @@ class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_field
     has: AttributeRow | None = None
     related: RelationRow | None = None
     replaced: tuple[int, ...] = ()
+
+
+_TYPES: Final = {
+    str: "STRING",
+    int: "INT64",
+    float: "DOUBLE",
+    XYWH: "STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)",
+}
+
+
+def _columns(row: type[_Row], *more: str) -> tuple[str, ...]:
+    """Columns of a row's fields, as name and type; the ends of an edge are no columns."""
+    fields = [f"{one.name} {_TYPES[one.type]}" for one in msgspec.structs.fields(row)]
+    return (*(column for column in fields if column.split()[0] not in ("source", "target")), *more)
+
+
+_CURRENT: Final = ("current BOOLEAN", "until INT64")
+
+WORLD_NODES: Final[dict[str, str]] = {
+    name: ", ".join(columns).replace("id STRING", "id STRING PRIMARY KEY", 1)
+    for name, columns in {
+        "Episode": _columns(EpisodeRow),
+        "Observation": _columns(ObservationRow, "episode_hash UUID"),
+        "Entity": _columns(EntityRow, "episode_hash UUID"),
+        "Slot": _columns(SlotRow),
+        "Write": (
+            *("id STRING", "episode STRING", "number INT64", "step INT64"),
+            *("tool STRING", "arguments STRING", "accepted BOOLEAN", "reason STRING"),
+        ),
+    }.items()
+}
+
+WORLD_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
+    "Made": ("Episode", "Observation", ()),
+    "Holds": ("Episode", "Entity", ()),
+    "Asks": ("Episode", "Slot", ()),
+    "Wrote": ("Episode", "Write", ()),
+    # who, whom: the entities at the ends, by name.
+    "Sighted": ("Entity", "Observation", _columns(SightingRow, *_CURRENT, "who STRING")),
+    "Has": ("Entity", "Observation", _columns(AttributeRow, *_CURRENT, "who STRING")),
+    "Related": ("Entity", "Entity", _columns(RelationRow, *_CURRENT, "who STRING", "whom STRING")),
+}
+"""Per relationship table: from, to, and its columns as name and type."""
 
 
 def world_ddl() -> list[str]:
