@@ -8,13 +8,14 @@ is hashed and stored.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import msgspec
 
 from jrdb_avr.schema.answers import AnswerMode
 from jrdb_avr.schema.beliefs import TIMELESS
 from jrdb_avr.schema.errors import PlanError
+from jrdb_avr.schema.labels import POSES
 
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern="^[a-z][a-z0-9_]*$")]
 Label = Annotated[str, msgspec.Meta(min_length=1, max_length=120)]
@@ -37,39 +38,25 @@ Read = Literal[
 ]
 Attribute = Literal["gender", "age", "group_size", "sector", "distance"]
 
-_MODES: Final[dict[str, str]] = {
-    "action": "multiple_choice",
-    "presence": "multiple_choice",
-    "distance_change": "multiple_choice",
-    "next_action": "multiple_choice",
-    "start": "frame",
-    "span": "span",
-    "start_view": "frame_viewpoint",
-    "seconds_between": "number",
-    "count": "number",
-}
 
-_READ_TIMES: Final[dict[str, int]] = {
-    "action": 1,
-    "presence": 2,
-    "distance_change": 2,
-    "next_action": 1,
-    "start": 1,
-    "span": 2,
-    "start_view": 1,
-    "seconds_between": 2,
-    "count": 2,
-}
-"""How many times each read names: `at` is one name, or a list of two."""
+class _ReadRule(NamedTuple):
+    """What a read needs of `answer`: its mode and, per time that it names, the kinds of event (none: any time)."""
 
-_EVENT_READS: Final[dict[str, tuple[tuple[str, ...], ...]]] = {
-    "start": (("start",),),
-    "start_view": (("start",),),
-    "span": (("start",), ("end",)),
-    "next_action": (("end",),),
-    "seconds_between": (("start", "leaves"), ("start", "returns")),
+    mode: AnswerMode
+    times: tuple[tuple[Event, ...], ...]
+
+
+_READS: Final[dict[Read, _ReadRule]] = {
+    "action": _ReadRule("multiple_choice", ((),)),
+    "presence": _ReadRule("multiple_choice", ((), ())),
+    "distance_change": _ReadRule("multiple_choice", ((), ())),
+    "next_action": _ReadRule("multiple_choice", (("end",),)),
+    "start": _ReadRule("frame", (("start",),)),
+    "span": _ReadRule("span", (("start",), ("end",))),
+    "start_view": _ReadRule("frame_viewpoint", (("start",),)),
+    "seconds_between": _ReadRule("number", (("start", "leaves"), ("start", "returns"))),
+    "count": _ReadRule("number", ((), ())),
 }
-"""The kinds of event that a read can be asked at, per time; other reads take any time."""
 
 
 class Time(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
@@ -100,6 +87,15 @@ class Condition(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_
     verb: Label | None = None
     interaction: Label | None = None
     at: Name | None = None
+
+    @property
+    def kind(self) -> str:
+        """One of `rules.CONDITION_KINDS`: the attribute, or pose, action, object or interaction."""
+        if self.attribute is not None:
+            return self.attribute
+        if self.action is not None:
+            return "pose" if self.action in POSES else "action"
+        return "object" if self.object is not None else "interaction"
 
     @property
     def wanted(self) -> tuple[str, str]:
@@ -301,19 +297,19 @@ def _check_answer(plan: Plan, ids: list[str]) -> None:
     times = plan.answer.times
     for name in times:
         _known("answer.at", name, list(plan.times), "time")
-    if _MODES[answer.read] != answer.mode:
-        raise PlanError(
-            "answer.mode",
-            f"{answer.mode!r} does not fit the read {answer.read!r}; use {_MODES[answer.read]!r}",
-        )
-    if len(times) != _READ_TIMES[answer.read]:
-        raise PlanError("answer.at", f"the read {answer.read!r} names {_READ_TIMES[answer.read]} time(s)")
+    rule = _READS[answer.read]
+    if rule.mode != answer.mode:
+        raise PlanError("answer.mode", f"{answer.mode!r} does not fit the read {answer.read!r}; use {rule.mode!r}")
+    if len(times) != len(rule.times):
+        raise PlanError("answer.at", f"the read {answer.read!r} names {len(rule.times)} time(s)")
     if (answer.relation is None) != (answer.read != "count"):
         raise PlanError("answer.relation", "is needed by the read 'count', and by nothing else")
     if len(set(times)) < len(times):
         raise PlanError("answer.at", f"names {times[0]!r} twice")
-    for name, kinds in zip(times, _EVENT_READS.get(answer.read, ()), strict=False):
+    for name, kinds in zip(times, rule.times, strict=True):
         time = plan.times[name]
+        if not kinds:
+            continue
         if time.event not in kinds:
             wanted = " or ".join(repr(kind) for kind in kinds)
             raise PlanError("answer.at", f"the read {answer.read!r} needs {name!r} to be an event {wanted}")

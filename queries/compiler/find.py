@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from jrdb_avr.queries.compiler.clauses import Variables
-from jrdb_avr.queries.compiler.mapping import Names, condition_kind, condition_values, edge_kind, edge_values
+from jrdb_avr.queries.compiler.mapping import Names, condition_values, edge_kind, edge_values
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.plan import Condition, Edge, Plan, validate
 
@@ -93,7 +93,7 @@ class _Pattern:
         """The clause of a condition, and what it is bound to."""
         at = self._at(node, condition.at or times_of(self.plan, node)[0])
         values = self._values(f"c{place}_{i}", condition_values(condition))
-        return self.names.conditions[condition_kind(condition)], at | values
+        return self.names.conditions[condition.kind], at | values
 
     def _edge(self, i: int, edge: Edge) -> tuple[Any, Variables]:
         """The clause of an edge, and what it is bound to."""

@@ -12,7 +12,6 @@ from importlib import resources
 from typing import Final
 
 from jrdb_avr.queries.compiler.clauses import Clause, Known, Listed, Rows, Somebody, Tie, Within
-from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import RELATIONS, SAME_GROUP
 
@@ -22,7 +21,7 @@ class Names:
     """A namespace's names. People are told apart by their property `id`.
 
     pattern, there: a person `n` with a sighting `s`, and what makes it one at frame `t` of `scope`; who: the person's
-    number or name in its scope; conditions, edges: clauses by kind, see `condition_kind` and `edge_kind`; reads: folder
+    number or name in its scope; conditions, edges: clauses by kind, see `Condition.kind` and `edge_kind`; reads: folder
     of the statements that read answers.
     """
 
@@ -37,15 +36,6 @@ class Names:
 def read_text(folder: str, name: str) -> str:
     """The text of the packaged statement `queries/reads/<folder>/<name>.cypher`."""
     return resources.files("jrdb_avr.queries").joinpath("reads", folder, f"{name}.cypher").read_text("utf-8")
-
-
-def condition_kind(condition: Condition) -> str:
-    """Kind of a condition: its attribute, or pose, action, object or interaction."""
-    if condition.attribute is not None:
-        return condition.attribute
-    if condition.action is not None:
-        return "pose" if condition.action in POSES else "action"
-    return "object" if condition.object is not None else "interaction"
 
 
 def condition_values(condition: Condition) -> dict[str, str | int]:

@@ -13,8 +13,9 @@ from typing import Final
 import msgspec
 
 from jrdb_avr.schema.errors import PlanError
-from jrdb_avr.schema.labels import ACTION_PHRASES, INTERACTION_PHRASES, POSES
+from jrdb_avr.schema.labels import ACTION_PHRASES, INTERACTION_PHRASES
 from jrdb_avr.schema.plan import Condition
+from jrdb_avr.schema.rules import CONDITION_KINDS
 from jrdb_avr.schema.wording.phrases import FAR_AWAY, handled, handling, phrase_of
 
 _HEADS: Final[dict[tuple[str | None, str | None], str]] = {
@@ -54,15 +55,7 @@ _GROUP: Final = "in a group of "
 
 def in_order(conditions: Sequence[Condition]) -> tuple[Condition, ...]:
     """The conditions in the order in which plans hold them: gender, age, pose, other actions, interaction, ..."""
-    return tuple(sorted(conditions, key=lambda condition: (_rank(condition), msgspec.json.encode(condition))))
-
-
-def _rank(condition: Condition) -> int:
-    if condition.attribute is not None:
-        return {"gender": 0, "age": 1, "group_size": 6, "sector": 7, "distance": 8}[condition.attribute]
-    if condition.action is not None:
-        return 2 if condition.action in POSES else 3
-    return 4 if condition.object is not None else 5
+    return tuple(sorted(conditions, key=lambda one: (CONDITION_KINDS.index(one.kind), msgspec.json.encode(one))))
 
 
 def describe(conditions: Sequence[Condition]) -> str:
