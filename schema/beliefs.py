@@ -1,15 +1,15 @@
-"""The world namespace: what an agent saw and believes, in tables beside the scene's, keyed by episode.
+"""The world namespace: what an agent observed and believes, in tables beside the scene's, keyed by episode.
 
-An episode is one question of one run. Everything believed is tied to an observation of its own episode: a sighting and
-an attribute are edges from an entity to the observation; a relation carries the observation's key. A belief holds for
-the frame of its observation (`first` = `last`), but for gender and age, which hold always (0 to `ALWAYS`). What a later
-write replaces stays, with `current` false and `until` the step of that write: at step k an edge was believed where
+An episode is one question of one run. Every belief belongs to an observation of its own episode: a sighting and an
+attribute are edges from an entity to the observation; a relation carries the observation's key. A belief holds at the
+frame of its observation (`first` = `last`); gender and age hold always (0 to `ALWAYS`). A belief that a later write
+replaces stays, with `current` false and `until` the step of that write: at step k an edge was believed where
 `step <= k AND until > k`. Keys: `Episode` is `<run>/<question>`; `Observation` `<episode>/o<number>`; `Entity`
 `<episode>/<the agent's own name for it>`; `Slot` and `Write` `<episode>/<number>`.
 
-An agent's edges are read and written after almost every look. From the episode to its nodes and on to their edges the
-engine would scan edges and names of other episodes, half of what it does: so nodes that have edges carry a hash of the
-episode's key, found in one pass over a column of numbers, and edges say by name whose they are.
+The agent's edges are read and written after almost every observation. From the episode to its nodes and on to their
+edges the engine would scan edges and names of other episodes, half of its work. So nodes with edges carry a hash of the
+episode's key, found in one pass over a column of numbers, and edges name their ends.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from uuid import UUID
 import msgspec
 
 ALWAYS: Final = 10_000_000
-"""`last` of what holds at every frame, and `until` of what is current."""
+"""`last` of a belief that holds at every frame, and `until` of a current one."""
 
 TIMELESS: Final = frozenset({"gender", "age"})
 """Attributes that hold at every frame."""
@@ -32,12 +32,11 @@ Tool = Literal["begin", "plan", "observe", "get_graph", "add_entity", "add_attri
 
 @dataclass(frozen=True, slots=True)
 class Write:
-    """One line of an episode's record, accepted or refused: a row of `world.parquet`, from which the tables above can
-    be made again.
+    """One line of an episode's record, accepted or refused: a row of `world.parquet`, which restores the world tables.
 
-    number: from 0, in order; step: the model call it came with; arguments: as the agent gave them, JSON; reason: why
-    it was refused; fact: what it put into the graph, a `Fact` as JSON, "" where that is nothing. The first write of an
-    episode is its `begin`, which makes the `Episode`; each write is a `Write` node as well.
+    number: from 0, in order; step: the model call that made it; arguments: the agent's, as JSON; reason: why it was
+    refused; fact: what it added to the graph, a `Fact` as JSON, "" for nothing. The first write of an episode is its
+    `begin`, which makes the `Episode`; each write is a `Write` node as well.
     """
 
     number: int
@@ -165,12 +164,11 @@ class RelationRow(_Row, frozen=True):
 
 
 class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
-    """What one write put into the tables: rows as they are from then on, each under the name of its table.
+    """The rows that one write adds to the tables or changes, each under the name of its table.
 
-    episode: on `begin`, and again with its plan on `plan`. entity: a new one; changed: one that is there, with another
-    kind or node. freed: keys of entities whose node is "" from then on, as this one took it. Edges begin with `current`
-    true and `until` `ALWAYS`; replaced: writes of this episode whose edge is not `current` any more, and `until` this
-    step.
+    episode: on `begin`, and again with its plan on `plan`. entity: a new one; changed: one with another kind or
+    node. freed: keys of entities whose node becomes "", as this entity takes it. Edges begin with `current` true and
+    `until` `ALWAYS`; replaced: writes of this episode whose edge is no longer `current` and ends with this step.
     """
 
     episode: EpisodeRow | None = None

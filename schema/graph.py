@@ -11,6 +11,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from jrdb_avr.schema.tables import INTERVALS
+
 SCENE_NODES: Final[dict[str, str]] = {
     "Sequence": "sequence STRING PRIMARY KEY, fps DOUBLE, frame_count INT64, layers STRING[], action_step INT64",
     "Frame": "id STRING PRIMARY KEY, sequence STRING, frame INT64, seconds DOUBLE, keyframe BOOLEAN, "
@@ -25,39 +27,21 @@ SCENE_NODES: Final[dict[str, str]] = {
     "Action": "name STRING PRIMARY KEY, pose BOOLEAN",
 }
 
+_TYPES: Final = {"string": "STRING", "double": "DOUBLE", "bool": "BOOLEAN", "int32": "INT64"}
+
+
+def _sighting_columns() -> tuple[str, ...]:
+    """Columns of `intervals_sightings` without those that the ends hold."""
+    fields = [field for field in INTERVALS["sightings"] if field.name not in ("track", "cluster", *"xywh")]
+    columns = [f"{field.name} {_TYPES[str(field.type)]}" for field in fields]
+    # A struct, not DOUBLE[4]: a checkpoint moves lists one by one, minutes for a million.
+    return (*columns[:2], "box STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)", *columns[2:])
+
+
 _SPAN: Final = ("first INT64", "last INT64", "first_s DOUBLE", "last_s DOUBLE")
 
 SCENE_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
-    "SeenIn": (
-        "Person",
-        "Frame",
-        (
-            "sequence STRING",
-            "frame INT64",
-            # A struct, not DOUBLE[4]: a checkpoint moves lists one by one, minutes for a million.
-            "box STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)",
-            "angle DOUBLE",
-            "occlusion STRING",
-            "no_eval BOOLEAN",
-            "clear BOOLEAN",
-            "face_visible BOOLEAN",
-            "listed BOOLEAN",
-            "interactions_listed BOOLEAN",
-            "handles_listed BOOLEAN",
-            "pose STRING",
-            "group_size INT64",
-            "sector STRING",
-            "sector_other STRING",
-            "located BOOLEAN",
-            "distance DOUBLE",
-            "distance_word STRING",
-            "distance_word_other STRING",
-            "cx DOUBLE",
-            "cy DOUBLE",
-            "cz DOUBLE",
-            "heading DOUBLE",
-        ),
-    ),
+    "SeenIn": ("Person", "Frame", _sighting_columns()),
     "Performs": (
         "Person",
         "Action",

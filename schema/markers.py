@@ -78,7 +78,7 @@ class Mark:
 
     `identity` 0..4095; `group` `ALONE` or 1..254; `distance_dm` decimetres on the ground from the robot, 0..254;
     `heading_deg` counter-clockwise from the robot's ahead, a multiple of 5 in [0, 360); `partner` is an identity and
-    comes with `interaction`, `object` with `verb`. Texts are those of `schema.vocabulary`.
+    comes with `interaction`, `object` with `verb`. Texts are those of `schema.labels` and `schema.things`.
     """
 
     identity: int
