@@ -38,7 +38,7 @@ from jrdb_avr.schema.relations import SYMMETRIC
 from jrdb_avr.schema.rules import Rules
 
 if TYPE_CHECKING:
-    from jrdb_avr.agent.beliefs.world_model import World
+    from jrdb_avr.agent.beliefs.world_model import WorldModel
 
 TIMEOUT_S: Final = 10.0
 """For each statement."""
@@ -169,7 +169,7 @@ class BeliefSolver:
         return reader, match_plan(reader, plan)
 
 
-def beliefs_of(world: World, question: Question) -> BeliefSolver:
+def beliefs_of(world: WorldModel, question: Question) -> BeliefSolver:
     """The solver of a question's episode."""
     return BeliefSolver(world.graph, episode_key(world.run_id, question.question_id), question.choices)
 

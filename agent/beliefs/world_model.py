@@ -90,7 +90,7 @@ class Result:
     said: str
 
 
-class World:
+class WorldModel:
     """The world model of a run; its episodes may be used from several threads, each from one."""
 
     def __init__(self, graph: WorldGraph, run_id: str) -> None:
@@ -99,7 +99,7 @@ class World:
         self.run_id = run_id
         self._begun = set(writes_held(graph.graph, run_id))
 
-    def episode(self, question: Question, record: RecordWrite) -> Episode:
+    def episode(self, question: Question, record: RecordWrite) -> BeliefEpisode:
         """Begin a question's episode; what an earlier try of it left is taken away.
 
         Raises QueryError or StoreError, as all writes of an episode do, where the graph cannot be written.
@@ -108,10 +108,10 @@ class World:
             with self.graph.graph.transaction():
                 drop_world(self.graph.graph, self.run_id, [question.question_id])
         self._begun.add(question.question_id)
-        return Episode(self.graph, self.run_id, question, record)
+        return BeliefEpisode(self.graph, self.run_id, question, record)
 
 
-class Episode:
+class BeliefEpisode:
     """What is believed about one question. Made by `World.episode`."""
 
     def __init__(self, graph: WorldGraph, run_id: str, question: Question, record: RecordWrite) -> None:

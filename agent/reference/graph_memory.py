@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final, get_args
 
 import msgspec
 
@@ -38,15 +38,13 @@ from jrdb_avr.schema.plan import Plan, canonical
 
 if TYPE_CHECKING:
     from jrdb_avr.agent.beliefs.solver import Belief, BeliefSolver
-    from jrdb_avr.agent.beliefs.world_model import Episode as WorldEpisode
+    from jrdb_avr.agent.beliefs.world_model import BeliefEpisode
 
 _NAME: Final = {"type": "string", "pattern": "^[A-Za-z0-9_-]{1,32}$"}
 OBSERVATION_SCHEMA: Final = {"type": "string", "pattern": "^o[0-9]+$"}
 
 
-_TOOLS: Final[dict[str, Tool]] = {
-    name: name for name in ("observe", "add_entity", "add_attribute", "add_relation", "get_graph", "final_answer")
-}
+_TOOLS: Final[dict[str, Tool]] = {name: name for name in get_args(Tool)}
 """The tools whose refused calls are kept."""
 
 
@@ -60,7 +58,7 @@ class GraphMemory:
 
     tools: ClassVar = (*WRITING, "get_graph", FINAL)
     attempt: Attempt
-    world: WorldEpisode
+    world: BeliefEpisode
     solver: BeliefSolver
     plan: Plan
     system: str

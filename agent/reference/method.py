@@ -20,7 +20,7 @@ from jrdb_avr.schema.labels import AGES, DISTANCE_WORDS, OTHER_ACTIONS, POSES, R
 from jrdb_avr.schema.method import Prediction, Question, Task
 
 if TYPE_CHECKING:
-    from jrdb_avr.agent.beliefs.world_model import World
+    from jrdb_avr.agent.beliefs.world_model import WorldModel
 
 
 @dataclass(frozen=True)
@@ -31,10 +31,10 @@ class ReferenceAgent:
 
     chat: Chat
     convention: Convention = CONTRACT
-    world: World | None = None
+    world: WorldModel | None = None
     looks: bool = True
     limits: Limits = LIMITS
-    solving: Callable[[World, Question], BeliefSolver] = beliefs_of
+    solving: Callable[[WorldModel, Question], BeliefSolver] = beliefs_of
 
     @property
     def remembers(self) -> bool:

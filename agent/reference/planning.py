@@ -45,7 +45,7 @@ from jrdb_avr.schema.things import OBJECT_PHRASES, OBJECTS, VERB_PHRASES, VERBS
 from jrdb_avr.schema.wording.phrases import FAR_AWAY
 
 if TYPE_CHECKING:
-    from jrdb_avr.agent.beliefs.world_model import Episode as WorldEpisode
+    from jrdb_avr.agent.beliefs.world_model import BeliefEpisode
 
 LONGEST_SHOWN: Final = 4000
 """Characters of a refused plan that are shown again."""
@@ -54,7 +54,7 @@ MOST_ASKED: Final = 32
 """Conditions and edges of a plan: a question's has a dozen, and the engine's work grows with them."""
 
 
-def make_plan(attempt: Attempt, repairs: int, check: Callable[[Plan], None], episode: WorldEpisode) -> Plan | str:
+def make_plan(attempt: Attempt, repairs: int, check: Callable[[Plan], None], episode: BeliefEpisode) -> Plan | str:
     """The model's plan for the question, or why the last of `1 + repairs` tries was refused.
 
     Each try is one model call, which is shown the plan before it and what was wrong with that one. `check` raises

@@ -23,7 +23,7 @@ from typing import Any, Final
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.agent.beliefs.world_model import World
+from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.conventions import DEFAULTS, Options
 from jrdb_avr.agent.simulated.noise import PERFECT, Knobs, turned
 from jrdb_avr.engine.observe.observer import Observer
@@ -186,7 +186,9 @@ def _image_root(store: Store) -> str | None:
 
 
 @contextlib.contextmanager
-def _world(store: Store, run_id: str, method: str, world_db: Path | None, journal: Journal) -> Iterator[World | None]:
+def _world(
+    store: Store, run_id: str, method: str, world_db: Path | None, journal: Journal
+) -> Iterator[WorldModel | None]:
     """The run's world model with the facts of the journal; None for a method without one."""
     if method not in WORLD_METHODS:
         yield None
@@ -206,7 +208,7 @@ def _world(store: Store, run_id: str, method: str, world_db: Path | None, journa
         ) from None
 
 
-def _runner(method: str | Method, endpoint: Endpoint | None, world: World | None) -> ConfigurableMethod:
+def _runner(method: str | Method, endpoint: Endpoint | None, world: WorldModel | None) -> ConfigurableMethod:
     if not isinstance(method, str):
         return CustomMethod(type(method).__name__, method)
     if is_custom(method):

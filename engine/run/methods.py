@@ -22,7 +22,7 @@ from jrdb_avr.schema.errors import InputError
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from jrdb_avr.agent.beliefs.world_model import World
+    from jrdb_avr.agent.beliefs.world_model import WorldModel
     from jrdb_avr.agent.model.client import Chat
     from jrdb_avr.agent.model.conventions import Convention
     from jrdb_avr.schema.method import ConfigurableMethod, Prediction, Task
@@ -49,23 +49,23 @@ WORLD_METHODS: Final = ("agent", "agent-passive")
 
 
 @contextlib.contextmanager
-def open_world(path: Path, run_id: str, record: pa.Table) -> Iterator[World]:
+def open_world(path: Path, run_id: str, record: pa.Table) -> Iterator[WorldModel]:
     """A run's world model in the graph file at `path`, which is made if there is none; closed at the end of the block.
 
     record: the run's world rows so far; what the graph lacks of them is brought back first. Raises LockedError where
     another process has the graph open, StoreError where it cannot be opened.
     """
-    from jrdb_avr.agent.beliefs.world_model import World
+    from jrdb_avr.agent.beliefs.world_model import WorldModel
     from jrdb_avr.queries.beliefs.graph import WorldGraph, open_graph
     from jrdb_avr.queries.beliefs.record import restore_world
 
     with open_graph(path) as graph:
         restore_world(graph, run_id, record)
     with WorldGraph.open(path) as world:
-        yield World(world, run_id)
+        yield WorldModel(world, run_id)
 
 
-def make_method(name: str, chat: Chat, convention: Convention, world: World | None = None) -> ConfigurableMethod:
+def make_method(name: str, chat: Chat, convention: Convention, world: WorldModel | None = None) -> ConfigurableMethod:
     """The method of a name in `METHODS`; one of `WORLD_METHODS` takes its world model."""
     from jrdb_avr.agent.methods.chain_of_thought import ChainOfThought
     from jrdb_avr.agent.methods.monolithic import Monolithic

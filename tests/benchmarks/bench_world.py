@@ -24,7 +24,7 @@ import numpy as np
 from older_worlds import older_record
 
 from jrdb_avr.agent.beliefs.solver import beliefs_of
-from jrdb_avr.agent.beliefs.world_model import World
+from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.queries.beliefs import graph as world_graph
 from jrdb_avr.queries.beliefs.record import merge_world
 from jrdb_avr.queries.graph.handle import Graph
@@ -155,7 +155,7 @@ def main():
             merge_world(graph, "older", older_record(OLDER))
         world_graph.Graph = TimedGraph
         with world_graph.WorldGraph.open(path) as graph:
-            world, start, played = World(graph, "r"), threading.Barrier(IN_FLIGHT), []
+            world, start, played = WorldModel(graph, "r"), threading.Barrier(IN_FLIGHT), []
             threads = [threading.Thread(target=play, args=(world, n, start, played)) for n in range(IN_FLIGHT)]
             before, worked = stolen_and_all(), time.process_time()
             for thread in threads:

@@ -9,7 +9,7 @@ import pytest
 from believing import BELIEF_QUERIES, Believer
 from test_evaluate_beliefs import ASKED
 
-from jrdb_avr.agent.beliefs.world_model import World
+from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.engine.run import answering
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.graph.guard import check_cypher
@@ -25,7 +25,7 @@ def world():
     with WorldGraph.memory() as graph:
         record = {}
         for run_id, turns in (("one", 40), ("two", 25)):
-            method = Believer(World(graph, run_id), turns)
+            method = Believer(WorldModel(graph, run_id), turns)
             for question in ASKED:
                 asked = answering.answer_one(method, question, None, None, None)
                 assert asked.prediction["status"] == "invalid", asked.prediction

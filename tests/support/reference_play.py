@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 from jrdb_avr.agent.beliefs.solver import Belief, BeliefSolver, beliefs_of
-from jrdb_avr.agent.beliefs.world_model import World as Beliefs
+from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.messages import Picture
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.agent.reference.method import ReferenceAgent
@@ -139,7 +139,7 @@ def play(
     steps, writes = [], []
     solver = solver or StubSolver()
     solving = beliefs_of if solver == "real" else lambda world, question: solver
-    memory = None if graph is None else Beliefs(graph, "run")
+    memory = None if graph is None else WorldModel(graph, "run")
     agent = ReferenceAgent(chat, world=memory, solving=solving, **options)
     task = world.task(question, mode, CHOICES if mode == "multiple_choice" else (), steps, writes)
     prediction = agent.answer(task)

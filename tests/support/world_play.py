@@ -5,7 +5,7 @@ import contextlib
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.agent.beliefs.world_model import World
+from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.beliefs.record import replayed
 from jrdb_avr.queries.graph.handle import build_graph
@@ -66,7 +66,7 @@ def whole(frame):
 def begin(graph, number=0, run="run"):
     """An episode, and the list of its writes."""
     writes = []
-    return World(graph, run).episode(question(number), writes.append), writes
+    return WorldModel(graph, run).episode(question(number), writes.append), writes
 
 
 def rows_of(graph, table, keep=lambda row: True):

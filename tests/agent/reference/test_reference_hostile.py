@@ -29,7 +29,7 @@ from reference_play import (
     turn,
 )
 
-from jrdb_avr.agent.beliefs.world_model import World as Beliefs
+from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.agent.reference.episode import Limits
 from jrdb_avr.agent.reference.method import ReferenceAgent
@@ -153,7 +153,7 @@ def test_a_replay_gives_the_same_transcript(world, graph):
 
 def test_sixteen_questions_at_once_do_not_meet(world, graph):
     """Each question's graph holds what it wrote, and nothing of the others."""
-    beliefs = Beliefs(graph, "many")
+    beliefs = WorldModel(graph, "many")
     shown = {}
 
     def ask(number):
@@ -286,7 +286,7 @@ def test_a_solving_that_takes_too_long_is_an_error_of_its_question_alone(world, 
 
     def run():
         chat = Voices({"Who waits?": [plan, *in_turns(calls)], "Who is planless?": ["no plan"]})
-        agent = ReferenceAgent(chat, world=Beliefs(graph, "late"))
+        agent = ReferenceAgent(chat, world=WorldModel(graph, "late"))
         with journals.Journal(place) as journal:
             answering.answer_all(agent, questions, {SEQUENCE: world.info}, world.observe, world.panorama, journal, 2)
             return [journal.finished[question.question_id].prediction for question in questions]

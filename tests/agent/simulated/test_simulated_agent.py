@@ -6,7 +6,7 @@ import msgspec
 import pytest
 from painted_world import Actor, World, still
 
-from jrdb_avr.agent.beliefs.world_model import World as Beliefs
+from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.messages import wire
 from jrdb_avr.agent.model.reply import read_completion
 from jrdb_avr.agent.reference.method import ReferenceAgent
@@ -48,7 +48,7 @@ class Chat:
 @pytest.fixture(scope="module")
 def beliefs():
     with WorldGraph.memory() as graph:
-        yield Beliefs(graph, "painted")
+        yield WorldModel(graph, "painted")
 
 
 class Player:

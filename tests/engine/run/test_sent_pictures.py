@@ -10,7 +10,7 @@ import pytest
 from painted_world import SEQUENCE, World, still
 from reference_play import CHOICES, PLAN, Scripted, look, turn
 
-from jrdb_avr.agent.beliefs.world_model import World as Beliefs
+from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.conventions import CONTRACT
 from jrdb_avr.agent.model.messages import wire
 from jrdb_avr.engine.run.methods import METHODS, WORLD_METHODS, make_method
@@ -80,7 +80,7 @@ CROPS = {"search-recognize": 1, "react": 1, "agent": 2, "agent-no-world": 2}
 def test_what_a_method_sends(world, name):
     chat = Scripted([*SCRIPTS.get(name, []), "nothing more"])
     with WorldGraph.memory() as graph:
-        method = make_method(name, chat, CONTRACT, Beliefs(graph, "run") if name in WORLD_METHODS else None)
+        method = make_method(name, chat, CONTRACT, WorldModel(graph, "run") if name in WORLD_METHODS else None)
         method.answer(world.task("What does the person do?", "multiple_choice", CHOICES))
     files = [path.read_bytes() for path in (world.root / SEQUENCE).glob("*.jpg")]
     crops, panoramas = set(), set()
