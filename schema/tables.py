@@ -227,182 +227,161 @@ def _schemas(prefix: str, tables: dict[str, tuple[str, str]]) -> dict[str, pa.Sc
     return {table: _schema(prefix + table, columns) for table, (_, columns) in tables.items()}
 
 
-ANNOTATIONS: Final = _schemas(
-    "annotations_",
-    {
-        # One row per (layer, frame) that the layer knows, also where it says "nobody here".
-        "frames": (
-            "Frames that each layer annotates, also those with nobody.",
-            "sequence layer frame records",
-        ),
-        # has_attributes: the record came with an `attributes` object. has_actions: with a usable action list.
-        "boxes_2d": (
-            "Boxes of people in the stitched panorama, with their attributes.",
-            "sequence frame track x y w h has_attributes occlusion? truncated? interpolated? no_eval? has_actions "
-            "file_id?",
-        ),
-        # difficulty null: a label with an unreadable code; it makes the action unknown, as a 3 does.
-        "actions": ("Action labels of people.", "sequence frame track action raw difficulty?"),
-        "groups": ("Group of each person.", "sequence frame track cluster difficulty?"),
-        "social_activities": ("Shared activities of a person, as written.", "sequence frame track activity value?"),
-        "boxes_3d": (
-            "Boxes of people in the robot frame (x forward, y left, z up), metres.",
-            "sequence frame track cx cy cz l w h rot_z distance? num_points? interpolated? no_eval?",
-        ),
-        # One row per label. attribute: gender, age or ethnicity. value null: annotators could not tell.
-        "demographics": (
-            "Gender, age and ethnicity labels, one row per label.",
-            "sequence frame track attribute value? raw difficulty?",
-        ),
-        # One row per (person, partner, label) as written, so mostly both directions.
-        "interactions": (
-            "Interaction labels of a person with a partner, mostly in both directions.",
-            "sequence frame track partner label raw difficulty?",
-        ),
-        # attribute: venue, aim, bpc (what the body is on), ssc (salient surroundings), location or inter.
-        "group_info": (
-            "Attributes of a group in a member's record.",
-            "sequence frame track attribute value? raw difficulty?",
-        ),
-        # (object, category_id) is the thing in `panoptic`; the name of the category is in `categories`.
-        "handles": (
-            "What a person does with a thing.",
-            "sequence frame track object category_id verb raw difficulty?",
-        ),
-        # A person whose whole list of `layer` (interactions or handles) could be read: what it does not hold is false.
-        "listed": (
-            "People whose whole list of a layer could be read: what it does not hold is false.",
-            "sequence layer frame track",
-        ),
-        # keypoints: 17 times x, y in stitched pixels and visibility (0 not visible, 1 occluded, 2 visible).
-        "poses": ("Key points of people.", "sequence frame track keypoints"),
-        # object null: stuff (walls, sky) has no tracks. segmentation: the run-length code as written.
-        "panoptic": (
-            "Segments of things and stuff, with run-length codes.",
-            "sequence frame object? category_id x? y? w? h? area? segmentation?",
-        ),
-        # Category numbers are the file's own. category null: a name outside the vocabulary.
-        "categories": ("Names of the panoptic layer's category numbers.", "sequence category_id category? raw"),
-        # sensor: images or clouds. timestamp: seconds since the epoch.
-        "timestamps": ("When each sensor took each frame.", "sequence sensor frame timestamp"),
-        # Pinhole intrinsics of the cameras that the panorama is stitched from, pixels.
-        "calibration": ("Intrinsics of the cameras behind the panorama.", "sequence sensor width? height? fx fy cx cy"),
-    },
-)
+_ANNOTATIONS: Final = {
+    # One row per (layer, frame) that the layer knows, also where it says "nobody here".
+    "frames": ("Frames that each layer annotates, also those with nobody.", "sequence layer frame records"),
+    # has_attributes: the record came with an `attributes` object. has_actions: with a usable action list.
+    "boxes_2d": (
+        "Boxes of people in the stitched panorama, with their attributes.",
+        "sequence frame track x y w h has_attributes occlusion? truncated? interpolated? no_eval? has_actions file_id?",
+    ),
+    # difficulty null: a label with an unreadable code; it makes the action unknown, as a 3 does.
+    "actions": ("Action labels of people.", "sequence frame track action raw difficulty?"),
+    "groups": ("Group of each person.", "sequence frame track cluster difficulty?"),
+    "social_activities": ("Shared activities of a person, as written.", "sequence frame track activity value?"),
+    "boxes_3d": (
+        "Boxes of people in the robot frame (x forward, y left, z up), metres.",
+        "sequence frame track cx cy cz l w h rot_z distance? num_points? interpolated? no_eval?",
+    ),
+    # One row per label. attribute: gender, age or ethnicity. value null: annotators could not tell.
+    "demographics": (
+        "Gender, age and ethnicity labels, one row per label.",
+        "sequence frame track attribute value? raw difficulty?",
+    ),
+    # One row per (person, partner, label) as written, so mostly both directions.
+    "interactions": (
+        "Interaction labels of a person with a partner, mostly in both directions.",
+        "sequence frame track partner label raw difficulty?",
+    ),
+    # attribute: venue, aim, bpc (what the body is on), ssc (salient surroundings), location or inter.
+    "group_info": (
+        "Attributes of a group in a member's record.",
+        "sequence frame track attribute value? raw difficulty?",
+    ),
+    # (object, category_id) is the thing in `panoptic`; the name of the category is in `categories`.
+    "handles": ("What a person does with a thing.", "sequence frame track object category_id verb raw difficulty?"),
+    # A person whose whole list of `layer` (interactions or handles) could be read: what it does not hold is false.
+    "listed": (
+        "People whose whole list of a layer could be read: what it does not hold is false.",
+        "sequence layer frame track",
+    ),
+    # keypoints: 17 times x, y in stitched pixels and visibility (0 not visible, 1 occluded, 2 visible).
+    "poses": ("Key points of people.", "sequence frame track keypoints"),
+    # object null: stuff (walls, sky) has no tracks. segmentation: the run-length code as written.
+    "panoptic": (
+        "Segments of things and stuff, with run-length codes.",
+        "sequence frame object? category_id x? y? w? h? area? segmentation?",
+    ),
+    # Category numbers are the file's own. category null: a name outside the vocabulary.
+    "categories": ("Names of the panoptic layer's category numbers.", "sequence category_id category? raw"),
+    # sensor: images or clouds. timestamp: seconds since the epoch.
+    "timestamps": ("When each sensor took each frame.", "sequence sensor frame timestamp"),
+    # Pinhole intrinsics of the cameras that the panorama is stitched from, pixels.
+    "calibration": ("Intrinsics of the cameras behind the panorama.", "sequence sensor width? height? fx fy cx cy"),
+}
+ANNOTATIONS: Final = _schemas("annotations_", _ANNOTATIONS)
 
-INTERVALS: Final = _schemas(
-    "intervals_",
-    {
-        # One row. keyframes: int32 list; layers: which of LAYERS the sequence has; action_step: 1 or 15.
-        "sequence": ("One row per sequence.", "sequence fps frame_count layers action_step keyframes has_attributes"),
-        # seconds: from the timestamps where there are any, counted from frame 0; else frame / fps.
-        # annotated: the 2D layer knows the frame (its boxes are all the people there are).
-        "frames": ("Every frame that some layer annotates.", "sequence frame seconds keyframe annotated image"),
-        "persons": (
-            "Every person, with the attributes that most frames agree on.",
-            "sequence track gender? age? ethnicity? first_frame last_frame",
-        ),
-        # How many frames say what of a person; chosen: the value that more than half of them say.
-        "demographics": (
-            "Votes of frames for each attribute of a person.",
-            "sequence track attribute value votes chosen",
-        ),
-        # One row per 2D box.
-        # clear: the clear view of the rules. located: 3D box with lidar points at this frame.
-        # listed: the person has an action list, so an action not performed is false. pose: the one certain pose.
-        # face_visible: head or an eye is marked visible; null where the person has no pose at this frame.
-        # interactions_listed, handles_listed: the list was read, so what it does not hold is false.
-        # group_size: null when unknown. sector/distance_word: the word; *_other: the second possible word near an
-        # edge, null when the first is certain. A null distance_word: the distance is unknown.
-        "sightings": (
-            "One row per 2D box: direction, distance, visibility, pose and group at that frame.",
-            "sequence frame track x y w h angle occlusion? no_eval clear face_visible? listed interactions_listed "
-            "handles_listed pose? cluster? group_size? sector sector_other? located distance? distance_word? "
-            "distance_word_other? cx? cy? cz? heading?",
-        ),
-        # certain = false: hard or unreadable label, one of two poses, or (gap = true) a closed gap.
-        "actions": (
-            "Actions of people, from frame to frame.",
-            "sequence track action first last first_s last_s difficulty? certain gap",
-        ),
-        "memberships": (
-            "Groups of people, from frame to frame.",
-            "sequence track cluster first last first_s last_s certain gap",
-        ),
-        # Both directions of every fact. certain = false: hard or unreadable label, or (gap = true) a closed gap.
-        "interactions": (
-            "Interactions of two people, from frame to frame, in both directions.",
-            "sequence source target label first last first_s last_s certain gap",
-        ),
-        "handles": (
-            "What people do with things, from frame to frame.",
-            "sequence track object category_id verb first last first_s last_s certain gap",
-        ),
-        # Things with a track, people left out. category null: unknown, or the panoptic layer does not hold the thing.
-        "objects": (
-            "Things with a track, people left out.",
-            "sequence object category_id category? first_frame? last_frame?",
-        ),
-        # What members' records say of their group; chosen: what more than half of those that tell the attribute say.
-        "group_info": (
-            "Votes of members' records for each attribute of their group.",
-            "sequence cluster attribute value votes chosen",
-        ),
-        # source -> target: where the target is, seen from the source. Person frame: label '<sector>, <distance word>'.
-        # Robot view: one-keyframe rows of FIRST_LEFT and FIRST_RIGHT; an uncertain one may have several targets.
-        "beside": (
-            "Where the target is, seen from the source.",
-            "sequence source target label first last first_s last_s certain",
-        ),
-        # Stable segments: [first, last]; start and end as questions expect them: half a step wider at 1 Hz.
-        # quiet_from: the earliest frame from which on the action is false at every annotated frame before the segment.
-        # closed: the action is false, and the person present, for a second after the end.
-        "segments": (
-            "Stable segments of actions, which questions about starts and spans use.",
-            "sequence track action first last start end quiet_from closed",
-        ),
-    },
-)
+_INTERVALS: Final = {
+    # One row. keyframes: int32 list; layers: which of LAYERS the sequence has; action_step: 1 or 15.
+    "sequence": ("One row per sequence.", "sequence fps frame_count layers action_step keyframes has_attributes"),
+    # seconds: from the timestamps where there are any, counted from frame 0; else frame / fps.
+    # annotated: the 2D layer knows the frame (its boxes are all the people there are).
+    "frames": ("Every frame that some layer annotates.", "sequence frame seconds keyframe annotated image"),
+    "persons": (
+        "Every person, with the attributes that most frames agree on.",
+        "sequence track gender? age? ethnicity? first_frame last_frame",
+    ),
+    # How many frames say what of a person; chosen: the value that more than half of them say.
+    "demographics": ("Votes of frames for each attribute of a person.", "sequence track attribute value votes chosen"),
+    # One row per 2D box.
+    # clear: the clear view of the rules. located: 3D box with lidar points at this frame.
+    # listed: the person has an action list, so an action not performed is false. pose: the one certain pose.
+    # face_visible: head or an eye is marked visible; null where the person has no pose at this frame.
+    # interactions_listed, handles_listed: the list was read, so what it does not hold is false.
+    # group_size: null when unknown. sector/distance_word: the word; *_other: the second possible word near an
+    # edge, null when the first is certain. A null distance_word: the distance is unknown.
+    "sightings": (
+        "One row per 2D box: direction, distance, visibility, pose and group at that frame.",
+        "sequence frame track x y w h angle occlusion? no_eval clear face_visible? listed interactions_listed "
+        "handles_listed pose? cluster? group_size? sector sector_other? located distance? distance_word? "
+        "distance_word_other? cx? cy? cz? heading?",
+    ),
+    # certain = false: hard or unreadable label, one of two poses, or (gap = true) a closed gap.
+    "actions": (
+        "Actions of people, from frame to frame.",
+        "sequence track action first last first_s last_s difficulty? certain gap",
+    ),
+    "memberships": (
+        "Groups of people, from frame to frame.",
+        "sequence track cluster first last first_s last_s certain gap",
+    ),
+    # Both directions of every fact. certain = false: hard or unreadable label, or (gap = true) a closed gap.
+    "interactions": (
+        "Interactions of two people, from frame to frame, in both directions.",
+        "sequence source target label first last first_s last_s certain gap",
+    ),
+    "handles": (
+        "What people do with things, from frame to frame.",
+        "sequence track object category_id verb first last first_s last_s certain gap",
+    ),
+    # Things with a track, people left out. category null: unknown, or the panoptic layer does not hold the thing.
+    "objects": (
+        "Things with a track, people left out.",
+        "sequence object category_id category? first_frame? last_frame?",
+    ),
+    # What members' records say of their group; chosen: what more than half of those that tell the attribute say.
+    "group_info": (
+        "Votes of members' records for each attribute of their group.",
+        "sequence cluster attribute value votes chosen",
+    ),
+    # source -> target: where the target is, seen from the source. Person frame: label '<sector>, <distance word>'.
+    # Robot view: one-keyframe rows of FIRST_LEFT and FIRST_RIGHT; an uncertain one may have several targets.
+    "beside": (
+        "Where the target is, seen from the source.",
+        "sequence source target label first last first_s last_s certain",
+    ),
+    # Stable segments: [first, last]; start and end as questions expect them: half a step wider at 1 Hz.
+    # quiet_from: the earliest frame from which on the action is false at every annotated frame before the segment.
+    # closed: the action is false, and the person present, for a second after the end.
+    "segments": (
+        "Stable segments of actions, which questions about starts and spans use.",
+        "sequence track action first last start end quiet_from closed",
+    ),
+}
+INTERVALS: Final = _schemas("intervals_", _INTERVALS)
 
-QUESTIONS: Final = _schemas(
-    "",
-    {
-        "questions": ("The public questions.", "question_id sequence family template question choices answer_mode"),
-        "sequences": ("Frames of each sequence that can be observed.", "sequence fps frame_count frames"),
-        "answers": (
-            "Answer, target, plan and proofs of each question.",
-            "question_id answer target_track plan proofs distractors rules hops time_gap_s separation_deg "
-            "people_in_scene bindings needed",
-        ),
-        "evidence": ("Every box of each question's target.", "question_id frame x y w h"),
-        # kind "count": candidates that a rule refuses, per sequence and template; kind "example": one of them.
-        "rejected": (
-            "Refused candidates: counts by rule, and examples.",
-            "kind sequence family template rule candidates target_track? plan? detail?",
-        ),
-        "reviews": ("Decisions of reviewers about questions.", "question_id reviewer decision reason"),
-    },
-)
+_QUESTIONS: Final = {
+    "questions": ("The public questions.", "question_id sequence family template question choices answer_mode"),
+    "sequences": ("Frames of each sequence that can be observed.", "sequence fps frame_count frames"),
+    "answers": (
+        "Answer, target, plan and proofs of each question.",
+        "question_id answer target_track plan proofs distractors rules hops time_gap_s separation_deg "
+        "people_in_scene bindings needed",
+    ),
+    "evidence": ("Every box of each question's target.", "question_id frame x y w h"),
+    # kind "count": candidates that a rule refuses, per sequence and template; kind "example": one of them.
+    "rejected": (
+        "Refused candidates: counts by rule, and examples.",
+        "kind sequence family template rule candidates target_track? plan? detail?",
+    ),
+    "reviews": ("Decisions of reviewers about questions.", "question_id reviewer decision reason"),
+}
+QUESTIONS: Final = _schemas("", _QUESTIONS)
 
-RUNS: Final = _schemas(
-    "",
-    {
-        "predictions": (
-            "Answers of each run.",
-            "run_id question_id status answer? evidence_frame? evidence_x? evidence_y? evidence_w? evidence_h? raw "
-            "reason n_observations n_model_calls prompt_tokens completion_tokens seconds",
-        ),
-        "steps": (
-            "Every model turn and observation of each run.",
-            "run_id question_id step kind request response seconds",
-        ),
-        "world": (
-            "Every write of an agent into its world model, accepted or refused, in order.",
-            "run_id question_id number step tool arguments accepted reason fact",
-        ),
-        "scores": ("Scores of each run.", "run_id question_id answer_score evidence_score combined_score invalid"),
-    },
-)
+_RUNS: Final = {
+    "predictions": (
+        "Answers of each run.",
+        "run_id question_id status answer? evidence_frame? evidence_x? evidence_y? evidence_w? evidence_h? raw "
+        "reason n_observations n_model_calls prompt_tokens completion_tokens seconds",
+    ),
+    "steps": ("Every model turn and observation of each run.", "run_id question_id step kind request response seconds"),
+    "world": (
+        "Every write of an agent into its world model, accepted or refused, in order.",
+        "run_id question_id number step tool arguments accepted reason fact",
+    ),
+    "scores": ("Scores of each run.", "run_id question_id answer_score evidence_score combined_score invalid"),
+}
+RUNS: Final = _schemas("", _RUNS)
 
 CANDIDATES: Final = _schema("candidates", "sequence family template target_track plan answer")
 """`generate --candidates FILE`; a choice answer as its text, any other as its stored JSON."""

@@ -1,9 +1,9 @@
-"""The words of the questions: one template table, and its exact inverse.
+"""The words of the questions, and their exact inverse.
 
 `render` writes a plan as plain English, `parse` reads such a text back: `canonical(parse(render(t, p, key))[1])` is
-`canonical(p)`. Both work from the same table (`templates`, whose rows are explained in `rows`), so a new template is a
-new row there. The phrases in its places are tables too: actions, interactions and things handled (`phrases`,
-`things`), people (`people`) and relations between two of them (`relations`).
+`canonical(p)`. Both work from the rows of `schema.templates`. The phrases
+in their slots are tables too: of actions, interactions and things (`schema.labels`, `schema.things`), of people
+(`people`) and of relations between two people (`relations`).
 """
 
 from jrdb_avr.schema.wording.people import describe, in_order, read_description
