@@ -1,9 +1,8 @@
-"""One question being answered by a model: its calls and looks, what they cost, and how its last reply is judged.
+"""One attempt at a question, which all methods share: model calls, looks, their cost, and reading the last reply.
 
-What every method shares. Each call, each look and the reading of the final reply is a step of the transcript; tokens
-and looks are counted where they happen; the prediction is made of these counts.
-
-Whole panoramas as a method's fixed context: which frames, the pictures, and the lines that announce them.
+Each call, each look and the reading of the final reply is a step of the transcript. The attempt counts tokens and looks
+where they happen and makes the prediction of these counts. Methods that cannot choose where to look get a fixed context
+of whole panoramas.
 """
 
 from __future__ import annotations
@@ -11,13 +10,13 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple
 
 import msgspec
 
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.client import Chat
-from jrdb_avr.agent.model.conventions import Convention
+from jrdb_avr.agent.model.conventions import CONTRACT, Convention
 from jrdb_avr.agent.model.messages import Message, Part, Picture, crop_metadata, transcript
 from jrdb_avr.agent.model.prompts import choice_lines, render
 from jrdb_avr.agent.model.reply import Reply
@@ -27,10 +26,10 @@ from jrdb_avr.schema.method import Observation, Panorama, Prediction, Question, 
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, angle_error, from_crop
 
 PANORAMAS: Final = 8
-"""Panoramas shown by the methods that cannot choose where to look."""
+"""Panoramas in the context of the methods that cannot choose where to look."""
 
 UNIFORM: Final = "evenly spaced by position among the legal ones, first and last included"
-"""What `uniform_frames` does, in the words of a run's manifest."""
+"""What `uniform_frames` selects, in the words of a run's manifest."""
 
 
 def uniform_frames(frames: Sequence[int], n: int = PANORAMAS) -> tuple[int, ...]:
@@ -60,7 +59,7 @@ def panorama_picture(panorama: Panorama) -> Picture:
 
 
 def panorama_metadata(panorama: Panorama) -> dict[str, Any]:
-    """What a model is told of a panorama: frame id, and seconds from frame 0."""
+    """The metadata of a panorama that a model gets: frame id, and seconds from frame 0."""
     return {"frame_id": panorama.frame_id, "timestamp": round(panorama.timestamp, 3)}
 
 
@@ -84,19 +83,19 @@ def frame_list(panoramas: Sequence[Panorama]) -> str:
 
 
 def fixed_settings(n: int) -> dict[str, Any]:
-    """What a run's manifest says of a fixed context of `n` panoramas."""
+    """The settings of a fixed context of `n` panoramas in a run's manifest."""
     return {"panoramas": n, "frames": UNIFORM}
 
 
 IMAGE_SIZES: Final = {"panorama": [WIDTH, HEIGHT], "crop": [CROP, CROP]}
-"""Width and height in pixels of the pictures that a model is sent."""
+"""Width and height in pixels of the pictures that a model gets."""
 
 DUPLICATE_DEG: Final = 1.0
 """A look this near an earlier one of the same frame, or nearer, is refused."""
 
 
 def duplicate(made: Iterable[tuple[int, float]], frame: int, angle: float) -> str:
-    """Why a look would repeat one of those made, given as frame and angle; "" where it would not."""
+    """Why a look would repeat one of those made, each a frame and an angle; "" where it would not."""
     for other, seen in made:
         if other == frame and float(angle_error(seen, angle)) <= DUPLICATE_DEG + TIE:
             return f"within {DUPLICATE_DEG:g} degree of the earlier look at angle {seen:g}"
@@ -123,7 +122,7 @@ def final_parts(question: Question) -> dict[str, Any]:
 
 
 def panorama_messages(task: Task, parts: Sequence[Part]) -> list[Message]:
-    """A stage of a method that is shown panoramas: the system text they share, the heading, and the stage's parts.
+    """The messages of a call with panoramas: the shared system text, the heading, and the parts of the stage.
 
     The stage's own instructions stand last, so that a server can keep its work on a common beginning.
     """
@@ -132,16 +131,28 @@ def panorama_messages(task: Task, parts: Sequence[Part]) -> list[Message]:
 
 
 def shared_settings(convention: Convention) -> dict[str, Any]:
-    """What a run's manifest says of every method."""
+    """The settings that every method has in a run's manifest."""
     return {"convention": convention.settings(), "image_sizes": IMAGE_SIZES}
 
 
-FINAL: Final = ("answer", "evidence_bboxes")
-"""The keys of a reply that answers."""
+@dataclass(frozen=True)
+class FixedContextMethod:
+    """A method that answers from `n` evenly spaced panoramas; `stages` are the settings of its own calls."""
+
+    name: ClassVar[str]
+    stages: ClassVar[Mapping[str, int]]
+
+    chat: Chat
+    convention: Convention = CONTRACT
+    n: int = PANORAMAS
+
+    def settings(self) -> dict[str, Any]:
+        """The method's settings in a run's manifest."""
+        return {**fixed_settings(self.n), **self.stages, **shared_settings(self.convention)}
 
 
-class Ground(NamedTuple):
-    """The pictures that a box may lie in: their frames, size in pixels, and left column in the panorama."""
+class ImageFrame(NamedTuple):
+    """The pictures that a box may refer to: their frames, size in pixels, and left column in the panorama."""
 
     frames: frozenset[int]
     width: int
@@ -149,23 +160,23 @@ class Ground(NamedTuple):
     left: int
 
 
-def on_panoramas(panoramas: Sequence[Panorama]) -> Ground:
+def on_panoramas(panoramas: Sequence[Panorama]) -> ImageFrame:
     """A box lies in one of these panoramas."""
-    return Ground(frozenset(panorama.frame_index for panorama in panoramas), WIDTH, HEIGHT, 0)
+    return ImageFrame(frozenset(panorama.frame_index for panorama in panoramas), WIDTH, HEIGHT, 0)
 
 
-def on_crop(observation: Observation) -> Ground:
+def on_crop(observation: Observation) -> ImageFrame:
     """A box lies in this crop."""
-    return Ground(frozenset((observation.frame_index,)), CROP, CROP, observation.left)
+    return ImageFrame(frozenset((observation.frame_index,)), CROP, CROP, observation.left)
 
 
-def _told(ground: Ground) -> dict[str, Any]:
-    return {"frames": sorted(ground.frames), "width": ground.width, "height": ground.height, "left": ground.left}
+def _image_facts(image: ImageFrame) -> dict[str, Any]:
+    return {"frames": sorted(image.frames), "width": image.width, "height": image.height, "left": image.left}
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What a final reply holds, answer and evidence judged apart; `faults` say what could not be read."""
+class ParsedReply:
+    """A parsed final reply: answer and evidence, read independently; `faults` are the reasons why one was not read."""
 
     answer: Answer | None = None
     evidence: Evidence | None = None
@@ -206,36 +217,36 @@ class Attempt:
     def look(self, frame: int, angle: float) -> Observation:
         """A crop, counted as a look. Raises ObserveError."""
         started = time.perf_counter()
-        asked = self._asked_for(frame, angle)
-        observation = self.task.observe(**asked)
+        request = self._request_of(frame, angle)
+        observation = self.task.observe(**request)
         self.looks += 1
-        self.record("observe", asked, crop_metadata(observation), started)
+        self.record("observe", request, crop_metadata(observation), started)
         return observation
 
     def refuse_look(self, frame: int, angle: float, reason: str) -> None:
-        """A look that is not made, in the transcript."""
-        self.record("observe", self._asked_for(frame, angle), {"refused": reason}, time.perf_counter())
+        """Record in the transcript a look that is not made."""
+        self.record("observe", self._request_of(frame, angle), {"refused": reason}, time.perf_counter())
 
-    def _asked_for(self, frame: int, angle: float) -> dict[str, Any]:
+    def _request_of(self, frame: int, angle: float) -> dict[str, Any]:
         return {"sequence": self.task.question.sequence, "frame_index": frame, "angle_deg": angle}
 
     def panoramas(self, n: int) -> tuple[Panorama, ...]:
         """The `n` panoramas of a fixed context, each counted as a look. Raises ObserveError."""
         sequence = self.task.question.sequence
         if not self.task.sequence.frames:
-            raise ObserveError(f"{sequence} has no panoramas to show: load a root that has its images")
-        shown = []
+            raise ObserveError(f"{sequence} has no panoramas: load a root that has its images")
+        panoramas = []
         for frame in uniform_frames(self.task.sequence.frames, n):
-            asked: dict[str, Any] = {"sequence": sequence, "frame_index": frame}
+            request: dict[str, Any] = {"sequence": sequence, "frame_index": frame}
             started = time.perf_counter()
-            panorama = self.task.panorama(**asked)
+            panorama = self.task.panorama(**request)
             self.looks += 1
-            self.record("observe", asked, panorama_metadata(panorama), started)
-            shown.append(panorama)
-        return tuple(shown)
+            self.record("observe", request, panorama_metadata(panorama), started)
+            panoramas.append(panorama)
+        return tuple(panoramas)
 
     def record(self, kind: StepKind, request: object, response: object, started: float) -> None:
-        """Append a step to the transcript; `started` is what `time.perf_counter` said before it."""
+        """Append a step to the transcript; `started` is the `time.perf_counter` before it."""
         self.task.record(
             Step(
                 kind=kind,
@@ -253,54 +264,55 @@ class Attempt:
         question = self.task.question
         return decode.read_answer(value, question.answer_mode, len(question.choices), self.task.sequence.frame_count)
 
-    def read_evidence(self, value: object, ground: Ground) -> Evidence:
+    def read_evidence(self, value: object, image: ImageFrame) -> Evidence:
         """The `evidence_bboxes` part of a reply that is not final. Raises DecodeError."""
         started = time.perf_counter()
-        evidence, told = self._place(value, ground)
-        self.record("solve", _told(ground), told, started)
+        evidence, facts = self._place(value, image)
+        self.record("solve", _image_facts(image), facts, started)
         return evidence
 
-    def judge(self, reply: Mapping[str, Any], ground: Ground) -> Verdict:
+    def parse_final(self, reply: Mapping[str, Any], image: ImageFrame) -> ParsedReply:
         """The two parts of a final reply, `answer` and `evidence_bboxes`, each of which may stand without the other.
 
         Raises DecodeError for other keys: then nothing of the reply is the contract's.
         """
-        parts = decode.only_keys({"answer": None, "evidence_bboxes": None, **reply}, FINAL, "the reply")
+        unread = {"answer": None, "evidence_bboxes": None}
+        parts = decode.only_keys({**unread, **reply}, unread, "the reply")
         started = time.perf_counter()
-        told: dict[str, Any] = {"answer": None}
+        facts: dict[str, Any] = {"answer": None}
         faults = []
         answer: Answer | None = None
         evidence: Evidence | None = None
         try:
             answer = self.read_answer(parts["answer"])
-            told["answer"] = msgspec.Raw(encode_answer(answer).encode())
+            facts["answer"] = msgspec.Raw(encode_answer(answer).encode())
         except DecodeError as error:
             faults.append(str(error))
         try:
-            evidence, place = self._place(parts["evidence_bboxes"], ground)
-            told |= place
+            evidence, place = self._place(parts["evidence_bboxes"], image)
+            facts |= place
         except DecodeError as error:
             faults.append(str(error))
-        self.record("solve", _told(ground), told | {"faults": faults}, started)
-        return Verdict(answer, evidence, tuple(faults))
+        self.record("solve", _image_facts(image), facts | {"faults": faults}, started)
+        return ParsedReply(answer, evidence, tuple(faults))
 
-    def _place(self, value: object, ground: Ground) -> tuple[Evidence, dict[str, Any]]:
-        """The one box in stitched pixels, x in [0, 3760), and what the transcript says of it."""
-        seen = decode.read_evidence(value, ground.frames, ground.width, ground.height, self.convention)
-        x, y, w, h = from_crop(seen.box, ground.left)
+    def _place(self, value: object, image: ImageFrame) -> tuple[Evidence, dict[str, Any]]:
+        """The one box in stitched pixels, x in [0, 3760), and its record in the transcript."""
+        seen = decode.read_evidence(value, image.frames, image.width, image.height, self.convention)
+        x, y, w, h = from_crop(seen.box, image.left)
         evidence = Evidence(seen.frame, (x % WIDTH, y, w, h))
         return evidence, {"image_box": seen.box, "stitched_box": evidence.box, "box_key": seen.key}
 
     # -- the end ------------------------------------------------------------------------------------------------------
 
-    def ended(self, verdict: Verdict) -> Prediction:
+    def prediction(self, parsed: ParsedReply) -> Prediction:
         """The prediction: invalid where anything could not be read, and what could be read still counts."""
         return Prediction(
-            status="invalid" if verdict.faults else "answered",
-            answer=verdict.answer,
-            evidence=verdict.evidence,
+            status="invalid" if parsed.faults else "answered",
+            answer=parsed.answer,
+            evidence=parsed.evidence,
             raw=self.raw,
-            reason="; ".join(verdict.faults),
+            reason="; ".join(parsed.faults),
             n_observations=self.looks,
             n_model_calls=self.calls,
             prompt_tokens=self.prompt_tokens,
@@ -309,4 +321,4 @@ class Attempt:
 
     def invalid(self, reason: str) -> Prediction:
         """The question ended with nothing to score."""
-        return self.ended(Verdict(faults=(reason,)))
+        return self.prediction(ParsedReply(faults=(reason,)))

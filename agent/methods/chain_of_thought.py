@@ -1,22 +1,12 @@
-"""Chain of thought: one call that writes down facts of evenly spaced panoramas, and one that answers with them."""
+"""Chain of thought: one call that lists facts of evenly spaced panoramas, and one that answers with them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
-from jrdb_avr.agent.methods.attempt import (
-    PANORAMAS,
-    Attempt,
-    fixed_settings,
-    panorama_messages,
-    panorama_parts,
-    shared_settings,
-)
+from jrdb_avr.agent.methods.attempt import Attempt, FixedContextMethod, panorama_messages, panorama_parts
 from jrdb_avr.agent.methods.monolithic import answer_from
 from jrdb_avr.agent.model import decode
-from jrdb_avr.agent.model.client import Chat
-from jrdb_avr.agent.model.conventions import CONTRACT, Convention
 from jrdb_avr.agent.model.prompts import render
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Prediction, Task
@@ -25,7 +15,7 @@ MOST_FACTS: Final = 20
 LONGEST_FACT: Final = 300
 """Characters. Together some 1,500 tokens: a legal list is not cut off at the client's limit."""
 
-SCHEMA: Final = decode.closed_object(
+_FACTS_SCHEMA: Final = decode.closed_object(
     {
         "reasoning": {
             "type": "array",
@@ -37,27 +27,11 @@ SCHEMA: Final = decode.closed_object(
 )
 
 
-@dataclass(frozen=True)
-class ChainOfThought:
+class ChainOfThought(FixedContextMethod):
     """The method `chain-of-thought` with `n` panoramas, the same ones for both calls."""
 
-    chat: Chat
-    convention: Convention = CONTRACT
-    n: int = PANORAMAS
-
-    @property
-    def name(self) -> str:
-        return "chain-of-thought"
-
-    def settings(self) -> dict[str, Any]:
-        """What the manifest of a run says of the method."""
-        return {
-            **fixed_settings(self.n),
-            "calls": 2,
-            "most_facts": MOST_FACTS,
-            "longest_fact": LONGEST_FACT,
-            **shared_settings(self.convention),
-        }
+    name = "chain-of-thought"
+    stages: ClassVar = {"calls": 2, "most_facts": MOST_FACTS, "longest_fact": LONGEST_FACT}
 
     def answer(self, task: Task) -> Prediction:
         """Two calls; where the facts cannot be read the second is not made, and the question is invalid."""
@@ -66,7 +40,7 @@ class ChainOfThought:
         stage = render("chain_of_thought_facts", most=MOST_FACTS, longest=LONGEST_FACT)
         messages = panorama_messages(task, (*panorama_parts(panoramas), stage))
         try:
-            facts = read_facts(attempt.ask_object(messages, SCHEMA))
+            facts = read_facts(attempt.ask_object(messages, _FACTS_SCHEMA))
         except DecodeError as error:
             return attempt.invalid(f"facts: {error}")
         lines = "\n".join(f"Fact {number}: {fact}" for number, fact in enumerate(facts, 1))

@@ -1,7 +1,7 @@
 """ReAct: look, think, look again, answer; the whole history travels with every turn.
 
 The loop is the benchmark's: the first turn must look; a look within 1 degree of an earlier one of the same frame is
-refused and told why; a malformed turn is shown its error once and the second one ends the question as invalid; the
+refused with the reason; a malformed turn gets its error once and the second one ends the question as invalid; the
 evidence is a box in the newest crop. Every crop made so far is sent again with its metadata, so a turn needs nothing
 but its own request: servers may be stateless, and a finished call can be replayed from its request alone.
 """
@@ -15,7 +15,7 @@ from typing import Any, Final
 from jrdb_avr.agent.methods.attempt import (
     DUPLICATE_DEG,
     Attempt,
-    Verdict,
+    ParsedReply,
     duplicate,
     final_parts,
     heading,
@@ -50,7 +50,7 @@ class ReAct:
         return 2 * self.budget + 2
 
     def settings(self) -> dict[str, Any]:
-        """What the manifest of a run says of the method."""
+        """The method's settings in a run's manifest."""
         return {
             "budget": self.budget,
             "most_calls": self.most_calls,
@@ -68,21 +68,13 @@ class ReAct:
         return episode.attempt.invalid(f"no answer within {self.most_calls} turns")
 
 
-@dataclass(frozen=True)
-class _Look:
-    """An observation with its picture as sent."""
-
-    observation: Observation
-    picture: Picture
-
-
 @dataclass
 class _Episode:
     """One question being played."""
 
     task: Task
     method: ReAct
-    looks: list[_Look] = field(default_factory=list)
+    looks: list[tuple[Observation, Picture]] = field(default_factory=list)
     steps: list[str] = field(default_factory=list)
     error: str = ""
     strikes: int = 0
@@ -101,10 +93,7 @@ class _Episode:
             calls=self.method.most_calls,
         )
         self.heading = render(
-            "react_task",
-            heading=heading(question),
-            frames=frame_ranges(sequence.frames),
-            advice=text.advice,
+            "react_task", heading=heading(question), frames=frame_ranges(sequence.frames), advice=text.advice
         )
         self.schema = turn_schema(question)
 
@@ -125,14 +114,14 @@ class _Episode:
                 case _:
                     raise DecodeError('"action" must be "observe" or "answer"')
         except DecodeError as error:
-            return self._strike(Verdict(faults=(str(error),)))
+            return self._strike(ParsedReply(faults=(str(error),)))
 
-    def _strike(self, verdict: Verdict) -> Prediction | None:
+    def _strike(self, parsed: ParsedReply) -> Prediction | None:
         """Show a malformed turn its error, or end the question at the second one."""
         self.strikes += 1
         if self.strikes > 1:
-            return self.attempt.ended(verdict)
-        self.error = "; ".join(verdict.faults)
+            return self.attempt.prediction(parsed)
+        self.error = "; ".join(parsed.faults)
         self.steps.append(f"malformed: {self.error}")
         return None
 
@@ -143,23 +132,23 @@ class _Episode:
             raise DecodeError(f"frame_id {frame:06d} is none of the legal frames")
         if len(self.looks) >= self.method.budget:
             raise DecodeError("no looks are left: answer now")
-        made = ((look.observation.frame_index, look.observation.angle_deg) for look in self.looks)
+        made = ((look.frame_index, look.angle_deg) for look, _ in self.looks)
         if reason := duplicate(made, frame, angle):
             self.steps.append(f"look at frame {frame:06d}, angle {angle:g}: refused, {reason}")
             self.attempt.refuse_look(frame, angle, reason)
             return
         observation = self.attempt.look(frame, angle)
-        self.looks.append(_Look(observation, crop_picture(observation)))
+        self.looks.append((observation, crop_picture(observation)))
         self.steps.append(f"look at frame {frame:06d}, angle {angle:g}: picture {len(self.looks)}")
 
     def _answer(self, move: dict[str, Any]) -> Prediction | None:
         if not self.looks:
             raise DecodeError("the first turn must look")
         del move["action"]
-        verdict = self.attempt.judge(move, on_crop(self.looks[-1].observation))
-        return self._strike(verdict) if verdict.faults else self.attempt.ended(verdict)
+        parsed = self.attempt.parse_final(move, on_crop(self.looks[-1][0]))
+        return self._strike(parsed) if parsed.faults else self.attempt.prediction(parsed)
 
-    # -- what the model is shown --------------------------------------------------------------------------------------
+    # -- what the model gets ------------------------------------------------------------------------------------------
 
     def messages(self) -> list[Message]:
         """The system prompt, then question and legal frames, every crop with its metadata, and the state at the end.
@@ -167,21 +156,20 @@ class _Episode:
         What never changes comes first, so that a server can keep its work on the common beginning.
         """
         parts: list[Part] = [self.heading]
-        for number, look in enumerate(self.looks, 1):
+        for number, (observation, picture) in enumerate(self.looks, 1):
             newest = ", the newest" if number == len(self.looks) else ""
-            parts += [f"Picture {number}{newest}: {crop_line(look.observation)}", look.picture]
+            parts += [f"Picture {number}{newest}: {crop_line(observation)}", picture]
+        frames = sorted({observation.frame_id for observation, _ in self.looks})
+        error = "Your last turn was malformed, and a second such turn ends the question: "
         parts.append(
             render(
                 "react_state",
                 steps="\n".join(f"{n}. {step}" for n, step in enumerate(self.steps, 1)) or "none",
-                seen=", ".join(f"{f:06d}" for f in sorted({look.observation.frame_index for look in self.looks}))
-                or "none",
+                seen=", ".join(frames) or "none",
                 used=len(self.looks),
                 left=self.method.budget - len(self.looks),
                 turns=self.method.most_calls - self.attempt.calls,
-                error=f"Your last turn was malformed, and a second such turn ends the question: {self.error}"
-                if self.error
-                else "",
+                error=f"{error}{self.error}" if self.error else "",
             )
         )
         return [Message("system", (self.system,)), Message("user", tuple(parts))]
@@ -189,20 +177,11 @@ class _Episode:
 
 def turn_schema(question: Question) -> dict[str, Any]:
     """The JSON Schema of a turn: a look, or the answer."""
+    look = {"frame_id": decode.FRAME_ID_SCHEMA, "angle_deg": {"type": "number"}}
+    actions = {"observe": look, "answer": final_parts(question)}
     return {
         "anyOf": [
-            decode.closed_object(
-                {
-                    "action": {"type": "string", "enum": ["observe"]},
-                    "frame_id": decode.FRAME_ID_SCHEMA,
-                    "angle_deg": {"type": "number"},
-                }
-            ),
-            decode.closed_object(
-                {
-                    "action": {"type": "string", "enum": ["answer"]},
-                    **final_parts(question),
-                }
-            ),
+            decode.closed_object({"action": {"type": "string", "enum": [action]}, **parts})
+            for action, parts in actions.items()
         ]
     }

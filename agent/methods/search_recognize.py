@@ -1,30 +1,25 @@
-"""Search, then recognize: propose where the person is, refine the box in one crop, choose the answer.
+"""Search, then recognize: propose a box of the person, refine it in one crop, choose the answer.
 
-Three calls. The evidence is the refined box, whatever the last call says. An unusable box ends the question as
-invalid: nothing stands in for it.
+Three calls. The evidence is the refined box, whatever the last call replies. An unusable box ends the question as
+invalid: nothing replaces it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Final
+from typing import ClassVar, Final
 
 from jrdb_avr.agent.methods.attempt import (
-    PANORAMAS,
     Attempt,
-    Ground,
-    Verdict,
-    fixed_settings,
+    FixedContextMethod,
+    ImageFrame,
+    ParsedReply,
     frame_list,
     on_crop,
     on_panoramas,
     panorama_messages,
     panorama_parts,
-    shared_settings,
 )
 from jrdb_avr.agent.model import decode
-from jrdb_avr.agent.model.client import Chat
-from jrdb_avr.agent.model.conventions import CONTRACT, Convention
 from jrdb_avr.agent.model.messages import Part, crop_line, crop_picture
 from jrdb_avr.agent.model.prompts import mode_text, render
 from jrdb_avr.schema.answers import Answer, Evidence
@@ -32,24 +27,14 @@ from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Panorama, Prediction, Task
 from jrdb_avr.schema.panorama import center_angle
 
-BOX_SCHEMA: Final = decode.closed_object({"evidence_bboxes": decode.EVIDENCE_SCHEMA})
+_BOX_SCHEMA: Final = decode.closed_object({"evidence_bboxes": decode.EVIDENCE_SCHEMA})
 
 
-@dataclass(frozen=True)
-class SearchRecognize:
+class SearchRecognize(FixedContextMethod):
     """The method `search-recognize` with `n` panoramas and one crop."""
 
-    chat: Chat
-    convention: Convention = CONTRACT
-    n: int = PANORAMAS
-
-    @property
-    def name(self) -> str:
-        return "search-recognize"
-
-    def settings(self) -> dict[str, Any]:
-        """What the manifest of a run says of the method."""
-        return {**fixed_settings(self.n), "crops": 1, "calls": 3, **shared_settings(self.convention)}
+    name = "search-recognize"
+    stages: ClassVar = {"crops": 1, "calls": 3}
 
     def answer(self, task: Task) -> Prediction:
         """At most three calls: the first box that cannot be used ends the question as invalid."""
@@ -59,7 +44,7 @@ class SearchRecognize:
         try:
             proposal = _propose(attempt, panoramas)
             stage = "refinement"
-            # To a hundredth of a column, so that the model is not shown what rounding leaves of a sum.
+            # Rounded to a hundredth of a column, so that the prompt holds no rounding error of a sum.
             crop = attempt.look(proposal.frame, round(center_angle(proposal.box[0], proposal.box[2]), 3))
             refined = _refine(attempt, crop)
         except DecodeError as error:
@@ -68,8 +53,8 @@ class SearchRecognize:
         try:
             answer = _choose(attempt, panorama, crop, refined)
         except DecodeError as error:
-            return attempt.ended(Verdict(None, refined, (str(error),)))
-        return attempt.ended(Verdict(answer, refined))
+            return attempt.prediction(ParsedReply(None, refined, (str(error),)))
+        return attempt.prediction(ParsedReply(answer, refined))
 
 
 def _propose(attempt: Attempt, panoramas: tuple[Panorama, ...]) -> Evidence:
@@ -85,7 +70,7 @@ def _refine(attempt: Attempt, crop: Observation) -> Evidence:
 
 
 def _choose(attempt: Attempt, panorama: Panorama, crop: Observation, refined: Evidence) -> Answer:
-    """The answer, beside the box that stands as evidence."""
+    """The answer, with the refined box as evidence."""
     question, sequence = attempt.task.question, attempt.task.sequence
     text = mode_text(question.answer_mode, sequence.frame_count)
     box = ", ".join(f"{value:.1f}" for value in refined.box)
@@ -100,9 +85,9 @@ def _choose(attempt: Attempt, panorama: Panorama, crop: Observation, refined: Ev
     return attempt.read_answer(decode.only_keys(reply, ("answer",), "the reply")["answer"])
 
 
-def _box(attempt: Attempt, parts: tuple[Part, ...], ground: Ground) -> Evidence:
+def _box(attempt: Attempt, parts: tuple[Part, ...], ground: ImageFrame) -> Evidence:
     """The box that a call returns, in stitched pixels."""
-    reply = attempt.ask_object(panorama_messages(attempt.task, parts), BOX_SCHEMA)
+    reply = attempt.ask_object(panorama_messages(attempt.task, parts), _BOX_SCHEMA)
     return attempt.read_evidence(decode.only_keys(reply, ("evidence_bboxes",), "the reply")["evidence_bboxes"], ground)
 
 

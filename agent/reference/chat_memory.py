@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Final
 
 import msgspec
 
-from jrdb_avr.agent.methods.attempt import Attempt, Verdict
+from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.decode import BOX_SCHEMA, box_key, read_box
 from jrdb_avr.agent.model.messages import Message
@@ -35,7 +35,7 @@ class ChatMemory:
     heading: str
     history: list[Message] = field(default_factory=list)
     names: int = 0
-    proposed: Verdict = field(default_factory=Verdict)
+    proposed: ParsedReply = field(default_factory=ParsedReply)
 
     # -- what the model is shown --------------------------------------------------------------------------------------
 
@@ -72,7 +72,7 @@ class ChatMemory:
     def carry_out(self, call: Call, views: Mapping[str, View], step: int) -> str:
         raise DecodeError(f"there is no tool {call.tool!r}")
 
-    def judge(self, call: Call, views: Mapping[str, View], step: int) -> Verdict:
+    def judge(self, call: Call, views: Mapping[str, View], step: int) -> ParsedReply:
         """Answer and box are read apart: what can be read of the newest refused answer counts at the end."""
         key = box_key(call.arguments, self.attempt.convention, "box")
         part = decode.only_keys(call.arguments, ("answer", "observation", key), "the call")
@@ -88,7 +88,7 @@ class ChatMemory:
             evidence = self._evidence(part["observation"], part[key], key, views)
         except DecodeError as error:
             faults.append(str(error))
-        self.proposed = Verdict(answer, evidence, tuple(faults))
+        self.proposed = ParsedReply(answer, evidence, tuple(faults))
         stored = None if answer is None else msgspec.Raw(encode_answer(answer).encode())
         parsed = {"answer": stored, "evidence": evidence, "box_key": key, "faults": faults}
         self.attempt.record("solve", {"observation": call.said}, parsed, started)
@@ -104,6 +104,6 @@ class ChatMemory:
         x, y, w, h = from_crop(read_box(box, view.width, HEIGHT, self.attempt.convention, key), view.left)
         return Evidence(view.frame, (x % WIDTH, y, w, h))
 
-    def solved(self, reason: str) -> Verdict:
+    def solved(self, reason: str) -> ParsedReply:
         """What could be read of the newest final answer, which was not legal."""
-        return Verdict(self.proposed.answer, self.proposed.evidence, (reason, *self.proposed.faults))
+        return ParsedReply(self.proposed.answer, self.proposed.evidence, (reason, *self.proposed.faults))

@@ -15,7 +15,7 @@ from typing import Any, Final
 import msgspec
 
 from jrdb_avr.agent.beliefs.grounding import printable
-from jrdb_avr.agent.methods.attempt import DUPLICATE_DEG, PANORAMAS, Attempt, Verdict, duplicate, fixed_settings
+from jrdb_avr.agent.methods.attempt import DUPLICATE_DEG, PANORAMAS, Attempt, ParsedReply, duplicate, fixed_settings
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.reference.chat_memory import ChatMemory
 from jrdb_avr.agent.reference.graph_memory import GraphMemory
@@ -105,7 +105,7 @@ class Episode:
             for call in calls[: self.limits.calls - self.used]:
                 verdict = self._call(call, step, results)
                 if verdict is not None:
-                    return self.attempt.ended(verdict)
+                    return self.attempt.prediction(verdict)
             turn = self._turn(results, list(self.views.values())[before:], "")
         return self._ended(f"no legal final answer within {self.limits.calls} calls")
 
@@ -126,7 +126,7 @@ class Episode:
         looks = (len(self.made), self.limits.looks - len(self.made) if self.looking else 0)
         return Turn(results, fresh, error, looks, (self.used, self.limits.calls - self.used))
 
-    def _call(self, call: Call, step: int, results: list[str]) -> Verdict | None:
+    def _call(self, call: Call, step: int, results: list[str]) -> ParsedReply | None:
         """Carry out or refuse one call; the verdict of a legal final answer."""
         self.used += 1
         started = time.perf_counter()
@@ -159,4 +159,4 @@ class Episode:
         return self._name(observation, step)
 
     def _ended(self, reason: str) -> Prediction:
-        return self.attempt.ended(self.memory.solved(reason))
+        return self.attempt.prediction(self.memory.solved(reason))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, get_args
 
 import msgspec
 
-from jrdb_avr.agent.methods.attempt import Attempt, Verdict
+from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.decode import BOX_SCHEMA, box_key, read_box
 from jrdb_avr.agent.model.messages import Message, Part
@@ -134,7 +134,7 @@ class GraphMemory:
 
     # -- what is read from it -----------------------------------------------------------------------------------------
 
-    def judge(self, call: Call, views: Mapping[str, View], step: int) -> Verdict:
+    def judge(self, call: Call, views: Mapping[str, View], step: int) -> ParsedReply:
         part = decode.only_keys(call.arguments, ("answer", "entity"), "the call")
         proposed = self.attempt.read_answer(part["answer"])
         if not isinstance(part["entity"], str):
@@ -143,9 +143,9 @@ class GraphMemory:
         if reason := self.solver.fault(self.plan, belief, proposed, part["entity"]):
             raise DecodeError(reason)
         self.world.noted(FINAL, call.arguments, step, True)
-        return Verdict(proposed, _evidence(belief.seen), () if belief.seen else ("the target has no box",))
+        return ParsedReply(proposed, _evidence(belief.seen), () if belief.seen else ("the target has no box",))
 
-    def solved(self, reason: str) -> Verdict:
+    def solved(self, reason: str) -> ParsedReply:
         """What the graph says by itself; where it has no single target, what is read of the likeliest one. An answer
         that cannot be read is none, and the box is kept.
         """
@@ -156,7 +156,7 @@ class GraphMemory:
             self.attempt.record("solve", {"guess": self.plan.target}, msgspec.to_builtins(belief), started)
         answer = self.solver.answer(self.plan, belief)
         faults = () if answer is not None and belief.seen is not None else (reason,)
-        return Verdict(answer, _evidence(belief.seen), faults)
+        return ParsedReply(answer, _evidence(belief.seen), faults)
 
     def _changed(self) -> None:
         self.weighed = self.compiled = None

@@ -34,6 +34,6 @@ class Glance:
         ]
         try:
             reply = attempt.ask_object(messages, decode.closed_object(final_parts(task.question)))
-            return attempt.ended(attempt.judge(reply, on_crop(seen)))
+            return attempt.prediction(attempt.parse_final(reply, on_crop(seen)))
         except DecodeError as error:
             return attempt.invalid(str(error))
