@@ -30,7 +30,7 @@ from typing import Any, Final
 import msgspec
 
 from jrdb_avr.agent.methods.attempt import PANORAMAS, panorama_parts
-from jrdb_avr.agent.methods.react import BUDGET, turn_schema
+from jrdb_avr.agent.methods.react import BUDGET, react_turn_schema
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.decode import closed_object, reply_object
 from jrdb_avr.agent.model.messages import Message, Part
@@ -132,7 +132,7 @@ def demands() -> tuple[Demand, ...]:
             "ReAct's turn schema (anyOf at the root)",
             _crops_request,
             (14, 9),
-            turn_schema(question),
+            react_turn_schema(question),
             _named_crop,
             LOOKING,
             ("react",),

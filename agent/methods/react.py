@@ -95,7 +95,7 @@ class _Episode:
         self.heading = render(
             "react_task", heading=heading(question), frames=frame_ranges(sequence.frames), advice=text.advice
         )
-        self.schema = turn_schema(question)
+        self.schema = react_turn_schema(question)
 
     # -- one turn -----------------------------------------------------------------------------------------------------
 
@@ -175,7 +175,7 @@ class _Episode:
         return [Message("system", (self.system,)), Message("user", tuple(parts))]
 
 
-def turn_schema(question: Question) -> dict[str, Any]:
+def react_turn_schema(question: Question) -> dict[str, Any]:
     """The JSON Schema of a turn: a look, or the answer."""
     look = {"frame_id": decode.FRAME_ID_SCHEMA, "angle_deg": {"type": "number"}}
     actions = {"observe": look, "answer": final_parts(question)}

@@ -1,9 +1,9 @@
-"""Finished calls on disk: each under the sha256 of its whole request, so that none is paid for twice.
+"""Finished calls on disk, each under the sha256 of its whole request, so that none is paid for twice.
 
-One file of lines for all calls of a run, as to make a file of its own takes a file system longer than most of what a
-call needs. A line is appended by one write, and counts only if it is whole: of a kill at any point, and of several
-processes that append at once, nothing remains but lines that nobody reads. It is not synced: a machine that loses power
-may lose its newest calls, and makes them again. Nothing of a key is in a request, so none is in the file.
+One file holds a line per call of a run, because creating a file per call takes longer than most of a call. One write
+appends a line, and a line counts only if it is whole: a kill at any point, and several processes that append at once,
+leave nothing but lines that nobody reads. The file is not synced: a machine that loses power may lose its newest calls,
+and makes them again. Requests hold no key, so the file holds none.
 """
 
 from __future__ import annotations
@@ -48,17 +48,17 @@ class Calls:
         self._lock = threading.Lock()
         self._file: int | None = None
         self._places: dict[str, tuple[int, int]] = {}
-        """Of a request's line: its first byte, and how many it has."""
+        """First byte and length of each request's line."""
         self._read_to = 0
         self._unread: set[str] = set()
         """Requests whose lines this process has appended behind what was read."""
 
     def digest(self, request: Mapping[str, Any]) -> str:
-        """What a call is kept under: the sha256 of its request, each picture given as its own, in canonical JSON."""
+        """The key of a call: the sha256 of its request in canonical JSON, each picture replaced by its own sha256."""
         return hashlib.sha256(msgspec.json.encode(request, order="sorted")).hexdigest()
 
     def read(self, digest: str) -> Reply | None:
-        """The reply kept for a request; None where there is none, or the machine broke it: the call is made again."""
+        """The stored reply to a request; None where there is none, or its line is damaged: the call is made again."""
         try:
             file = self._opened()
             if digest in self._unread:

@@ -17,7 +17,7 @@ from typing import Any, Final, Literal
 
 Order = Literal["xyxy", "yxyx"]
 Scale = Literal["thousandths", "unit", "pixels", "resized"]
-"""What full width and height are: 1000, 1, the image's sides, or the sides that the model's own resizing leaves."""
+"""The numbers of full width and height: 1000, 1, the image's sides, or its sides after the model's own resizing."""
 
 ResponseFormat = Literal["json_schema", "json_object", "none"]
 Thinking = Literal["off", "on", "template"]
@@ -39,14 +39,14 @@ class Reading:
 
 @dataclass(frozen=True)
 class Convention:
-    """What is declared of a backbone.
+    """The declared convention of a backbone.
 
     `boxes`: the accepted keys with the order of their numbers; `bbox` is the contract's, the others are aliases.
     `scales`: of the keys whose numbers are no thousandths. `thinking`: (opening, closing) delimiters. `thinks`: whether
     the chat template thinks if nothing is said (None: not known). `switch`: the request's `chat_template_kwargs` that
     turn thinking off and on; empty where it cannot be turned. `multiple` and `image_pixels`: what the model's own
     resizing makes of an image: sides as multiples, pixels at most (0: no such bound known). `calibrated` marks readings
-    that were found by asking, not declared.
+    that were found by `calibrate`, not declared.
     """
 
     name: str
@@ -71,7 +71,7 @@ class Convention:
         return across, down
 
     def settings(self) -> dict[str, Any]:
-        """What the manifest of a run says of the convention."""
+        """The convention in a run's manifest."""
         return {
             "name": self.name,
             "calibrated": self.calibrated,
@@ -84,7 +84,7 @@ class Convention:
 
 
 CONTRACT: Final = Convention("contract", {CONTRACT_KEY: "xyxy"})
-"""Of a model of which nothing is declared."""
+"""The convention of a model without a declared one."""
 
 _THINK: Final = (("<think>", "</think>"),)
 _TEMPLATE_SWITCH: Final[Mapping[Thinking, Mapping[str, Any]]] = {

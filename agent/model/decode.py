@@ -1,13 +1,10 @@
-"""Reading a model's reply: one strict contract, the same for every method.
+"""Decode a model's reply: one strict contract, the same for every method.
 
-A reply is one JSON object, in at most one code fence, after any thinking in declared delimiters. Nothing is repaired
-and nothing guessed: what does not fit raises DecodeError with the reason, which the prediction stores. No function
-here can be given the true answer or box. Answer and evidence are read apart, so one may stand where the other falls.
-
-Boxes in a model's reply: four numbers under a key, read as the backbone's convention says.
-
-Nothing is guessed: the convention is fixed before the first reply, numbers that do not fit it are refused with the
-reason, and reversed corners are never swapped.
+A reply is one JSON object, in at most one code fence, after any thinking in declared delimiters. A box is four numbers
+under a key, read by the backbone's convention, which is fixed before the first reply. Decoding repairs and guesses
+nothing: a part that does not fit raises DecodeError with the reason, which the prediction stores, and reversed corners
+are never swapped. No function here takes the true answer or box. Answer and evidence are read independently, so one may
+be valid where the other is not.
 """
 
 from __future__ import annotations
@@ -31,13 +28,13 @@ from jrdb_avr.schema.panorama import Box
 BOX_SCHEMA: Final[dict[str, Any]] = {"type": "array", "minItems": 4, "maxItems": 4, "items": {"type": "integer"}}
 
 
-def box_key(entry: object, convention: Convention = CONTRACT, asked: str = CONTRACT_KEY) -> str:
-    """The key under which an object holds its box: the one asked for, or the convention's alias if only that is there.
+def box_key(entry: object, convention: Convention = CONTRACT, requested: str = CONTRACT_KEY) -> str:
+    """The key under which an object holds its box: the requested one, or the convention's alias if only that is there.
 
-    An object without one, or with several, is left to `only_keys`: this returns the key asked for.
+    For an object without one, or with several, this is the requested key, and `only_keys` refuses the object.
     """
-    keys = [key for key in {asked: "", **convention.boxes} if isinstance(entry, dict) and key in entry]
-    return keys[0] if len(keys) == 1 else asked
+    keys = [key for key in {requested: "", **convention.boxes} if isinstance(entry, dict) and key in entry]
+    return keys[0] if len(keys) == 1 else requested
 
 
 def read_box(
@@ -53,9 +50,8 @@ def read_box(
     Numbers outside the image by up to 2 % of its side are clipped; farther ones, and reversed or empty boxes, are
     refused. A key that the convention does not know is read as the contract's own.
     """
-    return place_box(
-        _numbers(value, convention.reading(key), what), width, height, convention.reading(key), convention, what
-    )
+    reading = convention.reading(key)
+    return place_box(_numbers(value, reading, what), width, height, reading, convention, what)
 
 
 def place_box(
@@ -64,13 +60,11 @@ def place_box(
     """Four numbers under one reading as a box in pixels of the image. Raises DecodeError, as `read_box`."""
     across, down = full_sides(reading, convention, width, height)
     sides = (across, down) * 2 if reading.order == "xyxy" else (down, across) * 2
-    if any(
-        not -TOLERANCE * side <= number <= (1 + TOLERANCE) * side for number, side in zip(numbers, sides, strict=True)
-    ):
-        raise DecodeError(
-            f"{what} has a coordinate outside 0..{across:g}" + (f" or 0..{down:g}" if down != across else "")
-        )
-    a, b, c, d = (min(max(number, 0), side) for number, side in zip(numbers, sides, strict=True))
+    pairs = list(zip(numbers, sides, strict=True))
+    if any(not -TOLERANCE * side <= number <= (1 + TOLERANCE) * side for number, side in pairs):
+        other = f" or 0..{down:g}" if down != across else ""
+        raise DecodeError(f"{what} has a coordinate outside 0..{across:g}{other}")
+    a, b, c, d = (min(max(number, 0), side) for number, side in pairs)
     left, top, right, bottom = (a, b, c, d) if reading.order == "xyxy" else (b, a, d, c)
     if left >= right or top >= bottom:
         raise DecodeError(f"{what} has no area or reversed corners: the first corner is the upper left one")
@@ -105,13 +99,8 @@ def _numbers(value: object, reading: Reading, what: str) -> list[float]:
 
 def write_box(box: Box, width: int, height: int, order: Order = "xyxy") -> list[int]:
     """A box in image pixels as the four integers of the contract, clipped to the image."""
-    corners = (
-        box.x * SCALE / width,
-        box.y * SCALE / height,
-        (box.x + box.w) * SCALE / width,
-        (box.y + box.h) * SCALE / height,
-    )
-    left, top, right, bottom = (min(max(round(v), 0), SCALE) for v in corners)
+    corners = ((box.x, width), (box.y, height), (box.x + box.w, width), (box.y + box.h, height))
+    left, top, right, bottom = (min(max(round(v * SCALE / side), 0), SCALE) for v, side in corners)
     return [left, top, right, bottom] if order == "xyxy" else [top, left, bottom, right]
 
 
@@ -187,7 +176,7 @@ def _listed(names: Collection[str]) -> str:
 
 
 def _plain(text: str) -> str:
-    """A model's word in a message of ours: short, and printable ASCII whatever it holds."""
+    """A model's word for a message: short, and printable ASCII whatever it holds."""
     return text[:40].encode("unicode_escape").decode()
 
 
@@ -254,7 +243,7 @@ def read_answer(value: object, mode: AnswerMode, n_choices: int, frame_count: in
 
 @dataclass(frozen=True)
 class ImageBox:
-    """A box in an image the model was shown: its frame, pixels of that image, and the key it was written under."""
+    """A box in an image that the model got: its frame, pixels of that image, and the key it was written under."""
 
     frame: int
     box: Box
@@ -263,7 +252,7 @@ class ImageBox:
 
 def read_evidence(
     value: object,
-    shown: Collection[int],
+    frames: Collection[int],
     width: int,
     height: int,
     convention: Convention = CONTRACT,
@@ -271,7 +260,7 @@ def read_evidence(
 ) -> ImageBox:
     """The one box of `evidence_bboxes`, in pixels of an image of `width` x `height`. Raises DecodeError.
 
-    Its frame must be one of `shown`. Corners outside by up to 2 % are clipped; reversed or empty boxes are refused.
+    Its frame must be one of `frames`. Corners outside by up to 2 % are clipped; reversed or empty boxes are refused.
     """
     if not isinstance(value, list) or len(value) != 1:
         raise DecodeError(f"{what} must be a list of exactly one box")
@@ -279,8 +268,8 @@ def read_evidence(
     key = box_key(entry, convention)
     part = only_keys(entry, ("frame_id", key), f"{what}[0]")
     frame = frame_id(part["frame_id"], f"{what}[0].frame_id")
-    if frame not in shown:
-        allowed = ", ".join(f"{f:06d}" for f in sorted(shown)[:8])
+    if frame not in frames:
+        allowed = ", ".join(f"{f:06d}" for f in sorted(frames)[:8])
         raise DecodeError(f"{what}[0].frame_id {frame:06d} is not a frame of the image at hand ({allowed})")
     return ImageBox(frame, read_box(part[key], width, height, convention, key, f"{what}[0].{key}"), key)
 
@@ -304,12 +293,7 @@ EVIDENCE_SCHEMA: Final[dict[str, Any]] = {
     "type": "array",
     "minItems": 1,
     "maxItems": 1,
-    "items": closed_object(
-        {
-            "frame_id": FRAME_ID_SCHEMA,
-            CONTRACT_KEY: BOX_SCHEMA,
-        }
-    ),
+    "items": closed_object({"frame_id": FRAME_ID_SCHEMA, CONTRACT_KEY: BOX_SCHEMA}),
 }
 
 

@@ -27,7 +27,7 @@ def _template(name: str) -> Template:
 
 
 class ModeText(NamedTuple):
-    """What the prompts say of an answer mode: an example of the form, the rule in words, a line of advice."""
+    """The prompt lines of an answer mode: an example of the form, the rule in words, a line of advice."""
 
     form: str
     rule: str

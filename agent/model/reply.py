@@ -1,4 +1,4 @@
-"""A server's reply: what it holds, how it is taken from a chat completion, and what of it was said, not thought."""
+"""A server's reply: its fields, how to read it from a chat completion, and its text without the thinking."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _LONGEST_NAME: Final = 200
 
 
 class Reply(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What the server said: text fields as sent, why it stopped, tokens, and the model id that it names.
+    """One reply: text fields as sent, why it stopped, token counts, and the model id that it names.
 
-    `refusal` holds the words of a model that declines to answer.
+    `refusal` holds the text of a model that declines to answer.
     """
 
     content: str = ""
@@ -56,7 +56,7 @@ _COMPLETION: Final = msgspec.json.Decoder(_Completion)
 
 
 def read_completion(data: bytes) -> Reply:
-    """The first choice of a chat completion. Raises ValueError, saying what it is instead."""
+    """The first choice of a chat completion. Raises ValueError with the reason for anything else."""
     try:
         completion = _COMPLETION.decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -82,16 +82,16 @@ def _text(value: object) -> str:
 
 
 def _tokens(usage: object, name: str) -> int:
-    """A count of tokens; 0 where the server gives none, or nonsense: a good reply is not refused for it."""
+    """A count of tokens; 0 where the server sends none, or nonsense: a good reply is not refused for it."""
     count = usage.get(name) if isinstance(usage, dict) else None
     return count if type(count) is int and 0 <= count <= _MOST_TOKENS else 0
 
 
 def spoken(reply: Reply, convention: Convention) -> str:
-    """What the reply says after any thinking; empty where it only thinks, or says nothing.
+    """The reply's text after any thinking; empty where it only thinks, or holds nothing.
 
-    A server that files the whole reply under `reasoning` is followed there, but only past a closing delimiter: nothing
-    is taken out of the thinking itself.
+    Some servers file the whole reply under `reasoning`: its text counts past a closing delimiter, never the thinking
+    itself.
     """
     text = _after_thinking(reply.content, convention)
     if not text and any(close in reply.reasoning for _, close in convention.thinking):
@@ -100,7 +100,7 @@ def spoken(reply: Reply, convention: Convention) -> str:
 
 
 def thought(reply: Reply, convention: Convention) -> str:
-    """What the reply shows of thinking, without delimiters; empty where there is none, or an empty block of it."""
+    """The thinking in a reply, without delimiters; empty where there is none, or an empty block of it."""
     for text in (reply.content, reply.reasoning):
         for opening, closing in convention.thinking:
             # The opening delimiter may stand in the server's template instead of the reply.
@@ -120,20 +120,20 @@ def _after_thinking(text: str, convention: Convention) -> str:
 def _without_blocks(text: str, opening: str, closing: str) -> str:
     """The text outside of thinking; empty where the reply only thinks.
 
-    What stands before a block was said, and stays: a reply that answers, thinks and answers again says two things. The
-    opening delimiter may stand in the server's template instead of the reply: then all before the closing one is
-    thought. One that is never closed begins no thinking after words.
+    Text before a block stays: a reply that answers, thinks and answers again holds two answers. The opening delimiter
+    may stand in the server's template instead of the reply: then everything before the closing one is thinking. A
+    delimiter that is never closed begins no thinking after text.
     """
-    said: list[str] = []
+    texts: list[str] = []
     start, thinks = 0, False
     # One pass: replies are long, and the delimiters in them many.
     for found in re.finditer(f"{re.escape(opening)}|{re.escape(closing)}", text):
         if found[0] == closing:
             if not thinks:
-                said = []
+                texts = []
             start, thinks = found.end(), False
         elif not thinks:
-            said.append(text[start : found.start()])
+            texts.append(text[start : found.start()])
             start, thinks = found.start(), True
-    words = "".join(said)
+    words = "".join(texts)
     return words if thinks and not words.strip() else words + text[start:]

@@ -78,7 +78,7 @@ def _hidden(state: EpisodeState, frame: int) -> list[Sighting]:
     return [p for p in look_round(explorer, explorer.legal(frame + KEYFRAME_STEP)) if p.identity not in seen]
 
 
-def answer_of(state: EpisodeState, person: Sighting | None) -> Any:
+def find_answer(state: EpisodeState, person: Sighting | None) -> Any:
     """The contract's `answer` for the person found; a guess where there is none."""
     pose = person.mark.pose if person else None
     match state.plan.answer.read:

@@ -19,7 +19,7 @@ import msgspec
 from jrdb_avr.agent.model.decode import write_box
 from jrdb_avr.agent.policy.explorer import BudgetExhausted, Explorer, FixedExplorer, Look, NeedObservation, Sighting
 from jrdb_avr.agent.policy.finding import likely
-from jrdb_avr.agent.policy.policy import answer_of, find_target
+from jrdb_avr.agent.policy.policy import find_answer, find_target
 from jrdb_avr.agent.policy.state import EpisodeState
 from jrdb_avr.agent.simulated.play_agent import agent_turn
 from jrdb_avr.agent.simulated.requests import Play, Request, StageReply
@@ -35,7 +35,7 @@ def _react(request: Request) -> StageReply:
     state = EpisodeState(request.plan, request.choices, explorer, beside=True)
     try:
         person = find_target(state)
-        answer = answer_of(state, person)
+        answer = find_answer(state, person)
         evidence = _newest_box(state, person)
     except NeedObservation as need:
         angle = round(need.angles[0], 3)
@@ -72,7 +72,7 @@ def _plan(request: Request) -> StageReply:
 def _answer_at_once(request: Request) -> StageReply:
     """Answer and box from the panoramas; facts that were written down before add nothing to them."""
     state, person = _found(request)
-    answer = answer_of(state, person)
+    answer = find_answer(state, person)
     return StageReply({"answer": answer, "evidence_bboxes": _best_box(state.explorer.looks, person)}, state.missing)
 
 
@@ -123,7 +123,7 @@ def _choose(request: Request) -> StageReply:
         person = None
         state.note("mark unreadable: nobody in the refined box")
     state.note_unseen()
-    return StageReply({"answer": answer_of(state, person)}, state.missing)
+    return StageReply({"answer": find_answer(state, person)}, state.missing)
 
 
 STAGES: Final[dict[str, Play]] = {

@@ -31,7 +31,7 @@ from jrdb_avr.agent.policy.explorer import (
 )
 from jrdb_avr.agent.policy.finding import FoundPerson, among, counts_group, find, holds, likely, possible
 from jrdb_avr.agent.policy.hops import path, related
-from jrdb_avr.agent.policy.policy import answer_of, find_target
+from jrdb_avr.agent.policy.policy import find_answer, find_target
 from jrdb_avr.agent.policy.state import EpisodeState
 from jrdb_avr.agent.simulated.notes import Draft, entity_name, placed, read_notes
 from jrdb_avr.agent.simulated.requests import Request, StageReply
@@ -154,7 +154,7 @@ class _Player:
                 self.draft.read(self._plan, seen)
         self.state.explorer = self._explorer(self._survey())
         counts = self._plan.answer.read == "count"
-        answer = {"value": str(self._count(person))} if counts else answer_of(self.state, person)
+        answer = {"value": str(self._count(person))} if counts else find_answer(self.state, person)
         frames = sorted({look.frame for look in self.notes.looks})
         all_seen = {frame: s for frame in frames if (s := self.notes.of(identity, frame)) is not None}
         known = bounded_events(self._plan, self._then, all_seen)
@@ -269,7 +269,7 @@ def _remember_shown(request: Request) -> StageReply:
         for frame in state.explorer.frames:
             if (seen := notes.of(person.identity, frame)) is not None:
                 draft.read(state.plan, seen)
-        answer = {"answer": answer_of(state, person), "entity": entity_name(person.identity)}
+        answer = {"answer": find_answer(state, person), "entity": entity_name(person.identity)}
     state.note_unseen()
     return _hand_in(request, draft, (), answer, state.missing)
 
@@ -305,7 +305,7 @@ def _chat(request: Request, passive: bool) -> StageReply:
     state = EpisodeState(request.plan, request.choices, explorer, beside=not passive)
     try:
         person = find_target(state)
-        answer = answer_of(state, person)
+        answer = find_answer(state, person)
         if passive:
             state.note_unseen()
         box = _evidence(state, person)
