@@ -39,15 +39,8 @@ COMMANDS: Final[dict[str, str]] = {
 """Every command with its short help, which must not need the command's module."""
 
 
-_MODULES: Final = {
-    "cypher": "query",
-    "sql": "query",
-    "generate": "generate",
-    "stats": "generate",
-    "score": "report",
-    "report": "report",
-}
-"""Modules that hold more than one command, each under its own name."""
+_MODULES: Final = {"cypher": "query", "sql": "query", "stats": "generate", "score": "report"}
+"""The modules of commands that share one; each command there has its own name."""
 
 
 class LazyGroup(click.Group):
@@ -60,7 +53,7 @@ class LazyGroup(click.Group):
         if cmd_name not in COMMANDS:
             return None
         module = importlib.import_module(f"jrdb_avr.engine.commands.{_MODULES.get(cmd_name, cmd_name)}")
-        command: click.Command = getattr(module, cmd_name if cmd_name in _MODULES else "command")
+        command: click.Command = getattr(module, cmd_name, None) or module.command
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -28,23 +28,17 @@ if TYPE_CHECKING:
 @click.option("--reviewer", help="Who decided; with --import.")
 @json_option
 def command(
-    questions: tuple[str, ...],
-    store: Store,
-    sample: int | None,
-    seed: int,
-    out: Path,
-    decisions: Path | None,
-    reviewer: str | None,
-    as_json: bool,
+    questions: tuple[str, ...], store: Store, sample: int | None, seed: int, out: Path, as_json: bool, **review: Any
 ) -> None:
     """Write a page that shows questions with their answers, plans, proofs and views, or store what was decided on it.
 
     On the page: a accepts, r rejects, u undoes, j and k go on and back. With --import, prints how far every two
     reviewers agree (Cohen's kappa).
     """
+    decisions, reviewer = review["decisions"], review["reviewer"]
     if (decisions is None) != (reviewer is None):
         raise click.UsageError("--import and --reviewer go together")
-    if decisions is not None and reviewer is not None:
+    if decisions is not None:
         if questions or sample is not None:
             raise click.UsageError("--import takes no QUESTION and no --sample")
         _import(store, decisions, reviewer.strip(), as_json)

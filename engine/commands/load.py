@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -40,17 +40,7 @@ MAX_ROWS: Final = 50
 @pairs_option("--rule", "overrides", "Override a load rule; may be given often.")
 @workers_option
 @json_option
-def command(
-    root: Path | None,
-    store: Store,
-    rebuild: bool,
-    verify: bool,
-    layer_dirs: list[tuple[str, str]],
-    strict: bool,
-    overrides: list[tuple[str, str]],
-    workers: int,
-    as_json: bool,
-) -> None:
+def command(root: Path | None, store: Store, strict: bool, workers: int, as_json: bool, **options: Any) -> None:
     """Load the JRDB root ROOT: stitched 2D boxes with actions and groups, 3D boxes, social and reasoning labels, poses,
     panoptic things, timestamps, calibration, panoramas.
 
@@ -60,14 +50,14 @@ def command(
     from jrdb_avr.loaders import load as loading
     from jrdb_avr.loaders.report import totals
 
-    if (root is not None) + rebuild + verify != 1:
+    if (root is not None) + options["rebuild"] + options["verify"] != 1:
         raise click.UsageError("give one of ROOT, --rebuild and --verify")
-    if verify:
+    if options["verify"]:
         _verify(store, as_json)
         return
     if root is None:
         loading.resume(store)
-        rules = _rules(overrides, store.manifest().load_rules)
+        rules = _rules(options["overrides"], store.manifest().load_rules)
         with progress_bar() as progress:
             entries = loading.rebuild(store, rules, workers, progress)
         if as_json:
@@ -76,11 +66,11 @@ def command(
             click.echo(f"{len(entries)} sequences rebuilt in {clean(store.path)}")
         return
     folders: dict[str, list[str]] = {}
-    for layer, folder in layer_dirs:
+    for layer, folder in options["layer_dirs"]:
         folders.setdefault(layer, []).extend([folder] if folder else [])
     with progress_bar() as progress:
         result = loading.load(
-            root, store, _rules(overrides, LoadRules()), workers, layer_dirs=folders, progress=progress
+            root, store, _rules(options["overrides"], LoadRules()), workers, layer_dirs=folders, progress=progress
         )
     if as_json:
         print_json(result.rows())

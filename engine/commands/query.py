@@ -60,21 +60,14 @@ def sql(**options: Any) -> None:
 
 
 def _run(
-    language: Language,
-    query: str | None,
-    store: Store | None,
-    params: list[tuple[str, str]],
-    timeout: float,
-    listing: bool,
-    as_csv: bool,
-    as_json: bool,
-    parquet: Path | None,
+    language: Language, query: str | None, store: Store | None, params: list[tuple[str, str]], **options: Any
 ) -> None:
     from jrdb_avr.queries.named import named_queries, parse_value
 
+    as_csv, as_json, parquet = options["as_csv"], options["as_json"], options["parquet"]
     if as_csv + as_json + (parquet is not None) > 1:
         raise click.UsageError("choose one of --csv, --json and --parquet")
-    if listing:
+    if options["listing"]:
         known = named_queries(language).values()
         rows = [{"name": own.name, "answers": own.answers, "parameters": own.takes} for own in known]
         print_rows(rows, as_json=as_json)
@@ -91,7 +84,7 @@ def _run(
         if not name.isidentifier():
             raise click.UsageError(f"--param {name}: not the name of a parameter")
     values = {name: parse_value(text) for name, text in params}
-    table = _unique_names(store.query(language, query, values, timeout))
+    table = _unique_names(store.query(language, query, values, options["timeout"]))
     if parquet is not None:
         _write_parquet(table, parquet)
         return

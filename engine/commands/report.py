@@ -59,23 +59,13 @@ def score(runs: tuple[str, ...], store: Store, iou: float, as_json: bool) -> Non
 @click.option("--markdown", "as_markdown", is_flag=True, help="Print Markdown.")
 @click.option("--latex", "as_latex", is_flag=True, help="Print LaTeX, for the package booktabs.")
 @click.option("--html", type=FILE, help="Write everything as one page.")
-def report(
-    runs: tuple[str, ...],
-    store: Store,
-    tables: tuple[str, ...],
-    paper: bool,
-    iou: float,
-    as_json: bool,
-    as_csv: bool,
-    as_markdown: bool,
-    as_latex: bool,
-    html: Path | None,
-) -> None:
+def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html: Path | None, **options: Any) -> None:
     """Compare runs: answer, evidence, combined, hallucination and invalid in percent of the n questions asked.
 
     Intervals are 95 %, from 10,000 seeded draws of whole sequences. Macro averages are over the seven families and the
     paper's five groups.
     """
+    as_json, as_csv, as_markdown, as_latex = (options[f"as_{form}"] for form in ("json", "csv", "markdown", "latex"))
     if as_json + as_csv + as_markdown + as_latex + (html is not None) > 1:
         raise click.UsageError("choose one of --json, --csv, --markdown, --latex and --html")
 
@@ -89,7 +79,7 @@ def report(
     if as_csv and len(names) > 1:
         raise click.UsageError("--csv prints one table: give one --table")
     with warnings_as_notes():
-        found = comparison.report(store, runs, iou=iou, paper=paper)
+        found = comparison.report(store, options["runs"], iou=iou, paper=paper)
     if html is not None:
         from jrdb_avr.engine.pages.page import write_page
         from jrdb_avr.engine.pages.report import report_page

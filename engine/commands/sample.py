@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -27,18 +28,7 @@ from jrdb_avr.engine.console import note, print_rows, progress_bar
 @click.option("--full-scale", is_flag=True, help="27 sequences sized like the JRDB test split, without images.")
 @workers_option
 @json_option
-def command(
-    folder: Path,
-    sequences: int,
-    frames: int,
-    people: int,
-    seed: int,
-    no_images: bool,
-    images: str,
-    full_scale: bool,
-    workers: int,
-    as_json: bool,
-) -> None:
+def command(folder: Path, seed: int, images: str, workers: int, as_json: bool, **options: Any) -> None:
     """Write a synthetic JRDB root: label files and panoramas of marked people.
 
     \b
@@ -48,8 +38,10 @@ def command(
     """
     from jrdb_avr.loaders.synthetic.write import FULL_SCALE, plan, rows, write
 
-    sizes = list(FULL_SCALE) if full_scale else [(frames, people)] * sequences
-    orders = plan(folder, sizes, seed, images="none" if no_images or full_scale else images)
+    sizes = (
+        list(FULL_SCALE) if options["full_scale"] else [(options["frames"], options["people"])] * options["sequences"]
+    )
+    orders = plan(folder, sizes, seed, images="none" if options["no_images"] or options["full_scale"] else images)
     done = []
     with progress_bar() as progress:
         for written in write(orders, workers):

@@ -138,7 +138,21 @@ def evaluate(
             for line in endpoint.warnings:
                 warnings.warn(f"preflight: {line}", AvrWarning, stacklevel=2)
         runner = _runner(method, endpoint, world)
-        manifest = _manifest(store, run_id, model, runner, endpoint, chosen, marker)
+        noise = turned(marker)
+        manifest = RunManifest(
+            run_id=run_id,
+            method=runner.name,
+            model=model,
+            questions_sha256=questions_hash(store),
+            question_ids=tuple(question.question_id for question in chosen),
+            synthetic=model == MARKER or any(map(is_of_sample, chosen)),
+            settings={
+                "method": runner.settings(),
+                **({} if endpoint is None else endpoint.settings),
+                **({"marker": noise} if noise else {}),
+            },
+            created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        )
         check_manifest(store, manifest)
         if live_scores is not None:
             stack.enter_context(report_scores(store, run_id, live_scores))
@@ -215,29 +229,3 @@ def _runner(method: str | Method, endpoint: Endpoint | None, world: WorldModel |
         return load_custom_method(method, None if endpoint is None else endpoint.client)
     assert endpoint is not None, "built-in methods need a model: check_arguments"
     return make_method(method, endpoint.client, endpoint.convention, world)
-
-
-def _manifest(
-    store: Store,
-    run_id: str,
-    model: str,
-    method: ConfigurableMethod,
-    endpoint: Endpoint | None,
-    questions: list[Question],
-    marker: Knobs,
-) -> RunManifest:
-    noise = turned(marker)
-    return RunManifest(
-        run_id=run_id,
-        method=method.name,
-        model=model,
-        questions_sha256=questions_hash(store),
-        question_ids=tuple(question.question_id for question in questions),
-        synthetic=model == MARKER or any(map(is_of_sample, questions)),
-        settings={
-            "method": method.settings(),
-            **({} if endpoint is None else endpoint.settings),
-            **({"marker": noise} if noise else {}),
-        },
-        created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-    )

@@ -13,8 +13,7 @@ import fcntl
 import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 import msgspec
 import pyarrow as pa
@@ -38,45 +37,19 @@ class Finished(msgspec.Struct, frozen=True):
         return bool(self.prediction["status"] == "error")
 
 
-# Decoders are made at import: threads that meet a type first at the same time crash them.
+# Made at import: threads that meet a type first at the same time crash the decoder.
 _FINISHED: Final = msgspec.json.Decoder(Finished)
-
-_KINDS: Final[dict[pa.DataType, Any]] = {
-    pa.string(): str,
-    pa.int32(): Annotated[int, msgspec.Meta(ge=-(2**31), le=2**31 - 1)],
-    pa.int64(): Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)],
-    # Beyond these bounds floats skip whole numbers, and Arrow refuses them.
-    pa.float64(): Annotated[float, msgspec.Meta(gt=-(2.0**53), lt=2.0**53)],
-    pa.bool_(): bool,
-}
-
-
-def _row_type(table: str) -> Any:
-    """The type of a row of a table of `RUNS`, without its run id."""
-    fields = [field for field in RUNS[table] if field.name != "run_id"]
-    kinds = [(f.name, _KINDS[f.type] | None if f.nullable else _KINDS[f.type]) for f in fields]
-    return msgspec.defstruct(table, kinds, forbid_unknown_fields=True)
-
-
-_STORABLE: Final = msgspec.json.Decoder(
-    msgspec.defstruct(
-        "Storable",
-        [
-            ("question_id", str),
-            ("prediction", _row_type("predictions")),
-            ("steps", list[_row_type("steps")]),  # type: ignore[misc]
-            ("world", list[_row_type("world")], []),  # type: ignore[misc]
-        ],
-    )
-)
 
 
 def check_storable(entry: Finished) -> None:
-    """Raises ValueError (msgspec's) for an entry that the tables cannot hold."""
-    _STORABLE.decode(msgspec.json.encode(entry))
+    """Raises ValueError, or an error of pyarrow or msgspec, for an entry that journal and tables would not give back
+    as it is."""
+    run_tables("", [entry])
+    if _FINISHED.decode(msgspec.json.encode(entry)) != entry:
+        raise ValueError("what the method returned or recorded holds a value that JSON changes, such as NaN")
 
 
-class Journal:
+class Journal(contextlib.ExitStack):
     """Finished questions on disk, in the order in which they finished; the last line of a question counts.
 
     Opening takes the file's lock (LockedError if another process runs this run) and drops a last line that a crash
@@ -84,18 +57,19 @@ class Journal:
     """
 
     def __init__(self, path: Path) -> None:
+        super().__init__()
         self._path = path
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             # Not buffered: a buffer would write what the disk refused once more at the end.
-            self._file = path.open("a+b", buffering=0)
+            self._file = self.enter_context(path.open("a+b", buffering=0))
         except OSError as error:
             raise StoreError(f"cannot write {path}: {error.strerror}; choose another --store") from None
         try:
             self._lock()
             self.finished = self._replay()
         except BaseException:
-            self._file.close()
+            self.close()
             raise
 
     def _lock(self) -> None:
@@ -137,14 +111,6 @@ class Journal:
                 self._file.truncate(end)
             raise StoreError(f"cannot write {self._path}: {error.strerror}; then run again with --resume") from None
         self.finished[entry.question_id] = entry
-
-    def __enter__(self) -> Journal:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._file.close()
 
 
 def run_tables(run_id: str, entries: Sequence[Finished]) -> dict[str, pa.Table]:

@@ -17,7 +17,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
@@ -79,13 +79,6 @@ def _report_all(lines: Iterator[str], report: Callable[[LiveScore], None]) -> No
 # -- the child --------------------------------------------------------------------------------------------------------
 
 
-class _Line(msgspec.Struct):
-    """The part of a journal line that is scored."""
-
-    question_id: str
-    prediction: dict[str, Any]
-
-
 def main() -> None:
     """Print a line whenever the scores change, until standard input closes: the parent's end is the child's."""
     from jrdb_avr.queries.store import Store
@@ -109,6 +102,7 @@ def live_scores(store: Store, run_id: str, go_on: Callable[[], bool]) -> Iterato
     import pyarrow as pa
 
     from jrdb_avr.engine.report.scoring import read_truth, score_predictions
+    from jrdb_avr.engine.run.journal import Finished
     from jrdb_avr.queries.runs import questions_hash, read_run_manifest
     from jrdb_avr.schema.errors import StoreError
     from jrdb_avr.schema.tables import RUNS
@@ -122,7 +116,9 @@ def live_scores(store: Store, run_id: str, go_on: Callable[[], bool]) -> Iterato
         while True:
             more = go_on()
             *lines, rest = (rest + journal.read()).split(b"\n")
-            entries = {entry.question_id: entry for entry in (msgspec.json.decode(line, type=_Line) for line in lines)}
+            entries = {
+                entry.question_id: entry for entry in (msgspec.json.decode(line, type=Finished) for line in lines)
+            }
             if entries:
                 rows = [{"run_id": run_id, **entry.prediction} for entry in entries.values()]
                 predictions = pa.Table.from_pylist(rows, RUNS["predictions"])

@@ -5,7 +5,6 @@ runs/<run_id>/run.json    the manifest: questions, method, model and settings; w
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -114,10 +113,4 @@ def _with_panoramas(questions: Sequence[Question], image_root: str | None) -> li
 
 
 def _has_images(image_root: str | None, sequence: str) -> bool:
-    if image_root is None:
-        return False
-    try:
-        with os.scandir(Path(image_root) / sequence) as entries:
-            return any(entry.name.endswith(".jpg") for entry in entries)
-    except OSError:
-        return False
+    return image_root is not None and any(Path(image_root, sequence).glob("*.jpg"))
