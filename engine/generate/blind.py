@@ -41,7 +41,7 @@ AIMS: Final = {"multiple_choice": 0.35, "frame": 0.25, "span": 0.25, "frame_view
 
 @dataclass(frozen=True, slots=True)
 class QuestionText:
-    """A question as its text says it, with its answer."""
+    """What the public text of a question states, with its answer."""
 
     sequence: str
     template: str

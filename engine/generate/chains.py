@@ -2,7 +2,7 @@
 
 Candidates are copied into the scene's graph as nodes, `(Path)-[:Of]->(Description)` and `(Path)-[:From]->(Moment)`, and
 the perturbed programs walk from there along `Step` and `Fits`, which lead somewhere from every moment: to the one
-person who can be meant, or to one of the nodes that say why there is none.
+person who can be meant, or to one of the nodes that stand for the reason why there is none.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ from jrdb_avr.schema.wording import in_order
 class Descriptions:
     """The chosen descriptions of a scene.
 
-    A *name* is a description given to a sighting. Per name: its sighting; its uses, filled up with NOBODY; and whether
+    A *name* is the description of a sighting. Per name: its sighting; its uses, filled up with NOBODY; and whether
     it was chosen for questions in general, and for those whose answer is a pose.
     """
 
@@ -82,7 +82,7 @@ class Descriptions:
 
     @cached_property
     def stated_sizes(self) -> Bools:
-        """Per name, whether the description says how large the person's group is."""
+        """Per name, whether the description states how large the person's group is."""
         return self.conditions.any_of(self.conditions.of_kind("group_size"), self.uses)
 
     @cached_property

@@ -51,7 +51,7 @@ SOUGHT: Final = {
     "later_pose": "two certain relations lead to somebody whose known pose is another one ten seconds later",
     "gap": "somebody described starts two actions five seconds apart, or is away for five seconds, or is in one "
     "relation with four people or more",
-    "fork_join": "two ways from somebody described meet in one person, and neither alone tells who",
+    "fork_join": "two ways from somebody described meet in one person, and neither alone singles that person out",
 }
 """What has to happen in a scene for a candidate of each template."""
 
@@ -76,14 +76,14 @@ def tallies(rejected: pa.Table, questions: pa.Table) -> list[dict[str, Any]]:
     refused: Counter[tuple[str, str]] = Counter()
     for line in counts.to_pylist():
         refused[line["template"], line["rule"]] += line["candidates"]
-    asked = Counter(questions["template"].to_pylist())
+    questions_of = Counter(questions["template"].to_pylist())
     rows = []
     for name, family in FAMILIES.items():
         before = {rule: refused[name, rule] for rule in RULES}
         after = {rule: refused[name, rule] for rule in REFUSALS if rule not in RULES}
-        proven = sum(after.values()) + asked[name]
+        proven = sum(after.values()) + questions_of[name]
         row = {"family": family, "template": name, "candidates": proven + sum(before.values()), **before}
-        rows.append(row | {"proven": proven, **after, "questions": asked[name]})
+        rows.append(row | {"proven": proven, **after, "questions": questions_of[name]})
     return rows
 
 

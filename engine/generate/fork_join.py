@@ -1,7 +1,7 @@
 """Fork-joins: two people reached from the one described, and the fourth whom a relation of each singles out together,
 though each relation alone holds of several; with the proofs that no part of this can be left out.
 
-For every person at a keyframe and every relation that may join, two sets are kept as bit masks, 64 people to a word:
+For every person at a keyframe and every relation that may join, there are two sets as bit masks, 64 people to a word:
 who could have it, and who certainly does. They hold the facts of `relations`, everybody of whom nothing is known, and
 the windows, which are worked out here from the centres of all boxes, clear views or not. Whom two relations single out
 is then found set-wise, with the people of the plan left out.

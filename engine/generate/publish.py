@@ -1,4 +1,4 @@
-"""The published tables: selected candidates as questions, and what is kept beside them in private.
+"""The published tables: selected candidates as questions, and what is stored beside them in private.
 
 All tables of one generation carry the same mark, a hash of the questions and answers, in their Parquet metadata. They
 are written to temporary files first and then moved in one after the other, the questions last: after a crash in

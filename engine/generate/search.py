@@ -90,7 +90,7 @@ def _stated(context: SearchContext, candidates: Candidates) -> Bools:
     """Where the question's own words name the answer."""
     template, descriptions = candidates.template, context.descriptions
     if template.counts:
-        # Whoever is said to be in a group of six is with five others, at that moment at least.
+        # Whoever is described as in a group of six is with five others, at that moment at least.
         group = candidates.relations["r1"] == RELATIONS.index(SAME_GROUP)
         return np.asarray(group & descriptions.stated_sizes[candidates.name])
     if not template.pose_answer:

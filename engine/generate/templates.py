@@ -44,7 +44,7 @@ def plan_texts(template: Template, columns: Mapping[str, pa.Array]) -> pa.Array:
     """Canonical plans of candidates, set-wise.
 
     `columns` holds `conditions` (as JSON, without brackets), one column of frames per stated time, one of relations
-    per hop, and `action` and `action2` where the template asks for them.
+    per hop, and `action` and `action2` where the template names them.
     """
     # The longer mark first: it begins like the shorter one.
     holes = {"?conditions": "conditions", "?action2": "action2", "?action": "action"}
@@ -66,7 +66,7 @@ def plan_texts(template: Template, columns: Mapping[str, pa.Array]) -> pa.Array:
 
 def joined(pieces: list[pa.Array | str]) -> pa.Array:
     """Texts put together from columns and constants; numbers are written as they are."""
-    # Of a text whose type is not told, Arrow looks for packages that know of dates, every time.
+    # Without a type, Arrow looks for packages that know of dates, every time.
     parts = [
         pa.scalar(piece, pa.string()) if isinstance(piece, str) else pc.cast(piece, pa.string()) for piece in pieces
     ]
