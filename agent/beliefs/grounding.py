@@ -31,7 +31,7 @@ from jrdb_avr.schema.things import OBJECTS, VERBS, normal_category, normal_verb
 
 LONGEST_TEXT: Final = 120
 LONGEST_ARGUMENTS: Final = 4000
-"""Characters of a call's arguments that are kept."""
+"""Characters of a call's arguments that the record holds."""
 
 _ID: Final = re.compile(r"[A-Za-z0-9_-]{1,32}")
 _NAME: Final = re.compile(r"[A-Za-z0-9_ ]{1,40}")
@@ -125,8 +125,8 @@ _RELATIONS: Final = {plain(label): label for label in RELATIONS}
 
 def _part(arguments: object, required: Collection[str], optional: Collection[str] = ()) -> Mapping[str, Any]:
     """The arguments as an object with these keys. Raises DecodeError naming the missing or extra ones."""
-    given = [*required, *(key for key in optional if isinstance(arguments, Mapping) and key in arguments)]
-    return only_keys(arguments, given, "the call")
+    keys = [*required, *(key for key in optional if isinstance(arguments, Mapping) and key in arguments)]
+    return only_keys(arguments, keys, "the call")
 
 
 def _id(value: object, what: str) -> str:

@@ -94,7 +94,7 @@ class BeliefSolver:
         """What the beliefs come to by the compiled plan.
 
         rows: what is believed, where that is at hand: the engine then only looks for the people. A plan that so many
-        sets of people nearly fit that the engine would be kept from other episodes is not run, and counts as ambiguous.
+        sets of people nearly fit that other episodes would wait for it is not run, and counts as ambiguous.
         Raises PlanError for a plan that cannot be compiled, QueryError where a statement takes too long.
         """
         reader, match = self._match(plan, rows)

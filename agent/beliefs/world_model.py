@@ -84,10 +84,10 @@ _NO_FRAME: Final = -1
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """Result of a call: `said` is "done", or why it was refused."""
+    """Result of a call: `text` is "done", or why it was refused."""
 
     accepted: bool
-    said: str
+    text: str
 
 
 class WorldModel:

@@ -1,4 +1,4 @@
-"""Memory in a chat history: what was shown and said stays in it, and the final answer carries its own box."""
+"""Memory in a chat history: all messages stay in it, and the final answer carries its own box."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ class ChatMemory:
     names: int = 0
     proposed: ParsedReply = field(default_factory=ParsedReply)
 
-    # -- what the model is shown --------------------------------------------------------------------------------------
+    # -- what the model is sent ---------------------------------------------------------------------------------------
 
     def messages(self, turn: Turn) -> list[Message]:
-        """Everything shown and said so far, and this turn's results, pictures and what is left."""
+        """All messages so far, and this turn's results, pictures and what is left."""
         first = not self.history
         if first:
             self.history.append(Message("system", (self.system,)))
@@ -60,7 +60,7 @@ class ChatMemory:
         final = call_schema(FINAL, {"answer": answer, "observation": OBSERVATION_SCHEMA, "box": BOX_SCHEMA})
         return turn_schema([*([looks] if looks else []), final])
 
-    # -- what is kept, and what is read from it -----------------------------------------------------------------------
+    # -- what is named, and what is read from it ----------------------------------------------------------------------
 
     def named(self, seen: Observation | Panorama, step: int) -> str:
         self.names += 1
@@ -91,7 +91,7 @@ class ChatMemory:
         self.proposed = ParsedReply(answer, evidence, tuple(faults))
         stored = None if answer is None else msgspec.Raw(encode_answer(answer).encode())
         parsed = {"answer": stored, "evidence": evidence, "box_key": key, "faults": faults}
-        self.attempt.record("solve", {"observation": call.said}, parsed, started)
+        self.attempt.record("solve", {"observation": call.text}, parsed, started)
         if faults:
             raise DecodeError("; ".join(faults))
         return self.proposed

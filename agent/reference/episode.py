@@ -130,21 +130,21 @@ class Episode:
         """Carry out or refuse one call; the verdict of a legal final answer."""
         self.used += 1
         started = time.perf_counter()
-        verdict, said = None, "done"
+        verdict, result = None, "done"
         try:
             if call.fault:
                 raise DecodeError(call.fault)
             if call.tool == "observe":
-                said = self._look(call, step)
+                result = self._look(call, step)
             elif call.tool == FINAL:
                 verdict = self.memory.judge(call, self.views, step)
             else:
-                said = self.memory.carry_out(call, self.views, step)
+                result = self.memory.carry_out(call, self.views, step)
         except DecodeError as error:
             self.memory.refused(call, step, str(error))
-            said = refusal(str(error))
-        results.append(f"{call.tool}: {said}")
-        self.attempt.record("tool", msgspec.Raw(call.said.encode()), said, started)
+            result = refusal(str(error))
+        results.append(f"{call.tool}: {result}")
+        self.attempt.record("tool", msgspec.Raw(call.text.encode()), result, started)
         return verdict
 
     def _look(self, call: Call, step: int) -> str:

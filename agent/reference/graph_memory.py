@@ -1,4 +1,4 @@
-"""Memory in the world model: the graph is shown in every turn, and a solver judges the final answer by it.
+"""Memory in the world model: every turn shows the graph, and a solver judges the final answer by it.
 
 Every write, accepted or refused, goes to the episode of the world model, which alone decides whether it is grounded.
 """
@@ -45,7 +45,7 @@ OBSERVATION_SCHEMA: Final = {"type": "string", "pattern": "^o[0-9]+$"}
 
 
 _TOOLS: Final[dict[str, Tool]] = {name: name for name in get_args(Tool)}
-"""The tools whose refused calls are kept."""
+"""The tools whose refused calls are recorded."""
 
 
 @dataclass
@@ -68,7 +68,7 @@ class GraphMemory:
     weighed: Belief | None = None
     compiled: Belief | None = None
 
-    # -- what the model is shown --------------------------------------------------------------------------------------
+    # -- what the model is sent ---------------------------------------------------------------------------------------
 
     def messages(self, turn: Turn) -> list[Message]:
         """Question, plan, graph, results of the last turn, the latest pictures, and what is left.
@@ -114,7 +114,7 @@ class GraphMemory:
         arguments, box = self._with_box(call.arguments, views) if call.tool == "add_entity" else (call.arguments, "")
         result = self.world.add(_TOOLS[call.tool], arguments, step, box)
         if not result.accepted:
-            return refusal(result.said)
+            return refusal(result.text)
         self._changed()
         return "done"
 
@@ -122,15 +122,15 @@ class GraphMemory:
         """The arguments under the contract's key, and the box in pixels of the named observation, or its fault."""
         convention = self.attempt.convention
         key = box_key(arguments, convention, "box")
-        given = {("box" if name == key else name): value for name, value in arguments.items()}
-        name = given.get("observation")
+        contract = {("box" if name == key else name): value for name, value in arguments.items()}
+        name = contract.get("observation")
         view = views.get(name) if isinstance(name, str) else None
         if view is None:
-            return given, "the box is of no observation"
+            return contract, "the box is of no observation"
         try:
-            return given, read_box(given.get("box"), view.width, HEIGHT, convention, key)
+            return contract, read_box(contract.get("box"), view.width, HEIGHT, convention, key)
         except DecodeError as error:
-            return given, str(error)
+            return contract, str(error)
 
     # -- what is read from it -----------------------------------------------------------------------------------------
 
@@ -147,7 +147,7 @@ class GraphMemory:
 
     def solved(self, reason: str) -> ParsedReply:
         """What the graph says by itself; where it has no single target, what is read of the likeliest one. An answer
-        that cannot be read is none, and the box is kept.
+        that cannot be read is none, and the box stays.
         """
         belief = self._solved()
         if belief.seen is None:
@@ -168,15 +168,15 @@ class GraphMemory:
         return self.weighed
 
     def _solved(self) -> Belief:
-        """What an answer is judged by: the compiled plan's, which is asked where there may be one."""
+        """What an answer is judged by: the compiled plan's, which runs where there may be one."""
         if self.compiled is None:
             started = time.perf_counter()
             weighed = self._weighed()
             self.world.settle()
             defined = weighed.outcome == "defined"
             self.compiled = self.solver.solve(self.plan, self.world.rows()) if defined else weighed
-            asked = {"read": self.plan.answer.read, "of": self.plan.answer.of}
-            self.attempt.record("solve", asked, msgspec.to_builtins(self.compiled), started)
+            query = {"read": self.plan.answer.read, "of": self.plan.answer.of}
+            self.attempt.record("solve", query, msgspec.to_builtins(self.compiled), started)
         return self.compiled
 
 

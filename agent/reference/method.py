@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ReferenceAgent:
-    """looks: whether it chooses where to look, or is shown panoramas; remembers: whether it has a plan and a world
+    """looks: whether it chooses where to look, or is sent panoramas; remembers: whether it has a plan and a world
     model, `world`, or a chat history in their place.
     """
 

@@ -1,4 +1,4 @@
-"""The plan stage: what a model is shown, and what its plan must keep to before anything is looked at."""
+"""The plan stage: what a model is sent, and what its plan must keep to before anything is looked at."""
 
 from __future__ import annotations
 
@@ -47,17 +47,17 @@ from jrdb_avr.schema.wording.phrases import FAR_AWAY
 if TYPE_CHECKING:
     from jrdb_avr.agent.beliefs.world_model import BeliefEpisode
 
-LONGEST_SHOWN: Final = 4000
-"""Characters of a refused plan that are shown again."""
+LONGEST_SENT: Final = 4000
+"""Characters of a refused plan that are sent again."""
 
-MOST_ASKED: Final = 32
+MOST_PARTS: Final = 32
 """Conditions and edges of a plan: a question's has a dozen, and the engine's work grows with them."""
 
 
 def make_plan(attempt: Attempt, repairs: int, check: Callable[[Plan], None], episode: BeliefEpisode) -> Plan | str:
     """The model's plan for the question, or why the last of `1 + repairs` tries was refused.
 
-    Each try is one model call, which is shown the plan before it and what was wrong with that one. `check` raises
+    Each try is one model call, with the plan before it and what was wrong with that one. `check` raises
     PlanError for a plan that the solver cannot run. The episode keeps every try.
     """
     task = attempt.task
@@ -72,18 +72,18 @@ def make_plan(attempt: Attempt, repairs: int, check: Callable[[Plan], None], epi
         )
         reply = attempt.ask([Message("system", (system,)), Message("user", (user,))], schema)
         step, started = attempt.steps - 1, time.perf_counter()
-        given: dict[str, Any] = {}
+        value: dict[str, Any] = {}
         text = printable(attempt.raw)
         try:
-            given = decode.reply_object(reply, attempt.convention)
-            text = compact_json(given)
+            value = decode.reply_object(reply, attempt.convention)
+            text = compact_json(value)
             plan = read_plan(text, task)
             check(plan)
         except (DecodeError, PlanError) as error:
             refusal = printable(str(error))
-            episode.refused("plan", given if len(text) <= LONGEST_SHOWN else {}, refusal, step)
+            episode.refused("plan", value if len(text) <= LONGEST_SENT else {}, refusal, step)
             attempt.record("tool", {"tool": "plan"}, {"refused": refusal}, started)
-            text = text[:LONGEST_SHOWN]
+            text = text[:LONGEST_SENT]
         else:
             episode.plan(plan, step)
             attempt.record("tool", {"tool": "plan"}, {"accepted": canonical(plan)}, started)
@@ -105,9 +105,9 @@ def read_plan(text: str, task: Task) -> Plan:
             raise PlanError(f"times.{name}.frame", f"the last frame of the video is {frame_count - 1}")
     if plan.answer.of != plan.target:
         raise PlanError("answer.of", f"the answer is read of the target, {plan.target!r}")
-    asked = sum(len(node.conditions) for node in plan.nodes) + len(plan.edges)
-    if asked > MOST_ASKED:
-        raise PlanError("plan", f"at most {MOST_ASKED} conditions and edges are taken, not {asked}")
+    count = sum(len(node.conditions) for node in plan.nodes) + len(plan.edges)
+    if count > MOST_PARTS:
+        raise PlanError("plan", f"at most {MOST_PARTS} conditions and edges are taken, not {count}")
     check_labels(plan)
     return plan
 
@@ -137,12 +137,12 @@ def _plain(node: Any) -> Any:
         return [_plain(entry) for entry in node]
     if not isinstance(node, dict):
         return node
-    kept = {key: _plain(value) for key, value in node.items() if key not in _LEFT_OUT}
-    either = kept.pop("anyOf", None)
+    plain = {key: _plain(value) for key, value in node.items() if key not in _LEFT_OUT}
+    either = plain.pop("anyOf", None)
     if either is not None:
         named = [option for option in either if option != {"type": "null"}]
-        kept |= {"anyOf": named} if len(named) > 1 else named[0]
-    return kept
+        plain |= {"anyOf": named} if len(named) > 1 else named[0]
+    return plain
 
 
 _LEFT_OUT: Final = frozenset({"title", "description", "default", "propertyNames", "minLength", "maxLength"})

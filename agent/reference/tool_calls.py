@@ -43,28 +43,28 @@ class Call:
     fault: str = ""
 
     @property
-    def said(self) -> str:
+    def text(self) -> str:
         """The call as the transcript shows it."""
         return compact_json({"tool": self.tool, **self.arguments})
 
 
 def read_calls(turn: Mapping[str, Any], tools: Collection[str]) -> list[Call]:
     """The calls of a turn, in order. Raises DecodeError for what is no list of 1 to `MOST_PER_TURN` calls."""
-    given = decode.only_keys(turn, ("calls",), "a turn")["calls"]
-    if not isinstance(given, list) or not 1 <= len(given) <= MOST_PER_TURN:
+    value = decode.only_keys(turn, ("calls",), "a turn")["calls"]
+    if not isinstance(value, list) or not 1 <= len(value) <= MOST_PER_TURN:
         raise DecodeError(f'"calls" must be a list of 1 to {MOST_PER_TURN} calls')
-    return [_read_call(call, tools, last=place == len(given)) for place, call in enumerate(given, 1)]
+    return [_read_call(call, tools, last=place == len(value)) for place, call in enumerate(value, 1)]
 
 
-def _read_call(given: object, tools: Collection[str], last: bool) -> Call:
-    if not isinstance(given, dict) or not isinstance(given.get("tool"), str):
+def _read_call(call: object, tools: Collection[str], last: bool) -> Call:
+    if not isinstance(call, dict) or not isinstance(call.get("tool"), str):
         return Call("?", {}, 'a call is an object that names its "tool"')
-    tool = given["tool"]
+    tool = call["tool"]
     if tool not in tools:
         return Call("?", {}, f"there is no tool {compact_json(tool[:40])}; there are {', '.join(tools)}")
-    if _depth(given) > _DEPTH or len(compact_json(given)) > LONGEST_CALL:
+    if _depth(call) > _DEPTH or len(compact_json(call)) > LONGEST_CALL:
         return Call(tool, {}, "the call is too deep or too long")
-    arguments = {name: value for name, value in given.items() if name != "tool"}
+    arguments = {name: value for name, value in call.items() if name != "tool"}
     if tool == FINAL and not last:
         return Call(tool, arguments, "it must be the last call of its turn")
     return Call(tool, arguments)
@@ -125,7 +125,7 @@ LOOK_SCHEMA: Final = call_schema("observe", {"frame_id": decode.FRAME_ID_SCHEMA,
 
 @dataclass(frozen=True)
 class View:
-    """An observation as it is named and shown. left, width: its columns in the panorama; line: its metadata."""
+    """An observation under its name, for a turn. left, width: its columns in the panorama; line: its metadata."""
 
     name: str
     kind: str

@@ -142,10 +142,10 @@ def restore_world(graph: Graph, run_id: str, record: pa.Table) -> int:
     """
     there = writes_held(graph, run_id)
     counts = record.group_by("question_id").aggregate([("number", "count")]).to_pylist()
-    told = {row["question_id"]: row["number_count"] for row in counts}
-    lacking = [question for question, writes in told.items() if there.get(question) != writes]
+    recorded = {row["question_id"]: row["number_count"] for row in counts}
+    lacking = [question for question, writes in recorded.items() if there.get(question) != writes]
     tables = replayed(record.filter(pc.is_in(record["question_id"], pa.array(lacking, pa.string()))))
-    stale = [question for question, writes in there.items() if told.get(question) != writes]
+    stale = [question for question, writes in there.items() if recorded.get(question) != writes]
     with graph.transaction():
         if stale:
             drop_world(graph, run_id, stale)

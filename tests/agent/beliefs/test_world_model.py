@@ -93,10 +93,10 @@ def test_a_refused_write_leaves_its_line_and_nothing_else(graph, call, why):
     episode.observed(look(30), 0)
     before = tables_of(graph, belongs(episode.key))
     result = call(episode)
-    assert not result.accepted and why in result.said
+    assert not result.accepted and why in result.text
     after = tables_of(graph, belongs(episode.key))
     (line,) = [row for row in after.pop("Write") if row not in before["Write"]]
-    assert (line["accepted"], line["reason"]) == (False, result.said) == (writes[-1].accepted, writes[-1].reason)
+    assert (line["accepted"], line["reason"]) == (False, result.text) == (writes[-1].accepted, writes[-1].reason)
     assert len(after.pop("Wrote")) == len(before["Wrote"]) + 1
     assert after == {table: rows for table, rows in before.items() if table not in ("Write", "Wrote")}
 
@@ -198,11 +198,11 @@ def test_what_was_believed_at_a_step_can_be_asked(graph, episode):
 def test_there_is_an_end_of_entities_and_writes(graph, episode, monkeypatch):
     episode.observed(look(15), 0)
     assert all(add(episode, f"p{number}").accepted for number in range(MOST_ENTITIES))
-    assert "no more are taken" in add(episode, "one-more").said
+    assert "no more are taken" in add(episode, "one-more").text
     assert add(episode, "p1").accepted
     assert MOST_WRITES == 2000
     monkeypatch.setattr("jrdb_avr.agent.beliefs.world_model.MOST_WRITES", MOST_ENTITIES + 1)
-    assert "no more are taken" in say(episode, "coat", "red").said
+    assert "no more are taken" in say(episode, "coat", "red").text
 
 
 def test_an_interrupted_try_is_taken_away(graph):

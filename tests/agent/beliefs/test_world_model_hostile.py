@@ -40,7 +40,7 @@ def test_whatever_is_called_nothing_ungrounded_is_written(graph, seed):
     check_shown(episode.graph(), tables)
     assert tables == replay(writes, episode.key)
     assert len(tables["Write"]) == len(writes) == 2 + len(calls)
-    for text in [result.said for result in said] + [json.dumps(episode.graph()).replace("secret/1", "")]:
+    for text in [result.text for result in said] + [json.dumps(episode.graph()).replace("secret/1", "")]:
         assert "secret/" not in text.replace("secret/1", "")
         text.encode()
 

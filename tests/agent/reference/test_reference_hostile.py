@@ -191,7 +191,7 @@ def test_a_turn_is_read_or_malformed(value):
     assert 1 <= len(made) <= MOST_PER_TURN
     for call in made:
         assert call.tool in (*TOOLS, "?")
-        assert len(call.said) < 4000 and call.said.isascii()
+        assert len(call.text) < 4000 and call.text.isascii()
 
 
 @given(st.lists(calls, min_size=1, max_size=5))
