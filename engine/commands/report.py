@@ -84,7 +84,7 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
         from jrdb_avr.engine.pages.page import write_page
         from jrdb_avr.engine.pages.report import report_page
 
-        write_page(html, report_page(store, found.truth, found.facts, found.runs, iou, published=paper))
+        write_page(html, report_page(store, found.truth, found.index, found.runs, iou, published=paper))
         note(f"wrote {html}")
         return
     if as_json:

@@ -13,7 +13,7 @@ from jrdb_avr.engine.pages.page import render
 from jrdb_avr.engine.pages.svg import SQUARE, scatter
 from jrdb_avr.engine.report.failures import CAUSES
 from jrdb_avr.engine.report.formats import filled
-from jrdb_avr.engine.report.scored_runs import DIMENSIONS, SCORES, Facts, Judged, told_apart
+from jrdb_avr.engine.report.scored_runs import DIMENSIONS, SCORES, QuestionIndex, ScoredRun, distinguishing_settings
 from jrdb_avr.engine.report.scoring import Truth
 from jrdb_avr.engine.report.tables import TABLES, report_table
 from jrdb_avr.queries.store import Store
@@ -41,10 +41,10 @@ class Crossed:
 
 
 def report_page(
-    store: Store, truth: Truth, facts: Facts, runs: Sequence[Judged], iou: float, *, published: bool = False
+    store: Store, truth: Truth, index: QuestionIndex, runs: Sequence[ScoredRun], iou: float, *, published: bool = False
 ) -> str:
     """The page's HTML."""
-    tables = {name: report_table(name, store, truth, facts, runs, iou, published=published) for name in TABLES}
+    tables = {name: report_table(name, store, truth, index, runs, iou, published=published) for name in TABLES}
     names = [run.manifest.run_id for run in runs]
     own = [row for row in tables["main"] if row["run"]]
     dots, tags = scatter(own)
@@ -69,7 +69,7 @@ def report_page(
         titles=_TITLES,
         wrong=pivot(tables["wrong_choices"], "run", "perturbation"),
         perturbations=sorted(perturbations, key=lambda name: (-perturbations[name], name)),
-        apart=told_apart(runs),
+        apart=distinguishing_settings(runs),
         labels={row["run"]: row["label"] for row in own},
         ticks=(0, 20, 40, 60, 80, 100),
         kinds=SCORES,

@@ -11,7 +11,7 @@ from typing import Any, Final
 import pyarrow as pa
 
 from jrdb_avr.engine.report import formats
-from jrdb_avr.engine.report.scored_runs import Facts, Judged, judge, read_facts
+from jrdb_avr.engine.report.scored_runs import QuestionIndex, ScoredRun, read_index, scored_run
 from jrdb_avr.engine.report.scoring import Truth, read_truth, score_run, write_scores
 from jrdb_avr.engine.report.tables import TABLES, report_table, score_row
 from jrdb_avr.queries.display import Displayed, Tables
@@ -43,8 +43,8 @@ class Comparison(Displayed):
 
     store: Store
     truth: Truth
-    facts: Facts
-    runs: list[Judged]
+    index: QuestionIndex
+    runs: list[ScoredRun]
     iou: float
     paper: bool
 
@@ -57,7 +57,7 @@ class Comparison(Displayed):
         """The rows of one table of `engine.report.tables.TABLES`. Raises InputError for another name."""
         if name not in TABLES:
             raise InputError(f"no table {name!r}; there are {', '.join(TABLES)}", field="table")
-        return report_table(name, self.store, self.truth, self.facts, self.runs, self.iou, published=self.paper)
+        return report_table(name, self.store, self.truth, self.index, self.runs, self.iou, published=self.paper)
 
     def markdown(self, name: str = "main") -> str:
         """A table in Markdown, in the columns of a paper."""
@@ -94,7 +94,7 @@ def score(store: Store | str | Path, runs: Sequence[str] = (), iou: float = 0.5)
     """
     store = Store.of(store)
     rows = []
-    for run, scores in _scored(store, read_truth(store), read_facts(store), runs, iou):
+    for run, scores in _scored(store, read_truth(store), read_index(store), runs, iou):
         write_scores(store, run.manifest.run_id, scores, iou)
         rows.append(score_row(run, iou))
     return Scores(rows)
@@ -106,14 +106,14 @@ def report(store: Store | str | Path, runs: Sequence[str] = (), *, iou: float = 
     Raises StoreError for a named run that cannot be scored; of all runs, such a one is left out with an AvrWarning.
     """
     store = Store.of(store)
-    truth, facts = read_truth(store), read_facts(store)
-    found = [run for run, _ in _scored(store, truth, facts, runs, iou)]
-    return Comparison(store, truth, facts, found, iou, paper)
+    truth, index = read_truth(store), read_index(store)
+    found = [run for run, _ in _scored(store, truth, index, runs, iou)]
+    return Comparison(store, truth, index, found, iou, paper)
 
 
 def _scored(
-    store: Store, truth: Truth, facts: Facts, names: Sequence[str], iou: float
-) -> list[tuple[Judged, pa.Table]]:
+    store: Store, truth: Truth, index: QuestionIndex, names: Sequence[str], iou: float
+) -> list[tuple[ScoredRun, pa.Table]]:
     """Each run with its scores table, by method, model and id."""
     known = run_ids(store)
     if not known:
@@ -128,7 +128,7 @@ def _scored(
                 raise
             warnings.warn(f"left out: {error}", AvrWarning, stacklevel=3)
             continue
-        done.append((judge(facts, manifest, predictions, scores), scores))
+        done.append((scored_run(index, manifest, predictions, scores), scores))
     if not done:
         raise StoreError(f"no run of {store.path} can be scored: evaluate on the store's present questions")
     return sorted(done, key=lambda pair: (pair[0].manifest.method, pair[0].manifest.model, pair[0].manifest.run_id))

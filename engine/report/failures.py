@@ -1,11 +1,11 @@
-"""How a method fails: which perturbed reading its wrong choices are true of, and why its boxes do not score.
+"""How a method fails: the perturbed question that its wrong choices answer, and why its boxes do not score.
 
 A question whose box does not score has exactly one cause, the first that fits:
 
-    no box                          none was given, or it could not be read, or the question ended in an error
-    never looked there              no look of the run shows half of the target's width in any frame
-    frame where the target is absent  the target has no box in the frame that was given
-    right person, loose box         the box overlaps the target more than it does anybody else
+    no box                          the prediction has none, or an unreadable one, or ended in an error
+    never looked there              no look of the run includes half of the target's width in any frame
+    frame where the target is absent  the target has no box in the frame of the prediction
+    right person, loose box         the box overlaps the target more than anybody else
     wrong person                    it overlaps somebody else more
     nobody                          it overlaps nobody's box
 """
@@ -24,8 +24,15 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.engine.report.scored_runs import Facts, Judged, share
-from jrdb_avr.engine.report.scoring import Truth, box_ious, frame_key, given_boxes, predictions_asked, target_boxes
+from jrdb_avr.engine.report.scored_runs import QuestionIndex, ScoredRun, percent_of
+from jrdb_avr.engine.report.scoring import (
+    Truth,
+    align_predictions,
+    box_ious,
+    frame_key,
+    given_boxes,
+    target_boxes,
+)
 from jrdb_avr.engine.report.traces import look_shown
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
@@ -49,37 +56,30 @@ _SHOWN: Final = 0.5
 # -- wrong choices ----------------------------------------------------------------------------------------------------
 
 
-def wrong_choice_rows(store: Store, facts: Facts, runs: Sequence[Judged]) -> list[dict[str, Any]]:
-    """Per run: the perturbation behind each wrong choice that was made, in percent of the wrong choices."""
+def wrong_choice_rows(store: Store, index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[dict[str, Any]]:
+    """Per run: the perturbation behind each wrong choice, in percent of the wrong choices."""
     answers = store.questions("answers", ["question_id", "distractors"])
-    known = answers["distractors"].take(pc.index_in(facts.ids, value_set=answers["question_id"].combine_chunks()))
+    known = answers["distractors"].take(pc.index_in(index.ids, value_set=answers["question_id"].combine_chunks()))
     perturbations = [_perturbations(text) for text in known.to_pylist()]
+    modes = index.labels["answer_mode"]
+    with_choices = np.array(modes.names)[modes.numbers] == "multiple_choice"
     rows = []
     for run in runs:
+        given, judged = align_predictions(run.manifest.question_ids, run.predictions)
+        wrong = judged & (run.scores[:, 0] == 0) & with_choices[run.rows]
+        choices = map(_choice, given["answer"].filter(pa.array(wrong)).to_pylist())
         found = Counter(
-            perturbations[question].get(choice, NONE_RECORDED) for question, choice in _wrong_choices(facts, run)
+            perturbations[question].get(choice, NONE_RECORDED)
+            for question, choice in zip(run.rows[wrong].tolist(), choices, strict=True)
+            if choice is not None
         )
-        total = found.total()
         for name, times in sorted(found.items(), key=lambda item: (-item[1], item[0])):
-            head = {"run": run.manifest.run_id, "perturbation": name}
-            rows.append(head | {"wrong_choices": total, "times": times, "percent": share(times, total)})
+            head = {"run": run.manifest.run_id, "perturbation": name, "wrong_choices": found.total(), "times": times}
+            rows.append(head | {"percent": percent_of(times, found.total())})
     return rows
 
 
-def _wrong_choices(facts: Facts, run: Judged) -> list[tuple[int, int]]:
-    """Row of `Facts` and choice of each readable answer that does not score where choices were given."""
-    modes = facts.labels["answer_mode"]
-    among = np.flatnonzero(np.array(modes.names) == "multiple_choice")
-    wrong = (run.scores[:, 0] == 0) & np.isin(modes.numbers[run.rows], among)
-    given, judged = predictions_asked(run.manifest.question_ids, run.predictions)
-    wrong &= judged
-    texts = given["answer"].filter(pa.array(wrong)).to_pylist()
-    read = {text: _choice(text) for text in set(texts)}
-    choices = [read[text] for text in texts]
-    rows = run.rows[wrong].tolist()
-    return [(row, choice) for row, choice in zip(rows, choices, strict=True) if choice is not None]
-
-
+@functools.lru_cache(maxsize=1 << 12)
 def _choice(text: str | None) -> int | None:
     try:
         answer = msgspec.json.decode(text or "null")
@@ -90,38 +90,37 @@ def _choice(text: str | None) -> int | None:
 
 
 def _perturbations(distractors: str) -> dict[int, str]:
-    """By the number of a choice, the perturbation that yields it: its kind, without what it left out."""
+    """By the number of a choice, the kind of the perturbation that yields it."""
     texts = msgspec.json.decode(distractors, type=list[str | None])
     return {number: text.partition(" without ")[0] for number, text in enumerate(texts, 1) if text is not None}
 
 
 # -- boxes that do not score ------------------------------------------------------------------------------------------
 
-_SCORES: Final = -1
+SCORES_AT: Final = -1
+"""In place of a cause where the box scores."""
 
 
-def evidence_failure_rows(store: Store, truth: Truth, facts: Facts, runs: Sequence[Judged]) -> list[dict[str, Any]]:
-    """Per run and cause: how many boxes do not score, in percent of the questions asked."""
-    people = _people(store, facts)
+def evidence_failure_rows(
+    store: Store, truth: Truth, index: QuestionIndex, runs: Sequence[ScoredRun]
+) -> list[dict[str, Any]]:
+    """Per run and cause: how many boxes do not score, in percent of the questions."""
+    people = people_boxes(store, index)
     rows = []
     for run in runs:
-        causes = _causes(store, truth, facts, run, people)
-        found = np.bincount(causes[causes != _SCORES], minlength=len(CAUSES)).tolist()
+        causes = evidence_causes(store, truth, index, run, people)
+        found = np.bincount(causes[causes != SCORES_AT], minlength=len(CAUSES)).tolist()
         for cause, times in zip(CAUSES, found, strict=True):
             head = {"run": run.manifest.run_id, "cause": cause, "n": run.n}
-            rows.append(head | {"times": times, "percent": share(times, run.n)})
+            rows.append(head | {"times": times, "percent": percent_of(times, run.n)})
     return rows
 
 
-def evidence_causes(store: Store, truth: Truth, facts: Facts, run: Judged) -> list[str]:
-    """The cause per question asked, in the order asked; "" where the box scores."""
-    causes = _causes(store, truth, facts, run, _people(store, facts))
-    return ["" if cause == _SCORES else CAUSES[cause] for cause in causes.tolist()]
-
-
-def _causes(store: Store, truth: Truth, facts: Facts, run: Judged, people: tuple[Ints, Floats]) -> Ints:
-    """The place of each question's cause in `CAUSES`, `_SCORES` where its box scores."""
-    given, judged = predictions_asked(run.manifest.question_ids, run.predictions)
+def evidence_causes(
+    store: Store, truth: Truth, index: QuestionIndex, run: ScoredRun, people: tuple[Ints, Floats]
+) -> Ints:
+    """The place of each question's cause in `CAUSES`, `SCORES_AT` where its box scores."""
+    given, judged = align_predictions(run.manifest.question_ids, run.predictions)
     frame, box, boxed = given_boxes(given)
     present, target = target_boxes(truth, run.rows, frame)
     own = np.where(present, box_ious(box, target), 0.0)
@@ -130,7 +129,7 @@ def _causes(store: Store, truth: Truth, facts: Facts, run: Judged, people: tuple
     shown = _shown(store, truth, run, ~scores & judged & boxed)
     asked = np.flatnonzero(~scores & judged & boxed & shown & present)
     best = np.zeros(run.n)
-    best[asked] = _best_ious(people, frame_key(facts.labels["sequence"].numbers[run.rows], frame)[asked], box[asked])
+    best[asked] = _best_ious(people, frame_key(index.labels["sequence"].numbers[run.rows], frame)[asked], box[asked])
     causes = np.select(
         [
             scores,
@@ -141,16 +140,16 @@ def _causes(store: Store, truth: Truth, facts: Facts, run: Judged, people: tuple
             (own >= best) & (own > 0),
             best > 0,
         ],
-        [_SCORES, 0, 1, 2, 3, 4],
+        [SCORES_AT, 0, 1, 2, 3, 4],
         5,
     )
     return causes.astype(np.int64)
 
 
-def _people(store: Store, facts: Facts) -> tuple[Ints, Floats]:
-    """Everybody's boxes (n, 4), in the order of their keys: sequence, as the facts number them, and frame."""
+def people_boxes(store: Store, index: QuestionIndex) -> tuple[Ints, Floats]:
+    """Everybody's boxes (n, 4), in the order of their keys: sequence, as the index number them, and frame."""
     keys, boxes = [np.zeros(0, np.int64)], [np.zeros((0, 4))]
-    for number, sequence in enumerate(facts.labels["sequence"].names):
+    for number, sequence in enumerate(index.labels["sequence"].names):
         table = store.interval("sightings", sequence, ["frame", *"xywh"])
         keys.append(frame_key(number, table["frame"].to_numpy().astype(np.int64)))
         boxes.append(np.stack([table[key].to_numpy() for key in "xywh"], axis=1).astype(np.float64))
@@ -171,7 +170,7 @@ def _best_ious(people: tuple[Ints, Floats], keys: Ints, boxes: Floats) -> Floats
     return best
 
 
-def _shown(store: Store, truth: Truth, run: Judged, among: Bools) -> Bools:
+def _shown(store: Store, truth: Truth, run: ScoredRun, among: Bools) -> Bools:
     """For each question, of those `among` the asked, whether some look of the run's transcript shows enough of the
     target."""
     found = np.zeros(run.n, dtype=bool)

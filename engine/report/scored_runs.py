@@ -1,7 +1,4 @@
-"""Runs with their scores, question by question, beside what is known of each question: what reports are made of.
-
-In which settings runs of one method and model differ, in words.
-"""
+"""Runs joined with their scores, question by question, and the metadata of the questions: the input of all reports."""
 
 from __future__ import annotations
 
@@ -9,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -17,9 +14,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.engine.report.paper import GROUPS
+from jrdb_avr.engine.report.scoring import is_judged, row_numbers
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.arrays import Floats, Ints
+from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.tables import QUESTIONS
 
 SCORES: Final = ("answer", "evidence", "combined")
@@ -28,38 +26,31 @@ GAP_EDGES_S: Final = (5.0, 15.0, 30.0)
 SEPARATION_EDGES_DEG: Final = (10.0, 30.0, 60.0)
 
 DIMENSIONS: Final = ("family", "group", "template", "answer_mode", "hops", "time_gap_s", "separation_deg", "sequence")
-"""What questions are told apart by; the last three but one in bins."""
+"""Ways to group questions; the last three but one in bins."""
 
 _GROUP_OF: Final = {family: group for group, families in GROUPS.items() for family in families}
 
 
-@dataclass(frozen=True)
-class Labels:
-    """A text per question: `names`, each once and in the order in which they are shown, and each question's number."""
+class Labels(NamedTuple):
+    """A text per question: `names`, each once and in the order of a table, and the number of each question's name."""
 
     names: tuple[str, ...]
     numbers: Ints
 
 
-@dataclass(frozen=True)
-class Facts:
-    """What is known of every question of a store: its labels by dimension."""
+class QuestionIndex(NamedTuple):
+    """The questions of a store: their ids, and their labels by dimension."""
 
     ids: pa.Array
     labels: dict[str, Labels]
 
-    def rows(self, ids: pa.Array) -> Ints:
-        """The row of each id."""
-        found: Ints = pc.index_in(ids, value_set=self.ids).to_numpy(zero_copy_only=False).astype(np.int64)
-        return found
-
 
 @dataclass(frozen=True)
-class Judged:
-    """A run: a row per question asked, in the order asked.
+class ScoredRun:
+    """A run with its scores: one row per question of the run, in the run's order.
 
-    rows: of `Facts`; scores: 0 or 1 for answer, evidence and combined, (n, 3); invalid: 0 or 1; errors: questions that
-    ended in an error or have no prediction.
+    rows: of `QuestionIndex`; scores: 0 or 1 for answer, evidence and combined, (n, 3); invalid: 0 or 1; errors: the
+    number of questions that ended in an error or have no prediction.
     """
 
     manifest: RunManifest
@@ -74,49 +65,43 @@ class Judged:
         return len(self.rows)
 
 
-def read_facts(store: Store) -> Facts:
-    """The facts of a store's questions. Raises StoreError where there are none."""
+def read_index(store: Store) -> QuestionIndex:
+    """The index of a store's questions. Raises StoreError where there are none."""
     questions = store.questions("questions")
     answers = store.questions("answers", ["question_id", "hops", "time_gap_s", "separation_deg"])
-    return make_facts(questions.select(QUESTIONS["questions"].names), answers)
+    return make_index(questions.select(QUESTIONS["questions"].names), answers)
 
 
-def make_facts(questions: pa.Table, answers: pa.Table) -> Facts:
-    """Facts from the two tables."""
+def make_index(questions: pa.Table, answers: pa.Table) -> QuestionIndex:
+    """The index from the two tables."""
     ids = questions["question_id"].combine_chunks()
-    at = pc.index_in(ids, value_set=answers["question_id"].combine_chunks())
-    known = answers.take(at)
+    known = answers.take(pc.index_in(ids, value_set=answers["question_id"].combine_chunks()))
     texts = {name: questions[name].to_pylist() for name in ("family", "template", "answer_mode", "sequence")}
     texts["group"] = [_GROUP_OF[family] for family in texts["family"]]
     texts["hops"] = [str(hops) for hops in known["hops"].to_pylist()]
     for name, edges in (("time_gap_s", GAP_EDGES_S), ("separation_deg", SEPARATION_EDGES_DEG)):
-        texts[name] = _bins(known[name].to_numpy(zero_copy_only=False).astype(np.float64), edges)
-    return Facts(ids, {name: _labels(own) for name, own in texts.items()})
+        bins = [f"[{low:g}, {high:g})" for low, high in pairwise((0.0, *edges, math.inf))]
+        places = np.searchsorted(edges, known[name].to_numpy(zero_copy_only=False).astype(np.float64), side="right")
+        texts[name] = [bins[place] for place in places.tolist()]
+    return QuestionIndex(ids, {name: _labels(own) for name, own in texts.items()})
 
 
-def judge(facts: Facts, manifest: RunManifest, predictions: pa.Table, scores: pa.Table) -> Judged:
-    """A run from its predictions and its scores, which hold every question asked."""
+def scored_run(index: QuestionIndex, manifest: RunManifest, predictions: pa.Table, scores: pa.Table) -> ScoredRun:
+    """Join a run's predictions with its scores, which hold every question of the run."""
     columns = [scores[f"{name}_score"].to_numpy().astype(np.int64) for name in SCORES]
-    status = predictions["status"]
-    judged = int(pc.sum(pc.is_in(status, value_set=pa.array(["answered", "invalid"]))).as_py() or 0)
-    return Judged(
+    return ScoredRun(
         manifest,
-        facts.rows(scores["question_id"].combine_chunks()),
+        row_numbers(scores["question_id"].combine_chunks(), index.ids),
         np.stack(columns, axis=1),
         scores["invalid"].to_numpy(zero_copy_only=False).astype(np.int64),
-        scores.num_rows - judged,
+        scores.num_rows - int(np.count_nonzero(is_judged(predictions["status"]))),
         predictions,
     )
 
 
-def share(part: float, n: float) -> float | None:
-    """Percent with two decimals; None of nothing."""
+def percent_of(part: float, n: float) -> float | None:
+    """A part of n in percent with two decimals; None where n is 0."""
     return round(100 * part / n, 2) if n else None
-
-
-def percent(value: float | None) -> float | None:
-    """A share as percent with two decimals."""
-    return None if value is None or math.isnan(value) else round(100 * value, 2)
 
 
 def _labels(texts: Sequence[str]) -> Labels:
@@ -125,17 +110,10 @@ def _labels(texts: Sequence[str]) -> Labels:
     return Labels(names, np.array([number[text] for text in texts], np.int64))
 
 
-def _bins(values: Floats, edges: Sequence[float]) -> list[str]:
-    """The name of each value's bin, `[low, high)`."""
-    bounds = (0.0, *edges, math.inf)
-    names = [f"[{low:g}, {high:g})" for low, high in pairwise(bounds)]
-    return [names[place] for place in np.searchsorted(edges, values, side="right").tolist()]
-
-
 def _first_number(value: str) -> float:
-    digits = value.lstrip("[").partition(",")[0]
+    """What numbers and bins are sorted by; names come first."""
     try:
-        return float(digits)
+        return float(value.lstrip("[").partition(",")[0])
     except ValueError:
         return -1.0
 
@@ -145,20 +123,17 @@ _ADDRESS: Final = ("endpoint", "base_url")
 Path = tuple[str, ...]
 
 
-def told_apart(runs: Sequence[Judged]) -> dict[str, str]:
-    """Run -> the settings in which it differs from others of its method and model, in a line; "" where there are none.
+def distinguishing_settings(runs: Sequence[ScoredRun]) -> dict[str, str]:
+    """Summarise, per run, the settings in which it differs from others of its method and model; "" without any.
 
-    Settings of one part stand together behind its name (`marker: seed 3, wrong_box 0.1`). The server's address is left
-    out: it differs whenever a server is started anew.
+    Settings of one part follow its name (`marker: seed 3, wrong_box 0.1`). The server's address is left out: it differs
+    whenever a server is restarted.
     """
-    leaves = {run.manifest.run_id: dict(_leaves((), run.manifest.settings)) for run in runs}
+    leaves = [(run.manifest, dict(_leaves((), run.manifest.settings))) for run in runs]
     alike: dict[tuple[str, str], list[dict[Path, str]]] = {}
-    for run in runs:
-        alike.setdefault((run.manifest.method, run.manifest.model), []).append(leaves[run.manifest.run_id])
-    return {
-        run.manifest.run_id: _in_words(leaves[run.manifest.run_id], alike[run.manifest.method, run.manifest.model])
-        for run in runs
-    }
+    for manifest, own in leaves:
+        alike.setdefault((manifest.method, manifest.model), []).append(own)
+    return {manifest.run_id: _in_words(own, alike[manifest.method, manifest.model]) for manifest, own in leaves}
 
 
 def _in_words(own: dict[Path, str], others: Sequence[dict[Path, str]]) -> str:
@@ -167,12 +142,12 @@ def _in_words(own: dict[Path, str], others: Sequence[dict[Path, str]]) -> str:
         if path != _ADDRESS and any(other.get(path) != value for other in others):
             parts.setdefault(path[:-1], []).append(f"{path[-1]} {value}")
     return "; ".join(
-        f"{' '.join(above)}: {', '.join(said)}" if above else ", ".join(said) for above, said in parts.items()
+        f"{' '.join(above)}: {', '.join(own)}" if above else ", ".join(own) for above, own in parts.items()
     )
 
 
 def _leaves(path: Path, settings: Any) -> Iterator[tuple[Path, str]]:
-    """Every setting as its path and its value: a text as it is, anything else as JSON."""
+    """Every setting as its path and its value: a text unchanged, anything else as JSON."""
     if isinstance(settings, dict) and (settings or not path):
         for name, value in settings.items():
             yield from _leaves((*path, str(name)), value)

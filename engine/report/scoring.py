@@ -1,9 +1,9 @@
-"""Scores of predictions, set-wise.
+"""Scores of the predictions of whole runs.
 
-Every question that a run asked gets one row: its answer judged under its answer mode, its evidence box judged against
-the target's boxes, and their product. What is missing, unreadable or ended in an error scores 0, and N stays the number
-of questions asked. The rules of the comparison are those of `schema/answers.py` and `schema/panorama.py`, here over
-arrays: 25 runs of 2,098 questions take well under two seconds.
+Every question of a run gets one row: its answer compared under its answer mode, its evidence box compared with the
+target's boxes, and the product of both. Missing, unreadable and failed predictions score 0, and n stays the number of
+questions. The rules are those of `schema/answers.py` and `schema/panorama.py`, here over arrays: 25 runs of 2,098
+questions take well under two seconds.
 """
 
 from __future__ import annotations
@@ -36,26 +36,17 @@ MOST_FRAMES: Final = 1 << 24
 """Above every frame number."""
 
 
-@dataclass(frozen=True)
-class Payloads:
-    """Answers as columns, one row each; `readable` is false where there is none, and the rest of the row means nothing.
+Payloads = Any
+"""Answers as a record array of `PAYLOAD`, one row each."""
 
-    `first` holds a choice, a frame or a span's start, `last` a span's end, `number` an angle in degrees or a value.
-    """
-
-    readable: Bools
-    first: Ints
-    last: Ints
-    number: Floats
-
-    def take(self, rows: Ints) -> Payloads:
-        """The rows with these numbers."""
-        return Payloads(self.readable[rows], self.first[rows], self.last[rows], self.number[rows])
+PAYLOAD: Final = np.dtype([("readable", bool), ("first", np.int64), ("last", np.int64), ("number", np.float64)])
+"""Where `readable` is false, the rest of a row has no meaning. `first` is a choice, a frame or the start of a span,
+`last` the end of a span, `number` an angle in degrees or a value."""
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What is right: one row per question; the target's boxes sorted by key (row, frame)."""
+    """The right answers, one row per question, and the target's boxes sorted by key (row, frame)."""
 
     ids: pa.Array
     mode: Ints
@@ -79,7 +70,7 @@ def make_truth(questions: pa.Table, sequences: pa.Table, answers: pa.Table, evid
     ids = questions["question_id"].combine_chunks()
     answer_row = _find(answers["question_id"], ids, "answers")
     sequence_row = _find(sequences["sequence"], questions["sequence"], "sequences")
-    mode = _rows_of(questions["answer_mode"], pa.array(_MODES))
+    mode = row_numbers(questions["answer_mode"], pa.array(_MODES))
     if (mode < 0).any():
         raise StoreError("the questions name an unknown answer mode: generate again")
     payloads = _payloads(answers["answer"].take(pa.array(answer_row)), mode)
@@ -87,10 +78,8 @@ def make_truth(questions: pa.Table, sequences: pa.Table, answers: pa.Table, evid
         raise StoreError("an answer of the store cannot be read under its mode: generate again")
     row = _find(ids, evidence["question_id"], "questions")
     keys = frame_key(row, evidence["frame"].to_numpy().astype(np.int64))
-    boxes = np.empty((len(keys), 4))
-    for place, name in enumerate("xywh"):
-        boxes[:, place] = evidence[name].to_numpy()
-    if (keys[1:] < keys[:-1]).any():  # `generate` writes them sorted, and a million are dear to copy.
+    boxes = np.stack([evidence[name].to_numpy() for name in "xywh"], axis=1)
+    if (keys[1:] < keys[:-1]).any():  # `generate` writes them sorted; copying a million is expensive.
         order = np.argsort(keys, kind="stable")
         keys, boxes = keys[order], boxes[order]
     fps = sequences["fps"].to_numpy()[sequence_row]
@@ -98,33 +87,35 @@ def make_truth(questions: pa.Table, sequences: pa.Table, answers: pa.Table, evid
 
 
 def score_predictions(
-    truth: Truth, run_id: str, asked: Sequence[str], predictions: pa.Table, iou: float = DEFAULT_IOU
+    truth: Truth, run_id: str, question_ids: Sequence[str], predictions: pa.Table, iou: float = DEFAULT_IOU
 ) -> pa.Table:
-    """The `scores` table of one run: a row for each question asked, in the order asked.
+    """The `scores` table of one run: a row for each of its questions, in their order.
 
-    `predictions` has the columns of that table. Raises StoreError for a prediction of a question that was not asked,
-    two predictions of one, or a question that the store does not hold; InputError for a threshold outside (0, 1].
+    `predictions` has the columns of that table. Raises StoreError for a prediction of a question that is not one of the
+    run's, two predictions of one question, or a question that the store lacks; InputError for a threshold outside
+    (0, 1].
     """
     if not 0.0 < iou <= 1.0:
         raise InputError(f"an IoU threshold lies in (0, 1], not at {iou:g}", field="iou")
-    questions = pa.array(asked, pa.string())
-    row = _rows_of(questions, truth.ids)
+    questions = pa.array(question_ids, pa.string())
+    row = row_numbers(questions, truth.ids)
     if (row < 0).any():
-        raise StoreError(f"run {run_id} asked {asked[int(np.argmin(row))]!r}, which the store does not hold")
+        missing = question_ids[int(np.argmin(row))]
+        raise StoreError(f"run {run_id} lists question {missing!r}, which the store does not have")
     if len(np.unique(row)) < len(row):
-        raise StoreError(f"run {run_id} asked a question twice: its run.json is broken")
-    answered_by = _rows_of(predictions["question_id"], questions)
+        raise StoreError(f"run {run_id} lists a question twice: its run.json is broken")
+    answered_by = row_numbers(predictions["question_id"], questions)
     if (answered_by < 0).any():
         stray = predictions["question_id"][int(np.argmin(answered_by))].as_py()
-        raise StoreError(f"run {run_id} predicts {stray!r}, which it did not ask: evaluate under a new run id")
+        raise StoreError(f"run {run_id} predicts {stray!r}, which is not one of its questions: use a new run id")
     if len(np.unique(answered_by)) < len(answered_by):
         raise StoreError(f"run {run_id} has two predictions of one question: evaluate under a new run id")
 
-    table, judged = predictions_asked(asked, predictions)
+    table, judged = align_predictions(question_ids, predictions)
     invalid = judged & _flags(pc.equal(table["status"], "invalid"))
 
     answers = _payloads(table["answer"], truth.mode[row])
-    answer_score = judged & answers_match(truth.mode[row], truth.second[row], answers, truth.answers.take(row))
+    answer_score = judged & answers_match(truth.mode[row], truth.second[row], answers, truth.answers[row])
     frame, box, boxed = given_boxes(table)
     present, target = target_boxes(truth, row, frame)
     evidence_score = judged & boxed & present & (box_ious(box, target) >= iou - TIE)
@@ -142,23 +133,28 @@ def score_predictions(
     )
 
 
-def predictions_asked(asked: Sequence[str], predictions: pa.Table) -> tuple[pa.Table, Bools]:
-    """The predictions in the order asked, and which of them are judged: not those that ended in an error.
+def align_predictions(question_ids: Sequence[str], predictions: pa.Table) -> tuple[pa.Table, Bools]:
+    """The predictions in the order of the questions, and which of them count: not those that ended in an error.
 
-    A question without a prediction is one that ended in an error too: its row is null.
+    A question without a prediction counts as an error too: its row is null.
     """
-    given = pc.index_in(pa.array(asked, pa.string()), value_set=predictions["question_id"].combine_chunks())
+    given = pc.index_in(pa.array(question_ids, pa.string()), value_set=predictions["question_id"].combine_chunks())
     table = predictions.take(given)
-    return table, _flags(pc.is_in(table["status"], value_set=pa.array(["answered", "invalid"])))
+    return table, is_judged(table["status"])
+
+
+def is_judged(status: pa.ChunkedArray) -> Bools:
+    """Whether a prediction of each status counts: not one that ended in an error."""
+    return _flags(pc.is_in(status, value_set=pa.array(["answered", "invalid"])))
 
 
 def frame_key(row: Ints | int, frame: Ints) -> Ints:
-    """One number for a question's row and a frame, in which `Truth.keys` are sorted."""
+    """One number for a row and a frame; `Truth.keys` are such numbers, sorted."""
     return row * MOST_FRAMES + frame
 
 
 def answers_match(mode: Ints, second: Ints, given: Payloads, truth: Payloads) -> Bools:
-    """Row by row, whether an answer scores: `same_answer` over arrays. `second` is a second in frames."""
+    """Row by row, whether an answer is right: `same_answer` over arrays. `second` is a second in frames."""
     score = np.zeros(len(mode), dtype=bool)
     near = np.abs(given.first - truth.first) <= second
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
@@ -172,11 +168,12 @@ def answers_match(mode: Ints, second: Ints, given: Payloads, truth: Payloads) ->
     }
     for number, name in enumerate(_MODES):
         score |= (mode == number) & by_type[ANSWER_TYPES[name]]
-    return score & given.readable & truth.readable
+    score &= given.readable & truth.readable
+    return score
 
 
 def given_boxes(predictions: pa.Table) -> tuple[Ints, Floats, Bools]:
-    """Frames (n), boxes (n, 4) and which of them are there and finite."""
+    """Frames (n), boxes (n, 4) and which of them are present and finite."""
     box = np.stack([predictions[f"evidence_{key}"].to_numpy().astype(np.float64) for key in "xywh"], axis=1)
     frame = pc.fill_null(predictions["evidence_frame"], -1).to_numpy().astype(np.int64)
     return frame, box, np.isfinite(box).all(axis=1) & (frame >= 0) & (frame < MOST_FRAMES)
@@ -219,12 +216,11 @@ def score_run(
     """
     manifest = read_run_manifest(store, run_id)
     if manifest.questions_sha256 != questions_hash(store):
-        raise StoreError(f"run {run_id} was asked another questions file than this store's: score it in its own store")
+        raise StoreError(f"run {run_id} is of another questions file than this store's: score it in its own store")
     path = store.run_path(run_id) / "predictions.parquet"
     if not path.exists():
         raise StoreError(f"run {run_id} has no predictions yet: evaluate it to the end (the same call with --resume)")
-    predictions = read_table(path)
-    predictions = _fitted(predictions, RUNS["predictions"], path, "evaluate")
+    predictions = _fitted(read_table(path), RUNS["predictions"], path, "evaluate")
     return manifest, predictions, score_predictions(truth, run_id, manifest.question_ids, predictions, iou)
 
 
@@ -240,7 +236,7 @@ def _fitted(table: pa.Table, schema: pa.Schema, path: Path, command: str) -> pa.
 
 
 def write_scores(store: Store, run_id: str, scores: pa.Table, iou: float) -> None:
-    """Write `scores.parquet`; the threshold stands in its metadata."""
+    """Write `scores.parquet`, with the threshold in its metadata."""
     write_table(store.run_path(run_id) / "scores.parquet", scores, RUNS["scores"], {"evidence_iou": f"{iou:g}"})
 
 
@@ -254,33 +250,23 @@ def _payloads(texts: pa.ChunkedArray, mode: Ints) -> Payloads:
     index = encoded.indices.fill_null(-1).to_numpy(zero_copy_only=False).astype(np.int64) + 1
     pairs, where = np.unique(index * len(_MODES) + mode, return_inverse=True)
     distinct = [_payload(values[pair // len(_MODES)], _MODES[pair % len(_MODES)]) for pair in pairs.tolist()]
-    readable, first, last, number = zip(*distinct, strict=True) if distinct else ((), (), (), ())
-    return Payloads(
-        np.array(readable, dtype=bool),
-        np.array(first, dtype=np.int64),
-        np.array(last, dtype=np.int64),
-        np.array(number, dtype=np.float64),
-    ).take(where.reshape(-1))
+    return np.array(distinct, PAYLOAD).view(np.recarray)[where.reshape(-1)]
 
 
 def _payload(text: str | None, mode: str) -> tuple[bool, int, int, float]:
-    if text is None:
-        return False, 0, 0, 0.0
     try:
-        answer = decode(mode, text)
+        answer = decode(mode, text or "")
     except DecodeError:
         return False, 0, 0, 0.0
     match answer:
-        case Choice():
-            return True, answer.choice, 0, 0.0
-        case FrameAnswer():
-            return True, answer.frame, 0, 0.0
-        case Span():
-            return True, answer.start_frame, answer.end_frame, 0.0
-        case FrameViewpoint():
-            return True, answer.frame, 0, answer.angle_deg
-        case Number():
-            return True, 0, 0, answer.value
+        case Choice(first) | FrameAnswer(first):
+            return True, first, 0, 0.0
+        case Span(first, last):
+            return True, first, last, 0.0
+        case FrameViewpoint(first, angle):
+            return True, first, 0, angle
+        case Number(value):
+            return True, 0, 0, value
 
 
 def _span_iou(a: Payloads, b: Payloads) -> Floats:
@@ -288,18 +274,18 @@ def _span_iou(a: Payloads, b: Payloads) -> Floats:
     sizes = np.maximum(a.last - a.first + 1, 0) + np.maximum(b.last - b.first + 1, 0)
     both = np.minimum(a.last, b.last) - np.maximum(a.first, b.first) + 1
     both = np.where((a.last >= a.first) & (b.last >= b.first), np.maximum(both, 0), 0)
-    share: Floats = both / np.maximum(sizes - both, 1)
-    return share
+    found: Floats = both / np.maximum(sizes - both, 1)
+    return found
 
 
-def _rows_of(values: Any, among: Any) -> Ints:
-    """For each value its row in `among`, or -1."""
+def row_numbers(values: Any, among: Any) -> Ints:
+    """The row of each value in `among`, or -1."""
     rows: Ints = pc.fill_null(pc.index_in(values, value_set=among), -1).to_numpy(zero_copy_only=False).astype(np.int64)
     return rows
 
 
 def _find(among: Any, values: Any, table: str) -> Ints:
-    rows = _rows_of(values, among.combine_chunks() if isinstance(among, pa.ChunkedArray) else among)
+    rows = row_numbers(values, among.combine_chunks() if isinstance(among, pa.ChunkedArray) else among)
     if (rows < 0).any():
         raise StoreError(f"the tables of questions/ do not fit together ({table} lacks a row): generate again")
     return rows

@@ -1,11 +1,11 @@
-"""Tables that compare runs: the main one, breakdowns, the ablation, pairs, and what runs cost. Rows of plain values,
-in percent of `n`, the questions asked; None where nothing was asked (shown as n/a).
+"""The tables of a report, by name: rows of plain values in percent of `n`, the number of questions.
 
-The tables of a report, by name.
+A value is None (printed as n/a) where n is 0.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from itertools import combinations
 from typing import Any, Final
@@ -16,7 +16,14 @@ import pyarrow.compute as pc
 from jrdb_avr.engine.report.bootstrap import Interval, compare, intervals, mean_of_ratios, numbered_sums, ratio
 from jrdb_avr.engine.report.failures import evidence_failure_rows, wrong_choice_rows
 from jrdb_avr.engine.report.paper import ABLATION, BY_GROUP, MAIN, Published
-from jrdb_avr.engine.report.scored_runs import DIMENSIONS, SCORES, Facts, Judged, percent, share, told_apart
+from jrdb_avr.engine.report.scored_runs import (
+    DIMENSIONS,
+    SCORES,
+    QuestionIndex,
+    ScoredRun,
+    distinguishing_settings,
+    percent_of,
+)
 from jrdb_avr.engine.report.scoring import Truth
 from jrdb_avr.queries.store import Store
 
@@ -36,21 +43,21 @@ _COSTS: Final = ("n_observations", "n_model_calls", "prompt_tokens", "completion
 # -- the main table ---------------------------------------------------------------------------------------------------
 
 
-def main_rows(facts: Facts, runs: Sequence[Judged], iou: float) -> list[Row]:
+def main_rows(index: QuestionIndex, runs: Sequence[ScoredRun], iou: float) -> list[Row]:
     """A row per run: shares with 95 % intervals over sequences, and macro averages over families and paper groups."""
-    settings = told_apart(runs)
-    return [_main_row(facts, run, iou, settings[run.manifest.run_id]) for run in runs]
+    settings = distinguishing_settings(runs)
+    return [_main_row(index, run, iou, settings[run.manifest.run_id]) for run in runs]
 
 
-def _main_row(facts: Facts, run: Judged, iou: float, setting: str) -> Row:
+def _main_row(index: QuestionIndex, run: ScoredRun, iou: float, setting: str) -> Row:
     # Columns: the questions, the three scores, the answers without evidence.
     base = np.concatenate([np.ones((run.n, 1)), run.scores, run.scores[:, :1] - run.scores[:, 2:]], axis=1)
-    found, cluster = np.unique(facts.labels["sequence"].numbers[run.rows], return_inverse=True)
+    found, cluster = np.unique(index.labels["sequence"].numbers[run.rows], return_inverse=True)
     sums = [numbered_sums(cluster, len(found), base)]
     statistics = {name: ratio(place, 0) for place, name in enumerate(SCORES, 1)} | {"hallucination": ratio(4, 1)}
     column = base.shape[1]
     for title, dimension in (("families", "family"), ("groups", "group")):
-        labels = facts.labels[dimension]
+        labels = index.labels[dimension]
         count = len(labels.names)
         parts = numbered_sums(cluster * count + labels.numbers[run.rows], len(found) * count, base[:, :4])
         sums.append(parts.reshape(len(found), 4 * count))
@@ -63,47 +70,42 @@ def _main_row(facts: Facts, run: Judged, iou: float, setting: str) -> Row:
     row = _head(run) | {"setting": setting, "n": run.n, "sequences": len(found)}
     for name in (*SCORES, "hallucination"):
         row |= bounds.pop(name)
-    row |= {"invalid": share(int(run.invalid.sum()), run.n), "errors": share(run.errors, run.n)}
+    row |= {"invalid": percent_of(int(run.invalid.sum()), run.n), "errors": percent_of(run.errors, run.n)}
     for macro in bounds.values():
         row |= macro
     return row | {"iou": iou}
 
 
-def _head(run: Judged) -> Row:
+def _head(run: ScoredRun) -> Row:
     manifest = run.manifest
     label = "synthetic" if manifest.synthetic else ""
     return {"run": manifest.run_id, "method": manifest.method, "model": manifest.model, "label": label}
 
 
+def _percent(share: float | None) -> float | None:
+    return None if share is None or math.isnan(share) else round(100 * share, 2)
+
+
 def _with_bounds(name: str, found: Interval) -> Row:
-    return {name: percent(found.value), f"{name}_low": percent(found.low), f"{name}_high": percent(found.high)}
+    return {name: _percent(found.value), f"{name}_low": _percent(found.low), f"{name}_high": _percent(found.high)}
 
 
 def published_rows() -> list[Row]:
-    """The paper's main table, in the columns of `main_rows` that it gives."""
+    """The paper's main table, in the columns of `main_rows` that it has."""
     return [_published(row) for row in MAIN]
 
 
 def _published(row: Published) -> Row:
-    return {
-        "run": "",
-        "method": row.method,
-        "model": row.model,
-        "label": row.source,
-        "n": sum(counts.n for counts in BY_GROUP.values()),
-        "answer": row.answer,
-        "evidence": row.evidence,
-        "combined": row.combined,
-        "hallucination": row.hallucination,
-    }
+    n = sum(counts.n for counts in BY_GROUP.values())
+    return {"run": "", "method": row.method, "model": row.model, "label": "paper", "n": n} | row._asdict()
 
 
 # -- breakdowns -------------------------------------------------------------------------------------------------------
 
 
-def breakdown_rows(facts: Facts, runs: Sequence[Judged], dimension: str) -> list[Row]:
+def breakdown_rows(index: QuestionIndex, runs: Sequence[ScoredRun], dimension: str) -> list[Row]:
     """A row per value of a dimension and run, the runs of a value together."""
-    labels = facts.labels[dimension]
+    labels = index.labels[dimension]
     columns = [np.concatenate([np.ones((run.n, 1)), run.scores, run.invalid[:, None]], axis=1) for run in runs]
     sums = [
         numbered_sums(labels.numbers[run.rows], len(labels.names), own).astype(np.int64).tolist()
@@ -121,19 +123,19 @@ def published_groups() -> list[Row]:
     """The paper's agent by its groups, in the columns of `breakdown_rows`."""
     return [
         {"group": group, "run": "", "method": "agent", "model": "Qwen3.5 9B", "label": "paper", "n": counts.n}
-        | {name: share(getattr(counts, name), counts.n) for name in SCORES}
-        | {"hallucination": share(counts.answer - counts.combined, counts.answer)}
+        | {name: percent_of(getattr(counts, name), counts.n) for name in SCORES}
+        | {"hallucination": percent_of(counts.answer - counts.combined, counts.answer)}
         for group, counts in BY_GROUP.items()
     ]
 
 
-def score_row(run: Judged, iou: float) -> Row:
+def score_row(run: ScoredRun, iou: float) -> Row:
     """A run's shares in short."""
     head = {"run": run.manifest.run_id, "label": _head(run)["label"]}
-    return head | _shares(*_totals(run)) | {"errors": share(run.errors, run.n), "iou": iou}
+    return head | _shares(*_totals(run)) | {"errors": percent_of(run.errors, run.n), "iou": iou}
 
 
-def _totals(run: Judged) -> list[int]:
+def _totals(run: ScoredRun) -> list[int]:
     """What `_shares` takes, of a whole run."""
     return [run.n, *run.scores.sum(axis=0).tolist(), int(run.invalid.sum())]
 
@@ -141,20 +143,20 @@ def _totals(run: Judged) -> list[int]:
 def _shares(n: int, answer: int, evidence: int, combined: int, invalid: int) -> Row:
     return {
         "n": n,
-        "answer": share(answer, n),
-        "evidence": share(evidence, n),
-        "combined": share(combined, n),
-        "hallucination": share(answer - combined, answer),
-        "invalid": share(invalid, n),
+        "answer": percent_of(answer, n),
+        "evidence": percent_of(evidence, n),
+        "combined": percent_of(combined, n),
+        "hallucination": percent_of(answer - combined, answer),
+        "invalid": percent_of(invalid, n),
     }
 
 
 # -- the ablation -----------------------------------------------------------------------------------------------------
 
 
-def ablation_rows(runs: Sequence[Judged], *, published: bool = False) -> list[Row]:
+def ablation_rows(runs: Sequence[ScoredRun], *, published: bool = False) -> list[Row]:
     """The four cells, active observation by world model, of every model that ran one of them."""
-    settings = told_apart(runs)
+    settings = distinguishing_settings(runs)
     places = {method: place for place, (method, _, _) in enumerate(_CELLS)}
     among = [run for run in runs if run.manifest.method in places]
     # The cells of a model stand together, and of those the ones of one setting.
@@ -176,14 +178,14 @@ def _cell(active: bool, world: bool) -> Row:
 # -- pairs ------------------------------------------------------------------------------------------------------------
 
 
-def pair_rows(facts: Facts, runs: Sequence[Judged]) -> list[Row]:
+def pair_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[Row]:
     """For each two runs and score, on the questions that both were asked: the exact McNemar test and the difference."""
     pairs, shared = [], []
     for first, second in combinations(runs, 2):
         common, mine, yours = np.intersect1d(first.rows, second.rows, assume_unique=True, return_indices=True)
         if len(common):
             pairs.append((first, second))
-            shared.append((facts.labels["sequence"].numbers[common], first.scores[mine], second.scores[yours]))
+            shared.append((index.labels["sequence"].numbers[common], first.scores[mine], second.scores[yours]))
     return [
         {"first": first.manifest.run_id, "second": second.manifest.run_id, "score": name, "n": pair.n}
         | {"only_first": pair.only_first, "only_second": pair.only_second, "p": pair.p}
@@ -196,7 +198,7 @@ def pair_rows(facts: Facts, runs: Sequence[Judged]) -> list[Row]:
 # -- cost -------------------------------------------------------------------------------------------------------------
 
 
-def cost_rows(runs: Sequence[Judged]) -> list[Row]:
+def cost_rows(runs: Sequence[ScoredRun]) -> list[Row]:
     """What a run took: means per question asked, and tokens per question that scores combined."""
     rows = []
     for run in runs:
@@ -211,7 +213,7 @@ def cost_rows(runs: Sequence[Judged]) -> list[Row]:
     return rows
 
 
-def _total(run: Judged, name: str) -> float:
+def _total(run: ScoredRun, name: str) -> float:
     return float(pc.sum(run.predictions[name]).as_py() or 0)
 
 
@@ -222,17 +224,24 @@ TABLES: Final = ("main", *DIMENSIONS, "ablation", "pairs", "wrong_choices", "evi
 
 
 def report_table(
-    name: str, store: Store, truth: Truth, facts: Facts, runs: Sequence[Judged], iou: float, *, published: bool = False
+    name: str,
+    store: Store,
+    truth: Truth,
+    index: QuestionIndex,
+    runs: Sequence[ScoredRun],
+    iou: float,
+    *,
+    published: bool = False,
 ) -> Rows:
     """One of `TABLES`; `published` adds the paper's figures to those that have some, labelled so."""
     if name in DIMENSIONS:
-        return breakdown_rows(facts, runs, name) + (published_groups() if published and name == "group" else [])
+        return breakdown_rows(index, runs, name) + (published_groups() if published and name == "group" else [])
     make: dict[str, Callable[[], Rows]] = {
-        "main": lambda: main_rows(facts, runs, iou) + (published_rows() if published else []),
+        "main": lambda: main_rows(index, runs, iou) + (published_rows() if published else []),
         "ablation": lambda: ablation_rows(runs, published=published),
-        "pairs": lambda: pair_rows(facts, runs),
-        "wrong_choices": lambda: wrong_choice_rows(store, facts, runs),
-        "evidence_failures": lambda: evidence_failure_rows(store, truth, facts, runs),
+        "pairs": lambda: pair_rows(index, runs),
+        "wrong_choices": lambda: wrong_choice_rows(store, index, runs),
+        "evidence_failures": lambda: evidence_failure_rows(store, truth, index, runs),
         "cost": lambda: cost_rows(runs),
     }
     return make[name]()

@@ -4,7 +4,7 @@ import json
 
 import pyarrow as pa
 
-from jrdb_avr.engine.report.scored_runs import judge, make_facts
+from jrdb_avr.engine.report.scored_runs import make_index, scored_run
 from jrdb_avr.engine.report.scoring import make_truth, score_predictions
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
@@ -51,7 +51,7 @@ class Benchmark:
             "evidence": table(evidence, QUESTIONS["evidence"]),
         }
         self.truth = make_truth(*self.tables.values())
-        self.facts = make_facts(questions, self.tables["answers"])
+        self.index = make_index(questions, self.tables["answers"])
 
     def run(self, given, run_id="r", method="react", model="m"):
         """given: (choice or None, box or None, frame) per question."""
@@ -75,4 +75,4 @@ class Benchmark:
         manifest = RunManifest(run_id, method, model, "0", tuple(self.ids), False, {}, "2020-01-01T00:00:00Z")
         scores = score_predictions(self.truth, run_id, self.ids, predictions)
         self.written = {"predictions": predictions, "scores": scores}
-        return judge(self.facts, manifest, predictions, scores)
+        return scored_run(self.index, manifest, predictions, scores)

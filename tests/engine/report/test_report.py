@@ -17,10 +17,17 @@ from failing_runs import CASES, stored_failures
 from known_runs import BOX, ELSEWHERE, Benchmark, table
 from places import SUPPORT
 
-from jrdb_avr.engine.report.failures import CAUSES, evidence_causes, evidence_failure_rows, wrong_choice_rows
+from jrdb_avr.engine.report.failures import (
+    CAUSES,
+    SCORES_AT,
+    evidence_causes,
+    evidence_failure_rows,
+    people_boxes,
+    wrong_choice_rows,
+)
 from jrdb_avr.engine.report.formats import cell, csv_text, joined, latex, markdown
 from jrdb_avr.engine.report.paper import ABLATION, BY_GROUP, GROUPS
-from jrdb_avr.engine.report.scored_runs import told_apart
+from jrdb_avr.engine.report.scored_runs import distinguishing_settings
 from jrdb_avr.engine.report.tables import (
     TABLES,
     ablation_rows,
@@ -58,7 +65,7 @@ def paper():
 
 def test_the_papers_counts_give_the_papers_table(paper):
     benchmark, run = paper
-    row, agent = main_rows(benchmark.facts, [run], 0.5)[0], ABLATION["agent"]
+    row, agent = main_rows(benchmark.index, [run], 0.5)[0], ABLATION["agent"]
     assert row["n"] == 2098
     assert [row[name] for name in ("answer", "evidence", "combined", "hallucination")] == [
         agent.answer,
@@ -73,13 +80,13 @@ def test_the_papers_counts_give_the_papers_table(paper):
 
 def test_a_breakdown_by_group_is_the_papers(paper):
     benchmark, run = paper
-    ours = {row["group"]: row for row in breakdown_rows(benchmark.facts, [run], "group")}
+    ours = {row["group"]: row for row in breakdown_rows(benchmark.index, [run], "group")}
     theirs = {row["group"]: row for row in published_groups()}
     assert ours.keys() == theirs.keys()
     for group, row in theirs.items():
         for name in ("n", "answer", "evidence", "combined", "hallucination"):
             assert ours[group][name] == row[name], group
-    assert sum(row["n"] for row in breakdown_rows(benchmark.facts, [run], "family")) == 2098
+    assert sum(row["n"] for row in breakdown_rows(benchmark.index, [run], "family")) == 2098
 
 
 def test_the_ablation_is_active_by_world(paper):
@@ -105,7 +112,7 @@ def test_settings_of_one_model_are_told_apart():
         for method in ("agent", "agent-passive"):
             run = benchmark.run([(1, BOX, 7)], f"{name}-{method}", method)
             runs.append(replace(run, manifest=msgspec.structs.replace(run.manifest, settings=settings)))
-    assert [row["setting"] for row in main_rows(benchmark.facts, runs, 0.5)] == ["marker: wrong_box 0.1"] * 2 + [""] * 2
+    assert [row["setting"] for row in main_rows(benchmark.index, runs, 0.5)] == ["marker: wrong_box 0.1"] * 2 + [""] * 2
     # The cells of one setting stand together.
     assert [(row["setting"], row["world_model"], row["active"]) for row in ablation_rows(runs)] == [
         ("", "on", "off"),
@@ -113,7 +120,7 @@ def test_settings_of_one_model_are_told_apart():
         ("marker: wrong_box 0.1", "on", "off"),
         ("marker: wrong_box 0.1", "on", "on"),
     ]
-    assert main_rows(benchmark.facts, runs[:2], 0.5)[0]["setting"] == ""
+    assert main_rows(benchmark.index, runs[:2], 0.5)[0]["setting"] == ""
 
 
 def test_settings_stand_together_behind_their_parts_name():
@@ -126,12 +133,12 @@ def test_settings_stand_together_behind_their_parts_name():
     }
     runs = [benchmark.run([(1, BOX, 7)], name) for name in told]
     runs = [replace(r, manifest=msgspec.structs.replace(r.manifest, settings=told[r.manifest.run_id])) for r in runs]
-    assert told_apart(runs) == {
+    assert distinguishing_settings(runs) == {
         "plain": "endpoint: retries 4; thinking off",
         "noisy": "endpoint: retries 4; marker: seed 3, wrong_box 0.1; thinking off",
         "noisier": "endpoint: retries 0; marker: seed 3, wrong_box 0.1; thinking on",
     }
-    assert told_apart(runs[:1]) == {"plain": ""}
+    assert distinguishing_settings(runs[:1]) == {"plain": ""}
 
 
 FOUR = [("a", "s1", "long_range"), ("b", "s1", "long_range"), ("c", "s2", "chain_2hop"), ("d", "s2", "chain_2hop")]
@@ -141,7 +148,7 @@ def test_pairs_are_of_the_questions_both_were_asked():
     benchmark = Benchmark(FOUR)
     first = benchmark.run([(1, BOX, 7), (1, BOX, 7), (2, BOX, 7), (1, None, 0)], "one")
     second = benchmark.run([(1, BOX, 7), (2, BOX, 7), (2, BOX, 7), (2, None, 0)], "two")
-    rows = {row["score"]: row for row in pair_rows(benchmark.facts, [first, second])}
+    rows = {row["score"]: row for row in pair_rows(benchmark.index, [first, second])}
     assert rows["answer"]["n"] == 4
     assert (rows["answer"]["only_first"], rows["answer"]["only_second"], rows["answer"]["p"]) == (2, 0, 0.5)
     assert rows["answer"]["difference"] == -50.0
@@ -165,9 +172,10 @@ def failing(tmp_path):
 
 def test_each_box_that_does_not_score_has_its_cause(failing):
     benchmark, run, store = failing
-    causes = evidence_causes(store, benchmark.truth, benchmark.facts, run)
+    found = evidence_causes(store, benchmark.truth, benchmark.index, run, people_boxes(store, benchmark.index))
+    causes = ["" if cause == SCORES_AT else CAUSES[cause] for cause in found.tolist()]
     assert dict(zip(CASES, causes, strict=True)) == {name: cause for name, (_, _, cause) in CASES.items()}
-    rows = evidence_failure_rows(store, benchmark.truth, benchmark.facts, [run])
+    rows = evidence_failure_rows(store, benchmark.truth, benchmark.index, [run])
     assert [row["cause"] for row in rows] == list(CAUSES)
     assert sum(row["times"] for row in rows) == len(CASES) - 1
 
@@ -176,7 +184,7 @@ def test_a_wrong_choice_tells_the_perturbation_it_is_true_of(tmp_path):
     benchmark = Benchmark(FOUR)
     Store(tmp_path).write_questions("answers", benchmark.tables["answers"], {})
     run = benchmark.run([(1, BOX, 7), (2, BOX, 7), (3, BOX, 7), (4, BOX, 7)])
-    rows = {row["perturbation"]: row for row in wrong_choice_rows(Store(tmp_path), benchmark.facts, [run])}
+    rows = {row["perturbation"]: row for row in wrong_choice_rows(Store(tmp_path), benchmark.index, [run])}
     assert {name: row["times"] for name, row in rows.items()} == {"time.shift +3 s": 1, "x": 1, "none recorded": 1}
     assert rows["x"]["percent"] == 33.33
 

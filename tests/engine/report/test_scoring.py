@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from pycocotools import mask as coco
 
 from jrdb_avr.engine.report import scoring
-from jrdb_avr.engine.report.scored_runs import judge, make_facts
+from jrdb_avr.engine.report.scored_runs import make_index, scored_run
 from jrdb_avr.engine.report.scoring import box_ious, make_truth, score_predictions
 from jrdb_avr.engine.report.tables import score_row
 from jrdb_avr.queries.runs import RunManifest
@@ -233,11 +233,11 @@ def test_only_asked_questions_count():
     assert len(score(rows, [], asked=["c", "a"])) == 2
     assert score(rows, [], asked=[]) == []
     good = prediction("a", {"choice": 1}, (7, BOX))
-    with pytest.raises(StoreError, match="did not ask"):
+    with pytest.raises(StoreError, match="not one of its questions"):
         score(rows, [good], asked=["b"])
     with pytest.raises(StoreError, match="two predictions"):
         score(rows, [good, good])
-    with pytest.raises(StoreError, match="does not hold"):
+    with pytest.raises(StoreError, match="does not have"):
         score(rows, [], asked=["z"])
     with pytest.raises(StoreError, match="twice"):
         score(rows, [], asked=["a", "a"])
@@ -322,7 +322,10 @@ def test_a_hundred_thousand_spans_as_sets_have_them():
     starts, lengths = generator.integers(0, 40, (2, 100_000)), generator.integers(-3, 40, (2, 100_000))
     ends = starts + lengths - 1
     nothing = np.zeros(100_000)
-    truth, given = (scoring.Payloads(np.ones(100_000, bool), starts[i], ends[i], nothing) for i in range(2))
+    truth, given = (
+        np.rec.fromarrays([np.ones(100_000, bool), starts[i], ends[i], nothing], dtype=scoring.PAYLOAD)
+        for i in range(2)
+    )
     span = np.full(100_000, MODES.index("span"))
     ours = scoring.answers_match(span, np.full(100_000, 15), given, truth)
     sets = [
@@ -469,10 +472,10 @@ def row_of(rows, predicted, synthetic=False):
     texts = {name: pa.array(names, pa.string()) for name in ("question_id", "sequence", "template", "answer_mode")}
     family = pa.array(["chain_2hop"] * len(names), pa.string())
     numbers = {name: pa.array([0.0] * len(names)) for name in ("hops", "time_gap_s", "separation_deg")}
-    facts = make_facts(
+    index = make_index(
         pa.table({**texts, "family": family}), pa.table({"question_id": texts["question_id"], **numbers})
     )
-    return score_row(judge(facts, manifest, table, score_predictions(truth, "r", names, table)), 0.5)
+    return score_row(scored_run(index, manifest, table, score_predictions(truth, "r", names, table)), 0.5)
 
 
 def test_a_run_in_short():
