@@ -7,11 +7,13 @@ points, in metres in the robot frame (x forward, y left, z up).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, Self
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -26,12 +28,48 @@ UNREADABLE = 9
 """Stands for a missing difficulty in arrays: harder than hard."""
 
 
+class Rows:
+    """Base of dataclasses of parallel arrays, one value of each per row."""
+
+    def at(self, rows: npt.NDArray[Any]) -> Self:
+        """These rows of every array, by places or by a mask."""
+        return self._with({name: getattr(self, name)[rows] for name in self._arrays()})
+
+    def joined(self, others: Sequence[Self]) -> Self:
+        """These rows, then those of others."""
+        parts = (self, *others)
+        return self._with({name: np.concatenate([getattr(x, name) for x in parts]) for name in self._arrays()})
+
+    def _arrays(self) -> list[str]:
+        return [
+            name for name in getattr(self, "__dataclass_fields__", ()) if isinstance(getattr(self, name), np.ndarray)
+        ]
+
+    def _with(self, arrays: dict[str, npt.NDArray[Any]]) -> Self:
+        return replace(self, **arrays)  # type: ignore[type-var]
+
+
 @dataclass(frozen=True)
-class Boxes:
-    """2D boxes."""
+class Sighted(Rows):
+    """Rows of people in frames."""
 
     frame: Ints
     track: Ints
+
+    @cached_property
+    def keys(self) -> Ints:
+        """One number per (frame, track), which sorts as they do."""
+        return person_keys(self.frame, self.track)
+
+    def rows(self, frame: Ints, track: Ints) -> Ints:
+        """Row of each (frame, track), -1 where there is none; for rows sorted by (frame, track)."""
+        return rows_of(self.keys, person_keys(frame, track))
+
+
+@dataclass(frozen=True)
+class Boxes(Sighted):
+    """2D boxes."""
+
     box: Floats
     """(n, 4): x, y, w, h."""
     occlusion: pa.Array
@@ -40,11 +78,6 @@ class Boxes:
     has_attributes: bool
     """Whether any record of the sequence carries attributes."""
     rules: LoadRules
-
-    @cached_property
-    def keys(self) -> Ints:
-        """One ascending number per (frame, track)."""
-        return person_keys(self.frame, self.track)
 
     @cached_property
     def angle(self) -> Floats:
@@ -62,23 +95,18 @@ class Boxes:
             result &= pc.is_in(self.occlusion, pa.array(sorted(CLEAR_OCCLUSIONS))).to_numpy(zero_copy_only=False)
         return np.asarray(result)
 
-    def rows(self, frame: Ints, track: Ints) -> Ints:
-        """Row of each (frame, track), -1 where there is no box."""
-        return rows_of(self.keys, person_keys(frame, track))
-
 
 @dataclass(frozen=True)
-class Labels:
-    """Actions, one row per (frame, track, action): spellings of one action are merged, the easier code counts."""
+class Facts(Sighted):
+    """Facts (track, value) in frames: of actions the value is the action's place among the names, of groups the
+    cluster."""
 
-    names: list[str]
-    """Ascending, so that codes sort as names do."""
-    frame: Ints
-    track: Ints
-    action: Ints
-    difficulty: Ints
+    value: Ints
     certain: Bools
     """True of the person: easy or middle, and of poses the only one in the list."""
+    difficulty: Ints
+    names: tuple[str, ...] = ()
+    """Ascending, so that values sort as names do."""
 
     @cached_property
     def is_pose(self) -> Bools:
@@ -87,21 +115,9 @@ class Labels:
 
 
 @dataclass(frozen=True)
-class Groups:
-    """Cluster rows, at most one per (frame, track)."""
-
-    frame: Ints
-    track: Ints
-    cluster: Ints
-    certain: Bools
-
-
-@dataclass(frozen=True)
-class Located:
+class Located(Sighted):
     """3D boxes with lidar points."""
 
-    frame: Ints
-    track: Ints
     center: Floats
     """(n, 3)."""
     heading: Floats
@@ -109,9 +125,40 @@ class Located:
     distance: Floats
     """Metres from the robot."""
 
-    @cached_property
-    def keys(self) -> Ints:
-        return person_keys(self.frame, self.track)
+
+@dataclass(frozen=True)
+class Faces(Sighted):
+    """People with a pose."""
+
+    visible: Bools
+    """Whether the head or an eye is marked visible."""
+
+
+@dataclass(frozen=True)
+class People:
+    """The people of one sequence, from its annotation tables."""
+
+    boxes: Boxes
+    actions: Facts
+    """One row per (frame, track, action): spellings of one action are merged, the easier code counts."""
+    groups: Facts
+    """At most one row per (frame, track)."""
+    located: Located
+    faces: Faces
+    listed: dict[str, Ints]
+    """Per layer, ascending keys of (frame, track) whose list was read."""
+
+
+def read_people(tables: Mapping[str, pa.Table], rules: LoadRules) -> People:
+    """Read the annotation tables, whose rows are sorted by (frame, track)."""
+    return People(
+        _read_boxes(tables["boxes_2d"], rules),
+        _read_actions(tables["actions"]),
+        read_groups(tables["groups"]),
+        read_located(tables["boxes_3d"]),
+        _read_faces(tables["poses"]),
+        _listed_keys(tables["listed"]),
+    )
 
 
 def rows_of(keys: Ints, wanted: Ints) -> Ints:
@@ -122,43 +169,34 @@ def rows_of(keys: Ints, wanted: Ints) -> Ints:
     return np.where(keys[place] == wanted, place, -1)
 
 
-def read_boxes(table: pa.Table, rules: LoadRules) -> Boxes:
-    """From the annotation table `boxes_2d`, whose rows are sorted by (frame, track)."""
-    box = np.stack([table[name].to_numpy() for name in "xywh"], axis=1)
-    attributed = table["has_attributes"].to_numpy()
+def _read_boxes(table: pa.Table, rules: LoadRules) -> Boxes:
     return Boxes(
         *_person_columns(table),
-        box,
+        np.stack([table[name].to_numpy() for name in "xywh"], axis=1),
         table["occlusion"].combine_chunks(),
         table["no_eval"].fill_null(False).to_numpy(),
         table["has_actions"].to_numpy(),
-        bool(attributed.any()),
+        bool(table["has_attributes"].to_numpy().any()),
         rules,
     )
 
 
-def read_labels(table: pa.Table) -> Labels:
-    """From the annotation table `actions`."""
+def _read_actions(table: pa.Table) -> Facts:
     names, action = ranked(table["action"])
-    frame, track = _person_columns(table)
     difficulty = table["difficulty"].fill_null(UNREADABLE).to_numpy().astype(np.int64)
-    order = np.lexsort((difficulty, action, track, frame))
-    frame, track, action, difficulty = frame[order], track[order], action[order], difficulty[order]
-    keys = person_keys(frame, track)
-    first = begins(keys, action)
-    frame, track, action, difficulty = frame[first], track[first], action[first], difficulty[first]
-    pose = np.array([name in POSES for name in names], np.bool_)[action] if len(action) else np.empty(0, np.bool_)
-    _, person = np.unique(keys[first], return_inverse=True)
-    poses = np.bincount(person, weights=pose)[person] if len(person) else np.empty(0)
-    certain = (difficulty < HARD) & (~pose | (poses == 1))
-    return Labels(names, frame, track, action, difficulty, certain)
+    facts = Facts(*_person_columns(table), action, difficulty < HARD, difficulty, tuple(names))
+    facts = facts.at(np.lexsort((facts.difficulty, facts.value, facts.track, facts.frame)))
+    facts = facts.at(begins(facts.keys, facts.value))
+    pose = np.append(facts.is_pose, False)[facts.value]
+    _, person = np.unique(facts.keys, return_inverse=True)
+    poses = np.bincount(person, weights=pose)[person]
+    return replace(facts, certain=facts.certain & (~pose | (poses == 1)))
 
 
-def read_groups(table: pa.Table) -> Groups:
-    """From the annotation table `groups`."""
-    frame, track = _person_columns(table)
+def read_groups(table: pa.Table) -> Facts:
+    """Clusters, from the annotation table `groups`."""
     certain = table["difficulty"].fill_null(UNREADABLE).to_numpy() < HARD
-    return Groups(frame, track, table["cluster"].to_numpy(), certain)
+    return Facts(*_person_columns(table), whole_numbers(table, "cluster"), certain, np.zeros(len(certain), np.int64))
 
 
 def read_located(table: pa.Table) -> Located:
@@ -171,29 +209,17 @@ def read_located(table: pa.Table) -> Located:
     return Located(frame, track, center, wrap(math.pi - table["rot_z"].to_numpy()), distance)
 
 
-def listed_keys(table: pa.Table) -> dict[str, Ints]:
-    """From the annotation table `listed`: per layer, ascending keys of (frame, track) whose list was read."""
+def _listed_keys(table: pa.Table) -> dict[str, Ints]:
     keys = person_keys(*_person_columns(table))
     layers = ("interactions", "handles")
     return {layer: np.sort(keys[pc.equal(table["layer"], layer).to_numpy()]) for layer in layers}
 
 
-@dataclass(frozen=True)
-class Faces:
-    """People with a pose."""
-
-    keys: Ints
-    """One ascending number per (frame, track)."""
-    visible: Bools
-    """Whether the head or an eye is marked visible."""
-
-
-def read_faces(table: pa.Table) -> Faces:
-    """From the annotation table `poses`, whose rows are sorted by (frame, track)."""
+def _read_faces(table: pa.Table) -> Faces:
     values = table["keypoints"].combine_chunks().flatten().to_numpy()
     # Head, right eye and left eye are the first three points of 17 with x, y and visibility each.
     codes = values.reshape(-1, 17, 3)[:, :3, 2]
-    return Faces(person_keys(*_person_columns(table)), np.asarray((codes == 2).any(axis=1)))
+    return Faces(*_person_columns(table), np.asarray((codes == 2).any(axis=1)))
 
 
 def wrap(radians: Floats) -> Floats:
@@ -207,11 +233,8 @@ def _person_columns(table: pa.Table) -> tuple[Ints, Ints]:
 
 def track_spans(tables: Mapping[str, pa.Table]) -> tuple[Ints, Ints, Ints]:
     """Tracks of any box, 2D or 3D, ascending, with the first and last frame of each."""
-    columns = [_person_columns(tables[layer]) for layer in ("boxes_2d", "boxes_3d")]
-    frame = np.concatenate([pair[0] for pair in columns])
-    track = np.concatenate([pair[1] for pair in columns])
+    flat, solid = (_person_columns(tables[layer]) for layer in ("boxes_2d", "boxes_3d"))
+    frame, track = np.append(flat[0], solid[0]), np.append(flat[1], solid[1])
     order = np.lexsort((frame, track))
-    frame, track = frame[order], track[order]
-    tracks, start = np.unique(track, return_index=True)
-    last = np.append(start[1:], len(track)) - 1
-    return tracks, frame[start], frame[last] if len(track) else frame
+    tracks, start = np.unique(track[order], return_index=True)
+    return tracks, frame[order][start], frame[order][np.append(start, len(track))[1:] - 1]

@@ -10,17 +10,17 @@ not exist.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.loaders.intervals.people import Boxes, Labels
+from jrdb_avr.loaders.intervals.people import Boxes, Facts, Rows
 from jrdb_avr.loaders.intervals.sightings import certain_pose
 from jrdb_avr.loaders.intervals.spans import Runs
 from jrdb_avr.loaders.intervals.timeline import Grid, Timeline
-from jrdb_avr.loaders.labelfiles.columns import constant, distinct_of, paired, ragged, texts, unpaired
+from jrdb_avr.loaders.labelfiles.columns import distinct_of, paired, ragged, texts, unpaired
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules, frames
 from jrdb_avr.schema.tables import INTERVALS
@@ -32,30 +32,20 @@ BLOCK: Final = 500_000
 """Cells worked on at once; the many actions of one person may make more."""
 
 
-def segments_table(line: Timeline, boxes: Boxes, labels: Labels, runs: Runs, rules: LoadRules) -> pa.Table:
+def segments_table(line: Timeline, boxes: Boxes, labels: Facts, runs: Runs, rules: LoadRules) -> pa.Table:
     """The interval table `segments`, by track, action and first frame."""
     grid = line.grid("actions")
     if grid is None or not len(runs.track):
         return INTERVALS["segments"].empty_table()
     found = _find(grid, boxes, labels, runs, rules)
     half = 0 if grid.step == 1 else HALF_STEP
-    return pa.table(
-        {
-            "sequence": constant(line.sequence, len(found.first)),
-            "track": found.track,
-            "action": texts(labels.names, found.action),
-            "first": found.first,
-            "last": found.last,
-            "start": found.first - half,
-            "end": found.last + half,
-            "quiet_from": found.quiet_from,
-            "closed": found.closed,
-        }
-    ).cast(INTERVALS["segments"])
+    columns = {name: getattr(found, name) for name in ("track", "first", "last", "quiet_from", "closed")}
+    columns |= {"action": texts(labels.names, found.action), "start": found.first - half, "end": found.last + half}
+    return line.table("segments", columns)
 
 
 @dataclass(frozen=True)
-class _Segments:
+class _Segments(Rows):
     track: Ints
     action: Ints
     first: Ints
@@ -64,10 +54,10 @@ class _Segments:
     closed: Bools
 
 
-class _Facts:
+class _Known:
     """The facts of a sequence, (track, action) that occur, and what is true of them at which frames of the grid."""
 
-    def __init__(self, grid: Grid, boxes: Boxes, labels: Labels, runs: Runs) -> None:
+    def __init__(self, grid: Grid, boxes: Boxes, labels: Facts, runs: Runs) -> None:
         self.grid, self.boxes, self.labels, self.runs = grid, boxes, labels, runs
         self.facts = distinct_of(paired(runs.track, runs.value))
         self.of_runs = np.searchsorted(self.facts, paired(runs.track, runs.value))
@@ -80,7 +70,7 @@ class _Facts:
         self.posed = certain_pose(boxes, labels) >= 0
         # Labels without a box would be of refused boxes; there are none in the tables.
         has_box = np.flatnonzero(boxes.rows(labels.frame, labels.track) >= 0)
-        of_labels = np.searchsorted(self.facts, paired(labels.track[has_box], labels.action[has_box]))
+        of_labels = np.searchsorted(self.facts, paired(labels.track[has_box], labels.value[has_box]))
         order = np.argsort(of_labels, kind="stable")
         self.label_rows, self.of_labels = has_box[order], of_labels[order]
 
@@ -97,7 +87,7 @@ class _Cells:
     Only the facts from `begin` to before `end` are looked at. `key` is fact * span + grid number, ascending.
     """
 
-    def __init__(self, known: _Facts, begin: int, end: int) -> None:
+    def __init__(self, known: _Known, begin: int, end: int) -> None:
         grid, boxes, labels, runs = known.grid, known.boxes, known.labels, known.runs
         self.span = grid.size + 1
         here = slice(*np.searchsorted(known.of_runs, [begin, end]))
@@ -118,25 +108,25 @@ class _Cells:
         label_keys = known.of_labels[here] * self.span + grid.index(labels.frame[label])
 
         listed = np.zeros(len(self.key), np.bool_)
-        clear, told = listed.copy(), listed.copy()
+        clear, pose_known = listed.copy(), listed.copy()
         at = np.searchsorted(self.key, box_keys)
         listed[at] = boxes.listed[row]
         clear[at] = boxes.clear[row]
-        told[at] = ~pose[fact] | known.posed[row]
+        pose_known[at] = ~pose[fact] | known.posed[row]
         named, true, gap = np.zeros((3, len(self.key)), np.bool_)
         at = np.searchsorted(self.key, label_keys)
         named[at] = True
         true[at] = labels.certain[label]
         gap[np.searchsorted(self.key, gap_keys)] = True
-        self.false = listed & told & ~named & ~gap
+        self.false = listed & pose_known & ~named & ~gap
         self.false_clear = self.false & clear
         self.inside = (true & clear) | gap
 
 
-def _find(grid: Grid, boxes: Boxes, labels: Labels, runs: Runs, rules: LoadRules) -> _Segments:
-    known = _Facts(grid, boxes, labels, runs)
-    parts = [_find_in(_Cells(known, *block), known.facts, grid, rules) for block in known.blocks()]
-    return _Segments(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(_Segments)))
+def _find(grid: Grid, boxes: Boxes, labels: Facts, runs: Runs, rules: LoadRules) -> _Segments:
+    known = _Known(grid, boxes, labels, runs)
+    first, *others = (_find_in(_Cells(known, *block), known.facts, grid, rules) for block in known.blocks())
+    return first.joined(others)
 
 
 def _find_in(cells: _Cells, facts: Ints, grid: Grid, rules: LoadRules) -> _Segments:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -73,6 +75,17 @@ class Timeline:
         """Seconds of frames, counted from frame 0, by the sequence's clock."""
         return self.clock.seconds(frame)
 
+    def span(self, first: Ints, last: Ints) -> dict[str, Any]:
+        """The four columns of an interval: inclusive frames and their seconds."""
+        return {"first": first, "last": last, "first_s": self.seconds(first), "last_s": self.seconds(last)}
+
+    def table(self, kind: str, columns: Mapping[str, Any]) -> pa.Table:
+        """The interval table of a kind from its columns but the sequence; others are left out."""
+        schema = INTERVALS[kind]
+        first, *names = schema.names
+        rows = len(columns[names[0]])
+        return pa.table({first: constant(self.sequence, rows), **{name: columns[name] for name in names}}).cast(schema)
+
     def frames_of(self, layer: str) -> Ints:
         return self.layers.get(layer, np.empty(0, np.int64))
 
@@ -96,14 +109,11 @@ def timeline(sequence: str, frames: pa.Table, box_frames: Ints, timestamps: pa.T
     """Read the tables `frames` and `timestamps`. `box_frames`: frames with a 2D box, listed in the table or not.
 
     A keyframe with boxes that the 2D layer does not list holds people who could not be read: nothing unique or absent
-    can be told of it, so it is left out of the keyframes.
+    is known of it, so it is left out of the keyframes.
     """
     numbers = whole_numbers(frames, "frame")
-    layers = {}
-    for layer in LAYERS:
-        here = pc.equal(frames["layer"], layer).to_numpy()
-        if here.any():
-            layers[layer] = np.sort(numbers[here])
+    rows = {layer: pc.equal(frames["layer"], layer).to_numpy() for layer in LAYERS}
+    layers = {layer: np.sort(numbers[here]) for layer, here in rows.items() if here.any()}
     leading = layers.get(_leading(layers), np.empty(0, np.int64))
     if not len(leading) or step_of(leading) == KEYFRAME_STEP:
         keyframes = leading
@@ -111,14 +121,10 @@ def timeline(sequence: str, frames: pa.Table, box_frames: Ints, timestamps: pa.T
         first = -(-int(leading[0]) // KEYFRAME_STEP) * KEYFRAME_STEP
         keyframes = np.arange(first, int(leading[-1]) + 1, KEYFRAME_STEP, dtype=np.int64)
     unread = np.setdiff1d(box_frames, layers.get("2d", np.empty(0, np.int64)))
-    stamped = pc.equal(frames["layer"], "timestamps").to_numpy()
-    known = np.union1d(numbers[~stamped], box_frames)
-    return Timeline(sequence, layers, np.setdiff1d(keyframes, unread), known, _clock(timestamps))
-
-
-def _clock(timestamps: pa.Table) -> Clock:
+    known = np.union1d(numbers[~rows["timestamps"]], box_frames)
     images = timestamps.filter(pc.equal(timestamps["sensor"], "images"))
-    return Clock(whole_numbers(images, "frame"), images["timestamp"].to_numpy())
+    clock = Clock(whole_numbers(images, "frame"), images["timestamp"].to_numpy())
+    return Timeline(sequence, layers, np.setdiff1d(keyframes, unread), known, clock)
 
 
 def _leading(layers: dict[str, Ints]) -> str:
@@ -141,13 +147,6 @@ def sequence_table(line: Timeline, has_attributes: bool) -> pa.Table:
 
 def frames_table(line: Timeline) -> pa.Table:
     """The interval table `frames`: one row per frame of any layer."""
-    return pa.table(
-        {
-            "sequence": constant(line.sequence, len(line.frames)),
-            "frame": line.frames,
-            "seconds": line.seconds(line.frames),
-            "keyframe": np.isin(line.frames, line.keyframes),
-            "annotated": np.isin(line.frames, line.frames_of("2d")),
-            "image": np.isin(line.frames, line.frames_of("images")),
-        }
-    ).cast(INTERVALS["frames"])
+    of = {"keyframe": line.keyframes, "annotated": line.frames_of("2d"), "image": line.frames_of("images")}
+    here = {name: np.isin(line.frames, frames) for name, frames in of.items()}
+    return line.table("frames", {"frame": line.frames, "seconds": line.seconds(line.frames), **here})
