@@ -40,6 +40,9 @@ MAX_FACTS: Final = 2_000_000
 
 KEY_BITS: Final = 63
 
+_OTHER: Final = -1
+_BAD: Final = -2
+
 Issue = tuple[str, str, object]
 """Reason, field and offending value."""
 
@@ -78,21 +81,16 @@ def keep_people(
     `faults` are boxes that cannot be used and why, a record counting for the first of its faults only; `box` shows the
     box of a record.
     """
-    read = [_track_or_reason(label) for label in labels]
-    track = np.array([-1 if isinstance(found, ValueError) else found for found in read], np.int64)[code]
-    refused = np.zeros(len(code), np.bool_)
-    for kind in (records.NotAPersonError, ValueError):
-        wrong = np.array([type(found) is kind for found in read], np.bool_)[code]
-        if wrong.any():
-            reason = str(read[code[wrong.argmax()]])
-            refusals.count(wrong, "record", reason, "label_id", lambda row: labels[code[row]])
-            refused |= wrong & (kind is ValueError)
+    track = np.array([_track_or_code(label) for label in labels], np.int64)[code]
+    other, refused = track == _OTHER, track == _BAD
+    for wrong, reason in ((other, "label_id is not of a tracked person"), (refused, "label_id is not pedestrian:N")):
+        refusals.count(wrong, "record", reason, "label_id", lambda row: labels[code[row]])
     good = track >= 0
     for fault, reason in faults:
         wrong = good & fault
         refusals.count(wrong, "record", reason, "box", box)
         good &= ~wrong
-        refused |= wrong
+        refused = refused | wrong
     usable = np.flatnonzero(good)
     order, first = first_of_equal(person_keys(frame[usable], track[usable]))
     again = mask_of(usable[order[~first]], len(frame))
@@ -102,11 +100,13 @@ def keep_people(
     return People(row, frame[row], track[row], set(frame[refused].tolist()))
 
 
-def _track_or_reason(label: str) -> int | ValueError:
+def _track_or_code(label: str) -> int:
     try:
         return records.track_of(label)
-    except ValueError as error:
-        return error
+    except records.NotAPersonError:
+        return _OTHER
+    except ValueError:
+        return _BAD
 
 
 # -- facts ---------------------------------------------------------------------------------------------------------
