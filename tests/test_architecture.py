@@ -1,0 +1,142 @@
+"""The layout that `docs/architecture.md` draws: which room may import which, how large a module is, one name per meaning."""
+
+import ast
+from collections import defaultdict
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+import jrdb_avr
+
+ROOT = Path(jrdb_avr.__file__).parent
+PACKAGES = ("schema", "queries", "loaders", "agent", "engine")
+
+# Each room, and the rooms that it may import; its own modules are always allowed.
+ENGINE_LEAVES = {"schema", "queries"}
+STAGES = ENGINE_LEAVES | {"loaders", "engine.console", "engine.observe", "engine.rederive"}
+PAGES = STAGES | {"engine.generate", "engine.report"}
+AGENT = {"schema", "queries"}
+MAY_IMPORT = {
+    "schema": set(),
+    "queries": {"schema"},
+    "loaders": {"schema", "queries"},
+    "agent.model": AGENT,
+    "agent.policy": AGENT,
+    "agent.beliefs": AGENT | {"agent.model"},
+    "agent.methods": AGENT | {"agent.model"},
+    "agent.reference": AGENT | {"agent.model", "agent.policy", "agent.beliefs", "agent.methods"},
+    "agent.simulated": AGENT | {"agent.model", "agent.policy"},
+    "engine.console": {"schema"},
+    "engine.rederive": {"schema", "queries.store"},
+    "engine.observe": ENGINE_LEAVES,
+    "engine.generate": STAGES,
+    "engine.report": STAGES,
+    "engine.pages": PAGES,
+    "engine.validate": PAGES,
+    "engine.run": PAGES | {"agent"},
+    "engine.commands": PAGES | {"engine.pages", "engine.validate", "engine.run", "agent"},
+    "engine.cli": {"schema", "engine.console", "engine.commands"},
+}
+LARGEST = 450
+SMALL = 40
+MOST_SMALL = 9
+REPEATED = {"command", "main", "serve"}
+"""Public names that every module of a kind has: the click command of each command, entry points of processes."""
+
+
+@cache
+def modules():
+    """{dotted name: path} of every module of the five packages."""
+    found = {}
+    for package in PACKAGES:
+        for path in (ROOT / package).rglob("*.py"):
+            parts = path.relative_to(ROOT).with_suffix("").parts
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def imported(path):
+    """Modules of this project that a module imports anywhere, also for type checking."""
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: a relative import"
+            if (node.module or "").partition(".")[0] != "jrdb_avr":
+                continue
+            base = node.module.removeprefix("jrdb_avr").removeprefix(".")
+            for alias in node.names:
+                name = f"{base}.{alias.name}".removeprefix(".")
+                yield name if name in modules() else base
+        elif isinstance(node, ast.Import):
+            yield from (alias.name.removeprefix("jrdb_avr.") for alias in node.names if alias.name.startswith("jrdb"))
+
+
+def room(module):
+    parts = module.split(".")
+    return ".".join(parts[:2]) if parts[0] in ("agent", "engine") else parts[0]
+
+
+@pytest.mark.parametrize("name", sorted(modules()))
+def test_imports_go_downwards(name):
+    if name in PACKAGES:
+        assert not set(imported(modules()[name]))
+        return
+    allowed = MAY_IMPORT[room(name)]
+    for other in set(imported(modules()[name])):
+        ancestors = {other[:end] for end, char in enumerate(other + ".") if char == "."}
+        assert room(other) == room(name) or ancestors & allowed, f"{name} imports {other}"
+
+
+def test_no_module_imports_itself_through_others():
+    graph = {name: set(imported(path)) - {name} for name, path in modules().items()}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))
+
+
+def test_modules_are_neither_large_nor_tiny():
+    sizes = {name: len(path.read_text("utf-8").splitlines()) for name, path in modules().items()}
+    assert {name: size for name, size in sizes.items() if size > LARGEST} == {}
+    small = {name: size for name, size in sizes.items() if size < SMALL and modules()[name].name != "__init__.py"}
+    assert len(small) <= MOST_SMALL, small
+
+
+def test_a_package_and_a_module_never_share_a_name():
+    for path in modules().values():
+        assert path.name == "__init__.py" or not path.with_suffix("").is_dir(), path
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_public_name_means_one_thing(package):
+    """Within a package, a public name is defined in one module."""
+    places = defaultdict(set)
+    for name, path in modules().items():
+        if name.partition(".")[0] == package:
+            for defined in public_names(path):
+                places[defined].add(name)
+    assert {name: where for name, where in places.items() if len(where) > 1 and name not in REPEATED} == {}
+
+
+def public_names(path):
+    for node in ast.parse(path.read_text("utf-8")).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names = [node.name]
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names = [target.id for target in targets if isinstance(target, ast.Name)]
+        else:
+            continue
+        yield from (name for name in names if not name.startswith("_"))
+
+
+def test_every_public_definition_says_what_it_is():
+    """Modules, classes and functions with a public name have a docstring."""
+    for name, path in modules().items():
+        tree = ast.parse(path.read_text("utf-8"))
+        silent = [] if not tree.body or ast.get_docstring(tree) else [name]
+        for node in tree.body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+                silent += [] if ast.get_docstring(node) else [f"{name}.{node.name}"]
+        assert not silent, silent
