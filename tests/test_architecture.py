@@ -1,4 +1,4 @@
-"""The layout that `docs/architecture.md` draws: which room may import which, how large a module is, one name per meaning."""
+"""The layout that `docs/architecture.md` draws: which room imports which, size of modules, one meaning per name."""
 
 import ast
 from collections import defaultdict

@@ -1,0 +1,126 @@
+"""The documentation does what it shows: the tour runs as written, README's commands are among it, names exist."""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import entry
+import pytest
+from places import DOCS, ROOT
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+TOUR = (DOCS / "tour.md").read_text(encoding="utf-8")
+PAGES = sorted([*ROOT.glob("*.md"), *DOCS.glob("*.md")])
+
+
+def blocks(text, kind):
+    """The code blocks of a kind."""
+    return re.findall(rf"```{kind}\n(.*?)\n```", text, flags=re.S)
+
+
+def steps(text):
+    """(command, output lines) of every console block."""
+    found = []
+    for block in blocks(text, "console"):
+        for line in block.splitlines():
+            if line.startswith("$ "):
+                found.append((line[2:], []))
+            else:
+                found[-1][1].append(line)
+    return found
+
+
+def kept(command, lines):
+    """Return the lines that must be equal, without spaces and table rules.
+
+    The output of a run depends on clocks and the JPEG decoder, so only its lines without a number count.
+    """
+    plain = [re.sub(r"[\s─-╿]+", " ", line).strip() for line in lines]
+    of_a_run = re.search(r" (evaluate|score|report|trace|scores_by_family|world_runs) ", command)
+    return [line for line in plain if line and not (of_a_run and re.search(r"\d", line))]
+
+
+def typed(command, folder):
+    """Run a command in a shell; returns (exit code, output). `jrdb-avr` is that of the Python that runs the tests."""
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    done = subprocess.run(
+        ["bash", "-o", "pipefail", "-c", command],
+        cwd=folder,
+        env=os.environ | {"PATH": path},
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        timeout=300,
+    )
+    return done.returncode, done.stdout
+
+
+def here(command):
+    """The same within this process; only the part after a pipe is a process."""
+    words = shlex.split(command)
+    at = words.index("|") if "|" in words else len(words)
+    # Nothing else that a shell acts upon.
+    assert words[0] == "jrdb-avr" and not re.search(r"[$`;<>&*?]", re.sub(r"'[^']*'|\"[^\"$`]*\"", "", command)), (
+        command
+    )
+    code, out, err = entry.run(*words[1:at])
+    if words[at + 1 :]:
+        out = subprocess.run(words[at + 1 :], input=out, capture_output=True, text=True, check=True).stdout
+    return code, out + err
+
+
+def test_the_tour_runs_as_written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for number, (command, shown) in enumerate(steps(TOUR)):
+        # A process costs a second: the first with a pipe and the first without are run as users type them.
+        code, output = typed(command, tmp_path) if number < 2 else here(command)
+        assert code == 0 and "jrdb-avr: " not in output, f"{command}\n{output}"
+        assert shown and kept(command, shown) == kept(command, output.splitlines()), command
+    for snippet in blocks(TOUR, "python") + blocks(README, "python"):
+        done = subprocess.run([sys.executable, "-c", snippet], capture_output=True, text=True, timeout=60)
+        assert done.returncode == 0, done.stderr
+        assert all(int(number) > 0 for number in done.stdout.split())
+    # The pictures are what the commands draw; JPEG decoders may differ slightly.
+    made, shown = (cv2.imread(str(path / "look.png")).astype(int) for path in (tmp_path / "tour", DOCS))
+    assert made.shape == shown.shape and abs(made - shown).mean() < 1
+    assert (tmp_path / "tour" / "stats.svg").read_text() == (DOCS / "stats.svg").read_text()
+
+
+def test_the_commands_of_the_readme_are_those_of_the_tour():
+    ran = [command for command, _ in steps(TOUR)]
+    used = [command for command, _ in steps(README)]
+    assert used and all(any(command.startswith(one) for command in ran) for one in used)
+
+
+def test_two_commands_set_it_up():
+    assert blocks(README.split("## Use")[0], "sh") == [
+        "python3 -m venv .venv && . .venv/bin/activate && pip install . && jrdb-avr demo",
+        "pip install '.[test]' && pytest",
+    ]
+    # The command of the README is the one that runs for every change.
+    assert blocks(README, "sh")[1] in (ROOT / ".ci" / "run").read_text().splitlines()
+
+
+def test_the_readme_is_short():
+    assert len(README.splitlines()) <= 180
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_a_page_names_only_what_exists(page):
+    from jrdb_avr.engine.cli import COMMANDS
+
+    text = page.read_text("utf-8")
+    assert set(re.findall(r"jrdb-avr ([a-z]+)", text)) <= set(COMMANDS)
+    for name in re.findall(r"`((?:schema|loaders|queries|engine|agent|docs|tests)/[\w/.]*)`", text):
+        assert (ROOT / name).exists(), name
+    for name, anchor in re.findall(r"\]\((?!https?:)([\w/.]*)#?([\w-]*)\)", text):
+        target = page.parent / name if name else page
+        assert target.exists(), name
+        headings = re.findall(r"^#+ (.*)$", target.read_text("utf-8"), re.M) if anchor else []
+        slugs = {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
+        assert not anchor or anchor in slugs, f"{name}#{anchor}"
+    assert not re.search(r"/(?:work|tmp|home|root)/|\b\d{1,3}(?:\.\d{1,3}){3}\b", text.replace("127.0.0.1", ""))
