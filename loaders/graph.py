@@ -10,7 +10,7 @@ gigabyte more.) Key points of a pose stay in `annotations/poses`: in the graph t
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -101,7 +101,8 @@ def _copy_staged(graph: Graph, stage: Path, sequences: Sequence[str]) -> dict[st
     graph.copy("Action", actions)
     copied["Action"] = actions.num_rows
     for table in _SOURCES:
-        for files, rows in _batches(stage / table, sequences):
+        paths = [path for sequence in sequences if (path := stage / table / f"{sequence}.parquet").exists()]
+        for files, rows in batches(((path.name, pq.read_metadata(path).num_rows) for path in paths), BATCH_ROWS):
             if table in SCENE_NODES:
                 # Files are read side by side, and nodes are numbered as they come.
                 graph.copy(table, pa.concat_tables(pq.read_table(stage / table / name) for name in files))
@@ -111,21 +112,31 @@ def _copy_staged(graph: Graph, stage: Path, sequences: Sequence[str]) -> dict[st
     return copied
 
 
-def _batches(folder: Path, sequences: Sequence[str]) -> Iterator[tuple[list[str], int]]:
-    """Names of staged files and their rows, in batches of whole sequences."""
+def batches(sizes: Iterable[tuple[str, int]], most: int) -> Iterator[tuple[list[str], int]]:
+    """Names in batches of at most so many rows, or one name, with the rows of each batch."""
     batch: list[str] = []
     rows = 0
-    for path in (folder / f"{sequence}.parquet" for sequence in sequences):
-        if not path.exists():
-            continue
-        more = pq.read_metadata(path).num_rows
-        if batch and rows + more > BATCH_ROWS:
+    for name, more in sizes:
+        if batch and rows + more > most:
             yield batch, rows
             batch, rows = [], 0
-        batch.append(path.name)
+        batch.append(name)
         rows += more
     if batch:
         yield batch, rows
+
+
+def column_names(table: str) -> list[str]:
+    """Columns of a table of the scene, as in the graph: nodes begin with their key, edges with their two keys."""
+    if table in SCENE_RELS:
+        return ["from", "to", *(column.split()[0] for column in SCENE_RELS[table][2])]
+    return [column.split()[0] for column in SCENE_NODES[table].split(", ")]
+
+
+def with_wide_integers(rows: pa.Table) -> pa.Table:
+    """The rows with all whole numbers as 64 bits, as the graph stores them."""
+    fields = [pa.field(f.name, pa.int64()) if pa.types.is_integer(f.type) else f for f in rows.schema]
+    return rows.cast(pa.schema(fields))
 
 
 # -- shapes ------------------------------------------------------------------------------------------------------
@@ -176,31 +187,27 @@ _SOURCES: Final[dict[str, tuple[str, dict[str, Column]]]] = {
 
 
 def _shape(table: str, intervals: Mapping[str, pa.Table]) -> pa.Table:
-    """One sequence's rows of a table of the graph: its columns, whole numbers as 64 bits, as the graph stores them."""
+    """One sequence's rows of a table of the graph."""
     kind, made = _SOURCES[table]
     rows = _groups(*(intervals[kind] for kind in _GROUP_KINDS)) if table == "SocialGroup" else intervals[kind]
-    if table in SCENE_NODES:
-        names = [column.split()[0] for column in SCENE_NODES[table].split(", ")]
-    else:
-        names = ["from", "to", *(column.split()[0] for column in SCENE_RELS[table][2])]
-    shaped = pa.table({name: made[name](rows) if name in made else rows[name] for name in names})
-    fields = [pa.field(f.name, pa.int64()) if pa.types.is_integer(f.type) else f for f in shaped.schema]
-    return shaped.cast(pa.schema(fields))
+    return with_wide_integers(
+        pa.table({name: made[name](rows) if name in made else rows[name] for name in column_names(table)})
+    )
 
 
 def _actions(names: set[str]) -> pa.Table:
-    """The nodes `Action`: the vocabulary, and what else anybody was said to do."""
+    """The nodes `Action`: the vocabulary, and all other actions in the labels."""
     known = sorted(names | set(ACTIONS))
     return pa.table({"name": known, "pose": [name in POSES for name in known]})
 
 
-def _groups(memberships: pa.Table, told: pa.Table) -> pa.Table:
+def _groups(memberships: pa.Table, group_info: pa.Table) -> pa.Table:
     """One row per cluster that anybody is a member of, with what was chosen of it; null where nothing was."""
     clusters = memberships.group_by(["sequence", "cluster"]).aggregate([]).sort_by("cluster")
-    chosen = told.filter(told["chosen"]).sort_by([("cluster", "ascending"), ("value", "ascending")])
+    chosen = group_info.filter(group_info["chosen"]).sort_by([("cluster", "ascending"), ("value", "ascending")])
     for name in ("venue", "aim", "bpc", "ssc", "location", "inter"):
-        said = chosen.filter(pc.equal(chosen["attribute"], name)).group_by("cluster", use_threads=False)
-        values = said.aggregate([("value", "list")])
+        rows = chosen.filter(pc.equal(chosen["attribute"], name)).group_by("cluster", use_threads=False)
+        values = rows.aggregate([("value", "list")])
         if name == "venue":
             values = values.set_column(
                 values.schema.get_field_index("value_list"), "value_list", pc.list_element(values["value_list"], 0)

@@ -16,7 +16,7 @@ import multiprocessing
 import os
 import shutil
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -28,12 +28,15 @@ import pyarrow as pa
 
 from jrdb_avr.loaders.graph import build_scene, stage_scene
 from jrdb_avr.loaders.intervals.derive import derive
+from jrdb_avr.loaders.intervals.persons import disagreements
+from jrdb_avr.loaders.intervals.spans import absent_partners
 from jrdb_avr.loaders.intervals.timeline import step_of
+from jrdb_avr.loaders.layers.calibration import cameras_check
 from jrdb_avr.loaders.problems import shorten
 from jrdb_avr.loaders.report import SequenceReport, frame_range, sequence_warnings
 from jrdb_avr.loaders.result import LoadResult
 from jrdb_avr.loaders.root import Root, SequenceFiles, find_root
-from jrdb_avr.loaders.sequence import NOT_LABELS, annotate
+from jrdb_avr.loaders.sequence import NOT_LABELS, annotate, stamps_of
 from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.beliefs.record import copy_all
 from jrdb_avr.queries.display import Progress, step_counter
@@ -156,6 +159,7 @@ def load_shard(shard: Shard) -> ShardResult:
             return ShardResult(SequenceReport(sequence, found.problems, files=files), None)
         intervals = derive(sequence, found.tables, shard.rules)
         entry = _write(Store(shard.staging), sequence, found.tables, intervals)
+        tables, cameras = found.tables, cameras_check(found.tables["calibration"])
         labels, images = frame_range(found.label_frames), frame_range(found.frames["images"][0])
         report = SequenceReport(
             sequence,
@@ -165,18 +169,18 @@ def load_shard(shard: Shard) -> ShardResult:
             files=files,
             frames=intervals["frames"].num_rows,
             people=intervals["persons"].num_rows,
-            boxes=found.tables["boxes_2d"].num_rows,
-            boxes_3d=found.tables["boxes_3d"].num_rows,
+            boxes=tables["boxes_2d"].num_rows,
+            boxes_3d=tables["boxes_3d"].num_rows,
             unknown_labels=found.unknown,
             heading=found.heading,
             label_frames=labels,
             image_frames=images,
             shifts=found.shifts,
-            stamps=found.stamps,
-            cameras=found.cameras,
-            disagreements=found.disagreements,
-            absent_partners=found.absent_partners,
-            warnings=sequence_warnings(labels, images, found.heading, found.cameras),
+            stamps=stamps_of(tables["timestamps"]),
+            cameras=cameras,
+            disagreements=disagreements(tables),
+            absent_partners=absent_partners(tables["interactions"], tables["boxes_2d"]),
+            warnings=sequence_warnings(labels, images, found.heading, cameras),
         )
         return ShardResult(report, entry)
 
@@ -222,15 +226,14 @@ def _write(
     staging: Store, sequence: str, annotations: dict[str, pa.Table], intervals: dict[str, pa.Table]
 ) -> SequenceEntry:
     tables = {}
-    for layer, table in annotations.items():
-        path = staging.annotation_path(layer, sequence).relative_to(staging.path)
-        tables[path.as_posix()] = staging.write_annotation(layer, sequence, table)
-    for kind, table in intervals.items():
-        path = staging.interval_path(kind, sequence).relative_to(staging.path)
-        tables[path.as_posix()] = staging.write_interval(kind, sequence, table)
+    for found, path_of, write in (
+        (annotations, staging.annotation_path, staging.write_annotation),
+        (intervals, staging.interval_path, staging.write_interval),
+    ):
+        for name, table in found.items():
+            tables[path_of(name, sequence).relative_to(staging.path).as_posix()] = write(name, sequence, table)
     stage_scene(staging, sequence, intervals)
-    layers = intervals["sequence"]["layers"][0].as_py()
-    return SequenceEntry(tuple(layers), tables)
+    return SequenceEntry(tuple(intervals["sequence"]["layers"][0].as_py()), tables)
 
 
 # -- the store ---------------------------------------------------------------------------------------------------
@@ -263,7 +266,18 @@ def _finish(
 ) -> list[str]:
     """Build the graph, move what is staged in, and put the manifest back last. Returns why runs were left out of it."""
     manifest = Manifest(image_root, rules, rules_hash(rules), entries, {})
-    left_out = _in_child(_build, Index(str(store.path), str(staging.path), manifest))
+    # In a process of its own: the engine ends its process when the disk is full while it rolls back.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as pool:
+        try:
+            left_out = pool.submit(_build, Store(store.path), Store(staging.path), manifest).result()
+        except BrokenProcessPool:
+            for left in store.path.glob(".graph.kuzu.building*"):
+                left.unlink(missing_ok=True)
+            raise StoreError(
+                f"the graph could not be written into {store.path}: is the disk full, or the memory? "
+                "Free some space and load again"
+            ) from None
     _move(store, staging, parts)
     return left_out
 
@@ -287,46 +301,21 @@ def _finish_moves(store: Store) -> None:
         _move(store, staging, [part for part in PARTS if (staging.path / part).exists()])
 
 
-@dataclass(frozen=True)
-class Index:
-    """What the process that builds the graph needs to know."""
-
-    store: str
-    staging: str
-    manifest: Manifest
-
-
-def _build(index: Index) -> list[str]:
+def _build(store: Store, staging: Store, manifest: Manifest) -> list[str]:
     """Build and verify the graph and rename it in; just before, stage the manifest and take the old one away.
 
     Returns a line per run whose world model was left out.
     """
-    # The engine writes to stderr when it gives up; what is to be said of that is said in one line by the parent.
+    # The engine writes to stderr when it gives up; the parent reports that in one line.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-    store, staging = Store(index.store), Store(index.staging)
     with build_graph(store.graph_path) as graph:
-        rows = build_scene(graph, staging, list(index.manifest.sequences))
+        rows = build_scene(graph, staging, list(manifest.sequences))
         make_world_tables(graph)
         left_out = copy_all(graph, store, run_ids(store))
-        staging.write_manifest(msgspec.structs.replace(index.manifest, graph=rows))
+        staging.write_manifest(msgspec.structs.replace(manifest, graph=rows))
         # From here to the end there is no manifest, so nobody takes a half-moved store for a whole one.
         (store.path / "store.json").unlink(missing_ok=True)
     return left_out
-
-
-def _in_child(function: Callable[[Index], list[str]], index: Index) -> list[str]:
-    """Run in a process of its own: the engine ends its process when the disk is full while it rolls back."""
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as pool:
-        try:
-            return pool.submit(function, index).result()
-        except BrokenProcessPool:
-            for left in Path(index.store).glob(".graph.kuzu.building*"):
-                left.unlink(missing_ok=True)
-            raise StoreError(
-                f"the graph could not be written into {index.store}: is the disk full, or the memory? "
-                "Free some space and load again"
-            ) from None
 
 
 def _swap(place: Path, new: Path, old: Path) -> None:

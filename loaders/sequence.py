@@ -16,19 +16,17 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.loaders.intervals.persons import disagreements
-from jrdb_avr.loaders.intervals.spans import absent_partners
 from jrdb_avr.loaders.labelfiles.columns import LayerTables, constant
 from jrdb_avr.loaders.layers.boxes_2d import load_2d
 from jrdb_avr.loaders.layers.boxes_3d import heading_check, load_3d
-from jrdb_avr.loaders.layers.calibration import cameras_check, load_calibration
+from jrdb_avr.loaders.layers.calibration import load_calibration
 from jrdb_avr.loaders.layers.frame_offset import check_shift, tracks_of
 from jrdb_avr.loaders.layers.panoptic import load_panoptic
 from jrdb_avr.loaders.layers.pose import load_pose
 from jrdb_avr.loaders.layers.social import load_reasoning, load_social
 from jrdb_avr.loaders.layers.timestamps import frame_rate, load_timestamps
 from jrdb_avr.loaders.problems import Problem, Problems, shorten
-from jrdb_avr.loaders.report import Cameras, Disagreement, Heading, ShiftCheck, Stamps, UnknownLabel
+from jrdb_avr.loaders.report import Heading, ShiftCheck, Stamps, UnknownLabel
 from jrdb_avr.loaders.root import LAYER_FILES, SequenceFiles, image_frames
 from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.errors import InputError
@@ -69,28 +67,12 @@ class Annotated:
         known = [frames for layer, (frames, _) in self.frames.items() if layer not in NOT_LABELS]
         return np.unique(np.concatenate(known)) if known else np.empty(0, np.int64)
 
-    @property
-    def disagreements(self) -> list[Disagreement]:
-        """People and groups of whom the labels do not say the same everywhere."""
-        return disagreements(self.tables)
 
-    @property
-    def absent_partners(self) -> int:
-        """Interactions that gave no fact, as one of the two people has no 2D box in the frame."""
-        return absent_partners(self.tables["interactions"], self.tables["boxes_2d"])
-
-    @property
-    def stamps(self) -> Stamps | None:
-        """What the timestamps say; None without any."""
-        table = self.tables["timestamps"]
-        images = table.filter(pc.equal(table["sensor"], "images"))
-        rate = frame_rate(images["frame"].to_numpy(), images["timestamp"].to_numpy())
-        return Stamps(len(images), len(table) - len(images), rate) if len(table) else None
-
-    @property
-    def cameras(self) -> Cameras | None:
-        """The cameras' medians beside the panorama's constants; None without a calibration."""
-        return cameras_check(self.tables["calibration"])
+def stamps_of(table: pa.Table) -> Stamps | None:
+    """Summary of the annotation table `timestamps`; None without any."""
+    images = table.filter(pc.equal(table["sensor"], "images"))
+    rate = frame_rate(images["frame"].to_numpy(), images["timestamp"].to_numpy())
+    return Stamps(len(images), len(table) - len(images), rate) if len(table) else None
 
 
 def annotate(files: SequenceFiles) -> Annotated:

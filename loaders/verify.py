@@ -1,6 +1,6 @@
-"""Is the store what was loaded? Every Parquet file by its hash, the graph by what it answers.
+"""Is the store what was loaded? Every Parquet file by its hash, the graph by its answers.
 
-The interval tables are the record, and the manifest holds their hashes. So the graph is not asked to agree with itself:
+The interval tables are the record, and the manifest holds their hashes. So the graph is not compared with itself:
 each scene table is read out of it whole, with every property, once from either end of its edges (the engine keeps both
 directions apart), and compared with the rows that the interval tables give, by a sum of row hashes that no order can
 change. The file's own checksum tells what no scan can see, such as a damaged index over the keys; where agents have
@@ -27,7 +27,7 @@ from typing import Final
 
 import pyarrow as pa
 
-from jrdb_avr.loaders.graph import scene_rows
+from jrdb_avr.loaders.graph import batches, column_names, scene_rows, with_wide_integers
 from jrdb_avr.queries.graph.file import check_seal, lock_graph, seal_of
 from jrdb_avr.queries.graph.guard import end_beyond_memory
 from jrdb_avr.queries.graph.handle import Graph
@@ -53,7 +53,7 @@ Advance = Callable[[int], None]
 
 @dataclass(frozen=True)
 class Check:
-    """One part of the store: `checked` files or rows were compared, and `fault` says what is wrong, "" for nothing.
+    """One part of the store: `checked` files or rows were compared, and `fault` is what is wrong, "" for nothing.
 
     `reload`: only loading the annotations again mends it; a rebuild does for the rest.
     """
@@ -92,11 +92,8 @@ def _files(store: Store, manifest: Manifest, part: str) -> Check:
     """Every file of a part against its hash, and no file that the manifest does not know: views would read it."""
     known = {path: digest for entry in manifest.sequences.values() for path, digest in entry.tables.items()}
     expected = {path: digest for path, digest in known.items() if path.startswith(f"{part}/")}
-    faults = [
-        f"{path} {fault}"
-        for path, digest in sorted(expected.items())
-        if (fault := _file_fault(store.path / path, digest))
-    ]
+    results = ((path, _file_fault(store.path / path, digest)) for path, digest in sorted(expected.items()))
+    faults = [f"{path} {fault}" for path, fault in results if fault]
     found = {path.relative_to(store.path).as_posix() for path in (store.path / part).rglob("*.parquet")}
     faults += [f"{path} was not written by the load" for path in sorted(found - expected.keys())]
     more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
@@ -106,9 +103,8 @@ def _files(store: Store, manifest: Manifest, part: str) -> Check:
 def _file_fault(path: Path, digest: str) -> str:
     try:
         with path.open("rb") as file:
-            return (
-                "" if hashlib.file_digest(file, "sha256").hexdigest() == digest else "is not the file that was loaded"
-            )
+            same = hashlib.file_digest(file, "sha256").hexdigest() == digest
+        return "" if same else "is not the file that was loaded"
     except FileNotFoundError:
         return "is missing"
     except OSError as error:
@@ -125,7 +121,7 @@ def _graph(store: Store, sequences: Sequence[str], advance: Advance, timeout_s: 
         return [Check(FILE, 0, str(error))]
     expected: defaultdict[str, Digests] = defaultdict(dict)
     for table, rows in scene_rows(store, sequences):
-        _add(expected[table], _digests(rows.select(_columns(table))))
+        _add(expected[table], _digests(rows.select(column_names(table))))
     checks = []
     for table, answer in _read(store.graph_path, (FILE, *SCENE_NODES, *SCENE_RELS), timeout_s):
         if isinstance(answer, str):
@@ -156,14 +152,12 @@ def _digests(rows: pa.Table) -> Digests:
 
     if not rows.num_rows:
         return {}
-    # Whatever the width of a number is on either side, equal ones hash alike as 64 bits.
-    fields = [pa.field(f.name, pa.int64()) if pa.types.is_integer(f.type) else f for f in rows.schema]
-    given = rows.cast(pa.schema(fields))
-    names = ", ".join(f'"{name}"' for name in given.column_names)
-    by = "coalesce(sequence, '')" if "sequence" in given.column_names else "''"
+    names = ", ".join(f'"{name}"' for name in rows.column_names)
+    by = "coalesce(sequence, '')" if "sequence" in rows.column_names else "''"
     with duckdb.connect(":memory:") as connection:
-        connection.register("given", given)
-        found = connection.execute(f"SELECT {by}, count(*), sum(hash({names})) FROM given GROUP BY 1").fetchall()  # noqa: S608
+        # Whatever the width of a number is on either side, equal ones hash alike as 64 bits.
+        connection.register("rows", with_wide_integers(rows))
+        found = connection.execute(f"SELECT {by}, count(*), sum(hash({names})) FROM rows GROUP BY 1").fetchall()  # noqa: S608
     return {sequence: (count, int(total)) for sequence, count, total in found}
 
 
@@ -215,7 +209,7 @@ def _child(path: Path, tables: Sequence[str]) -> Iterator[Connection]:
 
 def _serve(answers: Connection, path: str, tables: Sequence[str]) -> None:
     """The child: one answer per table, in order, and None for each piece while it reads one."""
-    # What the engine writes when it gives up is said in one line by the parent.
+    # The parent reports in one line what the engine writes when it gives up.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     threading.Thread(target=end_beyond_memory, args=(lambda: None,), daemon=True).start()
     place = Path(path)
@@ -249,7 +243,7 @@ def _inhabited(graph: Graph) -> bool:
 
 def _readings(graph: Graph, table: str, by_key: bool, go_on: Callable[[], None]) -> Iterator[Digests]:
     """A table's digests by every way that a query may take to it; `go_on` is called after each piece."""
-    columns = _columns(table)
+    columns = column_names(table)
     if table in SCENE_RELS:
         source, target, _ = SCENE_RELS[table]
         listed = ", ".join(f"r.{name} AS {name}" for name in columns[2:])
@@ -259,7 +253,7 @@ def _readings(graph: Graph, table: str, by_key: bool, go_on: Callable[[], None])
             for sequences in groups:
                 rows = graph.query(
                     f"MATCH (a:{source})-[r:{table}]->(b:{target}) WHERE r.sequence IN $sequences HINT {order} "
-                    f"RETURN a.{_columns(source)[0]} AS `from`, b.{_columns(target)[0]} AS `to`, {listed}",
+                    f"RETURN a.{column_names(source)[0]} AS `from`, b.{column_names(target)[0]} AS `to`, {listed}",
                     {"sequences": sequences},
                     ordered=False,
                     timeout_s=TIMEOUT_S,
@@ -277,16 +271,14 @@ def _readings(graph: Graph, table: str, by_key: bool, go_on: Callable[[], None])
         looked_up: Digests = {}
         for start in range(0, len(once), BATCH_KEYS):
             go_on()
-            rows = [
-                _compact(graph.query(lookup, {"key": value}, ordered=False))
-                for value in once[start : start + BATCH_KEYS]
-            ]
+            some = once[start : start + BATCH_KEYS]
+            rows = [_compact(graph.query(lookup, {"key": value}, ordered=False)) for value in some]
             _add(looked_up, _digests(pa.concat_tables(rows)))
         yield looked_up
 
 
 def _compact(rows: pa.Table) -> pa.Table:
-    """A copy of a few rows: what the engine gives lies in buffers of megabytes."""
+    """A copy of a few rows: those of the engine lie in buffers of megabytes."""
     return rows.take(list(range(rows.num_rows)))
 
 
@@ -295,21 +287,8 @@ def _groups(graph: Graph, table: str) -> list[list[str]]:
     counts = graph.query(
         f"MATCH ()-[r:{table}]->() RETURN r.sequence AS sequence, count(*) AS n ORDER BY sequence", timeout_s=TIMEOUT_S
     )
-    groups: list[list[str]] = []
-    size = BATCH_ROWS
-    for sequence, rows in zip(counts["sequence"].to_pylist(), counts["n"].to_pylist(), strict=True):
+    sizes = list(zip(counts["sequence"].to_pylist(), counts["n"].to_pylist(), strict=True))
+    for sequence, rows in sizes:
         if sequence is None:
             raise QueryError(f"{rows} rows are of no sequence")
-        if size + rows > BATCH_ROWS:
-            groups.append([])
-            size = 0
-        groups[-1].append(sequence)
-        size += rows
-    return groups
-
-
-def _columns(table: str) -> list[str]:
-    """Columns of a scene table as `scene_rows` gives them: nodes begin with their key, edges with their two keys."""
-    if table in SCENE_RELS:
-        return ["from", "to", *(column.split()[0] for column in SCENE_RELS[table][2])]
-    return [column.split()[0] for column in SCENE_NODES[table].split(", ")]
+    return [sequences for sequences, _ in batches(sizes, BATCH_ROWS)]

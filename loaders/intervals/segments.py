@@ -107,16 +107,11 @@ class _Cells:
         label = known.label_rows[here]
         label_keys = known.of_labels[here] * self.span + grid.index(labels.frame[label])
 
-        listed = np.zeros(len(self.key), np.bool_)
-        clear, pose_known = listed.copy(), listed.copy()
+        listed, clear, pose_known, named, true, gap = np.zeros((6, len(self.key)), np.bool_)
         at = np.searchsorted(self.key, box_keys)
-        listed[at] = boxes.listed[row]
-        clear[at] = boxes.clear[row]
-        pose_known[at] = ~pose[fact] | known.posed[row]
-        named, true, gap = np.zeros((3, len(self.key)), np.bool_)
+        listed[at], clear[at], pose_known[at] = boxes.listed[row], boxes.clear[row], ~pose[fact] | known.posed[row]
         at = np.searchsorted(self.key, label_keys)
-        named[at] = True
-        true[at] = labels.certain[label]
+        named[at], true[at] = True, labels.certain[label]
         gap[np.searchsorted(self.key, gap_keys)] = True
         self.false = listed & pose_known & ~named & ~gap
         self.false_clear = self.false & clear
