@@ -5,7 +5,7 @@ then the new parts are moved in and the manifest is written last. So a load that
 and one that is killed is repaired by running it again: what it left behind is swept away under the writer's lock. Once
 the moves have begun, they are finished by whoever writes next, so that the tables outlive a kill at any moment.
 
-The new graph also holds what the finished runs of the store say of their agents' world models.
+The new graph also holds the world models of the finished runs of the store.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The load report: per sequence what was found, what was kept and what was refused."""
+"""The load report: per sequence what was found, loaded and refused."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class FrameRange(msgspec.Struct):
 
 
 class ShiftCheck(msgspec.Struct):
-    """Whether the frame numbers of a layer's file are those of the 2D boxes, told by the people they share."""
+    """Whether the frame numbers of a layer's file are those of the 2D boxes, judged by the people they share."""
 
     layer: str
     result: str
@@ -54,7 +54,7 @@ class ShiftCheck(msgspec.Struct):
 
 
 class Stamps(msgspec.Struct):
-    """What the timestamps say."""
+    """Summary of the timestamps."""
 
     images: int
     clouds: int
@@ -74,21 +74,21 @@ class Cameras(msgspec.Struct):
 
 
 class Disagreement(msgspec.Struct):
-    """Frames of a person, or records of a group's members, that do not say the same."""
+    """Frames of a person, or records of a group's members, that disagree."""
 
     subject: str
     """`person 12` or `group 7`."""
     attribute: str
     votes: dict[str, int]
-    """How many frames or records say each value."""
+    """Frames or records with each value."""
     told: int
-    """Frames or records that tell the attribute."""
+    """Frames or records that state the attribute."""
 
 
 class SequenceReport(msgspec.Struct):
     """One row of the report. Layers are those of the `frames` table; images and timestamps have no annotation step.
 
-    A row without a sequence tells of the root as a whole.
+    A row without a sequence is about the root as a whole.
     """
 
     sequence: str
@@ -111,7 +111,7 @@ class SequenceReport(msgspec.Struct):
     stamps: Stamps | None = None
     cameras: Cameras | None = None
     disagreements: list[Disagreement] = []
-    """Demographics and group information that are not told alike everywhere."""
+    """Demographics and group information that differ between frames or members."""
     absent_partners: int = 0
     """Interactions that gave no fact, as one of the two has no 2D box in the frame."""
     warnings: list[str] = []

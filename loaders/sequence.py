@@ -41,7 +41,7 @@ READERS: Final[dict[str, Callable[[Path, str, Problems], LayerTables]]] = {
     "timestamps": load_timestamps,
     "calibration": load_calibration,
 }
-"""Loaders of single files, but for the reasoning file: its loader has to know what the social file gave."""
+"""Loaders of single files, but for the reasoning file: its loader depends on what the social file held."""
 
 SOCIAL_FACTS: Final = ("demographics", "interactions", "group_info")
 NOT_LABELS: Final = ("timestamps", "images")
@@ -50,7 +50,7 @@ NOT_LABELS: Final = ("timestamps", "images")
 
 @dataclass(frozen=True)
 class Annotated:
-    """All annotation tables of a sequence, and what the load report says of it."""
+    """All annotation tables of a sequence, and the findings for the load report."""
 
     tables: dict[str, pa.Table]
     """Every table of `ANNOTATIONS`; empty where nothing could be read."""
@@ -88,7 +88,7 @@ def annotate(files: SequenceFiles) -> Annotated:
         try:
             reading = _read(layer, path, files.sequence, readings, problems[-1])
         except InputError as error:
-            # Problems counted in its frames and records no longer matter: none of them was kept.
+            # Problems counted in its frames and records no longer matter: none of them was loaded.
             problems[-1] = Problems(path.name, layer)
             problems[-1].add("file", str(error))
             continue
@@ -126,7 +126,7 @@ def _together(
     frames: dict[str, tuple[Ints, Ints]] = {}
     unknown: Counter[tuple[str, str]] = Counter()
     for reading in readings.values():
-        # Two files may say which lists could be read: one those of interactions, another those of things.
+        # Two files may list which lists could be read: one those of interactions, another those of things.
         both = [part["listed"] for part in (tables, reading.tables) if "listed" in part]
         tables |= reading.tables
         if both:
@@ -156,7 +156,7 @@ def _together(
 
 
 def _once(files: SequenceFiles, problems: list[Problems]) -> list[Problems]:
-    """The problems, those of a file that serves the 2D boxes and another layer named once."""
+    """The problems, those of a file that serves the 2D boxes and another layer counted once."""
     boxes = next((found for found in problems if found.layer == "2d"), None)
     for found in problems:
         if boxes is not None and found is not boxes and files.labels.get(found.layer) == files.labels["2d"]:

@@ -1,6 +1,6 @@
 """The box files of a simulated sequence, frame by frame: base 2D with actions and groups, and 3D.
 
-The files tell the truth of the world, with the annotators' habits of the real ones: hard labels (mostly of people who
+The files state the truth of the world, with the annotators' habits of the real ones: hard labels (mostly of people who
 are covered), dropouts, several spellings of one value, and at low rates each awkward case that these layers hold. None
 of them states a wrong fact as certain.
 """

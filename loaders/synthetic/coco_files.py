@@ -129,7 +129,7 @@ def compressed(counts: Ints) -> str:
     """Run lengths in the compressed text of COCO files.
 
     Counts go down the columns, left to right, and begin with the pixels before the first run. From the third on, the
-    difference from the count two before is written, five bits per character, lowest first; the sixth bit says that
+    difference from the count two before is written, five bits per character, lowest first; the sixth bit means that
     more follow, and the highest of the last five is the sign.
     """
     values = counts.copy()
@@ -138,7 +138,7 @@ def compressed(counts: Ints) -> str:
     shifted = values[:, None] >> np.arange(0, 35, 5)
     digits, rest = shifted[:, :-1] & 31, shifted[:, 1:]
     more = np.where(digits & 16, rest != -1, rest != 0)
-    # A character is written while all before it said that more follow.
+    # A character is written while all before it announce more.
     written = np.ones_like(more)
     written[:, 1:] = np.logical_and.accumulate(more[:, :-1], axis=1)
     return bytes((digits + 32 * more + 48)[written].astype(np.uint8)).decode("ascii")

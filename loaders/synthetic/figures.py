@@ -68,7 +68,7 @@ class Canvas:
         return color if self.numbers is None else (self.numbers[part],) * 3
 
     def rectangle(self, a: Point, b: Point, color: Color, part: int = OWNER, width: int = -1) -> None:
-        """Draw a rectangle, filled where no width is given."""
+        """Draw a rectangle; without a width it is filled."""
         cv2.rectangle(self.image, a, b, self._ink(color, part), width)
 
     def lines(self, points: Sequence[Point], color: Color, part: int = OWNER, width: float = 1) -> None:
@@ -77,7 +77,7 @@ class Canvas:
             cv2.line(self.image, a, b, self._ink(color, part), max(1, round(width)))
 
     def circle(self, middle: Point, radius: int, color: Color, part: int = OWNER, width: int = -1) -> None:
-        """Draw a circle, filled where no width is given."""
+        """Draw a circle; without a width it is filled."""
         cv2.circle(self.image, middle, radius, self._ink(color, part), width)
 
     def ellipse(
@@ -103,7 +103,7 @@ class Held(NamedTuple):
 class Figure:
     """A body in its box (x, y, w, h in pixels, not cut at the image).
 
-    `joints`: 17 pixels; `meter`: pixels per metre; `across` and `toward` say how it faces (see `skeleton.facing`).
+    `joints`: 17 pixels; `meter`: pixels per metre; `across` and `toward`: how it faces (see `skeleton.facing`).
     `identity` decides the colours; `under`: the thing that it sits on or rides; `held`: what is in its hands.
     """
 

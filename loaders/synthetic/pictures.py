@@ -41,7 +41,7 @@ def image_frames(world: World, which: str) -> list[int]:
     """Frames that get a panorama.
 
     `none`; `keyframes`; `changes`: keyframes, and of every tick but the first the first frame and the one before, so
-    that they do not tell at which of them anything changes; `all`.
+    that they do not reveal at which of them anything changes; `all`.
     """
     keyframes = range(0, world.frames, KEYFRAME_STEP)
     if which == "changes":

@@ -292,7 +292,7 @@ def _long_action(rng: Rng, move: Bools, first: Ints) -> Ints:
         start = int(rng.integers(0, len(move)))
         stop = start + int(rng.integers(6, 25))
         name = ACTION[one_of(rng, _FOR_LONG)]
-        # A person would not do the same twice at once, nor stop for a moment because the other slot says so.
+        # A person would not do the same twice at once, nor stop for a moment because of the other slot.
         first[max(0, start - 4) : stop + 4][first[max(0, start - 4) : stop + 4] == name] = NONE
         out[start:stop] = name
     return out

@@ -1,6 +1,6 @@
 """The seventeen joints of a figure: where its body is, for the pictures and for the pose labels alike.
 
-A joint is given in the body's own frame as (forward, left, down): the first two in widths of the box, the last from 0
+A joint lies in the body's own frame as (forward, left, down): the first two in widths of the box, the last from 0
 (top of the box) to 1 (feet). The camera sees forward and left as one coordinate across, by the way the person faces.
 """
 
@@ -85,7 +85,7 @@ def _per_pose(values: dict[str, float], other: float) -> Floats:
 
 _BODIES: Final = np.stack([_body(name) for name in POSES])
 _LEAST_SIDE: Final = _per_pose({"sitting": 0.5, "bending": 0.85, "lying": 1.0, "cycling": 1.0, "scootering": 0.8}, 0.35)
-"""How far across a pose is always drawn, so that it can be told from others also when seen from the front."""
+"""How far across a pose is always drawn, so that it differs from others also when seen from the front."""
 _SWING: Final = _per_pose({"walking": 0.20, "running": 0.30, "going upstairs": 0.18, "going downstairs": 0.18}, 0.0)
 _PEDAL: Final = _per_pose({"cycling": 0.06}, 0.0)
 """Radius of the circle in which a foot goes round."""
@@ -121,7 +121,7 @@ def facing(pose: Ints, side: Floats, toward: Floats) -> tuple[Floats, Floats]:
 def joints(pose: Ints, actions: Ints, side: Floats, toward: Floats, stride: Floats) -> Floats:
     """Joints (n, 17, 2) of n figures inside their boxes: across from -0.5 to 0.5, down from 0 to 1.
 
-    `pose` (n) and `actions` (n, 2) are places in the vocabularies, negative for none; `side` and `toward` (n) say how
+    `pose` (n) and `actions` (n, 2) are places in the vocabularies, negative for none; `side` and `toward` (n) are how
     the person faces (1, 0: to the right of the picture; 0, 1: the robot); `stride` (n) is the phase of its gait.
     """
     body = _BODIES[pose].copy()
