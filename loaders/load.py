@@ -16,7 +16,7 @@ import multiprocessing
 import os
 import shutil
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -266,18 +266,7 @@ def _finish(
 ) -> list[str]:
     """Build the graph, move what is staged in, and put the manifest back last. Returns why runs were left out of it."""
     manifest = Manifest(image_root, rules, rules_hash(rules), entries, {})
-    # In a process of its own: the engine ends its process when the disk is full while it rolls back.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as pool:
-        try:
-            left_out = pool.submit(_build, Store(store.path), Store(staging.path), manifest).result()
-        except BrokenProcessPool:
-            for left in store.path.glob(".graph.kuzu.building*"):
-                left.unlink(missing_ok=True)
-            raise StoreError(
-                f"the graph could not be written into {store.path}: is the disk full, or the memory? "
-                "Free some space and load again"
-            ) from None
+    left_out = _in_child(_build, store, staging, manifest)
     _move(store, staging, parts)
     return left_out
 
@@ -316,6 +305,23 @@ def _build(store: Store, staging: Store, manifest: Manifest) -> list[str]:
         # From here to the end there is no manifest, so nobody takes a half-moved store for a whole one.
         (store.path / "store.json").unlink(missing_ok=True)
     return left_out
+
+
+def _in_child(
+    build: Callable[[Store, Store, Manifest], list[str]], store: Store, staging: Store, manifest: Manifest
+) -> list[str]:
+    """Build in a process of its own: the engine ends its process when the disk is full while it rolls back."""
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as pool:
+        try:
+            return pool.submit(build, store, staging, manifest).result()
+        except BrokenProcessPool:
+            for left in store.path.glob(".graph.kuzu.building*"):
+                left.unlink(missing_ok=True)
+            raise StoreError(
+                f"the graph could not be written into {store.path}: is the disk full, or the memory? "
+                "Free some space and load again"
+            ) from None
 
 
 def _swap(place: Path, new: Path, old: Path) -> None:

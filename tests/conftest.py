@@ -84,11 +84,11 @@ def cheap_loads():
     """
     from jrdb_avr.loaders import load
 
-    def build(function, index):
+    def build(function, *arguments):
         # It silences its process's stderr, which here is that of the tests.
         stderr = os.dup(2)
         try:
-            return function(index)
+            return function(*arguments)
         finally:
             os.dup2(stderr, 2)
             os.close(stderr)
