@@ -59,7 +59,7 @@ class Template:
     times, with `{1}` and `{2}` for the question's actions. edges: source and target of each relation. time_queries:
     prefix of the queries `_shift` and `_drop` of the time proofs. single_view: whether one fixed view may answer the
     question. form: name of a form, which is also that of its generator query; the forms of a template are judged
-    together.
+    together. seeks: what a scene must hold for a candidate, said by the first form for all.
     """
 
     name: str
@@ -76,10 +76,12 @@ class Template:
     read: tuple[str, ...] = ()
     decisive: tuple[str, ...] = ()
     form: str = ""
+    seeks: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "read", self.read or self.spec.times)
         object.__setattr__(self, "decisive", self.decisive or self.read)
+        object.__setattr__(self, "time_queries", self.time_queries or self.name)
 
     @property
     def query(self) -> str:
@@ -207,6 +209,7 @@ _ROWS: Final = (
         events=_STARTS,
         read=("start",),
         decisive=("first",),
+        seeks="somebody starts an action three seconds or more after being described, and keeps at it",
     ),
     Template(
         "span",
@@ -223,6 +226,7 @@ _ROWS: Final = (
         events={**_STARTS, "t2": Time(event="end", of="a", action="{1}", after="t1")},
         read=("start", "end"),
         decisive=("first", "last"),
+        seeks="somebody starts an action three seconds or more after being described, keeps at it, and stops",
     ),
     Template(
         "change",
@@ -236,6 +240,7 @@ _ROWS: Final = (
         stated=("t0", "t1"),
         time_proof="times",
         time_queries="pose",
+        seeks="the known pose of somebody described is another one three seconds or more later",
     ),
     Template(
         "presence",
@@ -252,6 +257,7 @@ _ROWS: Final = (
         layers=("2d",),
         stated=("t0", "t1", "t2"),
         time_proof="times",
+        seeks="somebody described is known to be there or not at two later times",
     ),
     Template(
         "distance",
@@ -270,6 +276,7 @@ _ROWS: Final = (
         decisive=("t1",),
         time_proof="times",
         time_queries="distance",
+        seeks="somebody described comes nearer, goes farther, stays or leaves, measured by lidar",
     ),
     Template(
         "two_hop",
@@ -282,6 +289,7 @@ _ROWS: Final = (
         ),
         edges=_TWO_HOPS,
         time_proof="program",
+        seeks="from somebody described two certain relations lead on to a person of known pose",
     ),
     Template(
         "three_hop",
@@ -295,6 +303,7 @@ _ROWS: Final = (
         ),
         edges=(*_TWO_HOPS, ("c", "d")),
         time_proof="program",
+        seeks="from somebody described three certain relations lead on to a person of known pose",
     ),
     Template(
         "fork_join",
@@ -310,6 +319,7 @@ _ROWS: Final = (
         ),
         edges=(("a", "b"), ("a", "c"), ("b", "d"), ("c", "d")),
         time_proof="program",
+        seeks="two ways from somebody described meet in one person, and neither alone singles that person out",
     ),
     Template(
         "action_search",
@@ -329,6 +339,7 @@ _ROWS: Final = (
         read=("start",),
         decisive=("first",),
         single_view=False,
+        seeks="two certain relations lead to somebody who starts an action later, in another direction",
     ),
     Template(
         "later_pose",
@@ -343,6 +354,7 @@ _ROWS: Final = (
         edges=_TWO_HOPS,
         time_proof="times",
         time_queries="pose",
+        seeks="two certain relations lead to somebody whose known pose is another one ten seconds later",
     ),
     Template(
         "consequence",
@@ -359,6 +371,7 @@ _ROWS: Final = (
         events={"t1": Time(event="end", of="a", after="t0")},
         read=("start",),
         decisive=("first",),
+        seeks="somebody holds a pose for ten seconds, and the next one follows at once and lasts",
     ),
     Template(
         "gap",
@@ -377,6 +390,7 @@ _ROWS: Final = (
         read=("start", "start2"),
         decisive=("first", "first2"),
         form="gap_starts",
+        seeks="somebody described starts two actions five seconds apart, or is away for five seconds, or is in one relation with four people or more",
     ),
     Template(
         "gap",

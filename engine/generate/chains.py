@@ -91,7 +91,7 @@ def chain_proofs(context: SearchContext, paths: Candidates) -> list[Perturbation
     if paths.template.time_proof != "program":
         return [*stops, *skips]
     shifts = program_shifts(context, paths, nodes, read)
-    found = context.query("necessity", f"{paths.template.name}_drop")
+    found = context.query("necessity", f"{paths.template.time_queries}_drop")
     defined, answers = (scatter_by_id(found, name, len(paths), 0) for name in ("defined", "answers"))
     return [*stops, *skips, *shifts, PerturbationResult.of_drop(defined, answers)]
 
@@ -106,7 +106,7 @@ def program_shifts(
     the people at these nodes."""
     results = []
     for by in both_ways(context):
-        found = context.query("necessity", f"{paths.template.name}_shift", by=by)
+        found = context.query("necessity", f"{paths.template.time_queries}_shift", by=by)
         outcome, answer = read([scatter_by_id(found, node, len(paths)) for node in nodes])
         outside = beyond(context, paths.frames["t0"] + by)
         results.append(PerturbationResult.of_shift(by, outcome, answer, outside))

@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 
 from jrdb_avr.engine.generate.blind import FEW
 from jrdb_avr.engine.generate.candidates import RULES
-from jrdb_avr.schema.templates import FAMILIES
+from jrdb_avr.schema.templates import FAMILIES, forms_of
 
 REFUSALS: Final = (*RULES, "rederive", "choices", "near_duplicate", "max_per_person", "balance")
 """Every rule that refuses a candidate, in the order in which they are tried."""
@@ -37,23 +37,6 @@ MEANINGS: Final = {
     "balance": "kept, they would make an answer too common, or be more than were asked for",
 }
 """What each rule found of a candidate that it refused."""
-
-SOUGHT: Final = {
-    "start": "somebody starts an action three seconds or more after being described, and keeps at it",
-    "span": "somebody starts an action three seconds or more after being described, keeps at it, and stops",
-    "change": "the known pose of somebody described is another one three seconds or more later",
-    "presence": "somebody described is known to be there or not at two later times",
-    "distance": "somebody described comes nearer, goes farther, stays or leaves, measured by lidar",
-    "consequence": "somebody holds a pose for ten seconds, and the next one follows at once and lasts",
-    "two_hop": "from somebody described two certain relations lead on to a person of known pose",
-    "three_hop": "from somebody described three certain relations lead on to a person of known pose",
-    "action_search": "two certain relations lead to somebody who starts an action later, in another direction",
-    "later_pose": "two certain relations lead to somebody whose known pose is another one ten seconds later",
-    "gap": "somebody described starts two actions five seconds apart, or is away for five seconds, or is in one "
-    "relation with four people or more",
-    "fork_join": "two ways from somebody described meet in one person, and neither alone singles that person out",
-}
-"""What has to happen in a scene for a candidate of each template."""
 
 _NAMED: Final = 2
 """How many of the rules that refused most are named of a template."""
@@ -122,7 +105,7 @@ def shortfalls(
 
 def _why_few(row: Mapping[str, Any], most: Sequence[str]) -> list[str]:
     if not row["candidates"]:
-        return [f"no candidate, nowhere is it certain that {SOUGHT[row['template']]}"]
+        return [f"no candidate, nowhere is it certain that {forms_of(row['template'])[0].seeks}"]
     numbers = f"{_number(row['questions'], 'question')} of {_number(row['candidates'], 'candidate')}"
     refused = [f"{rule} refused {_percent(row[rule], row['candidates'])}: {MEANINGS[rule]}" for rule in most]
     return [f"{numbers}, {row['proven']:,} proven", *refused]

@@ -3,9 +3,9 @@
 import pyarrow as pa
 
 from jrdb_avr.engine.generate.candidates import RULES
-from jrdb_avr.engine.generate.diagnostics import MEANINGS, REFUSALS, SOUGHT, fillings, shortfalls, tallies
+from jrdb_avr.engine.generate.diagnostics import MEANINGS, REFUSALS, fillings, shortfalls, tallies
 from jrdb_avr.schema.tables import QUESTIONS
-from jrdb_avr.schema.templates import FAMILIES
+from jrdb_avr.schema.templates import FAMILIES, FORMS, forms_of
 
 
 def rejected(counts):
@@ -74,7 +74,7 @@ def test_enough_questions_or_as_many_as_were_asked_for_need_no_reason():
 
 def test_no_candidate_says_what_the_scenes_do_not_hold():
     row = told([], asked())["consequence"]
-    assert row["why"] == f"no candidate, nowhere is it certain that {SOUGHT['consequence']}"
+    assert row["why"] == f"no candidate, nowhere is it certain that {forms_of('consequence')[0].seeks}"
     assert row["refused_most"] is None and row["skipped"] is None
 
 
@@ -88,7 +88,7 @@ def test_a_missing_layer_is_the_reason():
 
 def test_every_rule_and_template_has_its_words():
     assert tuple(MEANINGS) == REFUSALS and REFUSALS[: len(RULES)] == RULES
-    assert set(SOUGHT) == set(FAMILIES)
+    assert all(forms[0].seeks for forms in FORMS.values())
 
 
 def test_who_fills_for_whom():

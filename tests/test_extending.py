@@ -1,0 +1,142 @@
+"""A template and a layer are added by the lists of `docs/architecture.md` alone, in an edited copy of the program."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+
+import pytest
+from places import DOCS, ROOT
+from worlds import person, write_root
+
+ARCHITECTURE = (DOCS / "architecture.md").read_text("utf-8")
+
+ROW = """
+    Template(
+        "toy",
+        "chain_2hop",
+        AnswerSpec(mode="multiple_choice", read="action", of="c", at="t0"),
+        ("At {t0}, begin with {who}. Go on to {the1}, and from there to {the2}. Which posture or movement has C?",),
+        edges=_TWO_HOPS,
+        time_proof="program",
+        time_queries="two_hop",
+        seeks="from somebody described two certain relations lead on to a person of known pose",
+    ),
+"""
+
+READER = '''"""The toy layer: `labels_toy/<sequence>.json` -> the annotation table `toys`."""
+
+from collections import Counter
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+
+from jrdb_avr.loaders.labelfiles.columns import LayerTables
+from jrdb_avr.loaders.problems import Problems
+from jrdb_avr.schema.tables import ANNOTATIONS
+
+
+def load_toys(path: Path, sequence: str, problems: Problems) -> LayerTables:
+    """Read the toys that people hold, {frame: [track, ...]}."""
+    held = msgspec.json.decode(path.read_bytes(), type=dict[int, list[int]])
+    rows = [{"sequence": sequence, "frame": frame, "track": track} for frame in held for track in held[frame]]
+    frames = np.array(sorted(held), np.int64)
+    counts = np.array([len(held[frame]) for frame in frames], np.int64)
+    return LayerTables({"toys": pa.Table.from_pylist(rows, ANNOTATIONS["toys"])}, {"toys": (frames, counts)})
+'''
+
+
+def listed(what):
+    """The files that the page lists for adding something; a folder stands for files in it."""
+    entry = re.search(rf"^\*\*{what}\*\*(.*?)(?=^\*\*|\Z)", ARCHITECTURE, re.M | re.S)[1]
+    return set(re.findall(r"`((?:schema|loaders|queries|engine|agent)/[\w/.]*)`", entry))
+
+
+class Copy:
+    """A copy of the program to edit, and the files edited in it."""
+
+    def __init__(self, folder):
+        self.root = folder / "jrdb_avr"
+        self.edited = set()
+        ignored = shutil.ignore_patterns("tests", "docs", ".*", "build", "*.egg-info", "__pycache__")
+        shutil.copytree(ROOT, self.root, ignore=ignored)
+
+    def add(self, name, text):
+        assert not (self.root / name).exists()
+        (self.root / name).write_text(text, "utf-8")
+        self.edited.add(name)
+
+    def insert(self, name, before, text):
+        whole = (self.root / name).read_text("utf-8")
+        assert whole.count(before) == 1, f"{name}: {before!r}"
+        (self.root / name).write_text(whole.replace(before, text + before), "utf-8")
+        self.edited.add(name)
+
+    def run(self, *arguments):
+        """What a command of the copy prints."""
+        command = [sys.executable, "-P", "-c", "from jrdb_avr.engine.cli import main; main()", *map(str, arguments)]
+        environment = os.environ | {"PYTHONPATH": str(self.root.parent)}
+        done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=self.root.parent)
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+
+@pytest.fixture
+def copy(tmp_path):
+    return Copy(tmp_path)
+
+
+def test_a_template_takes_a_row_and_a_query(copy, benchmark_copy):
+    copy.insert("schema/templates.py", '    Template(\n        "three_hop",', ROW.lstrip("\n"))
+    copy.add("queries/generators/toy.cypher", (ROOT / "queries/generators/two_hop.cypher").read_text("utf-8"))
+    assert len(copy.edited) <= 4
+    assert all(any(name.startswith(place) for place in listed("a template")) for name in copy.edited)
+
+    store = benchmark_copy.path
+    generated = copy.run("generate", "--store", store, "--json")
+    assert '"toy"' in generated
+    query = "SELECT question FROM questions WHERE template = 'toy'"
+    questions = [row["question"] for row in json.loads(copy.run("sql", query, "--store", store, "--json"))]
+    assert questions and all("Which posture or movement has C?" in question for question in questions)
+    # Proofs, the second program, and the plan over the graph.
+    checks = json.loads(copy.run("validate", "--replay", "--store", store, "--json"))
+    assert checks and not any(check["faults"] for check in checks)
+
+
+def test_a_layer_takes_a_reader_a_table_and_their_names(copy, tmp_path):
+    copy.add("loaders/layers/toys.py", READER)
+    copy.insert("loaders/root.py", '    "pose": (', '    "toys": ("labels_toy",),\n')
+    copy.insert("loaders/sequence.py", '    "pose": load_pose,', '    "toys": load_toys,\n')
+    copy.insert(
+        "loaders/sequence.py",
+        "from jrdb_avr.loaders.problems import",
+        "from jrdb_avr.loaders.layers.toys import load_toys\n",
+    )
+    copy.insert("schema/tables.py", '    "timestamps",\n    "images",\n', '    "toys",\n')
+    copy.insert(
+        "schema/tables.py",
+        '    "groups": ("Group of each person.',
+        '    "toys": ("Toys that people hold.", "sequence frame track"),\n',
+    )
+    assert all(any(name.startswith(place) for place in listed("a layer")) for name in copy.edited)
+
+    sequence, people = "toys-2019-02-07_0", [person(1, (100, 100, 60, 200)), person(3, (900, 100, 60, 200))]
+    root = write_root(tmp_path / "root", {sequence: {"2d": {"labels": {"000015.jpg": people}}}})
+    folder = root / "labels" / "labels_toy"
+    folder.mkdir()
+    (folder / f"{sequence}.json").write_text('{"15": [3, 1], "30": []}')
+    copy.run("load", root, "--store", tmp_path / "store")
+    query = "SELECT frame, track FROM annotations_toys ORDER BY track"
+    assert json.loads(copy.run("sql", query, "--store", tmp_path / "store", "--json")) == [
+        {"frame": 15, "track": 1},
+        {"frame": 15, "track": 3},
+    ]
+    query = "SELECT frame, records FROM annotations_frames WHERE layer = 'toys' ORDER BY frame"
+    assert json.loads(copy.run("sql", query, "--store", tmp_path / "store", "--json")) == [
+        {"frame": 15, "records": 2},
+        {"frame": 30, "records": 0},
+    ]
