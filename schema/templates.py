@@ -390,7 +390,8 @@ _ROWS: Final = (
         read=("start", "start2"),
         decisive=("first", "first2"),
         form="gap_starts",
-        seeks="somebody described starts two actions five seconds apart, or is away for five seconds, or is in one relation with four people or more",
+        seeks="somebody described starts two actions five seconds apart, or is away for five "
+        "seconds, or is in one relation with four people or more",
     ),
     Template(
         "gap",
