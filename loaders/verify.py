@@ -28,7 +28,7 @@ from typing import Final
 import pyarrow as pa
 
 from jrdb_avr.loaders.graph import batches, column_names, scene_rows, with_wide_integers
-from jrdb_avr.queries.graph.file import check_seal, lock_graph, seal_of
+from jrdb_avr.queries.graph.file import check_fingerprint, fingerprint_of, lock_graph
 from jrdb_avr.queries.graph.guard import end_beyond_memory
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Manifest, Store
@@ -70,8 +70,7 @@ def checks_of(store: Store, advance: Advance = lambda steps: None, *, timeout_s:
     Raises StoreError where there is no manifest, LockedError while another process writes the graph.
     """
     manifest = store.manifest()
-    lock = lock_graph(store.graph_path, shared=True)
-    try:
+    with lock_graph(store.graph_path, shared=True):
         checks = []
         for part in ("annotations", "intervals"):
             checks.append(_files(store, manifest, part))
@@ -79,9 +78,6 @@ def checks_of(store: Store, advance: Advance = lambda steps: None, *, timeout_s:
         if checks[-1].fault:
             return [*checks, Check("graph", 0, "not compared: the interval tables are not those it was built from")]
         return [*checks, *_graph(store, sorted(manifest.sequences), advance, timeout_s)]
-    finally:
-        if lock is not None:
-            lock.close()
 
 
 STEPS: Final = 2 + 1 + len(SCENE_NODES) + len(SCENE_RELS)
@@ -116,7 +112,7 @@ def _file_fault(path: Path, digest: str) -> str:
 
 def _graph(store: Store, sequences: Sequence[str], advance: Advance, timeout_s: float) -> list[Check]:
     try:
-        check_seal(store.graph_path)
+        check_fingerprint(store.graph_path)
     except StoreError as error:
         return [Check(FILE, 0, str(error))]
     expected: defaultdict[str, Digests] = defaultdict(dict)
@@ -214,7 +210,7 @@ def _serve(answers: Connection, path: str, tables: Sequence[str]) -> None:
     threading.Thread(target=end_beyond_memory, args=(lambda: None,), daemon=True).start()
     place = Path(path)
     # Before the database is open here: closing the file would drop the engine's lock on it.
-    built, now = check_seal(place), seal_of(place)
+    built, now = check_fingerprint(place), fingerprint_of(place)
     intact, longer = now.crc32 == built.crc32, now.size > built.size
     try:
         graph = Graph.open(place, read_only=True, prepares=True)

@@ -14,21 +14,19 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from jrdb_avr.queries.compiler import (
-    Asked,
+from jrdb_avr.queries.compiler.beliefs import (
+    DISTANCE_CUT_M,
     BeliefReader,
-    Outcome,
-    Queried,
-    Rows,
-    Solution,
+    BeliefRows,
+    Moment,
+    believed_order,
+    filled,
     find_believed,
-    outcome_of_target,
-    read_with,
-    solve_with,
+    notes_of,
 )
-from jrdb_avr.queries.compiler.beliefs import DISTANCE_CUT_M, Moment, notes_of
-from jrdb_avr.queries.compiler.believed_find import believed_order, filled
-from jrdb_avr.queries.compiler.find import stated_frame, times_of
+from jrdb_avr.queries.compiler.find import Outcome, outcome_of_target, stated_frame, times_of
+from jrdb_avr.queries.compiler.reads import Queryable
+from jrdb_avr.queries.compiler.solve import PlanQuery, Solution, read_with, solve_with
 from jrdb_avr.schema.answers import TIE, Answer, Choice, decode_answer, same_answer
 from jrdb_avr.schema.beliefs import episode_key
 from jrdb_avr.schema.method import Question
@@ -81,7 +79,7 @@ _TOO_MANY: Final = Belief(
 class BeliefSolver:
     """Solves plans over the beliefs of the episode with this key."""
 
-    graph: Queried
+    graph: Queryable
     key: str
     choices: Sequence[str] = ()
     rules: Rules = Rules()  # noqa: RUF009
@@ -90,7 +88,7 @@ class BeliefSolver:
         """Raises PlanError for a plan that cannot be compiled."""
         find_believed(plan)
 
-    def solve(self, plan: Plan, rows: Rows | None = None) -> Belief:
+    def solve(self, plan: Plan, rows: BeliefRows | None = None) -> Belief:
         """What the beliefs come to by the compiled plan.
 
         rows: what is believed, where that is at hand: the engine then only looks for the people. A plan that so many
@@ -100,18 +98,18 @@ class BeliefSolver:
         reader, match = self._match(plan, rows)
         if match.bindings is None:
             return _TOO_MANY
-        return _belief(reader, match, solve_with(reader, [Asked(plan, self.key)], self._cut)[0])
+        return _belief(reader, match, solve_with(reader, [PlanQuery(plan, self.key)], self._cut)[0])
 
-    def weigh(self, plan: Plan, rows: Rows) -> Belief:
+    def weigh(self, plan: Plan, rows: BeliefRows) -> Belief:
         """The same of beliefs that are at hand, without the engine."""
         reader, match = self._match(plan, rows)
         if match.bindings is None:
             return _TOO_MANY
         outcome, people = outcome_of_target(plan, match.bindings)
-        solution = read_with(reader, Asked(plan, self.key), people, self._cut) if people else Solution(outcome)
+        solution = read_with(reader, PlanQuery(plan, self.key), people, self._cut) if people else Solution(outcome)
         return _belief(reader, match, solution)
 
-    def guess(self, plan: Plan, rows: Rows | None = None) -> Belief | None:
+    def guess(self, plan: Plan, rows: BeliefRows | None = None) -> Belief | None:
         """What is read of the entity that comes nearest to being the plan's target, None where there is nobody.
 
         That is the one with which most conditions and edges hold, then the one seen at most frames, then the smallest
@@ -123,7 +121,7 @@ class BeliefSolver:
             return None
         fits = {who: match.likeliest({plan.target: who})[1] for who in match.people}
         best = min(match.people, key=lambda who: (-fits[who], -len({one.frame for one in reader.moments(who)}), who))
-        solution = read_with(reader, Asked(plan, self.key), {plan.target: best}, self._cut)
+        solution = read_with(reader, PlanQuery(plan, self.key), {plan.target: best}, self._cut)
         if solution.outcome == "unknown":
             reader.shown.clear()
         return _belief(reader, match, solution)
@@ -164,7 +162,7 @@ class BeliefSolver:
         cut = DISTANCE_CUT_M - TIE
         return msgspec.structs.replace(self.rules, distance_changed_m=cut, distance_same_m=cut)
 
-    def _match(self, plan: Plan, rows: Rows | None) -> tuple[BeliefReader, PlanMatch]:
+    def _match(self, plan: Plan, rows: BeliefRows | None) -> tuple[BeliefReader, PlanMatch]:
         reader = BeliefReader(self.graph, self.key, TIMEOUT_S, rows)
         return reader, match_plan(reader, plan)
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from jrdb_avr.engine.validate.stored import Difference, Stored, decoded, read_plans, short
-from jrdb_avr.queries.compiler import SCENE, Asked, compile_find, solve
+from jrdb_avr.queries.compiler.find import compile_find
+from jrdb_avr.queries.compiler.mapping import SCENE
+from jrdb_avr.queries.compiler.solve import PlanQuery, solve
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import PlanError
@@ -29,7 +31,7 @@ def ask_compiled(
         except PlanError as error:
             differences.append(Difference(question.question_id, "compiled", str(error)))
     with Graph.open(store.graph_path, read_only=True) as graph:
-        scoped = [Asked(plan, question.sequence) for question, plan in asked]
+        scoped = [PlanQuery(plan, question.sequence) for question, plan in asked]
         solutions = solve(graph, SCENE, scoped, rules, advance=advance)
     for (question, plan), solution in zip(asked, solutions, strict=True):
         bound = decoded(question.row["bindings"])

@@ -19,12 +19,12 @@ import pyarrow as pa
 from jrdb_avr.queries.graph.guard import check_cypher
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.queries.graph.parameters import strip_literals
-from jrdb_avr.queries.graph.wrong_answers import Plan
+from jrdb_avr.queries.graph.wrong_answers import QueryPlan
 from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS, world_ddl
 from jrdb_avr.schema.errors import QueryError
 from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
 
-BUFFER_BYTES: Final = 256 << 20
+_BUFFER_BYTES: Final = 256 << 20
 """Hard limit of the engine's page cache."""
 
 MOST_CHECKED: Final = 1_000
@@ -51,12 +51,12 @@ class WorldGraph:
         process has it open.
         """
         # Of small statements, most of what a second thread does is to wait for work: one takes half the time.
-        return cls(open_graph(path, buffer_bytes=BUFFER_BYTES, threads=1, prepares=True))
+        return cls(open_graph(path, buffer_bytes=_BUFFER_BYTES, threads=1, prepares=True))
 
     @classmethod
     def memory(cls) -> Self:
         """New world tables in memory."""
-        return cls(make_world_tables(Graph.memory(buffer_bytes=BUFFER_BYTES, prepares=True)))
+        return cls(make_world_tables(Graph.memory(buffer_bytes=_BUFFER_BYTES, prepares=True)))
 
     def close(self) -> None:
         """Give the graph back, after the calls under way. Closing twice is harmless."""
@@ -131,9 +131,6 @@ _TABLES: Final = frozenset((*WORLD_NODES, *WORLD_RELS, *SCENE_NODES, *SCENE_RELS
 _TOKEN: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*|[^\s]")
 _COLON: Final = ":"
 _CLOSING: Final = {"(": ")", "[": "]", "{": "}"}
-_ROWS_ALONE: Final = "READ_FTABLE"
-"""The table function behind RETURN without MATCH and behind UNWIND of a list: it reads nothing."""
-
 _READS: Final = re.compile("SCAN|EXTEND|PATH|LOOKUP|CALL|COPY|LOAD")
 _SCANS: Final = frozenset(
     {
@@ -187,14 +184,14 @@ def _labels(tokens: Sequence[str], at: int) -> Iterator[str]:
         yield tokens[at] if at < len(tokens) else ""
 
 
-def check_reach(plan: Plan, labels: Collection[str] = ()) -> None:
+def check_reach(plan: QueryPlan, labels: Collection[str] = ()) -> None:
     """Refuse a statement by its plan: it calls a table function, walks edges any number of times (such a plan does not
     say over which tables), or scans what is not one world table, nor several that it names itself (`labels`, in small
     letters).
 
     A plan lists the tables of a scan in boxes of their own, one after the other. Raises QueryError.
     """
-    if set(plan.functions) - {_ROWS_ALONE}:
+    if plan.functions:
         raise QueryError("this reads something else than the graph")
     if unknown := sorted({name for name in plan.operators if _READS.search(name)} - _SCANS):
         raise QueryError(f"{unknown[0]} does not say which tables it reads: write the pattern edge by edge")

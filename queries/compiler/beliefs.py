@@ -1,29 +1,187 @@
-"""What is read of people over beliefs, as the protocol of the reference agent defines each read.
+"""Plans over an agent's beliefs: the statement that finds the people, and what the plan reads of them.
 
-A person is looked at only now and then. Whoever is seen at a frame and is not said to do a thing is taken not to do it
-there: a model has no way to write that somebody does not. A person is absent from a frame if the whole panorama of it
-was observed and the person was not seen; of any other frame nothing is known.
+The statement compares texts, one per belief: the other person of a relation, the belief with its frame, and the person
+("/action=sitting@15/p1", "p2/conversation=@15/p1"; a sighting is "/=@15/p1"). Each condition and edge of a plan becomes
+such a text, so a plan is all parameters, and the statement depends on its `Shape` alone. The engine needs several times
+as long for the first use of a statement, and while no two questions of an agent have one plan, most have one of a few
+shapes. What is not believed is no match.
 
-A moment lies between two looks, and is known where these are at most `RESOLVED_FRAMES` apart; it is the middle of them.
+An agent looks at a person only now and then. Without a belief that a seen person acts, the person does not: a model
+cannot write a negation. A person is absent from a frame if the whole panorama of it was observed and the person was not
+seen; at any other frame the presence is unknown. A moment lies between two looks, and is known where these are at most
+`RESOLVED_FRAMES` apart; it is the middle of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Final
 
-from jrdb_avr.queries.compiler.believed_find import READS, find_believed
-from jrdb_avr.queries.compiler.find import Find
-from jrdb_avr.queries.compiler.mapping import read_text
-from jrdb_avr.queries.compiler.outcome import Agreed, Who, outcome_of_target, people_of
-from jrdb_avr.queries.compiler.reads import Person, Queried, Reader, Seen, Segment
+from jrdb_avr.queries.compiler.find import (
+    Agreed,
+    Find,
+    joined,
+    outcome_of_target,
+    people_of,
+    search_order,
+    stated_frame,
+    times_of,
+)
+from jrdb_avr.queries.compiler.mapping import PersonId, read_text
+from jrdb_avr.queries.compiler.reads import Person, Queryable, Reader, Seen, Segment
 from jrdb_avr.queries.graph.parameters import parameters
-from jrdb_avr.schema.beliefs import episode_hash
+from jrdb_avr.schema.beliefs import TIMELESS, episode_hash
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.panorama import WIDTH, Box
-from jrdb_avr.schema.plan import Plan
+from jrdb_avr.schema.plan import Edge, Plan, validate
 from jrdb_avr.schema.relations import SYMMETRIC
+
+READS: Final = "world"
+"""The folder of the world namespace's statements."""
+
+_TEXTS: Final = 4
+"""A statement asks for so many texts of each person, or for the next multiple of it."""
+
+_SMALL: Final = 5
+"""People up to whom all orders of a plan are tried."""
+
+_ENDS: Final = ("who", "whom")
+
+_NOTHING: Final = ""
+"""What no belief says."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What the statement of a plan depends on.
+
+    people: how many nodes there are, called by their places in the search; edges: the places that each joins, the
+    earlier first; texts: how many are asked for of each person; anybody: whether one says of a person only that it is
+    in a relation, whoever the other one is.
+    """
+
+    people: int
+    edges: tuple[tuple[int, int], ...]
+    texts: int = _TEXTS
+    anybody: bool = False
+
+
+def find_believed(plan: Plan) -> Find:
+    """Compile a plan's conditions and edges, to a statement whose parameters are the values of `Find.row` and the
+    episode's `hash`. It gives columns who0, who1, ..., every binding once, in any order.
+
+    Raises PlanError where the plan is invalid or not of stated times.
+    """
+    validate(plan)
+    places = {node: place for place, (node, _) in enumerate(believed_order(plan))}
+    people = [_asked_of(plan, node) for node in places]
+    edges = sorted(_asked_between(plan, edge, places) for edge in plan.edges)
+    conditions = [one for node in plan.nodes for one in node.conditions if one.interaction is not None]
+    ties = {_said(one.wanted[1], "", stated_frame(plan, one.at or "")) for one in conditions}
+    shape = Shape(
+        people=len(people),
+        edges=tuple(pair for pair, _, _ in edges),
+        texts=filled(max(map(len, people))),
+        anybody=bool(ties),
+    )
+    row: dict[str, Any] = {}
+    for place, texts in enumerate(people):
+        # What is asked for once more changes nothing.
+        asked = texts + texts[:1] * (shape.texts - len(texts))
+        row |= {f"c{place}_{i}": f"/{text}/" for i, text in enumerate(asked)}
+    for i, (_, there, back) in enumerate(edges):
+        row |= {f"e{i}": f"/{there}/", f"b{i}": f"/{back}/"}
+    row["wanted"] = sorted(({text[1:-1] for text in row.values()} | ties) - {_NOTHING})
+    return Find(statement(shape), tuple(places), row)
+
+
+def filled(texts: int) -> int:
+    """How many texts of each person a statement asks for where there are so many."""
+    return -(-texts // _TEXTS) * _TEXTS
+
+
+def believed_order(plan: Plan) -> list[tuple[str, list[tuple[int, Edge]]]]:
+    """Nodes in the order in which they are looked for, as `search_order`. Of the orders of a small plan it is the one
+    with the smallest places in its shape: how the plan lists its edges does not matter then.
+    """
+    if len(plan.nodes) > _SMALL:
+        return search_order(plan)
+
+    def pairs(order: Sequence[str]) -> list[list[int]]:
+        return sorted(sorted((order.index(edge.source), order.index(edge.target))) for edge in plan.edges)
+
+    return joined(plan, min(_orders(plan, [plan.root]), key=pairs))
+
+
+def _orders(plan: Plan, known: Sequence[str]) -> Iterator[Sequence[str]]:
+    """All orders in which edges lead from the known nodes to the others."""
+    if len(known) == len(plan.nodes):
+        yield known
+    for node in sorted({e.target for e in plan.edges if e.source in known} - {*known}):
+        yield from _orders(plan, [*known, node])
+
+
+@lru_cache(256)
+def statement(shape: Shape) -> str:
+    """The statement of a shape. Names in it are the compiler's own."""
+    lines = read_text(READS, "beliefs").rstrip().splitlines()
+    told = "concat(r.whom, '/', said, '/', r.who)"
+    if shape.anybody:
+        # A relation says of both ends what an attribute would.
+        ends = [f"concat('/interaction=', r.name, '@', CAST(r.first AS STRING), '/', r.{end})" for end in _ENDS]
+        lines.append(f"UNWIND CASE WHEN r.whom IS NULL THEN [{told}] ELSE [{', '.join([told, *ends])}] END AS one")
+        told = "one"
+    lines.append(f"WITH collect({told}) AS told, collect(DISTINCT r.who) AS people")
+    bound = ["told", "people"]
+    for place in range(shape.people):
+        bound.append(f"n{place}")
+        tests = " AND ".join(_tests(shape, place))
+        lines += [f"UNWIND people AS n{place}", f"WITH {', '.join(bound)}", f"WHERE {tests}"]
+    lines.append(f"RETURN {', '.join(f'n{place} AS who{place}' for place in range(shape.people))}")
+    return "\n".join(lines)
+
+
+def _tests(shape: Shape, place: int) -> Iterator[str]:
+    """What must hold of the person at a place, alone and with those before."""
+    own = f"n{place}"
+    for other in range(place):
+        yield f"{own} <> n{other}"
+    for i in range(shape.texts):
+        yield f"concat($c{place}_{i}, {own}) IN told"
+    for i, (first, second) in enumerate(shape.edges):
+        if second == place:
+            yield f"(concat({own}, $e{i}, n{first}) IN told OR concat(n{first}, $b{i}, {own}) IN told)"
+
+
+# -- what a plan asks for ---------------------------------------------------------------------------------------------
+
+
+def _said(name: str, value: str, frame: int) -> str:
+    """What is said at a frame, as the statement puts it: of a relation, which has no value, its name."""
+    return f"{name}={value}@{frame}"
+
+
+def _asked_of(plan: Plan, node: str) -> list[str]:
+    """What is asked of one person; first that it is seen."""
+    times = times_of(plan, node)
+    texts = [_said("", "", stated_frame(plan, time)) for time in times]
+    for condition in next(one.conditions for one in plan.nodes if one.id == node):
+        name, value = condition.wanted
+        texts.append(_said(name, value, 0 if name in TIMELESS else stated_frame(plan, condition.at or times[0])))
+    return list(dict.fromkeys(texts))
+
+
+def _asked_between(plan: Plan, edge: Edge, places: Mapping[str, int]) -> tuple[tuple[int, int], str, str]:
+    """The places that an edge joins, the earlier first, and what is asked of them in this order, and the other way
+    round.
+    """
+    said = _said(edge.relation, "", stated_frame(plan, edge.at))
+    source, target = places[edge.source], places[edge.target]
+    back = said if edge.relation in SYMMETRIC else _NOTHING
+    return ((source, target), said, back) if source < target else ((target, source), back, said)
+
 
 RESOLVED_FRAMES: Final = 30
 """Looks farther apart leave a moment unresolved (design, section 6: reference agent)."""
@@ -32,7 +190,7 @@ DISTANCE_CUT_M: Final = 1.0
 """Closer or farther from this change of distance on, about the same below it (design, section 6: reference agent)."""
 
 
-Rows = Mapping[str, Sequence[Mapping[str, Any]]]
+BeliefRows = Mapping[str, Sequence[Mapping[str, Any]]]
 """What is believed in an episode: by the name of a statement of `queries/reads/world`, the rows that it gives."""
 
 
@@ -68,12 +226,12 @@ class BeliefReader(Reader):
     rows: what is currently believed, where that is known already; the graph is then asked for nothing that is read.
     """
 
-    def __init__(self, graph: Queried, episode: str, timeout_s: float, rows: Rows | None = None) -> None:
+    def __init__(self, graph: Queryable, episode: str, timeout_s: float, rows: BeliefRows | None = None) -> None:
         super().__init__(graph, {"scope": episode, "hash": episode_hash(episode)}, timeout_s)
         self.notes: dict[int, list[tuple[str, str]]] = {}
         self.shown: dict[int, list[int]] = {}
         self._rows: dict[str, Sequence[Mapping[str, Any]]] = dict(rows or {})
-        self._sightings: dict[Who, list[Sighting]] = {}
+        self._sightings: dict[PersonId, list[Sighting]] = {}
 
     def find(self, plan: Plan) -> Find:
         return find_believed(plan)
@@ -99,7 +257,7 @@ class BeliefReader(Reader):
             self._rows[name] = [row for row in rows if row.get("current", True)]
         return self._rows[name]
 
-    def sightings(self, who: Who) -> list[Sighting]:
+    def sightings(self, who: PersonId) -> list[Sighting]:
         """Sightings of somebody, by frame."""
         if who not in self._sightings:
             frames = {moment.frame for moment in self.moments(who)}
@@ -107,7 +265,7 @@ class BeliefReader(Reader):
             self._sightings[who] = [_sighting(told, frame) for frame in sorted(frames)]
         return self._sightings[who]
 
-    def moments(self, who: Who) -> list[Moment]:
+    def moments(self, who: PersonId) -> list[Moment]:
         """Boxes of somebody, by frame, then the newest last."""
         return [
             Moment(row["frame"], Box(*(row["box"][key] for key in "xywh")), row["angle"], row["written"])

@@ -4,16 +4,18 @@ Every row is a binding of the plan's nodes to different people whom no condition
 ... say of each condition and edge whether it certainly holds. The text depends on the plan's shape alone, so plans of
 one text are asked together: their times and values are rows of the parameter `$plans`. Names in the statement are the
 compiler's own.
+
+What the rows of a plan's statement come to: nobody, somebody, or several.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from jrdb_avr.queries.compiler.clauses import Variables
-from jrdb_avr.queries.compiler.mapping import Names, condition_values, edge_kind, edge_values
+from jrdb_avr.queries.compiler.mapping import PersonId, SchemaMapping, condition_values, edge_kind, edge_values
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.plan import Condition, Edge, Plan, validate
 
@@ -31,7 +33,7 @@ class Find:
     row: dict[str, Any]
 
 
-def compile_find(plan: Plan, names: Names) -> Find:
+def compile_find(plan: Plan, names: SchemaMapping) -> Find:
     """Compile a plan's conditions and edges. Raises PlanError where the plan is invalid or not of stated times."""
     validate(plan)
     return _Pattern(plan, names).compiled()
@@ -40,7 +42,7 @@ def compile_find(plan: Plan, names: Names) -> Find:
 class _Pattern:
     """Puts the statement together, a person at a time, in the order in which edges reach them."""
 
-    def __init__(self, plan: Plan, names: Names) -> None:
+    def __init__(self, plan: Plan, names: SchemaMapping) -> None:
         self.plan = plan
         self.names = names
         self.nodes: list[str] = []
@@ -78,12 +80,12 @@ class _Pattern:
         holds: dict[str, str] = {}
         for i, condition in enumerate(self._conditions(node)):
             clause, at = self._condition(place, node, i, condition)
-            where.append(clause.could(at))
-            holds[f"c{place}_{i}_sure"] = clause.sure(at)
+            where.append(clause.could.format(**at))
+            holds[f"c{place}_{i}_sure"] = clause.sure.format(**at)
         for i, edge in edges:
             clause, at = self._edge(i, edge)
-            where.append(clause.could(at))
-            holds[f"e{i}_sure"] = clause.sure(at)
+            where.append(clause.could.format(**at))
+            holds[f"e{i}_sure"] = clause.sure.format(**at)
         return ", ".join(match), where, holds, list(sightings.values())
 
     def _conditions(self, node: str) -> tuple[Condition, ...]:
@@ -154,3 +156,31 @@ def times_of(plan: Plan, node: str) -> list[str]:
     if not times and not stated:
         raise PlanError("times", "a stated frame is needed, at which people are looked for")
     return list(dict.fromkeys(times)) or stated[:1]
+
+
+Outcome = Literal["defined", "ambiguous", "empty", "unknown"]
+
+Agreed = tuple[Outcome, Mapping[str, PersonId]]
+"""An outcome, and who the plan's nodes are where it is defined."""
+
+
+def people_of(find: Find, row: Mapping[str, Any]) -> dict[str, PersonId]:
+    """The binding that a row of a plan's statement is."""
+    return {node: row[f"who{place}"] for place, node in enumerate(find.nodes)}
+
+
+def outcome_of_people(find: Find, rows: Sequence[Mapping[str, Any]]) -> Agreed:
+    """Where one binding is to be certain, and no other one possible."""
+    certain = sum(all(row[name] for name in row if name.startswith("sure")) for row in rows)
+    if certain > 1:
+        return "ambiguous", {}
+    if not rows:
+        return "empty", {}
+    return ("defined", people_of(find, rows[0])) if len(rows) == certain else ("unknown", {})
+
+
+def outcome_of_target(plan: Plan, people: Sequence[Mapping[str, PersonId]]) -> Agreed:
+    """Where bindings are certain, and are to have one target: with the nodes who they are the same in all of them."""
+    if len({one[plan.target] for one in people}) != 1:
+        return "ambiguous" if people else "empty", {}
+    return "defined", {node: who for node, who in people[0].items() if all(one[node] == who for one in people)}

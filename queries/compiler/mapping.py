@@ -1,7 +1,7 @@
-"""A table of names: how the scene namespace writes down who is there, and each kind of condition and edge.
+"""The mapping from plans to the graph's schema: patterns, clauses of conditions and edges, and their values.
 
-Another namespace of facts with three values is another `Names`; what is compiled stays. (What an agent believes in an
-episode has none that tells that something is false: `believed_find`.)
+Another namespace of facts with three values is another `SchemaMapping`; the compiler stays as it is. (Beliefs of an
+agent are never false, so `beliefs` compiles them in its own way.)
 """
 
 from __future__ import annotations
@@ -11,18 +11,29 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Final
 
-from jrdb_avr.queries.compiler.clauses import Clause, Known, Listed, Rows, Somebody, Tie, Within
+from jrdb_avr.queries.compiler.clauses import (
+    Clause,
+    in_column,
+    in_rows,
+    to_anybody,
+    unless_both_listed,
+    unless_listed,
+    within,
+)
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import RELATIONS, SAME_GROUP
 
+PersonId = int | str
+"""A person in a scope: the number of a track, or the name of an entity."""
+
 
 @dataclass(frozen=True)
-class Names:
-    """A namespace's names. People are told apart by their property `id`.
+class SchemaMapping:
+    """A namespace of the graph. The property `id` identifies its people.
 
-    pattern, there: a person `n` with a sighting `s`, and what makes it one at frame `t` of `scope`; who: the person's
-    number or name in its scope; conditions, edges: clauses by kind, see `Condition.kind` and `edge_kind`; reads: folder
-    of the statements that read answers.
+    pattern, there: a person `n` with a sighting `s`, and the condition for one at frame `t` of `scope`; who: the
+    person's number or name in its scope; conditions, edges: clauses by kind, see `Condition.kind` and `edge_kind`;
+    reads: folder of the statements that read answers.
     """
 
     pattern: str
@@ -68,38 +79,37 @@ def edge_values(relation: str) -> dict[str, str | float]:
 _PATTERN: Final = "({n}:Person)-[{s}:SeenIn]->(:Frame)"
 _THERE: Final = "{s}.sequence = {scope} AND {s}.frame = {t}"
 
-_PERFORMS: Final = Rows("({n})-[r:Performs]->(x:Action)", (("x.name", "v"),))
-_HANDLES: Final = Rows("({n})-[r:Handles]->(x:Object)", (("r.verb", "w"),), (("x.category", "v"),))
-_INTERACTS: Final = Rows("({n})-[r:Interacts]->({m})", (("r.label", "v"),))
-_BESIDE: Final = Rows("({n})-[r:Beside]->({m})", (("r.label", "v"),))
-_GROUPED: Final = Rows("({n})-[r:MemberOf]->(g:SocialGroup)", then=Rows("(g)<-[o:MemberOf]-({m})", span="o"))
+_PERFORMS: Final = in_rows("({n})-[r:Performs]->(x:Action)", {"x.name": "v"})
+_HANDLES: Final = in_rows("({n})-[r:Handles]->(x:Object)", {"r.verb": "w"}, {"x.category": "v"})
+_BESIDE: Final = in_rows("({n})-[r:Beside]->({m})", {"r.label": "v"})
+_GROUPED: Final = in_rows("({n})-[r:MemberOf]->(g:SocialGroup)", then=in_rows("(g)<-[o:MemberOf]-({m})", span="o"))
 _MEMBER: Final = "EXISTS {{ MATCH ({n})-[r:MemberOf]->(:SocialGroup) WHERE r.first <= {t} AND r.last >= {t} }}"
-_SOCIAL: Final = Tie(_INTERACTS, "{s}.interactions_listed")
+_SOCIAL: Final = unless_both_listed(in_rows("({n})-[r:Interacts]->({m})", {"r.label": "v"}), "{s}.interactions_listed")
 
-SCENE: Final = Names(
+SCENE: Final = SchemaMapping(
     pattern=_PATTERN,
     there=_THERE,
     who="{n}.track",
     conditions={
-        "gender": Known("{n}.gender"),
-        "age": Known("{n}.age"),
+        "gender": in_column("{n}.gender"),
+        "age": in_column("{n}.age"),
         # A closed gap of a pose leaves it possible beside the pose that is listed.
-        "pose": Known("{s}.pose", rows=_PERFORMS),
-        "action": Listed(_PERFORMS, "{s}.listed"),
-        "object": Listed(_HANDLES, "{s}.handles_listed"),
-        "interaction": Somebody(_SOCIAL, f"{_PATTERN} WHERE {_THERE}"),
-        "group_size": Known("{s}.group_size"),
-        "sector": Known("{s}.sector", "{s}.sector_other"),
-        "distance": Known("{s}.distance_word", "{s}.distance_word_other"),
+        "pose": in_column("{s}.pose", rows=_PERFORMS),
+        "action": unless_listed(_PERFORMS, "{s}.listed"),
+        "object": unless_listed(_HANDLES, "{s}.handles_listed"),
+        "interaction": to_anybody(_SOCIAL, f"{_PATTERN} WHERE {_THERE}"),
+        "group_size": in_column("{s}.group_size"),
+        "sector": in_column("{s}.sector", "{s}.sector_other"),
+        "distance": in_column("{s}.distance_word", "{s}.distance_word_other"),
     },
     edges={
         "social": _SOCIAL,
-        "group": Tie(_GROUPED, _MEMBER),
-        "first": Tie(_BESIDE),
-        "person": Tie(_BESIDE, "{s}.located"),
-        "left": Within("{s}.angle", "{z}.angle"),
-        "right": Within("{z}.angle", "{s}.angle"),
+        "group": unless_both_listed(_GROUPED, _MEMBER),
+        "first": _BESIDE,
+        "person": unless_both_listed(_BESIDE, "{s}.located"),
+        "left": within("{s}.angle", "{z}.angle"),
+        "right": within("{z}.angle", "{s}.angle"),
     },
     reads="scene",
 )
-"""The scene namespace: what was annotated. `scope` is the sequence, `who` the track."""
+"""The scene namespace: the annotations. `scope` is the sequence, `who` the track."""

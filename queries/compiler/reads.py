@@ -14,16 +14,15 @@ from typing import Any, Final, Protocol
 
 import pyarrow as pa
 
-from jrdb_avr.queries.compiler.find import Find, compile_find
-from jrdb_avr.queries.compiler.mapping import Names, edge_kind, edge_values, read_text
-from jrdb_avr.queries.compiler.outcome import Agreed, Who, outcome_of_people
+from jrdb_avr.queries.compiler.find import Agreed, Find, compile_find, outcome_of_people
+from jrdb_avr.queries.compiler.mapping import PersonId, SchemaMapping, edge_kind, edge_values, read_text
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules, frames
 
 
-class Queried(Protocol):
+class Queryable(Protocol):
     """A graph as far as it is read here: `Graph`, or the world model's handle."""
 
     def query(
@@ -42,7 +41,7 @@ class Person:
 
     id: int
     scope: str
-    who: Who
+    who: PersonId
 
     def row(self, **more: Any) -> dict[str, Any]:
         return {"id": self.id, "scope": self.scope, "who": self.who, **more}
@@ -74,7 +73,7 @@ class Reader(ABC):
     `timeout_s` is for each statement.
     """
 
-    def __init__(self, graph: Queried, values: Mapping[str, Any], timeout_s: float) -> None:
+    def __init__(self, graph: Queryable, values: Mapping[str, Any], timeout_s: float) -> None:
         self.graph = graph
         self.timeout_s = timeout_s
         self._values = values
@@ -127,7 +126,7 @@ class Reader(ABC):
 class SceneReader(Reader):
     """Reads what was annotated, under the rules of its load."""
 
-    def __init__(self, graph: Queried, names: Names, rules: LoadRules, timeout_s: float) -> None:
+    def __init__(self, graph: Queryable, names: SchemaMapping, rules: LoadRules, timeout_s: float) -> None:
         values = {
             "margin": rules.neighbor_margin_deg,
             "least": frames(rules.segment_min_s),
@@ -219,7 +218,7 @@ class SceneReader(Reader):
 _NEIGHBOURS: Final = (-KEYFRAME_STEP, 0, KEYFRAME_STEP)
 
 
-def compile_count(relation: str, names: Names) -> str:
+def compile_count(relation: str, names: SchemaMapping) -> str:
     """The statement for everybody who is, or could be, in a relation with a person at any frame from t1 to t2."""
     values = edge_values(relation)
     clause = names.edges[edge_kind(relation)]
@@ -234,9 +233,9 @@ def compile_count(relation: str, names: Names) -> str:
             f"WHERE {names.there.format(**at)} AND {names.who.format(**at)} = who",
             f"WITH {carried}, t, n, s",
             f"MATCH {names.pattern.format(**at | {'n': 'm', 's': 'z'})}",
-            f"WHERE {names.there.format(**at | {'n': 'm', 's': 'z'})} AND m.id <> n.id AND {clause.could(at)}",
+            f"WHERE {names.there.format(**at | {'n': 'm', 's': 'z'})} AND m.id <> n.id AND {clause.could.format(**at)}",
             f"WITH {carried}, t, n, s, m, z",
-            f"WITH id, m, {clause.sure(at)} AS sure",
+            f"WITH id, m, {clause.sure.format(**at)} AS sure",
             f"RETURN DISTINCT id, {names.who.format(n='m')} AS other, sure",
             "ORDER BY id, other, sure",
         ]

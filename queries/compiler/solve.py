@@ -11,9 +11,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from jrdb_avr.queries.compiler.mapping import Names
-from jrdb_avr.queries.compiler.outcome import Outcome, Who
-from jrdb_avr.queries.compiler.reads import Person, Queried, Reader, SceneReader, Seen, Segment, events_of
+from jrdb_avr.queries.compiler.find import Outcome
+from jrdb_avr.queries.compiler.mapping import PersonId, SchemaMapping
+from jrdb_avr.queries.compiler.reads import Person, Queryable, Reader, SceneReader, Seen, Segment, events_of
 from jrdb_avr.schema.answers import Answer, FrameAnswer, FrameViewpoint, Number, Span, encode_answer
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 from jrdb_avr.schema.plan import Plan
@@ -24,7 +24,7 @@ TIMEOUT_S: Final = 60.0
 
 
 @dataclass(frozen=True)
-class Asked:
+class PlanQuery:
     """A plan and where it is asked: a sequence, or an episode."""
 
     plan: Plan
@@ -42,15 +42,15 @@ class Solution:
     """
 
     outcome: Outcome
-    people: Mapping[str, Who] = field(default_factory=dict)
+    people: Mapping[str, PersonId] = field(default_factory=dict)
     times: Mapping[str, int] = field(default_factory=dict)
     answer: str | None = None
 
 
 def solve(
-    graph: Queried,
-    names: Names,
-    asked: Sequence[Asked],
+    graph: Queryable,
+    names: SchemaMapping,
+    asked: Sequence[PlanQuery],
     rules: Rules,
     *,
     timeout_s: float = TIMEOUT_S,
@@ -64,7 +64,7 @@ def solve(
 
 
 def solve_with(
-    reader: Reader, asked: Sequence[Asked], rules: Rules, advance: Callable[[int], None] = lambda steps: None
+    reader: Reader, asked: Sequence[PlanQuery], rules: Rules, advance: Callable[[int], None] = lambda steps: None
 ) -> list[Solution]:
     """Solve plans by a namespace's reader, as `solve`. The plans' numbers, by which it reads, are their places."""
     finds = [reader.find(one.plan) for one in asked]
@@ -88,7 +88,7 @@ def solve_with(
     return [solutions[i] for i in range(len(asked))]
 
 
-def read_with(reader: Reader, asked: Asked, people: Mapping[str, Who], rules: Rules) -> Solution:
+def read_with(reader: Reader, asked: PlanQuery, people: Mapping[str, PersonId], rules: Rules) -> Solution:
     """What is read by one plan of people who are taken for its nodes, whatever the plan says of them.
 
     Of nodes that are not in `people` nothing is read: what waits for their events is unknown.
@@ -113,7 +113,7 @@ def _read_all(reader: Reader, found: Sequence[_Found], rules: Rules) -> dict[int
 class _Found:
     """A plan whose people are found; the frames of its events are added as they become known."""
 
-    def __init__(self, number: int, asked: Asked, people: Mapping[str, Who]) -> None:
+    def __init__(self, number: int, asked: PlanQuery, people: Mapping[str, PersonId]) -> None:
         self.id = number
         self.plan = asked.plan
         self.scope = asked.scope

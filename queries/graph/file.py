@@ -1,12 +1,11 @@
-"""The seal of a graph file: what it was when it was built, kept beside it as `<graph>.json`.
+"""The graph file: its fingerprint beside it, its lock, and its place on the disk.
 
-The engine has no page checksums and opens a file that was cut short or swapped without a word. The seal tells at once
-whether the file is whole and of this program's tables. Its checksum, which takes a read of the whole file, is what
-`load --verify` compares.
+The engine has no page checksums and opens a file that was cut short or swapped without an error. The fingerprint,
+`<graph>.json`, is taken when the file is built and tells whether it is whole and has this program's tables. Its
+checksum, which takes a read of the whole file, is what `load --verify` compares. It is no part of the manifest, because
+two builds of the same scene differ in their bytes.
 
-It is no part of the manifest, because two builds of the same scene differ in their bytes.
-
-The lock of a graph file: one writer, or any number of readers, told by name to whoever comes in between.
+The lock is a side file, `<graph>.lock`: one writer, or any number of readers.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import shutil
 import time
 import zlib
 from pathlib import Path
@@ -29,12 +29,21 @@ STORE_GRAPH: Final = "graph.kuzu"
 
 PAGE: Final = 4096
 
+ENDING_S: Final = 5.0
+"""Longest wait for a lock whose holder is about to end."""
+
+_LEAST_FREE: Final = 32 << 20
+"""Bytes that must be free on the disk before a graph is written: where the engine runs out of them in the middle of a
+transaction or a checkpoint, it may abort the whole process."""
+
+_SIDE_FILES: Final = (".wal", ".shadow", ".tmp")
+
 _MAGIC: Final = b"KUZU"
 _CHUNK: Final = 1 << 20
 
 
-class Seal(msgspec.Struct, frozen=True):
-    """Tables' version, size in bytes, and the CRC-32 of everything after the first page.
+class Fingerprint(msgspec.Struct, frozen=True):
+    """A graph file as built: tables' version, size in bytes, and the CRC-32 of everything after the first page.
 
     The first page only says where the catalogue lies, and the engine rewrites it when the file is opened for writing.
     """
@@ -44,26 +53,27 @@ class Seal(msgspec.Struct, frozen=True):
     crc32: int
 
 
-def seal_path(graph: Path) -> Path:
-    """Where the seal of a graph file lies."""
+def fingerprint_path(graph: Path) -> Path:
+    """The place of a graph file's fingerprint."""
     return graph.with_name(graph.name + ".json")
 
 
-def seal_of(file: Path) -> Seal:
-    """The seal of a finished graph file. Raises OSError."""
+def fingerprint_of(file: Path) -> Fingerprint:
+    """The fingerprint of a finished graph file. Raises OSError."""
     with file.open("rb") as opened:
         opened.seek(PAGE)
         checksum = 0
         while chunk := opened.read(_CHUNK):
             checksum = zlib.crc32(chunk, checksum)
-        return Seal(STORAGE_VERSION, opened.tell(), checksum)
+        return Fingerprint(STORAGE_VERSION, opened.tell(), checksum)
 
 
-def check_seal(graph: Path) -> Seal:
-    """The seal of the graph file at `graph`, which is whole as far as its first bytes and its size tell.
+def check_fingerprint(graph: Path) -> Fingerprint:
+    """The stored fingerprint of the graph file at `graph`, whose first bytes and size it fits.
 
     Only to be called while this process has no database open there: closing a file drops the engine's lock on it.
-    Raises StoreError, saying how to rebuild, where the graph or its seal is missing, cut short or of other tables.
+    Raises StoreError with the command to rebuild where the graph or its fingerprint is missing, cut short or of other
+    tables.
     """
     rebuild = rebuild_hint(graph)
     try:
@@ -75,45 +85,40 @@ def check_seal(graph: Path) -> Seal:
     except OSError as error:
         raise StoreError(f"cannot read {graph}: {error.strerror}") from None
     try:
-        seal = msgspec.json.decode(seal_path(graph).read_bytes(), type=Seal)
+        built = msgspec.json.decode(fingerprint_path(graph).read_bytes(), type=Fingerprint)
     except (OSError, msgspec.DecodeError, UnicodeDecodeError):
-        raise StoreError(f"{graph} has no readable {seal_path(graph).name} beside it: {rebuild}") from None
-    if seal.storage_version != STORAGE_VERSION:
+        raise StoreError(f"{graph} has no readable {fingerprint_path(graph).name} beside it: {rebuild}") from None
+    if built.storage_version != STORAGE_VERSION:
         raise StoreError(
-            f"{graph} was built for version {seal.storage_version} of the tables, this is {STORAGE_VERSION}: {rebuild}"
+            f"{graph} was built for version {built.storage_version} of the tables, this is {STORAGE_VERSION}: {rebuild}"
         )
-    if magic != _MAGIC or size % PAGE or size < seal.size:
+    if magic != _MAGIC or size % PAGE or size < built.size:
         raise StoreError(f"{graph} is no whole graph file: {rebuild}")
-    return seal
+    return built
 
 
 def rebuild_hint(graph: Path) -> str:
-    """What makes a graph file anew: one command for a store's own, and the next run for agents' world models alone."""
+    """How to make a graph file anew: by one command for a store's own, by the next run for a file of world models."""
     if graph.name != STORE_GRAPH:
         return "give another file, or take this one away: the next run makes it anew"
     return f"run 'jrdb-avr load --rebuild --store {graph.parent}'"
 
 
-ENDING_S: Final = 5.0
-"""Longest wait for a lock whose holder is about to end."""
+def lock_graph(path: Path, *, shared: bool) -> IO[str]:
+    """Take the side-file lock of a graph, until the returned file is closed.
 
-
-def lock_graph(path: Path, *, shared: bool) -> IO[str] | None:
-    """Take the side-file lock of a graph, until the file returned is closed.
-
-    Raises LockedError naming the holder. Returns None for reading in a folder where nobody can write.
+    Raises LockedError naming the holder. Takes no lock for reading in a folder where nobody can write.
     """
     place = path.with_name(path.name + ".lock")
     try:
         file = place.open("a+")
     except OSError as error:
-        if shared and path.exists():
-            try:
-                file = place.open("r")
-            except OSError:
-                return None
-        else:
+        if not (shared and path.exists()):
             raise StoreError(f"cannot use {path}: {error.strerror}; check the --store folder") from None
+        try:
+            file = place.open("r")
+        except OSError:
+            return Path(os.devnull).open()
     end = time.monotonic() + ENDING_S
     while True:
         try:
@@ -133,9 +138,8 @@ def lock_graph(path: Path, *, shared: bool) -> IO[str] | None:
 
 
 def _holder(file: IO[str]) -> tuple[str, bool]:
-    """Who holds the lock, by the kernel's table where there is one, else by what the last writer noted; and whether
-    that process is about to end. One that the kernel's table does not name, or that is gone before it is looked at, has
-    let go of the lock meanwhile.
+    """The holder of the lock, by the kernel's table where there is one, else by the last writer's note; and whether
+    that process is about to end. A holder that the kernel's table no longer lists has released the lock meanwhile.
     """
     ends = False
     inode = str(os.fstat(file.fileno()).st_ino)
@@ -150,3 +154,43 @@ def _holder(file: IO[str]) -> tuple[str, bool]:
                 return f"process {fields[4]} ({command.replace(chr(0), ' ')[:120]})", not command
     file.seek(0)
     return file.read(100).strip() or "another process", ends
+
+
+def make_parent(place: Path) -> None:
+    """Make the folder of a graph file. Raises StoreError."""
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(f"cannot write to {place.parent}: {error.strerror}; choose another --store") from None
+
+
+def check_room(place: Path) -> None:
+    """Raise StoreError where the disk is nearly full."""
+    with contextlib.suppress(OSError):
+        if shutil.disk_usage(place.parent).free < _LEAST_FREE:
+            raise StoreError(
+                f"cannot write {place}: less than {_LEAST_FREE >> 20} MB are free on its disk; "
+                "free some space and run it again"
+            )
+
+
+def publish(temporary: Path, place: Path) -> None:
+    """Rename a finished graph file to its place, with its fingerprint. Raises StoreError where the disk refuses."""
+    try:
+        with temporary.open("rb") as file:
+            os.fsync(file.fileno())
+        # The old log goes first: beside the new file it would be replayed into it.
+        for suffix in _SIDE_FILES:
+            place.with_name(place.name + suffix).unlink(missing_ok=True)
+        fingerprint_path(temporary).write_bytes(msgspec.json.encode(fingerprint_of(temporary)))
+        fingerprint_path(temporary).replace(fingerprint_path(place))
+        temporary.replace(place)
+    except OSError as error:
+        raise StoreError(f"cannot write {place}: {error.strerror}; free some space and load again") from None
+
+
+def remove_files(path: Path) -> None:
+    """Remove a graph file with all that lies beside it but its lock."""
+    for place in (path, fingerprint_path(path), *(path.with_name(path.name + suffix) for suffix in _SIDE_FILES)):
+        with contextlib.suppress(OSError):
+            place.unlink(missing_ok=True)

@@ -1,9 +1,9 @@
 """Ad-hoc Cypher: reading only, in a process of its own.
 
-The engine opened read-only still reads and writes files on request (LOAD FROM, COPY TO, EXPORT, ATTACH), and it tells
-nobody what kind of statement it was given. So a statement passes three doors: its words (no clause that writes, loads,
-attaches, installs, calls or controls transactions, no second statement), its plan (no table function, no write, no
-INTERSECT), and a database opened read-only. It runs in a child process, because some statements crash the engine and
+The engine opened read-only still reads and writes files on request (LOAD FROM, COPY TO, EXPORT, ATTACH), and does not
+report the kind of a statement. So a statement passes three checks: its words (no clause that writes, loads, attaches,
+installs, calls or controls transactions, no second statement), its plan (no table function, no write, no INTERSECT),
+and a database opened read-only. It runs in a child process, because some statements crash the engine and
 others run on past its own timeout.
 """
 
@@ -17,7 +17,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,70 +28,28 @@ from jrdb_avr.queries.graph.parameters import bind, strip_literals
 from jrdb_avr.schema import errors
 from jrdb_avr.schema.errors import QueryError, StoreError
 
-TIMEOUT_S: Final = 60.0
-BUFFER_BYTES: Final = 256 << 20
+_TIMEOUT_S: Final = 60.0
+_BUFFER_BYTES: Final = 256 << 20
 MEMORY_BYTES: Final = 2 << 30
-"""What the child may take in all: lists and results lie outside of the engine's buffer."""
+"""Limit of the child's memory in all: lists and results lie outside of the engine's buffer."""
 
-_REFUSED: Final = [
-    "ALTER",
-    "ANALYZE",
-    "ATTACH",
-    "BEGIN",
-    "CALL",
-    "CHECKPOINT",
-    "COMMENT",
-    "COMMIT",
-    "COPY",
-    "CREATE",
-    "DELETE",
-    "DETACH",
-    "DROP",
-    "EXPLAIN",
-    "EXPORT",
-    "EXTENSION",
-    "FORCE",
-    "FOREACH",
-    "IMPORT",
-    "INSERT",
-    "INSTALL",
-    "LOAD",
-    "MACRO",
-    "MERGE",
-    "PROFILE",
-    "PROJECT",
-    "REMOVE",
-    "RENAME",
-    "ROLLBACK",
-    "SET",
-    "TRANSACTION",
-    "TRUNCATE",
-    "UNINSTALL",
-    "UPDATE",
-    "USE",
-]
+_ROWS: Final = "DELETE|DETACH|SET"
+"""Keywords that change rows only, as CREATE does before a pattern; before anything else it makes tables."""
 
-_ROWS: Final = frozenset({"CREATE", "DELETE", "DETACH", "SET"})
-"""Of these, what changes rows; CREATE makes tables as well, where no pattern follows."""
+_REFUSED: Final = (
+    "ALTER|ANALYZE|ATTACH|BEGIN|CALL|CHECKPOINT|COMMENT|COMMIT|COPY|DROP|EXPLAIN|EXPORT|EXTENSION|FORCE|FOREACH|IMPORT"
+    "|INSERT|INSTALL|LOAD|MACRO|MERGE|PROFILE|PROJECT|REMOVE|RENAME|ROLLBACK|TRANSACTION|TRUNCATE|UNINSTALL|UPDATE|USE"
+)
 
 
-def _keywords(words: Collection[str]) -> re.Pattern[str]:
+def _keywords(words: str) -> re.Pattern[str]:
     # Digits may stand right before a keyword ("= 1SET n.x = 2"), letters and the underscore may not.
-    return re.compile(rf"(?<![A-Za-z_$])(?:{'|'.join(words)})(?![A-Za-z0-9_])", re.IGNORECASE | re.ASCII)
+    return re.compile(rf"(?<![A-Za-z_$])(?:{words})(?![A-Za-z0-9_])", re.IGNORECASE | re.ASCII)
 
 
-_KEYWORD = _keywords(_REFUSED)
-_BUT_ROWS = _keywords([*(word for word in _REFUSED if word not in _ROWS), r"CREATE\b(?!\s*\()"])
+_REFUSED_WRITING = _keywords(rf"{_REFUSED}|CREATE\b(?!\s*\()")
+_REFUSED_READING = _keywords(f"{_REFUSED}|CREATE|{_ROWS}")
 _QUANTIFIER = re.compile(r"(?<![A-Za-z_])(?:all|any|none|single)\s*\(", re.IGNORECASE | re.ASCII)
-_ROWS_ALONE: Final = "READ_FTABLE"
-"""The table function behind RETURN without MATCH and behind UNWIND of a list: it reads nothing."""
-
-
-class _Request(msgspec.Struct):
-    path: str
-    cypher: str
-    params: dict[str, Any]
-    timeout_s: float
 
 
 def check_cypher(cypher: str, *, writes: bool = False) -> None:
@@ -104,7 +62,7 @@ def check_cypher(cypher: str, *, writes: bool = False) -> None:
     bare = strip_literals(cypher)
     if any(quote in bare for quote in "'\"`") or "/*" in bare:
         raise QueryError("a quote or comment is not closed")
-    if found := (_BUT_ROWS if writes else _KEYWORD).search(bare):
+    if found := (_REFUSED_WRITING if writes else _REFUSED_READING).search(bare):
         allowed = "this changes rows only" if writes else "this reads the graph only (MATCH ... RETURN ...)"
         raise QueryError(f"{found[0].upper()} is not allowed: {allowed}")
     if found := _QUANTIFIER.search(bare):
@@ -113,7 +71,7 @@ def check_cypher(cypher: str, *, writes: bool = False) -> None:
 
 
 def query_graph(
-    path: Path, cypher: str, params: Mapping[str, Any] | None = None, *, timeout_s: float = TIMEOUT_S
+    path: Path, cypher: str, params: Mapping[str, Any] | None = None, *, timeout_s: float = _TIMEOUT_S
 ) -> pa.Table:
     """Run one reading statement on the graph file at `path`; rows without ORDER BY come sorted by their columns.
 
@@ -121,17 +79,17 @@ def query_graph(
     """
     check_cypher(cypher)
     values = bind(cypher, params or {})[1]
-    given = {"path": str(path.resolve()), "cypher": cypher, "params": values, "timeout_s": timeout_s}
+    request = {"path": str(path.resolve()), "cypher": cypher, "params": values, "timeout_s": timeout_s}
     try:
         # By json, which unlike msgspec writes and reads NaN and infinity.
-        request = json.dumps(given, ensure_ascii=False).encode()
+        message = json.dumps(request, ensure_ascii=False).encode()
     except (TypeError, UnicodeEncodeError):
         raise QueryError("parameters are numbers, UTF-8 text, and lists and dicts of these") from None
     try:
         # -P: modules that happen to lie in the current folder are not imported.
         done = subprocess.run(
             [sys.executable, "-P", "-c", "from jrdb_avr.queries.graph.guard import serve; serve()"],
-            input=request,
+            input=message,
             capture_output=True,
             timeout=timeout_s + 10.0,
             check=False,
@@ -157,10 +115,10 @@ def query_graph(
 
 def serve() -> None:
     """The child: one request on stdin, an Arrow stream on stdout or an error as JSON on stderr."""
-    request = _Request(**json.loads(sys.stdin.buffer.read()))
+    request = json.loads(sys.stdin.buffer.read())
     threading.Thread(target=end_beyond_memory, args=(_too_much,), daemon=True).start()
     try:
-        table = _ask(request)
+        table = _read(**request)
     except (QueryError, StoreError) as error:
         _report(error)
         sys.exit(1)
@@ -174,7 +132,7 @@ def _report(error: Exception) -> None:
 
 
 def end_beyond_memory(report: Callable[[], None]) -> None:
-    """Watch this process, where the kernel tells (Linux); when it takes too much, call `report` and end it."""
+    """Watch this process, where the kernel reports its memory (Linux); beyond the limit, call `report` and end it."""
     place = Path("/proc/self/statm")
     while place.exists():
         if int(place.read_text().split()[1]) * resource.getpagesize() > MEMORY_BYTES:
@@ -187,14 +145,15 @@ def _too_much() -> None:
     _report(QueryError(f"stopped at {MEMORY_BYTES >> 30} GB of memory: narrow the statement"))
 
 
-def _ask(request: _Request) -> pa.Table:
+def _read(path: str, cypher: str, params: dict[str, Any], timeout_s: float) -> pa.Table:
+    """Check the plan of a statement and run it."""
     from jrdb_avr.queries.graph.handle import Graph
 
-    with Graph.open(request.path, read_only=True, buffer_bytes=BUFFER_BYTES) as graph:
-        plan = graph.explain(request.cypher, request.params)
-        if set(plan.functions) - {_ROWS_ALONE} or plan.writes:
+    with Graph.open(path, read_only=True, buffer_bytes=_BUFFER_BYTES) as graph:
+        plan = graph.explain(cypher, params)
+        if plan.functions or plan.writes:
             raise QueryError("this reads or writes something else than the graph")
-        table = graph.query(request.cypher, request.params, ordered=False, timeout_s=request.timeout_s)
+        table = graph.query(cypher, params, ordered=False, timeout_s=timeout_s)
     return table if plan.ordered else _sorted(table)
 
 

@@ -1,14 +1,12 @@
-"""The one handle on the graph: locks, plan guard, COPY, bound parameters, Arrow out.
+"""The one handle on the graph: plan guard, COPY, bound parameters, Arrow out.
 
 Kùzu needs care that every caller would otherwise have to remember:
 
-- *One Database per path per process, one writing process or many reading ones.* The engine's own lock is a POSIX one,
-  which a second opening of the file in the same process silently drops. So databases are shared within a process, an
-  `flock` on `<path>.lock` keeps processes apart, and nothing else opens the database file while it is in use.
-- *Some forms are answered wrongly without a word* (`traps.py`): every distinct statement that matches a pattern is
-  explained once, and refused if it is one of them.
-- *Row order differs between runs*: a read must be ordered, or return a single row, or say `ordered=False`.
-- *Small integers are bound as INT8*, a list by its first rows, an empty list not at all, and a forgotten parameter is
+- *One database per path per process, one writing process or many reading ones* (`database.py`).
+- *Some statements are answered wrongly without an error* (`wrong_answers.py`): every distinct statement that matches a
+  pattern is explained once, and refused if it is one of them.
+- *Row order differs between runs*: a read must be ordered, or return a single row, or pass `ordered=False`.
+- *Small integers are bound as INT8*, a list by its first rows, an empty list not at all, and a missing parameter is
   NULL: parameters are bound here under 64-bit types, and their names must be the statement's.
 - *One write transaction at a time*: writers of one database wait for each other.
 
@@ -18,32 +16,32 @@ A `Graph` may be used from several threads, which then wait for each other; open
 from __future__ import annotations
 
 import contextlib
-import os
 import re
-import shutil
 import threading
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Self
 
-import msgspec
 import pyarrow as pa
 
-from jrdb_avr.queries.graph.file import ENDING_S, check_seal, lock_graph, rebuild_hint, seal_of, seal_path
+from jrdb_avr.queries.graph.database import (
+    SharedDatabase,
+    acquire_database,
+    check_unused,
+    memory_database,
+    shortened,
+    translated,
+)
+from jrdb_avr.queries.graph.file import check_room, lock_graph, make_parent, publish, remove_files
 from jrdb_avr.queries.graph.parameters import bind, strip_literals
-from jrdb_avr.queries.graph.wrong_answers import Plan, refuse_wrong_answers
-from jrdb_avr.schema.errors import LockedError, QueryError, StoreError
+from jrdb_avr.queries.graph.wrong_answers import QueryPlan, refuse_wrong_answers
+from jrdb_avr.schema.errors import QueryError, StoreError
 
 BUFFER_BYTES: Final = 512 << 20
 """Hard limit of the engine's page cache; 256 MB held every query measured at full size."""
 
 BUILD_BYTES: Final = 800 << 20
 """The same while a graph is built: COPY holds every row of a batch, in both directions of an edge."""
-
-_MEMORY_BYTES: Final = 1 << 30
-"""Address space of an in-memory database; the engine's default of 8 TiB allows only a few in a process."""
 
 _ONE_CHUNK: Final = 100_000
 """Rows up to which a result is one chunk of its own size; the engine's own are of ten million cells, full or not."""
@@ -53,60 +51,22 @@ _PREPARED: Final = 256
 before a connection is given up for a new one: the engine keeps every statement that was given to it with parameters,
 half a megabyte each and more, until its connection ends."""
 
-_LEAST_FREE: Final = 32 << 20
-"""Bytes that must be free on the disk of a graph that is to be written: where the engine runs out of them in the middle
-of a transaction or a checkpoint, it may abort the whole process."""
-
-_SIDE_FILES: Final = (".wal", ".shadow", ".tmp")
-
 _MATCH = re.compile(r"\bMATCH\b", re.IGNORECASE)
 _ROW = re.compile(r"\s*CREATE\s*\(", re.IGNORECASE)
 
 
-class _Shared:
-    """A Database that the Graphs of this process share, with its lock file and writer lock."""
-
-    def __init__(self, path: Path, read_only: bool, buffer_bytes: int, threads: int) -> None:
-        self.read_only = read_only
-        self.users = 0
-        self.writer = threading.RLock()
-        if read_only and path.with_name(path.name + ".shadow").exists():
-            _recover(path, buffer_bytes)
-        if not read_only:
-            _check_room(path)
-        self.lock = lock_graph(path, shared=read_only)
-        try:
-            self.database = _open_database(path, read_only, buffer_bytes, threads)
-        except BaseException:
-            if self.lock is not None:
-                self.lock.close()
-            raise
-
-    def close(self) -> None:
-        self.database.close()
-        if self.lock is not None:
-            self.lock.close()
-
-
-_registry: dict[Path, _Shared] = {}
-_registry_lock = threading.Lock()
-
-
 class Graph:
-    """A session on a graph. Made by `Graph.open` or `Graph.memory`; a context manager; closed once used."""
+    """A session on a graph, made by `Graph.open` or `Graph.memory`; a context manager, closed after use."""
 
-    def __init__(
-        self, database: Any, writer: threading.RLock, path: Path | None, read_only: bool, prepares: bool = False
-    ) -> None:
+    def __init__(self, shared: SharedDatabase, read_only: bool = False, prepares: bool = False) -> None:
         import kuzu
 
-        self.path = path
+        self.path = shared.path
         self.read_only = read_only
-        self._database = database
-        self._writer = writer
+        self._shared = shared
         self._lock = threading.RLock()
-        self._connection = kuzu.Connection(database)
-        self._plans: dict[str, Plan] = {}
+        self._connection = kuzu.Connection(shared.database)
+        self._plans: dict[str, QueryPlan] = {}
         self._prepares = prepares
         self._prepared: dict[str, Any] = {}
         self._planned = 0
@@ -134,28 +94,16 @@ class Graph:
         Raises StoreError where there is none, or one that is cut short or of another version, and LockedError naming
         the holder where another process writes it (or, for writing, reads it).
         """
-        place = Path(path).resolve()
-        with _registry_lock:
-            shared = _registry.get(place)
-            if shared is None:
-                shared = _registry[place] = _Shared(place, read_only, buffer_bytes, threads)
-            elif shared.read_only and not read_only:
-                raise LockedError(f"{path} is open for reading in this process: close it first", holder="this process")
-            shared.users += 1
-        return cls(shared.database, shared.writer, place, read_only, prepares)
+        shared = acquire_database(Path(path).resolve(), read_only, buffer_bytes, threads)
+        return cls(shared, read_only, prepares)
 
     @classmethod
-    def memory(cls, *, buffer_bytes: int = BUFFER_BYTES, threads: int = 1, prepares: bool = False) -> Graph:
+    def memory(cls, *, buffer_bytes: int = BUFFER_BYTES, prepares: bool = False) -> Graph:
         """A new empty graph in memory, for a worker's own sequence; prepares: as of `open`."""
-        import kuzu
-
-        database = kuzu.Database(
-            ":memory:", buffer_pool_size=buffer_bytes, max_db_size=_MEMORY_BYTES, max_num_threads=threads
-        )
-        return cls(database, threading.RLock(), None, False, prepares)
+        return cls(memory_database(buffer_bytes), prepares=prepares)
 
     def close(self) -> None:
-        """Give the graph back; the file is let go with its last user in this process. Closing twice is harmless."""
+        """Close the graph; its last user in this process closes the file. Closing twice is harmless."""
         with self._lock:
             if self._closed:
                 return
@@ -166,22 +114,12 @@ class Graph:
             self._closed = True
             self._prepared.clear()
             self._connection.close()
-            if self.path is None:
-                self._database.close()
-                return
-            with _registry_lock:
-                shared = _registry[self.path]
-                shared.users -= 1
-                if shared.users == 0:
-                    del _registry[self.path]
-                    shared.close()
+            self._shared.release()
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     # -- reading ----------------------------------------------------------------------------------------------
@@ -197,7 +135,7 @@ class Graph:
         """Run one reading statement; `$name` in it are bound to `params`.
 
         Many rows of input are best passed as one Arrow table: `LOAD FROM $rows WITH ...`. A result of several rows
-        needs an ORDER BY, unless `ordered=False` says that its order does not matter. Raises QueryError where the
+        needs an ORDER BY, unless `ordered=False` allows any order. Raises QueryError where the
         statement is refused (its plan would lose rows, it writes, its order is open), fails, or takes too long.
         """
         text, values = bind(cypher, params or {})
@@ -205,12 +143,12 @@ class Graph:
             plan = self._plan(text, values)
             refuse_wrong_answers(plan, text)
             if plan.writes:
-                raise QueryError(f"this statement writes, use execute(): {_short(cypher)}")
+                raise QueryError(f"this statement writes, use execute(): {shortened(cypher)}")
             if ordered and not plan.ordered:
-                raise QueryError(f"add an ORDER BY, or say ordered=False, to: {_short(cypher)}")
+                raise QueryError(f"add an ORDER BY, or pass ordered=False, to: {shortened(cypher)}")
             return self._run(text, values, timeout_s)
 
-    def explain(self, cypher: str, params: Mapping[str, Any] | None = None) -> Plan:
+    def explain(self, cypher: str, params: Mapping[str, Any] | None = None) -> QueryPlan:
         """The engine's plan of a statement. Raises QueryError where it cannot be planned."""
         text, values = bind(cypher, params or {})
         with self._lock:
@@ -221,7 +159,7 @@ class Graph:
     def execute(self, cypher: str, params: Mapping[str, Any] | None = None) -> pa.Table:
         """Run one statement that may write, alone or inside `transaction()`. Raises QueryError, StoreError."""
         text, values = bind(cypher, params or {})
-        with self._writing(), self._lock:
+        with self._writing():
             bare = strip_literals(text)
             if _MATCH.search(bare):
                 refuse_wrong_answers(self._plan(text, values), text)
@@ -236,28 +174,31 @@ class Graph:
         import importlib.util  # noqa: F401
 
         # Of a column in chunks the engine reads the rows of small ones only in part, silently.
-        rows = rows.combine_chunks()
-        with self._writing(), self._lock:
-            self._plans.clear()
-            self._run(f"COPY `{_identifier(table)}` FROM $rows", {"rows": rows}, None)
+        self._copy(table, "$rows", {"rows": rows.combine_chunks()})
 
     def copy_files(self, table: str, folder: Path, names: Sequence[str]) -> None:
         """As `copy`, from Parquet files of a folder.
 
-        The engine takes a path for a pattern, so the names must be plain ones and the process changes to the folder
-        meanwhile: whatever that is called is no matter then.
+        The engine reads a path as a pattern, so the names must be plain and the process changes to the folder
+        meanwhile, whose own name is then no matter.
         """
         if any(not re.fullmatch(r"[A-Za-z0-9._-]+", name) for name in names):
             raise QueryError("a file to copy from needs a plain name")
         files = ", ".join(f"'{name}'" for name in names)
-        with self._writing(), self._lock, contextlib.chdir(folder):
+        with self._writing(), contextlib.chdir(folder):
+            self._copy(table, f"[{files}]", {})
+
+    def _copy(self, table: str, source: str, values: Mapping[str, Any]) -> None:
+        if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", table):
+            raise QueryError(f"{table!r} is no name of a table")
+        with self._writing():
             self._plans.clear()
-            self._run(f"COPY `{_identifier(table)}` FROM [{files}]", {}, None)
+            self._run(f"COPY `{table}` FROM {source}", values, None)
 
     @contextlib.contextmanager
     def transaction(self) -> Iterator[None]:
         """One write transaction round the statements inside; an error rolls all of them back."""
-        with self._writing(), self._lock:
+        with self._writing():
             self._run("BEGIN TRANSACTION", {}, None)
             self._in_transaction = True
             try:
@@ -276,15 +217,15 @@ class Graph:
     def _writing(self) -> Iterator[None]:
         if self.read_only:
             raise QueryError("the graph is open for reading only")
-        with self._writer:
+        with self._shared.writer, self._lock:
             yield
 
     # -- the engine -------------------------------------------------------------------------------------------
 
-    def _plan(self, text: str, values: Mapping[str, Any]) -> Plan:
+    def _plan(self, text: str, values: Mapping[str, Any]) -> QueryPlan:
         plan = self._plans.get(text)
         if plan is None:
-            plan = Plan(str(self._run(f"EXPLAIN {text}", values, None).column(0)[0].as_py()))
+            plan = QueryPlan(str(self._run(f"EXPLAIN {text}", values, None).column(0)[0].as_py()))
             if len(self._plans) >= _PREPARED:
                 self._plans.clear()
             self._plans[text] = plan
@@ -297,7 +238,7 @@ class Graph:
 
             self._prepared.clear()
             self._connection.close()
-            self._connection = kuzu.Connection(self._database)
+            self._connection = kuzu.Connection(self._shared.database)
             self._planned = 0
 
     def _statement(self, text: str, values: Mapping[str, Any]) -> Any:
@@ -330,7 +271,7 @@ class Graph:
                 # The rest must go first: the engine crashes when only the last result is kept.
                 for part in result:
                     part.close()
-                raise QueryError(f"one statement at a time: {_short(text)}")
+                raise QueryError(f"one statement at a time: {shortened(text)}")
             try:
                 # Statements of control (CHECKPOINT, BEGIN) have no columns at all.
                 if not result.get_column_names():
@@ -340,9 +281,9 @@ class Graph:
             finally:
                 result.close()
         except RuntimeError as error:
-            translated = _translated(error, text, timeout_s, self.path)
-            self._failed |= isinstance(translated, StoreError)
-            raise translated from None
+            failure = translated(error, text, timeout_s, self.path)
+            self._failed |= isinstance(failure, StoreError)
+            raise failure from None
 
 
 @contextlib.contextmanager
@@ -353,127 +294,28 @@ def build_graph(path: str | Path, *, buffer_bytes: int = BUILD_BYTES) -> Iterato
     refuses.
     """
     place = Path(path).resolve()
-    with _registry_lock:
-        if place in _registry:
-            raise LockedError(f"{path} is open in this process: close it first", holder="this process")
-    _make_parent(place)
-    _check_room(place)
-    lock = lock_graph(place, shared=False)
-    temporary = place.with_name(f".{place.name}.building")
-    try:
-        # What a killed builder left behind; the lock says that nobody is at it.
-        _remove(temporary)
+    check_unused(place)
+    make_parent(place)
+    check_room(place)
+    with lock_graph(place, shared=False), contextlib.ExitStack() as cleanup:
+        temporary = place.with_name(f".{place.name}.building")
+        # What a killed builder left behind; the lock proves that it is gone.
+        remove_files(temporary)
+        cleanup.callback(remove_files, temporary)
         import kuzu
 
         try:
             database = kuzu.Database(str(temporary), buffer_pool_size=buffer_bytes)
         except RuntimeError as error:
-            raise _translated(error, "", None, place) from None
-        graph = Graph(database, threading.RLock(), None, False)
-        try:
+            raise translated(error, "", None, place) from None
+        with Graph(SharedDatabase(database)) as graph:
             yield graph
             graph.execute("CHECKPOINT")
-        finally:
-            graph.close()
-        try:
-            with temporary.open("rb") as file:
-                os.fsync(file.fileno())
-            # The old log goes first: beside the new file it would be replayed into it.
-            for suffix in _SIDE_FILES:
-                place.with_name(place.name + suffix).unlink(missing_ok=True)
-            seal_path(temporary).write_bytes(msgspec.json.encode(seal_of(temporary)))
-            seal_path(temporary).replace(seal_path(place))
-            temporary.replace(place)
-        except OSError as error:
-            raise StoreError(f"cannot write {place}: {error.strerror}; free some space and load again") from None
-    finally:
-        _remove(temporary)
-        if lock is not None:
-            lock.close()
+        publish(temporary, place)
 
 
 def remove_graph(path: str | Path) -> None:
-    """Take a graph away, if there is one. Raises LockedError where anybody has it open, StoreError as `lock_graph`."""
+    """Remove a graph, if there is one. Raises LockedError where it is open anywhere, StoreError as `lock_graph`."""
     place = Path(path).resolve()
-    lock = lock_graph(place, shared=False)
-    try:
-        _remove(place)
-    finally:
-        if lock is not None:
-            lock.close()
-
-
-def _open_database(path: Path, read_only: bool, buffer_bytes: int, threads: int) -> Any:
-    # Looks at the file only while this process has no database open here, as the seal asks.
-    check_seal(path)
-    import kuzu
-
-    end = time.monotonic() + ENDING_S
-    while True:
-        try:
-            return kuzu.Database(str(path), read_only=read_only, buffer_pool_size=buffer_bytes, max_num_threads=threads)
-        except RuntimeError as error:
-            if "Could not set lock" not in str(error):
-                raise StoreError(f"cannot open {path} ({_short(str(error))}): {rebuild_hint(path)}") from None
-        # A process that is killed lets go of the side file's lock a moment before it lets go of the engine's.
-        if time.monotonic() > end:
-            raise LockedError(f"{path} is in use by another process: wait for it", holder="another process")
-        time.sleep(0.02)
-
-
-def _recover(path: Path, buffer_bytes: int) -> None:
-    """Finish the checkpoint that a killed writer left half done; only an opening for writing can."""
-    with contextlib.suppress(StoreError), contextlib.ExitStack() as stack:
-        lock = lock_graph(path, shared=False)
-        if lock is not None:
-            stack.enter_context(lock)
-        _open_database(path, False, buffer_bytes, 0).close()
-
-
-def _translated(error: RuntimeError, text: str, timeout_s: float | None, path: Path | None) -> QueryError | StoreError:
-    message = " ".join(str(error).split())
-    if "Interrupted" in message:
-        return QueryError(f"stopped after {timeout_s:g} s: {_short(text)}" if timeout_s else "interrupted")
-    if "past the end of the file" in message or "Cannot read from file" in message:
-        where = f"{path} is cut short" if path else "the graph file is cut short"
-        return StoreError(f"{where}: {rebuild_hint(path)}" if path else where)
-    if "Buffer manager exception" in message:
-        return QueryError(f"needs more memory than its limit: narrow it (by sequence): {_short(text)}")
-    if "No space left" in message or "File too large" in message or "Cannot write to file" in message:
-        return StoreError(f"cannot write the graph: {_short(message)}; free some space and load again")
-    # The parser lists everything it would have taken instead, and repeats the statement.
-    return QueryError(_short(re.sub(r" expecting \{.*", "", message), 300))
-
-
-def _identifier(name: str) -> str:
-    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
-        raise QueryError(f"{name!r} is no name of a table")
-    return name
-
-
-def _short(text: str, limit: int = 120) -> str:
-    plain = " ".join(text.split())
-    return plain if len(plain) <= limit else plain[: limit - 3] + "..."
-
-
-def _check_room(place: Path) -> None:
-    """Raise StoreError where the disk is as good as full."""
-    with contextlib.suppress(OSError):
-        if shutil.disk_usage(place.parent).free < _LEAST_FREE:
-            raise StoreError(
-                f"cannot write {place}: less than {_LEAST_FREE >> 20} MB are free on its disk; "
-                "free some space and run it again"
-            )
-
-
-def _make_parent(place: Path) -> None:
-    try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StoreError(f"cannot write to {place.parent}: {error.strerror}; choose another --store") from None
-
-
-def _remove(path: Path) -> None:
-    for place in (path, seal_path(path), *(path.with_name(path.name + suffix) for suffix in _SIDE_FILES)):
-        with contextlib.suppress(OSError):
-            place.unlink(missing_ok=True)
+    with lock_graph(place, shared=False):
+        remove_files(place)

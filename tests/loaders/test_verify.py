@@ -22,7 +22,7 @@ from jrdb_avr.loaders.root import find_root
 from jrdb_avr.loaders.synthetic.write import plan, write
 from jrdb_avr.loaders.verify import FILE, STEPS, checks_of
 from jrdb_avr.queries.beliefs.graph import make_world_tables
-from jrdb_avr.queries.graph.file import PAGE, check_seal, seal_of, seal_path
+from jrdb_avr.queries.graph.file import PAGE, check_fingerprint, fingerprint_of, fingerprint_path
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.named import named_queries
 from jrdb_avr.queries.store import Store
@@ -132,12 +132,12 @@ def test_a_loaded_store_is_what_was_loaded(store):
 
 def test_every_overwritten_page_is_found_by_the_checksum(store, tmp_path):
     place = tmp_path / "graph.kuzu"
-    before = seal_of(store.graph_path)
+    before = fingerprint_of(store.graph_path)
     for seed in range(20):
         shutil.copy(store.graph_path, place)
         rng = random.Random(seed)
         overwrite(place, rng)
-        assert (seal_of(place) == before) == (place.read_bytes() == store.graph_path.read_bytes())
+        assert (fingerprint_of(place) == before) == (place.read_bytes() == store.graph_path.read_bytes())
 
 
 def damaged(store, answers, copy, seed):
@@ -152,7 +152,7 @@ def damaged(store, answers, copy, seed):
 
 def reseal(store):
     """Make the checksum that of the damaged file."""
-    seal_path(store.graph_path).write_text(json.dumps({**as_dict(seal_of(store.graph_path))}))
+    fingerprint_path(store.graph_path).write_text(json.dumps({**as_dict(fingerprint_of(store.graph_path))}))
 
 
 def as_dict(seal):
@@ -245,7 +245,7 @@ def test_tables_beside_the_scene_do_no_harm(small):
         make_world_tables(graph)
         ids = [f"r/{n}" for n in range(30_000)]
         graph.copy("Episode", pa.table(dict.fromkeys(("id", "run", "question", "sequence", "plan"), ids)))
-    assert seal_of(small.graph_path).crc32 != check_seal(small.graph_path).crc32
+    assert fingerprint_of(small.graph_path).crc32 != check_fingerprint(small.graph_path).crc32
     assert not faults(small)
 
 

@@ -10,7 +10,7 @@ from places import SUPPORT
 from world_play import SCENE, believe, beside_scene, tables_of
 
 from jrdb_avr.queries.beliefs.graph import WorldGraph, check_world
-from jrdb_avr.queries.graph.file import check_seal
+from jrdb_avr.queries.graph.file import check_fingerprint
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS
 from jrdb_avr.schema.errors import LockedError, QueryError, StoreError
@@ -157,12 +157,12 @@ def test_a_write_that_fails_leaves_nothing(world):
 
 
 def test_the_tables_lie_beside_the_scene_and_leave_it_alone(scene):
-    before, seal = scene_rows(scene), check_seal(scene)
+    before, seal = scene_rows(scene), check_fingerprint(scene)
     with WorldGraph.open(scene) as world:
         believe(world)
         written = tables_of(world)
     assert scene_rows(scene) == before
-    assert check_seal(scene) == seal, "the seal still fits, as the file has only grown"
+    assert check_fingerprint(scene) == seal, "the seal still fits, as the file has only grown"
     with WorldGraph.open(scene) as world:
         assert tables_of(world) == written
     with Graph.open(scene, read_only=True) as graph:

@@ -9,7 +9,7 @@ from believed import CIRCLE, Story, parsed, planned, write
 
 from jrdb_avr.agent.beliefs.solver import BeliefSolver
 from jrdb_avr.queries.beliefs.graph import WorldGraph
-from jrdb_avr.queries.compiler import find_believed
+from jrdb_avr.queries.compiler.beliefs import find_believed
 from jrdb_avr.queries.compiler.mapping import read_text
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span

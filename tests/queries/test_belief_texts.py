@@ -12,7 +12,7 @@ from oracle_beliefs import Mind
 
 from jrdb_avr.agent.beliefs.solver import BeliefSolver
 from jrdb_avr.queries.beliefs.graph import WorldGraph
-from jrdb_avr.queries.compiler import find_believed
+from jrdb_avr.queries.compiler.beliefs import find_believed
 
 WORDS = (
     "x",

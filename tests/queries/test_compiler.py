@@ -15,8 +15,10 @@ from random_worlds import random_world
 from test_generate_oracle import form, lively_world, sociable_world
 
 from jrdb_avr.loaders.graph import build_scene
-from jrdb_avr.queries.compiler import SCENE, Asked, Names, compile_find, solve
-from jrdb_avr.queries.compiler.clauses import Known, Listed, Rows, Tie
+from jrdb_avr.queries.compiler.clauses import in_column, in_rows, unless_both_listed, unless_listed
+from jrdb_avr.queries.compiler.find import compile_find
+from jrdb_avr.queries.compiler.mapping import SCENE, SchemaMapping
+from jrdb_avr.queries.compiler.solve import PlanQuery, solve
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.errors import PlanError, QueryError
 from jrdb_avr.schema.plan import Plan, parse_plan
@@ -38,7 +40,7 @@ class Site:
         build_scene(self.graph, store, [NAME])
 
     def solve(self, plans):
-        asked = [Asked(plan if isinstance(plan, Plan) else parse_plan(plan), NAME) for plan in plans]
+        asked = [PlanQuery(plan if isinstance(plan, Plan) else parse_plan(plan), NAME) for plan in plans]
         return solve(self.graph, SCENE, asked, Rules())
 
     def moments(self, step=1):
@@ -350,27 +352,26 @@ def test_statements_stop_in_time(sites):
         plan = two_nodes(
             root="n0", target="n7", nodes=nodes, edges=edges, answer=answer, times={"t0": {"frame": frame}}
         )
-        solve(sites[0].graph, SCENE, [Asked(plan, NAME)] * 400, Rules(), timeout_s=0.05)
+        solve(sites[0].graph, SCENE, [PlanQuery(plan, NAME)] * 400, Rules(), timeout_s=0.05)
 
 
 WIDE = "within 90 degrees to the left of (robot view)"
 
 
-def test_another_namespace_is_another_table_of_names():
+def test_another_namespace_is_another_mapping():
     """Beliefs are rows of one frame; what was not seen is never false."""
 
     def belief(name):
-        rows = Rows(
-            f"({{n}})-[r:Has {{{{name: '{name}'}}}}]->(x:Attribute)", (("x.value", "v"),), first="at", last="at"
+        return unless_listed(
+            in_rows(f"({{n}})-[r:Has {{{{name: '{name}'}}}}]->(x:Attribute)", {"x.value": "v"}), "false"
         )
-        return Listed(rows, "false")
 
-    beliefs = Names(
+    beliefs = SchemaMapping(
         pattern="({n}:Entity)-[{s}:Sighted]->(:Look)",
         there="{n}.episode = {scope} AND {s}.at = {t}",
         who="{n}.id",
-        conditions={"pose": belief("pose"), "gender": Known("{n}.gender")},
-        edges={"social": Tie(Rows("({n})-[r:Related]->({m})", (("r.label", "v"),), first="at", last="at"), "false")},
+        conditions={"pose": belief("pose"), "gender": in_column("{n}.gender")},
+        edges={"social": unless_both_listed(in_rows("({n})-[r:Related]->({m})", {"r.label": "v"}), "false")},
         reads="scene",
     )
     with Graph.memory() as graph:
@@ -379,17 +380,17 @@ def test_another_namespace_is_another_table_of_names():
             "CREATE NODE TABLE Look(id INT64 PRIMARY KEY)",
             "CREATE NODE TABLE Attribute(id INT64 PRIMARY KEY, value STRING)",
             "CREATE REL TABLE Sighted(FROM Entity TO Look, at INT64)",
-            "CREATE REL TABLE Has(FROM Entity TO Attribute, name STRING, at INT64, certain BOOLEAN)",
-            "CREATE REL TABLE Related(FROM Entity TO Entity, label STRING, at INT64, certain BOOLEAN)",
+            "CREATE REL TABLE Has(FROM Entity TO Attribute, name STRING, first INT64, last INT64, certain BOOLEAN)",
+            "CREATE REL TABLE Related(FROM Entity TO Entity, label STRING, first INT64, last INT64, certain BOOLEAN)",
         ):
             graph.execute(statement)
         graph.copy("Entity", pa.table({"id": [1, 2, 3], "episode": ["e", "e", "other"], "gender": ["male"] * 3}))
         graph.copy("Look", pa.table({"id": [0]}))
         graph.copy("Attribute", pa.table({"id": [0], "value": ["sitting"]}))
         graph.copy("Sighted", pa.table({"from": [1, 2, 3], "to": [0, 0, 0], "at": [15, 15, 15]}))
-        graph.copy("Has", pa.table({"from": [1], "to": [0], "name": ["pose"], "at": [15], "certain": [True]}))
-        related = {"from": [1], "to": [2], "label": ["conversation"], "at": [15], "certain": [True]}
-        graph.copy("Related", pa.table(related))
+        held = {"first": [15], "last": [15], "certain": [True]}
+        graph.copy("Has", pa.table({"from": [1], "to": [0], "name": ["pose"], **held}))
+        graph.copy("Related", pa.table({"from": [1], "to": [2], "label": ["conversation"], **held}))
         nodes = [{"id": "a", "conditions": [{"action": "sitting", "at": "t0"}]}, {"id": "b", "conditions": []}]
         find = compile_find(two_nodes(nodes=nodes), beliefs)
         assert find.cypher.count("MATCH (n0:Entity)") == 1

@@ -69,7 +69,7 @@ def without_process(monkeypatch):
 
     def run(command, *, input, **options):
         try:
-            table = guard._ask(guard._Request(**json.loads(input)))
+            table = guard._read(**json.loads(input))
         except (QueryError, StoreError) as error:
             said = json.dumps([type(error).__name__, str(error)]).encode()
             return subprocess.CompletedProcess(command, 1, b"", said)
@@ -167,7 +167,7 @@ def test_the_plan_is_the_second_door(store, surroundings):
         if re.match(r"(?i)(.*LOAD.*FROM|COPY|CALL|CREATE|MERGE|DROP|ALTER|MATCH.*(SET|DELETE))", text):
             cypher = text.replace("{secret}", surroundings["secret"]).replace("{target}", surroundings["target"])
             with pytest.raises((QueryError, StoreError)):
-                guard._ask(guard._Request(str(store.graph_path), cypher, {}, 5.0))
+                guard._read(str(store.graph_path), cypher, {}, 5.0)
 
 
 WORDS = st.sampled_from(
@@ -231,7 +231,7 @@ def test_fuzzed_statements_change_nothing(text):
     before = graph_file.read_bytes()
     try:
         check_cypher(text)
-        guard._ask(guard._Request(str(graph_file), text, {}, 2.0))
+        guard._read(str(graph_file), text, {}, 2.0)
     except AvrError as error:
         assert SECRET not in str(error)
     assert graph_file.read_bytes() == before

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jrdb_avr.queries.graph import handle
-from jrdb_avr.queries.graph.file import check_seal, seal_of
+from jrdb_avr.queries.graph import database
+from jrdb_avr.queries.graph.file import check_fingerprint, fingerprint_of
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.queries.graph.parameters import bind, parameters, strip_literals
 from jrdb_avr.schema.errors import LockedError, QueryError, StoreError
@@ -396,7 +396,7 @@ def test_quotes_and_comments_hold_no_parameters():
 CHILD = """
 import sys
 from jrdb_avr.queries.graph.handle import Graph, build_graph
-from jrdb_avr.queries.graph.file import check_seal, seal_of
+from jrdb_avr.queries.graph.file import check_fingerprint, fingerprint_of
 from jrdb_avr.schema.errors import LockedError
 try:
     if sys.argv[2] == "build":
@@ -467,7 +467,7 @@ def test_a_reader_finishes_a_checkpoint_left_half_done(path):
 
 def test_two_openings_share_one_database(path):
     with Graph.open(path) as one, Graph.open(path.parent / "." / path.name) as two:
-        assert one._database is two._database
+        assert one._shared is two._shared
         one.execute("CREATE (n:N {id: $i, s: 'new'})", {"i": 77})
         assert two.query("MATCH (n:N {id: 77}) RETURN n.s AS s ORDER BY s")["s"].to_pylist() == ["new"]
         one.close()
@@ -475,7 +475,7 @@ def test_two_openings_share_one_database(path):
         assert two.query("MATCH (n:N) RETURN count(*) AS n")["n"].to_pylist() == [5]
         with pytest.raises(QueryError, match="closed"):
             one.query("MATCH (n:N) RETURN count(*) AS n")
-    assert not handle._registry
+    assert not database._registry
 
 
 def test_a_reader_here_keeps_a_writer_here_out(path):
@@ -577,7 +577,7 @@ def test_a_damaged_graph_is_noticed_at_open_and_says_how_to_rebuild(path, damage
     with pytest.raises(StoreError, match=f"run 'jrdb-avr load --rebuild --store {path.parent}'") as error:
         Graph.open(path)
     assert "\n" not in str(error.value)
-    assert not handle._registry
+    assert not database._registry
 
 
 @pytest.mark.parametrize(
@@ -600,9 +600,9 @@ def test_a_graph_of_another_version_is_noticed_at_open(path, seal, words):
 
 def test_writing_later_keeps_the_seal(path):
     """Opening for writing changes the first page; tables beside the scene's make the file longer."""
-    before = check_seal(path)
+    before = check_fingerprint(path)
     Graph.open(path).close()
-    assert seal_of(path) == before
+    assert fingerprint_of(path) == before
     with Graph.open(path) as graph:
         graph.execute("CREATE NODE TABLE Later(id INT64 PRIMARY KEY, s STRING)")
         graph.copy("Later", pa.table({"id": range(50_000), "s": [str(n) for n in range(50_000)]}))

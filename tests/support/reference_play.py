@@ -9,7 +9,8 @@ from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.messages import Picture
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.agent.reference.method import ReferenceAgent
-from jrdb_avr.queries.compiler import SCENE, compile_find
+from jrdb_avr.queries.compiler.find import compile_find
+from jrdb_avr.queries.compiler.mapping import SCENE
 
 CHOICES = ("walking", "standing", "sitting", "lying")
 

@@ -37,7 +37,7 @@ from jrdb_avr.agent.reference.tool_calls import MOST_PER_TURN, read_calls
 from jrdb_avr.engine.run import answering
 from jrdb_avr.engine.run import journal as journals
 from jrdb_avr.queries.beliefs.graph import WorldGraph
-from jrdb_avr.queries.compiler import Find
+from jrdb_avr.queries.compiler.find import Find
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Prediction
 

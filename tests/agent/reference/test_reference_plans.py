@@ -7,7 +7,7 @@ import pytest
 from reference_play import PLAN, PLANS
 
 from jrdb_avr.agent.reference.planning import plan_form, plan_prompt, read_plan, vocabulary
-from jrdb_avr.queries.compiler import find_believed
+from jrdb_avr.queries.compiler.beliefs import find_believed
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.labels import ACTIONS, AGES, DISTANCE_WORDS, GENDERS, INTERACTIONS, ROBOT_SECTORS
 from jrdb_avr.schema.method import Question, SequenceInfo
