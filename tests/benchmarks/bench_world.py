@@ -94,9 +94,9 @@ def timed_turn():
 class TimedGraph(Graph):
     """A graph that notes how long each statement takes."""
 
-    def __init__(self, *arguments):
-        super().__init__(*arguments)
-        self._writer = self._lock = TimedLock()
+    def __init__(self, *arguments, **options):
+        super().__init__(*arguments, **options)
+        self._shared.writer = self._lock = TimedLock()
 
     def _run(self, text, values, timeout_s):
         began = time.perf_counter()
