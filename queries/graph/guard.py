@@ -82,14 +82,14 @@ def query_graph(
     request = {"path": str(path.resolve()), "cypher": cypher, "params": values, "timeout_s": timeout_s}
     try:
         # By json, which unlike msgspec writes and reads NaN and infinity.
-        message = json.dumps(request, ensure_ascii=False).encode()
+        payload = json.dumps(request, ensure_ascii=False).encode()
     except (TypeError, UnicodeEncodeError):
         raise QueryError("parameters are numbers, UTF-8 text, and lists and dicts of these") from None
     try:
         # -P: modules that happen to lie in the current folder are not imported.
         done = subprocess.run(
             [sys.executable, "-P", "-c", "from jrdb_avr.queries.graph.guard import serve; serve()"],
-            input=message,
+            input=payload,
             capture_output=True,
             timeout=timeout_s + 10.0,
             check=False,
