@@ -8,6 +8,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+from compared_tables import compare_tables, rows_of
 from effort import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -35,26 +36,6 @@ RELATIONS = {
 }
 """Per relationship its interval table, and the columns that name its ends."""
 GROUP_LISTS = ("aim", "bpc", "ssc", "location", "inter")
-
-
-def plain(value):
-    """A value that compares: floats to nine digits, so that another order of summing does not show."""
-    if isinstance(value, float):
-        return round(value, 9) + 0.0
-    return tuple(value) if isinstance(value, list) else value
-
-
-def rows_of(rows, names):
-    return sorted((tuple(plain(row[name]) for name in names) for row in rows), key=repr)
-
-
-def compare_tables(store, expected, sequence):
-    for kind, schema in INTERVALS.items():
-        found = rows_of(store.interval(kind, sequence).to_pylist(), schema.names)
-        wanted = rows_of(expected[kind], schema.names)
-        assert set(found) - set(wanted) == set(), kind
-        assert set(wanted) - set(found) == set(), kind
-        assert found == wanted, kind
 
 
 def nodes(graph, table, names, sequence):

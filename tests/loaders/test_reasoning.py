@@ -6,8 +6,8 @@ import functools
 import json
 
 import pytest
-from test_social import BOX, NAME, read, reasons, record, rows
-from test_social_intervals import placed
+from placed_people import placed
+from social_files import BOX, NAME, read, reasons, record, rows
 from worlds import member, person, thing, write_root
 
 from jrdb_avr.loaders.layers.social import _READER, load_reasoning

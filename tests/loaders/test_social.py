@@ -8,11 +8,10 @@ from __future__ import annotations
 import json
 
 import pytest
+from social_files import BOX, NAME, read, reasons, record, rows
 from worlds import member, write_root
 
-from jrdb_avr.loaders.layers.social import load_social
 from jrdb_avr.loaders.load import Shard, load_shard
-from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.labels import (
@@ -30,36 +29,6 @@ from jrdb_avr.schema.labels import (
 )
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.things import VERBS, normal_verb
-
-NAME = "yard-2020-01-01_0"
-BOX = (100, 60, 50, 200)
-
-
-def read(tmp_path, content, loader=load_social):
-    """The reading of one file and its problems. `content`: records of frame 0, {frame: records}, or text."""
-    path = tmp_path / f"{NAME}.json"
-    if isinstance(content, list):
-        content = {0: content}
-    if isinstance(content, dict):
-        content = json.dumps({"labels": {f"{frame:06d}.jpg": records for frame, records in content.items()}})
-    path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    problems = Problems(path.name)
-    return loader(path, NAME, problems), problems.listed()
-
-
-def rows(reading, layer):
-    """Rows of an annotation table as tuples, without sequence, and without the frame where all are of frame 0."""
-    table = reading.tables[layer]
-    names = [name for name in table.column_names if name not in ("sequence", "raw")]
-    return [tuple(row[name] for name in names) for row in table.to_pylist()]
-
-
-def reasons(problems):
-    return [(p.reason, p.field, p.frame, p.count) for p in problems]
-
-
-def record(**fields):
-    return {"label_id": "pedestrian:1", "box": list(BOX)} | fields
 
 
 def talk(*pairs):

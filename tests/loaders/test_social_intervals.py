@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pyarrow as pa
 import pytest
+from placed_people import placed
 from worlds import member, person, write_root
 
 from jrdb_avr.loaders.intervals.derive import derive
@@ -33,10 +34,6 @@ def _track(record):
 def spans(store, kind="interactions"):
     names = [n for n in store.interval(kind, NAME).column_names if n not in ("sequence", "first_s", "last_s")]
     return [tuple(row[n] for n in names) for row in store.interval(kind, NAME).to_pylist()]
-
-
-def placed(track):
-    return (100 * track + 10, 60, 50, 200)
 
 
 def scene(*people):

@@ -8,11 +8,11 @@ from collections import Counter, defaultdict
 
 import pyarrow as pa
 import pytest
+from lively_worlds import form, lively_world, sociable_world
 from oracle_people import EMPTY, FIRST, GROUP, MAYBE, NO, PLACES, SEVERAL, TOGETHER, WINDOWS, YES
 from oracle_questions import World
 from quick_store import quick_store
 from random_worlds import random_world
-from test_generate_oracle import form, lively_world, sociable_world
 
 from jrdb_avr.loaders.graph import build_scene
 from jrdb_avr.queries.compiler.clauses import in_column, in_rows, unless_both_listed, unless_listed

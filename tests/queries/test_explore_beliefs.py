@@ -6,8 +6,8 @@ from collections import Counter, defaultdict
 from pathlib import Path
 
 import pytest
+from belief_runs import ASKED
 from believing import BELIEF_QUERIES, Believer
-from test_evaluate_beliefs import ASKED
 
 from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.engine.run import answering

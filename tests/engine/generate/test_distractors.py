@@ -2,8 +2,8 @@
 
 import json
 
+from built_worlds import SEQUENCE, build
 from quick_store import quick_store
-from test_generate_worlds import SEQUENCE, build
 from worlds import person
 
 from jrdb_avr.engine.generate.sequence import SequenceJob, search_sequence

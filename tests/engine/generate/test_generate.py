@@ -16,9 +16,9 @@ import warm
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lively_worlds import lively_world
 from places import REAL
 from quick_store import graphless_store
-from test_generate_oracle import lively_world
 
 from jrdb_avr.engine.commands.generate import generate as generate_command
 from jrdb_avr.engine.generate import views

@@ -5,10 +5,10 @@ import random
 import numpy as np
 import pytest
 from effort import DEEP
+from lively_worlds import lively_world
 from msgspec.structs import astuple
 from quick_store import memory_store
 from random_worlds import random_world
-from test_generate_oracle import lively_world
 
 from jrdb_avr.engine.generate.candidates import PASSED, to_table
 from jrdb_avr.engine.generate.conditions import find_conditions

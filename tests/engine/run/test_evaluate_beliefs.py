@@ -8,13 +8,13 @@ import sys
 import pyarrow as pa
 import pytest
 from asked_world import write_public
+from belief_runs import ASKED, run
 from believing import Believer, world_dump
 from click.testing import CliRunner
 from places import SUPPORT
 from scene_tables import table_store
 
 from jrdb_avr.engine.cli import group
-from jrdb_avr.engine.run import answering
 from jrdb_avr.engine.run import journal as journals
 from jrdb_avr.engine.run.methods import open_world
 from jrdb_avr.queries.beliefs.graph import WorldGraph, make_world_tables
@@ -23,25 +23,6 @@ from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.runs import RunManifest, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError, LockedError, StoreError
-from jrdb_avr.schema.method import Question, SequenceInfo
-
-ASKED = [
-    Question(f"{n:016x}", "yard-1_0", "f", "t", f"Question {n}?", ("a", "b"), "multiple_choice") for n in range(12)
-]
-INFO = {"yard-1_0": SequenceInfo("yard-1_0", 15.0, 61, (0, 15, 30, 45))}
-
-
-def run(store, run_id, asked=ASKED, path=None, finish=True, turns=30, **options):
-    """A run of the believer, in the store's graph or one of its own."""
-    write_run_manifest(
-        store, RunManifest(run_id, "believer", "m", "0" * 64, tuple(q.question_id for q in asked), True, {}, "")
-    )
-    with journals.Journal(store.run_path(run_id) / "journal.jsonl") as journal:
-        record = journals.world_rows(run_id, journal.finished.values())
-        with open_world(path or store.graph_path, run_id, record) as world:
-            answering.answer_all(Believer(world, turns, **options), asked, INFO, None, None, journal, 4)
-        if finish:
-            journals.write_tables(store, run_id, journal.finished.values())
 
 
 def dump(path):
@@ -272,7 +253,8 @@ def test_a_broken_record_is_left_out_and_told(store, live):
 
 KILLED = """
 import sys, threading, os, signal, time
-from test_evaluate_beliefs import ASKED, run, Store
+from belief_runs import ASKED, run
+from jrdb_avr.queries.store import Store
 store, after = Store(sys.argv[1]), int(sys.argv[2])
 calls, lock = [0], threading.Lock()
 def between():

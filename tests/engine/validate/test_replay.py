@@ -7,7 +7,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from entry import run as run_command
-from test_validate import keep_only, rewrite
+from spoiled_questions import keep_only, rewrite
 
 from jrdb_avr.engine.validate.checks import check_replay
 from jrdb_avr.engine.validate.outcomes import CHECKS, REPLAY_CHECKS, Validation

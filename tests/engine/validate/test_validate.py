@@ -8,6 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from entry import run
+from spoiled_questions import keep_only, rewrite
 
 from jrdb_avr.engine.rederive.labels import Annotations
 from jrdb_avr.engine.validate.checks import validate
@@ -19,15 +20,6 @@ from jrdb_avr.schema.templates import TEMPLATES
 from jrdb_avr.schema.wording import question_id
 
 RULES = Rules()
-
-
-def rewrite(store, name, change, schema=None):
-    """Apply `change` to the rows of a table, keeping its metadata."""
-    path = store.question_path(name)
-    table = pq.read_table(path)
-    rows = table.to_pylist()
-    change(rows)
-    pq.write_table(pa.Table.from_pylist(rows, schema=schema or table.schema), path)
 
 
 @pytest.fixture(scope="module")
@@ -62,13 +54,6 @@ def few(one_of_each, tmp_path, known_annotations, monkeypatch):
 
     monkeypatch.setattr(Annotations, "read", remembered)
     return Store(shutil.copytree(one_of_each.path, tmp_path / "store"))
-
-
-def keep_only(store, name, ids):
-    def change(rows):
-        rows[:] = [row for row in rows if row["question_id"] in ids]
-
-    rewrite(store, name, change)
 
 
 def faulty(store):
