@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from jrdb_avr.engine.run.evaluate import RunResult as RunResult
     from jrdb_avr.engine.run.evaluate import evaluate as evaluate
     from jrdb_avr.engine.run.live_scores import LiveScore as LiveScore
+    from jrdb_avr.engine.validate.checks import Validation as Validation
     from jrdb_avr.engine.validate.checks import validate as validate
-    from jrdb_avr.engine.validate.outcomes import Validation as Validation
     from jrdb_avr.loaders.load import load as load
     from jrdb_avr.loaders.result import LoadResult as LoadResult
     from jrdb_avr.queries.store import Store as Store
@@ -68,13 +68,12 @@ __version__ = "0.1.0"
 _NAMES: Final = {
     "loaders.load": ("load",),
     "engine.generate.run": ("generate", "Generation"),
-    "engine.validate.checks": ("validate",),
+    "engine.validate.checks": ("validate", "Validation"),
     "engine.run.evaluate": ("evaluate", "RunResult"),
     "engine.report.comparison": ("score", "report", "Scores", "Comparison"),
     "queries.store": ("Store",),
     "engine.observe.observer": ("Observer",),
     "loaders.result": ("LoadResult",),
-    "engine.validate.outcomes": ("Validation",),
     "engine.run.live_scores": ("LiveScore",),
     "schema.rules": ("Rules", "LoadRules"),
     "agent.model.conventions": ("Options",),

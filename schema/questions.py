@@ -10,7 +10,7 @@ import msgspec
 from jrdb_avr.schema.answers import AnswerMode, Choice, decode_answer
 
 
-class Proof(msgspec.Struct, frozen=True):
+class Proof(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One proof: whether it holds, how the program's answer compares, and what it answers where it does."""
 
     kind: str
@@ -20,7 +20,7 @@ class Proof(msgspec.Struct, frozen=True):
     answer: str | None = None
 
 
-class NeededBox(msgspec.Struct, frozen=True):
+class NeededBox(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A box that whoever answers must see; the decisive ones do not all lie in the view straight ahead."""
 
     node: str
@@ -59,7 +59,12 @@ class QuestionRecord(msgspec.Struct, frozen=True, kw_only=True):
     @classmethod
     def read(cls, row: Mapping[str, Any], own: Mapping[str, Any]) -> Self:
         """The record of a row of `questions` and its row of `answers`. Raises msgspec.MsgspecError for a bad text."""
-        texts = {name: msgspec.json.decode(own[name]) for name in _JSON_COLUMNS}
+        texts = {}
+        for name in _JSON_COLUMNS:
+            try:
+                texts[name] = msgspec.json.decode(own[name])
+            except msgspec.DecodeError as error:
+                raise msgspec.DecodeError(f"{name}: {error}") from None
         return msgspec.convert({**own, **row, **texts}, cls)
 
     def columns(self) -> dict[str, Any]:

@@ -1,6 +1,6 @@
-"""Why a template gives the questions it gives: candidates, what refused them, and what the scenes do not hold.
+"""Explain the number of questions per template: candidates, the rules that refused them, and what the scenes lack.
 
-Worked out from the published tables alone, so that `generate` and, at any later time, `stats` say the same.
+Computed from the published tables alone, so that `generate` and, at any later time, `stats` report the same.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ REFUSALS: Final = (*RULES, "rederive", "choices", "near_duplicate", "max_per_per
 """Every rule that refuses a candidate, in the order in which they are tried."""
 
 MEANINGS: Final = {
-    "anchor": "a condition of the description could be left out, or somebody else could fit it",
-    "evidence": "somebody who has to be seen is hidden, cut off, too small or too wide there",
-    "image": "a frame that has to be seen has no image",
-    "view.ahead": "the view straight ahead shows what decides, so nobody has to look round",
-    "view.single": "one view shows everybody needed, so nobody has to search",
-    "stated": "the question's own words name the answer",
-    "hop.stop": "a method that stops one person early finds the same answer, or one not known to differ",
-    "hop.skip": "a method that leaves out a step finds the same answer, or one not known to differ",
-    "time.shift": "three seconds earlier or later the answer is not known to differ, so the time may not matter",
-    "time.drop": "at any other time that has an answer it is the same, so the time does not matter",
-    "rederive": "the second path disagrees, a fault of the program",
-    "choices": "fewer than three wrong answers are certain",
-    "near_duplicate": "nearly the same is asked about the same person already",
-    "max_per_person": "the person has as many questions of this template as one may have",
-    "balance": "kept, they would make an answer too common, or be more than were asked for",
+    "anchor": "a condition of the description is not needed, or it may fit somebody else",
+    "evidence": "a person who must be seen is hidden, cut off, too small or too wide",
+    "image": "a needed frame has no image",
+    "view.ahead": "answerable from the forward view alone",
+    "view.single": "answerable from a single view",
+    "stated": "the question's text states the answer",
+    "hop.stop": "stopping one person early gives the same answer, or one not known to differ",
+    "hop.skip": "skipping a hop gives the same answer, or one not known to differ",
+    "time.shift": "three seconds earlier or later the answer is not known to differ",
+    "time.drop": "every other time gives the same answer",
+    "rederive": "the second program disagrees, which is a defect of the software",
+    "choices": "fewer than three answers are certainly wrong",
+    "near_duplicate": "another question about the same person and nearly the same moment is selected already",
+    "max_per_person": "the person has the maximum number of questions of this template",
+    "balance": "selecting more would make one answer too common or exceed the requested number",
 }
-"""What each rule found of a candidate that it refused."""
+"""Why each rule refuses a candidate."""
 
 _NAMED: Final = 2
-"""How many of the rules that refused most are named of a template."""
+"""How many of the rules that refused most are named per template."""
 
 
 def refusal_row(
@@ -78,9 +78,9 @@ def shortfalls(
 ) -> list[dict[str, Any]]:
     """A row per template: how far its candidates came, the rules that refused most of them, and why they are few.
 
-    `rows` are those of `tallies`; `lacking`: (template, layer) -> how many of `sequences` are without it; `aims`: how
-    many questions of a template were wanted. `why` is a sentence where there are fewer than FEW questions, and than
-    were wanted, or where sequences lack a layer, else None.
+    `rows` are those of `tallies`; `lacking`: (template, layer) -> how many of `sequences` are without it; `aims`:
+    requested questions per template. `why` is a sentence where there are fewer than FEW questions and fewer than
+    requested, or where sequences lack a layer, else None.
     """
     found = []
     for row in rows:

@@ -28,11 +28,12 @@ from jrdb_avr.engine.rederive.reads import (
     read_start,
     read_start_view,
 )
-from jrdb_avr.engine.rederive.truth import FALSE, TRUE, UNKNOWN, NeededBox, Outcome, Undefined
+from jrdb_avr.engine.rederive.truth import FALSE, TRUE, UNKNOWN, Outcome, Undefined
 from jrdb_avr.schema.plan import Plan
+from jrdb_avr.schema.questions import NeededBox
 from jrdb_avr.schema.rules import Rules
 
-__all__ = ["FALSE", "TRUE", "UNKNOWN", "Annotations", "NeededBox", "Outcome", "rederive"]
+__all__ = ["FALSE", "TRUE", "UNKNOWN", "Annotations", "Outcome", "rederive"]
 
 _READERS: Final[dict[str, Callable[[ResolvedPlan], Reading]]] = {
     "action": read_action,
@@ -74,7 +75,7 @@ def _needed(found: ResolvedPlan, reading: Reading) -> tuple[NeededBox, ...]:
             clear = box is not None and annotations.clear(track, frame)
             found.check(clear, f"{who} is not in clear view at frame {frame}")
             if box is not None:
-                needed.append(NeededBox(node, track, frame, box, frame in decisive))
+                needed.append(NeededBox(node, track, frame, *box, frame in decisive))
     needed += reading.more
     for frame in sorted({box.frame for box in needed}):
         found.check(annotations.has_image(frame), f"frame {frame} has no image")

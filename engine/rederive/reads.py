@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 from jrdb_avr.engine.rederive.actions import Segment
 from jrdb_avr.engine.rederive.plan import ResolvedPlan
-from jrdb_avr.engine.rederive.truth import FALSE, TRUE, NeededBox, Undefined
+from jrdb_avr.engine.rederive.truth import FALSE, TRUE, Undefined
 from jrdb_avr.schema.answers import FrameAnswer, FrameViewpoint, Number, Span, encode_answer
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 from jrdb_avr.schema.panorama import angle_error
 from jrdb_avr.schema.plan import Time
+from jrdb_avr.schema.questions import NeededBox
 from jrdb_avr.schema.relations import SAME_GROUP
 from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP, frames
 from jrdb_avr.schema.wording import stated_actions
@@ -134,12 +135,12 @@ def _counted(found: ResolvedPlan, does: dict[int, list[int]]) -> tuple[NeededBox
         if frame is None or box is None:
             found.faults.append(f"person {track}, who is counted, is never in clear view together with the target")
             continue
-        needed.append(NeededBox(f"b{number}", track, frame, box, False))
+        needed.append(NeededBox(f"b{number}", track, frame, *box, False))
         looks.add(frame)
     for frame in sorted(looks - {found.t0}):
         box = annotations.box(target, frame)
         if box is not None:
-            needed.append(NeededBox(found.plan.target, target, frame, box, False))
+            needed.append(NeededBox(found.plan.target, target, frame, *box, False))
     return tuple(needed)
 
 

@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 
 import pyarrow as pa
 
-from jrdb_avr.schema.panorama import Box
+from jrdb_avr.schema.questions import NeededBox
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
 OutcomeKind = Literal["defined", "ambiguous", "empty", "unknown"]
@@ -20,17 +20,6 @@ FALSE, TRUE, UNKNOWN = 0, 1, 2
 
 SLACK: Final = 1e-9
 """Tolerance at edges, so that decimals such as 0.55 lie on the edge they name."""
-
-
-@dataclass(frozen=True, slots=True)
-class NeededBox:
-    """A box that must be seen to answer; a `decisive` box shows the answer itself."""
-
-    node: str
-    track: int
-    frame: int
-    box: Box
-    decisive: bool
 
 
 @dataclass(frozen=True, slots=True)

@@ -109,7 +109,7 @@ def live_scores(store: Store, run_id: str, go_on: Callable[[], bool]) -> Iterato
 
     manifest, truth = read_run_manifest(store, run_id), read_truth(store)
     if manifest.questions_sha256 != questions_hash(store):
-        raise StoreError(f"run {run_id} was asked another questions file than this store's")
+        raise StoreError(f"run {run_id} is of another questions file than this store's")
     scored: dict[str, tuple[int, int, int]] = {}
     rest = b""
     with (store.run_path(run_id) / "journal.jsonl").open("rb") as journal:

@@ -1,37 +1,111 @@
-"""Whether the question files hold what they promise: every check counted, every fault told with its question.
+"""Check a benchmark: its files, every question by itself, and all of them together.
 
-Reads the files of `questions/` and, for what they claim of the scene, the annotation tables. Where the proofs are to be
-run again, the interval tables are searched and the graph is asked too.
+A question is checked against the annotation tables, and its answer is derived again by the second program. On request
+every proof and the compiled plan run again too (`replay`).
 """
 
 from __future__ import annotations
 
 import itertools
+import re
 from collections import Counter, defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from jrdb_avr.engine.generate.proofs import expected, failing
 from jrdb_avr.engine.generate.publish import GENERATION_KEY
-from jrdb_avr.engine.rederive import Annotations
-from jrdb_avr.engine.validate.compiled import ask_compiled
-from jrdb_avr.engine.validate.outcomes import Validation
-from jrdb_avr.engine.validate.question_checks import check_evidence, check_question
-from jrdb_avr.engine.validate.replay import replay
-from jrdb_avr.engine.validate.stored import stored_question
-from jrdb_avr.queries.display import Progress, step_counter
+from jrdb_avr.engine.rederive import Annotations, rederive
+from jrdb_avr.engine.validate.replay import differences, replay, run_compiled
+from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.answers import Choice, decode_answer
-from jrdb_avr.schema.errors import AvrError, StoreError
+from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, FrameViewpoint, Span, decode_answer
+from jrdb_avr.schema.errors import AvrError, DecodeError, StoreError
 from jrdb_avr.schema.panorama import Box
-from jrdb_avr.schema.rules import Rules, rules_hash
+from jrdb_avr.schema.plan import Plan, canonical, parse_plan
+from jrdb_avr.schema.questions import QuestionRecord
+from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, rules_hash
 from jrdb_avr.schema.tables import CANARY, QUESTIONS
-from jrdb_avr.schema.wording import question_id
+from jrdb_avr.schema.templates import forms_of
+from jrdb_avr.schema.wording import parse, question_id, question_key, render
 
-FILES: Final = ("questions", "sequences", "answers", "evidence", "rejected")
+CHECKS: Final = {
+    "files": "the schema and the canary are right; public files hold nothing private",
+    "ids": "each question appears once in each file; its id is the hash of its public columns",
+    "choices": "a choice question has four different choices; other questions have none",
+    "answers": "the stored answer is readable and lies within the sequence",
+    "plans": "the plan is valid and belongs to the question's template",
+    "text": "the text states the plan and nothing else; stated seconds are frame / fps",
+    "evidence": "the evidence is every box of the target and nothing else",
+    "proofs": "every required proof is present and holds; distractors and bindings fit",
+    "rules": "generation used the same rules",
+    "selection": "shares of answers and questions per person obey the rules",
+    "rederive": "the second program finds the same person, answer and needed boxes",
+}
+"""What is checked, in the order in which it is reported."""
+
+REPLAY_CHECKS: Final = {
+    "replay": "every proof, run again from the stored plan, gives the stored result",
+    "compiled": "the plan, compiled to Cypher, finds the stored people and answer in the graph",
+}
+"""What is also checked when the proofs run again."""
+
+CHOICE_COUNT: Final = 4
+
+_FILES: Final = ("questions", "sequences", "answers", "evidence", "rejected")
+_PUBLIC: Final = ("sequence", "family", "template", "question", "choices", "answer_mode")
+_STATED: Final = re.compile(r"(\S+) s \(frame (\d+)\)")
+"""A stated time in a question's text: its seconds and its frame."""
+
+
+class Validation(Displayed):
+    """The result of a validation: counts per check, and its faults in the order found."""
+
+    def __init__(self) -> None:
+        self.checked: Counter[str] = Counter()
+        self.faults: dict[str, list[str]] = defaultdict(list)
+
+    def check(self, name: str, holds: bool, fault: str) -> bool:
+        """Count one check, and record the fault if it does not hold."""
+        self.add(name, 1, [] if holds else [fault])
+        return holds
+
+    def add(self, name: str, count: int, faults: Iterable[object]) -> None:
+        """Count several checks and record the faults that they found."""
+        self.checked[name] += count
+        for fault in faults:
+            self.faults[name].append(str(fault))
+
+    @property
+    def sound(self) -> bool:
+        """Whether there is no fault."""
+        return not self.faults
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row per check, for printing."""
+        replayed = REPLAY_CHECKS if REPLAY_CHECKS.keys() & self.checked.keys() else {}
+        return [
+            {
+                "check": name,
+                "checked": self.checked[name],
+                "faults": len(self.faults.get(name, ())),
+                "first fault": self.faults[name][0] if name in self.faults else "",
+                "what holds": what,
+            }
+            for name, what in (CHECKS | replayed).items()
+        ]
+
+    def _summary(self) -> str:
+        faults = sum(map(len, self.faults.values()))
+        return f"sound, {self.checked.total()} checks" if self.sound else f"{faults} faults"
+
+    def _tables(self) -> Tables:
+        return {"Checks": self.rows()}
 
 
 def validate(
@@ -45,83 +119,84 @@ def validate(
     """Check a store's questions, and derive each answer again from the annotations.
 
     `replay_proofs`: also run every proof again, in `workers` processes, and every plan as Cypher on the graph. Raises
-    StoreError for a missing file, and LockedError where the graph is in use.
+    StoreError for a missing file, and LockedError while another process writes the graph.
     """
     store, rules = Store.of(store), rules or Rules()
-    advance = step_counter(progress, "checking questions", store.questions("questions").num_rows)
+    count = store.questions("questions").num_rows
+    advance = step_counter(progress, "checking questions", count)
     report = Validation()
-    tables = {name: _read(store, name, report) for name in FILES}
-    if any(table is None for table in tables.values()):
+    tables = {name: table for name in _FILES if (table := _read(store, name, report)) is not None}
+    if len(tables) < len(_FILES):
         return report
-    marks = {(table.schema.metadata or {}).get(GENERATION_KEY.encode()) for table in tables.values() if table}
+    marks = {(table.schema.metadata or {}).get(GENERATION_KEY.encode()) for table in tables.values()}
     report.check("files", len(marks) == 1, "the files are of different generations: generate again")
-    questions, sequences, answers, evidence, _ = (table.to_pylist() for table in tables.values() if table is not None)
-    hashes = {row["rules"] for row in answers}
+    hashes = set(tables["answers"]["rules"].to_pylist())
     if hashes and rules_hash(rules) not in hashes:
         raise StoreError(f"{store.path} holds questions made under other rules: give the --rule options of generate")
-    infos = {row["sequence"]: row for row in sequences}
-    private = {row["question_id"]: row for row in answers}
-    _check_ids(report, questions, answers, evidence)
-    boxes: dict[str, dict[int, Box]] = defaultdict(dict)
-    rows_of: Counter[str] = Counter()
-    for row in evidence:
-        boxes[row["question_id"]][row["frame"]] = Box(row["x"], row["y"], row["w"], row["h"])
-        rows_of[row["question_id"]] += 1
-    of_sequence: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    for row in questions:
-        of_sequence[row["sequence"]].append(row)
-    for sequence in sorted(of_sequence):
+    infos = {row["sequence"]: row for row in tables["sequences"].to_pylist()}
+    boxes: dict[str, list[tuple[int, Box]]] = defaultdict(list)
+    for row in tables["evidence"].to_pylist():
+        boxes[row["question_id"]].append((row["frame"], Box(row["x"], row["y"], row["w"], row["h"])))
+    _check_ids(report, tables, boxes.keys())
+    by_sequence: dict[str, list[QuestionRecord]] = defaultdict(list)
+    records = read_records(store, report)
+    for record in records:
+        by_sequence[record.sequence].append(record)
+    for sequence, members in sorted(by_sequence.items()):
         if not report.check("files", sequence in infos, f"sequences.parquet lacks {sequence}"):
             continue
         annotations = Annotations.read(store, sequence, rules)
         _check_sequence(report, infos[sequence], annotations)
-        for row in of_sequence[sequence]:
-            own = private.get(row["question_id"])
-            if own is not None:
-                known = boxes[row["question_id"]]
-                check_question(report, row, own, infos[sequence], annotations, rules)
-                check_evidence(report, row, own, known, rows_of[row["question_id"]], annotations)
+        for record in members:
+            _QuestionCheck(report, record, infos[sequence], annotations, rules).run(boxes[record.question_id])
             advance(1)
-    _check_selection(report, questions, private, rules)
+    _check_selection(report, records, rules)
     # Without ids, files that cannot be read are the only fault.
     if replay_proofs and report.checked["ids"]:
-        replayed = step_counter(progress, "running proofs again", 2 * len(questions))
-        check_replay(report, store, rules, workers, replayed)
+        check_replay(report, store, records, rules, workers, step_counter(progress, "running proofs again", 2 * count))
     return report
 
 
-def check_replay(
-    report: Validation, store: Store, rules: Rules, workers: int, advance: Callable[[int], None] = lambda steps: None
-) -> None:
-    """Add to the report what comes of running every proof again, and of the compiled plans; `advance` is told how many
-    questions are done, of each twice as many as there are.
-
-    Raises StoreError for a missing file, and LockedError while the graph is written.
-    """
+def read_records(store: Store, report: Validation) -> list[QuestionRecord]:
+    """Read every question that has an answer; a record that cannot be read is a fault."""
     private = {row["question_id"]: row for row in store.questions("answers").to_pylist()}
-    questions = []
+    records = []
     for row in store.questions("questions").to_pylist():
-        own = private.get(row["question_id"])
+        name = row["question_id"]
+        if name not in private:
+            continue
         try:
-            questions.append(stored_question(row, own) if own is not None else None)
-        except AvrError as error:
-            report.check("replay", False, f"{row['question_id']}: {error}")
-    known = [question for question in questions if question is not None]
-    for name, differences in (
-        ("replay", replay(store, known, rules, workers, advance)),
-        ("compiled", ask_compiled(store, known, rules, advance)),
-    ):
-        report.checked[name] += len(known)
-        report.faults[name] += [str(difference) for difference in differences]
-        if not report.faults[name]:
-            del report.faults[name]
+            record = QuestionRecord.read(row, private[name])
+            decode_answer(record.answer_mode, record.answer)
+            records.append(record)
+        except msgspec.MsgspecError as error:
+            report.check("proofs", False, f"{name}: {error}")
+        except DecodeError as error:
+            report.check("answers", False, f"{name}: {error}")
+    return records
+
+
+def check_replay(
+    report: Validation,
+    store: Store,
+    records: Sequence[QuestionRecord],
+    rules: Rules,
+    workers: int,
+    advance: Callable[[int], None] = lambda steps: None,
+) -> None:
+    """Run every proof and every compiled plan again; `advance` receives the number of finished steps, two a question.
+
+    Raises StoreError for a missing file, and LockedError while another process writes the graph.
+    """
+    report.add("replay", len(records), replay(store, records, rules, workers, advance))
+    report.add("compiled", len(records), run_compiled(store, records, rules, advance))
 
 
 # -- files --------------------------------------------------------------------------------------------------------
 
 
 def _read(store: Store, name: str, report: Validation) -> pa.Table | None:
-    """The table, or None where its file is not what it should be."""
+    """Read a table; None where its file does not have the right form."""
     path = store.question_path(name)
     if not path.exists():
         raise StoreError(f"{path} is missing: run 'jrdb-avr generate --store {store.path}'")
@@ -150,61 +225,139 @@ def _columns(schema: pa.Schema) -> str:
     return ", ".join(f"{field.name} {field.type}" for field in schema)
 
 
-def _check_ids(
-    report: Validation, questions: list[dict[str, Any]], answers: list[dict[str, Any]], evidence: list[dict[str, Any]]
-) -> None:
-    for row in questions:
-        public = (row[name] for name in ("sequence", "family", "template", "question", "choices", "answer_mode"))
-        report.check("ids", question_id(*public) == row["question_id"], f"{row['question_id']}: id of other columns")
-    asked = Counter(row["question_id"] for row in questions)
-    answered = Counter(row["question_id"] for row in answers)
-    shown = {row["question_id"] for row in evidence}
-    for identifier in sorted(asked | answered | Counter(shown)):
-        once = asked[identifier] == 1 and answered[identifier] == 1 and identifier in shown
+def _check_ids(report: Validation, tables: Mapping[str, pa.Table], with_evidence: Iterable[str]) -> None:
+    for row in tables["questions"].to_pylist():
+        own = question_id(*(row[name] for name in _PUBLIC))
+        report.check("ids", own == row["question_id"], f"{row['question_id']}: the id of other columns")
+    questions, answers = (Counter(tables[name]["question_id"].to_pylist()) for name in ("questions", "answers"))
+    evidence = Counter(with_evidence)
+    for name in sorted(questions | answers | evidence):
         report.check(
             "ids",
-            once,
-            f"{identifier}: {asked[identifier]} times in questions, {answered[identifier]} in answers, "
-            f"{'' if identifier in shown else 'not '}in evidence",
+            questions[name] == answers[name] == evidence[name] == 1,
+            f"{name}: {questions[name]} times in questions, {answers[name]} in answers, "
+            f"{'' if name in evidence else 'not '}in evidence",
         )
 
 
 def _check_sequence(report: Validation, info: dict[str, Any], annotations: Annotations) -> None:
     frames, name = info["frames"], info["sequence"]
-    ordered = all(a < b for a, b in itertools.pairwise(frames))
-    report.check("files", ordered, f"sequences.parquet: the frames of {name} are not ascending")
     images = annotations.layers.get("images") or annotations.layers.get("2d", [])
-    report.check(
-        "files", set(frames) == set(images), f"sequences.parquet: the frames of {name} are not those there are"
-    )
-    inside = bool(frames) and frames[-1] < info["frame_count"]
-    report.check("files", inside, f"sequences.parquet: {name} has frames beyond its frame_count")
+    for holds, fault in (
+        (all(a < b for a, b in itertools.pairwise(frames)), "the frames of {} are not ascending"),
+        (set(frames) == set(images), "the frames of {} are not its annotated frames"),
+        (bool(frames) and frames[-1] < info["frame_count"], "{} has frames beyond its frame_count"),
+    ):
+        report.check("files", holds, f"sequences.parquet: {fault.format(name)}")
+
+
+# -- one question -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _QuestionCheck:
+    """The checks of one question; `info` is its row of `sequences`."""
+
+    report: Validation
+    record: QuestionRecord
+    info: Mapping[str, Any]
+    annotations: Annotations
+    rules: Rules
+
+    def check(self, name: str, holds: bool, fault: str) -> None:
+        self.report.check(name, holds, f"{self.record.question_id}: {fault}")
+
+    def run(self, boxes: Sequence[tuple[int, Box]]) -> None:
+        """Check everything; `boxes` are the question's evidence by frame."""
+        record, mode, count = self.record, self.record.answer_mode, len(self.record.choices)
+        frames = dict(boxes)
+        self.check("evidence", len(boxes) == len(frames) > 0, f"{len(boxes)} rows for {len(frames)} frames")
+        own = frames == self.annotations.boxes(record.target_track)
+        self.check("evidence", own, f"not the boxes of person {record.target_track}")
+        self.check("rules", record.rules == rules_hash(self.rules), f"generated under rules {record.rules}")
+        fine = count == len(set(record.choices)) == (CHOICE_COUNT if mode == "multiple_choice" else 0)
+        self.check("choices", fine, f"choices {list(record.choices)} for an answer of mode {mode}")
+        answer = decode_answer(mode, record.answer)
+        inside = _inside(answer, count, self.info["frame_count"])
+        self.check("answers", inside, f"{record.answer} is outside the sequence or the choices")
+        try:
+            plan, family = parse_plan(record.plan), forms_of(record.template)[0].family
+        except AvrError as error:
+            self.check("plans", False, str(error))
+            return
+        self.check("plans", canonical(plan) == record.plan, "the plan is not in its canonical form")
+        self.check("plans", plan.answer.mode == mode, f"the plan's answer is of mode {plan.answer.mode}")
+        self.check("plans", family == record.family, f"template {record.template!r} is of family {family!r}")
+        self._check_text(plan)
+        self._check_proofs(plan, answer)
+        found = rederive(self.annotations, plan, record.template, self.rules)
+        again = {
+            "answer": found.answer,
+            "target_track": found.target,
+            "needed": frozenset(found.needed),
+            "bindings": dict(found.people) | dict(found.times),
+        }
+        faults = [f"{record.question_id}: {fault}" for fault in found.faults]
+        self.report.add("rederive", len(again), [*faults, *differences(record, again)])
+
+    def _check_text(self, plan: Plan) -> None:
+        record = self.record
+        key = question_key(record.sequence, record.target_track, plan)
+        at_keyframes = self.annotations.step == KEYFRAME_STEP and "actions" in self.annotations.layers
+        try:
+            written, (template, read) = render(record.template, plan, key, at_keyframes), parse(record.question)
+        except AvrError as error:
+            self.check("text", False, str(error))
+            return
+        self.check("text", written == record.question, f"the plan reads {written!r}")
+        same = (template, canonical(read)) == (record.template, record.plan)
+        self.check("text", same, "the text states another plan")
+        stated = _STATED.findall(record.question)
+        fitting = all(seconds == f"{int(frame) / self.info['fps']:.1f}" for seconds, frame in stated)
+        self.check("text", bool(stated) and fitting, "stated seconds are not frame / fps")
+
+    def _check_proofs(self, plan: Plan, answer: Answer) -> None:
+        record = self.record
+        named = [(proof.kind, proof.variant) for proof in record.proofs]
+        wanted = expected(record.template, plan, self.rules)
+        odd = sorted(wanted.symmetric_difference(named)) or sorted(named)
+        complete = sorted(named) == sorted(wanted)
+        self.check("proofs", complete, f"proofs missing, or not expected: {', '.join(map(' '.join, odd))}")
+        broken = failing(record.template, {(proof.kind, proof.variant): proof.holds for proof in record.proofs})
+        self.check("proofs", not broken, f"{', '.join(broken)} do not hold")
+        fitting = len(record.distractors) == len(record.choices)
+        if fitting and isinstance(answer, Choice) and answer.choice <= len(record.distractors):
+            fitting = record.distractors[answer.choice - 1] is None
+        self.check("proofs", fitting, f"distractors {list(record.distractors)} do not fit the choices")
+        bound = record.bindings.keys() == {node.id for node in plan.nodes} | set(plan.times)
+        bound = bound and record.bindings[plan.target] == record.target_track
+        self.check("proofs", bound, f"bindings {record.bindings} do not fit the plan")
+
+
+def _inside(answer: Answer, choices: int, frame_count: int) -> bool:
+    match answer:
+        case Choice(number):
+            return number <= choices
+        case FrameAnswer(frame) | FrameViewpoint(frame):
+            return frame < frame_count
+        case Span(start, end):
+            return start <= end < frame_count
+    return answer.value > 0
 
 
 # -- all questions together ----------------------------------------------------------------------------------------
 
 
-def _check_selection(
-    report: Validation, questions: list[dict[str, Any]], private: dict[str, dict[str, Any]], rules: Rules
-) -> None:
-    persons: Counter[tuple[str, int, str]] = Counter()
-    chosen: dict[str, Counter[str]] = defaultdict(Counter)
-    for row in questions:
-        own = private.get(row["question_id"])
-        if own is None:
-            continue
-        persons[row["sequence"], own["target_track"], row["template"]] += 1
-        if row["answer_mode"] == "multiple_choice":
-            try:
-                answer = decode_answer("multiple_choice", own["answer"])
-            except AvrError:
-                continue
-            if isinstance(answer, Choice) and answer.choice <= len(row["choices"]):
-                chosen[row["template"]][row["choices"][answer.choice - 1]] += 1
+def _check_selection(report: Validation, records: Sequence[QuestionRecord], rules: Rules) -> None:
+    persons = Counter((record.sequence, record.target_track, record.template) for record in records)
     for (sequence, track, template), count in sorted(persons.items()):
         few = count <= rules.max_per_person
         report.check("selection", few, f"{count} questions {template} of person {track} in {sequence}")
+    chosen: dict[str, Counter[str]] = defaultdict(Counter)
+    for record in records:
+        if record.answer_mode == "multiple_choice":
+            chosen[record.template][record.answer_text] += 1
     for template, counts in sorted(chosen.items()):
-        commonest, count = counts.most_common(1)[0]
+        ((commonest, count),) = counts.most_common(1)
         share = count / counts.total()
         report.check("selection", share <= rules.max_answer_share, f"{template}: {commonest!r} takes {share:.1%}")

@@ -1,16 +1,17 @@
-"""Proofs run again: every stored plan is searched for once more, and all that is stored of it is compared.
+"""Run stored questions again: the one comparison of records, all proofs, and the plans compiled to Cypher.
 
-Nothing of the stored record is taken over. A plan's own description, found once more among everybody with a box, takes
+Nothing of the stored record is taken over. A plan's own description, resolved again among everybody with a box, takes
 the place of those that generation chooses; from there the same queries search and prove, set-wise per sequence.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
 
 from jrdb_avr.engine.generate.candidates import PASSED, RULES, Candidates, to_table
@@ -22,49 +23,139 @@ from jrdb_avr.engine.generate.relations import RELATIONS, find_facts
 from jrdb_avr.engine.generate.scene import NOBODY, Ints, box_count, load_scene
 from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.engine.rederive import Annotations, rederive
-from jrdb_avr.engine.validate.stored import Difference, Stored, decoded, read_plans, short
+from jrdb_avr.queries.compiler.find import compile_find
+from jrdb_avr.queries.compiler.mapping import SCENE
+from jrdb_avr.queries.compiler.solve import PlanQuery, solve
+from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import map_shards
-from jrdb_avr.schema.plan import Plan, canonical
-from jrdb_avr.schema.questions import Proof
+from jrdb_avr.schema.errors import AvrError, PlanError
+from jrdb_avr.schema.plan import Plan, canonical, parse_plan
+from jrdb_avr.schema.questions import Proof, QuestionRecord
 from jrdb_avr.schema.rules import Rules
-from jrdb_avr.schema.templates import Template
+from jrdb_avr.schema.templates import Template, forms_of
 
 _TOLERANCE: Final = 1e-9
 """Seconds and degrees that differ by no more are the same."""
 
 
+class Difference(NamedTuple):
+    """A column or a proof (`where`) that differs from the stored record."""
+
+    question_id: str
+    where: str
+    what: str
+
+    def __str__(self) -> str:
+        return ": ".join(self)
+
+
+class StoredPlan(NamedTuple):
+    """A stored question with its plan and the form of its template that the plan has."""
+
+    record: QuestionRecord
+    plan: Plan
+    form: Template
+
+
+# -- comparison ---------------------------------------------------------------------------------------------------
+
+
+def differences(stored: QuestionRecord, again: Mapping[str, Any]) -> Iterator[Difference]:
+    """Compare a stored record with values by column that were found again.
+
+    An answer is compared by its text, proofs one by one, a frozenset without regard to order.
+    """
+    for name, now in again.items():
+        before: Any = stored.answer_text if name == "answer" else getattr(stored, name)
+        if name == "proofs":
+            yield from _differing_proofs(stored, now)
+        elif isinstance(now, float):
+            if abs(before - now) > _TOLERANCE:
+                yield Difference(stored.question_id, name, f"stored {before}, now {now}")
+        elif now != (frozenset(before) if isinstance(now, frozenset) else before):
+            yield Difference(stored.question_id, name, f"stored {_short(before)}, now {_short(now)}")
+
+
+def _differing_proofs(stored: QuestionRecord, again: Sequence[Proof]) -> Iterator[Difference]:
+    """Proofs that are missing, superfluous or different."""
+    before, now = ({(one.kind, one.variant): one for one in proofs} for proofs in (stored.proofs, again))
+    for key in now | before:
+        if before.get(key) != now.get(key):
+            what = f"stored {_outcome(before.get(key))}, now {_outcome(now.get(key))}"
+            yield Difference(stored.question_id, " ".join(key), what)
+    if len(stored.proofs) != len(again) and before.keys() == now.keys():
+        yield Difference(stored.question_id, "proofs", f"{len(stored.proofs)} are stored, {len(again)} are run")
+
+
+def _outcome(proof: Proof | None) -> str:
+    if proof is None:
+        return "nothing"
+    answer = f" ({_short(proof.answer)})" if proof.answer is not None else ""
+    return f"{proof.outcome}{answer}, {'holds' if proof.holds else 'does not hold'}"
+
+
+def _short(value: Any) -> str:
+    """Shorten a value to fit a line of a report."""
+    text = value if isinstance(value, str) else msgspec.json.encode(value).decode()
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def read_plans(records: Iterable[QuestionRecord]) -> tuple[list[StoredPlan], list[Difference]]:
+    """Read plans with their forms; a plan that cannot be read is a difference."""
+    plans, unreadable = [], []
+    for record in records:
+        try:
+            plan = parse_plan(record.plan)
+            plans.append(StoredPlan(record, plan, _form(record.template, plan)))
+        except AvrError as error:
+            unreadable.append(Difference(record.question_id, "plan", str(error)))
+    return plans, unreadable
+
+
+def _form(name: str, plan: Plan) -> Template:
+    """Find the form of a template that a plan has. Raises PlanError where there is none."""
+    for template in forms_of(name):
+        slots = template.slots(plan)
+        if slots is not None and canonical(template.build(slots)) == canonical(plan):
+            return template
+    raise PlanError("plan", f"it is no plan of the template {name!r}")
+
+
+# -- proofs -------------------------------------------------------------------------------------------------------
+
+
 @dataclass(frozen=True)
 class ReplayJob:
-    """A sequence whose questions' proofs are to be run again."""
+    """A sequence whose questions' proofs run again."""
 
     store: Path
     sequence: str
     rules: Rules
-    questions: tuple[Stored, ...]
+    records: tuple[QuestionRecord, ...]
 
 
 def replay(
     store: Store,
-    questions: Sequence[Stored],
+    records: Sequence[QuestionRecord],
     rules: Rules,
     workers: int,
     advance: Callable[[int], None] = lambda steps: None,
 ) -> list[Difference]:
-    """Run the proofs of questions again; differences in the questions' order. `advance` is told how many are done.
+    """Run the proofs of questions again; differences come in the questions' order.
 
-    Raises StoreError where the store lacks a sequence's tables.
+    `advance` receives the number of finished questions. Raises StoreError where the store lacks a sequence's tables.
     """
-    by_sequence: dict[str, list[Stored]] = {}
-    for question in questions:
-        by_sequence.setdefault(question.sequence, []).append(question)
+    by_sequence: dict[str, list[QuestionRecord]] = {}
+    for record in records:
+        by_sequence.setdefault(record.sequence, []).append(record)
     jobs = [ReplayJob(store.path, name, rules, tuple(members)) for name, members in sorted(by_sequence.items())]
-    found: dict[str, list[Difference]] = {}
-    for index, differences in map_shards(replay_sequence, jobs, workers, lambda job: box_count(store, job.sequence)):
-        for difference in differences:
-            found.setdefault(difference.question_id, []).append(difference)
-        advance(len(jobs[index].questions))
-    return [difference for question in questions for difference in found.pop(question.question_id, [])]
+    found: list[Difference] = []
+    for index, own in map_shards(replay_sequence, jobs, workers, lambda job: box_count(store, job.sequence)):
+        found += own
+        advance(len(jobs[index].records))
+    place = {record.question_id: number for number, record in enumerate(records)}
+    return sorted(found, key=lambda difference: place[difference.question_id])
 
 
 def replay_sequence(job: ReplayJob) -> list[Difference]:
@@ -72,25 +163,24 @@ def replay_sequence(job: ReplayJob) -> list[Difference]:
     store = Store(job.store)
     scene = load_scene(store, job.sequence)
     facts = find_facts(scene)
-    given, differences = read_plans(job.questions)
+    plans, found = read_plans(job.records)
     conditions = find_conditions(scene, facts, job.rules)
-    stated = [(_root(plan), _frame(plan)) for _, plan, _ in given]
+    stated = [(_root(plan), _frame(plan)) for _, plan, _ in plans]
     descriptions, names = resolve(conditions, stated, job.rules)
-    searched: dict[str, list[tuple[Stored, Plan, int]]] = {}
-    forms: dict[str, Template] = {}
-    for (question, plan, form), name in zip(given, names, strict=True):
+    by_form: dict[str, list[tuple[StoredPlan, int]]] = {}
+    for stored, name in zip(plans, names, strict=True):
         if name < 0:
-            differences.append(Difference(question.question_id, "anchor match", "its description fits nobody alone"))
-            continue
-        forms[form.query] = form
-        searched.setdefault(form.query, []).append((question, plan, name))
+            what = "its description fits no single person"
+            found.append(Difference(stored.record.question_id, "anchor match", what))
+        else:
+            by_form.setdefault(stored.form.query, []).append((stored, name))
     annotations = Annotations.read(store, job.sequence, job.rules)
     with SearchContext(scene, job.rules, facts, descriptions) as context:
-        for query, members in searched.items():
-            again = _Regenerated(context, find_candidates(context, forms[query]), annotations)
-            for (question, plan, _), line in zip(members, _lines(again, members), strict=True):
-                differences += again.compared(question, plan, line)
-    return differences
+        for members in by_form.values():
+            again = _Regenerated(context, find_candidates(context, members[0][0].form), annotations)
+            for (stored, _), line in zip(members, _lines(again, members), strict=True):
+                found += again.compare(stored, line)
+    return found
 
 
 def _root(plan: Plan) -> tuple[Any, ...]:
@@ -106,13 +196,13 @@ _Line = Mapping[str, Any]
 """A candidate as a row of `to_table`."""
 
 
-def _lines(again: _Regenerated, members: Sequence[tuple[Stored, Plan, int]]) -> list[_Line | None]:
+def _lines(again: _Regenerated, members: Sequence[tuple[StoredPlan, int]]) -> list[_Line | None]:
     """For each plan with the number of its description, the candidate that has this plan, None where there is none."""
     candidates = again.candidates
     order = np.argsort(candidates.name, kind="stable")
     names = candidates.name[order]
     likely: list[Ints] = []
-    for _, plan, name in members:
+    for (_, plan, _), name in members:
         low, high = np.searchsorted(names, [name, name + 1])
         rows: Ints = order[low:high].astype(np.int64)
         for time in candidates.template.stated:
@@ -124,7 +214,7 @@ def _lines(again: _Regenerated, members: Sequence[tuple[Stored, Plan, int]]) -> 
     every = np.unique(np.concatenate(likely)) if likely else np.zeros(0, np.int64)
     table = to_table(again.context, candidates, every)
     lines = {line["row"]: line for line in table.to_pylist()}
-    texts = [canonical(plan) for _, plan, _ in members]
+    texts = [canonical(plan) for (_, plan, _), _ in members]
     return [
         next((lines[row] for row in rows.tolist() if lines[row]["plan"] == text), None)
         for rows, text in zip(likely, texts, strict=True)
@@ -144,66 +234,60 @@ class _Regenerated:
     candidates: Candidates
     annotations: Annotations
 
-    def compared(self, question: Stored, plan: Plan, line: _Line | None) -> Iterator[Difference]:
-        """What differs from what is stored; `line` is the candidate with the question's plan."""
+    def compare(self, stored: StoredPlan, line: _Line | None) -> Iterator[Difference]:
+        """Compare a stored record with that of `line`, the candidate with the question's plan."""
+        name = stored.record.question_id
         if line is None:
-            yield Difference(question.question_id, "plan", "the stored plan finds no candidate")
+            yield Difference(name, "plan", "the stored plan finds no candidate")
             return
         refusing = int(self.candidates.rule[line["row"]])
         if refusing != PASSED:
-            yield Difference(question.question_id, RULES[refusing], "refuses the candidate, run again")
+            yield Difference(name, RULES[refusing], "refuses the candidate, run again")
             return
-        second = rederive(self.annotations, plan, question.template, self.context.rules)
+        second = rederive(self.annotations, stored.plan, stored.record.template, self.context.rules)
         agrees = second.outcome == "defined" and second.answer == line["answer"] and not second.faults
         outcome = "same" if agrees else "different" if second.outcome == "defined" else second.outcome
         rederived = Proof("rederive", "annotations", agrees, outcome, second.answer)
         record = make_record(self.context, self.candidates, line, rederived)
         if record is None:
-            yield Difference(question.question_id, "choices", "now there are fewer than three wrong answers")
+            yield Difference(name, "choices", "now there are fewer than three wrong answers")
             return
-        again = record.columns()
-        yield from _proofs_differ(question, decoded(again["proofs"]))
-        columns = {"answer": (question.said, line["answer"]), "choices": (list(question.choices), list(record.choices))}
-        columns |= {name: (question.row[name], again[name]) for name in _COMPARED}
-        for name, (before, now) in columns.items():
-            if name in _JSON:
-                before, now = decoded(str(before)), decoded(str(now))
-            if not _same(before, now):
-                yield Difference(question.question_id, name, f"stored {short(before)}, now {short(now)}")
+        again = msgspec.structs.asdict(record) | {"answer": record.answer_text}
+        # The id is a hash of columns that are compared themselves.
+        del again["question_id"]
+        yield from differences(stored.record, again)
 
 
-_JSON: Final = ("bindings", "needed", "distractors")
-_COMPARED: Final = ("target_track", *_JSON, "hops", "time_gap_s", "separation_deg", "people_in_scene")
+# -- plans as Cypher ----------------------------------------------------------------------------------------------
 
 
-def _proofs_differ(question: Stored, again: Sequence[Mapping[str, Any]]) -> Iterator[Difference]:
-    """Proofs that are missing, too many, or come out otherwise."""
-    stored = decoded(question.row["proofs"])
-    if not isinstance(stored, list) or not all(isinstance(one, dict) for one in stored):
-        yield Difference(question.question_id, "proofs", "no list of proofs")
-        return
-    named = [{(str(one.get("kind")), str(one.get("variant"))): one for one in proofs} for proofs in (stored, again)]
-    for key in dict.fromkeys([*named[1], *named[0]]):
-        before, now = (proofs.get(key) for proofs in named)
-        if before != now:
-            where = f"{key[0]} {key[1]}"
-            yield Difference(question.question_id, where, f"stored {_outcome(before)}, now {_outcome(now)}")
-    if len(stored) != len(again) and set(named[0]) == set(named[1]):
-        yield Difference(question.question_id, "proofs", f"{len(stored)} are stored, {len(again)} are run")
+def run_compiled(
+    store: Store,
+    records: Sequence[QuestionRecord],
+    rules: Rules,
+    advance: Callable[[int], None] = lambda steps: None,
+) -> list[Difference]:
+    """Compile the stored plans and run them on the store's graph; `advance` receives the number of finished ones.
 
-
-def _outcome(one: Mapping[str, Any] | None) -> str:
-    if one is None:
-        return "nothing"
-    answer = f" ({short(one['answer'])})" if one.get("answer") is not None else ""
-    rest = "".join(f", {name} {short(one[name])}" for name in sorted(one.keys() - _PROOF_FIELDS))
-    return f"{one.get('outcome')}{answer}, {'holds' if one.get('holds') is True else 'does not hold'}{rest}"
-
-
-_PROOF_FIELDS: Final = {"kind", "variant", "holds", "outcome", "answer"}
-
-
-def _same(before: Any, now: Any) -> bool:
-    if isinstance(now, float) and isinstance(before, float):
-        return abs(before - now) <= _TOLERANCE
-    return bool(before == now)
+    Raises StoreError where there is no sound graph, LockedError while another process writes it.
+    """
+    plans, found = read_plans(records)
+    compiled: list[StoredPlan] = []
+    for stored in plans:
+        try:
+            compile_find(stored.plan, SCENE)
+            compiled.append(stored)
+        except PlanError as error:
+            found.append(Difference(stored.record.question_id, "compiled", str(error)))
+    with Graph.open(store.graph_path, read_only=True) as graph:
+        scoped = [PlanQuery(plan, record.sequence) for record, plan, _ in compiled]
+        solutions = solve(graph, SCENE, scoped, rules, advance=advance)
+    for (record, plan, _), solution in zip(compiled, solutions, strict=True):
+        if solution.outcome != "defined":
+            what = f"{solution.outcome}, stored {_short(record.answer_text)}"
+            found.append(Difference(record.question_id, "compiled", what))
+            continue
+        bindings = dict(solution.people) | dict(solution.times)
+        again = {"answer": solution.answer, "target_track": solution.people[plan.target], "bindings": bindings}
+        found += differences(record, again)
+    return found

@@ -11,8 +11,7 @@ from entry import run
 from spoiled_questions import keep_only, rewrite
 
 from jrdb_avr.engine.rederive.labels import Annotations
-from jrdb_avr.engine.validate.checks import validate
-from jrdb_avr.engine.validate.outcomes import CHECKS
+from jrdb_avr.engine.validate.checks import CHECKS, validate
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.rules import Rules
@@ -152,7 +151,8 @@ PRIVATE = {
         lambda row: needed(row, decisive=not json.loads(row["needed"])[0]["decisive"]),
         "rederive",
     ),
-    "needed that is no JSON": (lambda row: row.update(needed="x"), "rederive"),
+    "needed that is no JSON": (lambda row: row.update(needed="x"), "proofs"),
+    "bindings that are no numbers": (lambda row: row.update(bindings='{"a":"x"}'), "proofs"),
     "other rules": (lambda row: row.update(rules="0" * 16), "rules"),
 }
 
