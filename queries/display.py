@@ -9,8 +9,8 @@ from typing import Any, Final
 Progress = Callable[[str, int, int], None]
 """Called with what is done, the number of steps finished and the number of all steps."""
 
-Rows = Sequence[Mapping[str, Any]]
-Tables = Mapping[str, Rows]
+_Rows = Sequence[Mapping[str, Any]]
+Tables = Mapping[str, _Rows]
 
 MAX_ROWS: Final = 100
 """Rows that a notebook displays of one table."""
@@ -30,7 +30,7 @@ def step_counter(progress: Progress | None, what: str, total: int) -> Callable[[
     return advance
 
 
-def columns_of(rows: Rows) -> list[str]:
+def columns_of(rows: _Rows) -> list[str]:
     """Every column of any row, in the order of their first appearance."""
     return list(dict.fromkeys(name for row in rows for name in row))
 
@@ -52,7 +52,7 @@ class Displayed:
         return f"<p>{html.escape(repr(self))}</p>{''.join(shown)}"
 
 
-def _html_table(title: str, rows: Rows) -> str:
+def _html_table(title: str, rows: _Rows) -> str:
     columns = columns_of(rows)
     lines = [[row.get(name) for name in columns] for row in rows[:MAX_ROWS]]
     body = "".join(f"<tr>{_html_cells('td', line)}</tr>" for line in lines)

@@ -26,7 +26,7 @@ from jrdb_avr.queries.compiler.beliefs import (
 )
 from jrdb_avr.queries.compiler.find import Outcome, outcome_of_target, stated_frame, times_of
 from jrdb_avr.queries.compiler.reads import Queryable
-from jrdb_avr.queries.compiler.solve import PlanQuery, Solution, read_with, solve_with
+from jrdb_avr.queries.compiler.solve import PlanQuery, Solution, read_with, solve
 from jrdb_avr.schema.answers import TIE, Answer, Choice, decode_answer, same_answer
 from jrdb_avr.schema.beliefs import episode_key
 from jrdb_avr.schema.method import Question
@@ -98,7 +98,7 @@ class BeliefSolver:
         reader, match = self._match(plan, rows)
         if match.bindings is None:
             return _TOO_MANY
-        return _belief(reader, match, solve_with(reader, [PlanQuery(plan, self.key)], self._cut)[0])
+        return _belief(reader, match, solve(reader, [PlanQuery(plan, self.key)], self._cut)[0])
 
     def weigh(self, plan: Plan, rows: BeliefRows) -> Belief:
         """The same of beliefs that are at hand, without the engine."""

@@ -25,6 +25,7 @@ from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.engine.rederive import Annotations, rederive
 from jrdb_avr.queries.compiler.find import compile_find
 from jrdb_avr.queries.compiler.mapping import SCENE
+from jrdb_avr.queries.compiler.reads import SceneReader
 from jrdb_avr.queries.compiler.solve import PlanQuery, solve
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
@@ -281,7 +282,7 @@ def run_compiled(
             found.append(Difference(stored.record.question_id, "compiled", str(error)))
     with Graph.open(store.graph_path, read_only=True) as graph:
         scoped = [PlanQuery(plan, record.sequence) for record, plan, _ in compiled]
-        solutions = solve(graph, SCENE, scoped, rules, advance=advance)
+        solutions = solve(SceneReader(graph, SCENE, rules.load), scoped, rules, advance)
     for (record, plan, _), solution in zip(compiled, solutions, strict=True):
         if solution.outcome != "defined":
             what = f"{solution.outcome}, stored {_short(record.answer_text)}"

@@ -21,7 +21,9 @@ from typing import Any, Final
 
 from jrdb_avr.queries.compiler.find import (
     Agreed,
+    Edges,
     Find,
+    conditions_of,
     joined,
     outcome_of_target,
     people_of,
@@ -30,7 +32,7 @@ from jrdb_avr.queries.compiler.find import (
     times_of,
 )
 from jrdb_avr.queries.compiler.mapping import PersonId, read_text
-from jrdb_avr.queries.compiler.reads import Person, Queryable, Reader, Seen, Segment
+from jrdb_avr.queries.compiler.reads import Looks, Person, Queryable, Reader, Rows, Seen, Segment
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.schema.beliefs import TIMELESS, episode_hash
 from jrdb_avr.schema.labels import POSES
@@ -102,7 +104,7 @@ def filled(texts: int) -> int:
     return -(-texts // _TEXTS) * _TEXTS
 
 
-def believed_order(plan: Plan) -> list[tuple[str, list[tuple[int, Edge]]]]:
+def believed_order(plan: Plan) -> list[tuple[str, Edges]]:
     """Nodes in the order in which they are looked for, as `search_order`. Of the orders of a small plan it is the one
     with the smallest places in its shape: how the plan lists its edges does not matter then.
     """
@@ -167,7 +169,7 @@ def _asked_of(plan: Plan, node: str) -> list[str]:
     """What is asked of one person; first that it is seen."""
     times = times_of(plan, node)
     texts = [_said("", "", stated_frame(plan, time)) for time in times]
-    for condition in next(one.conditions for one in plan.nodes if one.id == node):
+    for condition in conditions_of(plan, node):
         name, value = condition.wanted
         texts.append(_said(name, value, 0 if name in TIMELESS else stated_frame(plan, condition.at or times[0])))
     return list(dict.fromkeys(texts))
@@ -190,7 +192,7 @@ DISTANCE_CUT_M: Final = 1.0
 """Closer or farther from this change of distance on, about the same below it (design, section 6: reference agent)."""
 
 
-BeliefRows = Mapping[str, Sequence[Mapping[str, Any]]]
+BeliefRows = Mapping[str, Rows]
 """What is believed in an episode: by the name of a statement of `queries/reads/world`, the rows that it gives."""
 
 
@@ -227,33 +229,34 @@ class BeliefReader(Reader):
     """
 
     def __init__(self, graph: Queryable, episode: str, timeout_s: float, rows: BeliefRows | None = None) -> None:
-        super().__init__(graph, {"scope": episode, "hash": episode_hash(episode)}, timeout_s)
+        self.graph, self.timeout_s = graph, timeout_s
+        self.values = {"scope": episode, "hash": episode_hash(episode)}
         self.notes: dict[int, list[tuple[str, str]]] = {}
         self.shown: dict[int, list[int]] = {}
-        self._rows: dict[str, Sequence[Mapping[str, Any]]] = dict(rows or {})
+        self._rows: dict[str, Rows] = dict(rows or {})
         self._sightings: dict[PersonId, list[Sighting]] = {}
 
     def find(self, plan: Plan) -> Find:
         return find_believed(plan)
 
-    def agreed(self, plan: Plan, find: Find, rows: Sequence[Mapping[str, Any]]) -> Agreed:
+    def agreed(self, plan: Plan, find: Find, rows: Rows) -> Agreed:
         return outcome_of_target(plan, [people_of(find, row) for row in rows])
 
-    def ask(self, cypher: str, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-        """The rows of a compiled statement, asked for one plan after the other, in any order. Raises QueryError."""
-        own = [name for name in parameters(cypher) if name not in self._values]
+    def run(self, cypher: str, rows: Rows) -> list[dict[str, Any]]:
+        """The rows of a compiled statement, run for one plan after the other, in any order. Raises QueryError."""
+        own = [name for name in parameters(cypher) if name not in self.values]
         return [
             {"id": row["id"], **found}
             for row in rows
-            for found in self._queried(cypher, {name: row[name] for name in own}, ordered=False)
+            for found in self.query(cypher, {name: row[name] for name in own}, ordered=False)
         ]
 
     # -- what is there --------------------------------------------------------------------------------------------
 
-    def all(self, name: str) -> Sequence[Mapping[str, Any]]:
+    def all(self, name: str) -> Rows:
         """Rows of a statement that asks for something of the whole episode, of what was not replaced."""
         if name not in self._rows:
-            rows = self._queried(read_text(READS, name), {})
+            rows = self.query(read_text(READS, name), {})
             self._rows[name] = [row for row in rows if row.get("current", True)]
         return self._rows[name]
 
@@ -286,9 +289,9 @@ class BeliefReader(Reader):
 
     # -- reads ----------------------------------------------------------------------------------------------------
 
-    def poses(self, asked: Sequence[tuple[Person, int]]) -> dict[int, str]:
+    def poses(self, queries: Looks) -> dict[int, str]:
         found = {}
-        for person, frame in asked:
+        for person, frame in queries:
             self._show(person, [frame])
             seen = self._at(person, frame)
             if seen is None:
@@ -299,9 +302,9 @@ class BeliefReader(Reader):
                 found[person.id] = pose
         return found
 
-    def seen(self, asked: Sequence[tuple[Person, int]]) -> dict[tuple[int, int], Seen]:
+    def seen(self, queries: Looks) -> dict[tuple[int, int], Seen]:
         found = {}
-        for person, frame in asked:
+        for person, frame in queries:
             self._show(person, [frame])
             seen = self._at(person, frame)
             present = True if seen is not None else False if frame in self.covered() else None
@@ -313,10 +316,10 @@ class BeliefReader(Reader):
             found[person.id, frame] = Seen(present, seen.distance if seen is not None else None)
         return found
 
-    def starts(self, asked: Sequence[tuple[Person, str, int]]) -> dict[int, Segment]:
+    def starts(self, queries: Sequence[tuple[Person, str, int]]) -> dict[int, Segment]:
         return {
             person.id: segment
-            for person, action, after in asked
+            for person, action, after in queries
             if (segment := self._start(person, action, after)) is not None
         }
 
@@ -343,8 +346,8 @@ class BeliefReader(Reader):
         angle = next(one.angle for one in reversed(self.moments(person.who)) if one.frame == first)
         return Segment(first, last, begin, last if end is None else end, end is not None, angle)
 
-    def absences(self, asked: Sequence[tuple[Person, int]]) -> dict[int, tuple[int | None, int | None]]:
-        return {person.id: self._absence(person, after) for person, after in asked}
+    def absences(self, queries: Looks) -> dict[int, tuple[int | None, int | None]]:
+        return {person.id: self._absence(person, after) for person, after in queries}
 
     def _absence(self, person: Person, after: int) -> tuple[int | None, int | None]:
         seen = [one.frame for one in self.sightings(person.who) if one.frame >= after]
@@ -363,9 +366,9 @@ class BeliefReader(Reader):
         last = max(frame for frame in gone if frame < back)
         return leaves, self._between(person, "returns", f"when {person.who} is back", last, back)
 
-    def next_poses(self, asked: Sequence[tuple[Person, int]]) -> dict[int, tuple[str, int]]:
+    def next_poses(self, queries: Looks) -> dict[int, tuple[str, int]]:
         found = {}
-        for person, after in asked:
+        for person, after in queries:
             held = self._at(person, after)
             if held is None or held.pose is None:
                 self._note(person, "next_action", f"the posture of {person.who} at {_at(after)} is not known")
@@ -380,9 +383,9 @@ class BeliefReader(Reader):
             found[person.id] = (follows.pose, held_last)
         return found
 
-    def counts(self, asked: Sequence[tuple[Person, str, int, int]]) -> dict[int, int]:
+    def counts(self, queries: Sequence[tuple[Person, str, int, int]]) -> dict[int, int]:
         found = {}
-        for person, relation, first, last in asked:
+        for person, relation, first, last in queries:
             self._show(person, [one.frame for one in self.sightings(person.who) if first <= one.frame <= last][::-1])
             ties = [
                 (row["source"], row["target"])
@@ -438,7 +441,7 @@ def goes_round(crops: Sequence[tuple[int, int]]) -> bool:
     return all(any((left + width - begin) % WIDTH < wide for begin, wide in crops) for left, width in crops)
 
 
-def _sighting(rows: Sequence[Mapping[str, Any]], frame: int) -> Sighting:
+def _sighting(rows: Rows, frame: int) -> Sighting:
     """What rows of beliefs say of somebody at a frame."""
     told = [row for row in rows if row["first"] <= frame <= row["last"]]
     distances = {row["number"] for row in told if row["name"] == "distance_m"}

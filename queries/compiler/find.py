@@ -10,11 +10,11 @@ What the rows of a plan's statement come to: nobody, somebody, or several.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from jrdb_avr.queries.compiler.clauses import Variables
+from jrdb_avr.queries.compiler.clauses import Clause, Variables
 from jrdb_avr.queries.compiler.mapping import PersonId, SchemaMapping, condition_values, edge_kind, edge_values
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.plan import Condition, Edge, Plan, validate
@@ -33,93 +33,85 @@ class Find:
     row: dict[str, Any]
 
 
-def compile_find(plan: Plan, names: SchemaMapping) -> Find:
+def compile_find(plan: Plan, mapping: SchemaMapping) -> Find:
     """Compile a plan's conditions and edges. Raises PlanError where the plan is invalid or not of stated times."""
     validate(plan)
-    return _Pattern(plan, names).compiled()
+    return _Pattern(plan, mapping).compiled()
 
 
 class _Pattern:
-    """Puts the statement together, a person at a time, in the order in which edges reach them."""
+    """Builds the statement, a person at a time, in the order in which edges reach them."""
 
-    def __init__(self, plan: Plan, names: SchemaMapping) -> None:
+    def __init__(self, plan: Plan, mapping: SchemaMapping) -> None:
         self.plan = plan
-        self.names = names
+        self.mapping = mapping
         self.nodes: list[str] = []
         self.row: dict[str, Any] = {}
         self.times = {name: f"t{i}" for i, name in enumerate(sorted(plan.times))}
 
     def compiled(self) -> Find:
         people = [self._person(node, edges) for node, edges in search_order(self.plan)]
-        kept = ["id", "scope", *self.row]
-        lines = ["UNWIND $plans AS q", f"WITH {', '.join(f'q.{name} AS {name}' for name in kept)}"]
+        bound = ["id", "scope", *self.row]
+        lines = ["UNWIND $plans AS q", f"WITH {', '.join(f'q.{name} AS {name}' for name in bound)}"]
         sure: list[str] = []
-        for place, (match, where, holds, sightings) in enumerate(people):
-            kept += [f"n{place}", *sightings]
+        for place, (match, where, sightings, holds) in enumerate(people):
+            bound += [f"n{place}", *sightings]
             certain = [f"{text} AS {name}" for name, text in holds.items()]
-            lines += [f"MATCH {match}", f"WHERE {' AND '.join(where)}", f"WITH {', '.join([*kept, *certain])}"]
-            kept += holds
+            lines += [f"MATCH {match}", f"WHERE {where}", f"WITH {', '.join([*bound, *certain])}"]
+            bound += holds
             sure += holds
-        who = [f"{self.names.who.format(n=f'n{i}')} AS who{i}" for i in range(len(self.nodes))]
+        who = [f"{self.mapping.who.format(n=f'n{i}')} AS who{i}" for i in range(len(self.nodes))]
         # Each by itself: the engine cannot put the results of several EXISTS together.
         certain = [f"{name} AS sure{i}" for i, name in enumerate(sure)]
         lines.append(f"RETURN {', '.join(['id', *who, *certain])}")
         lines.append(f"ORDER BY {', '.join(['id', *(f'who{i}' for i in range(len(self.nodes)))])}")
         return Find("\n".join(lines), tuple(self.nodes), self.row)
 
-    def _person(self, node: str, edges: list[tuple[int, Edge]]) -> tuple[str, list[str], dict[str, str], list[str]]:
-        """What to match, what may not be false, what holds for certain by name, and the sightings bound."""
+    def _person(self, node: str, edges: Edges) -> tuple[str, str, list[str], dict[str, str]]:
+        """The pattern, the tests of what is possible, the sightings bound, and the tests of what is certain by name."""
         self.nodes.append(node)
         place = len(self.nodes) - 1
-        sightings = {time: f"s{place}_{self._time(time)}" for time in times_of(self.plan, node)}
-        match, where = [], [f"n{place}.id <> n{other}.id" for other in range(place)]
-        for time, sighting in sightings.items():
-            at = {"n": f"n{place}", "s": sighting, "t": self._time(time), "scope": "scope"}
-            match.append(self.names.pattern.format(**at))
-            where.insert(0, self.names.there.format(**at))
+        bound = [self._at(node, time) for time in times_of(self.plan, node)]
+        where = [self.mapping.there.format(**at) for at in reversed(bound)]
+        where += [f"n{place}.id <> n{other}.id" for other in range(place)]
         holds: dict[str, str] = {}
-        for i, condition in enumerate(self._conditions(node)):
-            clause, at = self._condition(place, node, i, condition)
+        for name, clause, at in self._clauses(node, edges):
             where.append(clause.could.format(**at))
-            holds[f"c{place}_{i}_sure"] = clause.sure.format(**at)
+            holds[f"{name}_sure"] = clause.sure.format(**at)
+        match = ", ".join(self.mapping.pattern.format(**at) for at in bound)
+        return match, " AND ".join(where), [at["s"] for at in bound], holds
+
+    def _clauses(self, node: str, edges: Edges) -> Iterator[tuple[str, Clause, Variables]]:
+        """Clauses of a node's conditions and of the edges to earlier nodes, by name, with their variables."""
+        for i, condition in enumerate(conditions_of(self.plan, node)):
+            name = f"c{self.nodes.index(node)}_{i}"
+            at = self._at(node, condition.at or times_of(self.plan, node)[0])
+            yield name, self.mapping.conditions[condition.kind], at | self._values(name, condition_values(condition))
         for i, edge in edges:
-            clause, at = self._edge(i, edge)
-            where.append(clause.could.format(**at))
-            holds[f"e{i}_sure"] = clause.sure.format(**at)
-        return ", ".join(match), where, holds, list(sightings.values())
-
-    def _conditions(self, node: str) -> tuple[Condition, ...]:
-        return next(one.conditions for one in self.plan.nodes if one.id == node)
-
-    def _condition(self, place: int, node: str, i: int, condition: Condition) -> tuple[Any, Variables]:
-        """The clause of a condition, and what it is bound to."""
-        at = self._at(node, condition.at or times_of(self.plan, node)[0])
-        values = self._values(f"c{place}_{i}", condition_values(condition))
-        return self.names.conditions[condition.kind], at | values
-
-    def _edge(self, i: int, edge: Edge) -> tuple[Any, Variables]:
-        """The clause of an edge, and what it is bound to."""
-        to = self._at(edge.target, edge.at)
-        at = self._at(edge.source, edge.at) | {"m": to["n"], "z": to["s"]}
-        return self.names.edges[edge_kind(edge.relation)], at | self._values(f"e{i}", edge_values(edge.relation))
+            to, at = self._at(edge.target, edge.at), self._at(edge.source, edge.at)
+            at |= {"m": to["n"], "z": to["s"]} | self._values(f"e{i}", edge_values(edge.relation))
+            yield f"e{i}", self.mapping.edges[edge_kind(edge.relation)], at
 
     def _at(self, node: str, time: str) -> Variables:
-        place = self.nodes.index(node)
-        t = self._time(time)
+        place, t = self.nodes.index(node), self.times[time]
+        self.row[t] = stated_frame(self.plan, time)
         return {"n": f"n{place}", "s": f"s{place}_{t}", "t": t, "scope": "scope"}
 
-    def _values(self, prefix: str, values: dict[str, Any]) -> dict[str, str]:
-        names = {variable: f"{prefix}_{variable}" for variable in values}
-        self.row |= {names[variable]: value for variable, value in values.items()}
-        return names
-
-    def _time(self, name: str) -> str:
-        """The variable of a stated time."""
-        self.row[self.times[name]] = stated_frame(self.plan, name)
-        return self.times[name]
+    def _values(self, prefix: str, values: Mapping[str, Any]) -> Variables:
+        self.row |= {f"{prefix}_{variable}": value for variable, value in values.items()}
+        return {variable: f"{prefix}_{variable}" for variable in values}
 
 
-def search_order(plan: Plan) -> list[tuple[str, list[tuple[int, Edge]]]]:
+Edges = list[tuple[int, Edge]]
+"""Edges by their places in a plan."""
+
+
+def conditions_of(plan: Plan, node: str) -> tuple[Condition, ...]:
+    """The conditions of a node."""
+    return next(one.conditions for one in plan.nodes if one.id == node)
+
+
+def search_order(plan: Plan) -> list[tuple[str, Edges]]:
     """Nodes from the root on, each with the edges, by their places, that join it to those before."""
     known = [plan.root]
     while len(known) < len(plan.nodes):
@@ -127,7 +119,7 @@ def search_order(plan: Plan) -> list[tuple[str, list[tuple[int, Edge]]]]:
     return joined(plan, known)
 
 
-def joined(plan: Plan, order: Sequence[str]) -> list[tuple[str, list[tuple[int, Edge]]]]:
+def joined(plan: Plan, order: Sequence[str]) -> list[tuple[str, Edges]]:
     """Nodes in this order, each with the edges, by their places, that join it to those before."""
     edges = list(enumerate(plan.edges))
     return [
@@ -149,8 +141,7 @@ def times_of(plan: Plan, node: str) -> list[str]:
 
     Raises PlanError where there is none either.
     """
-    conditions = next(one.conditions for one in plan.nodes if one.id == node)
-    times = [condition.at for condition in conditions if condition.at is not None]
+    times = [condition.at for condition in conditions_of(plan, node) if condition.at is not None]
     times += [edge.at for edge in plan.edges if node in (edge.source, edge.target)]
     stated = sorted(name for name, time in plan.times.items() if time.frame is not None)
     if not times and not stated:

@@ -1,15 +1,16 @@
-"""What is read of people once they are found: one statement per kind of fact, each for many people at once.
+"""Reads of found people: one statement per kind of fact, each for many people at once.
 
-The statements lie in `queries/reads/<namespace>/*.cypher`; only who is counted is put together here, from an edge's
-clauses. Everything returned is by the number of the question; what is unknown is left out. `Reader` is what the solver
-asks; `SceneReader` reads what was annotated, `beliefs.BeliefReader` what an agent wrote down.
+The statements lie in `queries/reads/<namespace>/*.cypher`; only counts are compiled here, from an edge's clauses.
+Results are by the number of the question; unknown ones are left out. The solver queries a `Reader`: `SceneReader` reads
+the annotations, `beliefs.BeliefReader` the beliefs of an agent.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final, Protocol
 
 import pyarrow as pa
@@ -21,9 +22,12 @@ from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules, frames
 
+TIMEOUT_S: Final = 60.0
+"""For each statement."""
+
 
 class Queryable(Protocol):
-    """A graph as far as it is read here: `Graph`, or the world model's handle."""
+    """A graph that answers statements: `Graph`, or the world model's handle."""
 
     def query(
         self,
@@ -37,7 +41,7 @@ class Queryable(Protocol):
 
 @dataclass(frozen=True)
 class Person:
-    """A person found: the number of the question, the sequence or episode, and who it is there."""
+    """A found person: the number of the question, the sequence or episode, and the person's identity there."""
 
     id: int
     scope: str
@@ -49,8 +53,8 @@ class Person:
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of an action: the frames with it, start and end as asked for, whether it is known to end there, and
-    the panorama angle at the first frame."""
+    """A stretch of an action: the frames with it, its start and end as answers have them, whether it is known to end
+    there, and the panorama angle at the first frame."""
 
     first: int
     last: int
@@ -68,175 +72,159 @@ class Seen:
     distance: float | None
 
 
-class Reader(ABC):
-    """Reads facts of people from a graph. `values` are those of the statements' parameters beside `$plans`, by name;
-    `timeout_s` is for each statement.
+Rows = Sequence[Mapping[str, Any]]
+Looks = Sequence[tuple[Person, int]]
+"""People, each with a frame."""
+
+
+class Reader(Protocol):
+    """Facts of people in a graph.
+
+    timeout_s: of each statement; values: of the statements' parameters beside `$plans`, by name.
     """
 
-    def __init__(self, graph: Queryable, values: Mapping[str, Any], timeout_s: float) -> None:
-        self.graph = graph
-        self.timeout_s = timeout_s
-        self._values = values
+    graph: Queryable
+    timeout_s: float
+    values: Mapping[str, Any]
 
-    @abstractmethod
     def find(self, plan: Plan) -> Find:
         """The statement that finds a plan's people. Raises PlanError for a plan that cannot be compiled."""
 
-    @abstractmethod
-    def agreed(self, plan: Plan, find: Find, rows: Sequence[Mapping[str, Any]]) -> Agreed:
-        """What the rows of that statement come to."""
+    def agreed(self, plan: Plan, find: Find, rows: Rows) -> Agreed:
+        """The outcome of that statement's rows."""
 
-    def ask(self, cypher: str, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    def run(self, cypher: str, rows: Rows) -> list[dict[str, Any]]:
         """The rows of a compiled statement for the rows of `$plans`. Raises QueryError, as after the timeout."""
-        if not rows:
-            return []
-        return self._queried(cypher, {"plans": list(rows)})
+        return self.query(cypher, {"plans": list(rows)}) if rows else []
 
-    def _queried(self, cypher: str, given: dict[str, Any], *, ordered: bool = True) -> list[dict[str, Any]]:
-        values = {name: self._values[name] for name in parameters(cypher) if name not in given}
-        found = self.graph.query(cypher, given | values, ordered=ordered, timeout_s=self.timeout_s)
+    def query(self, cypher: str, params: Mapping[str, Any], *, ordered: bool = True) -> list[dict[str, Any]]:
+        """The rows of a statement under these parameters and the reader's own. Raises QueryError likewise."""
+        own = {name: self.values[name] for name in parameters(cypher) if name not in params}
+        found = self.graph.query(cypher, {**params, **own}, ordered=ordered, timeout_s=self.timeout_s)
         rows: list[dict[str, Any]] = found.to_pylist()
         return rows
 
-    @abstractmethod
-    def poses(self, asked: Sequence[tuple[Person, int]]) -> dict[int, str]:
+    def poses(self, queries: Looks) -> dict[int, str]:
         """Postures at frames."""
 
-    @abstractmethod
-    def seen(self, asked: Sequence[tuple[Person, int]]) -> dict[tuple[int, int], Seen]:
+    def seen(self, queries: Looks) -> dict[tuple[int, int], Seen]:
         """Presence and distance, by question and frame."""
 
-    @abstractmethod
-    def starts(self, asked: Sequence[tuple[Person, str, int]]) -> dict[int, Segment]:
+    def starts(self, queries: Sequence[tuple[Person, str, int]]) -> dict[int, Segment]:
         """The first start of an action after a frame."""
 
-    @abstractmethod
-    def absences(self, asked: Sequence[tuple[Person, int]]) -> dict[int, tuple[int | None, int | None]]:
-        """When somebody leaves for the first time after a frame, and is back."""
+    def absences(self, queries: Looks) -> dict[int, tuple[int | None, int | None]]:
+        """The last frame before, and the first one after, the first absence after a frame."""
 
-    @abstractmethod
-    def next_poses(self, asked: Sequence[tuple[Person, int]]) -> dict[int, tuple[str, int]]:
-        """The posture that follows the one held at a frame, and the last frame with the one before."""
+    def next_poses(self, queries: Looks) -> dict[int, tuple[str, int]]:
+        """The posture that follows the one at a frame, and the last frame with the one before."""
 
-    @abstractmethod
-    def counts(self, asked: Sequence[tuple[Person, str, int, int]]) -> dict[int, int]:
-        """How many different people are in a relation with somebody at any frame of a stretch."""
+    def counts(self, queries: Sequence[tuple[Person, str, int, int]]) -> dict[int, int]:
+        """The number of different people in a relation with a person at any frame of a stretch."""
 
 
 class SceneReader(Reader):
-    """Reads what was annotated, under the rules of its load."""
+    """Reads the annotations, under the rules of their load."""
 
-    def __init__(self, graph: Queryable, names: SchemaMapping, rules: LoadRules, timeout_s: float) -> None:
-        values = {
+    def __init__(
+        self, graph: Queryable, mapping: SchemaMapping, rules: LoadRules, timeout_s: float = TIMEOUT_S
+    ) -> None:
+        self.graph, self.mapping, self.timeout_s = graph, mapping, timeout_s
+        self.values = {
             "margin": rules.neighbor_margin_deg,
             "least": frames(rules.segment_min_s),
             "edge": frames(rules.segment_edge_s),
             "quiet": frames(rules.segment_quiet_s),
         }
-        super().__init__(graph, values, timeout_s)
-        self.names = names
-        self._grids: dict[str, dict[str, int]] | None = None
 
     def find(self, plan: Plan) -> Find:
-        """The statement that finds a plan's people."""
-        return compile_find(plan, self.names)
+        return compile_find(plan, self.mapping)
 
-    def agreed(self, plan: Plan, find: Find, rows: Sequence[Mapping[str, Any]]) -> Agreed:
-        """One certain binding, while no other is possible."""
+    def agreed(self, plan: Plan, find: Find, rows: Rows) -> Agreed:
         return outcome_of_people(find, rows)
 
-    def poses(self, asked: Sequence[tuple[Person, int]]) -> dict[int, str]:
-        """Postures at frames."""
-        found = self._read("action", [person.row(t=frame) for person, frame in asked])
+    def poses(self, queries: Looks) -> dict[int, str]:
+        found = self._read("action", [person.row(t=frame) for person, frame in queries])
         return {row["id"]: row["pose"] for row in found if row["pose"] is not None}
 
-    def seen(self, asked: Sequence[tuple[Person, int]]) -> dict[tuple[int, int], Seen]:
-        """Presence and distance, by question and frame."""
+    def seen(self, queries: Looks) -> dict[tuple[int, int], Seen]:
         found = {}
-        for row in self._read("seen", [person.row(t=frame) for person, frame in asked]):
+        for row in self._read("seen", [person.row(t=frame) for person, frame in queries]):
             absent = row["annotated"] == len(_NEIGHBOURS) and not row["boxes"]
             present = True if row["clear"] else False if absent else None
             found[row["id"], row["t"]] = Seen(present, row["distance"])
         return found
 
-    def starts(self, asked: Sequence[tuple[Person, str, int]]) -> dict[int, Segment]:
-        """The first start of an action after a frame."""
-        rows = [
-            person.row(action=action, posture=action in POSES, after=after, **grid)
-            for person, action, after in asked
-            if (grid := self._grid(person.scope))
-        ]
-        return {row.pop("id"): Segment(**row) for row in self._read("start", rows)}
+    def starts(self, queries: Sequence[tuple[Person, str, int]]) -> dict[int, Segment]:
+        rows = [person.row(action=action, posture=action in POSES, after=after) for person, action, after in queries]
+        return {row.pop("id"): Segment(**row) for row in self._read("start", self._on_grid(rows))}
 
-    def absences(self, asked: Sequence[tuple[Person, int]]) -> dict[int, tuple[int | None, int | None]]:
-        """The last frame before, and the first one after, the first absence after a frame."""
-        rows = [person.row(after=after, **grid) for person, after in asked if (grid := self._grid(person.scope))]
+    def absences(self, queries: Looks) -> dict[int, tuple[int | None, int | None]]:
+        rows = self._on_grid(person.row(after=after) for person, after in queries)
         return {row["id"]: (row["leaves"], row["returns"]) for row in self._read("absence", rows)}
 
-    def next_poses(self, asked: Sequence[tuple[Person, int]]) -> dict[int, tuple[str, int]]:
-        """The posture that follows the one at a frame by a clear start, and the last keyframe with the one before."""
-        people = {person.id: person for person, _ in asked}
-        found = self._read("next_action", [person.row(after=after) for person, after in asked])
-        follows = {row["id"]: (row["pose"], row["until"]) for row in found if row["pose"] is not None}
-        started = self.starts([(people[i], pose, until - KEYFRAME_STEP) for i, (pose, until) in follows.items()])
+    def next_poses(self, queries: Looks) -> dict[int, tuple[str, int]]:
+        """The posture that follows by a clear start, and the last keyframe with the one before."""
+        people = {person.id: person for person, _ in queries}
+        found = self._read("next_action", [person.row(after=after) for person, after in queries])
+        follows = {row["id"]: (row["pose"], row["until"] - KEYFRAME_STEP) for row in found if row["pose"] is not None}
+        started = self.starts([(people[i], pose, last) for i, (pose, last) in follows.items()])
         return {
-            i: (pose, until - KEYFRAME_STEP)
-            for i, (pose, until) in follows.items()
-            if i in started and started[i].first <= until
+            i: (pose, last)
+            for i, (pose, last) in follows.items()
+            if i in started and started[i].first <= last + KEYFRAME_STEP
         }
 
-    def counts(self, asked: Sequence[tuple[Person, str, int, int]]) -> dict[int, int]:
-        """How many different people are in a relation with somebody at any frame of a stretch."""
-        rows = [
-            person.row(t1=first, t2=last, **grid)
-            for person, _, first, last in asked
-            if (grid := self._grid(person.scope))
-        ]
+    def counts(self, queries: Sequence[tuple[Person, str, int, int]]) -> dict[int, int]:
+        rows = self._on_grid(person.row(t1=first, t2=last) for person, _, first, last in queries)
         known = {row["id"] for row in self._read("company", rows)}
-        by_text: dict[str, list[dict[str, Any]]] = {}
-        for person, relation, first, last in asked:
-            row = person.row(t1=first, t2=last, **edge_values(relation))
-            by_text.setdefault(compile_count(relation, self.names), []).append(row)
+        by_text: dict[str, list[dict[str, Any]]] = defaultdict(list)
+        for person, relation, first, last in queries:
+            if person.id in known:
+                row = person.row(t1=first, t2=last, **edge_values(relation))
+                by_text[compile_count(relation, self.mapping)].append(row)
         could: dict[int, set[int]] = {i: set() for i in known}
         does: dict[int, set[int]] = {i: set() for i in known}
-        for text, given in by_text.items():
-            for row in self.ask(text, [row for row in given if row["id"] in known]):
+        for text, members in by_text.items():
+            for row in self.run(text, members):
                 (does if row["sure"] else could)[row["id"]].add(row["other"])
         return {i: len(does[i]) for i in known if could[i] <= does[i]}
 
-    def _read(self, name: str, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-        return self.ask(read_text(self.names.reads, name), rows)
+    def _read(self, name: str, rows: Rows) -> list[dict[str, Any]]:
+        return self.run(read_text(self.mapping.reads, name), rows)
 
-    def _grid(self, scope: str) -> dict[str, int] | None:
-        """Which frames of a sequence tell of actions, None where none does."""
-        if self._grids is None:
-            found = self.graph.query(read_text(self.names.reads, "grid"), timeout_s=self.timeout_s).to_pylist()
-            self._grids = {row.pop("scope"): row for row in found}
-        return self._grids.get(scope)
+    def _on_grid(self, rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+        """The rows, each with the frames of its sequence that have action labels; without sequences that have none."""
+        return [row | self._grids[row["scope"]] for row in rows if row["scope"] in self._grids]
+
+    @cached_property
+    def _grids(self) -> dict[str, dict[str, int]]:
+        return {row.pop("scope"): row for row in self.query(read_text(self.mapping.reads, "grid"), {})}
 
 
 _NEIGHBOURS: Final = (-KEYFRAME_STEP, 0, KEYFRAME_STEP)
 
 
-def compile_count(relation: str, names: SchemaMapping) -> str:
+def compile_count(relation: str, mapping: SchemaMapping) -> str:
     """The statement for everybody who is, or could be, in a relation with a person at any frame from t1 to t2."""
     values = edge_values(relation)
-    clause = names.edges[edge_kind(relation)]
+    clause = mapping.edges[edge_kind(relation)]
     carried = ", ".join(["id", "scope", *values])
     at = {"n": "n", "s": "s", "m": "m", "z": "z", "t": "t", "scope": "scope"} | {name: name for name in values}
+    other = at | {"n": "m", "s": "z"}
     return "\n".join(
         [
             "UNWIND $plans AS q",
             f"WITH {', '.join(f'q.{name} AS {name}' for name in ('id', 'scope', 'who', 't1', 't2', *values))}",
             "UNWIND range(t1, t2) AS t",
-            f"MATCH {names.pattern.format(**at)}",
-            f"WHERE {names.there.format(**at)} AND {names.who.format(**at)} = who",
+            f"MATCH {mapping.pattern.format(**at)}",
+            f"WHERE {mapping.there.format(**at)} AND {mapping.who.format(**at)} = who",
             f"WITH {carried}, t, n, s",
-            f"MATCH {names.pattern.format(**at | {'n': 'm', 's': 'z'})}",
-            f"WHERE {names.there.format(**at | {'n': 'm', 's': 'z'})} AND m.id <> n.id AND {clause.could.format(**at)}",
+            f"MATCH {mapping.pattern.format(**other)}",
+            f"WHERE {mapping.there.format(**other)} AND m.id <> n.id AND {clause.could.format(**at)}",
             f"WITH {carried}, t, n, s, m, z",
             f"WITH id, m, {clause.sure.format(**at)} AS sure",
-            f"RETURN DISTINCT id, {names.who.format(n='m')} AS other, sure",
+            f"RETURN DISTINCT id, {mapping.who.format(n='m')} AS other, sure",
             "ORDER BY id, other, sure",
         ]
     )

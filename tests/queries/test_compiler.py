@@ -18,11 +18,12 @@ from jrdb_avr.loaders.graph import build_scene
 from jrdb_avr.queries.compiler.clauses import in_column, in_rows, unless_both_listed, unless_listed
 from jrdb_avr.queries.compiler.find import compile_find
 from jrdb_avr.queries.compiler.mapping import SCENE, SchemaMapping
+from jrdb_avr.queries.compiler.reads import SceneReader
 from jrdb_avr.queries.compiler.solve import PlanQuery, solve
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.errors import PlanError, QueryError
 from jrdb_avr.schema.plan import Plan, parse_plan
-from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.rules import LoadRules, Rules
 
 pytestmark = pytest.mark.usefixtures("known_plans")
 
@@ -41,7 +42,7 @@ class Site:
 
     def solve(self, plans):
         asked = [PlanQuery(plan if isinstance(plan, Plan) else parse_plan(plan), NAME) for plan in plans]
-        return solve(self.graph, SCENE, asked, Rules())
+        return solve(SceneReader(self.graph, SCENE, LoadRules()), asked, Rules())
 
     def moments(self, step=1):
         """Frames with somebody, and who."""
@@ -352,7 +353,8 @@ def test_statements_stop_in_time(sites):
         plan = two_nodes(
             root="n0", target="n7", nodes=nodes, edges=edges, answer=answer, times={"t0": {"frame": frame}}
         )
-        solve(sites[0].graph, SCENE, [PlanQuery(plan, NAME)] * 400, Rules(), timeout_s=0.05)
+        reader = SceneReader(sites[0].graph, SCENE, LoadRules(), timeout_s=0.05)
+        solve(reader, [PlanQuery(plan, NAME)] * 400, Rules())
 
 
 WIDE = "within 90 degrees to the left of (robot view)"
