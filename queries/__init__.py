@@ -1,1 +1,1 @@
-"""Cypher and SQL, the one graph handle, and the store they are asked of."""
+"""The store, queries of it in Cypher and SQL, the graph, and the compiler from plans to Cypher."""

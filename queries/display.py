@@ -48,8 +48,8 @@ class Displayed:
         return f"<{type(self).__name__}: {self._summary()}>"
 
     def _repr_html_(self) -> str:
-        shown = [_html_table(title, rows) for title, rows in self._tables().items() if rows]
-        return f"<p>{html.escape(repr(self))}</p>{''.join(shown)}"
+        tables = [_html_table(title, rows) for title, rows in self._tables().items() if rows]
+        return f"<p>{html.escape(repr(self))}</p>{''.join(tables)}"
 
 
 def _html_table(title: str, rows: _Rows) -> str:

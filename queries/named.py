@@ -1,8 +1,8 @@
-"""Named queries: the files of `queries/explore/*.cypher` and `queries/results/*.sql`, asked for by their stem.
+"""Named queries: the files of `queries/explore/*.cypher` and `queries/results/*.sql`, by their stem.
 
-The first comment line of a file says what it answers. A comment line `param NAME: TYPE`, or `param NAME: TYPE = VALUE`
-where there is a default, declares a parameter: text, integer or number. Where a query takes a `frame`, `seconds` may be
-given instead: frame / 15, as in questions.
+The first comment line of a file is the question that it answers. A comment line `param NAME: TYPE`, or with a default
+`param NAME: TYPE = VALUE`, declares a parameter: text, integer or number. Where a query takes a `frame`, `seconds` may
+replace it: frame / 15, as in questions.
 """
 
 from __future__ import annotations
@@ -47,19 +47,19 @@ class NamedQuery:
             words.append(f"{name} ({kind}{more})")
         return ", ".join(words)
 
-    def values(self, given: dict[str, Any]) -> dict[str, Any]:
-        """Values for every parameter. Raises QueryError, saying what to give, where one is missing, unknown or of
+    def values(self, params: dict[str, Any]) -> dict[str, Any]:
+        """Values for every parameter. Raises QueryError, with the remedy, where one is missing, unknown or of
         another type."""
-        given = dict(given)
-        if "frame" in self.types and "seconds" in given and "frame" not in given:
-            given["frame"] = round(_checked("seconds", "number", given.pop("seconds")) * FPS)
-        if unknown := sorted(given.keys() - self.types.keys()):
+        values = dict(params)
+        if "frame" in self.types and "seconds" in values and "frame" not in values:
+            values["frame"] = round(_checked("seconds", "number", values.pop("seconds")) * FPS)
+        if unknown := sorted(values.keys() - self.types.keys()):
             raise QueryError(f"{self.name} has no parameter {unknown[0]!r}; it takes {self.takes or 'none'}")
-        if missing := [name for name in self.types if name not in given and name not in self.defaults]:
-            asked = " ".join(f"--param {name}={_EXAMPLES[self.types[name]]}" for name in missing)
-            raise QueryError(f"{self.name} needs {asked}; it takes {self.takes}")
+        if missing := [name for name in self.types if name not in values and name not in self.defaults]:
+            needed = " ".join(f"--param {name}={_EXAMPLES[self.types[name]]}" for name in missing)
+            raise QueryError(f"{self.name} needs {needed}; it takes {self.takes}")
         return {
-            name: _checked(name, kind, given[name]) if name in given else self.defaults[name]
+            name: _checked(name, kind, values[name]) if name in values else self.defaults[name]
             for name, kind in self.types.items()
         }
 
@@ -83,27 +83,25 @@ def named_queries(language: str) -> dict[str, NamedQuery]:
     """The queries of a language ("cypher" or "sql") by name, sorted."""
     folder = files("jrdb_avr.queries").joinpath(FOLDERS[language])
     found = sorted(entry.name for entry in folder.iterdir() if entry.name.endswith(f".{language}"))
-    return {
-        name.rpartition(".")[0]: _read(name.rpartition(".")[0], folder.joinpath(name).read_text("utf-8"))
-        for name in found
-    }
+    names = [name.removesuffix(f".{language}") for name in found]
+    return {name: _read(name, folder.joinpath(f"{name}.{language}").read_text("utf-8")) for name in names}
 
 
-def find_query(language: str, text: str, given: dict[str, Any]) -> tuple[str, dict[str, Any]]:
-    """The statement and parameters meant by `text`: a named query, or the text itself.
+def find_query(language: str, text: str, params: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    """The statement and parameters for `text`: the name of a query, or a statement.
 
     Raises QueryError for a single word that is no query's name (naming the nearest), and for wrong parameters of one.
     """
     if not _NAME.fullmatch(text.strip()):
-        return text, given
+        return text, params
     known = named_queries(language)
     name = text.strip()
     query = known.get(name)
     if query is None:
         near = difflib.get_close_matches(name, known, 1, 0.5)
-        meant = f"did you mean {near[0]}? " if near else ""
-        raise QueryError(f"no query is named {name!r}; {meant}--list shows all: {', '.join(known) or 'none'}")
-    return query.text, query.values(given)
+        guess = f"did you mean {near[0]}? " if near else ""
+        raise QueryError(f"no query is named {name!r}; {guess}--list shows all: {', '.join(known) or 'none'}")
+    return query.text, query.values(params)
 
 
 def parse_value(text: str) -> Any:

@@ -1,4 +1,4 @@
-"""The manifest of a run, `runs/<run_id>/run.json`: which questions were asked, of whom, and how."""
+"""The manifest of a run, `runs/<run_id>/run.json`: its questions, method, model and settings."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jrdb_avr.schema.errors import StoreError
 
 
 class RunManifest(msgspec.Struct, frozen=True):
-    """`run.json`. `questions_sha256` is the hash of the questions file asked from, `question_ids` what was asked of it.
+    """`run.json`. `questions_sha256` is the hash of the questions file, `question_ids` the run's questions in it.
 
     `synthetic` marks runs of the marker model or on the sample world: their scores are labelled so wherever they are
     printed. `settings` holds what else shaped the run (budget, sampling, box convention), as plain JSON. `created` is

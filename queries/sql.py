@@ -18,7 +18,7 @@ from jrdb_avr.queries.graph.parameters import scalar
 from jrdb_avr.schema.errors import QueryError, StoreError
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, QUESTIONS, RUNS
 
-TIMEOUT_S: Final = 60.0
+_TIMEOUT_S: Final = 60.0
 
 JOINED: Final[dict[str, str]] = {
     "sightings_keypoints": (
@@ -43,7 +43,7 @@ def views(folder: Path) -> Iterator[tuple[str, pa.Schema, list[Path]]]:
 
 
 def query_tables(
-    folder: Path, sql: str, params: Mapping[str, Any] | None = None, *, timeout_s: float = TIMEOUT_S
+    folder: Path, sql: str, params: Mapping[str, Any] | None = None, *, timeout_s: float = _TIMEOUT_S
 ) -> pa.Table:
     """Run one SELECT over the views of a store's folder; `$name` in it are bound to `params`.
 
@@ -56,13 +56,7 @@ def query_tables(
     with duckdb.connect(":memory:") as connection:
         broken = _make_views(connection, folder)
         _lock_down(connection)
-        stopped = threading.Event()
-
-        def stop() -> None:
-            stopped.set()
-            connection.interrupt()
-
-        timer = threading.Timer(timeout_s, stop)
+        timer = threading.Timer(timeout_s, connection.interrupt)
         timer.daemon = True
         timer.start()
         try:
@@ -72,9 +66,9 @@ def query_tables(
             # As a relation, so that the rows are not copied once more on their way to Arrow.
             values = {name: scalar(value) for name, value in (params or {}).items()}
             return connection.sql(sql, params=values or None).to_arrow_table()
+        except duckdb.InterruptException:
+            raise QueryError(f"stopped after {timeout_s:g} s: narrow the statement, or raise the timeout") from None
         except duckdb.Error as error:
-            if stopped.is_set():
-                raise QueryError(f"stopped after {timeout_s:g} s: narrow the statement, or raise the timeout") from None
             message = " ".join(str(error).split())
             for name, reason in broken.items():
                 if f"Table with name {name} " in message:
@@ -90,32 +84,32 @@ def _make_views(connection: Any, folder: Path) -> dict[str, str]:
 
     broken: dict[str, str] = {}
     allowed: list[str] = []
-    for name, schema, files in views(folder):
-        if not files:
-            connection.register(name, schema.empty_table())
-            continue
-        paths = [str(path.resolve()) for path in files]
-        allowed += paths
-        listed = ", ".join(_quoted(path) for path in paths)
+
+    def make(name: str, query: str, fault: str) -> None:
         try:
-            connection.execute(f"CREATE VIEW {name} AS SELECT * FROM read_parquet([{listed}])")  # noqa: S608
+            connection.execute(f"CREATE VIEW {name} AS {query}")
         except duckdb.Error as error:
-            broken[name] = f"cannot read the files of {name}: {' '.join(str(error).split())}"
+            broken[name] = f"{fault}: {' '.join(str(error).split())}"
+
+    for name, schema, files in views(folder):
+        if files:
+            paths = [_quoted(str(path.resolve())) for path in files]
+            allowed += paths
+            make(name, f"SELECT * FROM read_parquet([{', '.join(paths)}])", f"cannot read the files of {name}")  # noqa: S608
+        else:
+            connection.register(name, schema.empty_table())
     for name, query in JOINED.items():
-        reason = next((reason for table, reason in broken.items() if table in query), None)
-        try:
-            if reason is None:
-                connection.execute(f"CREATE VIEW {name} AS {query}")
-        except duckdb.Error as error:  # files that are Parquet, of another form
-            reason = f"cannot make {name}: {' '.join(str(error).split())}"
-        if reason is not None:
+        if reason := next((reason for table, reason in broken.items() if table in query), ""):
             broken[name] = reason
-    connection.execute(f"SET allowed_paths = [{', '.join(_quoted(path) for path in allowed)}]")
+        else:
+            # Its tables may be Parquet files of another form.
+            make(name, query, f"cannot make {name}")
+    connection.execute(f"SET allowed_paths = [{', '.join(allowed)}]")
     return broken
 
 
 def _lock_down(connection: Any) -> None:
-    """Take every way out of the connection, for good."""
+    """Close every way out of the connection, for good."""
     for setting in (
         "python_enable_replacements = false",
         "autoinstall_known_extensions = false",

@@ -1,8 +1,8 @@
 """The store on disk: where everything lies, atomic writes, and the Parquet side of it.
 
     STORE/
-      annotations/<layer>/<sequence>.parquet    what the label files say
-      intervals/<kind>/<sequence>.parquet       what follows from them
+      annotations/<layer>/<sequence>.parquet    the label files as tables
+      intervals/<kind>/<sequence>.parquet       intervals derived from them
       store.json                                the manifest, written last
       graph.kuzu                                an index over the intervals, rebuildable
       questions/*.parquet
@@ -45,7 +45,7 @@ _PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
 class SequenceEntry(msgspec.Struct, frozen=True):
-    """What the manifest says of a sequence: its layers, and its files' content hashes by path in the store."""
+    """A sequence in the manifest: its layers, and its files' content hashes by path in the store."""
 
     layers: tuple[str, ...]
     tables: dict[str, str]
@@ -75,7 +75,7 @@ def safe_sequence(name: str) -> str:
     return name
 
 
-def write_atomic(path: Path, write: Callable[[Path], None]) -> None:
+def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
     """Call `write` with a path beside `path`, sync the file, rename it in. Raises StoreError if the disk refuses."""
     temporary: Path | None = None
     if path.exists() and not path.is_file():
@@ -94,7 +94,7 @@ def write_atomic(path: Path, write: Callable[[Path], None]) -> None:
         temporary.chmod(0o666 & ~umask)
         temporary.replace(path)
     except OSError as error:
-        # pyarrow raises its own OSError without a number; its text then says what happened.
+        # pyarrow raises its own OSError without a number; its text then is the reason.
         reason = os.strerror(error.errno) if error.errno else str(error).splitlines()[0]
         hint = "; free some space" if error.errno in (errno.ENOSPC, errno.EFBIG) else ""
         raise StoreError(f"cannot write {path}: {reason}{hint}") from None
@@ -105,11 +105,7 @@ def write_atomic(path: Path, write: Callable[[Path], None]) -> None:
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a file whole, as `write_atomic` does. Raises StoreError if the disk refuses."""
-
-    def write(temporary: Path) -> None:
-        temporary.write_bytes(data)
-
-    write_atomic(path, write)
+    write_atomic(path, lambda temporary: temporary.write_bytes(data))
 
 
 def write_json(path: Path, value: msgspec.Struct) -> None:
@@ -307,7 +303,7 @@ def read_table(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
     """Read a Parquet table, or some of its columns. Raises StoreError naming the file if it is missing or broken."""
     try:
         file = pq.ParquetFile(path)
-        # Of the columns asked for, the reader would leave out silently what the file does not have.
+        # The reader would silently leave out columns that the file does not have.
         if lacking := set(columns or ()) - set(file.schema_arrow.names):
             raise pa.ArrowKeyError(f"it lacks the column {min(lacking)}")
         return file.read(columns)

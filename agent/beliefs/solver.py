@@ -123,7 +123,7 @@ class BeliefSolver:
         best = min(match.people, key=lambda who: (-fits[who], -len({one.frame for one in reader.moments(who)}), who))
         solution = read_with(reader, PlanQuery(plan, self.key), {plan.target: best}, self._cut)
         if solution.outcome == "unknown":
-            reader.shown.clear()
+            reader.evidence.clear()
         return _belief(reader, match, solution)
 
     def answer(self, plan: Plan, belief: Belief) -> Answer | None:
@@ -176,7 +176,7 @@ def _belief(reader: BeliefReader, match: PlanMatch, solution: Solution) -> Belie
     people = {node: str(who) for node, who in solution.people.items()}
     if not people:
         return Belief(solution.outcome, missing=_unfound(reader, match, solution.outcome))
-    seen = _seen(reader.moments(people[match.plan.target]), reader.shown.get(0, []))
+    seen = _seen(reader.moments(people[match.plan.target]), reader.evidence.get(0, []))
     missing = () if solution.outcome == "defined" else _unread(reader, match.plan, people)
     return Belief(solution.outcome, people, dict(solution.times), solution.answer, seen, missing)
 

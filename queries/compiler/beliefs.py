@@ -44,24 +44,23 @@ READS: Final = "world"
 """The folder of the world namespace's statements."""
 
 _TEXTS: Final = 4
-"""A statement asks for so many texts of each person, or for the next multiple of it."""
+"""A statement compares this many texts of each person, or the next multiple of it."""
 
 _SMALL: Final = 5
-"""People up to whom all orders of a plan are tried."""
+"""Number of people up to which all orders of a plan are tried."""
 
 _ENDS: Final = ("who", "whom")
 
 _NOTHING: Final = ""
-"""What no belief says."""
+"""The text of no belief."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """What the statement of a plan depends on.
+    """The shape of a plan, on which its statement depends.
 
     people: how many nodes there are, called by their places in the search; edges: the places that each joins, the
-    earlier first; texts: how many are asked for of each person; anybody: whether one says of a person only that it is
-    in a relation, whoever the other one is.
+    earlier first; texts: the number compared of each person; anybody: whether a condition is a relation to anybody.
     """
 
     people: int
@@ -78,10 +77,10 @@ def find_believed(plan: Plan) -> Find:
     """
     validate(plan)
     places = {node: place for place, (node, _) in enumerate(believed_order(plan))}
-    people = [_asked_of(plan, node) for node in places]
-    edges = sorted(_asked_between(plan, edge, places) for edge in plan.edges)
+    people = [_texts_of(plan, node) for node in places]
+    edges = sorted(_texts_between(plan, edge, places) for edge in plan.edges)
     conditions = [one for node in plan.nodes for one in node.conditions if one.interaction is not None]
-    ties = {_said(one.wanted[1], "", stated_frame(plan, one.at or "")) for one in conditions}
+    ties = {_text(one.wanted[1], "", stated_frame(plan, one.at or "")) for one in conditions}
     shape = Shape(
         people=len(people),
         edges=tuple(pair for pair, _, _ in edges),
@@ -90,9 +89,9 @@ def find_believed(plan: Plan) -> Find:
     )
     row: dict[str, Any] = {}
     for place, texts in enumerate(people):
-        # What is asked for once more changes nothing.
-        asked = texts + texts[:1] * (shape.texts - len(texts))
-        row |= {f"c{place}_{i}": f"/{text}/" for i, text in enumerate(asked)}
+        # A repeated text changes nothing.
+        padded = texts + texts[:1] * (shape.texts - len(texts))
+        row |= {f"c{place}_{i}": f"/{text}/" for i, text in enumerate(padded)}
     for i, (_, there, back) in enumerate(edges):
         row |= {f"e{i}": f"/{there}/", f"b{i}": f"/{back}/"}
     row["wanted"] = sorted(({text[1:-1] for text in row.values()} | ties) - {_NOTHING})
@@ -100,13 +99,13 @@ def find_believed(plan: Plan) -> Find:
 
 
 def filled(texts: int) -> int:
-    """How many texts of each person a statement asks for where there are so many."""
+    """The number of texts that a statement compares of each person where the plan has this many."""
     return -(-texts // _TEXTS) * _TEXTS
 
 
 def believed_order(plan: Plan) -> list[tuple[str, Edges]]:
-    """Nodes in the order in which they are looked for, as `search_order`. Of the orders of a small plan it is the one
-    with the smallest places in its shape: how the plan lists its edges does not matter then.
+    """Nodes in the order of the search, as `search_order`. For a small plan it is the order with the smallest places in
+    its shape, which does not depend on the order of the plan's edges.
     """
     if len(plan.nodes) > _SMALL:
         return search_order(plan)
@@ -129,14 +128,14 @@ def _orders(plan: Plan, known: Sequence[str]) -> Iterator[Sequence[str]]:
 def statement(shape: Shape) -> str:
     """The statement of a shape. Names in it are the compiler's own."""
     lines = read_text(READS, "beliefs").rstrip().splitlines()
-    told = "concat(r.whom, '/', said, '/', r.who)"
+    text = "concat(r.whom, '/', said, '/', r.who)"
     if shape.anybody:
-        # A relation says of both ends what an attribute would.
+        # A relation stands for an attribute of both ends.
         ends = [f"concat('/interaction=', r.name, '@', CAST(r.first AS STRING), '/', r.{end})" for end in _ENDS]
-        lines.append(f"UNWIND CASE WHEN r.whom IS NULL THEN [{told}] ELSE [{', '.join([told, *ends])}] END AS one")
-        told = "one"
-    lines.append(f"WITH collect({told}) AS told, collect(DISTINCT r.who) AS people")
-    bound = ["told", "people"]
+        lines.append(f"UNWIND CASE WHEN r.whom IS NULL THEN [{text}] ELSE [{', '.join([text, *ends])}] END AS one")
+        text = "one"
+    lines.append(f"WITH collect({text}) AS beliefs, collect(DISTINCT r.who) AS people")
+    bound = ["beliefs", "people"]
     for place in range(shape.people):
         bound.append(f"n{place}")
         tests = " AND ".join(_tests(shape, place))
@@ -151,38 +150,36 @@ def _tests(shape: Shape, place: int) -> Iterator[str]:
     for other in range(place):
         yield f"{own} <> n{other}"
     for i in range(shape.texts):
-        yield f"concat($c{place}_{i}, {own}) IN told"
+        yield f"concat($c{place}_{i}, {own}) IN beliefs"
     for i, (first, second) in enumerate(shape.edges):
         if second == place:
-            yield f"(concat({own}, $e{i}, n{first}) IN told OR concat(n{first}, $b{i}, {own}) IN told)"
+            yield f"(concat({own}, $e{i}, n{first}) IN beliefs OR concat(n{first}, $b{i}, {own}) IN beliefs)"
 
 
-# -- what a plan asks for ---------------------------------------------------------------------------------------------
+# -- texts of a plan --------------------------------------------------------------------------------------------------
 
 
-def _said(name: str, value: str, frame: int) -> str:
-    """What is said at a frame, as the statement puts it: of a relation, which has no value, its name."""
+def _text(name: str, value: str, frame: int) -> str:
+    """A belief at a frame as text; a relation has no value but its name."""
     return f"{name}={value}@{frame}"
 
 
-def _asked_of(plan: Plan, node: str) -> list[str]:
-    """What is asked of one person; first that it is seen."""
+def _texts_of(plan: Plan, node: str) -> list[str]:
+    """The texts of one person; first the sighting."""
     times = times_of(plan, node)
-    texts = [_said("", "", stated_frame(plan, time)) for time in times]
+    texts = [_text("", "", stated_frame(plan, time)) for time in times]
     for condition in conditions_of(plan, node):
         name, value = condition.wanted
-        texts.append(_said(name, value, 0 if name in TIMELESS else stated_frame(plan, condition.at or times[0])))
+        texts.append(_text(name, value, 0 if name in TIMELESS else stated_frame(plan, condition.at or times[0])))
     return list(dict.fromkeys(texts))
 
 
-def _asked_between(plan: Plan, edge: Edge, places: Mapping[str, int]) -> tuple[tuple[int, int], str, str]:
-    """The places that an edge joins, the earlier first, and what is asked of them in this order, and the other way
-    round.
-    """
-    said = _said(edge.relation, "", stated_frame(plan, edge.at))
+def _texts_between(plan: Plan, edge: Edge, places: Mapping[str, int]) -> tuple[tuple[int, int], str, str]:
+    """The places that an edge joins, the earlier first, and its texts in this order and in reverse."""
+    text = _text(edge.relation, "", stated_frame(plan, edge.at))
     source, target = places[edge.source], places[edge.target]
-    back = said if edge.relation in SYMMETRIC else _NOTHING
-    return ((source, target), said, back) if source < target else ((target, source), back, said)
+    back = text if edge.relation in SYMMETRIC else _NOTHING
+    return ((source, target), text, back) if source < target else ((target, source), back, text)
 
 
 RESOLVED_FRAMES: Final = 30
@@ -193,12 +190,12 @@ DISTANCE_CUT_M: Final = 1.0
 
 
 BeliefRows = Mapping[str, Rows]
-"""What is believed in an episode: by the name of a statement of `queries/reads/world`, the rows that it gives."""
+"""The beliefs of an episode: rows by the name of their statement in `queries/reads/world`."""
 
 
 @dataclass(frozen=True)
 class Sighting:
-    """Somebody at a frame: actions and distance in metres, as far as they were written down."""
+    """Somebody at a frame: actions and distance in metres, as far as known."""
 
     frame: int
     actions: tuple[str, ...]
@@ -222,17 +219,17 @@ class Moment:
 
 
 class BeliefReader(Reader):
-    """Reads what is believed in one episode. Why something is unknown is kept in `notes`, where the answer can be seen
-    in `shown`, the best last: both by the number of the question. One reader serves one solving.
+    """Reads the beliefs of one episode, for one solving.
 
-    rows: what is currently believed, where that is known already; the graph is then asked for nothing that is read.
+    notes: why something is unknown; evidence: frames in which the answer can be seen, the best last; both by the number
+    of the question. rows: the current beliefs, where they are at hand; the reads then do not query the graph.
     """
 
     def __init__(self, graph: Queryable, episode: str, timeout_s: float, rows: BeliefRows | None = None) -> None:
         self.graph, self.timeout_s = graph, timeout_s
         self.values = {"scope": episode, "hash": episode_hash(episode)}
         self.notes: dict[int, list[tuple[str, str]]] = {}
-        self.shown: dict[int, list[int]] = {}
+        self.evidence: dict[int, list[int]] = {}
         self._rows: dict[str, Rows] = dict(rows or {})
         self._sightings: dict[PersonId, list[Sighting]] = {}
 
@@ -254,7 +251,7 @@ class BeliefReader(Reader):
     # -- what is there --------------------------------------------------------------------------------------------
 
     def all(self, name: str) -> Rows:
-        """Rows of a statement that asks for something of the whole episode, of what was not replaced."""
+        """Rows of a statement over the whole episode, without replaced ones."""
         if name not in self._rows:
             rows = self.query(read_text(READS, name), {})
             self._rows[name] = [row for row in rows if row.get("current", True)]
@@ -264,8 +261,8 @@ class BeliefReader(Reader):
         """Sightings of somebody, by frame."""
         if who not in self._sightings:
             frames = {moment.frame for moment in self.moments(who)}
-            told = [row for row in self.all("attributes") if row["who"] == who]
-            self._sightings[who] = [_sighting(told, frame) for frame in sorted(frames)]
+            rows = [row for row in self.all("attributes") if row["who"] == who]
+            self._sightings[who] = [_sighting(rows, frame) for frame in sorted(frames)]
         return self._sightings[who]
 
     def moments(self, who: PersonId) -> list[Moment]:
@@ -284,7 +281,7 @@ class BeliefReader(Reader):
         return sorted(frame for frame, crops in looks.items() if goes_round(crops))
 
     def nodes(self) -> dict[str, str]:
-        """Names of everybody, with the node that each is said to be, "" for none."""
+        """Names of all entities, each with its node of the plan, "" for none."""
         return {row["who"]: row["node"] for row in self.all("entities")}
 
     # -- reads ----------------------------------------------------------------------------------------------------
@@ -292,7 +289,7 @@ class BeliefReader(Reader):
     def poses(self, queries: Looks) -> dict[int, str]:
         found = {}
         for person, frame in queries:
-            self._show(person, [frame])
+            self._add_evidence(person, [frame])
             seen = self._at(person, frame)
             if seen is None:
                 self._note(person, "action", f"{person.who} is not seen at {_at(frame)}")
@@ -305,7 +302,7 @@ class BeliefReader(Reader):
     def seen(self, queries: Looks) -> dict[tuple[int, int], Seen]:
         found = {}
         for person, frame in queries:
-            self._show(person, [frame])
+            self._add_evidence(person, [frame])
             seen = self._at(person, frame)
             present = True if seen is not None else False if frame in self.covered() else None
             if present is None:
@@ -317,11 +314,8 @@ class BeliefReader(Reader):
         return found
 
     def starts(self, queries: Sequence[tuple[Person, str, int]]) -> dict[int, Segment]:
-        return {
-            person.id: segment
-            for person, action, after in queries
-            if (segment := self._start(person, action, after)) is not None
-        }
+        found = {person.id: self._start(person, action, after) for person, action, after in queries}
+        return {number: segment for number, segment in found.items() if segment is not None}
 
     def _start(self, person: Person, action: str, after: int) -> Segment | None:
         seen = [one for one in self.sightings(person.who) if one.frame >= after]
@@ -340,7 +334,7 @@ class BeliefReader(Reader):
         if ended is None:
             self._note(person, "end", f"{person.who} is not seen to have ended {action} after {_at(last)}")
         end = None if ended is None else self._between(person, "end", f"the end of {action}", last, ended)
-        self._show(person, [first])
+        self._add_evidence(person, [first])
         if begin is None:
             return None
         angle = next(one.angle for one in reversed(self.moments(person.who)) if one.frame == first)
@@ -359,7 +353,7 @@ class BeliefReader(Reader):
         before = max(frame for frame in seen if frame < gone[0])
         leaves = self._between(person, "leaves", f"when {person.who} leaves", before, gone[0])
         back = next((frame for frame in seen if frame > gone[0]), None)
-        self._show(person, [before] if back is None else [before, back])
+        self._add_evidence(person, [before] if back is None else [before, back])
         if back is None:
             self._note(person, "returns", f"{person.who} is not seen to be back after {_at(gone[0])}")
             return leaves, None
@@ -378,7 +372,7 @@ class BeliefReader(Reader):
             if follows is None or follows.pose is None:
                 self._note(person, "next_action", f"no other posture of {person.who} is known after {_at(after)}")
                 continue
-            self._show(person, [follows.frame])
+            self._add_evidence(person, [follows.frame])
             held_last = max([after, *(one.frame for one in later if one.frame < follows.frame)])
             found[person.id] = (follows.pose, held_last)
         return found
@@ -386,15 +380,13 @@ class BeliefReader(Reader):
     def counts(self, queries: Sequence[tuple[Person, str, int, int]]) -> dict[int, int]:
         found = {}
         for person, relation, first, last in queries:
-            self._show(person, [one.frame for one in self.sightings(person.who) if first <= one.frame <= last][::-1])
-            ties = [
-                (row["source"], row["target"])
-                for row in self.all("relations")
-                if row["name"] == relation and row["first"] <= last and row["last"] >= first
-            ]
-            met = {target for source, target in ties if source == person.who}
+            seen = [one.frame for one in self.sightings(person.who) if first <= one.frame <= last]
+            self._add_evidence(person, seen[::-1])
+            rows = [row for row in self.all("relations") if row["name"] == relation]
+            rows = [row for row in rows if row["first"] <= last and row["last"] >= first]
+            met = {row["target"] for row in rows if row["source"] == person.who}
             if relation in SYMMETRIC:
-                met |= {source for source, target in ties if target == person.who}
+                met |= {row["source"] for row in rows if row["target"] == person.who}
             if met:
                 found[person.id] = len(met)
             else:
@@ -417,12 +409,12 @@ class BeliefReader(Reader):
     def _note(self, person: Person, kind: str, text: str) -> None:
         self.notes.setdefault(person.id, []).append((kind, text))
 
-    def _show(self, person: Person, frames: Sequence[int]) -> None:
-        self.shown.setdefault(person.id, []).extend(frames)
+    def _add_evidence(self, person: Person, frames: Sequence[int]) -> None:
+        self.evidence.setdefault(person.id, []).extend(frames)
 
 
 def notes_of(plan: Plan, notes: Sequence[tuple[str, str]]) -> list[str]:
-    """What of a reader's notes matters to a plan: how an action ends, and when somebody is back, where it asks so."""
+    """The notes of a reader that matter to a plan: ends of actions and returns only where it has such events."""
     events = {time.event for time in plan.times.values()}
     read = plan.answer.read
     matters: Mapping[str, bool] = {
@@ -434,18 +426,16 @@ def notes_of(plan: Plan, notes: Sequence[tuple[str, str]]) -> list[str]:
 
 
 def goes_round(crops: Sequence[tuple[int, int]]) -> bool:
-    """Whether crops, as left columns and widths in pixels, leave out no column of the panorama.
-
-    Where a crop ends another one must go on; where that is so of all of them, there is no last column before a gap.
-    """
+    """Whether crops, as left columns and widths in pixels, leave out no column of the panorama."""
+    # Where each crop ends another one goes on, so that there is no last column before a gap.
     return all(any((left + width - begin) % WIDTH < wide for begin, wide in crops) for left, width in crops)
 
 
 def _sighting(rows: Rows, frame: int) -> Sighting:
-    """What rows of beliefs say of somebody at a frame."""
-    told = [row for row in rows if row["first"] <= frame <= row["last"]]
-    distances = {row["number"] for row in told if row["name"] == "distance_m"}
-    actions = tuple(row["value"] for row in told if row["name"] == "action")
+    """Somebody at a frame, by rows of beliefs."""
+    current = [row for row in rows if row["first"] <= frame <= row["last"]]
+    distances = {row["number"] for row in current if row["name"] == "distance_m"}
+    actions = tuple(row["value"] for row in current if row["name"] == "action")
     return Sighting(frame, actions, distances.pop() if len(distances) == 1 else None)
 
 

@@ -1,11 +1,9 @@
 """The statement that finds the people of a plan: its conditions and edges as one Cypher pattern.
 
-Every row is a binding of the plan's nodes to different people whom no condition and no edge excludes; `sure0`, `sure1`,
-... say of each condition and edge whether it certainly holds. The text depends on the plan's shape alone, so plans of
-one text are asked together: their times and values are rows of the parameter `$plans`. Names in the statement are the
-compiler's own.
-
-What the rows of a plan's statement come to: nobody, somebody, or several.
+Every row binds the plan's nodes to different people that no condition and no edge excludes; its columns `sure0`,
+`sure1`, ... are whether each condition and edge certainly holds. The rows of a plan decide its outcome. The text
+depends on the plan's shape alone, so plans of one text run together: their times and values are rows of the parameter
+`$plans`. Names in the statement are the compiler's own.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ class Find:
     """A plan's statement.
 
     cypher: gives columns id, who0, who1, ... and sure0, sure1, ..., ordered; nodes: the plan's nodes in the order of
-    `who`; row: what the plan puts into `$plans`, but for `id` and `scope`.
+    `who`; row: the plan's values in `$plans`, without `id` and `scope`.
     """
 
     cypher: str
@@ -152,16 +150,16 @@ def times_of(plan: Plan, node: str) -> list[str]:
 Outcome = Literal["defined", "ambiguous", "empty", "unknown"]
 
 Agreed = tuple[Outcome, Mapping[str, PersonId]]
-"""An outcome, and who the plan's nodes are where it is defined."""
+"""An outcome, and the people of the plan's nodes where it is defined."""
 
 
 def people_of(find: Find, row: Mapping[str, Any]) -> dict[str, PersonId]:
-    """The binding that a row of a plan's statement is."""
+    """The people of a row of a plan's statement, by node."""
     return {node: row[f"who{place}"] for place, node in enumerate(find.nodes)}
 
 
 def outcome_of_people(find: Find, rows: Sequence[Mapping[str, Any]]) -> Agreed:
-    """Where one binding is to be certain, and no other one possible."""
+    """The outcome where one binding must be certain, and no other one possible."""
     certain = sum(all(row[name] for name in row if name.startswith("sure")) for row in rows)
     if certain > 1:
         return "ambiguous", {}
@@ -171,7 +169,7 @@ def outcome_of_people(find: Find, rows: Sequence[Mapping[str, Any]]) -> Agreed:
 
 
 def outcome_of_target(plan: Plan, people: Sequence[Mapping[str, PersonId]]) -> Agreed:
-    """Where bindings are certain, and are to have one target: with the nodes who they are the same in all of them."""
+    """The outcome of certain bindings that must share one target, with the nodes bound identically in all of them."""
     if len({one[plan.target] for one in people}) != 1:
         return "ambiguous" if people else "empty", {}
     return "defined", {node: who for node, who in people[0].items() if all(one[node] == who for one in people)}

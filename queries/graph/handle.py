@@ -48,8 +48,8 @@ _ONE_CHUNK: Final = 100_000
 
 _PREPARED: Final = 256
 """Statements that a graph keeps prepared at a time: parsed, that is; the engine plans them at each use. Also plannings
-before a connection is given up for a new one: the engine keeps every statement that was given to it with parameters,
-half a megabyte each and more, until its connection ends."""
+before a connection is given up for a new one: the engine holds every statement with parameters, half a megabyte
+each and more, until its connection ends."""
 
 _MATCH = re.compile(r"\bMATCH\b", re.IGNORECASE)
 _ROW = re.compile(r"\s*CREATE\s*\(", re.IGNORECASE)
@@ -202,13 +202,13 @@ class Graph:
             self._run("BEGIN TRANSACTION", {}, None)
             self._in_transaction = True
             try:
-                try:
-                    yield
-                except BaseException:
-                    # The engine has already rolled back if one of its own statements failed.
-                    with contextlib.suppress(QueryError, StoreError):
-                        self._run("ROLLBACK", {}, None)
-                    raise
+                yield
+            except BaseException:
+                # The engine has already rolled back if one of its own statements failed.
+                with contextlib.suppress(QueryError, StoreError):
+                    self._run("ROLLBACK", {}, None)
+                raise
+            else:
                 self._run("COMMIT", {}, None)
             finally:
                 self._in_transaction = False
@@ -249,16 +249,16 @@ class Graph:
         if not (self._prepares and values) or rows or text.startswith("EXPLAIN"):
             self._planned += bool(values)
             return text
-        kept = self._prepared.get(text)
-        if kept is None:
+        prepared = self._prepared.get(text)
+        if prepared is None:
             import kuzu
 
-            kept = kuzu.PreparedStatement(self._connection, text, dict(values))
+            prepared = kuzu.PreparedStatement(self._connection, text, dict(values))
             self._planned += 1
             if len(self._prepared) >= _PREPARED:
                 self._prepared.clear()
-            self._prepared[text] = kept
-        return kept
+            self._prepared[text] = prepared
+        return prepared
 
     def _run(self, text: str, values: Mapping[str, Any], timeout_s: float | None) -> pa.Table:
         if self._closed:
@@ -268,7 +268,7 @@ class Graph:
             self._connection.set_query_timeout(0 if timeout_s is None else max(1, round(timeout_s * 1000)))
             result = self._connection.execute(self._statement(text, values), dict(values))
             if isinstance(result, list):
-                # The rest must go first: the engine crashes when only the last result is kept.
+                # The rest must go first: the engine crashes when only the last result stays.
                 for part in result:
                     part.close()
                 raise QueryError(f"one statement at a time: {shortened(text)}")

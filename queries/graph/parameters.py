@@ -1,6 +1,6 @@
 """Parameters of Cypher statements, bound under types that hold them.
 
-The engine takes a parameter's type from its value: 5 becomes INT8, a list takes the type of what stands in it, an empty
+The engine takes a parameter's type from its value: 5 becomes INT8, a list takes the type of its items, an empty
 list has none. So `$name` is rewritten to `CAST($name AS INT64)` and the like, from the Python value. Text inside
 quotes, backticks and comments is left alone.
 """
@@ -22,7 +22,6 @@ _TOKEN = re.compile(
 
 _INT64: Final = 2**63
 
-_SCALARS: Final = {bool: "BOOL", int: "INT64", float: "DOUBLE", str: "STRING"}
 _FIELD: Final = re.compile("[A-Za-z_][A-Za-z0-9_]*")
 
 
@@ -31,7 +30,7 @@ def bind(cypher: str, params: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
 
     Values may be None, bool, int (64 bits), float, str, lists and dicts of these, numpy scalars, and Arrow tables (for
     `LOAD FROM $name`). A final semicolon is taken off. Raises QueryError where there are two statements, the names
-    given are not the names used, or a value cannot be bound.
+    passed are not those of the statement, or a value cannot be bound.
     """
     values = {name: _plain(name, value) for name, value in params.items()}
     kinds = [(n, _type(n, value) if isinstance(value, int | list | dict) else None) for n, value in values.items()]
@@ -40,11 +39,11 @@ def bind(cypher: str, params: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
 
 @lru_cache(1024)
 def _typed(cypher: str, kinds: tuple[tuple[str, str | None], ...]) -> str:
-    """The statement with parameters of these names and types, None for those that need not be said."""
+    """The statement with parameters of these names and types, None for those that need none."""
     cypher = cypher.strip().removesuffix(";")
     if ";" in strip_literals(cypher):
         raise QueryError("one statement at a time: there is a ';' inside")
-    given = dict(kinds)
+    types = dict(kinds)
     used: set[str] = set()
 
     def typed(match: re.Match[str]) -> str:
@@ -53,13 +52,13 @@ def _typed(cypher: str, kinds: tuple[tuple[str, str | None], ...]) -> str:
             return match[0]
         used.add(name)
         # LIMIT and SKIP take a bare parameter only, and convert it themselves.
-        kind = None if match["count"] else given.get(name)
+        kind = None if match["count"] else types.get(name)
         return f"CAST(${name} AS {kind})" if kind else match[0]
 
     text = _TOKEN.sub(typed, cypher)
-    if used != given.keys():
-        missing = ", ".join(f"${name}" for name in sorted(used - given.keys()))
-        extra = ", ".join(sorted(given.keys() - used))
+    if used != types.keys():
+        missing = ", ".join(f"${name}" for name in sorted(used - types.keys()))
+        extra = ", ".join(sorted(types.keys() - used))
         raise QueryError(f"give a value for {missing}" if missing else f"the statement has no parameter {extra}")
     return text
 
@@ -97,10 +96,12 @@ def _plain(name: str, value: Any) -> Any:
 
 
 def _type(name: str, value: Any) -> str | None:
-    """The engine's type of a plain value; None where nothing tells (None, an empty list's items)."""
-    if kind := _SCALARS.get(type(value)):
-        return kind
+    """The engine's type of a plain value; None where it is unknown (None, an empty list's items)."""
     match value:
+        case bool():
+            return "BOOL"
+        case int():
+            return "INT64"
         case float():
             return "DOUBLE"
         case str():

@@ -120,7 +120,7 @@ def test_what_a_plan_asks_for_is_parameters_and_its_shape_is_the_statement():
     assert other.row["wanted"] == ["=@0", "=@30", "action=x' OR true //@30", "object=holding: bag@0"]
     assert other.row["c0_2"] == "/action=x' OR true //@30/"
     five = [{"action": name, "at": "t0"} for name in ("walking", "reading", "typing", "bending")]
-    assert find_believed(parsed(planned(nodes={"a": five}))).cypher.count(" IN told") == 8
+    assert find_believed(parsed(planned(nodes={"a": five}))).cypher.count(" IN beliefs") == 8
     edges = [("b", "conversation", "a", "t0"), ("a", "first to the right of (robot view)", "b", "t0")]
     joined = find_believed(parsed(planned(nodes={"a": [], "b": []}, edges=edges)))
     assert joined.nodes == ("a", "b")
