@@ -11,7 +11,7 @@ from jrdb_avr.loaders.problems import Problem
 from jrdb_avr.loaders.report import FrameRange, SequenceReport, as_row, totals
 from jrdb_avr.queries.display import Displayed, Tables
 
-Row = dict[str, Any]
+_Row = dict[str, Any]
 
 
 @dataclass(frozen=True, repr=False)
@@ -25,11 +25,11 @@ class LoadResult(Displayed):
         """Files, frames, records and fields refused or skipped."""
         return sum(report.refused for report in self.reports)
 
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[_Row]:
         """Each report as a JSON object."""
         return [as_row(report) for report in self.reports]
 
-    def parts(self) -> Iterator[str | tuple[str, list[Row]]]:
+    def parts(self) -> Iterator[str | tuple[str, list[_Row]]]:
         """Lines, and tables with their titles: sequences, checks, what was refused, unknown labels and warnings."""
         loaded = [report for report in self.reports if report.sequence]
         yield "Loaded", [_summary(report) for report in loaded]
@@ -76,7 +76,7 @@ def _sequences(names: list[str]) -> str:
     return names[0] if len(names) == 1 else f"{len(names)} sequences"
 
 
-def _summary(report: SequenceReport) -> Row:
+def _summary(report: SequenceReport) -> _Row:
     columns = ("sequence", "frames", "people", "boxes", "boxes_3d", "refused")
     return {"3D" if name == "boxes_3d" else name: getattr(report, name) for name in columns}
 
@@ -91,7 +91,7 @@ def _layers(report: SequenceReport) -> str:
     return "; ".join(f"{', '.join(layers)}{how}" for how, layers in steps.items()) or "none"
 
 
-def _checks(report: SequenceReport) -> Row:
+def _checks(report: SequenceReport) -> _Row:
     heading, fps = report.heading, None if report.stamps is None else report.stamps.fps
     turn = None if heading is None else heading.median_deg
     same = {"agrees": "yes", "shifted": "NO", "not tested": "cannot tell"}
@@ -111,7 +111,7 @@ def _range(frames: FrameRange | None) -> str:
     return "" if frames is None else f"{frames.first}-{frames.last}"
 
 
-def _problems(reports: list[SequenceReport]) -> list[Row]:
+def _problems(reports: list[SequenceReport]) -> list[_Row]:
     """The problems of one kind in all sequences together: how many, and where the first is."""
     found: dict[tuple[str, ...], list[tuple[str, Problem]]] = {}
     for report in reports:

@@ -36,8 +36,8 @@ from jrdb_avr.schema.errors import AvrError, QueryError, StoreError
 from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
 
 TIMEOUT_S: Final = 120.0
-"""For one piece of a table, at least ten times what it needs: `BATCH_ROWS` rows, or `BATCH_KEYS` keys looked up."""
-BATCH_ROWS: Final = 250_000
+"""For one piece of a table, at least ten times what it needs: `_BATCH_ROWS` rows, or `BATCH_KEYS` keys looked up."""
+_BATCH_ROWS: Final = 250_000
 """Rows read out of the graph at a time, unless one sequence has more."""
 BATCH_KEYS: Final = 1_000
 """Keys looked up at a time, each in a third of a millisecond and more."""
@@ -80,7 +80,7 @@ def checks_of(store: Store, advance: Advance = lambda steps: None, *, timeout_s:
         return [*checks, *_graph(store, sorted(manifest.sequences), advance, timeout_s)]
 
 
-STEPS: Final = 2 + 1 + len(SCENE_NODES) + len(SCENE_RELS)
+VERIFY_STEPS: Final = 2 + 1 + len(SCENE_NODES) + len(SCENE_RELS)
 """How far `advance` comes in all."""
 
 
@@ -287,4 +287,4 @@ def _groups(graph: Graph, table: str) -> list[list[str]]:
     for sequence, rows in sizes:
         if sequence is None:
             raise QueryError(f"{rows} rows are of no sequence")
-    return [sequences for sequences, _ in batches(sizes, BATCH_ROWS)]
+    return [sequences for sequences, _ in batches(sizes, _BATCH_ROWS)]

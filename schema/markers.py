@@ -30,10 +30,10 @@ from jrdb_avr.schema.labels import AGES, GENDERS, INTERACTIONS, OTHER_ACTIONS, P
 from jrdb_avr.schema.panorama import WIDTH, Box
 from jrdb_avr.schema.things import OBJECTS, VERBS
 
-Image = npt.NDArray[np.uint8]
+MarkImage = npt.NDArray[np.uint8]
 Bits = npt.NDArray[np.uint8]
 
-COLUMNS: Final = 5
+GRID_COLUMNS: Final = 5
 FIRST_ROWS: Final = 16
 SECOND_ROWS: Final = 11
 CHECK_BITS: Final = 17
@@ -43,7 +43,7 @@ MIN_CELL: Final = 2
 SECOND_CELL: Final = 2
 MAX_CELLS: Final = 127
 """A box is at most so many cells wide and high: its size in half cells has eight bits."""
-MIN_WIDTH: Final = (COLUMNS + 2) * MIN_CELL + 4
+MIN_WIDTH: Final = (GRID_COLUMNS + 2) * MIN_CELL + 4
 MIN_HEIGHT: Final = (FIRST_ROWS + 2) * MIN_CELL + 4
 BRIGHT: Final = 205
 """Grey level above which a pixel can belong to a plate's margin; everything else in a picture stays below 190."""
@@ -113,12 +113,12 @@ class _Layout(NamedTuple):
     rows: int
 
 
-_FIRST = _Layout("first", COLUMNS, FIRST_ROWS)
-_TALL = _Layout("tall", COLUMNS, FIRST_ROWS + SECOND_ROWS)
-_WIDE = _Layout("wide", 2 * COLUMNS, FIRST_ROWS)
+_FIRST = _Layout("first", GRID_COLUMNS, FIRST_ROWS)
+_TALL = _Layout("tall", GRID_COLUMNS, FIRST_ROWS + SECOND_ROWS)
+_WIDE = _Layout("wide", 2 * GRID_COLUMNS, FIRST_ROWS)
 _LAYOUTS: Final = (_FIRST, _TALL, _WIDE)
 # Below the second grid of a wide plate: fixed cells, that a reader checks.
-_FILLER: Final = (np.indices((FIRST_ROWS - SECOND_ROWS, COLUMNS)).sum(axis=0) % 2).astype(np.uint8)
+_FILLER: Final = (np.indices((FIRST_ROWS - SECOND_ROWS, GRID_COLUMNS)).sum(axis=0) % 2).astype(np.uint8)
 
 
 # ------------------------------------------------------------------------------------------------ bits
@@ -196,9 +196,9 @@ def _check(*parts: int) -> int:
 def _grid(data: int, check: int, rows: int) -> Bits:
     """Cells (rows, 5), 1 = white."""
     number = data << CHECK_BITS | check
-    count = rows * COLUMNS
+    count = rows * GRID_COLUMNS
     bits = [number >> (count - 1 - i) & 1 for i in range(count)]
-    return np.array(bits, np.uint8).reshape(rows, COLUMNS)
+    return np.array(bits, np.uint8).reshape(rows, GRID_COLUMNS)
 
 
 def _number_of(cells: Bits) -> tuple[int, int]:
@@ -234,16 +234,16 @@ class Decoded(NamedTuple):
 
 def decode(cells: Bits) -> Decoded | None:
     """Read a plate's cells; None unless the first grid's checksum and every field of it are valid."""
-    first, check = _number_of(cells[:FIRST_ROWS, :COLUMNS])
+    first, check = _number_of(cells[:FIRST_ROWS, :GRID_COLUMNS])
     if check != _check(first):
         return None
     mark_and_size = _first_mark(first)
     if mark_and_size is None:
         return None
     mark, wide, high = mark_and_size
-    if cells.shape[1] > COLUMNS:
-        more = cells[:SECOND_ROWS, COLUMNS:]
-        if not np.array_equal(cells[SECOND_ROWS:, COLUMNS:], _FILLER):
+    if cells.shape[1] > GRID_COLUMNS:
+        more = cells[:SECOND_ROWS, GRID_COLUMNS:]
+        if not np.array_equal(cells[SECOND_ROWS:, GRID_COLUMNS:], _FILLER):
             return Decoded(mark, wide, high, False)
     elif cells.shape[0] > FIRST_ROWS:
         more = cells[FIRST_ROWS:]
@@ -323,7 +323,7 @@ def frame_thickness(w: int) -> int:
     return 3 if w >= 80 else 2
 
 
-def draw(image: Image, box: Box, mark: Mark) -> None:
+def draw(image: MarkImage, box: Box, mark: Mark) -> None:
     """Draw frame and plate on an RGB image, in place, over the seam if it is a panorama.
 
     The box is rounded to whole pixels. Raises InputError for a value that a mark cannot show.
@@ -355,19 +355,19 @@ def draw(image: Image, box: Box, mark: Mark) -> None:
             _paste(image, plate, across, down)
 
 
-def _fill(image: Image, strip: tuple[int, int, int, int], color: tuple[int, int, int]) -> None:
+def _fill(image: MarkImage, strip: tuple[int, int, int, int], color: tuple[int, int, int]) -> None:
     x, y, w, h = strip
     if w > 0 and h > 0:
         cv2.rectangle(image, (x, y), (x + w - 1, y + h - 1), color, -1)
 
 
-def _paste(image: Image, plate: Image, x: int, y: int) -> None:
+def _paste(image: MarkImage, plate: MarkImage, x: int, y: int) -> None:
     top, left = max(y, 0), max(x, 0)
     part = plate[top - y : max(image.shape[0] - y, 0), left - x : max(image.shape[1] - x, 0)]
     image[top : top + part.shape[0], left : left + part.shape[1]] = part
 
 
-def read(image: Image, *, wrap: bool = False) -> list[Reading]:
+def read(image: MarkImage, *, wrap: bool = False) -> list[Reading]:
     """Every readable mark in an RGB image, from left to right.
 
     `wrap` joins the left edge to the right one, for a whole panorama: boxes may then reach past the width. An image
@@ -379,7 +379,7 @@ def read(image: Image, *, wrap: bool = False) -> list[Reading]:
     margin = min(width, 128) if wrap else 0
     if margin:
         image = np.hstack([image, image[:, :margin]])
-    gray: Image = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
+    gray: MarkImage = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
     bright = np.asarray(gray > BRIGHT, np.uint8)
     found: dict[tuple[int, int], Reading] = {}
     for x, y, w, h in _bright_rectangles(bright):
@@ -389,16 +389,16 @@ def read(image: Image, *, wrap: bool = False) -> list[Reading]:
     return [found[key] for key in sorted(found)]
 
 
-def _bright_rectangles(bright: Image) -> Iterator[tuple[int, int, int, int]]:
+def _bright_rectangles(bright: MarkImage) -> Iterator[tuple[int, int, int, int]]:
     count, _, stats, _ = cv2.connectedComponentsWithStats(bright, connectivity=4)
     boxes: npt.NDArray[Any] = stats[1:count, :4]
-    least = np.array([(COLUMNS + 1) * MIN_CELL * 0.8, (FIRST_ROWS + 1) * MIN_CELL * 0.8])
+    least = np.array([(GRID_COLUMNS + 1) * MIN_CELL * 0.8, (FIRST_ROWS + 1) * MIN_CELL * 0.8])
     large = boxes[(boxes[:, 2] >= least[0]) & (boxes[:, 3] >= least[1])]
     for row in large.tolist():
         yield row[0], row[1], row[2], row[3]
 
 
-def _read_plate(gray: Image, x: int, y: int, w: int, h: int) -> Reading | None:
+def _read_plate(gray: MarkImage, x: int, y: int, w: int, h: int) -> Reading | None:
     """The mark of the plate that fills the rectangle, if it is one."""
     for layout in _LAYOUTS:
         across, down = w / (layout.columns + 2), h / (layout.rows + 2)
@@ -418,7 +418,7 @@ def _read_plate(gray: Image, x: int, y: int, w: int, h: int) -> Reading | None:
     return None
 
 
-def _sample(gray: Image, layout: _Layout, x: int, y: int, w: int, h: int) -> Bits | None:
+def _sample(gray: MarkImage, layout: _Layout, x: int, y: int, w: int, h: int) -> Bits | None:
     """Cells of the grid, or None where margin or contrast are not those of a plate."""
     columns, rows = layout.columns + 2, layout.rows + 2
     patch = gray[y : y + h, x : x + w]

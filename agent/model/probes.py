@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from jrdb_avr.agent.model.messages import Picture, jpeg_picture
-from jrdb_avr.schema.markers import Image, Mark, draw
+from jrdb_avr.schema.markers import Mark, MarkImage, draw
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box
 
 CORNER_LINE: Final = "The corner, as one JSON object:"
@@ -120,11 +120,11 @@ def _place(rng: random.Random, width: int, height: int, taken: Sequence[Box]) ->
     return None
 
 
-def _plain(width: int, height: int) -> Image:
+def _plain(width: int, height: int) -> MarkImage:
     return np.full((height, width, 3), _GREY, np.uint8)
 
 
-def _shape(image: Image, box: Box, color: str, round_: bool) -> None:
+def _shape(image: MarkImage, box: Box, color: str, round_: bool) -> None:
     import cv2
 
     x, y, w, h = (int(v) for v in box)
@@ -134,7 +134,7 @@ def _shape(image: Image, box: Box, color: str, round_: bool) -> None:
         cv2.rectangle(image, (x, y), (x + w - 1, y + h - 1), _COLORS[color], -1)
 
 
-def _marked(image: Image, box: Box, color: str, identity: int) -> None:
+def _marked(image: MarkImage, box: Box, color: str, identity: int) -> None:
     _shape(image, box, color, False)
     draw(image, box, Mark(identity))
     # The mark's frame has a colour of its own: the rectangle keeps the one that the prompt names. A plate comes no
@@ -145,5 +145,5 @@ def _marked(image: Image, box: Box, color: str, identity: int) -> None:
         image[y : y + h, [x + thick, x + w - 1 - thick]] = _COLORS[color]
 
 
-def _picture(name: str, image: Image) -> Picture:
+def _picture(name: str, image: MarkImage) -> Picture:
     return jpeg_picture(name, image[:, :, ::-1])

@@ -91,11 +91,11 @@ def command(root: Path | None, store: Store, strict: bool, workers: int, as_json
 
 
 def _verify(store: Store, as_json: bool) -> None:
-    from jrdb_avr.loaders.verify import STEPS, checks_of
+    from jrdb_avr.loaders.verify import VERIFY_STEPS, checks_of
     from jrdb_avr.queries.display import step_counter
 
     with progress_bar() as progress:
-        checks = checks_of(store, step_counter(progress, "verifying", STEPS))
+        checks = checks_of(store, step_counter(progress, "verifying", VERIFY_STEPS))
     print_rows([{"what": c.what, "checked": c.checked, "fault": c.fault} for c in checks], as_json=as_json)
     faults = [check for check in checks if check.fault]
     if faults:

@@ -24,7 +24,7 @@ from jrdb_avr.schema.panorama import clockwise
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, RELATIONS
 from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules
 
-BLOCK: Final = 1_000_000
+_BLOCK: Final = 1_000_000
 """Pairs of people looked at in one go."""
 
 _PERSON_LABELS: Final = tuple(row.label for row in RELATIONS.values() if row.kind == "person")
@@ -132,7 +132,7 @@ def _pairs(frame: Ints, rows: Ints) -> Iterator[tuple[Ints, Ints]]:
     _, first, counts = np.unique(frame[rows], return_index=True, return_counts=True)
     size = np.repeat(counts, counts)  # per row: people in its frame
     start = np.repeat(first, counts)
-    block = (np.cumsum(size) - size) // BLOCK
+    block = (np.cumsum(size) - size) // _BLOCK
     for number in np.unique(block):
         of = np.flatnonzero(block == number)
         of = of[size[of] > 1]

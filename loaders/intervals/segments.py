@@ -28,7 +28,7 @@ from jrdb_avr.schema.tables import INTERVALS
 HALF_STEP = KEYFRAME_STEP // 2
 """At one frame per second the truth lies up to half a step outside [first, last]."""
 
-BLOCK: Final = 500_000
+_BLOCK: Final = 500_000
 """Cells worked on at once; the many actions of one person may make more."""
 
 
@@ -76,7 +76,7 @@ class _Known:
 
     def blocks(self) -> Iterator[tuple[int, int]]:
         """First fact, and the one after the last, of blocks of about as many cells as are looked at in one go."""
-        number = np.cumsum(self.count) // BLOCK
+        number = np.cumsum(self.count) // _BLOCK
         starts = np.flatnonzero(np.append(True, number[1:] != number[:-1])).tolist()
         yield from zip(starts, [*starts[1:], len(self.facts)], strict=True)
 

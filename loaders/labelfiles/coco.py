@@ -30,7 +30,7 @@ from jrdb_avr.loaders.labelfiles.frames import (
     MAX_RECORDS,
     Frame,
     RecordReader,
-    batches,
+    byte_batches,
     read_file,
     scanned_sections,
 )
@@ -60,7 +60,7 @@ _FRAME: Final = re.compile(r"([0-9]{6})\.(?:jpg|jpeg|png)")
 _SEQUENCE: Final = re.compile(r".+-[0-9]{4}-[0-9]{2}-[0-9]{2}_[0-9]+")
 """How JRDB names its sequences: place, date and number."""
 
-R = TypeVar("R", bound=msgspec.Struct)
+_R = TypeVar("_R", bound=msgspec.Struct)
 
 
 class _Sections(msgspec.Struct, gc=False):
@@ -108,7 +108,7 @@ def _strict_sections(data: bytes) -> dict[str, memoryview] | None:
     return None if found is None else {key: memoryview(data)[begin:end] for key, (begin, end) in found.items()}
 
 
-def read_list(file: CocoFile, section: str, reader: RecordReader[R], problems: Problems) -> Iterator[list[R]]:
+def read_list(file: CocoFile, section: str, reader: RecordReader[_R], problems: Problems) -> Iterator[list[_R]]:
     """Usable records of a list, in chunks, at least one. Raises InputError where the list is no JSON or endless."""
     raw = file.sections[section]
     records = reader.decode(bytes(raw), MAX_LISTED) if len(raw) < SCAN_FROM else None
@@ -118,7 +118,7 @@ def read_list(file: CocoFile, section: str, reader: RecordReader[R], problems: P
         return
     listed = 0
     try:
-        for batch in batches(elements(raw), len, MAX_RECORDS):
+        for batch in byte_batches(elements(raw), len, MAX_RECORDS):
             listed += len(batch)
             if listed > MAX_LISTED:
                 raise InputError(f"{file.name}: more than {MAX_LISTED:,} {section}", file=file.name)
@@ -218,7 +218,7 @@ def _frame_of(file_name: str, sequence: str) -> int:
 # -- annotations ---------------------------------------------------------------------------------------------------
 
 
-def annotation_reader(record: type[R], rules: records.Rules, once: Any, inner_keys: Any = None) -> RecordReader[R]:
+def annotation_reader(record: type[_R], rules: records.Rules, once: Any, inner_keys: Any = None) -> RecordReader[_R]:
     """A reader of annotations, which a report calls by their id as long as their frame is not known."""
     more = {"inner_keys": inner_keys} if inner_keys else {}
     return RecordReader(record, rules, once, place=lambda parts, frame: _place(parts.get("id", b"")), **more)

@@ -52,7 +52,7 @@ Value = tuple[Any, ...]
 # -- people --------------------------------------------------------------------------------------------------------
 
 
-class People(NamedTuple):
+class KeptRecords(NamedTuple):
     """The records that are kept: of people with a usable box, the first of a person in a frame."""
 
     row: Ints
@@ -75,7 +75,7 @@ def keep_people(
     faults: Sequence[tuple[Bools, str]],
     box: Callable[[int], object],
     refusals: Refusals,
-) -> People:
+) -> KeptRecords:
     """Choose the records to keep, and count the others. `labels[code]` is a record's label id.
 
     `faults` are boxes that cannot be used and why, a record counting for the first of its faults only; `box` shows the
@@ -97,7 +97,7 @@ def keep_people(
     reason = "same person twice in a frame, the first is kept"
     refusals.count(again, "record", reason, "label_id", lambda row: labels[code[row]])
     row = usable[order[first]]
-    return People(row, frame[row], track[row], set(frame[refused].tolist()))
+    return KeptRecords(row, frame[row], track[row], set(frame[refused].tolist()))
 
 
 def _track_or_code(label: str) -> int:
@@ -160,7 +160,7 @@ class Decoded:
         return code
 
 
-class Facts(NamedTuple):
+class ColumnFacts(NamedTuple):
     """Facts of a column: for each the row that it is of, ascending, and its number in `values`."""
 
     row: Ints
@@ -185,7 +185,7 @@ def expand(
     decode: Callable[[bytes, Decoded], None],
     refusals: Refusals,
     absent: Sequence[Issue] = (),
-) -> Facts:
+) -> ColumnFacts:
     """Decode every distinct raw value (`raws[code]`) and spread what it holds over the rows of `codes`.
 
     What was wrong with a value is counted once per row that has it; `absent` is what is wrong where there is none.
@@ -215,7 +215,7 @@ def expand(
     check_size(int(counts.sum()))
     row, place = ragged(counts)
     taken = flat[(np.cumsum(lengths) - lengths)[codes[row]] + place]
-    return Facts(row, taken, list(numbers), np.array(whole, np.bool_)[codes])
+    return ColumnFacts(row, taken, list(numbers), np.array(whole, np.bool_)[codes])
 
 
 def check_size(facts: int) -> None:
@@ -237,7 +237,12 @@ def count_issues(codes: Ints, issues: dict[int, list[Issue]], refusals: Refusals
 
 
 def facts_table(
-    layer: str, sequence: str, people: People, facts: Facts, names: tuple[str, ...], ends: dict[str, Ints] | None = None
+    layer: str,
+    sequence: str,
+    people: KeptRecords,
+    facts: ColumnFacts,
+    names: tuple[str, ...],
+    ends: dict[str, Ints] | None = None,
 ) -> pa.Table:
     """The annotation table of a layer, sorted by person, then by `ends` (numbers per fact), then by value.
 

@@ -33,7 +33,7 @@ from jrdb_avr.schema.errors import InputError
 MAX_FILE: Final = 320 << 20
 """Bytes of the largest file that is read: twice those of JRDB's fullest sequence."""
 _PIECE: Final = 1 << 20
-MAX_FRAME: Final = 4 << 20
+_MAX_FRAME: Final = 4 << 20
 MAX_RECORDS: Final = 1000
 """Records of one frame: JRDB's fullest have about a hundred, and pairs of people grow with the square."""
 MAX_GATHERED: Final = 400_000
@@ -50,7 +50,7 @@ _FRAMES: Final = msgspec.json.Decoder(dict[Annotated[str, msgspec.Meta(pattern=r
 """Other keys than those of frames are left to the scanner: objects of many small members could fill the memory."""
 
 Columns = dict[str, npt.NDArray[Any]]
-R = TypeVar("R", bound=msgspec.Struct)
+_R = TypeVar("_R", bound=msgspec.Struct)
 Keys = tuple[str | tuple[str, ...], ...]
 
 
@@ -67,7 +67,7 @@ def _nothing_more(parts: dict[str, bytes], place: str, problems: Problems) -> di
     return {}
 
 
-class RecordReader(Generic[R]):
+class RecordReader(Generic[_R]):
     """Decodes records of type R: many frames at once where they are clean, else frame by frame or record by record.
 
     `rules` say how fields of a record that does not decode are read; raw fields need none. `once` names the fields that
@@ -79,10 +79,10 @@ class RecordReader(Generic[R]):
 
     def __init__(
         self,
-        record: type[R],
+        record: type[_R],
         rules: Rules,
         once: Keys,
-        inner_keys: Callable[[list[R]], list[tuple[int, tuple[bytes, ...]]] | None] = lambda records: [],
+        inner_keys: Callable[[list[_R]], list[tuple[int, tuple[bytes, ...]]] | None] = lambda records: [],
         place: Callable[[dict[str, bytes], str], str] = lambda parts, frame: frame,
         more: Callable[[dict[str, bytes], str, Problems], dict[str, Any]] = _nothing_more,
         within: str = "",
@@ -95,7 +95,7 @@ class RecordReader(Generic[R]):
         groups = [[info[name] for name in ((group,) if isinstance(group, str) else group)] for group in once]
         self._once = [(tuple(f'"{field.encode_name}"'.encode() for field in group), group) for group in groups]
 
-    def read(self, frames: Sequence[Frame], problems: Problems) -> Iterator[tuple[Frame, list[R], bool]]:
+    def read(self, frames: Sequence[Frame], problems: Problems) -> Iterator[tuple[Frame, list[_R], bool]]:
         """Frames that are lists, the usable records of each, and whether every record of it is usable."""
         decoded = [self._decode(frame.raw, MAX_RECORDS) for frame in frames]
         # Looking for repeated keys in few long texts takes half the time of looking in many short ones.
@@ -107,20 +107,20 @@ class RecordReader(Generic[R]):
             else:
                 yield from self._one_by_one(frame, problems)
 
-    def decode(self, raw: bytes, most: int) -> list[R] | None:
+    def decode(self, raw: bytes, most: int) -> list[_R] | None:
         """All records of a list, where decoding loses nothing and they are no more than `most`."""
         records = self._decode(raw, most)
         return records if records is not None and self._plain(records, raw) else None
 
-    def _decode(self, raw: bytes, most: int) -> list[R] | None:
+    def _decode(self, raw: bytes, most: int) -> list[_R] | None:
         """As `decode`; repeated keys may be lost."""
         try:
-            records: list[R] = self._frame.decode(raw)
+            records: list[_R] = self._frame.decode(raw)
         except BROKEN:
             return None
         return records if len(records) <= most else None
 
-    def _plain(self, records: list[R], text: bytes) -> bool:
+    def _plain(self, records: list[_R], text: bytes) -> bool:
         """Whether no key is repeated, none being written with escapes, so that decoding lost nothing."""
         # Looking for one byte is many times as fast as for two.
         inner = None if b"\\" in text and b"\\u" in text else self._inner_keys(records)
@@ -128,7 +128,7 @@ class RecordReader(Generic[R]):
             text, [(sum(_having(records, field) for field in group), keys) for keys, group in self._once] + inner
         )
 
-    def _one_by_one(self, frame: Frame, problems: Problems) -> Iterator[tuple[Frame, list[R], bool]]:
+    def _one_by_one(self, frame: Frame, problems: Problems) -> Iterator[tuple[Frame, list[_R], bool]]:
         try:
             raws: list[bytes] = []
             for raw in elements(frame.raw):
@@ -144,7 +144,7 @@ class RecordReader(Generic[R]):
             found += self.decode(b"[" + record + b"]", 1) or self._repair(record, frame.key, problems)
         yield frame, found, len(found) == len(raws)
 
-    def _repair(self, raw: bytes, frame: str, problems: Problems) -> list[R]:
+    def _repair(self, raw: bytes, frame: str, problems: Problems) -> list[_R]:
         """What can be used of a record that does not decode as it stands; nothing, with the reason counted, if none."""
         try:
             parts = record_parts(raw, frame, problems)
@@ -221,8 +221,8 @@ def read_frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> It
                 problems.add("frame", "frame key is not six digits and " + "/".join(suffixes), frame=shorten(key))
             elif int(match[1]) in seen:
                 problems.add("frame", "frame key twice, the first is kept", frame=key)
-            elif len(raw) > MAX_FRAME:
-                problems.add("frame", f"frame larger than {MAX_FRAME >> 20} MB", frame=key)
+            elif len(raw) > _MAX_FRAME:
+                problems.add("frame", f"frame larger than {_MAX_FRAME >> 20} MB", frame=key)
             else:
                 seen.add(int(match[1]))
                 yield Frame(int(match[1]), key, bytes(raw))
@@ -280,8 +280,8 @@ class Gathered(NamedTuple):
 def gather(
     path: Path,
     suffixes: tuple[str, ...],
-    reader: RecordReader[R],
-    take: Callable[[list[R]], Columns],
+    reader: RecordReader[_R],
+    take: Callable[[list[_R]], Columns],
     problems: Problems,
 ) -> Gathered:
     """Read a label file. `take` makes columns of records. Raises InputError if the file as a whole cannot be used."""
@@ -289,7 +289,7 @@ def gather(
     complete: list[int] = []
     parts: list[Columns] = []
     size = 0
-    for batch in batches(read_frames(path, suffixes, problems), lambda frame: len(frame.raw)):
+    for batch in byte_batches(read_frames(path, suffixes, problems), lambda frame: len(frame.raw)):
         read = list(reader.read(batch, problems))
         known += [frame.number for frame, _, _ in read]
         complete += [frame.number for frame, _, whole in read if whole]
@@ -307,7 +307,7 @@ def gather(
 T = TypeVar("T")
 
 
-def batches(items: Iterable[T], size: Callable[[T], int], most: int | None = None) -> Iterator[list[T]]:
+def byte_batches(items: Iterable[T], size: Callable[[T], int], most: int | None = None) -> Iterator[list[T]]:
     """Items in order, in batches of about BATCH_BYTES and of no more than `most`; at least one, which may be empty."""
     batch: list[T] = []
     total = 0

@@ -29,7 +29,7 @@ from jrdb_avr.loaders.labelfiles.columns import (
     known_frames,
     mask_of,
 )
-from jrdb_avr.loaders.labelfiles.facts import Decoded, Facts, People, expand, facts_table, keep_people
+from jrdb_avr.loaders.labelfiles.facts import ColumnFacts, Decoded, KeptRecords, expand, facts_table, keep_people
 from jrdb_avr.loaders.labelfiles.frames import Columns, RecordReader, gather, take_fields
 from jrdb_avr.loaders.labelfiles.json import NOTHING
 from jrdb_avr.loaders.labelfiles.records import Rule, optional
@@ -41,7 +41,7 @@ from jrdb_avr.schema.tables import ANNOTATIONS
 SUFFIXES: Final = ("jpg", "jpeg", "png")
 
 
-class Attributes(msgspec.Struct, gc=False, frozen=True):
+class Attributes2D(msgspec.Struct, gc=False, frozen=True):
     """The `attributes` object; null where missing."""
 
     occlusion: str | None = None
@@ -50,12 +50,12 @@ class Attributes(msgspec.Struct, gc=False, frozen=True):
     no_eval: bool | None = None
 
 
-class Record(msgspec.Struct, gc=False):
+class Record2D(msgspec.Struct, gc=False):
     """One person in one frame. Sub-objects that repeat from frame to frame stay raw until each is decoded once."""
 
     label_id: str
     box: tuple[float, float, float, float]
-    attributes: Attributes | None = None
+    attributes: Attributes2D | None = None
     action_label: msgspec.Raw = NOTHING
     social_group: msgspec.Raw = NOTHING
     social_activity: msgspec.Raw = NOTHING
@@ -75,8 +75,8 @@ _ATTRIBUTES: Final = {
     "no_eval": Rule(optional(records.flag)),
 }
 _READER: Final = RecordReader(
-    Record,
-    PERSON | {"attributes": Rule(_ATTRIBUTES, make=Attributes), "file_id": Rule(optional(records.text))},
+    Record2D,
+    PERSON | {"attributes": Rule(_ATTRIBUTES, make=Attributes2D), "file_id": Rule(optional(records.text))},
     # Of other repeated keys JSON's usual reading, the last, holds.
     once=("label_id", "box", "attributes", "action_label", "social_group", "social_activity"),
 )
@@ -100,7 +100,7 @@ def load_2d(path: Path, sequence: str, problems: Problems) -> LayerTables:
     refusals = Refusals(people.frame, "jpg", problems)
     columns = {name: column[people.row] for name, column in columns.items()}
 
-    def expanded(field: str, decode: Callable[[bytes, Decoded], None]) -> Facts:
+    def expanded(field: str, decode: Callable[[bytes, Decoded], None]) -> ColumnFacts:
         return expand(columns[field], codes[field], decode, refusals)
 
     actions, groups = expanded("action_label", _actions), expanded("social_group", _group)
@@ -142,13 +142,13 @@ def box_faults(box: npt.NDArray[np.float64]) -> list[tuple[Bools, str]]:
 def _box_table(
     columns: Columns,
     codes: dict[str, Distinct],
-    people: People,
+    people: KeptRecords,
     sequence: str,
     listed: Bools,
     refusals: Refusals,
 ) -> pa.Table:
     box, code = columns["box"], columns["attributes"]
-    known = [item or Attributes() for item in codes["attributes"]]
+    known = [item or Attributes2D() for item in codes["attributes"]]
 
     def attribute(name: str, read: Callable[[Any], Any] | None, kind: pa.DataType) -> pa.Array:
         return _taken([getattr(item, name) for item in known], code, kind, read, f"attributes.{name}", refusals)

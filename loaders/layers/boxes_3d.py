@@ -41,7 +41,7 @@ NUMBERS: Final = ("cx", "cy", "cz", "l", "w", "h", "rot_z")
 MOVING_MPS: Final = 0.5
 
 
-class Attributes(msgspec.Struct, gc=False, frozen=True):
+class Attributes3D(msgspec.Struct, gc=False, frozen=True):
     """The `attributes` object; null where missing."""
 
     distance: float | None = None
@@ -53,12 +53,12 @@ class Attributes(msgspec.Struct, gc=False, frozen=True):
 Box: Final = msgspec.defstruct("Box", [(name, float) for name in NUMBERS], gc=False)
 
 
-class Record(msgspec.Struct, gc=False):
+class Record3D(msgspec.Struct, gc=False):
     """One person in one frame."""
 
     label_id: str
     box: Box  # type: ignore[valid-type]
-    attributes: Attributes | None = None
+    attributes: Attributes3D | None = None
 
 
 _ATTRIBUTES: Final = {
@@ -68,11 +68,11 @@ _ATTRIBUTES: Final = {
     "no_eval": Rule(optional(records.flag)),
 }
 _READER: Final = RecordReader(
-    Record,
+    Record3D,
     {
         "label_id": Rule(records.label_id, "record"),
         "box": Rule({name: Rule(records.number, "object") for name in NUMBERS}, "record", "box: ", Box),
-        "attributes": Rule(_ATTRIBUTES, make=Attributes),
+        "attributes": Rule(_ATTRIBUTES, make=Attributes3D),
     },
     once=("label_id", "box", "attributes"),
 )
@@ -120,10 +120,10 @@ def load_3d(path: Path, sequence: str, problems: Problems) -> LayerTables:
     return LayerTables({"boxes_3d": encoded(table, ANNOTATIONS["boxes_3d"])}, {"3d": known})
 
 
-def _take(found: list[Record], codes: dict[str, Distinct]) -> Columns:
+def _take(found: list[Record3D], codes: dict[str, Distinct]) -> Columns:
     n = len(found)
     numbers = chain.from_iterable(map(attrgetter(*NUMBERS), map(attrgetter("box"), found)))
-    attributes: list[Any] = [item or Attributes() for item in map(attrgetter("attributes"), found)]
+    attributes: list[Any] = [item or Attributes3D() for item in map(attrgetter("attributes"), found)]
     return {
         "label_id": numbered(codes["label_id"], map(attrgetter("label_id"), found), n),
         "numbers": np.fromiter(numbers, np.float64, n * len(NUMBERS)).reshape(n, len(NUMBERS)),

@@ -24,7 +24,7 @@ from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.panorama import FOCAL_ROWS, HORIZON_ROW
 from jrdb_avr.schema.tables import ANNOTATIONS
 
-MAX_BYTES: Final = 64 << 10
+_MAX_BYTES: Final = 64 << 10
 """Twenty times the real file; the parser takes a second for a file of this size."""
 MAX_PIXELS: Final = 100_000
 TOLERANCE: Final = 0.05
@@ -32,12 +32,12 @@ TOLERANCE: Final = 0.05
 
 _NUMBER: Final = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
 
-Row = tuple[str, int | None, int | None, float, float, float, float]
+_Row = tuple[str, int | None, int | None, float, float, float, float]
 
 
 def load_calibration(path: Path, sequence: str, problems: Problems) -> LayerTables:
     """The cameras of a root, for one sequence. Raises InputError if the file as a whole cannot be used."""
-    rows: list[Row] = []
+    rows: list[_Row] = []
     for name, node in _cameras(path, problems).items():
         try:
             rows.append(_camera(name, node, problems))
@@ -66,8 +66,8 @@ def _cameras(path: Path, problems: Problems) -> dict[str, yaml.Node]:
     """The nodes under `cameras` by name. Only the tree of the text is built, and no value of it: aliases are not
     followed, and tags make nothing."""
     text = read_file(path)
-    if len(text) > MAX_BYTES:
-        raise InputError(f"{path.name}: larger than the limit of {MAX_BYTES >> 10} kB", file=path.name)
+    if len(text) > _MAX_BYTES:
+        raise InputError(f"{path.name}: larger than the limit of {_MAX_BYTES >> 10} kB", file=path.name)
     try:
         top = yaml.compose(text.decode(), yaml.SafeLoader)
     except yaml.YAMLError as error:
@@ -95,7 +95,7 @@ def _members(node: yaml.Node | None, place: str, problems: Problems) -> dict[str
     return found
 
 
-def _camera(name: str, node: yaml.Node, problems: Problems) -> Row:
+def _camera(name: str, node: yaml.Node, problems: Problems) -> _Row:
     """A row of the table. Raises ValueError where there is no usable matrix."""
     shown = records.text(name)
     values = _members(node, shown, problems)

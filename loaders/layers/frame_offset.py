@@ -60,8 +60,8 @@ ERRORS_AWAY: Final = 6.0
 """Standard errors by which a shift must exceed `CLOCK`, and zero."""
 
 NO_BOXES: Final = "the 2D layer has no boxes to compare with"
-NOBODY: Final = "no person is in both layers"
-STILL: Final = "too few of the people in both layers move enough to tell"
+NO_COMMON_PERSON: Final = "no person is in both layers"
+TOO_STILL: Final = "too few of the people in both layers move enough to tell"
 FOREIGN: Final = "the boxes fit the 2D boxes at no shift of up to 2 frames"
 
 
@@ -101,7 +101,7 @@ def check_shift(layer: str, tracks: Tracks, reference: Tracks | None) -> ShiftCh
         return ShiftCheck(layer, "not tested", NO_BOXES)
     shared = np.isin(tracks.track, reference.track)
     if not shared.any():
-        return ShiftCheck(layer, "not tested", NOBODY)
+        return ShiftCheck(layer, "not tested", NO_COMMON_PERSON)
     tracks = _thinned(tracks, shared)
     if tracks.box is not None:
         equal = equal_at(tracks, reference)
@@ -109,7 +109,7 @@ def check_shift(layer: str, tracks: Tracks, reference: Tracks | None) -> ShiftCh
             return _agrees(layer, None) if equal == 0 else _shifted(layer, equal, None)
     slope = slope_of(tracks, reference)
     if slope is None:
-        return ShiftCheck(layer, "not tested", STILL)
+        return ShiftCheck(layer, "not tested", TOO_STILL)
     size = abs(slope.frames)
     if size - CLOCK >= ERRORS_BEYOND * slope.error and size >= ERRORS_AWAY * slope.error:
         nearest = nearest_shift(tracks, reference)
@@ -119,7 +119,7 @@ def check_shift(layer: str, tracks: Tracks, reference: Tracks | None) -> ShiftCh
     response = response_of(tracks, reference)
     if response >= MIN_RESPONSE and size + ERRORS_BEYOND * slope.error < response:
         return _agrees(layer, slope)
-    return ShiftCheck(layer, "not tested", STILL, slope.frames, slope.error)
+    return ShiftCheck(layer, "not tested", TOO_STILL, slope.frames, slope.error)
 
 
 def equal_at(tracks: Tracks, reference: Tracks) -> int | None:

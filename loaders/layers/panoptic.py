@@ -47,7 +47,7 @@ NO_TRACK: Final = -1
 _NO_BOX: Final = (math.nan,) * 4
 
 
-class Annotation(msgspec.Struct, gc=False):
+class SegmentAnnotation(msgspec.Struct, gc=False):
     """One thing, or all there is of a stuff, in one image. Some files have the track in `attributes`."""
 
     image_id: Number
@@ -70,7 +70,7 @@ class RunLengths(msgspec.Struct, gc=False):
 _SEGMENTATION: Final = msgspec.json.Decoder(RunLengths | list[list[float]])
 
 
-def _track_keys(annotations: list[Annotation]) -> list[tuple[int, tuple[bytes, ...]]]:
+def _track_keys(annotations: list[SegmentAnnotation]) -> list[tuple[int, tuple[bytes, ...]]]:
     """How often the name of the track is written, attributes included."""
     key = b'"tracking_id"'
     outer = sum(annotation.tracking_id is not NOTHING for annotation in annotations)
@@ -78,7 +78,7 @@ def _track_keys(annotations: list[Annotation]) -> list[tuple[int, tuple[bytes, .
 
 
 _READER: Final = annotation_reader(
-    Annotation,
+    SegmentAnnotation,
     {
         "image_id": NUMBER,
         "category_id": NUMBER,
@@ -145,7 +145,7 @@ def _item(values: Any) -> Callable[[int], object]:
 # -- columns of a chunk --------------------------------------------------------------------------------------------
 
 
-def _take(chunk: list[Annotation], frame: Ints, problems: Problems) -> dict[str, Any]:
+def _take(chunk: list[SegmentAnnotation], frame: Ints, problems: Problems) -> dict[str, Any]:
     """Columns of the annotations of a chunk that have a frame and a category; numbers are NaN where there is none."""
     category = np.fromiter(map(attrgetter("category_id"), chunk), np.int64, len(chunk))
     odd = (category < 0) | (category > MAX_CATEGORY)
@@ -166,7 +166,7 @@ def _take(chunk: list[Annotation], frame: Ints, problems: Problems) -> dict[str,
     }
 
 
-def _track(row: int, annotation: Annotation, refusals: Refusals) -> int:
+def _track(row: int, annotation: SegmentAnnotation, refusals: Refusals) -> int:
     """The first of the three names of the track that has a value; NO_TRACK where there is none or it is unusable."""
     inner: dict[str, Any] = {}
     raw = bytes(annotation.attributes)
@@ -188,7 +188,7 @@ def _track(row: int, annotation: Annotation, refusals: Refusals) -> int:
         return NO_TRACK
 
 
-def _segmentations(chunk: Sequence[Annotation], refusals: Refusals) -> pa.Array:
+def _segmentations(chunk: Sequence[SegmentAnnotation], refusals: Refusals) -> pa.Array:
     """Masks as text without blanks, null where there is none."""
     texts: list[bytes | None] = []
     for row, annotation in enumerate(chunk):

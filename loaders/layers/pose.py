@@ -47,7 +47,7 @@ VALUES: Final = 3 * POINTS
 """x, y and visibility of each point."""
 
 
-class Annotation(msgspec.Struct, gc=False):
+class PoseAnnotation(msgspec.Struct, gc=False):
     """One person in one image. Keypoints stay raw until a chunk of them is decoded."""
 
     image_id: Number
@@ -57,7 +57,7 @@ class Annotation(msgspec.Struct, gc=False):
 
 
 _READER: Final = annotation_reader(
-    Annotation, {"image_id": NUMBER, "track_id": NUMBER}, ("image_id", "track_id", "keypoints")
+    PoseAnnotation, {"image_id": NUMBER, "track_id": NUMBER}, ("image_id", "track_id", "keypoints")
 )
 _SEVENTEEN: Final = tuple[(float,) * VALUES]  # type: ignore[misc]
 _ROWS: Final = msgspec.json.Decoder(list[_SEVENTEEN])  # type: ignore[valid-type]

@@ -23,7 +23,7 @@ import numpy as np
 
 from jrdb_avr.loaders.labelfiles import records
 from jrdb_avr.loaders.labelfiles.columns import Distinct, Refusals, mask_of, numbered, ragged
-from jrdb_avr.loaders.labelfiles.facts import Decoded, Facts, Issue, People, check_size, count_issues, expand
+from jrdb_avr.loaders.labelfiles.facts import ColumnFacts, Decoded, Issue, KeptRecords, check_size, count_issues, expand
 from jrdb_avr.loaders.labelfiles.frames import Columns
 from jrdb_avr.loaders.labelfiles.json import ABSENT, NOTHING, MalformedError, elements, parse
 from jrdb_avr.loaders.problems import Problems, shorten
@@ -149,7 +149,7 @@ def take_lists(lists: list[list[Any] | None], kind: RelationKind, codes: dict[st
 class Relations(NamedTuple):
     """Facts of lists of one kind, and of which people's lists they are all."""
 
-    facts: Facts
+    facts: ColumnFacts
     """For each the person, a row of `People`, and (label, label as written, difficulty)."""
     ends: dict[str, Ints]
     """Per fact: what the pair holds, by column."""
@@ -160,7 +160,7 @@ class Relations(NamedTuple):
 
 
 def read_lists(
-    columns: Columns, kind: RelationKind, codes: dict[str, Distinct], people: People, problems: Problems
+    columns: Columns, kind: RelationKind, codes: dict[str, Distinct], people: KeptRecords, problems: Problems
 ) -> Relations:
     """The relations in the lists of the kept people; what is refused is counted."""
     size = np.maximum(columns[f"{kind.layer}.size"], 0)

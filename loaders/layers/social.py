@@ -22,7 +22,7 @@ import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.loaders.labelfiles.columns import Distinct, LayerTables, Refusals, constant, encoded, mask_of
-from jrdb_avr.loaders.labelfiles.facts import Decoded, People, expand, facts_table, keep_people
+from jrdb_avr.loaders.labelfiles.facts import Decoded, KeptRecords, expand, facts_table, keep_people
 from jrdb_avr.loaders.labelfiles.frames import Columns, RecordReader, gather
 from jrdb_avr.loaders.labelfiles.json import NOTHING, parse
 from jrdb_avr.loaders.labelfiles.records import TWICE
@@ -58,7 +58,7 @@ ATTRIBUTES: Final = (("demographics", "demographics_info", DEMOGRAPHICS), ("grou
 _NO_BOX: Final = (math.nan,) * 4
 
 
-class Record(msgspec.Struct, gc=False):
+class SocialRecord(msgspec.Struct, gc=False):
     """One person in one frame."""
 
     label_id: str
@@ -104,7 +104,7 @@ def _load(
     codes: dict[str, Distinct] = defaultdict(Distinct)
     coded = ("label_id", *(name for _, name, _ in layers))
 
-    def take(found: list[Record]) -> Columns:
+    def take(found: list[SocialRecord]) -> Columns:
         columns = take_people(found, coded, codes)
         for kind in kinds:
             columns |= take_lists(_lists(found, kind), kind, codes)
@@ -137,14 +137,14 @@ def _load(
     return LayerTables(tables, frames, unknown, _boxes(columns["box"][people.row], people, refusals))
 
 
-def _listed_table(whole: Bools, kind: RelationKind, sequence: str, people: People) -> pa.Table:
+def _listed_table(whole: Bools, kind: RelationKind, sequence: str, people: KeptRecords) -> pa.Table:
     n = int(whole.sum())
     columns = {"sequence": constant(sequence, n), "layer": constant(kind.layer, n)}
     columns |= {"frame": pa.array(people.frame[whole]), "track": pa.array(people.track[whole])}
     return encoded(pa.table(columns), ANNOTATIONS["listed"])
 
 
-def _boxes(box: Any, people: People, refusals: Refusals) -> pa.Table:
+def _boxes(box: Any, people: KeptRecords, refusals: Refusals) -> pa.Table:
     """The usable boxes, as `LayerTables` has them. A box that could not be read was counted then."""
     usable = ~np.isnan(box[:, 0])
     for fault, reason in box_faults(box):
@@ -157,13 +157,13 @@ def _boxes(box: Any, people: People, refusals: Refusals) -> pa.Table:
 # -- records -------------------------------------------------------------------------------------------------------
 
 
-def _lists(found: list[Record], kind: RelationKind) -> list[list[Any] | None]:
+def _lists(found: list[SocialRecord], kind: RelationKind) -> list[list[Any] | None]:
     if kind is HANDLING:
         return [record.handles for record in found]
     return [record.hhi if record.interactions is None else record.interactions for record in found]
 
 
-def _entry_keys(found: list[Record]) -> list[tuple[int, tuple[bytes, ...]]] | None:
+def _entry_keys(found: list[SocialRecord]) -> list[tuple[int, tuple[bytes, ...]]] | None:
     """The keys of entries, with their number; None where a list is too long or a record has one under both names."""
     if any(record.interactions is not None and record.hhi is not None for record in found):
         return None
@@ -184,7 +184,7 @@ def _repaired_lists(parts: dict[str, bytes], frame: str, problems: Problems) -> 
 
 
 _READER: Final = RecordReader(
-    Record,
+    SocialRecord,
     PERSON | {"box": PERSON["box"]._replace(costs="field")},
     once=("label_id", "box", "demographics_info", "group_info", ("interactions", "hhi"), "handles"),
     inner_keys=_entry_keys,

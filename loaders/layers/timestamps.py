@@ -26,10 +26,10 @@ from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import ANNOTATIONS
 
-MAX_ENTRIES: Final = 100_000
-MAX_BYTES: Final = 32 << 20
+_MAX_ENTRIES: Final = 100_000
+_MAX_BYTES: Final = 32 << 20
 """Thirty times the real files."""
-MAX_FRAME: Final = 999_999
+_MAX_FRAME: Final = 999_999
 MAX_SECONDS: Final = 1e11
 """A larger stamp counts something other than seconds since the epoch."""
 DEPTH: Final = 5
@@ -103,8 +103,8 @@ def frame_rate(frame: Ints, seconds: Sequence[float]) -> float | None:
 def _stamps(path: Path, sensor: Sensor, problems: Problems) -> list[Stamp]:
     """The stamp of each usable entry, in the order of the file. Raises InputError where it is no JSON or endless."""
     data = read_file(path)
-    if len(data) > MAX_BYTES:
-        raise InputError(f"{sensor.file}: larger than the limit of {MAX_BYTES >> 20} MB", file=sensor.file)
+    if len(data) > _MAX_BYTES:
+        raise InputError(f"{sensor.file}: larger than the limit of {_MAX_BYTES >> 20} MB", file=sensor.file)
     try:
         top, again = first_members(_tree(data.strip()))
     except ValueError as error:
@@ -114,8 +114,8 @@ def _stamps(path: Path, sensor: Sensor, problems: Problems) -> list[Stamp]:
         raise InputError(f'{sensor.file}: there is no list "data"', file=sensor.file)
     if "data" in again:
         problems.add("file", records.TWICE, field="data", count=again.count("data"))
-    if len(entries) > MAX_ENTRIES:
-        raise InputError(f"{sensor.file}: more than {MAX_ENTRIES} entries", file=sensor.file)
+    if len(entries) > _MAX_ENTRIES:
+        raise InputError(f"{sensor.file}: more than {_MAX_ENTRIES} entries", file=sensor.file)
     stamps = []
     for i, entry in enumerate(entries):
         place = f"{sensor.file}, entry {i}"
@@ -179,7 +179,7 @@ def _frame(frame_id: object, names: list[str], sensor: Sensor) -> int:
     frames = {int(match[1]) for match in matches if match}
     if frame_id is not None:
         try:
-            frames.add(records.whole(frame_id, 0, MAX_FRAME))
+            frames.add(records.whole(frame_id, 0, _MAX_FRAME))
         except ValueError as error:
             raise ValueError(f"frame_id: {error}") from None
     if len(frames) > 1:

@@ -20,16 +20,16 @@ from jrdb_avr.schema.labels import OCCLUSIONS, OTHER_ACTIONS, POSES
 from jrdb_avr.schema.panorama import HEIGHT, WIDTH
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
-Record = dict[str, Any]
+_Record = dict[str, Any]
 
-HARD: Final = 3
-NOBODY: Final = 9000
+HARD_CODE: Final = 3
+ABSENT_PARTNER: Final = 9000
 """Number of a person who is in no other record."""
 FILE_ID_SHIFT: Final = 2
 """Sequences numbered like the 2022 train release hold another file name inside than their key."""
 
 
-def difficulty(world: World) -> tuple[Ints, Ints]:
+def drawn_difficulty(world: World) -> tuple[Ints, Ints]:
     """Difficulty of the actions (frames, people, 3: pose and the two others) and of the group (frames, people)."""
     rng = world.rng("difficulty")
     frames, count = world.present.shape
@@ -43,7 +43,7 @@ def difficulty(world: World) -> tuple[Ints, Ints]:
         draw[..., k] = np.take_along_axis(fresh, last, axis=0)
     middle = np.floor(rng.random((int(world.tick[-1]) + 1, count))[world.tick] * 2).astype(np.int64) + 1
     hard_if = np.where(world.hidden[..., None], (0.52, 0.52, 0.52, 0.36), (0.05, 0.05, 0.05, 0.03))
-    level = np.where(draw < hard_if, HARD, middle[..., None])
+    level = np.where(draw < hard_if, HARD_CODE, middle[..., None])
     return level[..., :3], level[..., 3]
 
 
@@ -108,23 +108,23 @@ class LabelFrame:
     frame: int
     key: str
     people: list[int]
-    records: list[Record]
-    foreign: list[Record]
+    records: list[_Record]
+    foreign: list[_Record]
 
 
 def frames_2d(world: World, quirks: Quirks) -> Iterator[LabelFrame]:
     """The frames of `labels_2d_stitched/<sequence>.json`, in order."""
-    actions_level, group_level = difficulty(world)
+    actions_level, group_level = drawn_difficulty(world)
     names = cluster_names(world)
     for frame in range(world.frames):
         if frame == quirks.lost_2d:
             continue
-        rows: list[Record] = []
+        rows: list[_Record] = []
         people = [] if frame == quirks.empty_2d else np.flatnonzero(world.boxed[frame]).tolist()
         boxes = world.boxes[frame].tolist()
         for i in people:
             box = _written_box(boxes[i], quirks, frame, i)
-            record: Record = {
+            record: _Record = {
                 "label_id": f"pedestrian:{world.people[i].track}",
                 "file_id": f"{frame + quirks.file_shift:06d}.jpg",
                 "box": box,
@@ -139,13 +139,15 @@ def frames_2d(world: World, quirks: Quirks) -> Iterator[LabelFrame]:
                 if actions and not world.apart[frame, i] and len(world.parties[world.people[i].party].members) > 2:
                     record["social_activity"] = {POSES[int(world.pose[frame, i])]: 1.0}
             rows.append(record)
-        foreign: list[Record] = []
+        foreign: list[_Record] = []
         if rows and frame == quirks.foreign:
             foreign = [{**rows[0], "label_id": "person:-1"}]
         elif rows and frame == quirks.flat:
             x, y, w, h = rows[0]["box"]
             flat_boxes = ([x, y, 0, h], [x, y, w, -h])
-            foreign = [{**rows[0], "label_id": f"pedestrian:{NOBODY + k}", "box": b} for k, b in enumerate(flat_boxes)]
+            foreign = [
+                {**rows[0], "label_id": f"pedestrian:{ABSENT_PARTNER + k}", "box": b} for k, b in enumerate(flat_boxes)
+            ]
         yield LabelFrame(frame, f"{frame:06d}.jpg", people, rows, foreign)
 
 
@@ -184,8 +186,8 @@ def _written_box(box: list[int], quirks: Quirks, frame: int, i: int) -> list[flo
     return [x, y, w, h]
 
 
-def _attributes(world: World, quirks: Quirks, frame: int, i: int, box: list[float]) -> Record:
-    out: Record = {
+def _attributes(world: World, quirks: Quirks, frame: int, i: int, box: list[float]) -> _Record:
+    out: _Record = {
         "area": float(box[2] * box[3]),
         "interpolated": frame % KEYFRAME_STEP != 0,
         "no_eval": bool(quirks.no_eval[frame, i]),
@@ -199,7 +201,7 @@ def _attributes(world: World, quirks: Quirks, frame: int, i: int, box: list[floa
     return out
 
 
-def _action_label(world: World, quirks: Quirks, frame: int, i: int, levels: list[int]) -> Record | None:
+def _action_label(world: World, quirks: Quirks, frame: int, i: int, levels: list[int]) -> _Record | None:
     """name -> difficulty, or None where the key is missing."""
     if quirks.no_actions[frame, i]:
         return None
@@ -208,7 +210,7 @@ def _action_label(world: World, quirks: Quirks, frame: int, i: int, levels: list
     if quirks.impossible[frame, i]:
         return {"impossible": 1}
     number = (int, float, str)[int(quirks.number_form[frame, i])]
-    out: Record = {}
+    out: _Record = {}
     if not quirks.no_pose[frame, i]:
         out[POSES[int(world.pose[frame, i])]] = number(levels[0])
         if quirks.two_poses[frame, i]:
@@ -231,7 +233,7 @@ def lidar_points(world: World, quirks: Quirks) -> Ints:
     return np.where(quirks.no_points, 0, np.maximum(points, 1)).astype(np.int64)
 
 
-def frames_3d(world: World, quirks: Quirks) -> Iterator[tuple[str, list[Record]]]:
+def frames_3d(world: World, quirks: Quirks) -> Iterator[tuple[str, list[_Record]]]:
     """Keys and records of `labels_3d/<sequence>.json`, in order."""
     motion, points = world.motion, lidar_points(world, quirks)
     turned = np.pi - motion.heading + 2 * np.pi * quirks.turns
@@ -242,11 +244,11 @@ def frames_3d(world: World, quirks: Quirks) -> Iterator[tuple[str, list[Record]]
     for frame in range(world.frames):
         if frame in quirks.lost_3d:
             continue
-        rows: list[Record] = []
+        rows: list[_Record] = []
         places = table[frame].tolist()
         for i in [] if frame == quirks.empty_3d else np.flatnonzero(there[frame]).tolist():
             *box, distance = places[i]
-            attributes: Record = {
+            attributes: _Record = {
                 "distance": None if quirks.no_distance[frame, i] else distance,
                 "interpolated": True,
                 "no_eval": bool(quirks.no_eval_3d[frame, i]),

@@ -21,7 +21,7 @@ from jrdb_avr.schema.panorama import HEIGHT, WIDTH
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 from jrdb_avr.schema.things import OBJECTS
 
-Record = dict[str, Any]
+_CocoRecord = dict[str, Any]
 
 _EDGES: Final = (
     *((1, 2), (0, 4), (3, 4), (8, 10), (5, 7), (10, 13), (14, 16), (4, 5)),
@@ -39,7 +39,7 @@ _FEW: Final = 12
 """Pixels: a smaller rest of something is not annotated."""
 
 
-def _coco_text(before: Record, annotations: Iterable[list[Record]], after: Record) -> Iterator[bytes]:
+def _coco_text(before: _CocoRecord, annotations: Iterable[list[_CocoRecord]], after: _CocoRecord) -> Iterator[bytes]:
     """A file's text, in parts: the keys before the annotations, these frame by frame and numbered, the keys after."""
     yield msgspec.json.encode(before)[:-1] + b',"annotations":['
     count = 0
@@ -76,7 +76,7 @@ def pose_file(world: World) -> Iterator[bytes]:
     return _coco_text({"images": images}, _poses(world, frames, shift), {"categories": [_PERSON]})
 
 
-def _poses(world: World, frames: range, shift: int) -> Iterator[list[Record]]:
+def _poses(world: World, frames: range, shift: int) -> Iterator[list[_CocoRecord]]:
     rng = world.rng("poses")
     posed = world.boxed & (world.occlusion < 3) & ~spans(rng, world.hidden, 0.004, 10, 60)
     bare = spans(rng, posed & world.hidden, 0.0004, 1, 3)
@@ -88,7 +88,7 @@ def _poses(world: World, frames: range, shift: int) -> Iterator[list[Record]]:
         points[..., :2] = np.floor(world.joints[frame, people])
         points[..., 0] %= WIDTH
         points[..., :2] *= points[..., 2:] > 0
-        rows: list[Record] = []
+        rows: list[_CocoRecord] = []
         for i, keypoints in zip(people.tolist(), points.reshape(len(people), 51).tolist(), strict=True):
             row = {"image_id": frame + shift, "track_id": world.people[i].track, "category_id": 1}
             labelled = {} if bare[frame, i] else {"keypoints": keypoints}
@@ -168,7 +168,7 @@ def _image_id(frame: int) -> int:
     return frame // KEYFRAME_STEP + 1
 
 
-def _segments(world: World) -> Iterator[list[Record]]:
+def _segments(world: World) -> Iterator[list[_CocoRecord]]:
     painter, numbers = Painter(world), category_ids(world)
     names = _names(world, painter)
     frames = range(0, world.frames, KEYFRAME_STEP)
@@ -178,7 +178,7 @@ def _segments(world: World) -> Iterator[list[Record]]:
     for frame in frames:
         if frame == skipped:
             continue
-        rows: list[Record] = []
+        rows: list[_CocoRecord] = []
         for segment in segments_of(painter.segment(frame)):
             category, track = names[segment.id]
             if segment.area >= _FEW:
@@ -194,7 +194,7 @@ def _segments(world: World) -> Iterator[list[Record]]:
         yield rows + rows[-1:] * (frame == doubled)
 
 
-def _tracking(world: World, track: int | None) -> Record:
+def _tracking(world: World, track: int | None) -> _CocoRecord:
     """The tracking number, in its place in the files of different years."""
     if track is None:
         return {}

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from jrdb_avr.loaders.synthetic.shapes import HELD, METAL, RUBBER, STANDING, WOOD, Color, Disc
+from jrdb_avr.loaders.synthetic.shapes import HELD_OBJECTS, METAL, RUBBER, STANDING, WOOD, Color, Disc
 from jrdb_avr.loaders.synthetic.skeleton import (
     HEAD,
     HIP,
@@ -35,7 +35,7 @@ from jrdb_avr.loaders.synthetic.skeleton import (
     R_WRIST,
 )
 
-Image = npt.NDArray[Any]
+Pixels = npt.NDArray[Any]
 Point = tuple[int, int]
 Angles = tuple[int, int, int]
 """Degrees: the turn of an ellipse, and where its sector begins and ends."""
@@ -61,7 +61,7 @@ _LEFT: Final = (L_SHOULDER, L_ELBOW, L_WRIST, L_HIP, L_KNEE, L_FOOT)
 class Canvas:
     """An image and the number of each part in it; without numbers, parts have their colours."""
 
-    image: Image
+    image: Pixels
     numbers: Mapping[int, int] | None = None
 
     def _ink(self, color: Color, part: int) -> Color:
@@ -223,6 +223,6 @@ def _draw_held(canvas: Canvas, figure: Figure) -> None:
                 canvas.lines([(x, y), (x, top)], (60, 60, 120), thing, 0.03 * meter)
                 canvas.ellipse((x, top), (reach, reach), (60, 60, 120), thing, (0, 180, 360))
             case _:
-                width, height, color = HELD[category]
+                width, height, color = HELD_OBJECTS[category]
                 dx, dy = max(1, round(width * meter / 2)), max(1, round(height * meter / 2))
                 canvas.rectangle((x - dx, y - dy), (x + dx, y + dy), color, thing)

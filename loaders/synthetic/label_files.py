@@ -8,7 +8,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from jrdb_avr.loaders.synthetic.box_files import Quirks, Record, frames_2d, frames_3d
+from jrdb_avr.loaders.synthetic.box_files import Quirks, _Record, frames_2d, frames_3d
 from jrdb_avr.loaders.synthetic.coco_files import panoptic_file, pose_file
 from jrdb_avr.loaders.synthetic.social_files import SocialFiles
 from jrdb_avr.loaders.synthetic.world import World
@@ -53,7 +53,7 @@ def label_texts(world: World, quirks: Quirks, social: SocialFiles) -> Iterator[t
 
 
 def _by_frame(
-    paths: tuple[str, ...], frames: Iterator[tuple[str, tuple[list[Record], ...]]]
+    paths: tuple[str, ...], frames: Iterator[tuple[str, tuple[list[_Record], ...]]]
 ) -> Iterator[tuple[str, bytes]]:
     """Parts of files that hold one list of records per frame, one frame in memory at a time."""
     begin = b'{"labels":{'

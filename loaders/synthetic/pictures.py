@@ -26,18 +26,18 @@ from jrdb_avr.schema.panorama import FOCAL_ROWS, WIDTH, Box, row_of_height
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 from jrdb_avr.schema.things import VERBS
 
-Image = npt.NDArray[np.uint8]
+_Image = npt.NDArray[np.uint8]
 
 QUALITY: Final = 92
 """JPEG quality of the panoramas."""
-STEPS: Final = -2
+STAIRS: Final = -2
 """The part of a drawing that is the stairs below a person."""
 
 _PERSON, _PANEL, _THING = range(3)
 _PANELS: Final[tuple[Color, ...]] = ((96, 84, 70), (70, 84, 100), (84, 96, 80), (100, 78, 84))
 
 
-def image_frames(world: World, which: str) -> list[int]:
+def panorama_frames(world: World, which: str) -> list[int]:
     """Frames that get a panorama.
 
     `none`; `keyframes`; `changes`: keyframes, and of every tick but the first the first frame and the one before, so
@@ -109,9 +109,9 @@ class Painter:
         self.segments = Segments(steps, steps + 1, things, things + len(world.things.things))
         self._across, self._toward = facing(world.pose, *world.turned)
 
-    def paint(self, frame: int) -> Image:
+    def paint(self, frame: int) -> _Image:
         """The panorama (480, 3760, 3), RGB."""
-        image: Image = np.roll(self._backdrop.image, self._turn(frame), axis=1)
+        image: _Image = np.roll(self._backdrop.image, self._turn(frame), axis=1)
         marks = marks_of(self._world, frame)
         carried = self._carried(frame)
         for kind, index in self._from_far(frame):
@@ -125,7 +125,7 @@ class Painter:
         """The number of the segment (see `Segments`) at every pixel, (480, 3760)."""
         image = np.roll(self._backdrop.ids, self._turn(frame), axis=1)
         carried = self._carried(frame)
-        numbers = {STEPS: self.segments.steps}
+        numbers = {STAIRS: self.segments.steps}
         numbers |= {thing: self.segments.things + thing for thing in range(len(self._world.things.things))}
         for kind, index in self._from_far(frame):
             own = index + (self.segments.people if kind == _PERSON else self.segments.panels)
@@ -167,9 +167,9 @@ class Painter:
             # A shadow, which is no part of any segment.
             canvas.ellipse((left + w // 2, ground - 1), (max(1, w // 2), max(1, w // 8)), (62, 58, 54))
         if ground - bottom > 1:
-            canvas.rectangle((left, bottom), (left + w - 1, ground), (104, 100, 96), STEPS)
+            canvas.rectangle((left, bottom), (left + w - 1, ground), (104, 100, 96), STAIRS)
             for row in range(bottom, ground, max(3, (ground - bottom) // 5)):
-                canvas.lines([(left, row), (left + w - 1, row)], (74, 70, 68), STEPS)
+                canvas.lines([(left, row), (left + w - 1, row)], (74, 70, 68), STAIRS)
         joints = np.rint(world.joints[frame, i] + np.array([left - x, 0.0])).astype(np.int64).tolist()
         figure = Figure(
             left,

@@ -34,11 +34,11 @@ GAITS: Final = {
 """Share of what people do when they move, and metres per second; those who went up the stairs come down again."""
 PATIENT_REST: Final = 0.55
 """Share of the rests of patient parties that are one held pose; the others are two with a moment between them."""
-STILL: Final = {"standing": 0.46, "sitting": 0.36, "bending": 0.13, "lying": 0.05}
+STILL_POSES: Final = {"standing": 0.46, "sitting": 0.36, "bending": 0.13, "lying": 0.05}
 PATIENT: Final = 0.65
 """Share of the parties of one or two in the open that stay: they hold a pose for thirteen seconds or longer, change to
 another for a moment, and hold one again."""
-HELD: Final = (13, 22)
+POSE_SECONDS: Final = (13, 22)
 """Seconds that the patient hold a pose; the upper bound is not reached."""
 HIDDEN: Final = 0.29
 """Share of the parties that stay behind the partitions."""
@@ -224,7 +224,7 @@ def _party_moves(rng: Rng, ticks: int, party: Party) -> tuple[Bools, Ints]:
             moves = bool(not upstairs and rng.random() < 0.3)
         else:
             once = party.patient and rng.random() < PATIENT_REST
-            length = int(rng.integers(*HELD if once else _RESTS[party.hidden, party.patient]))
+            length = int(rng.integers(*POSE_SECONDS if once else _RESTS[party.hidden, party.patient]))
             moves = True
         tick += length
     return move, shared
@@ -259,11 +259,11 @@ def _member_poses(rng: Rng, move: Bools, shared: Ints, patient: bool) -> Ints:
         held = False
         while tick < end:
             held = patient and not held
-            length = min(int(rng.integers(*(HELD if held else (3, 7) if patient else (3, 11)))), end - tick)
-            if end - tick - length < 3 or (held and end - tick < HELD[1]):
+            length = min(int(rng.integers(*(POSE_SECONDS if held else (3, 7) if patient else (3, 11)))), end - tick)
+            if end - tick - length < 3 or (held and end - tick < POSE_SECONDS[1]):
                 length = end - tick
             brief = patient and not held
-            last = _pick(rng, {key: 1.0 if brief else share for key, share in STILL.items() if key != last})
+            last = _pick(rng, {key: 1.0 if brief else share for key, share in STILL_POSES.items() if key != last})
             pose[tick : tick + length] = POSE[last]
             tick += length
     return pose

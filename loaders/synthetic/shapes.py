@@ -90,7 +90,7 @@ STANDING: Final = {
 }
 """By category."""
 
-HELD: Final[dict[str, tuple[float, float, Color]]] = {
+HELD_OBJECTS: Final[dict[str, tuple[float, float, Color]]] = {
     "phone": (0.08, 0.16, (30, 32, 38)),
     "waterbottle": (0.09, 0.26, (70, 120, 160)),
     "box": (0.36, 0.28, (150, 118, 72)),

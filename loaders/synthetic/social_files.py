@@ -13,7 +13,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from jrdb_avr.loaders.synthetic.box_files import HARD, LabelFrame, Record
+from jrdb_avr.loaders.synthetic.box_files import HARD_CODE, LabelFrame, _Record
 from jrdb_avr.loaders.synthetic.coco_files import category_ids
 from jrdb_avr.loaders.synthetic.interactions import RelationRuns
 from jrdb_avr.loaders.synthetic.script import Rng, one_of
@@ -88,7 +88,7 @@ class Entries:
             hidden = hidden | world.hidden[frame, other]
         # Hard labels are mostly those of people who are covered; one draw per run, as for actions.
         draw = runs.draw[run]
-        level = np.where(draw < np.where(hidden, 0.5, 0.04), HARD, 1 + (draw * 64).astype(np.int64) % 2)
+        level = np.where(draw < np.where(hidden, 0.5, 0.04), HARD_CODE, 1 + (draw * 64).astype(np.int64) % 2)
         order = np.lexsort((run, other, person, frame))
         start = np.searchsorted(frame[order], np.arange(world.frames + 1))
         return cls(person[order], run[order], other[order], level[order], start)
@@ -126,7 +126,7 @@ class SocialFiles:
         """Entries of `H-interaction` in the whole sequence."""
         return len(self._bonds.person)
 
-    def records(self, one: LabelFrame) -> tuple[list[Record], list[Record]]:
+    def records(self, one: LabelFrame) -> tuple[list[_Record], list[_Record]]:
         """Records of the social and of the reasoning file at a frame of the 2D file.
 
         The reasoning file has other names, and mostly leaves out empty lists.
@@ -189,7 +189,7 @@ def _lists(texts: dict[int, list[str]]) -> Lists:
     return {i: msgspec.Raw(f"[{','.join(some)}]".encode()) for i, some in texts.items()}
 
 
-def _text(element: Record) -> msgspec.Raw:
+def _text(element: _Record) -> msgspec.Raw:
     return msgspec.Raw(msgspec.json.encode([element]))
 
 
@@ -217,7 +217,7 @@ def _person_texts(rng: Rng, world: World, i: int) -> dict[str, msgspec.Raw]:
         slip = (person.gender, AGES[(AGES.index(person.age) + 1) % len(AGES)])
     return {
         "plain": text(person.gender, person.age, rng.integers(1, 3, 3).tolist()),
-        "hard": text(person.gender, person.age, [HARD] * 3),
+        "hard": text(person.gender, person.age, [HARD_CODE] * 3),
         "impossible": text("impossible", person.age, [1, 1, 1]),
         "other": text(*slip, [2, 2, 2]),
     }

@@ -12,9 +12,9 @@ from typing import Any, BinaryIO, Final
 
 import numpy as np
 
-from jrdb_avr.loaders.synthetic.box_files import HARD, Quirks, difficulty, lidar_points
+from jrdb_avr.loaders.synthetic.box_files import HARD_CODE, Quirks, drawn_difficulty, lidar_points
 from jrdb_avr.loaders.synthetic.label_files import label_texts
-from jrdb_avr.loaders.synthetic.pictures import image_frames, write_images
+from jrdb_avr.loaders.synthetic.pictures import panorama_frames, write_images
 from jrdb_avr.loaders.synthetic.script import NONE
 from jrdb_avr.loaders.synthetic.social_files import SocialFiles
 from jrdb_avr.loaders.synthetic.world import World
@@ -107,7 +107,7 @@ def write_sequence(order: Order) -> Written:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 files[name] = stack.enter_context(path.open("wb"))
             files[name].write(part)
-    images = image_frames(world, order.images)
+    images = panorama_frames(world, order.images)
     if images:
         write_images(world, images, root / "images" / "image_stitched" / order.name)
     counts = _count(world, quirks) + Counter({"interactions": social.interactions})
@@ -116,7 +116,7 @@ def write_sequence(order: Order) -> Written:
 
 def _count(world: World, quirks: Quirks) -> Counter[str]:
     key = np.arange(KEYFRAME_STEP, world.frames, KEYFRAME_STEP)
-    level, _ = difficulty(world)
+    level, _ = drawn_difficulty(world)
     # A pose, and up to two other actions.
     labels = np.insert(world.actions != NONE, 0, True, axis=2)[key] & world.boxed[key][..., None]
     seen = world.boxed[key]
@@ -126,7 +126,7 @@ def _count(world: World, quirks: Quirks) -> Counter[str]:
             "boxes": int(world.boxed.sum()),
             "occluded": int((world.boxed & world.hidden).sum()),
             "labels": int(labels.sum()),
-            "hard labels": int((labels & (level[key] == HARD)).sum()),
+            "hard labels": int((labels & (level[key] == HARD_CODE)).sum()),
             "tracks": int(seen.any(axis=0).sum()),
             "tracks with gaps": sum(bool((np.diff(np.flatnonzero(person)) > 1).any()) for person in seen.T),
             "solid": int(world.present.sum()),

@@ -20,7 +20,7 @@ from jrdb_avr.loaders import verify
 from jrdb_avr.loaders.load import load, rebuild
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.loaders.synthetic.write import plan, write
-from jrdb_avr.loaders.verify import FILE, STEPS, checks_of
+from jrdb_avr.loaders.verify import FILE, VERIFY_STEPS, checks_of
 from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.graph.file import PAGE, check_fingerprint, fingerprint_of, fingerprint_path
 from jrdb_avr.queries.graph.handle import Graph
@@ -124,7 +124,7 @@ def test_a_loaded_store_is_what_was_loaded(store):
     checks = checks_of(store, steps.append)
     assert [check.what for check in checks] == ["annotations", "intervals", FILE, *SCENE_NODES, *SCENE_RELS]
     assert not [check for check in checks if check.fault]
-    assert sum(steps) == STEPS
+    assert sum(steps) == VERIFY_STEPS
     # Every part of the scene is there to be compared.
     rows = store.manifest().graph
     assert all(check.checked == rows[check.what] > 0 for check in checks[3:])
