@@ -183,10 +183,10 @@ def _texts_between(plan: Plan, edge: Edge, places: Mapping[str, int]) -> tuple[t
 
 
 RESOLVED_FRAMES: Final = 30
-"""Looks farther apart leave a moment unresolved (design, section 6: reference agent)."""
+"""Looks farther apart leave a moment unresolved, by the protocol of the reference agent."""
 
 DISTANCE_CUT_M: Final = 1.0
-"""Closer or farther from this change of distance on, about the same below it (design, section 6: reference agent)."""
+"""Closer or farther from this change of distance on, about the same below it, by the protocol of the reference agent."""
 
 
 BeliefRows = Mapping[str, Rows]

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, Protocol
 
-import pyarrow as pa
-
+from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.compiler.find import Agreed, Find, compile_find, outcome_of_people
 from jrdb_avr.queries.compiler.mapping import PersonId, SchemaMapping, edge_kind, edge_values, read_text
+from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.plan import Plan
@@ -26,17 +26,8 @@ TIMEOUT_S: Final = 60.0
 """For each statement."""
 
 
-class Queryable(Protocol):
-    """A graph that answers statements: `Graph`, or the world model's handle."""
-
-    def query(
-        self,
-        cypher: str,
-        params: Mapping[str, Any] | None = None,
-        *,
-        ordered: bool = True,
-        timeout_s: float | None = None,
-    ) -> pa.Table: ...
+Queryable = Graph | WorldGraph
+"""A graph that answers statements."""
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ _TOKEN = re.compile(
 
 _INT64: Final = 2**63
 
+_SCALARS: Final = {bool: "BOOL", int: "INT64", float: "DOUBLE", str: "STRING"}
 _FIELD: Final = re.compile("[A-Za-z_][A-Za-z0-9_]*")
 
 
@@ -97,15 +98,9 @@ def _plain(name: str, value: Any) -> Any:
 
 def _type(name: str, value: Any) -> str | None:
     """The engine's type of a plain value; None where it is unknown (None, an empty list's items)."""
+    if kind := next((kind for scalars, kind in _SCALARS.items() if isinstance(value, scalars)), None):
+        return kind
     match value:
-        case bool():
-            return "BOOL"
-        case int():
-            return "INT64"
-        case float():
-            return "DOUBLE"
-        case str():
-            return "STRING"
         case dict():
             parts = [f"{_field(name, key)} {_type(name, item) or 'STRING'}" for key, item in value.items()]
             return f"STRUCT({', '.join(parts)})" if parts else None
