@@ -186,7 +186,7 @@ RESOLVED_FRAMES: Final = 30
 """Looks farther apart leave a moment unresolved, by the protocol of the reference agent."""
 
 DISTANCE_CUT_M: Final = 1.0
-"""Closer or farther from this change of distance on, about the same below it, by the protocol of the reference agent."""
+"""Change of distance from which on it is closer or farther, by the protocol of the reference agent."""
 
 
 BeliefRows = Mapping[str, Rows]
