@@ -44,8 +44,8 @@ def graphless_store(folder, world):
 def without_graph():
     """A context in which loads make everything but the graph."""
 
-    def build(index):
-        Store(index.staging).write_manifest(index.manifest)
+    def build(store, staging, manifest):
+        staging.write_manifest(manifest)
         return []
 
     return _instead(stage_scene=_nothing, _build=build)
