@@ -1,4 +1,4 @@
-"""What library functions report while they work, and how their results display in a console and in a notebook."""
+"""Progress reports of library functions, and the display of their results in a console and in a notebook."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 Progress = Callable[[str, int, int], None]
-"""Called with what is done, the number of steps finished and the number of all steps."""
+"""Called with the name of the work, the number of finished steps and the number of all steps."""
 
 _Rows = Sequence[Mapping[str, Any]]
 Tables = Mapping[str, _Rows]
@@ -17,7 +17,7 @@ MAX_ROWS: Final = 100
 
 
 def step_counter(progress: Progress | None, what: str, total: int) -> Callable[[int], None]:
-    """Return a function that adds finished steps and reports them to `progress`, which hears of the start too."""
+    """Return a function that adds finished steps and reports them to `progress`, first at the start."""
     done = 0
 
     def advance(steps: int = 1) -> None:

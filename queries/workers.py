@@ -66,7 +66,7 @@ def without_collector() -> Iterator[None]:
 
 
 def end_with_parent() -> None:
-    """End this worker when its parent process is gone, even killed: an orphan would go on writing behind its back."""
+    """End this worker when its parent process is gone, even killed: an orphan would go on writing."""
     parent = multiprocessing.parent_process()
     if parent is None:
         return

@@ -248,7 +248,7 @@ class BeliefReader(Reader):
             for found in self.query(cypher, {name: row[name] for name in own}, ordered=False)
         ]
 
-    # -- what is there --------------------------------------------------------------------------------------------
+    # -- beliefs of the episode -----------------------------------------------------------------------------------
 
     def all(self, name: str) -> Rows:
         """Rows of a statement over the whole episode, without replaced ones."""

@@ -22,7 +22,7 @@ from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules, frames
 
-TIMEOUT_S: Final = 60.0
+_TIMEOUT_S: Final = 60.0
 """For each statement."""
 
 
@@ -64,6 +64,8 @@ class Seen:
 
 
 Rows = Sequence[Mapping[str, Any]]
+"""Rows of a statement, or of its parameter `$plans`."""
+
 Looks = Sequence[tuple[Person, int]]
 """People, each with a frame."""
 
@@ -118,7 +120,7 @@ class SceneReader(Reader):
     """Reads the annotations, under the rules of their load."""
 
     def __init__(
-        self, graph: Queryable, mapping: SchemaMapping, rules: LoadRules, timeout_s: float = TIMEOUT_S
+        self, graph: Queryable, mapping: SchemaMapping, rules: LoadRules, timeout_s: float = _TIMEOUT_S
     ) -> None:
         self.graph, self.mapping, self.timeout_s = graph, mapping, timeout_s
         self.values = {
