@@ -11,12 +11,12 @@ import click
 
 from jrdb_avr.agent.model.conventions import DEFAULTS, RESPONSE_FORMATS, THINKING, Options
 
-C = TypeVar("C", bound=Callable[..., Any])
+_C = TypeVar("_C", bound=Callable[..., Any])
 
 base_url_option = click.option("--base-url", help="An OpenAI-compatible server, as http://localhost:8000/v1.")
 
 
-def model_option(more: str = ".") -> Callable[[C], C]:
+def model_option(more: str = ".") -> Callable[[_C], _C]:
     """Add the required option `--model`."""
     return click.option(
         "--model", required=True, help=f"Model id to ask for; 'marker' is the built-in reader of marks{more}"
@@ -47,7 +47,7 @@ _ENDPOINT: Final[tuple[tuple[str, str, click.ParamType[Any], str], ...]] = (
 )
 
 
-def endpoint_options(function: C) -> C:
+def endpoint_options(function: _C) -> _C:
     """Add the options of a model's server; the command gets them as one parameter `options`.
 
     A model without an address is a usage error, unless it is the built-in one or none.
@@ -66,5 +66,5 @@ def endpoint_options(function: C) -> C:
     for flag, name, kind, words in reversed(_ENDPOINT):
         default = getattr(DEFAULTS, name)
         decorated = click.option(flag, name, type=kind, default=default, show_default=True, help=words)(decorated)
-    result: C = decorated
+    result: _C = decorated
     return result

@@ -8,7 +8,7 @@ from typing import Any, Final, TypeVar
 
 import click
 
-C = TypeVar("C", bound=Callable[..., Any])
+_C = TypeVar("_C", bound=Callable[..., Any])
 
 FILE: Final = click.Path(dir_okay=False, path_type=Path)
 FOLDER: Final = click.Path(file_okay=False, path_type=Path)
@@ -20,7 +20,7 @@ def _open_store(ctx: click.Context, parameter: click.Parameter, path: Path | Non
     return None if path is None else Store(path)
 
 
-def store_option(required: bool = True) -> Callable[[C], C]:
+def store_option(required: bool = True) -> Callable[[_C], _C]:
     """Add the option `--store` as a Store."""
     return click.option("--store", required=required, type=FOLDER, callback=_open_store, help="Folder of the store.")
 
@@ -34,12 +34,12 @@ iou_option = click.option(
 )
 
 
-def page_option(default: str) -> Callable[[C], C]:
+def page_option(default: str) -> Callable[[_C], _C]:
     """Add the option `--out` of a page."""
     return click.option("--out", type=FILE, default=Path(default), show_default=True, help="HTML file to write.")
 
 
-def pairs_option(flag: str, parameter: str, help_text: str, metavar: str = "NAME=VALUE") -> Callable[[C], C]:
+def pairs_option(flag: str, parameter: str, help_text: str, metavar: str = "NAME=VALUE") -> Callable[[_C], _C]:
     """Add an option that may be repeated, as a list of (name, value)."""
 
     def split(ctx: click.Context, own: click.Parameter, texts: tuple[str, ...]) -> list[tuple[str, str]]:

@@ -18,11 +18,11 @@ from jrdb_avr.schema.errors import QueryError
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
-C = TypeVar("C", bound=Callable[..., Any])
+_C = TypeVar("_C", bound=Callable[..., Any])
 Language = Literal["cypher", "sql"]
 
 
-def _query_options(function: C) -> C:
+def _query_options(function: _C) -> _C:
     """Add the argument and the options of a query."""
     for decorate in (
         click.argument("query", required=False),

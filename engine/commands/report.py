@@ -31,7 +31,7 @@ _runs_argument = click.argument("runs", nargs=-1, metavar="[RUN]...")
 @iou_option
 @json_option
 def score(runs: tuple[str, ...], store: Store, iou: float, as_json: bool) -> None:
-    """Write runs/RUN/scores.parquet: answer, evidence and combined score of every question asked."""
+    """Write runs/RUN/scores.parquet: answer, evidence and combined score of every question."""
     from jrdb_avr.engine.report import comparison
 
     with warnings_as_notes():
@@ -84,7 +84,7 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
         from jrdb_avr.engine.pages.page import write_page
         from jrdb_avr.engine.pages.report import report_page
 
-        write_page(html, report_page(store, found.truth, found.index, found.runs, iou, published=paper))
+        write_page(html, report_page(found))
         note(f"wrote {html}")
         return
     if as_json:
@@ -108,9 +108,9 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
 
 
 def _print_table(name: str, rows: list[dict[str, Any]], title: str) -> None:
-    from jrdb_avr.engine.report.formats import filled, joined
+    from jrdb_avr.engine.report.formats import filled, with_intervals
 
-    cells = joined(rows)
+    cells = with_intervals(rows)
     if name != "main":
         print_rows(filled(cells), title=title)
         return

@@ -24,7 +24,7 @@ from jrdb_avr.queries.store import Store, write_atomic, write_table
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.tables import CANARY, QUESTIONS
 
-TABLES: Final = ("answers", "evidence", "rejected", "sequences", "questions")
+PUBLISHED: Final = ("answers", "evidence", "rejected", "sequences", "questions")
 """The tables of a generation in the order in which they are moved in; `questions` last, it makes them valid."""
 
 EVIDENCE_BLOCK: Final = 500
@@ -76,7 +76,7 @@ def publish(store: Store, tables: Mapping[str, pa.Table]) -> None:
             write_table(pending / f"{name}.parquet", table, QUESTIONS[name], metadata)
         blocks = evidence_blocks(store, tables["questions"], tables["answers"])
         write_atomic(pending / "evidence.parquet", lambda path: _write_blocks(path, blocks, metadata))
-        for name in TABLES:
+        for name in PUBLISHED:
             (pending / f"{name}.parquet").replace(store.question_path(name))
         handle = os.open(folder, os.O_RDONLY)
         try:

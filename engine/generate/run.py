@@ -70,10 +70,10 @@ def generate(
     where nothing is loaded, or under other load rules, and LockedError where another process writes the store.
     """
     store, rules = Store.of(store), rules or Rules()
-    sequences = sorted(check_manifest(store, rules).sequences)
+    sequences = sorted(check_load_rules(store, rules).sequences)
     # A first look reads the manifest only, so that a wrong store is refused before it is locked (and thereby made).
     with store.writing("generate"), tempfile.TemporaryDirectory(prefix="jrdb-avr-") as scratch:
-        check_manifest(store, rules)
+        check_load_rules(store, rules)
         parts = [Path(scratch) / f"{sequence}.parquet" if candidates else None for sequence in sequences]
         jobs = [SequenceJob(store.path, name, rules, part) for name, part in zip(sequences, parts, strict=True)]
         advance = step_counter(progress, "searching", len(sequences))
@@ -83,7 +83,7 @@ def generate(
         return _publish(store, results, rules, profile, seed, excluded)
 
 
-def check_manifest(store: Store, rules: Rules) -> Manifest:
+def check_load_rules(store: Store, rules: Rules) -> Manifest:
     """The store's manifest. Raises StoreError where it was loaded under other load rules."""
     manifest = store.manifest()
     if manifest.load_rules_hash != rules_hash(rules.load):

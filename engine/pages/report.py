@@ -5,20 +5,17 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 
 from jrdb_avr.engine.pages.page import render
 from jrdb_avr.engine.pages.svg import SQUARE, scatter
+from jrdb_avr.engine.report.comparison import Comparison
 from jrdb_avr.engine.report.failures import CAUSES
 from jrdb_avr.engine.report.formats import filled
-from jrdb_avr.engine.report.scored_runs import DIMENSIONS, SCORES, QuestionIndex, ScoredRun, distinguishing_settings
-from jrdb_avr.engine.report.scoring import Truth
-from jrdb_avr.engine.report.tables import TABLES, report_table
-from jrdb_avr.queries.store import Store
-
-Row = dict[str, Any]
+from jrdb_avr.engine.report.scored_runs import DIMENSIONS, SCORES, distinguishing_settings
+from jrdb_avr.engine.report.tables import TABLES, Row
 
 _TITLES: Final = {name: name.replace("_", " ") for name in DIMENSIONS} | {
     "group": "the paper's groups",
@@ -40,11 +37,10 @@ class Crossed:
     values_across: bool
 
 
-def report_page(
-    store: Store, truth: Truth, index: QuestionIndex, runs: Sequence[ScoredRun], iou: float, *, published: bool = False
-) -> str:
+def report_page(comparison: Comparison) -> str:
     """The page's HTML."""
-    tables = {name: report_table(name, store, truth, index, runs, iou, published=published) for name in TABLES}
+    runs = comparison.runs
+    tables = {name: comparison.table(name) for name in TABLES}
     names = [run.manifest.run_id for run in runs]
     own = [row for row in tables["main"] if row["run"]]
     dots, tags = scatter(own)
@@ -54,8 +50,8 @@ def report_page(
     return render(
         "report.html",
         names=names,
-        iou=iou,
-        synthetic=any(run.manifest.synthetic for run in runs),
+        iou=comparison.iou,
+        synthetic=comparison.synthetic,
         main=own,
         published=[row for row in tables["main"] if not row["run"]],
         dots=dots,

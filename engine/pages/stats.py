@@ -8,10 +8,8 @@ from itertools import accumulate
 from typing import Any, Final, NamedTuple
 
 from jrdb_avr.engine.pages.page import render
+from jrdb_avr.queries.display import Rows, Tables
 from jrdb_avr.schema.templates import FAMILIES
-
-Rows = Sequence[Mapping[str, Any]]
-Tables = Mapping[str, Rows]
 
 _PALETTE: Final = [f"c{number}" for number in range(12)]
 """Classes of the picture's style; the first seven are the families' in the order of the table `family`."""
@@ -42,7 +40,7 @@ class Bar(NamedTuple):
     label: str = ""
 
 
-class Row(NamedTuple):
+class PanelRow(NamedTuple):
     """A named line of a panel: bars, dots as (place, color, label), a stroke at `aim`, and a note at its end."""
 
     name: str
@@ -59,7 +57,7 @@ class Panel(NamedTuple):
     title: str
     note: str
     weight: float = 1.0
-    rows: Sequence[Row] = ()
+    rows: Sequence[PanelRow] = ()
     ticks: Sequence[tuple[float, str]] = ()
     legend: Sequence[tuple[str, str]] = ()
     columns: Sequence[tuple[str, float]] = ()
@@ -99,7 +97,7 @@ def _counts(title: str, note: str, rows: Rows, columns: Sequence[str], color: Ma
     name, n, *aims = columns
     most = max([1, *(row[column] for row in rows for column in columns[1:])])
     lines = [
-        Row(
+        PanelRow(
             row[name],
             " of ".join(f"{row[column]:,}" for column in columns[1:]),
             [Bar(0, row[n] / most, color.get(row.get("family", ""), _PALETTE[0]))],
@@ -125,7 +123,7 @@ def _funnel(tables: Tables, color: Mapping[str, str]) -> Panel:
         own = color[row["family"]]
         stages = (("candidates", "none"), ("proven", f"{own} pale"), ("questions", own))
         dots = [(math.log10(row[n]) / power, shade, f"{row[n]:,} {n}") for n, shade in stages if row[n]]
-        rows.append(Row(row["template"], "" if row["questions"] else "none", dots=dots))
+        rows.append(PanelRow(row["template"], "" if row["questions"] else "none", dots=dots))
     return Panel(
         "From candidates to questions",
         "per template, by powers of ten",
@@ -175,18 +173,18 @@ def _distractors(tables: Tables) -> Panel:
     return Panel("Wrong choices", "share by the mistake that yields them", 1.2, rows, legend=legend)
 
 
-def _stacked(name: str, rows: Rows, parts: Sequence[tuple[float, str, str]]) -> Row:
+def _stacked(name: str, rows: Rows, parts: Sequence[tuple[float, str, str]]) -> PanelRow:
     """A row of bars end to end: (share, color, label) each."""
     ends = accumulate(share for share, _, _ in parts)
     bars = [Bar(end - share, share, color, label) for end, (share, color, label) in zip(ends, parts, strict=True)]
-    return Row(name, f"n {_sum(rows):,}", bars)
+    return PanelRow(name, f"n {_sum(rows):,}", bars)
 
 
 def _blind(tables: Tables) -> Panel:
     """Guessers' scores as dots, the aim as a stroke."""
     color = dict(zip(_GUESSERS, _PALETTE, strict=False))
     rows = [
-        Row(
+        PanelRow(
             row["template"] + (" (count)" if row["asks"] == "count" else ""),
             f"n {row['n']:,}",
             dots=[(row[name], color[name], f"{name}: {row[name]:.0%}") for name in _GUESSERS if row[name] is not None],

@@ -13,7 +13,7 @@ import msgspec
 from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.pages.page import jpeg_uri, readable, render, unit_of
 from jrdb_avr.engine.pages.svg import shortened
-from jrdb_avr.engine.report.traces import Look, Row, Trace
+from jrdb_avr.engine.report.traces import Look, StoredRow, Trace
 from jrdb_avr.schema.answers import FrameAnswer, FrameViewpoint, Span, decode_answer
 from jrdb_avr.schema.beliefs import ALWAYS
 from jrdb_avr.schema.errors import DecodeError, ObserveError
@@ -336,7 +336,7 @@ def _steps(trace: Trace, observer: Observer, strip: Callable[[int], str]) -> lis
         else LookView(look, missing=f"only the first {_PICTURES} looks are shown")
         for number, look in enumerate(trace.looks)
     }
-    refused: dict[int, list[Row]] = {}
+    refused: dict[int, list[StoredRow]] = {}
     for write in trace.refused:
         refused.setdefault(write.step, []).append(write.row)
     return [
@@ -345,7 +345,7 @@ def _steps(trace: Trace, observer: Observer, strip: Callable[[int], str]) -> lis
     ]
 
 
-def _step(step: Row) -> dict[str, Any]:
+def _step(step: StoredRow) -> dict[str, Any]:
     of_model = step["kind"] == "model"
     request = _messages(step["request"]) if of_model else _plain(step["request"])
     response = _reply(step["response"]) if of_model else _plain(step["response"])

@@ -6,20 +6,30 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import pyarrow as pa
 
 from jrdb_avr.engine.report import formats
+from jrdb_avr.engine.report.failures import evidence_failure_rows, wrong_choice_rows
 from jrdb_avr.engine.report.scored_runs import QuestionIndex, ScoredRun, read_index, scored_run
 from jrdb_avr.engine.report.scoring import Truth, read_truth, score_run, write_scores
-from jrdb_avr.engine.report.tables import TABLES, report_table, score_row
+from jrdb_avr.engine.report.tables import (
+    TABLES,
+    Row,
+    ablation_rows,
+    breakdown_rows,
+    cost_rows,
+    main_rows,
+    pair_rows,
+    published_groups,
+    published_rows,
+    score_row,
+)
 from jrdb_avr.queries.display import Displayed, Tables
 from jrdb_avr.queries.runs import run_ids
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
-
-Row = dict[str, Any]
 
 _PRINTED: Final = ("label", "n", "answer", "evidence", "combined", "hallucination", "invalid")
 
@@ -57,7 +67,21 @@ class Comparison(Displayed):
         """The rows of one table of `engine.report.tables.TABLES`. Raises InputError for another name."""
         if name not in TABLES:
             raise InputError(f"no table {name!r}; there are {', '.join(TABLES)}", field="table")
-        return report_table(name, self.store, self.truth, self.index, self.runs, self.iou, published=self.paper)
+        index, runs = self.index, self.runs
+        match name:
+            case "main":
+                return main_rows(index, runs, self.iou) + (published_rows() if self.paper else [])
+            case "ablation":
+                return ablation_rows(runs, published=self.paper)
+            case "pairs":
+                return pair_rows(index, runs)
+            case "wrong_choices":
+                return wrong_choice_rows(self.store, index, runs)
+            case "evidence_failures":
+                return evidence_failure_rows(self.store, self.truth, index, runs)
+            case "cost":
+                return cost_rows(runs)
+        return breakdown_rows(index, runs, name) + (published_groups() if self.paper and name == "group" else [])
 
     def markdown(self, name: str = "main") -> str:
         """A table in Markdown, in the columns of a paper."""
@@ -84,7 +108,7 @@ class Comparison(Displayed):
         return f"{len(self.runs)} runs, evidence from IoU {self.iou:g} on"
 
     def _tables(self) -> Tables:
-        return {"Runs in percent [95 % interval]": formats.joined(self.table())}
+        return {"Runs in percent [95 % interval]": formats.with_intervals(self.table())}
 
 
 def score(store: Store | str | Path, runs: Sequence[str] = (), iou: float = 0.5) -> Scores:

@@ -4,20 +4,14 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 from jrdb_avr.engine.console import clean
+from jrdb_avr.queries.display import Rows, columns_of
 
-_LATEX: Final = {
+_LATEX: Final = {letter: f"\\{letter}" for letter in "&%$#_{}"} | {
     "\\": r"\textbackslash{}",
-    "&": r"\&",
-    "%": r"\%",
-    "$": r"\$",
-    "#": r"\#",
-    "_": r"\_",
-    "{": r"\{",
-    "}": r"\}",
     "~": r"\textasciitilde{}",
     "^": r"\textasciicircum{}",
     # After the end of a row, and after a rule, a bracket would open an optional argument.
@@ -32,9 +26,6 @@ _MARKDOWN: Final = {letter: f"\\{letter}" for letter in "\\`*[]|"} | {"&": "&amp
 _FORMULA: Final = ("=", "+", "-", "@", "\t", "\r")
 """What a spreadsheet takes for the beginning of a formula."""
 
-Rows = Sequence[Mapping[str, Any]]
-
-
 _LEAST_P: Final = 0.0001
 
 
@@ -47,25 +38,20 @@ def cell(value: object, column: str = "") -> str:
     return f"{value:.2f}" if isinstance(value, float) else str(value)
 
 
-def joined(rows: Rows) -> list[dict[str, str]]:
-    """Rows for people: a share with its interval in one column, `12.50 [8.10, 17.20]`."""
-    return [_joined(row) for row in rows]
+def with_intervals(rows: Rows) -> list[dict[str, str]]:
+    """Format rows with a share and its interval in one column, `12.50 [8.10, 17.20]`."""
+    return [
+        {
+            name: cell(value, name) + _bounds(row.get(f"{name}_low"), row.get(f"{name}_high"))
+            for name, value in row.items()
+            if not name.endswith(("_low", "_high"))
+        }
+        for row in rows
+    ]
 
 
-def _joined(row: Mapping[str, Any]) -> dict[str, str]:
-    text = {}
-    for name, value in row.items():
-        if name.endswith(("_low", "_high")):
-            continue
-        low, high = row.get(f"{name}_low"), row.get(f"{name}_high")
-        known = low is not None and high is not None
-        text[name] = f"{cell(value)} [{cell(low)}, {cell(high)}]" if known else cell(value, name)
-    return text
-
-
-def columns_of(rows: Rows) -> list[str]:
-    """Every column of any row, in the order of their first appearance."""
-    return list(dict.fromkeys(name for row in rows for name in row))
+def _bounds(low: object, high: object) -> str:
+    return "" if low is None or high is None else f" [{cell(low)}, {cell(high)}]"
 
 
 def markdown(rows: Rows) -> str:

@@ -22,8 +22,8 @@ from jrdb_avr.schema.tables import QUESTIONS
 
 SCORES: Final = ("answer", "evidence", "combined")
 
-GAP_EDGES_S: Final = (5.0, 15.0, 30.0)
-SEPARATION_EDGES_DEG: Final = (10.0, 30.0, 60.0)
+_GAP_EDGES_S: Final = (5.0, 15.0, 30.0)
+_SEPARATION_EDGES_DEG: Final = (10.0, 30.0, 60.0)
 
 DIMENSIONS: Final = ("family", "group", "template", "answer_mode", "hops", "time_gap_s", "separation_deg", "sequence")
 """Ways to group questions; the last three but one in bins."""
@@ -79,7 +79,7 @@ def make_index(questions: pa.Table, answers: pa.Table) -> QuestionIndex:
     texts = {name: questions[name].to_pylist() for name in ("family", "template", "answer_mode", "sequence")}
     texts["group"] = [_GROUP_OF[family] for family in texts["family"]]
     texts["hops"] = [str(hops) for hops in known["hops"].to_pylist()]
-    for name, edges in (("time_gap_s", GAP_EDGES_S), ("separation_deg", SEPARATION_EDGES_DEG)):
+    for name, edges in (("time_gap_s", _GAP_EDGES_S), ("separation_deg", _SEPARATION_EDGES_DEG)):
         bins = [f"[{low:g}, {high:g})" for low, high in pairwise((0.0, *edges, math.inf))]
         places = np.searchsorted(edges, known[name].to_numpy(zero_copy_only=False).astype(np.float64), side="right")
         texts[name] = [bins[place] for place in places.tolist()]

@@ -6,7 +6,7 @@ A value is None (printed as n/a) where n is 0.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import combinations
 from typing import Any, Final
 
@@ -14,7 +14,6 @@ import numpy as np
 import pyarrow.compute as pc
 
 from jrdb_avr.engine.report.bootstrap import Interval, compare, intervals, mean_of_ratios, numbered_sums, ratio
-from jrdb_avr.engine.report.failures import evidence_failure_rows, wrong_choice_rows
 from jrdb_avr.engine.report.paper import ABLATION, BY_GROUP, MAIN, Published
 from jrdb_avr.engine.report.scored_runs import (
     DIMENSIONS,
@@ -24,8 +23,6 @@ from jrdb_avr.engine.report.scored_runs import (
     distinguishing_settings,
     percent_of,
 )
-from jrdb_avr.engine.report.scoring import Truth
-from jrdb_avr.queries.store import Store
 
 Row = dict[str, Any]
 
@@ -136,7 +133,7 @@ def score_row(run: ScoredRun, iou: float) -> Row:
 
 
 def _totals(run: ScoredRun) -> list[int]:
-    """What `_shares` takes, of a whole run."""
+    """The arguments of `_shares` for a whole run."""
     return [run.n, *run.scores.sum(axis=0).tolist(), int(run.invalid.sum())]
 
 
@@ -179,7 +176,7 @@ def _cell(active: bool, world: bool) -> Row:
 
 
 def pair_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[Row]:
-    """For each two runs and score, on the questions that both were asked: the exact McNemar test and the difference."""
+    """For each two runs and score, on their common questions: the exact McNemar test and the difference."""
     pairs, shared = [], []
     for first, second in combinations(runs, 2):
         common, mine, yours = np.intersect1d(first.rows, second.rows, assume_unique=True, return_indices=True)
@@ -199,7 +196,7 @@ def pair_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[Row]:
 
 
 def cost_rows(runs: Sequence[ScoredRun]) -> list[Row]:
-    """What a run took: means per question asked, and tokens per question that scores combined."""
+    """The cost of each run: means per question, and tokens per question that scores combined."""
     rows = []
     for run in runs:
         totals = {name: _total(run, name) for name in _COSTS}
@@ -217,31 +214,5 @@ def _total(run: ScoredRun, name: str) -> float:
     return float(pc.sum(run.predictions[name]).as_py() or 0)
 
 
-Rows = list[dict[str, Any]]
-
 TABLES: Final = ("main", *DIMENSIONS, "ablation", "pairs", "wrong_choices", "evidence_failures", "cost")
 """`main`: shares with intervals and macro averages; a dimension's name: a breakdown by it."""
-
-
-def report_table(
-    name: str,
-    store: Store,
-    truth: Truth,
-    index: QuestionIndex,
-    runs: Sequence[ScoredRun],
-    iou: float,
-    *,
-    published: bool = False,
-) -> Rows:
-    """One of `TABLES`; `published` adds the paper's figures to those that have some, labelled so."""
-    if name in DIMENSIONS:
-        return breakdown_rows(index, runs, name) + (published_groups() if published and name == "group" else [])
-    make: dict[str, Callable[[], Rows]] = {
-        "main": lambda: main_rows(index, runs, iou) + (published_rows() if published else []),
-        "ablation": lambda: ablation_rows(runs, published=published),
-        "pairs": lambda: pair_rows(index, runs),
-        "wrong_choices": lambda: wrong_choice_rows(store, index, runs),
-        "evidence_failures": lambda: evidence_failure_rows(store, truth, index, runs),
-        "cost": lambda: cost_rows(runs),
-    }
-    return make[name]()

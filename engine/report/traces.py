@@ -18,7 +18,7 @@ from jrdb_avr.schema.beliefs import ALWAYS, Fact
 from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.panorama import CROP, WIDTH
 
-Row = Mapping[str, Any]
+StoredRow = Mapping[str, Any]
 
 _DIGITS: Final = 8
 """More than frame ids have."""
@@ -46,7 +46,7 @@ class Look:
 class Written:
     """A write to the world model, as a row of its record: at a step, and replaced by a later write at `until`."""
 
-    row: Row
+    row: StoredRow
     step: int
     until: int
     fact: Fact
@@ -60,14 +60,14 @@ class Trace:
     """
 
     manifest: RunManifest
-    question: Row
-    answer: Row
-    prediction: Row
-    steps: Sequence[Row]
+    question: StoredRow
+    answer: StoredRow
+    prediction: StoredRow
+    steps: Sequence[StoredRow]
     looks: Sequence[Look]
     writes: Sequence[Written]
     target: Mapping[int, tuple[float, float, float, float]]
-    scores: Row
+    scores: StoredRow
     fps: float
 
     @property
@@ -125,7 +125,7 @@ class _Shown(msgspec.Struct):
 _SHOWN = msgspec.json.Decoder(_Shown)
 
 
-def look_of(step: Row) -> Look | None:
+def look_of(step: StoredRow) -> Look | None:
     """The look that a step of the transcript tells of; None for other steps, and for a look that was refused."""
     shown = look_shown(step["response"]) if step["kind"] == "observe" else None
     return None if shown is None else Look(step["step"], *shown)

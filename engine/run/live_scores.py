@@ -79,7 +79,7 @@ def _report_all(lines: Iterator[str], report: Callable[[LiveScore], None]) -> No
 # -- the child --------------------------------------------------------------------------------------------------------
 
 
-def main() -> None:
+def print_scores() -> None:
     """Print a line whenever the scores change, until standard input closes: the parent's end is the child's."""
     from jrdb_avr.queries.store import Store
     from jrdb_avr.schema.errors import AvrError
@@ -136,4 +136,4 @@ def _open_input() -> bool:
 
 
 if __name__ == "__main__":
-    main()
+    print_scores()

@@ -1,15 +1,15 @@
-"""What a benchmark holds: counts, distributions, why there are few of a kind, and how well it can be answered blind."""
+"""Statistics of a benchmark: counts, distributions, reasons for few questions of a template, and blind baselines."""
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from statistics import median
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
-import msgspec
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from jrdb_avr.engine.generate.blind import QuestionText, blind_check, question_texts
 from jrdb_avr.engine.generate.diagnostics import shortfalls, tallies
@@ -18,6 +18,7 @@ from jrdb_avr.engine.generate.views import min_crops
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.panorama import angle_error, center_angle
+from jrdb_avr.schema.questions import QuestionRecord
 from jrdb_avr.schema.tables import LAYERS
 from jrdb_avr.schema.templates import FAMILIES, FORMS
 
@@ -47,76 +48,66 @@ MEASURES: Final = {
     "people_in_scene": (0.0, 10.0, 20.0, 30.0, 40.0, 60.0, 80.0),
     "crops": (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 12.0),
 }
-"""What is measured of each question, with the lower edges of the bins in which it is counted; the last has no end.
+"""The measures of each question, with the lower edges of their bins; the last bin has no end.
 
-time_gap_s: seconds from the description to the last time asked about; separation_deg: how far the person asked
-about turns from the description to what decides, as the robot sees it; apart_deg: the largest turn between any two
-needed boxes, at whatever times; hops: relations to go by; people_in_scene: people with a box at the description's time;
+time_gap_s: seconds from the description to the last time that the question is about; separation_deg: the angle at the
+robot between the target at the description and at its decisive boxes; apart_deg: the largest angle between any two
+needed boxes, at whatever times; hops: relations to follow; people_in_scene: people with a box at that time;
 crops: the fewest looks that show every needed box (`views.min_crops`)."""
 
 
-class _Needed(msgspec.Struct):
-    frame: int
-    x: float
-    w: float
+_Row = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Asked:
-    """A question with its private side and what is measured of it."""
+class MeasuredQuestion(NamedTuple):
+    """A question with what its text states and with its MEASURES."""
 
-    posed: QuestionText
-    family: str
-    target: int
-    distractors: tuple[str | None, ...]
+    record: QuestionRecord
+    text: QuestionText
     measures: Mapping[str, float]
 
 
-def statistics(store: Store) -> dict[str, list[dict[str, Any]]]:
+def statistics(store: Store) -> dict[str, list[_Row]]:
     """Rows of every table in TITLES. Raises StoreError where there are no questions."""
     questions, answers, rejected = (store.questions(name) for name in ("questions", "answers", "rejected"))
-    private = answers.sort_by("question_id").to_pylist()
-    asked = [_asked(one, own) for one, own in zip(question_texts(questions, answers), private, strict=True)]
+    rows = zip(*(table.sort_by("question_id").to_pylist() for table in (questions, answers)), strict=True)
+    measured = [
+        _measured(QuestionRecord.read(*row), text)
+        for row, text in zip(rows, question_texts(questions, answers), strict=True)
+    ]
     sequences = store.manifest().sequences
     lacking = _lacking({name: entry.layers for name, entry in sequences.items()})
     counts = {(row["template"], row["layer"]): row["sequences_without"] for row in lacking}
     return {
-        "family": _families(asked),
+        "family": _families(measured),
         "template": _counted(
-            {"family": one.family, "template": one.posed.template, "asks": one.posed.asks, "mode": one.posed.mode}
-            for one in asked
+            {"family": record.family, "template": record.template, "asks": text.asks, "mode": record.answer_mode}
+            for record, text, _ in measured
         ),
-        "mode": _counted({"mode": one.posed.mode} for one in asked),
-        "sequence": _sequences(asked, sequences),
+        "mode": _counted({"mode": one.record.answer_mode} for one in measured),
+        "sequence": _sequences(measured, sequences),
         "shortfall": shortfalls(tallies(rejected, questions), counts, len(sequences)),
-        "refusal": _refusals(rejected.to_pylist()),
+        "refusal": _refusals(rejected),
         "lacking": lacking,
         "layer": _layers([entry.layers for entry in sequences.values()]),
-        "answer": _answers(asked),
-        "position": _positions(asked),
-        "distractor": _distractors(asked),
-        "distribution": _distributions(asked),
-        "spread": _spread(asked),
-        "blind": [{"family": FAMILIES[row["template"]], **row} for row in blind_check([one.posed for one in asked])],
+        "answer": _answers(measured),
+        "position": _positions(measured),
+        "distractor": _distractors(measured),
+        "distribution": _distributions(measured),
+        "spread": _spread(measured),
+        "blind": [{"family": FAMILIES[row["template"]], **row} for row in blind_check([one.text for one in measured])],
     }
 
 
-def _asked(question: QuestionText, own: Mapping[str, Any]) -> Asked:
-    needed = msgspec.json.decode(own["needed"], type=list[_Needed])
-    measures = {name: float(own[name]) for name in MEASURES if name in own}
-    angles = np.array([center_angle(box.x, box.w) for box in needed])
+def _measured(record: QuestionRecord, text: QuestionText) -> MeasuredQuestion:
+    measures = {name: float(getattr(record, name)) for name in MEASURES if hasattr(record, name)}
+    angles = np.array([center_angle(box.x, box.w) for box in record.needed])
     measures["apart_deg"] = float(angle_error(angles[:, None], angles).max())
-    measures["crops"] = float(min_crops((box.frame, box.x, box.w) for box in needed))
-    return Asked(
-        posed=question,
-        family=FAMILIES[question.template],
-        target=own["target_track"],
-        distractors=tuple(msgspec.json.decode(own["distractors"], type=list[str | None])),
-        measures=measures,
-    )
+    measures["crops"] = float(min_crops((box.frame, box.x, box.w) for box in record.needed))
+    return MeasuredQuestion(record, text, measures)
 
 
-def _counted(rows: Iterable[dict[str, Any]], within: Sequence[str] = ()) -> list[dict[str, Any]]:
+def _counted(rows: Iterable[dict[str, Any]], within: Sequence[str] = ()) -> list[_Row]:
     """Distinct rows with their n and their share of all, or of all rows that agree in the columns of `within`."""
     counts: Counter[tuple[tuple[str, Any], ...]] = Counter(tuple(row.items()) for row in rows)
     totals: Counter[tuple[Any, ...]] = Counter()
@@ -128,81 +119,75 @@ def _counted(rows: Iterable[dict[str, Any]], within: Sequence[str] = ()) -> list
     ]
 
 
-def _families(asked: Sequence[Asked]) -> list[dict[str, Any]]:
+def _families(measured: Sequence[MeasuredQuestion]) -> list[_Row]:
     """Every family, in the paper's order."""
-    counts = Counter(one.family for one in asked)
+    counts = Counter(one.record.family for one in measured)
     return [
-        {"family": family, "n": counts[family], "share": counts[family] / max(1, len(asked)), "paper": paper}
+        {"family": family, "n": counts[family], "share": counts[family] / max(1, len(measured)), "paper": paper}
         for family, paper in PROFILES["paper"].items()
     ]
 
 
-def _sequences(asked: Sequence[Asked], sequences: Iterable[str]) -> list[dict[str, Any]]:
+def _sequences(measured: Sequence[MeasuredQuestion], sequences: Iterable[str]) -> list[_Row]:
     """Every sequence of the store, also those without a question."""
-    counts = Counter(one.posed.sequence for one in asked)
-    people = Counter(sequence for sequence, _ in {(one.posed.sequence, one.target) for one in asked})
+    counts = Counter(one.record.sequence for one in measured)
+    people = Counter(sequence for sequence, _ in {(one.record.sequence, one.record.target_track) for one in measured})
     return [
-        {"sequence": name, "n": counts[name], "share": counts[name] / max(1, len(asked)), "people": people[name]}
+        {"sequence": name, "n": counts[name], "share": counts[name] / max(1, len(measured)), "people": people[name]}
         for name in sorted(sequences)
     ]
 
 
-def _answers(asked: Sequence[Asked]) -> list[dict[str, Any]]:
+def _answers(measured: Sequence[MeasuredQuestion]) -> list[_Row]:
     """Texts of choices by name, bins of times in their order."""
-    counts: Counter[tuple[str, str, float, str]] = Counter()
-    for one in asked:
-        question = one.posed
-        if isinstance(question.answer, Choice):
-            place, name = 0.0, question.choices[question.answer.choice - 1]
-        else:
-            name = question.bin
-            place = float(name.strip("[").split(",")[0])
-        counts[question.template, question.asks, place, name] += 1
-    totals: Counter[tuple[str, str]] = Counter()
-    for (template, asks, _, _), n in counts.items():
-        totals[template, asks] += n
-    return [
-        {"template": template, "asks": asks, "answer": name, "n": n, "share": n / totals[template, asks]}
-        for (template, asks, _, name), n in sorted(counts.items())
-    ]
+    rows = []
+    for record, text, _ in measured:
+        choice = record.answer_mode == "multiple_choice"
+        name = record.answer_text if choice else text.bin
+        place = 0.0 if choice else float(name.strip("[").split(",")[0])
+        rows.append({"template": record.template, "asks": text.asks, "place": place, "answer": name})
+    counted = _counted(rows, within=("template", "asks"))
+    for row in counted:
+        del row["place"]
+    return counted
 
 
-def _positions(asked: Sequence[Asked]) -> list[dict[str, Any]]:
+def _positions(measured: Sequence[MeasuredQuestion]) -> list[_Row]:
     return _counted(
         (
-            {"template": one.posed.template, "position": one.posed.answer.choice}
-            for one in asked
-            if isinstance(one.posed.answer, Choice)
+            {"template": record.template, "position": text.answer.choice}
+            for record, text, _ in measured
+            if isinstance(text.answer, Choice)
         ),
         within=("template",),
     )
 
 
-def _distractors(asked: Sequence[Asked]) -> list[dict[str, Any]]:
+def _distractors(measured: Sequence[MeasuredQuestion]) -> list[_Row]:
     """Wrong choices by the perturbation that yields them; "none" are answers known false that no perturbation yields.
 
     "look-alike without action sitting" and its like count as one.
     """
     return _counted(
         (
-            {"template": one.posed.template, "yielded_by": (name or "none").split(" without ")[0]}
-            for one in asked
-            for position, name in enumerate(one.distractors, start=1)
-            if isinstance(one.posed.answer, Choice) and position != one.posed.answer.choice
+            {"template": record.template, "yielded_by": (name or "none").split(" without ")[0]}
+            for record, text, _ in measured
+            for position, name in enumerate(record.distractors, start=1)
+            if isinstance(text.answer, Choice) and position != text.answer.choice
         ),
         within=("template",),
     )
 
 
-def _distributions(asked: Sequence[Asked]) -> list[dict[str, Any]]:
+def _distributions(measured: Sequence[MeasuredQuestion]) -> list[_Row]:
     """Every bin of every measure, also the empty ones."""
     rows = []
     for name, edges in MEASURES.items():
-        values = np.array([one.measures[name] for one in asked], float)
+        values = np.array([one.measures[name] for one in measured], float)
         counts = np.bincount(np.searchsorted(edges, values, side="right") - 1, minlength=len(edges))
         for number, n in enumerate(counts.tolist()):
             bin_name = _bin_name(name, edges, number)
-            rows.append({"what": name, "bin": bin_name, "n": n, "share": n / max(1, len(asked))})
+            rows.append({"what": name, "bin": bin_name, "n": n, "share": n / max(1, len(measured))})
     return rows
 
 
@@ -219,38 +204,26 @@ def _bin_name(what: str, edges: Sequence[float], number: int) -> str:
     return f"{low:g}" if high == low + 1 else f"{low:g}-{high - 1:g}"
 
 
-def _spread(asked: Sequence[Asked]) -> list[dict[str, Any]]:
-    values: dict[tuple[str, str], list[float]] = defaultdict(list)
-    for one in asked:
-        for name, value in one.measures.items():
-            values[one.posed.template, name].append(value)
-    return [
-        {
-            "template": template,
-            "what": name,
-            "n": len(values[template, name]),
-            "min": min(values[template, name]),
-            "median": float(median(values[template, name])),
-            "mean": sum(values[template, name]) / len(values[template, name]),
-            "max": max(values[template, name]),
-        }
-        for template in sorted({template for template, _ in values})
-        for name in MEASURES
-    ]
+def _spread(measured: Sequence[MeasuredQuestion]) -> list[_Row]:
+    rows = []
+    for template in sorted({one.record.template for one in measured}):
+        for name in MEASURES:
+            values = [one.measures[name] for one in measured if one.record.template == template]
+            numbers = {"n": len(values), "min": min(values), "median": float(median(values))}
+            numbers |= {"mean": sum(values) / len(values), "max": max(values)}
+            rows.append({"template": template, "what": name, **numbers})
+    return rows
 
 
-def _refusals(rejected: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    counts: Counter[tuple[str, str, str]] = Counter()
-    for row in rejected:
-        if row["kind"] == "count":
-            counts[row["family"], row["template"], row["rule"]] += row["candidates"]
-    return [
-        {"family": family, "template": template, "rule": rule, "candidates": count}
-        for (family, template, rule), count in sorted(counts.items())
-    ]
+def _refusals(rejected: pa.Table) -> list[_Row]:
+    keys = ["family", "template", "rule"]
+    counts = rejected.filter(pc.equal(rejected["kind"], "count")).group_by(keys).aggregate([("candidates", "sum")])
+    ordered = counts.select([*keys, "candidates_sum"]).sort_by([(key, "ascending") for key in keys])
+    rows: list[_Row] = ordered.rename_columns([*keys, "candidates"]).to_pylist()
+    return rows
 
 
-def _lacking(layers: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:
+def _lacking(layers: Mapping[str, Sequence[str]]) -> list[_Row]:
     """Templates that some sequences cannot carry, with the layer and how many sequences lack it."""
     rows = []
     for name, forms in FORMS.items():
@@ -263,7 +236,7 @@ def _lacking(layers: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:
     return rows
 
 
-def _layers(sequences: Sequence[Sequence[str]]) -> list[dict[str, Any]]:
+def _layers(sequences: Sequence[Sequence[str]]) -> list[_Row]:
     """Each layer that there can be, with the sequences that have it."""
     counts = Counter(layer for layers in sequences for layer in layers)
     return [{"layer": layer, "sequences_with": counts[layer], "sequences": len(sequences)} for layer in LAYERS]

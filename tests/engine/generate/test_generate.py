@@ -23,7 +23,7 @@ from quick_store import graphless_store
 from jrdb_avr.engine.commands.generate import generate as generate_command
 from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.diagnostics import REFUSALS
-from jrdb_avr.engine.generate.publish import GENERATION_KEY, TABLES
+from jrdb_avr.engine.generate.publish import GENERATION_KEY, PUBLISHED
 from jrdb_avr.engine.generate.run import generate
 from jrdb_avr.engine.generate.templates import plan_texts
 from jrdb_avr.queries.store import Store
@@ -51,7 +51,7 @@ def three_worlds():
 
 
 def files(store):
-    return {name: store.question_path(name).read_bytes() for name in TABLES}
+    return {name: store.question_path(name).read_bytes() for name in PUBLISHED}
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +101,7 @@ def test_templates_have_questions(rows):
 def test_tables_keep_their_contracts(made):
     store = made[0]
     marks = set()
-    for name in TABLES:
+    for name in PUBLISHED:
         schema = pq.read_schema(store.question_path(name))
         assert schema.remove_metadata() == QUESTIONS[name]
         assert schema.metadata[b"canary"].decode() == CANARY
@@ -286,7 +286,7 @@ def test_a_kill_between_the_files_is_repaired_by_another_run(one, tmp_path):
     generate(store, Rules(), **HOW)
     assert files(store) == files(one[0])
     assert sorted(path.name for path in store.question_path("questions").parent.iterdir()) == sorted(
-        f"{name}.parquet" for name in TABLES
+        f"{name}.parquet" for name in PUBLISHED
     )
 
 

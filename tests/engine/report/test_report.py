@@ -25,7 +25,7 @@ from jrdb_avr.engine.report.failures import (
     people_boxes,
     wrong_choice_rows,
 )
-from jrdb_avr.engine.report.formats import cell, csv_text, joined, latex, markdown
+from jrdb_avr.engine.report.formats import cell, csv_text, latex, markdown, with_intervals
 from jrdb_avr.engine.report.paper import ABLATION, BY_GROUP, GROUPS
 from jrdb_avr.engine.report.scored_runs import distinguishing_settings
 from jrdb_avr.engine.report.tables import (
@@ -199,7 +199,7 @@ ROWS = [
 
 def test_cells_as_a_person_reads_them():
     assert [cell(value) for value in (None, 1.0, 3, "x")] == ["n/a", "1.00", "3", "x"]
-    assert joined(ROWS)[0] == {"model": "a_b|c", "answer": "12.50 [1.00, 20.00]", "n": "3"}
+    assert with_intervals(ROWS)[0] == {"model": "a_b|c", "answer": "12.50 [1.00, 20.00]", "n": "3"}
 
 
 def test_markdown_escapes_bars():
@@ -258,7 +258,7 @@ def test_names_of_others_do_no_harm_in_any_format():
 def test_a_p_value_is_not_rounded_to_nothing():
     rows = [{"p": value} for value in (0.0375, 2.0**-40, 1.0, None)]
     assert [line.strip("| ") for line in markdown(rows).splitlines()[2:]] == ["0.0375", "&lt;0.0001", "1.0000", "n/a"]
-    assert [row["p"] for row in joined(rows)] == ["0.0375", "<0.0001", "1.0000", "n/a"]
+    assert [row["p"] for row in with_intervals(rows)] == ["0.0375", "<0.0001", "1.0000", "n/a"]
 
 
 def test_csv_is_read_back():
