@@ -4,7 +4,7 @@ A question that its own text answers is a defect. Five guessers that see no imag
 predictions are: a uniform choice; the most frequent answer; the best constant; the best constant offset from a stated
 time; and a text-only guesser, which for a question of one sequence gives the commonest answer, in all other sequences,
 of questions whose text is alike (action words, choices, waits between stated times in doubling bins). Constants are
-chosen with hindsight, so what is printed is the most that such a guesser can score. For spans and viewpoints the
+chosen with hindsight, so the printed share is the most that such a guesser can score. For spans and viewpoints the
 constants tried are the template's own answers.
 """
 
@@ -41,7 +41,7 @@ AIMS: Final = {"multiple_choice": 0.35, "frame": 0.25, "span": 0.25, "frame_view
 
 @dataclass(frozen=True, slots=True)
 class QuestionText:
-    """What the public text of a question states, with its answer."""
+    """The facts that a question's public text states, with its answer."""
 
     sequence: str
     template: str
@@ -66,7 +66,7 @@ class QuestionText:
 
     @property
     def bin(self) -> str:
-        """The bin of the answer; what is levelled in selection."""
+        """The bin of the answer, by which selection balances."""
         answer = encode_answer(self.answer)
         return bin_name(self.mode, self.read, answer_bin(self.mode, answer, self.times, self.read))
 
@@ -122,11 +122,11 @@ def _check(group: list[QuestionText]) -> dict[str, Any]:
 
 
 FEW: Final = 30
-"""Fewer questions than this are too few to tell a share of right answers."""
+"""With fewer questions a share of right answers is not reliable."""
 
 
 def _reason(group: Sequence[QuestionText], above: Sequence[str]) -> str:
-    """Why some guessers score above the aim: what of the answers is too much alike."""
+    """Explain why guessers score above the aim: which answers are too similar."""
     n = len(group)
     parts = [f"only {n} question{'s' * (n > 1)}, one is {100 / n:.0f} %"] if n < FEW else []
     if above != ["text_only"]:
@@ -195,7 +195,7 @@ _ALIKE: Final[tuple[Callable[[QuestionText], Hashable], ...]] = (
     lambda q: q.waits,
     lambda q: None,
 )
-"""What makes two texts alike, strictest first: where no other sequence has such a question, the next is tried."""
+"""Features by which two texts are alike, strictest first; the next applies where no other sequence matches."""
 
 
 def _text_only(group: Sequence[QuestionText]) -> float:

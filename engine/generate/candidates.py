@@ -72,7 +72,7 @@ Codes = npt.NDArray[np.int8]
 
 @dataclass(frozen=True)
 class PerturbationResult:
-    """What a perturbed program answers: per candidate the outcome and, where it is a choice, the answer.
+    """Answers of a perturbed program: per candidate the outcome and, where it is a choice, the answer.
 
     any_of: among the programs of a kind that are marked so, it is enough that one proves.
     """
@@ -121,7 +121,7 @@ class Candidates:
     segments: of both actions, row in the scene's segments or NOBODY; frames: by name, `t0`, the stated times and of
     events `start`, `end`, `first`, `last`; answer: index into VALUES, or NOBODY for events; value: a number's value,
     else NaN; window: where people are counted, the encounter window; rule: index into RULES of the first that refuses,
-    else PASSED; perturbed: what was found by the proofs.
+    else PASSED; perturbed: the results of the proofs.
     """
 
     template: Template
@@ -140,7 +140,7 @@ class Candidates:
         return len(self.name)
 
     def take(self, rows: Ints) -> Candidates:
-        """Only these rows, without what was found by the proofs."""
+        """Only these rows, without the results of the proofs."""
         return Candidates(
             self.template,
             self.name[rows],

@@ -1,4 +1,4 @@
-"""Proofs about hops: what is read one hop early, with a hop left out, and at other times.
+"""Proofs about hops: the answer one hop early, with a hop left out, and at other times.
 
 Candidates are copied into the scene's graph as nodes, `(Path)-[:Of]->(Description)` and `(Path)-[:From]->(Moment)`, and
 the perturbed programs walk from there along `Step` and `Fits`, which lead somewhere from every moment: to the one

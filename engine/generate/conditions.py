@@ -56,7 +56,7 @@ ANCHOR_TIME: Final = "t0"
 
 @dataclass(frozen=True)
 class Conditions:
-    """Who is there at each keyframe, what is true of them, and whom that excludes.
+    """People present at each keyframe, the conditions that hold of them, and the people that these exclude.
 
     moment, keyframe, slot: per sighting, its moment, its keyframe's number and its place in the masks. kinds: per code
     the kind of its condition. states: (sightings, codes). held: per sighting the uses by which it may be described, by

@@ -23,7 +23,7 @@ from jrdb_avr.schema.rules import Rules
 
 @dataclass(frozen=True)
 class SearchContext:
-    """What every search in one scene needs; a context manager, which closes the graph.
+    """Shared inputs of every search in one scene; a context manager, which closes the graph.
 
     facts: the scene's relations. Whatever else follows from these four is worked out when it is first used.
     """

@@ -157,7 +157,7 @@ def resolve(
         # The vocabulary has one name for the time of a description, whatever the plan calls it.
         codes = [code.get(c if c.at is None else msgspec.structs.replace(c, at=ANCHOR_TIME), NOBODY) for c in wanted]
         person = NOBODY
-        # What is true of nobody in the scene describes nobody.
+        # A condition that holds of nobody in the scene describes nobody.
         if keyframe != NOBODY and NOBODY not in codes and len(codes) <= rules.max_conditions:
             codes.sort(key=lambda one: (int(conditions.rank[one]), one))
             uses = int(keyframe) * len(conditions.vocabulary) + np.array(codes, dtype=np.int64)

@@ -86,7 +86,7 @@ def shortfalls(
     for row in rows:
         name, wanted = row["template"], (aims or {}).get(row["template"])
         ranked = sorted((rule for rule in REFUSALS if row[rule]), key=lambda rule: -row[rule])
-        # The rules that refused most, and what kept proven candidates from becoming questions at the end.
+        # The rules that refused most, and balance where it refused most of the proven candidates.
         most = ranked[:_NAMED] + [
             rule for rule in ranked[_NAMED:] if rule == "balance" and row[rule] > row["questions"]
         ]

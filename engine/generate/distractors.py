@@ -1,6 +1,6 @@
-"""The four choices of a question: one is true, the others are wrong in ways that tell how a method fails.
+"""The four choices of a question: one is true, the others are wrong in ways that reveal how a method fails.
 
-A distractor is first what a perturbed program answers: at the description's time instead of the stated one, at a
+A distractor is first the answer of a perturbed program: at the description's time instead of the stated one, at a
 shifted time, of a look-alike who could match when a condition is dropped. Only then follow other poses known to be
 false for the target at the stated time. Nothing unknown is ever a distractor, and no pose that the question states.
 """

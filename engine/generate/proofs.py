@@ -1,4 +1,4 @@
-"""The proofs of a question, as they are stored; which ones it has by its template and plan, and which must hold."""
+"""The proofs of a question: the stored ones, those that its template and plan expect, and those that must hold."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def stored_proofs(
     if candidates.template.time_proof == "construction":
         # The answer is the time itself: at another time another answer would be right.
         found.append(Proof("time.drop", "by construction", True, "different"))
-    # Whoever looks one way only, and does not see what decides, has nothing to answer from.
+    # A method that sees only the forward view, without the decisive boxes, has nothing to answer from.
     found.append(Proof("view.ahead", "180", True, "empty"))
     x, w = np.array([box.x for box in needed]), np.array([box.w for box in needed])
     single = views.single_view(x, w, context.rules.visible_share)
@@ -77,7 +77,7 @@ def expected(name: str, plan: Plan, rules: Rules) -> set[tuple[str, str]]:
 
 
 def failing(name: str, holds: Mapping[tuple[str, str], bool]) -> list[str]:
-    """What does not hold though it must: of both shifts one is enough, and of a fork read at b and at c."""
+    """Required proofs that do not hold: one of both time shifts is enough, as is one of a fork read at b and at c."""
     template = forms_of(name)[0]
     groups: dict[str, list[bool]] = defaultdict(list)
     for (kind, variant), held in holds.items():

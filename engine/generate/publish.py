@@ -1,4 +1,4 @@
-"""The published tables: selected candidates as questions, and what is stored beside them in private.
+"""Publish the tables: selected candidates as questions, with their private tables.
 
 All tables of one generation carry the same mark, a hash of the questions and answers, in their Parquet metadata. They
 are written to temporary files first and then moved in one after the other, the questions last: after a crash in
@@ -70,7 +70,7 @@ def publish(store: Store, tables: Mapping[str, pa.Table]) -> None:
     folder = store.question_path("questions").parent
     pending = folder / ".pending"
     try:
-        # What a killed run left behind.
+        # Files of a killed run.
         shutil.rmtree(pending, ignore_errors=True)
         for name, table in tables.items():
             write_table(pending / f"{name}.parquet", table, QUESTIONS[name], metadata)

@@ -1,6 +1,6 @@
-"""The record of a question: its choices and proofs, the boxes it needs, and the numbers that tell how hard it is.
+"""Make the record of a question: its choices and proofs, the boxes it needs, and measures of its difficulty.
 
-What the set-wise search has established for all candidates is written out here for the few that are kept.
+The set-wise search decides for all candidates; records are made only for the few that passed.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def make_record(
 def needed_boxes(context: SearchContext, candidates: Candidates, row: int) -> tuple[NeededBox, ...]:
     """Everybody's box at t0, and the target's where it is read, by node and frame; where it is absent there is none.
 
-    Whoever is counted is needed once, as nodes b1, b2, ... by track, and the target with them.
+    Each counted person is needed once, as nodes b1, b2, ... by track, and the target with them.
     """
     scene, template = context.scene, candidates.template
     frames = {name: int(column[row]) for name, column in candidates.frames.items()}

@@ -2,7 +2,7 @@
 
 A *fact* joins two moments of one keyframe: certain, or possible (a hard label, a closed gap, an edge of a sector).
 Where a person's list was not read, or a 3D box has no lidar points, every relation of that kind with anybody is
-possible. A *step* is what a relation leads to from a moment: the one person who certainly has it while nobody else
+possible. A *step* leads from a moment by a relation to the one person who certainly has it while nobody else
 could, or the reason why there is none. Every moment has a step for every relation.
 """
 
@@ -35,7 +35,7 @@ from jrdb_avr.schema.relations import RELATIONS as ROWS
 from jrdb_avr.schema.wording import poses_of
 
 SOCIAL, GROUP, ROBOT_VIEW, PERSON_VIEW = range(4)
-"""Layers that tell relations: what is unknown of a person is unknown for all relations of a layer."""
+"""Layers with relations: where a layer is unknown of a person, all its relations are."""
 
 _LAYERS: Final = ("interactions", "groups", "2d", "3d")
 

@@ -34,8 +34,8 @@ class Generation(Displayed):
     """The result of a generation; the questions are in the store.
 
     templates: a row per template: candidates, refusals by rule, questions; shortfalls: likewise, why they are so few.
-    selection: likewise, how many were aimed at and kept. blind: the blind check. faults: candidates on which the second
-    program disagreed.
+    selection: likewise, how many were requested and selected. blind: the blind check. faults: candidates on which
+    the second program disagreed.
     """
 
     templates: tuple[dict[str, Any], ...]

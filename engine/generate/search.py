@@ -41,7 +41,7 @@ def find_candidates(context: SearchContext, template: Template) -> Candidates:
     holds |= {"view.ahead": ~flags(found, "ahead"), "stated": ~_stated(context, candidates)}
     perturbed: list[PerturbationResult] = []
     if template.edges:
-        # Proofs about hops take long: what another rule refuses is left out of them.
+        # Proofs about hops take long: candidates that another rule refuses are left out.
         rows = np.flatnonzero(first_refusing(holds, len(candidates)) == PASSED)
         paths = candidates.take(rows)
         if not template.single_view:

@@ -1,6 +1,6 @@
 """The in-memory graph of one sequence, in which generators and proofs search.
 
-It is a Kùzu database made from a `Scene` and what was found in it:
+It is a Kùzu database made from a `Scene` and its facts:
 
     (Person)-[:Is]->(Moment)              where the person has a box, or is absent; no moment: it is unknown
     (Description)-[:Names]->(Moment)      the description chosen for this person at this keyframe
@@ -51,7 +51,7 @@ _ENDS: Final = {
     "Of": ("Path", "Description"),
     "Joined": ("Moment", "Moment"),
 }
-"""What each kind of edge leads from and to; every other table is one of nodes."""
+"""Node tables at both ends of each kind of edge; every other table holds nodes."""
 
 _TYPES: Final = {pa.bool_(): "BOOLEAN", pa.string(): "STRING", pa.float64(): "DOUBLE"}
 """Types of the graph's columns by Arrow type; all others are whole numbers."""

@@ -1,7 +1,7 @@
 """Which proven candidates become questions: near-duplicates, balance, and how many of each family.
 
 The first step, `near_duplicates`, looks at one template in one sequence; `select` looks across all. Both depend on the
-rows alone, never on their order: whatever is kept is decided by `key` (sha256 hex of sequence, target and plan).
+rows alone, never on their order: `key` decides which rows stay (sha256 hex of sequence, target and plan).
 
 Balance: no answer so common that it could be guessed, as far as the candidates allow. The candidates of one template
 and one kind of read are levelled by their answers (or the bins that hold them), within cells of questions that read
@@ -64,7 +64,7 @@ KEPT: Final = ""
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """The kept rows by sequence, template and key, and one report row per template."""
+    """The selected rows by sequence, template and key, and one report row per template."""
 
     table: pa.Table
     report: tuple[dict[str, Any], ...]
@@ -101,7 +101,7 @@ class _Read(msgspec.Struct):
 
 
 class _Plan(msgspec.Struct):
-    """What selection has to know of a plan."""
+    """The facts of a plan that selection uses."""
 
     answer: _Read
 
@@ -161,7 +161,7 @@ def _kept(forms: Mapping[str, Sequence[_Order]], wanted: int | None) -> dict[str
     quotas = _share_out({name: sum(some) for name, some in able.items()}, wanted)
     shares = {name: _share_out(dict(enumerate(able[name])), quotas[name]) for name in forms}
     kept = {name: [form.give(shares[name][place]) for place, form in enumerate(some)] for name, some in forms.items()}
-    # Not every number can be had with no answer above its share: what is missing, whoever can give it gives.
+    # Not every number is possible with no answer above its share: other templates fill what is missing.
     left = sum(quotas.values()) - sum(len(rows) for some in kept.values() for rows in some)
     for name, some in forms.items():
         for place, form in enumerate(some):
@@ -245,7 +245,7 @@ class _Order:
 def _ordered(rows: pa.Table, mode: str, read: str, rules: Rules, seed: int) -> _Order:
     """The candidates of one template and read, which are answered in one mode, as an order.
 
-    What is levelled is the answer's text, or the bin of an event's offset or of a gap, or how many are counted.
+    Selection balances the answer's text, or the bin of an event's offset or of a gap, or how many are counted.
     """
     texts, times = rows["answer_text"].to_pylist(), rows["times"].to_pylist()
     if mode == "multiple_choice":
@@ -266,7 +266,7 @@ def _balance(rows: pa.Table, answers: Ints, limit: _Limit, seed: int) -> Ints:
     left = np.ones(rows.num_rows, bool)
     chosen: list[Ints] = []
     places: list[npt.NDArray[np.float64]] = []
-    # What a reader of the text alone could go by, finest first: a cell with too few different answers to be balanced by
+    # Features that the text alone reveals, finest first: a cell with too few different answers to be balanced by
     # itself is joined with others that look alike in less. Lengths are levelled as a whole: of few candidates small
     # cells would keep next to none.
     whole = np.zeros(rows.num_rows, np.int64)

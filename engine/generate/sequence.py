@@ -42,7 +42,7 @@ from jrdb_avr.schema.templates import FORMS
 from jrdb_avr.schema.wording import stated_actions
 
 EXAMPLES: Final = 100
-"""Example rows kept per sequence, template and rule."""
+"""Example rows stored per sequence, template and rule."""
 
 _BLOCK: Final = 200_000
 """Candidates whose plans are held in memory at once."""
@@ -60,7 +60,7 @@ class SequenceJob:
 
 @dataclass
 class SequenceResult:
-    """What a sequence gives: its row of `sequences`, the records of candidates that may become questions, refusals.
+    """Result of one sequence: its row of `sequences`, the records of candidates that may become questions, refusals.
 
     counts: (template, what) -> number, where what is "candidates", "proven" or a rule that refuses.
     lacking: the missing layers of templates that were not searched. faults: one line per candidate on which the second
@@ -106,7 +106,7 @@ def _head(scene: Scene) -> dict[str, Any]:
 
 
 class _Search:
-    """Collects what the templates give, one after the other."""
+    """Collects the results of the templates, one after the other."""
 
     def __init__(self, job: SequenceJob, context: SearchContext, annotations: Annotations) -> None:
         self.context = context
@@ -174,7 +174,7 @@ class _Search:
                 self.rows.append(record.columns() | own)
 
     def _disagreement(self, candidates: Candidates, line: Mapping[str, Any]) -> str | None:
-        """What the second program, from the annotation tables, finds otherwise; None where it finds the same."""
+        """The difference that the second program finds in the annotation tables; None where it agrees."""
         plan, track, answer = parse_plan(line["plan"]), line["target_track"], line["answer"]
         second = rederive(self.annotations, plan, candidates.template.name, self.context.rules)
         if second.outcome != "defined" or second.answer != answer:
@@ -231,7 +231,7 @@ _DETAILS: Final = {
     "evidence": "a needed box is no clear view",
     "image": "a needed frame has no image",
 }
-"""What is wrong with an example, by rule."""
+"""The defect of an example, by rule."""
 
 
 def _by_form(forms: Sequence[Candidates], table: pa.Table) -> list[tuple[Candidates, Ints]]:

@@ -22,7 +22,7 @@ def held_person_proofs(context: SearchContext, candidates: Candidates) -> list[P
 def _shift(context: SearchContext, candidates: Candidates, by: int) -> PerturbationResult:
     """Read the answer with t1 moved; the person and t0 stay.
 
-    The query leaves out what is unknown, and gives no answer where the person who is read is absent.
+    The query leaves out unknown answers, and returns none where the person who is read is absent.
     """
     scene, t0, t1 = context.scene, candidates.frames["t0"], candidates.frames["t1"]
     read = context.query("necessity", f"{candidates.template.time_queries}_shift", by=by)

@@ -1,4 +1,4 @@
-"""What crops show: boxes against the view straight ahead and against any one view, set-wise; and how few show all.
+"""Visibility of boxes in crops: in the forward view, in any one view, and the fewest crops that show all.
 
 The functions take arrays of boxes in stitched pixels and agree with `schema.panorama.visible_share`, which judges one
 box at a time.
@@ -17,7 +17,7 @@ from jrdb_avr.schema.arrays import Floats
 from jrdb_avr.schema.panorama import CROP, WIDTH, crop_left
 
 AHEAD_DEG: Final = 180.0
-"""Angle of the view straight ahead, which is all that somebody sees who does not turn."""
+"""Angle of the forward view, the only one of a method that does not turn."""
 
 
 def shares(x: Floats, w: Floats, left: float | Floats) -> Floats:
@@ -51,7 +51,7 @@ def min_crops_of_frame(centers: Iterable[float]) -> int:
 
     `centers` are the boxes' centre columns, any value, wrapped. A crop begins at a whole column and shows at least
     half of a box exactly where the box's centre lies inside it or on its edge, as long as the box is at most two crops
-    wide. So what is wanted is a cover of points on a circle by closed arcs. Every arc of a cover may be turned
+    wide. So the task is to cover points on a circle by closed arcs. Every arc of a cover may be turned
     clockwise until it begins at one of its points, and from there on each next arc best begins at the first point that
     is still missing: trying each point as the first gives the fewest.
     """

@@ -28,7 +28,7 @@ _BATCH: Final = 32
 
 @dataclass(frozen=True)
 class Interval:
-    """A share with its interval; all None where nothing was asked, the bounds None for a single sequence."""
+    """A share with its interval; all None without questions, the bounds None for a single sequence."""
 
     value: float | None
     low: float | None
@@ -55,7 +55,7 @@ def draws(clusters: int, n: int = DRAWS, seed: int = SEED) -> Floats:
     """How often each of the clusters is drawn in each of `n` draws of as many: (n, clusters), read-only."""
     generator = np.random.default_rng(seed)
     found = generator.multinomial(clusters, np.full(clusters, 1 / clusters), size=n).astype(np.float64)
-    # Kept, as hundreds of pairs of runs are compared over the same sequences.
+    # Cached, as hundreds of pairs of runs are compared over the same sequences.
     found.flags.writeable = False
     return found
 

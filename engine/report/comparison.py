@@ -1,4 +1,4 @@
-"""Score and compare runs: the library functions `score` and `report`, and what they return."""
+"""Score and compare runs: the library functions `score` and `report`, and their results."""
 
 from __future__ import annotations
 

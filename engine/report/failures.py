@@ -30,7 +30,7 @@ from jrdb_avr.engine.report.scoring import (
     align_predictions,
     box_ious,
     frame_key,
-    given_boxes,
+    predicted_boxes,
     target_boxes,
 )
 from jrdb_avr.engine.report.traces import look_shown
@@ -121,11 +121,11 @@ def evidence_causes(
 ) -> Ints:
     """The place of each question's cause in `CAUSES`, `SCORES_AT` where its box scores."""
     given, judged = align_predictions(run.manifest.question_ids, run.predictions)
-    frame, box, boxed = given_boxes(given)
+    frame, box, boxed = predicted_boxes(given)
     present, target = target_boxes(truth, run.rows, frame)
     own = np.where(present, box_ious(box, target), 0.0)
     scores = run.scores[:, 1] == 1
-    # Looks, and others, matter only where nothing before them tells the cause.
+    # Looks and other people matter only where no earlier cause fits.
     shown = _shown(store, truth, run, ~scores & judged & boxed)
     asked = np.flatnonzero(~scores & judged & boxed & shown & present)
     best = np.zeros(run.n)
@@ -171,10 +171,9 @@ def _best_ious(people: tuple[Ints, Floats], keys: Ints, boxes: Floats) -> Floats
 
 
 def _shown(store: Store, truth: Truth, run: ScoredRun, among: Bools) -> Bools:
-    """For each question, of those `among` the asked, whether some look of the run's transcript shows enough of the
-    target."""
+    """For each question of those `among`, whether some look of the run's transcript shows enough of the target."""
     found = np.zeros(run.n, dtype=bool)
-    # Requests hold whole conversations: what was shown stands in the responses, a hundredth of them.
+    # Requests hold whole conversations: the looks stand in the responses, a hundredth of the size.
     steps = read_table(store.run_path(run.manifest.run_id) / "steps.parquet", ["question_id", "kind", "response"])
     asked = pc.index_in(steps["question_id"], value_set=pa.array(run.manifest.question_ids, pa.string()))
     wanted = pc.and_(pc.equal(steps["kind"], "observe"), pc.take(pa.array(among), asked))
@@ -192,7 +191,7 @@ def _shown(store: Store, truth: Truth, run: ScoredRun, among: Bools) -> Bools:
 
 
 def _looks(responses: pa.ChunkedArray) -> Floats:
-    """Frame, left column and width of each look, (n, 3); not numbers where none can be told.
+    """Frame, left column and width of each look, (n, 3); NaN where the response cannot be read.
 
     Each distinct text is read once, as questions and runs look alike at much.
     """

@@ -24,13 +24,13 @@ _LATEX: Final = {letter: f"\\{letter}" for letter in "&%$#_{}"} | {
 _MARKDOWN: Final = {letter: f"\\{letter}" for letter in "\\`*[]|"} | {"&": "&amp;", "<": "&lt;"}
 
 _FORMULA: Final = ("=", "+", "-", "@", "\t", "\r")
-"""What a spreadsheet takes for the beginning of a formula."""
+"""First characters of a formula in a spreadsheet."""
 
 _LEAST_P: Final = 0.0001
 
 
 def cell(value: object, column: str = "") -> str:
-    """A value of a column as a person reads it: two decimals, n/a for what is not known; of a p, four."""
+    """A value of a column as a person reads it: two decimals, n/a for an unknown value; a p has four."""
     if value is None:
         return "n/a"
     if column == "p" and isinstance(value, float):
@@ -65,7 +65,7 @@ def markdown(rows: Rows) -> str:
 def latex(rows: Rows) -> str:
     """A LaTeX table for the package booktabs; a rule where the first column's value changes.
 
-    A column of settings, which are long, has numbers, and lines below the table say what they stand for.
+    A column of settings, which are long, has numbers, and lines below the table explain them.
     """
     rows, notes = _numbered(rows)
     columns = columns_of(rows)
@@ -131,6 +131,6 @@ def _is_number(rows: Rows, name: str) -> bool:
 
 
 def filled(rows: Rows) -> list[dict[str, Any]]:
-    """Rows that all have every column; what a row does not have is empty."""
+    """Rows that all have every column; a missing value is empty."""
     columns = columns_of(rows)
     return [{name: row.get(name, "") for name in columns} for row in rows]

@@ -111,7 +111,7 @@ def _labels(texts: Sequence[str]) -> Labels:
 
 
 def _first_number(value: str) -> float:
-    """What numbers and bins are sorted by; names come first."""
+    """Sort key of numbers and bins; names come first."""
     try:
         return float(value.lstrip("[").partition(",")[0])
     except ValueError:

@@ -116,7 +116,7 @@ def score_predictions(
 
     answers = _payloads(table["answer"], truth.mode[row])
     answer_score = judged & answers_match(truth.mode[row], truth.second[row], answers, truth.answers[row])
-    frame, box, boxed = given_boxes(table)
+    frame, box, boxed = predicted_boxes(table)
     present, target = target_boxes(truth, row, frame)
     evidence_score = judged & boxed & present & (box_ious(box, target) >= iou - TIE)
     invalid |= judged & (~answers.readable | ~boxed)
@@ -172,7 +172,7 @@ def answers_match(mode: Ints, second: Ints, given: Payloads, truth: Payloads) ->
     return score
 
 
-def given_boxes(predictions: pa.Table) -> tuple[Ints, Floats, Bools]:
+def predicted_boxes(predictions: pa.Table) -> tuple[Ints, Floats, Bools]:
     """Frames (n), boxes (n, 4) and which of them are present and finite."""
     box = np.stack([predictions[f"evidence_{key}"].to_numpy().astype(np.float64) for key in "xywh"], axis=1)
     frame = pc.fill_null(predictions["evidence_frame"], -1).to_numpy().astype(np.int64)

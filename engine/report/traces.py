@@ -1,4 +1,4 @@
-"""What a run did with one question: its steps, its looks, what it wrote into its world model, and the truth beside."""
+"""Trace of one question of a run: its steps, its looks, its writes to the world model, and the true answer."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Written:
 class Trace:
     """One question of a run.
 
-    target: the boxes of the person asked about by frame, (x, y, w, h); scores: its row of the `scores` table.
+    target: the boxes of the target by frame, (x, y, w, h); scores: its row of the `scores` table.
     """
 
     manifest: RunManifest
@@ -78,14 +78,14 @@ class Trace:
 
 def read_trace(store: Store, run_id: str, question_id: str) -> Trace:
     """Gather a question of a run. Raises StoreError where the run is missing or unfinished, InputError for a question
-    that it was not asked."""
+    that is not one of the run."""
     manifest = read_run_manifest(store, run_id)
     path = store.run_path(run_id)
     if not (path / "predictions.parquet").exists():
         raise StoreError(f"run {run_id} has no predictions yet: evaluate it to the end (the same call with --resume)")
     predictions = _own(read_table(path / "predictions.parquet"), question_id)
     if not predictions.num_rows:
-        raise InputError(f"run {run_id} was not asked question {question_id[:40]!r}", field="question_id")
+        raise InputError(f"run {run_id} does not have question {question_id[:40]!r}", field="question_id")
     own = {name: _own(store.questions(name), question_id) for name in ("questions", "answers", "evidence")}
     if not own["questions"].num_rows:
         raise InputError(f"no question {question_id[:40]!r} in {store.path}", field="question_id")
@@ -126,15 +126,15 @@ _SHOWN = msgspec.json.Decoder(_Shown)
 
 
 def look_of(step: StoredRow) -> Look | None:
-    """The look that a step of the transcript tells of; None for other steps, and for a look that was refused."""
+    """The look of a step of the transcript; None for other steps, and for a refused look."""
     shown = look_shown(step["response"]) if step["kind"] == "observe" else None
     return None if shown is None else Look(step["step"], *shown)
 
 
 def look_shown(response: str) -> tuple[int, float | None, int] | None:
-    """Frame, angle and left column of what was shown, no angle and 0 of a whole panorama; None where nothing was.
+    """Frame, angle and left column of a look, no angle and 0 for a whole panorama; None for a response without a look.
 
-    A method of somebody's own may tell of its looks otherwise: they cannot be read.
+    A custom method may report its looks in another form, which cannot be read.
     """
     try:
         shown = _SHOWN.decode(response)

@@ -1,4 +1,4 @@
-"""What people decided about questions: imported from the page, kept with the reviewer's name, and compared."""
+"""Reviews of questions: import decisions from the page, store them by reviewer, and compare reviewers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MOST_BYTES = 64 << 20
 
 
 class Decision(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What was decided of a question; a rejection has a reason."""
+    """A decision about a question; a rejection has a reason."""
 
     question_id: Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{16}$")]
     decision: Literal["accept", "reject"]
@@ -70,7 +70,7 @@ def read_decisions(path: Path, store: Store) -> Decisions:
 
 
 def import_decisions(store: Store, reviewer: str, decisions: Sequence[Decision]) -> pa.Table:
-    """Keep a reviewer's decisions; of a question decided before, the new one counts. Returns all reviews."""
+    """Store a reviewer's decisions; a new decision on a question replaces the old one. Returns all reviews."""
     with store.writing("inspect --import"):
         kept = {(row["question_id"], row["reviewer"]): row for row in read_reviews(store)}
         for decision in decisions:
@@ -109,7 +109,7 @@ def agreements(reviews: Sequence[Mapping[str, str]]) -> list[Agreement]:
 
 
 def kappa(pairs: Sequence[tuple[str, str]]) -> float | None:
-    """Cohen's kappa of two raters' decisions; None where both always say the same one thing."""
+    """Cohen's kappa of two raters' decisions; None where both always decide the same."""
     n = len(pairs)
     observed = sum(a == b for a, b in pairs) / n
     first, second = Counter(a for a, _ in pairs), Counter(b for _, b in pairs)

@@ -60,7 +60,7 @@ _Row = dict[str, Any]
 
 
 class MeasuredQuestion(NamedTuple):
-    """A question with what its text states and with its MEASURES."""
+    """A question with the facts that its text states and its MEASURES."""
 
     record: QuestionRecord
     text: QuestionText
@@ -192,7 +192,7 @@ def _distributions(measured: Sequence[MeasuredQuestion]) -> list[_Row]:
 
 
 def _bin_name(what: str, edges: Sequence[float], number: int) -> str:
-    """ "3" or "6-7" of what is counted, else "[20, 40)"; the last is "12+"."""
+    """ "3" or "6-7" for counts, else "[20, 40)"; the last is "12+"."""
     low = edges[number]
     if number + 1 == len(edges):
         return f"{low:g}+"
@@ -227,7 +227,7 @@ def _lacking(layers: Mapping[str, Sequence[str]]) -> list[_Row]:
     """Templates that some sequences cannot carry, with the layer and how many sequences lack it."""
     rows = []
     for name, forms in FORMS.items():
-        # What any form can do without, the template can.
+        # A template needs only the layers of its least demanding form.
         for layer in min((form.layers for form in forms), key=len):
             without = sum(layer not in present for present in layers.values())
             if without:
