@@ -8,7 +8,8 @@ from itertools import accumulate
 from typing import Any, Final, NamedTuple
 
 from jrdb_avr.engine.pages.page import render
-from jrdb_avr.queries.display import Rows, Tables
+from jrdb_avr.engine.report.formats import Rows
+from jrdb_avr.queries.display import Tables
 from jrdb_avr.schema.templates import FAMILIES
 
 _PALETTE: Final = [f"c{number}" for number in range(12)]

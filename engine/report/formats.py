@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from jrdb_avr.engine.console import clean
-from jrdb_avr.queries.display import Rows, columns_of
+from jrdb_avr.queries.display import columns_of
+
+Rows = Sequence[Mapping[str, Any]]
 
 _LATEX: Final = {letter: f"\\{letter}" for letter in "&%$#_{}"} | {
     "\\": r"\textbackslash{}",
