@@ -25,7 +25,7 @@ from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.engine.generate.sequence import SequenceJob, search_sequence
 from jrdb_avr.engine.rederive import UNKNOWN, Annotations, rederive
 from jrdb_avr.schema.answers import decode_answer, encode_answer
-from jrdb_avr.schema.panorama import visible_share
+from jrdb_avr.schema.panorama import Box, visible_share
 from jrdb_avr.schema.plan import canonical, parse_plan
 from jrdb_avr.schema.questions import Proof
 from jrdb_avr.schema.relations import SAME_GROUP
@@ -158,7 +158,9 @@ def tried(scene, store, names):
             outcome = rederive(annotations, plan, "gap", RULES)
             if outcome.outcome != "defined" or outcome.faults:
                 continue
-            if all(visible_share(box.box, 180.0) >= 0.5 for box in outcome.needed if box.decisive):
+            if all(
+                visible_share(Box(box.x, box.y, box.w, box.h), 180.0) >= 0.5 for box in outcome.needed if box.decisive
+            ):
                 continue
             if form == "gap_count" and not settled(annotations, outcome, plan):
                 continue

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from effort import DEEP
 from lively_worlds import lively_world
-from msgspec.structs import astuple
 from quick_store import memory_store
 from random_worlds import random_world
 
@@ -151,8 +150,7 @@ def compare(store, sequence, most=60):
                 told = (second.outcome, second.answer, second.target, second.faults)
                 assert told == ("defined", line["answer"], line["target_track"], ()), line["plan"]
                 assert dict(second.people) | dict(second.times) == bindings(context, found, line["row"]), line["plan"]
-                boxes = {(box.node, box.track, box.frame, *box.box, box.decisive) for box in second.needed}
-                assert boxes == {astuple(box) for box in needed_boxes(context, found, line["row"])}, line["plan"]
+                assert set(second.needed) == set(needed_boxes(context, found, line["row"])), line["plan"]
                 counts[template.query] = counts.get(template.query, 0) + 1
     return counts
 
