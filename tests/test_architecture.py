@@ -1,6 +1,7 @@
 """The layout that `docs/architecture.md` draws: which room imports which, size of modules, one meaning per name."""
 
 import ast
+from collections import defaultdict
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -39,9 +40,11 @@ MAY_IMPORT = {
     "engine.run": PAGES | {"agent"},
     "engine.commands": PAGES | {"engine.cli", "engine.pages", "engine.validate", "engine.run", "agent"},
 }
-LARGEST = 480
+LARGEST = 450
 SMALL = 40
-MOST_SMALL = 20
+MOST_SMALL = 9
+REPEATED = {"command", "main", "serve", "load", "generate", "validate", "evaluate", "score", "report"}
+"""Public names that may repeat: click commands, which are named like their functions, and entry points of processes."""
 
 
 @cache
@@ -67,9 +70,8 @@ def imported(path):
                 name = f"{base}.{alias.name}"
                 yield name if name in modules() else base
         elif isinstance(node, ast.Import):
-            yield from (
-                alias.name.removeprefix("jrdb_avr.") for alias in node.names if alias.name.startswith("jrdb_avr.")
-            )
+            names = [alias.name for alias in node.names if alias.name.startswith("jrdb_avr.")]
+            yield from (name.removeprefix("jrdb_avr.") for name in names)
 
 
 def room(module):
@@ -106,3 +108,37 @@ def test_modules_are_neither_large_nor_tiny():
 def test_a_package_and_a_module_never_share_a_name():
     for path in modules().values():
         assert path.name == "__init__.py" or not path.with_suffix("").is_dir(), path
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_public_name_means_one_thing(package):
+    """Within a package, a public name is defined in one module."""
+    places = defaultdict(set)
+    for name, path in modules().items():
+        if name.partition(".")[0] == package:
+            for defined in public_names(path):
+                places[defined].add(name)
+    assert {name: where for name, where in places.items() if len(where) > 1 and name not in REPEATED} == {}
+
+
+def public_names(path):
+    for node in ast.parse(path.read_text("utf-8")).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names = [node.name]
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names = [target.id for target in targets if isinstance(target, ast.Name)]
+        else:
+            continue
+        yield from (name for name in names if not name.startswith("_"))
+
+
+def test_every_public_definition_says_what_it_is():
+    """Modules, classes and functions with a public name have a docstring."""
+    for name, path in modules().items():
+        tree = ast.parse(path.read_text("utf-8"))
+        silent = [] if not tree.body or ast.get_docstring(tree) else [name]
+        for node in tree.body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+                silent += [] if ast.get_docstring(node) else [f"{name}.{node.name}"]
+        assert not silent, silent

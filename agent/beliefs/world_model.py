@@ -112,7 +112,7 @@ class WorldModel:
 
 
 class BeliefEpisode:
-    """What is believed about one question. Made by `World.episode`."""
+    """What is believed about one question. Made by `WorldModel.episode`."""
 
     def __init__(self, graph: WorldGraph, run_id: str, question: Question, record: RecordWrite) -> None:
         self._graph = graph
@@ -142,7 +142,7 @@ class BeliefEpisode:
     def observed(self, observation: Observation | Panorama, step: int) -> str:
         """Take an observation that has been made; the name by which the model is to call it: "o1", "o2", ...
 
-        This is the record's line of an accepted look; `noted` is for those that were refused.
+        This writes the record's line of an accepted look; `noted` writes all other lines.
         """
         number = len(self._rows.observations) + 1
         place = (_MIDDLE_DEG, 0, WIDTH)

@@ -56,7 +56,7 @@ class Descriptions:
         return np.where(self.uses == NOBODY, 0, left)
 
     def anchor(self) -> Bools:
-        """Whether every condition is needed: two or more people could match without it."""
+        """The second half of the anchor proof: every condition is needed, as two people could match without it."""
         return np.asarray(np.all((self.left >= 2) | (self.uses == NOBODY), axis=1))
 
     def of(self, name: int) -> tuple[Condition, ...]:

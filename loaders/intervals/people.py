@@ -86,7 +86,7 @@ class Boxes(Sighted):
 
     @cached_property
     def clear(self) -> Bools:
-        """The clear view of the rules, per box."""
+        """Whether each box is a clear view: visible, evaluated, inside the rows and of a size within the rules."""
         rules = self.rules
         _, y, w, h = self.box.T
         sized = (w >= rules.clear_min_width) & (w <= rules.clear_max_width) & (h >= rules.clear_min_height)
@@ -121,7 +121,7 @@ class Located(Sighted):
     center: Floats
     """(n, 3)."""
     heading: Floats
-    """Radians in (-pi, pi], counter-clockwise from straight ahead of the robot."""
+    """Radians in [-pi, pi), counter-clockwise from straight ahead of the robot."""
     distance: Floats
     """Metres from the robot."""
 

@@ -74,7 +74,7 @@ class QueryPlan:
 def refuse_wrong_answers(plan: QueryPlan, text: str) -> None:
     """Raise QueryError, with the form to write instead, for a statement that the engine is known to answer wrongly.
 
-    A plan is one statement's; a sound one is not checked again.
+    `plan` is the engine's plan of the statement `text`; one that was found sound is not checked again.
     """
     if plan.sound:
         return

@@ -1,6 +1,6 @@
 """Questions as text, and the text read back: `render` and its exact inverse `parse`, both over the template table.
 
-What identifies a question, and what its text states.
+Also the id of a question and the facts that its text states.
 """
 
 from __future__ import annotations
