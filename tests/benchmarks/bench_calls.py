@@ -129,10 +129,11 @@ def measure(looks, name):
     image = crop_like_array()
     info = SequenceInfo("s", 15.0, 1000, tuple(range(0, 1000, 15)))
 
-    def observe(sequence, frame, angle):
-        return Observation(sequence, frame, f"{frame:06d}", frame / 15, angle, FOV_DEG, int(crop_left(angle)), image)
+    def observe(sequence, frame_index, angle_deg):
+        frame, left = frame_index, int(crop_left(angle_deg))
+        return Observation(sequence, frame, f"{frame:06d}", frame / 15, angle_deg, FOV_DEG, left, image)
 
-    def panorama(sequence, frame):
+    def panorama(sequence, frame_index):
         raise AssertionError("no panorama is asked for")
 
     # Different texts: equal requests would be answered from the cache.
