@@ -165,7 +165,7 @@ def test_a_run_tells_its_scores_when_asked(store):
 
     base = ["--store", str(store.path), "--method", "react", "--model", "m", "--concurrency", "2", "--questions"]
     picked = f"{asked.question_id},{QUESTIONS_ASKED[3].question_id}"
-    for wait, options in ((0.0, ("--run-id", "a")), (5.0, ("--run-id", "b", "--scores"))):
+    for wait, options in ((0.0, ("--run-id", "a")), (9.0, ("--run-id", "b", "--scores"))):
         with FakeServer(sound(script)) as server:
             result = CliRunner().invoke(command, [*base, picked, "--base-url", server.url, *options])
             assert result.exception is None, result.output
