@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
@@ -35,11 +36,11 @@ def columns_of(rows: _Rows) -> list[str]:
     return list(dict.fromkeys(name for row in rows for name in row))
 
 
-class Displayed:
+class Displayed(ABC):
     """Base of a result: `repr` is its summary in one line, a notebook adds its tables."""
 
-    def _summary(self) -> str:
-        raise NotImplementedError
+    @abstractmethod
+    def _summary(self) -> str: ...
 
     def _tables(self) -> Tables:
         return {}

@@ -1,4 +1,4 @@
-"""The reference agent's solver: what a plan comes to over the beliefs of one episode.
+"""The reference agent's solver: find the people and the answer of a plan in the beliefs of one episode.
 
 An answer is judged by the compiled plan, which the engine runs, and which is solved and read by the solver that also
 runs the stored plans on the scene. What is missing after every turn is found without the engine, by matching the plan
@@ -53,7 +53,7 @@ _MOST_MISSING: Final = 12
 
 @dataclass(frozen=True)
 class Belief:
-    """What a plan comes to over an episode's beliefs.
+    """Result of solving a plan over the beliefs of an episode.
 
     outcome: defined where there is one target and its answer is known; ambiguous: several fit; empty: nobody does;
     unknown: the target is found, its answer is not. people: names of entities by node, those that are the same in all
@@ -89,7 +89,7 @@ class BeliefSolver:
         find_believed(plan)
 
     def solve(self, plan: Plan, rows: BeliefRows | None = None) -> Belief:
-        """What the beliefs come to by the compiled plan.
+        """Solve a plan by its compiled Cypher statement.
 
         rows: what is believed, where that is at hand: the engine then only looks for the people. A plan that so many
         sets of people nearly fit that other episodes would wait for it is not run, and counts as ambiguous.
@@ -110,7 +110,7 @@ class BeliefSolver:
         return _belief(reader, match, solution)
 
     def guess(self, plan: Plan, rows: BeliefRows | None = None) -> Belief | None:
-        """What is read of the entity that comes nearest to being the plan's target, None where there is nobody.
+        """Return the answer for the entity that best fits the plan's target; None without entities.
 
         That is the one with which most conditions and edges hold, then the one seen at most frames, then the smallest
         name. Its outcome is defined where the plan's read is known of it, else unknown, and its newest box is seen
@@ -233,8 +233,9 @@ class PlanMatch:
 
     @cached_property
     def bindings(self) -> list[dict[str, str]] | None:
-        """All bindings of the plan's nodes to different people of whom every part holds; None where to find them the
-        compiled plan would compare more texts than `MOST_VISITS`.
+        """Every assignment of different people to the plan's nodes that satisfies all its conditions and edges.
+
+        None where the compiled plan would compare more texts than `MOST_VISITS` to find them.
 
         It goes the way of the compiled plan: at each node it tries everybody, and compares what each part that can be
         decided by then needs with all that it has gathered.
@@ -300,7 +301,7 @@ class PlanMatch:
         return best, most
 
     def _candidates(self, node: str) -> list[str]:
-        """Those of whom any part of a node holds."""
+        """People who satisfy at least one condition of a node."""
         found = set[str]().union(*(who for (name, _), who in self.conditions.items() if name == node))
         for edge, pairs in zip(self.plan.edges, self.edges, strict=True):
             if node in (edge.source, edge.target):

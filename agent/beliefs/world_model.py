@@ -68,7 +68,7 @@ _ROUNDING: Final = 1e-6
 """Pixels by which a box that was scaled to its image may end beyond it."""
 
 _SEVERAL: Final = ("action", "interaction", "object")
-"""Attributes of which an entity may have several at a frame, but one pose."""
+"""Attributes that may have several values at one frame; an action that is a pose replaces the pose before."""
 
 _ORDER: Final = {
     "sighted": ("who", "frame", "written"),
@@ -112,7 +112,7 @@ class WorldModel:
 
 
 class BeliefEpisode:
-    """What is believed about one question. Made by `WorldModel.episode`."""
+    """The beliefs of one question, written and read by the agent. Made by `WorldModel.episode`."""
 
     def __init__(self, graph: WorldGraph, run_id: str, question: Question, record: RecordWrite) -> None:
         self._graph = graph
@@ -273,8 +273,10 @@ class BeliefEpisode:
 
     @contextlib.contextmanager
     def together(self) -> Iterator[None]:
-        """Put what is written inside into the tables at the end, when it is settled, or when `MOST_WAITING` writes
-        wait: a statement takes as long for many rows as for a few. An error inside takes nothing back.
+        """Collect the writes of a `with` block and put them into the tables together, at its end at the latest.
+
+        They go earlier when `settle` is called or `MOST_WAITING` writes wait. A statement takes as long for many rows
+        as for a few. An error inside the block undoes nothing.
         """
         self._together = True
         try:
@@ -295,7 +297,7 @@ class BeliefEpisode:
     # -- what is believed ---------------------------------------------------------------------------------------------
 
     def rows(self) -> dict[str, list[Mapping[str, Any]]]:
-        """What is currently believed, as the statements of `queries/reads/world` give it, by their names."""
+        """Return the current beliefs as rows, by the names of the statements in `queries/reads/world`."""
         rows: dict[str, list[Mapping[str, Any]]] = {name: [] for name in _ORDER}
         for edge in self._current.values():
             name, row = _read_row(edge)
@@ -306,7 +308,7 @@ class BeliefEpisode:
         return {name: sorted(rows[name], key=itemgetter(*columns)) for name, columns in _ORDER.items()}
 
     def graph(self, missing: Sequence[str] = ()) -> dict[str, Any]:
-        """The result of `get_graph`: observations, what is currently believed, and `missing`: what the plan lacks."""
+        """Return the result of the tool `get_graph`: observations, current beliefs, and what the plan still lacks."""
         sightings: dict[str, list[Mapping[str, Any]]] = {key: [] for key in self._rows.entities}
         attributes: dict[str, list[Mapping[str, Any]]] = {key: [] for key in sightings}
         relations: list[Mapping[str, Any]] = []
@@ -377,7 +379,7 @@ def _slots(plan: Plan, episode: str) -> tuple[SlotRow, ...]:
 
 
 def _stitched(look: ObservationRow, box: Box) -> XYWH:
-    """A box of an observation's image in stitched pixels. Raises DecodeError for what is no box in the image."""
+    """Convert a box of an observation's image to stitched pixels. Raises DecodeError for a box outside the image."""
     right, lower = box.x + box.w, box.y + box.h
     if not (0 <= box.x < right <= look.width + _ROUNDING and 0 <= box.y < lower <= HEIGHT + _ROUNDING):
         raise DecodeError("the box must lie in the observation's image and have an area")

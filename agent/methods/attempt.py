@@ -272,7 +272,7 @@ class Attempt:
         return evidence
 
     def parse_final(self, reply: Mapping[str, Any], image: ImageFrame) -> ParsedReply:
-        """The two parts of a final reply, `answer` and `evidence_bboxes`, each of which may stand without the other.
+        """Parse a final reply: its `answer` and its `evidence_bboxes`, each valid without the other.
 
         Raises DecodeError for other keys: then nothing of the reply is the contract's.
         """

@@ -248,7 +248,7 @@ class Client:
             self._idle.append(connection)
 
     def _refusal(self, response: httpx2.Response, data: bytes) -> Exception:
-        """The error of a reply whose HTTP status is no success."""
+        """Return the error for an unsuccessful HTTP response."""
         status, message, code = response.status_code, data.decode(errors="replace"), None
         try:
             match msgspec.json.decode(data):

@@ -32,7 +32,7 @@ def counts_group(conditions: Sequence[Condition]) -> bool:
 
 
 def find(conditions: Sequence[Condition], frame: int, explorer: Explorer) -> FoundPerson:
-    """The one person at a legal frame of whom every condition is true.
+    """Find the one person at a legal frame who satisfies every condition.
 
     The description fits one person alone, so looking ends at the first certain match; a group is counted all round
     first. Raises BudgetExhausted when looks run out.
@@ -86,7 +86,7 @@ def _count(conditions: Sequence[Condition], frame: int, explorer: Explorer) -> F
 def _only(
     conditions: Sequence[Condition], people: Sequence[Sighting], others: Sequence[Sighting] = ()
 ) -> Sighting | None:
-    """The only one of the people of whom every condition is true, if there is one."""
+    """Return the only person who certainly satisfies every condition; None if there is not exactly one."""
     certain = [p for p in people if all(holds(c, p, [*people, *others]) for c in conditions)]
     return certain[0] if len(certain) == 1 else None
 

@@ -105,5 +105,5 @@ class ChatMemory:
         return Evidence(view.frame, (x % WIDTH, y, w, h))
 
     def solved(self, reason: str) -> ParsedReply:
-        """What could be read of the newest final answer, which was not legal."""
+        """Return the readable parts of the newest final answer, which was refused."""
         return ParsedReply(self.proposed.answer, self.proposed.evidence, (reason, *self.proposed.faults))

@@ -146,8 +146,9 @@ class GraphMemory:
         return ParsedReply(proposed, _evidence(belief.seen), () if belief.seen else ("the target has no box",))
 
     def solved(self, reason: str) -> ParsedReply:
-        """What the graph says by itself; where it has no single target, what is read of the likeliest one. An answer
-        that cannot be read is none, and the box stays.
+        """Return the answer of the solver; without a single target, that of the likeliest entity.
+
+        An answer that cannot be read is None; the box stays.
         """
         belief = self._solved()
         if belief.seen is None:
