@@ -50,8 +50,7 @@ class WorldGraph:
         Raises StoreError where the file is no graph or the disk refuses, LockedError naming the holder where another
         process has it open.
         """
-        # Of small statements, most of what a second thread does is to wait for work: one takes half the time.
-        return cls(open_graph(path, buffer_bytes=_BUFFER_BYTES, threads=1, prepares=True))
+        return cls(open_graph(path, buffer_bytes=_BUFFER_BYTES, prepares=True))
 
     @classmethod
     def memory(cls) -> Self:

@@ -47,12 +47,12 @@ class SharedDatabase:
                     self.lock.close()
 
 
-def acquire_database(path: Path, read_only: bool, buffer_bytes: int, threads: int) -> SharedDatabase:
+def acquire_database(path: Path, read_only: bool, buffer_bytes: int) -> SharedDatabase:
     """The database of the graph file at `path`, a resolved one; opened by its first user. Raises as `Graph.open`."""
     with _registry_lock:
         shared = _registry.get(path)
         if shared is None:
-            shared = _registry[path] = _opened(path, read_only, buffer_bytes, threads)
+            shared = _registry[path] = _opened(path, read_only, buffer_bytes)
         elif shared.read_only and not read_only:
             raise LockedError(f"{path} is open for reading in this process: close it first", holder="this process")
         else:
@@ -76,22 +76,22 @@ def check_unused(path: Path) -> None:
             raise LockedError(f"{path} is open in this process: close it first", holder="this process")
 
 
-def _opened(path: Path, read_only: bool, buffer_bytes: int, threads: int) -> SharedDatabase:
+def _opened(path: Path, read_only: bool, buffer_bytes: int) -> SharedDatabase:
     if read_only and path.with_name(path.name + ".shadow").exists():
         # A killed writer left a checkpoint half done; only an opening for writing can finish it.
         with contextlib.suppress(StoreError), lock_graph(path, shared=False):
-            _open_file(path, False, buffer_bytes, 0).close()
+            _open_file(path, False, buffer_bytes).close()
     if not read_only:
         check_room(path)
     lock = lock_graph(path, shared=read_only)
     try:
-        return SharedDatabase(_open_file(path, read_only, buffer_bytes, threads), path, read_only, lock)
+        return SharedDatabase(_open_file(path, read_only, buffer_bytes), path, read_only, lock)
     except BaseException:
         lock.close()
         raise
 
 
-def _open_file(path: Path, read_only: bool, buffer_bytes: int, threads: int) -> Any:
+def _open_file(path: Path, read_only: bool, buffer_bytes: int) -> Any:
     # Before the database is open here, as closing the file would drop the engine's lock on it.
     check_fingerprint(path)
     import kuzu
@@ -99,7 +99,8 @@ def _open_file(path: Path, read_only: bool, buffer_bytes: int, threads: int) -> 
     end = time.monotonic() + ENDING_S
     while True:
         try:
-            return kuzu.Database(str(path), read_only=read_only, buffer_pool_size=buffer_bytes, max_num_threads=threads)
+            # One thread: of ORDER BY, several threads now and then hand out their parts one after the other.
+            return kuzu.Database(str(path), read_only=read_only, buffer_pool_size=buffer_bytes, max_num_threads=1)
         except RuntimeError as error:
             if "Could not set lock" not in str(error):
                 raise StoreError(f"cannot open {path} ({shortened(str(error))}): {rebuild_hint(path)}") from None

@@ -83,18 +83,16 @@ class Graph:
         *,
         read_only: bool = False,
         buffer_bytes: int = BUFFER_BYTES,
-        threads: int = 0,
         prepares: bool = False,
     ) -> Graph:
         """Open the graph file at `path`, made by `build_graph`.
 
-        threads: of the engine, as many as there are processors where 0; who opens the file first in this process
-        decides. prepares: statements with parameters are parsed once for many uses, which takes a third off the
+        prepares: statements with parameters are parsed once for many uses, which takes a third off the
         time of small ones.
         Raises StoreError where there is none, or one that is cut short or of another version, and LockedError naming
         the holder where another process writes it (or, for writing, reads it).
         """
-        shared = acquire_database(Path(path).resolve(), read_only, buffer_bytes, threads)
+        shared = acquire_database(Path(path).resolve(), read_only, buffer_bytes)
         return cls(shared, read_only, prepares)
 
     @classmethod

@@ -479,25 +479,16 @@ def test_what_utf8_cannot_hold_is_written_out(tmp_path):
 
 
 def test_many_questions_in_flight(tmp_path):
-    flying, most, lock = 0, 0, threading.Lock()
+    all_of_them = threading.Barrier(64)
 
     def behave(task):
-        nonlocal flying, most
-        with lock:
-            flying += 1
-            most = max(most, flying)
-        time.sleep(0.05)
-        with lock:
-            flying -= 1
+        all_of_them.wait(timeout=60)
         return Prediction("answered", Choice(1), Evidence(0, (0.0, 0.0, 1.0, 1.0)))
 
     asked = [question(0, 15 * i) for i in range(3, 67)]
     with journals.Journal(tmp_path / "journal.jsonl") as journal:
-        started = time.monotonic()
         answering.answer_all(Scripted(behave), asked, {SEQUENCE: INFO}, no_look, no_look, journal, 64)
-        assert time.monotonic() - started < 3
-    assert len(journal.finished) == 64
-    assert most > 32
+    assert [row.prediction["status"] for row in journal.finished.values()] == ["answered"] * 64
 
 
 def test_threads_are_left_as_they_were(tmp_path):
