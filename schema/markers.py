@@ -4,7 +4,7 @@ A mark is a coloured frame along the person's box and, in the middle of the box,
 cells with a white margin of one cell. Its first grid (5 x 16 cells, 63 bits and a 17-bit checksum) holds identity,
 gender, age, pose, up to two other actions, group, distance, and the size of the box in half cells; the second (5 x 11,
 38 bits and 17 of checksum that cover the first grid too) holds heading, partner and interaction, object and verb. It
-stands below the first (tall) or right of it (wide), and is left out where it does not fit at `SECOND_CELL` pixels
+stands below the first (tall) or right of it (wide), and is left out where it does not fit at `MIN_CELL` pixels
 per cell. A box below `MIN_WIDTH` x `MIN_HEIGHT` carries a frame alone, and cannot be read.
 
 The plate lies in the middle of the box and says how many cells wide and high the box is, so the whole box follows from
@@ -17,7 +17,6 @@ Nothing else in a picture of the sample world is as bright as a plate's white (`
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
@@ -40,7 +39,6 @@ CHECK_BITS: Final = 17
 MAX_CELL: Final = 4
 """Pixels: cells of near people grow no further, so that the person stays visible behind the plate."""
 MIN_CELL: Final = 2
-SECOND_CELL: Final = 2
 MAX_CELLS: Final = 127
 """A box is at most so many cells wide and high: its size in half cells has eight bits."""
 MIN_WIDTH: Final = (GRID_COLUMNS + 2) * MIN_CELL + 4
@@ -107,16 +105,12 @@ class Reading(NamedTuple):
     complete: bool
 
 
-class _Layout(NamedTuple):
-    name: str
-    columns: int
-    rows: int
-
-
-_FIRST = _Layout("first", GRID_COLUMNS, FIRST_ROWS)
-_TALL = _Layout("tall", GRID_COLUMNS, FIRST_ROWS + SECOND_ROWS)
-_WIDE = _Layout("wide", 2 * GRID_COLUMNS, FIRST_ROWS)
-_LAYOUTS: Final = (_FIRST, _TALL, _WIDE)
+_LAYOUTS: Final = {
+    "first": (GRID_COLUMNS, FIRST_ROWS),
+    "tall": (GRID_COLUMNS, FIRST_ROWS + SECOND_ROWS),
+    "wide": (2 * GRID_COLUMNS, FIRST_ROWS),
+}
+"""Columns and rows of the cells of a plate, without its margin."""
 # Below the second grid of a wide plate: fixed cells, that a reader checks.
 _FILLER: Final = (np.indices((FIRST_ROWS - SECOND_ROWS, GRID_COLUMNS)).sum(axis=0) % 2).astype(np.uint8)
 
@@ -124,67 +118,66 @@ _FILLER: Final = (np.indices((FIRST_ROWS - SECOND_ROWS, GRID_COLUMNS)).sum(axis=
 # ------------------------------------------------------------------------------------------------ bits
 
 
-def _code(field: str, value: str | None, table: tuple[str, ...]) -> int:
-    """0 for None, else one more than the place in the table."""
-    if value is None:
-        return 0
-    if value not in table:
-        raise InputError(f"a mark cannot show {field} {value!r}", field=field)
-    return table.index(value) + 1
+class _Field:
+    """A field of a grid: its size in bits, and the code of each value that it can hold."""
+
+    def __init__(self, name: str, bits: int, codes: dict[Any, int]) -> None:
+        self.name, self.bits, self.codes = name, bits, codes
+        self.values = {code: value for value, code in codes.items()}
 
 
-def _number(field: str, value: int | None, most: int, absent: int) -> int:
-    if value is None:
-        return absent
-    if not 0 <= value <= most:
-        raise InputError(f"a mark cannot show {field} {value}: it goes from 0 to {most}", field=field)
-    return value
+def _words(name: str, bits: int, table: tuple[str, ...]) -> _Field:
+    return _Field(name, bits, {word: code for code, word in enumerate((None, *table))})
 
 
-def _pack(fields: list[tuple[int, int]]) -> int:
-    """(value, bits) pairs as one number, first field in the highest bits."""
+def _numbers(name: str, bits: int, most: int, absent: int, step: int = 1) -> _Field:
+    """Multiples of `step` up to `most`; `absent` is the code of None, and of a number too where that cannot be none."""
+    return _Field(name, bits, {None: absent} | {number: number // step for number in range(0, most + 1, step)})
+
+
+_ACTION: Final = _words("actions", 5, OTHER_ACTIONS)
+_FIRST: Final = (
+    _numbers("identity", 12, MAX_IDENTITY, 0),
+    _words("gender", 2, GENDERS),
+    _words("age", 3, AGES),
+    _words("pose", 4, POSES),
+    _ACTION,
+    _ACTION,
+    _numbers("group", 8, MAX_GROUP, 255),
+    _numbers("distance_dm", 8, MAX_DISTANCE_DM, 255),
+    _numbers("wide", 8, 255, 0),
+    _numbers("high", 8, 255, 0),
+)
+_SECOND: Final = (
+    _numbers("heading_deg", 7, 360 - HEADING_STEP, 127, HEADING_STEP),
+    # Absent where there is no interaction.
+    _numbers("partner", 12, MAX_IDENTITY, 0),
+    _words("interaction", 5, INTERACTIONS),
+    _words("object", 7, OBJECTS),
+    _words("verb", 7, VERBS),
+)
+"""The fields of the two grids, the first in the highest bits."""
+
+
+def _pack(fields: tuple[_Field, ...], *values: Any) -> int:
     packed = 0
-    for value, bits in fields:
-        packed = packed << bits | value
+    for field, value in zip(fields, values, strict=True):
+        if value not in field.codes:
+            raise InputError(f"a mark cannot show {field.name} {value!r}", field=field.name)
+        packed = packed << field.bits | field.codes[value]
     return packed
 
 
-def _first_data(mark: Mark, wide: int, high: int) -> int:
-    if len(mark.actions) > 2:
-        raise InputError("a mark shows at most two actions beside the pose", field="actions")
-    codes = sorted(_code("actions", action, OTHER_ACTIONS) for action in mark.actions)
-    first, second = ([*codes, 0, 0])[:2]
-    return _pack(
-        [
-            (_number("identity", mark.identity, MAX_IDENTITY, 0), 12),
-            (_code("gender", mark.gender, GENDERS), 2),
-            (_code("age", mark.age, AGES), 3),
-            (_code("pose", mark.pose, POSES), 4),
-            (first, 5),
-            (second, 5),
-            (_number("group", mark.group, MAX_GROUP, 255), 8),
-            (_number("distance_dm", mark.distance_dm, MAX_DISTANCE_DM, 255), 8),
-            (_number("wide", wide, 255, 0), 8),
-            (_number("high", high, 255, 0), 8),
-        ]
-    )
-
-
-def _second_data(mark: Mark) -> int:
-    if (mark.partner is None) != (mark.interaction is None) or (mark.object is None) != (mark.verb is None):
-        raise InputError("a partner comes with an interaction and an object with a verb", field="partner")
-    if mark.heading_deg is not None and mark.heading_deg % HEADING_STEP:
-        raise InputError(f"a mark cannot show heading {mark.heading_deg}: multiples of 5 only", field="heading_deg")
-    turn = None if mark.heading_deg is None else mark.heading_deg // HEADING_STEP
-    return _pack(
-        [
-            (_number("heading_deg", turn, 360 // HEADING_STEP - 1, 127), 7),
-            (_number("partner", mark.partner, MAX_IDENTITY, 0), 12),
-            (_code("interaction", mark.interaction, INTERACTIONS), 5),
-            (_code("object", mark.object, OBJECTS), 7),
-            (_code("verb", mark.verb, VERBS), 7),
-        ]
-    )
+def _unpack(fields: tuple[_Field, ...], data: int) -> list[Any] | None:
+    """The values of the fields; None where one has a code without a value."""
+    values = []
+    for field in reversed(fields):
+        code = data & ((1 << field.bits) - 1)
+        if code not in field.values:
+            return None
+        values.append(field.values[code])
+        data >>= field.bits
+    return values[::-1]
 
 
 def _check(*parts: int) -> int:
@@ -193,18 +186,18 @@ def _check(*parts: int) -> int:
     return zlib.crc32(text) >> (32 - CHECK_BITS)
 
 
-def _grid(data: int, check: int, rows: int) -> Bits:
-    """Cells (rows, 5), 1 = white."""
-    number = data << CHECK_BITS | check
-    count = rows * GRID_COLUMNS
-    bits = [number >> (count - 1 - i) & 1 for i in range(count)]
-    return np.array(bits, np.uint8).reshape(rows, GRID_COLUMNS)
+def _grid(*parts: int) -> Bits:
+    """Cells (rows, 5) of the last grid, 1 = white; its checksum covers those before."""
+    rows = (FIRST_ROWS, SECOND_ROWS)[len(parts) - 1]
+    number = parts[-1] << CHECK_BITS | _check(*parts)
+    return np.array([*map(int, f"{number:0{rows * GRID_COLUMNS}b}")], np.uint8).reshape(rows, GRID_COLUMNS)
 
 
-def _number_of(cells: Bits) -> tuple[int, int]:
-    """Data and checksum of a grid."""
+def _data_of(cells: Bits, *before: int) -> int | None:
+    """The data of a grid; None where its checksum, which covers the grids before, is wrong."""
     number = int("".join(map(str, cells.ravel().tolist())), 2)
-    return number >> CHECK_BITS, number & ((1 << CHECK_BITS) - 1)
+    data = number >> CHECK_BITS
+    return data if number & ((1 << CHECK_BITS) - 1) == _check(*before, data) else None
 
 
 def encode(mark: Mark, layout: str, wide: int, high: int) -> Bits:
@@ -212,15 +205,18 @@ def encode(mark: Mark, layout: str, wide: int, high: int) -> Bits:
 
     Raises InputError for a value that a mark cannot show.
     """
-    first = _first_data(mark, wide, high)
-    cells = _grid(first, _check(first), FIRST_ROWS)
-    second = _second_data(mark)
+    if len(mark.actions) > 2:
+        raise InputError("a mark shows at most two actions beside the pose", field="actions")
+    if (mark.partner is None) != (mark.interaction is None) or (mark.object is None) != (mark.verb is None):
+        raise InputError("a partner comes with an interaction and an object with a verb", field="partner")
+    actions = (*sorted(mark.actions, key=lambda action: _ACTION.codes.get(action, 0)), None, None)[:2]
+    who = mark.identity, mark.gender, mark.age, mark.pose
+    first = _pack(_FIRST, *who, *actions, mark.group, mark.distance_dm, wide, high)
+    second = _pack(_SECOND, mark.heading_deg, mark.partner, mark.interaction, mark.object, mark.verb)
+    cells, more = _grid(first), _grid(first, second)
     if layout == "first":
         return cells
-    more = _grid(second, _check(first, second), SECOND_ROWS)
-    if layout == "tall":
-        return np.vstack([cells, more])
-    return np.hstack([cells, np.vstack([more, _FILLER])])
+    return np.vstack([cells, more]) if layout == "tall" else np.hstack([cells, np.vstack([more, _FILLER])])
 
 
 class Decoded(NamedTuple):
@@ -234,68 +230,29 @@ class Decoded(NamedTuple):
 
 def decode(cells: Bits) -> Decoded | None:
     """Read a plate's cells; None unless the first grid's checksum and every field of it are valid."""
-    first, check = _number_of(cells[:FIRST_ROWS, :GRID_COLUMNS])
-    if check != _check(first):
+    first = _data_of(cells[:FIRST_ROWS, :GRID_COLUMNS])
+    values = None if first is None else _unpack(_FIRST, first)
+    if first is None or values is None:
         return None
-    mark_and_size = _first_mark(first)
-    if mark_and_size is None:
-        return None
-    mark, wide, high = mark_and_size
+    identity, gender, age, pose, one, two, group, distance, wide, high = values
+    actions = tuple(action for action in (one, two) if action is not None)
+    mark = Mark(identity, gender, age, pose, actions, group, distance)
+    more, filler = cells[FIRST_ROWS:], _FILLER
     if cells.shape[1] > GRID_COLUMNS:
-        more = cells[:SECOND_ROWS, GRID_COLUMNS:]
-        if not np.array_equal(cells[SECOND_ROWS:, GRID_COLUMNS:], _FILLER):
-            return Decoded(mark, wide, high, False)
-    elif cells.shape[0] > FIRST_ROWS:
-        more = cells[FIRST_ROWS:]
-    else:
-        return Decoded(mark, wide, high, False)
-    second, check = _number_of(more)
-    complete = _second_mark(mark, second) if check == _check(first, second) else None
+        more, filler = np.split(cells[:, GRID_COLUMNS:], [SECOND_ROWS])
+    complete = _with_second(mark, first, more) if len(more) and np.array_equal(filler, _FILLER) else None
     return Decoded(complete or mark, wide, high, complete is not None)
 
 
-def _unpack(data: int, widths: tuple[int, ...]) -> list[int]:
-    values = []
-    for bits in reversed(widths):
-        values.append(data & ((1 << bits) - 1))
-        data >>= bits
-    return values[::-1]
-
-
-def _first_mark(data: int) -> tuple[Mark, int, int] | None:
-    identity, gender, age, pose, one, two, group, distance, wide, high = _unpack(data, (12, 2, 3, 4, 5, 5, 8, 8, 8, 8))
-    if gender > len(GENDERS) or age > len(AGES) or pose > len(POSES) or max(one, two) > len(OTHER_ACTIONS):
+def _with_second(mark: Mark, first: int, cells: Bits) -> Mark | None:
+    """The mark with what its second grid holds; None where that is not valid."""
+    second = _data_of(cells, first)
+    values = None if second is None else _unpack(_SECOND, second)
+    if values is None or (values[3] is None) != (values[4] is None):
         return None
-    mark = Mark(
-        identity,
-        gender=_name(gender, GENDERS),
-        age=_name(age, AGES),
-        pose=_name(pose, POSES),
-        actions=tuple(OTHER_ACTIONS[code - 1] for code in (one, two) if code),
-        group=None if group == 255 else group,
-        distance_dm=None if distance == 255 else distance,
-    )
-    return mark, wide, high
-
-
-def _second_mark(mark: Mark, data: int) -> Mark | None:
-    turn, partner, interaction, thing, verb = _unpack(data, (7, 12, 5, 7, 7))
-    if (turn >= 360 // HEADING_STEP and turn != 127) or interaction > len(INTERACTIONS):
-        return None
-    if thing > len(OBJECTS) or verb > len(VERBS) or (thing == 0) != (verb == 0):
-        return None
-    return replace(
-        mark,
-        heading_deg=None if turn == 127 else turn * HEADING_STEP,
-        partner=partner if interaction else None,
-        interaction=_name(interaction, INTERACTIONS),
-        object=_name(thing, OBJECTS),
-        verb=_name(verb, VERBS),
-    )
-
-
-def _name(code: int, table: tuple[str, ...]) -> str | None:
-    return table[code - 1] if code else None
+    heading, partner, interaction, thing, verb = values
+    partner = None if interaction is None else partner
+    return replace(mark, heading_deg=heading, partner=partner, interaction=interaction, object=thing, verb=verb)
 
 
 # ------------------------------------------------------------------------------------------------ pixels
@@ -306,16 +263,15 @@ def plate_of(w: int, h: int) -> tuple[str, int] | None:
 
     That is so for boxes that are too small, or far longer one way than the other.
     """
-    best: tuple[str, int] | None = None
-    most = max(MAX_CELL, -(-max(w, h) // MAX_CELLS))
-    for layout in (_TALL, _WIDE, _FIRST):
-        cell = min((w - 4) // (layout.columns + 2), (h - 4) // (layout.rows + 2), most)
-        if layout is _FIRST and best is not None:
-            break
-        least = max(MIN_CELL if layout is _FIRST else SECOND_CELL, -(-max(w, h) // MAX_CELLS))
-        if cell >= least and (best is None or cell > best[1]):
-            best = (layout.name, cell)
-    return best
+    smallest = -(-max(w, h) // MAX_CELLS)
+    cells = {
+        layout: min((w - 4) // (columns + 2), (h - 4) // (rows + 2), max(MAX_CELL, smallest))
+        for layout, (columns, rows) in _LAYOUTS.items()
+    }
+    for layout in (max(("tall", "wide"), key=cells.__getitem__), "first"):
+        if cells[layout] >= max(MIN_CELL, smallest):
+            return layout, cells[layout]
+    return None
 
 
 def frame_thickness(w: int) -> int:
@@ -381,47 +337,38 @@ def read(image: MarkImage, *, wrap: bool = False) -> list[Reading]:
         image = np.hstack([image, image[:, :margin]])
     gray: MarkImage = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
     bright = np.asarray(gray > BRIGHT, np.uint8)
+    _, _, stats, _ = cv2.connectedComponentsWithStats(bright, connectivity=4)
+    boxes = stats[1:, :4]
+    least = (GRID_COLUMNS + 1) * MIN_CELL * 0.8, (FIRST_ROWS + 1) * MIN_CELL * 0.8
     found: dict[tuple[int, int], Reading] = {}
-    for x, y, w, h in _bright_rectangles(bright):
+    for x, y, w, h in boxes[(boxes[:, 2:] >= least).all(axis=1)].tolist():
         reading = _read_plate(gray, x, y, w, h)
         if reading is not None and x < width:
             found.setdefault((x, y), reading)
     return [found[key] for key in sorted(found)]
 
 
-def _bright_rectangles(bright: MarkImage) -> Iterator[tuple[int, int, int, int]]:
-    count, _, stats, _ = cv2.connectedComponentsWithStats(bright, connectivity=4)
-    boxes: npt.NDArray[Any] = stats[1:count, :4]
-    least = np.array([(GRID_COLUMNS + 1) * MIN_CELL * 0.8, (FIRST_ROWS + 1) * MIN_CELL * 0.8])
-    large = boxes[(boxes[:, 2] >= least[0]) & (boxes[:, 3] >= least[1])]
-    for row in large.tolist():
-        yield row[0], row[1], row[2], row[3]
-
-
 def _read_plate(gray: MarkImage, x: int, y: int, w: int, h: int) -> Reading | None:
     """The mark of the plate that fills the rectangle, if it is one."""
-    for layout in _LAYOUTS:
-        across, down = w / (layout.columns + 2), h / (layout.rows + 2)
+    for inner_columns, inner_rows in _LAYOUTS.values():
+        columns, rows = inner_columns + 2, inner_rows + 2
+        across, down = w / columns, h / rows
         # Both ways the cell is the same, up to a pixel of blur at the edges.
-        if abs(across - down) * (layout.columns + 2) > 1.5:
+        if abs(across - down) * columns > 1.5:
             continue
-        cells = _sample(gray, layout, x, y, w, h)
-        if cells is None:
-            continue
-        decoded = decode(cells)
+        cells = _sample(gray[y : y + h, x : x + w], columns, rows)
+        decoded = None if cells is None else decode(cells)
         if decoded is None:
             continue
-        cell = (across * (layout.columns + 2) + down * (layout.rows + 2)) / (layout.columns + layout.rows + 4)
+        cell = (across * columns + down * rows) / (columns + rows)
         wide, high = decoded.wide * cell / 2, decoded.high * cell / 2
         box = Box(x + w / 2 - wide / 2, y + h / 2 - high / 2, wide, high)
         return Reading(decoded.mark, box, decoded.complete)
     return None
 
 
-def _sample(gray: MarkImage, layout: _Layout, x: int, y: int, w: int, h: int) -> Bits | None:
+def _sample(patch: MarkImage, columns: int, rows: int) -> Bits | None:
     """Cells of the grid, or None where margin or contrast are not those of a plate."""
-    columns, rows = layout.columns + 2, layout.rows + 2
-    patch = gray[y : y + h, x : x + w]
     # Area averaging to four samples per cell; the cell's middle two by two decide.
     fine = cv2.resize(patch, (columns * 4, rows * 4), interpolation=cv2.INTER_LINEAR).astype(np.float32)
     values = fine.reshape(rows, 4, columns, 4)[:, 1:3, :, 1:3].mean(axis=(1, 3))
