@@ -11,7 +11,6 @@ The new graph also holds the world models of the finished runs of the store.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import multiprocessing
 import os
 import shutil
@@ -42,7 +41,7 @@ from jrdb_avr.queries.beliefs.record import copy_all
 from jrdb_avr.queries.display import Progress, step_counter
 from jrdb_avr.queries.graph.handle import build_graph, remove_graph
 from jrdb_avr.queries.runs import run_ids
-from jrdb_avr.queries.store import Manifest, SequenceEntry, Store
+from jrdb_avr.queries.store import Manifest, SequenceEntry, Store, file_hash
 from jrdb_avr.queries.workers import end_with_parent, map_shards, without_collector
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
 from jrdb_avr.schema.rules import LoadRules, rules_hash
@@ -215,9 +214,7 @@ def _loaded_table(store: Store, layer: str, shard: RebuildShard) -> pa.Table:
     """An annotation table, if its file is the one that was loaded. Raises StoreError naming the file otherwise."""
     path = store.annotation_path(layer, shard.sequence)
     table = store.annotation(layer, shard.sequence)
-    with path.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-    if digest != shard.entry.tables.get(path.relative_to(store.path).as_posix()):
+    if file_hash(path) != shard.entry.tables.get(path.relative_to(store.path).as_posix()):
         raise StoreError(f"{path} is not the file that was loaded: load the annotations again")
     return table
 

@@ -6,8 +6,6 @@ load report prints the sums. *Refused* things leave no fact behind; a refused fi
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import msgspec
 
 
@@ -68,8 +66,3 @@ def shorten(value: object, length: int = 60) -> str:
             text = type(value).__name__
     text = "".join(c if c.isprintable() else " " for c in text[: length + 1])
     return text if len(text) <= length else text[: length - 1] + "…"
-
-
-def total(problems: Iterable[Problem]) -> int:
-    """How many things were refused or skipped."""
-    return sum(problem.count for problem in problems)

@@ -14,7 +14,6 @@ it takes too much memory, or is silent for too long. After each piece of a table
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import multiprocessing
 import os
 import threading
@@ -31,7 +30,7 @@ from jrdb_avr.loaders.graph import batches, column_names, scene_rows, with_wide_
 from jrdb_avr.queries.graph.file import check_fingerprint, fingerprint_of, lock_graph
 from jrdb_avr.queries.graph.guard import end_beyond_memory
 from jrdb_avr.queries.graph.handle import Graph
-from jrdb_avr.queries.store import Manifest, Store
+from jrdb_avr.queries.store import Manifest, Store, file_hash
 from jrdb_avr.schema.errors import AvrError, QueryError, StoreError
 from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
 
@@ -98,9 +97,7 @@ def _files(store: Store, manifest: Manifest, part: str) -> Check:
 
 def _file_fault(path: Path, digest: str) -> str:
     try:
-        with path.open("rb") as file:
-            same = hashlib.file_digest(file, "sha256").hexdigest() == digest
-        return "" if same else "is not the file that was loaded"
+        return "" if file_hash(path) == digest else "is not the file that was loaded"
     except FileNotFoundError:
         return "is missing"
     except OSError as error:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 from typing import Any
 
 import msgspec
 
-from jrdb_avr.queries.store import Store, write_json
+from jrdb_avr.queries.store import Store, file_hash, write_json
 from jrdb_avr.schema.errors import StoreError
 
 
@@ -33,8 +32,7 @@ def questions_hash(store: Store) -> str:
     """sha256 of the store's questions file, in hex. Raises StoreError where there is none."""
     path = store.question_path("questions")
     try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        return file_hash(path)
     except FileNotFoundError:
         raise StoreError(f"{store.path} has no questions yet: run 'jrdb-avr generate --store {store.path}'") from None
     except OSError as error:

@@ -284,6 +284,11 @@ def write_table(path: Path, table: pa.Table, schema: pa.Schema, metadata: dict[s
                 writer.write_table(table.slice(start, ROW_GROUP).cast(schema).replace_schema_metadata(metadata or None))
 
     write_atomic(path, write)
+    return file_hash(path)
+
+
+def file_hash(path: Path) -> str:
+    """The sha256 of a file, in hex. Raises OSError."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

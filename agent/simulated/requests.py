@@ -25,7 +25,7 @@ from jrdb_avr.schema.errors import DecodeError, PlanError
 from jrdb_avr.schema.markers import Mark, Reading, read
 from jrdb_avr.schema.panorama import WIDTH, angle_of_column
 from jrdb_avr.schema.plan import Plan
-from jrdb_avr.schema.wording import parse
+from jrdb_avr.schema.wording.text import parse
 
 _ANNOUNCED: Final = re.compile(
     r"(?:Picture|Panorama|Crop)(?: \d+)?(?:, observation (\w{1,32}))?(?:, the newest)?: (\{.*\})"

@@ -33,7 +33,7 @@ from jrdb_avr.schema.answers import (
     same_answer,
 )
 from jrdb_avr.schema.rules import FPS
-from jrdb_avr.schema.wording import parse, stated_actions, stated_frames
+from jrdb_avr.schema.wording.text import parse, stated_actions, stated_frames
 
 AIMS: Final = {"multiple_choice": 0.35, "frame": 0.25, "span": 0.25, "frame_viewpoint": 0.25, "number": 0.58}
 """The most that a blind guesser should score, by answer mode; counts have no aim."""

@@ -42,7 +42,7 @@ from jrdb_avr.schema.labels import (
 from jrdb_avr.schema.plan import Attribute, Condition
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES, VERBS
-from jrdb_avr.schema.wording import actions_of
+from jrdb_avr.schema.wording.text import actions_of
 
 Masks = npt.NDArray[np.uint64]
 States = npt.NDArray[np.int8]

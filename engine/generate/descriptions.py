@@ -24,7 +24,7 @@ from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.rules import Rules
-from jrdb_avr.schema.wording import in_order
+from jrdb_avr.schema.wording.people import in_order
 
 
 @dataclass(frozen=True)

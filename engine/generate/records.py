@@ -20,7 +20,7 @@ from jrdb_avr.schema.panorama import angle_error
 from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.questions import NeededBox, Proof, QuestionRecord
 from jrdb_avr.schema.rules import KEYFRAME_STEP, rules_hash
-from jrdb_avr.schema.wording import question_id, render
+from jrdb_avr.schema.wording.text import question_id, render
 
 
 def make_record(

@@ -32,7 +32,7 @@ from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.relations import LAYER_OF_KIND, QUESTION_RELATIONS, SAME_GROUP
 from jrdb_avr.schema.relations import RELATIONS as ROWS
-from jrdb_avr.schema.wording import poses_of
+from jrdb_avr.schema.wording.text import poses_of
 
 SOCIAL, GROUP, ROBOT_VIEW, PERSON_VIEW = range(4)
 """Layers with relations: where a layer is unknown of a person, all its relations are."""

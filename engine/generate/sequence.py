@@ -39,7 +39,7 @@ from jrdb_avr.schema.questions import Proof
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.tables import CANDIDATES
 from jrdb_avr.schema.templates import FORMS
-from jrdb_avr.schema.wording import stated_actions
+from jrdb_avr.schema.wording.text import stated_actions
 
 EXAMPLES: Final = 100
 """Example rows stored per sequence, template and rule."""

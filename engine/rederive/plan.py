@@ -9,7 +9,7 @@ from jrdb_avr.engine.rederive.truth import FALSE, Undefined
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.plan import Condition, Edge, Plan
 from jrdb_avr.schema.rules import Rules, frames
-from jrdb_avr.schema.wording import actions_of
+from jrdb_avr.schema.wording.text import actions_of
 
 
 @dataclass(frozen=True, slots=True)

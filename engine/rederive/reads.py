@@ -14,7 +14,7 @@ from jrdb_avr.schema.plan import Time
 from jrdb_avr.schema.questions import NeededBox
 from jrdb_avr.schema.relations import SAME_GROUP
 from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP, frames
-from jrdb_avr.schema.wording import stated_actions
+from jrdb_avr.schema.wording.text import stated_actions
 
 
 @dataclass(frozen=True, slots=True)

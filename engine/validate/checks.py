@@ -32,7 +32,7 @@ from jrdb_avr.schema.questions import QuestionRecord
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, rules_hash
 from jrdb_avr.schema.tables import CANARY, QUESTIONS
 from jrdb_avr.schema.templates import forms_of
-from jrdb_avr.schema.wording import parse, question_id, question_key, render
+from jrdb_avr.schema.wording.text import parse, question_id, question_key, render
 
 CHECKS: Final = {
     "files": "the schema and the canary are right; public files hold nothing private",

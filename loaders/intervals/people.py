@@ -17,7 +17,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.loaders.labelfiles.columns import begins, person_keys, ranked, whole_numbers
+from jrdb_avr.loaders.labelfiles.columns import begins, paired, ranked, whole_numbers
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.labels import CLEAR_OCCLUSIONS, POSES
 from jrdb_avr.schema.panorama import HEIGHT, center_angle
@@ -59,11 +59,11 @@ class Sighted(Rows):
     @cached_property
     def keys(self) -> Ints:
         """One number per (frame, track), which sorts as they do."""
-        return person_keys(self.frame, self.track)
+        return paired(self.frame, self.track)
 
     def rows(self, frame: Ints, track: Ints) -> Ints:
         """Row of each (frame, track), -1 where there is none; for rows sorted by (frame, track)."""
-        return rows_of(self.keys, person_keys(frame, track))
+        return rows_of(self.keys, paired(frame, track))
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ def read_located(table: pa.Table) -> Located:
 
 
 def _listed_keys(table: pa.Table) -> dict[str, Ints]:
-    keys = person_keys(*_person_columns(table))
+    keys = paired(*_person_columns(table))
     layers = ("interactions", "handles")
     return {layer: np.sort(keys[pc.equal(table["layer"], layer).to_numpy()]) for layer in layers}
 

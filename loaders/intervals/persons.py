@@ -20,10 +20,11 @@ import pyarrow.compute as pc
 from jrdb_avr.loaders.intervals.people import HARD, UNREADABLE, Facts, read_groups, rows_of
 from jrdb_avr.loaders.intervals.timeline import Timeline
 from jrdb_avr.loaders.labelfiles.columns import (
+    begins,
     distinct_of,
     nullable,
     paired,
-    person_keys,
+    ranked,
     texts,
     unpaired,
     whole_numbers,
@@ -94,18 +95,25 @@ def group_votes(table: pa.Table, groups: Facts) -> pa.Table:
 def _count(table: pa.Table, subject: Ints, has: Bools) -> pa.Table:
     """Votes per subject, attribute and value, ascending. `records`: votes on the attribute, one per record.
 
-    `subject` of each row, where it `has` one. Two spellings of one value in a record count as one vote.
+    `subject` of each row, where it `has` one; the rows of a record stand together. Two spellings of one value in a
+    record count as one vote.
     """
-    easy = table["difficulty"].fill_null(UNREADABLE).to_numpy() < HARD
-    record = person_keys(whole_numbers(table, "frame"), whole_numbers(table, "track"))
-    names = {name: table[name].cast(pa.string()) for name in ("attribute", "value")}
-    rows = pa.table({"subject": subject, **names, "record": record})
-    rows = rows.filter(pc.and_(pa.array(easy & has), pc.is_valid(rows["value"])))
-    count = [("record", "count_distinct")]
-    votes = rows.group_by([*_TOPIC, "value"]).aggregate(count)
-    votes = votes.sort_by([(name, "ascending") for name in (*_TOPIC, "value")])
-    records = _of_topic(votes, rows.group_by(_TOPIC).aggregate(count), "record_count_distinct")
-    return votes.rename_columns([*_TOPIC, "value", "votes"]).append_column("records", records)
+    attributes, attribute = ranked(table["attribute"])
+    values, value = ranked(table["value"])
+    subjects, number = np.unique(subject, return_inverse=True)
+    record = np.cumsum(begins(whole_numbers(table, "frame"), whole_numbers(table, "track")))
+    cast = has & (table["difficulty"].fill_null(UNREADABLE).to_numpy() < HARD) & (value >= 0)
+    # As one number each: texts would take many times the time and memory.
+    words = max(len(values), 1)
+    facts = len(subjects) * len(attributes) * words + 1
+    keys = np.unique((record * facts + (number * len(attributes) + attribute) * words + value)[cast])
+    record, fact = np.divmod(keys, facts)
+    topics, records = np.unique(distinct_of(record * facts + fact // words) % facts, return_counts=True)
+    fact, votes = np.unique(fact, return_counts=True)
+    topic, value = np.divmod(fact, words)
+    subject, attribute = np.divmod(topic, max(len(attributes), 1))
+    columns = {"subject": subjects[subject], "attribute": texts(attributes, attribute), "value": texts(values, value)}
+    return pa.table({**columns, "votes": votes, "records": records[np.searchsorted(topics, topic)]})
 
 
 def _of_topic(votes: pa.Table, topics: pa.Table, name: str) -> pa.ChunkedArray:

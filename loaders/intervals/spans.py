@@ -20,7 +20,7 @@ import pyarrow.compute as pc
 
 from jrdb_avr.loaders.intervals.people import HARD, UNREADABLE, Boxes, Facts, Rows, rows_of
 from jrdb_avr.loaders.intervals.timeline import Timeline
-from jrdb_avr.loaders.labelfiles.columns import begins, nullable, person_keys, ranked, texts, whole_numbers
+from jrdb_avr.loaders.labelfiles.columns import begins, nullable, paired, ranked, texts, whole_numbers
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.things import PERSON_CATEGORIES
@@ -97,7 +97,7 @@ def interactions_table(line: Timeline, table: pa.Table, boxes: Boxes, rules: Loa
 
 def absent_partners(table: pa.Table, boxes: pa.Table) -> int:
     """Rows of the annotation table `interactions` that give no fact, as one of the two has no 2D box in the frame."""
-    keys = person_keys(whole_numbers(boxes, "frame"), whole_numbers(boxes, "track"))
+    keys = paired(whole_numbers(boxes, "frame"), whole_numbers(boxes, "track"))
     return int((~_both_boxed(table, keys)).sum())
 
 
@@ -119,7 +119,7 @@ def handles_table(line: Timeline, table: pa.Table, categories: pa.Table, boxes: 
 def _both_boxed(table: pa.Table, keys: Ints) -> Bools:
     """Rows whose two people have a 2D box in the frame; `keys` are those of the boxes, ascending."""
     frame = whole_numbers(table, "frame")
-    source, target = (rows_of(keys, person_keys(frame, whole_numbers(table, name))) for name in ("track", "partner"))
+    source, target = (rows_of(keys, paired(frame, whole_numbers(table, name))) for name in ("track", "partner"))
     return np.asarray((source >= 0) & (target >= 0))
 
 

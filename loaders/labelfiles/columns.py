@@ -21,18 +21,13 @@ MAX_DISTINCT: Final = 100_000
 
 
 def paired(high: Ints, low: Ints) -> Ints:
-    """One number per pair of numbers below 2**31, which sorts by the first and then by the second."""
+    """One number per pair of numbers below 2**31, such as (frame, track); it sorts by the first, then by the second."""
     return (high << PAIR_BITS) | low
 
 
 def unpaired(pairs: Ints) -> tuple[Ints, Ints]:
     """The two numbers of each pair that `paired` made."""
     return pairs >> PAIR_BITS, pairs & ((1 << PAIR_BITS) - 1)
-
-
-def person_keys(frame: Ints, track: Ints) -> Ints:
-    """One sortable number per (frame, track)."""
-    return paired(frame, track)
 
 
 def whole_numbers(table: pa.Table, name: str) -> Ints:

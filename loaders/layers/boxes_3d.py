@@ -27,7 +27,7 @@ from jrdb_avr.loaders.labelfiles.columns import (
     known_frames,
     nullable,
     numbered,
-    person_keys,
+    paired,
 )
 from jrdb_avr.loaders.labelfiles.facts import keep_people
 from jrdb_avr.loaders.labelfiles.frames import Columns, RecordReader, gather
@@ -141,7 +141,7 @@ def heading_check(table: pa.Table) -> Heading:
     """
     located = read_located(table)
     step = frames(1.0)
-    later = rows_of(located.keys, person_keys(located.frame + step, located.track))
+    later = rows_of(located.keys, paired(located.frame + step, located.track))
     now = np.flatnonzero(later >= 0)
     moved = located.center[later[now], :2] - located.center[now, :2]
     fast = np.hypot(moved[:, 0], moved[:, 1]) > MOVING_MPS * step / FPS

@@ -35,7 +35,7 @@ from jrdb_avr.loaders.labelfiles.columns import (
     first_of_equal,
     known_frames,
     mask_of,
-    person_keys,
+    paired,
 )
 from jrdb_avr.loaders.labelfiles.json import ABSENT, BROKEN, NOTHING, parse
 from jrdb_avr.loaders.problems import Problems
@@ -78,7 +78,7 @@ def load_pose(path: Path, sequence: str, problems: Problems) -> LayerTables:
     refusals = Refusals(frame, "jpg", problems)
     full = crowded(frame, refusals)
     usable = np.flatnonzero(~full)
-    order, first = first_of_equal(person_keys(frame[usable], track[usable]))
+    order, first = first_of_equal(paired(frame[usable], track[usable]))
     again = mask_of(usable[order[~first]], len(frame))
     reason = "same person twice in a frame, the first is kept"
     refusals.count(again, "record", reason, "track_id", lambda row: int(track[row]))

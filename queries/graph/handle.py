@@ -40,7 +40,7 @@ from jrdb_avr.schema.errors import QueryError, StoreError
 BUFFER_BYTES: Final = 512 << 20
 """Hard limit of the engine's page cache; 256 MB held every query measured at full size."""
 
-BUILD_BYTES: Final = 800 << 20
+_BUILD_BYTES: Final = 800 << 20
 """The same while a graph is built: COPY holds every row of a batch, in both directions of an edge."""
 
 _ONE_CHUNK: Final = 100_000
@@ -285,7 +285,7 @@ class Graph:
 
 
 @contextlib.contextmanager
-def build_graph(path: str | Path, *, buffer_bytes: int = BUILD_BYTES) -> Iterator[Graph]:
+def build_graph(path: str | Path) -> Iterator[Graph]:
     """Build a graph beside `path` and rename it in when the block ends well; otherwise the old one stays.
 
     Holds the graph's lock throughout. Raises LockedError where anybody has the graph open, StoreError where the disk
@@ -303,7 +303,7 @@ def build_graph(path: str | Path, *, buffer_bytes: int = BUILD_BYTES) -> Iterato
         import kuzu
 
         try:
-            database = kuzu.Database(str(temporary), buffer_pool_size=buffer_bytes)
+            database = kuzu.Database(str(temporary), buffer_pool_size=_BUILD_BYTES)
         except RuntimeError as error:
             raise translated(error, "", None, place) from None
         with Graph(SharedDatabase(database)) as graph:

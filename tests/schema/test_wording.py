@@ -8,7 +8,6 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from jrdb_avr.schema import wording
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.labels import (
     ACTION_PHRASES,
@@ -27,16 +26,9 @@ from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time, canoni
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, QUESTION_RELATIONS, SAME_GROUP
 from jrdb_avr.schema.templates import FAMILIES, TEMPLATES, Slots
 from jrdb_avr.schema.things import OBJECTS, VERBS
-from jrdb_avr.schema.wording import (
-    describe,
-    in_order,
-    moment,
-    parse,
-    question_id,
-    question_key,
-    read_description,
-    render,
-)
+from jrdb_avr.schema.wording import text as wording
+from jrdb_avr.schema.wording.people import describe, in_order, read_description
+from jrdb_avr.schema.wording.text import moment, parse, question_id, question_key, render
 
 KEYS = st.text("0123456789abcdef", min_size=64, max_size=64)
 FRAMES = st.integers(0, 600_000)

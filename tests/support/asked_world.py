@@ -13,7 +13,7 @@ from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time
 from jrdb_avr.schema.rules import LoadRules, rules_hash
 from jrdb_avr.schema.tables import QUESTIONS
-from jrdb_avr.schema.wording import question_id, render
+from jrdb_avr.schema.wording.text import question_id, render
 
 POSES = ("walking", "sitting", "standing", "lying")
 FRAMES = tuple(range(0, 301, 15))

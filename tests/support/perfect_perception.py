@@ -17,7 +17,7 @@ from jrdb_avr.engine.run.answering import answer_one
 from jrdb_avr.schema.answers import Choice, Evidence, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.method import Prediction
 from jrdb_avr.schema.tables import RUNS
-from jrdb_avr.schema.wording import parse
+from jrdb_avr.schema.wording.text import parse
 
 STEP = 15
 QUIET = 45

@@ -35,7 +35,8 @@ from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 from jrdb_avr.schema.markers import Mark
 from jrdb_avr.schema.panorama import WIDTH, Box, iou
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time
-from jrdb_avr.schema.wording import in_order, render
+from jrdb_avr.schema.wording.people import in_order
+from jrdb_avr.schema.wording.text import render
 
 FRAMES = tuple(range(0, 601))
 HELLO = [Message("user", ("hello",))]

@@ -19,7 +19,8 @@ from jrdb_avr.schema.markers import Mark
 from jrdb_avr.schema.panorama import WIDTH, Box, iou
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
-from jrdb_avr.schema.wording import in_order, render
+from jrdb_avr.schema.wording.people import in_order
+from jrdb_avr.schema.wording.text import render
 
 FRAMES = tuple(range(0, 601, 5))
 POSES = ("walking", "sitting", "standing", "lying")

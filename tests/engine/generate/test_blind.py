@@ -12,7 +12,7 @@ from jrdb_avr.schema.answers import Choice, FrameAnswer, Number, Span, encode_an
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.tables import QUESTIONS
 from jrdb_avr.schema.templates import TEMPLATES, Slots
-from jrdb_avr.schema.wording import render
+from jrdb_avr.schema.wording.text import render
 
 POSES = ("walking", "standing", "sitting", "cycling")
 

@@ -31,7 +31,7 @@ from jrdb_avr.schema.questions import Proof
 from jrdb_avr.schema.relations import SAME_GROUP
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import TEMPLATES, Slots
-from jrdb_avr.schema.wording import render
+from jrdb_avr.schema.wording.text import render
 
 pytestmark = pytest.mark.usefixtures("known_plans")
 

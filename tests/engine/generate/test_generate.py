@@ -36,7 +36,8 @@ from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
 from jrdb_avr.schema.rules import Rules, override, rules_hash
 from jrdb_avr.schema.tables import CANARY, CANDIDATES, QUESTIONS
 from jrdb_avr.schema.templates import TEMPLATES, Slots
-from jrdb_avr.schema.wording import in_order, question_id, question_key
+from jrdb_avr.schema.wording.people import in_order
+from jrdb_avr.schema.wording.text import question_id, question_key
 
 NAMES = ("court-2020-01-01_0", "hall-2020-01-01_0", "yard-2020-01-01_0")
 SEEDS = (3, 5, 8)

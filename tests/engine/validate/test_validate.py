@@ -16,7 +16,7 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import TEMPLATES
-from jrdb_avr.schema.wording import question_id
+from jrdb_avr.schema.wording.text import question_id
 
 RULES = Rules()
 
