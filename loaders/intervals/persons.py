@@ -106,7 +106,7 @@ def _count(table: pa.Table, subject: Ints, has: Bools) -> pa.Table:
     # As one number each: texts would take many times the time and memory.
     words = max(len(values), 1)
     facts = len(subjects) * len(attributes) * words + 1
-    keys = np.unique((record * facts + (number * len(attributes) + attribute) * words + value)[cast])
+    keys = distinct_of(np.sort((record * facts + (number * len(attributes) + attribute) * words + value)[cast]))
     record, fact = np.divmod(keys, facts)
     topics, records = np.unique(distinct_of(record * facts + fact // words) % facts, return_counts=True)
     fact, votes = np.unique(fact, return_counts=True)
