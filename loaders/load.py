@@ -11,14 +11,12 @@ The new graph also holds the world models of the finished runs of the store.
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
-import os
 import shutil
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -36,13 +34,14 @@ from jrdb_avr.loaders.report import SequenceReport, frame_range, sequence_warnin
 from jrdb_avr.loaders.result import LoadResult
 from jrdb_avr.loaders.root import Root, SequenceFiles, find_root
 from jrdb_avr.loaders.sequence import NOT_LABELS, annotate, stamps_of
+from jrdb_avr.queries import workers as processes
 from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.beliefs.record import copy_all
 from jrdb_avr.queries.display import Progress, step_counter
 from jrdb_avr.queries.graph.handle import build_graph, remove_graph
 from jrdb_avr.queries.runs import run_ids
 from jrdb_avr.queries.store import Manifest, SequenceEntry, Store, file_hash
-from jrdb_avr.queries.workers import end_with_parent, map_shards, without_collector
+from jrdb_avr.queries.workers import map_shards, without_collector
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
 from jrdb_avr.schema.rules import LoadRules, rules_hash
 from jrdb_avr.schema.tables import ANNOTATIONS
@@ -263,7 +262,15 @@ def _finish(
 ) -> list[str]:
     """Build the graph, move what is staged in, and put the manifest back last. Returns why runs were left out of it."""
     manifest = Manifest(image_root, rules, rules_hash(rules), entries, {})
-    left_out = _in_child(_build, store, staging, manifest)
+    try:
+        left_out = processes.run_alone(partial(_build, store, staging, manifest))
+    except BrokenProcessPool:
+        for left in store.path.glob(".graph.kuzu.building*"):
+            left.unlink(missing_ok=True)
+        raise StoreError(
+            f"the graph could not be written into {store.path}: is the disk full, or the memory? "
+            "Free some space and load again"
+        ) from None
     _move(store, staging, parts)
     return left_out
 
@@ -292,8 +299,6 @@ def _build(store: Store, staging: Store, manifest: Manifest) -> list[str]:
 
     Returns a line per run whose world model was left out.
     """
-    # The engine writes to stderr when it gives up; the parent reports that in one line.
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     with build_graph(store.graph_path) as graph:
         rows = build_scene(graph, staging, list(manifest.sequences))
         make_world_tables(graph)
@@ -302,23 +307,6 @@ def _build(store: Store, staging: Store, manifest: Manifest) -> list[str]:
         # From here to the end there is no manifest, so nobody takes a half-moved store for a whole one.
         (store.path / "store.json").unlink(missing_ok=True)
     return left_out
-
-
-def _in_child(
-    build: Callable[[Store, Store, Manifest], list[str]], store: Store, staging: Store, manifest: Manifest
-) -> list[str]:
-    """Build in a process of its own: the engine ends its process when the disk is full while it rolls back."""
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as pool:
-        try:
-            return pool.submit(build, store, staging, manifest).result()
-        except BrokenProcessPool:
-            for left in store.path.glob(".graph.kuzu.building*"):
-                left.unlink(missing_ok=True)
-            raise StoreError(
-                f"the graph could not be written into {store.path}: is the disk full, or the memory? "
-                "Free some space and load again"
-            ) from None
 
 
 def _swap(place: Path, new: Path, old: Path) -> None:

@@ -14,7 +14,6 @@ it takes too much memory, or is silent for too long. After each piece of a table
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
 import threading
 from collections import Counter, defaultdict
@@ -27,6 +26,7 @@ from typing import Final
 import pyarrow as pa
 
 from jrdb_avr.loaders.graph import batches, column_names, scene_rows, with_wide_integers
+from jrdb_avr.queries import workers
 from jrdb_avr.queries.graph.file import check_fingerprint, fingerprint_of, lock_graph
 from jrdb_avr.queries.graph.guard import end_beyond_memory
 from jrdb_avr.queries.graph.handle import Graph
@@ -187,9 +187,8 @@ def _read(path: Path, tables: Sequence[str], timeout_s: float) -> Iterator[tuple
 
 @contextlib.contextmanager
 def _child(path: Path, tables: Sequence[str]) -> Iterator[Connection]:
-    context = multiprocessing.get_context("spawn")
-    ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_serve, args=(theirs, str(path), list(tables)), daemon=True)
+    ours, theirs = workers.context.Pipe(duplex=False)
+    process = workers.context.Process(target=_serve, args=(theirs, str(path), list(tables)), daemon=True)
     process.start()
     theirs.close()
     try:

@@ -1,4 +1,4 @@
-"""Map a function over sequences in worker processes: the sequence is the shard.
+"""Run functions in other processes: one over many sequences (the sequence is the shard), or one alone.
 
 The function and its items must be importable and picklable (plain data only travels between our own processes). A
 distributed engine can map the same function; this is the local way.
@@ -15,12 +15,17 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import wait
+from multiprocessing.context import ForkServerContext, SpawnContext
 from typing import TypeVar
 
 from jrdb_avr.schema.errors import StoreError
 
 A = TypeVar("A")
 R = TypeVar("R")
+
+context: SpawnContext | ForkServerContext = multiprocessing.get_context("spawn")
+"""How a process starts: anew, not forked, as the engine's threads do not survive a fork. Tests put a context here whose
+processes start with everything imported."""
 
 
 def map_shards(
@@ -36,8 +41,6 @@ def map_shards(
         for i in order:
             yield i, function(items[i])
         return
-    # Spawned, not forked: the engine's threads do not survive a fork.
-    context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(workers, len(items)), mp_context=context, initializer=end_with_parent) as pool:
         futures = {pool.submit(function, items[i]): i for i in order}
         try:
@@ -47,6 +50,23 @@ def map_shards(
             raise StoreError("a worker process died (killed, or out of memory): try fewer --workers") from None
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _in_new_process(function: Callable[[], R]) -> R:
+    with ProcessPoolExecutor(1, mp_context=context, initializer=_become_quiet_worker) as pool:
+        return pool.submit(function).result()
+
+
+run_alone: Callable[[Callable[[], R]], R] = _in_new_process
+"""Runs a function in a process of its own: an engine that ends its process ends that one alone.
+
+Errors of the function are raised here, BrokenProcessPool where its process dies. Tests put a plain call here."""
+
+
+def _become_quiet_worker() -> None:
+    end_with_parent()
+    # The engine writes to stderr when it gives up; who called reports that in one line.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 
 
 @contextlib.contextmanager

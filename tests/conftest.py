@@ -76,47 +76,28 @@ def pytest_collection_modifyitems(items):
 
 
 @pytest.fixture(scope="session", autouse=True)
-def cheap_loads():
-    """Graphs are built in the tests' own process, and nothing waits for the disk.
-
-    A load starts a process for the graph, so that a full disk ends that one alone, and syncs each file, so that it
-    outlives a power cut. Commands that the tests run as processes do both.
-    """
-    from jrdb_avr.loaders import load
-
-    def build(function, *arguments):
-        # It silences its process's stderr, which here is that of the tests.
-        stderr = os.dup(2)
-        try:
-            return function(*arguments)
-        finally:
-            os.dup2(stderr, 2)
-            os.close(stderr)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(load, "_in_child", build)
-        patch.setattr(os, "fsync", lambda file: None)
-        yield
-
-
-@pytest.fixture(scope="session", autouse=True)
 def cheap_processes():
-    """Workers, readers of a graph, statements and the marker model run in processes that have everything imported.
+    """Processes of the tests' own program start with everything imported, and graphs are built in the tests' process.
 
     Commands that the tests run as processes start theirs from nothing, as users' do.
     """
     import warm
 
     from jrdb_avr.agent.simulated import server
-    from jrdb_avr.loaders import verify
-    from jrdb_avr.queries import workers as shards
+    from jrdb_avr.queries import workers
     from jrdb_avr.queries.graph import guard
 
+    workers.context = warm.context()
+    workers.run_alone = lambda function: function()
+    guard.run_child = warm.run_statement
+    server.start_process = warm.start_server
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_waiting_for_the_disk():
+    """Files are not synced, which a load does so that they outlive a power cut."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(server, "start_process", warm.start_server)
-        patch.setattr(guard, "subprocess", warm.STATEMENTS)
-        patch.setattr(shards, "multiprocessing", warm.PROCESSES)
-        patch.setattr(verify, "multiprocessing", warm.PROCESSES)
+        patch.setattr(os, "fsync", lambda file: None)
         yield
 
 

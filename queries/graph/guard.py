@@ -86,14 +86,7 @@ def query_graph(
     except (TypeError, UnicodeEncodeError):
         raise QueryError("parameters are numbers, UTF-8 text, and lists and dicts of these") from None
     try:
-        # -P: modules that happen to lie in the current folder are not imported.
-        done = subprocess.run(
-            [sys.executable, "-P", "-c", "from jrdb_avr.queries.graph.guard import serve; serve()"],
-            input=payload,
-            capture_output=True,
-            timeout=timeout_s + 10.0,
-            check=False,
-        )
+        done = run_child(payload, timeout_s + 10.0)
     except subprocess.TimeoutExpired:
         raise QueryError(f"stopped after {timeout_s:g} s: narrow the statement, or raise the timeout") from None
     if done.returncode == 0:
@@ -111,6 +104,16 @@ def query_graph(
             f"'jrdb-avr load --verify --store {path.parent}'"
         ) from None
     raise getattr(errors, kind)(message)
+
+
+def _in_new_process(request: bytes, timeout_s: float) -> subprocess.CompletedProcess[bytes]:
+    # -P: modules that happen to lie in the current folder are not imported.
+    program = [sys.executable, "-P", "-c", "from jrdb_avr.queries.graph.guard import serve; serve()"]
+    return subprocess.run(program, input=request, capture_output=True, timeout=timeout_s, check=False)
+
+
+run_child: Callable[[bytes, float], subprocess.CompletedProcess[bytes]] = _in_new_process
+"""Runs `serve` on a request in a new process; TimeoutExpired beyond its seconds. Tests put a faster start here."""
 
 
 def serve() -> None:

@@ -100,27 +100,9 @@ def _child(function, arguments, folder, limit):
     function(*arguments)
 
 
-class _Processes:
-    """The module multiprocessing, with this context for the one that starts from nothing."""
-
-    def __getattr__(self, name):
-        return getattr(multiprocessing, name)
-
-    def get_context(self, method):
-        assert method == "spawn"
-        return context()
-
-
-PROCESSES = _Processes()
-
-
-def _served(command, *, input, capture_output, timeout, check):
-    assert command[-1].endswith("serve()") and capture_output and not check
-    return run(guard.serve, stdin=input, timeout=timeout)
-
-
-STATEMENTS = SimpleNamespace(run=_served, TimeoutExpired=subprocess.TimeoutExpired)
-"""For `guard.subprocess`: the child that runs a Cypher statement."""
+def run_statement(request, timeout_s):
+    """For `guard.run_child`: the child that runs a Cypher statement."""
+    return run(guard.serve, stdin=request, timeout=timeout_s)
 
 
 @contextlib.contextmanager
