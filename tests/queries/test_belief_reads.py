@@ -216,6 +216,8 @@ def test_a_posture_is_read_where_one_is_known(site):
     assert (belief.answer, belief.seen[0]) == ("walking", 30)
     belief = site.solve(woman(30, action="reading"), planned())
     assert belief.missing == ("the answer: the posture of p1 at frame 000030 is not known",) and belief.seen[0] == 30
+    belief = site.solve(woman(30, action=["walking", "sitting"]), planned())
+    assert belief.missing == ("the answer: the posture of p1 at frame 000030 is not known",)
     belief = site.solve(woman(45, action="walking"), planned())
     assert belief.missing == ("the answer: p1 is not seen at frame 000030",)
 
@@ -311,6 +313,8 @@ def test_a_start_lies_between_two_looks_at_most_thirty_frames_apart(site, first,
 def test_a_start_is_seen_before_and_after(site):
     plan = planned("start", "t1", START)
     story = woman().has("p1", "action", "walking", 0).sees("p1", 15, 30, action="walking")
+    assert "not seen before it is walking" in site.solve(story, plan).missing[0]
+    story = woman().has("p1", "action", "walking", 0).sees("p1", 15).sees("p1", 30, action="walking")
     assert "not seen before it is walking" in site.solve(story, plan).missing[0]
     assert site.solve(woman(15), plan).missing == ("the answer: p1 is not seen walking from frame 000000 on",)
     # What was seen before the time it waits for does not matter.

@@ -16,7 +16,7 @@ from random_worlds import random_world
 
 from jrdb_avr.loaders.graph import build_scene
 from jrdb_avr.queries.compiler.clauses import in_column, in_rows, unless_both_listed, unless_listed
-from jrdb_avr.queries.compiler.find import compile_find
+from jrdb_avr.queries.compiler.find import compile_find, outcome_of_people
 from jrdb_avr.queries.compiler.mapping import SCENE, SchemaMapping
 from jrdb_avr.queries.compiler.reads import SceneReader
 from jrdb_avr.queries.compiler.solve import PlanQuery, solve
@@ -324,6 +324,23 @@ def test_nothing_of_a_plan_stands_in_the_statement(sites):
     assert strange.cypher == plain.cypher
     assert set(strange.row.values()) == {30, "x' OR true //", "hugging"}
     assert sites[0].solve([text])[0].outcome in ("empty", "unknown")
+
+
+@pytest.mark.parametrize(
+    ("bindings", "outcome"),
+    [
+        ([], "empty"),
+        ([(True, True)], "defined"),
+        ([(True, False)], "unknown"),
+        ([(True, True), (False, True)], "unknown"),
+        ([(True, True), (True, True)], "ambiguous"),
+        ([(True, True), (True, True), (True, False)], "ambiguous"),
+    ],
+)
+def test_one_binding_must_be_certain_while_no_other_is_possible(bindings, outcome):
+    rows = [{"who0": i, "who1": 9, "sure0": first, "sure1": second} for i, (first, second) in enumerate(bindings)]
+    people = {"a": 0, "b": 9} if outcome == "defined" else {}
+    assert outcome_of_people(compile_find(two_nodes(), SCENE), rows) == (outcome, people)
 
 
 def test_all_nodes_are_different_people(sites):

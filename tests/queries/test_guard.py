@@ -161,6 +161,47 @@ def test_hostile_cypher_is_refused_in_one_line(store, surroundings, without_proc
         assert SECRET not in str(error.value)
 
 
+PAST_THE_WORDS = (
+    "Lo\u0410D FROM '{secret}' RETURN *",
+    "",
+    ";",
+    "   ",
+    "nonsense",
+    "MATCH (p:Nobody) RETURN p",
+    "RETURN $missing",
+)
+"""Those of the hostile statements that hold no word of a refused clause: the engine refuses them."""
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *(text for text in HOSTILE if text not in PAST_THE_WORDS),
+        "RETURN 1; RETURN 2",
+        "RETURN 'a\\b'",
+        "RETURN 1 //\rRETURN 2",
+        "MATCH (p:Person)/**/SET/**/p.age = 'x'",
+    ],
+)
+def test_the_words_are_the_first_door(text):
+    """They refuse by themselves what the plan or the read-only database would refuse as well."""
+    with pytest.raises(QueryError):
+        check_cypher(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "RETURN 'COPY this to SET that' AS text",
+        'RETURN "it is /* no comment" AS text',
+        "MATCH (p:Person) // DELETE nobody\nRETURN p.id /* CALL nobody */;",
+        "MATCH (p:Person) WHERE p.age = $set RETURN p.track AS `LOAD FROM`, p.track AS asset, p.track AS set_1",
+    ],
+)
+def test_words_inside_texts_comments_and_names_are_no_clauses(text):
+    check_cypher(text)
+
+
 def test_the_plan_is_the_second_door(store, surroundings):
     # Past the words: what reads or writes files still stops at the plan, what writes at the read-only database.
     for text in HOSTILE:

@@ -106,6 +106,10 @@ class World:
 
     def read(self, rules=RULES):
         """The tables as the second path has them."""
+        return Annotations(self.tables(), rules)
+
+    def tables(self):
+        """The annotation tables, each in the order in which its rows were written."""
         layers = {"2d": self.frames, "actions": sorted(self.action_frames)}
         layers |= dict.fromkeys(sorted(self.more), self.frames)
         if self.images is not None:
@@ -118,8 +122,7 @@ class World:
             {"sequence": SEQUENCE, "category_id": number, "category": name, "raw": name or "teapot"}
             for number, name in CATEGORIES.items()
         ]
-        tables = {name: pa.Table.from_pylist(self.rows[name], schema) for name, schema in ANNOTATIONS.items()}
-        return Annotations(tables, rules)
+        return {name: pa.Table.from_pylist(self.rows[name], schema) for name, schema in ANNOTATIONS.items()}
 
 
 def toward(degrees, w=50):

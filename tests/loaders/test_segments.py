@@ -1,0 +1,99 @@
+"""Stable segments and keyframes of small sequences, worked out by hand."""
+
+import pytest
+from labelled_people import HARD, SEQUENCE, World
+
+from jrdb_avr.loaders.intervals.derive import derive
+from jrdb_avr.schema.rules import LoadRules
+
+EVERY = range(301)
+SECONDS = range(0, 301, 15)
+
+
+def derived(world, kind):
+    tables = {
+        name: table.sort_by([("frame", "ascending"), ("track", "ascending")])
+        if "track" in table.column_names
+        else table
+        for name, table in world.tables().items()
+    }
+    return derive(SEQUENCE, tables, LoadRules())[kind].to_pylist()
+
+
+def reader(frames, on, hard=(), missing=(), occluded=()):
+    """Somebody who stands and reads at the frames `on`, beside another person who walks."""
+    world = World(frames).see(9, frames, ["walking"], x=100)
+    for frame in frames:
+        extra = ["reading"] if frame in on else [("reading", HARD)] if frame in hard else []
+        if frame not in missing:
+            occlusion = "Fully_occluded" if frame in occluded else "Fully_visible"
+            world.see(1, [frame], ["standing", *extra], occlusion=occlusion)
+    return world
+
+
+def segments(frames, on, **more):
+    names = ("first", "last", "start", "end", "closed")
+    rows = derived(reader(frames, on, **more), "segments")
+    return [tuple(row[name] for name in names) for row in rows if row["action"] == "reading"]
+
+
+def test_a_segment_at_fifteen_frames_per_second_is_what_is_labelled():
+    assert segments(EVERY, range(100, 200)) == [(100, 199, 100, 199, True)]
+
+
+def test_a_segment_at_one_frame_per_second_is_half_a_step_wider():
+    assert segments(SECONDS, range(90, 181)) == [(90, 180, 83, 187, True)]
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        {"on": range(100, 130)},  # 29 frames from first to last
+        {"on": range(14, 100)},  # less than a second before it
+        {"on": range(100, 200), "hard": [60]},
+        {"on": range(100, 200), "hard": [244]},
+        {"on": range(100, 200), "missing": [90]},
+        {"on": range(100, 200), "occluded": [90]},
+        {"on": range(100, 200), "occluded": [150]},
+    ],
+)
+def test_what_has_no_clear_start_is_no_segment(broken):
+    assert segments(EVERY, **broken) == []
+
+
+@pytest.mark.parametrize(
+    ("fine", "first", "last", "closed"),
+    [
+        ({"on": range(100, 131)}, 100, 130, True),
+        ({"on": range(15, 100)}, 15, 99, True),
+        ({"on": range(100, 200), "hard": [54, 245]}, 100, 199, True),
+        ({"on": range(100, 200), "occluded": [84]}, 100, 199, True),
+        ({"on": range(100, 286)}, 100, 285, True),
+        ({"on": range(100, 287)}, 100, 286, False),
+        ({"on": range(100, 200), "occluded": [205]}, 100, 199, False),
+        ({"on": [*range(100, 140), *range(147, 200)]}, 100, 199, True),  # seven frames are a closed gap
+        ({"on": range(100, 200), "missing": [150]}, 100, 199, True),
+    ],
+)
+def test_what_has_a_clear_start_is_a_segment(fine, first, last, closed):
+    assert segments(EVERY, **fine) == [(first, last, first, last, closed)]
+
+
+def test_a_longer_gap_parts_what_is_then_no_segment():
+    assert segments(EVERY, [*range(100, 140), *range(148, 200)]) == []
+
+
+def test_keyframes_are_whole_seconds_within_the_labelled_frames():
+    keyframes = [row["frame"] for row in derived(reader(range(7, 50), []), "frames") if row["keyframe"]]
+    assert keyframes == [15, 30, 45]
+
+
+def test_of_two_poses_neither_is_certain():
+    world = World(SECONDS).see(1, [0], ["standing"]).see(1, [15], ["standing", "sitting"]).see(1, [30], ["sitting"])
+    rows = derived(world, "actions")
+    assert [(row["action"], row["first"], row["certain"]) for row in rows] == [
+        ("sitting", 15, False),
+        ("sitting", 30, True),
+        ("standing", 0, True),
+        ("standing", 15, False),
+    ]
