@@ -8,15 +8,12 @@ from __future__ import annotations
 import math
 
 import pytest
+from quick_store import NAME, graphless_store, load_root, reported_store
 from worlds import VISIBLE, load_reported, member, person, person_3d, pose, thing, write_root
 
-from jrdb_avr.loaders.load import Shard, load_shard
-from jrdb_avr.loaders.root import find_root
 from jrdb_avr.queries.graph.handle import Graph
-from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.rules import LoadRules, Rules
+from jrdb_avr.schema.rules import Rules
 
-NAME = "yard-2020-01-01_0"
 BOX = (100, 60, 50, 200)
 
 
@@ -32,15 +29,28 @@ def walking(track, **more):
 def loaded(tmp_path, **layers):
     """The store without a graph, and the report, of one sequence; layers by their names, `boxes` for `2d`."""
     layers = {{"boxes": "2d", "solid": "3d"}.get(name, name): content for name, content in layers.items()}
-    (files,) = find_root(write_root(tmp_path / "root", {NAME: layers})).sequences
-    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules())).report
-    return Store(tmp_path / "store"), report
+    return reported_store(tmp_path, layers)
 
 
-def graph_of(tmp_path, layers):
-    """The graph and the report of a world of one sequence."""
-    store, (report,) = load_reported(tmp_path, {NAME: layers})
-    return Graph.open(store.graph_path, read_only=True), report
+GRAPHED = {}
+"""Worlds of the cases that look at the graph, by sequence: one graph holds them all."""
+
+
+@pytest.fixture(scope="module")
+def graphed(tmp_path_factory):
+    """By sequence a function that gives the rows of a query of it, which names it $s; and the load's report."""
+    store, reports = load_reported(tmp_path_factory.mktemp("cases"), GRAPHED)
+    with Graph.open(store.graph_path, read_only=True) as graph:
+
+        def of(sequence):
+            (report,) = [report for report in reports if report.sequence == sequence]
+
+            def ask(cypher):
+                return [tuple(row.values()) for row in graph.query(cypher, {"s": sequence}).to_pylist()]
+
+            return ask, report
+
+        yield of
 
 
 def column(store, kind, name):
@@ -75,24 +85,22 @@ def trail(track, frame):
     return (round(center - 30, 1), 100, 60, 200), (x, y)
 
 
-@pytest.mark.parametrize("shift", [-2, -1, 1, 2])
+@pytest.mark.parametrize("shift", [0, -2, -1, 1, 2])
 @pytest.mark.parametrize("layer", ["social", "reasoning"])
 def test_case_02_a_layer_with_another_numbering(tmp_path, layer, shift):
     told = {"gender": {"Male": "1"}}
+    handles = [((1, 40), {"holding": "1"})] if layer == "reasoning" else None
+    talk = [(1, {"conversation": "1"})]
     boxes = {f: [person(t, trail(t, f)[0], {"walking": 1}) for t in range(3)] for f in range(40)}
-
-    def shifted(by):
-        handles = [((1, 40), {"holding": "1"})] if layer == "reasoning" else None
-        talk = [(1, {"conversation": "1"})]
-        return {
-            f: [member(t, trail(t, f + by)[0], told, talk if t == 0 else [], handles=handles) for t in range(3)]
-            for f in range(40)
-        }
-
-    good, report = loaded(tmp_path / "good", boxes=boxes, **{layer: shifted(0)})
-    assert report.problems == []
-    assert column(good, "persons", "gender") == ["male"] * 3
-    store, report = loaded(tmp_path / "shifted", boxes=boxes, **{layer: shifted(shift)})
+    shifted = {
+        f: [member(t, trail(t, f + shift)[0], told, talk if t == 0 else [], handles=handles) for t in range(3)]
+        for f in range(40)
+    }
+    store, report = loaded(tmp_path, boxes=boxes, **{layer: shifted})
+    if not shift:
+        assert report.problems == []
+        assert column(store, "persons", "gender") == ["male"] * 3
+        return
     assert column(store, "persons", "gender") == [None] * 3
     for kind in ("interactions", "handles", "demographics"):
         assert store.interval(kind, NAME).num_rows == 0
@@ -102,16 +110,14 @@ def test_case_02_a_layer_with_another_numbering(tmp_path, layer, shift):
     assert store.interval("sightings", NAME).num_rows == 120
 
 
-@pytest.mark.parametrize("shift", [-2, -1, 1, 2])
+@pytest.mark.parametrize("shift", [0, -2, -1, 1, 2])
 def test_case_02_3d_boxes_with_another_numbering(tmp_path, shift):
     boxes = {f: [person(t, trail(t, f)[0], {"walking": 1}) for t in range(4)] for f in range(240)}
-
-    def shifted(by):
-        return {f: [person_3d(t, *trail(t, f + by)[1]) for t in range(4)] for f in range(240)}
-
-    good, report = loaded(tmp_path / "good", boxes=boxes, solid=shifted(0))
-    assert all(column(good, "sightings", "located")) and report.problems == []
-    store, report = loaded(tmp_path / "shifted", boxes=boxes, solid=shifted(shift))
+    solid = {f: [person_3d(t, *trail(t, f + shift)[1]) for t in range(4)] for f in range(240)}
+    store, report = loaded(tmp_path, boxes=boxes, solid=solid)
+    if not shift:
+        assert all(column(store, "sightings", "located")) and report.problems == []
+        return
     assert not any(column(store, "sightings", "located"))
     assert [(p.kind, p.count) for p in report.problems] == [("file", 1)]
     assert column(store, "sequence", "layers") == [["2d", "actions"]]
@@ -159,21 +165,21 @@ def test_case_06_empty_lists(tmp_path):
     assert report.problems == []
 
 
-def test_case_07_no_actions_or_an_impossible_one(tmp_path):
-    empty = [person(1, placed(1), {}), person(2, placed(2)), person(3, placed(3), {"impossible": 1})]
-    graph, report = graph_of(tmp_path, {"2d": {0: [*empty, walking(4)]}})
-    with graph:
-        seen = graph.query("MATCH (p:Person)-[s:SeenIn]->() RETURN p.track, s.listed, s.pose ORDER BY p.track")
-        assert [tuple(row.values()) for row in seen.to_pylist()] == [
-            (1, False, None),
-            (2, False, None),
-            (3, False, None),
-            (4, True, "walking"),
-        ]
-        assert graph.query("MATCH ()-[r:Performs]->(a) RETURN a.name ORDER BY a.name")["a.name"].to_pylist() == [
-            "walking"
-        ]
-        assert graph.query("MATCH (a:Action) WHERE a.name = 'impossible' RETURN a.name ORDER BY a.name").num_rows == 0
+GRAPHED["case_07"] = {
+    "2d": {
+        0: [person(1, placed(1), {}), person(2, placed(2)), person(3, placed(3), {"impossible": 1}), walking(4)],
+    },
+}
+
+
+def test_case_07_no_actions_or_an_impossible_one(graphed):
+    ask, report = graphed("case_07")
+    assert ask(
+        "MATCH (p:Person)-[s:SeenIn]->() WHERE s.sequence = $s RETURN p.track, s.listed, s.pose ORDER BY p.track"
+    ) == [(1, False, None), (2, False, None), (3, False, None), (4, True, "walking")]
+    actions = "MATCH ()-[r:Performs]->(a) WHERE r.sequence = $s RETURN a.name ORDER BY a.name"
+    assert ask(actions) == [("walking",)]
+    assert ask("MATCH (a:Action) WHERE a.name = 'impossible' RETURN a.name, $s ORDER BY a.name") == []
     assert report.problems == []
 
 
@@ -223,30 +229,28 @@ def test_case_09_spelling_variants(tmp_path):
     assert report.problems == []
 
 
-def test_case_10_person_zero(tmp_path):
-    graph, report = graph_of(
-        tmp_path,
-        {
-            "2d": {0: [person(0, placed(0), {"sitting": 1}, (0, 1)), person(1, placed(1), {"sitting": 1}, (0, 1))]},
-            "3d": {0: [person_3d(0, 3.0, 0.0)]},
-            "reasoning": {
-                0: [
-                    member(0, placed(0), {"gender": {"Female": "1"}}, handles=[((0, 40), {"holding": "1"})]),
-                    member(1, placed(1), None, [(0, {"conversation": "1"})], alias="HHI"),
-                ]
-            },
-            "pose": {0: [pose(0)]},
-            "panoptic": {0: [thing(0, 40)]},
-        },
-    )
-    with graph:
-        found = graph.query(
-            "MATCH (f)<-[s:SeenIn]-(p:Person {track: 0})-[:Handles]->(o:Object), (p)-[:Interacts]->(q:Person), "
-            "(p)-[:MemberOf]->(g:SocialGroup) "
-            "RETURN p.gender, o.track, o.category, q.track, s.pose, s.located, s.face_visible, s.group_size, g.cluster "
-            "ORDER BY q.track"
-        ).to_pylist()
-        assert [tuple(row.values()) for row in found] == [("female", 0, "accessory", 1, "sitting", True, True, 2, 0)]
+GRAPHED["case_10"] = {
+    "2d": {0: [person(0, placed(0), {"sitting": 1}, (0, 1)), person(1, placed(1), {"sitting": 1}, (0, 1))]},
+    "3d": {0: [person_3d(0, 3.0, 0.0)]},
+    "reasoning": {
+        0: [
+            member(0, placed(0), {"gender": {"Female": "1"}}, handles=[((0, 40), {"holding": "1"})]),
+            member(1, placed(1), None, [(0, {"conversation": "1"})], alias="HHI"),
+        ]
+    },
+    "pose": {0: [pose(0)]},
+    "panoptic": {0: [thing(0, 40)]},
+}
+
+
+def test_case_10_person_zero(graphed):
+    ask, report = graphed("case_10")
+    assert ask(
+        "MATCH (f)<-[s:SeenIn]-(p:Person {sequence: $s, track: 0})-[:Handles]->(o:Object), "
+        "(p)-[:Interacts]->(q:Person), (p)-[:MemberOf]->(g:SocialGroup) "
+        "RETURN p.gender, o.track, o.category, q.track, s.pose, s.located, s.face_visible, s.group_size, g.cluster "
+        "ORDER BY q.track"
+    ) == [("female", 0, "accessory", 1, "sitting", True, True, 2, 0)]
     assert report.problems == []
 
 
@@ -366,15 +370,14 @@ def test_case_21_3d_boxes_without_points(tmp_path):
     assert report.problems == []
 
 
-def test_case_22_no_eval(tmp_path):
-    skipped = walking(2, attributes=VISIBLE | {"no_eval": True})
-    graph, report = graph_of(tmp_path, {"2d": {0: [walking(1), skipped]}})
-    with graph:
-        seen = graph.query("MATCH (p)-[s:SeenIn]->() RETURN p.track, s.no_eval, s.clear, s.pose ORDER BY p.track")
-        assert [tuple(row.values()) for row in seen.to_pylist()] == [
-            (1, False, True, "walking"),
-            (2, True, False, "walking"),
-        ]
+GRAPHED["case_22"] = {"2d": {0: [walking(1), walking(2, attributes=VISIBLE | {"no_eval": True})]}}
+
+
+def test_case_22_no_eval(graphed):
+    ask, report = graphed("case_22")
+    assert ask(
+        "MATCH (p)-[s:SeenIn]->() WHERE s.sequence = $s RETURN p.track, s.no_eval, s.clear, s.pose ORDER BY p.track"
+    ) == [(1, False, True, "walking"), (2, True, False, "walking")]
     assert report.problems == []
 
 
@@ -398,29 +401,26 @@ def test_case_24_distance_missing(tmp_path):
     assert report.problems == []
 
 
-def test_case_25_clusters_change_and_are_reused(tmp_path):
-    def here(frame):
-        first, second = (7, 8) if frame < 30 else (9, 7)
-        return [person(t, placed(t), {"standing": 1}, (c, 1)) for t, c in ((1, first), (2, first), (3, second))]
+GRAPHED["case_25"] = {
+    "2d": {
+        f: [person(t, placed(t), {"standing": 1}, (c, 1)) for t, c in enumerate((7, 7, 8) if f < 30 else (9, 9, 7), 1)]
+        for f in range(60)
+    }
+}
 
-    graph, report = graph_of(tmp_path, {"2d": {f: here(f) for f in range(60)}})
-    with graph:
-        found = graph.query(
-            "MATCH (p)-[m:MemberOf]->(g) RETURN p.track, g.cluster, m.first, m.last ORDER BY p.track, m.first"
-        )
-        assert [tuple(row.values()) for row in found.to_pylist()] == [
-            (1, 7, 0, 29),
-            (1, 9, 30, 59),
-            (2, 7, 0, 29),
-            (2, 9, 30, 59),
-            (3, 8, 0, 29),
-            (3, 7, 30, 59),
-        ]
-        sizes = graph.query(
-            "MATCH (p)-[s:SeenIn]->() WHERE s.frame IN [0, 59] RETURN p.track, s.group_size ORDER BY s.frame, p.track"
-        )
-        # Alone in one's cluster is a group of one: no group.
-        assert [tuple(row.values()) for row in sizes.to_pylist()] == [(1, 2), (2, 2), (3, 1)] * 2
+
+def test_case_25_clusters_change_and_are_reused(graphed):
+    ask, report = graphed("case_25")
+    assert ask(
+        "MATCH (p)-[m:MemberOf]->(g) WHERE m.sequence = $s "
+        "RETURN p.track, g.cluster, m.first, m.last ORDER BY p.track, m.first"
+    ) == [(1, 7, 0, 29), (1, 9, 30, 59), (2, 7, 0, 29), (2, 9, 30, 59), (3, 8, 0, 29), (3, 7, 30, 59)]
+    sizes = (
+        "MATCH (p)-[s:SeenIn]->() WHERE s.sequence = $s AND s.frame IN [0, 59] "
+        "RETURN p.track, s.group_size ORDER BY s.frame, p.track"
+    )
+    # Alone in one's cluster is a group of one: no group.
+    assert ask(sizes) == [(1, 2), (2, 2), (3, 1)] * 2
     assert report.problems == []
 
 
@@ -447,7 +447,7 @@ def test_case_27_short_tracks_give_no_question_of_change(tmp_path):
         passing = [person(3, (1800, 60, 50, 200), {"bending": 1}, (3, 1))] if frame == 90 else []
         return [someone, other, *passing]
 
-    store, _ = load_reported(tmp_path, {NAME: {"2d": {f: here(f) for f in range(300)}}})
+    store = graphless_store(tmp_path, {NAME: {"2d": {f: here(f) for f in range(0, 300, 15)}}})
     generate(store, Rules(), workers=1)
     import pyarrow.parquet as pq
 
@@ -470,27 +470,27 @@ def test_case_28_groups_and_actions_are_independent(tmp_path):
     assert report.problems == []
 
 
-def test_case_29_one_sided_and_repeated_interactions(tmp_path):
-    talk = [(2, {"conversation": "3"}), (2, {"conversation": "1"}), (3, {"hugging": "3"}), (9, {"hugging": "1"})]
-    graph, report = graph_of(
-        tmp_path,
-        {
-            "2d": {0: [walking(1), walking(2), walking(3)]},
-            "social": {0: [member(1, placed(1), None, talk), member(2, placed(2), None, [])]},
-        },
-    )
-    with graph:
-        found = graph.query(
-            "MATCH (a)-[r:Interacts]->(b) RETURN a.track, b.track, r.label, r.certain ORDER BY a.track, b.track"
-        )
-        assert [tuple(row.values()) for row in found.to_pylist()] == [
-            (1, 2, "conversation", True),
-            (1, 3, "hugging", False),
-            (2, 1, "conversation", True),
-            (3, 1, "hugging", False),
-        ]
-        listed = graph.query("MATCH (p)-[s:SeenIn]->() RETURN p.track, s.interactions_listed ORDER BY p.track")
-        assert [tuple(row.values()) for row in listed.to_pylist()] == [(1, True), (2, True), (3, False)]
+TALK = [(2, {"conversation": "3"}), (2, {"conversation": "1"}), (3, {"hugging": "3"}), (9, {"hugging": "1"})]
+GRAPHED["case_29"] = {
+    "2d": {0: [walking(1), walking(2), walking(3)]},
+    "social": {0: [member(1, placed(1), None, TALK), member(2, placed(2), None, [])]},
+}
+
+
+def test_case_29_one_sided_and_repeated_interactions(graphed):
+    ask, report = graphed("case_29")
+    assert ask(
+        "MATCH (a)-[r:Interacts]->(b) WHERE r.sequence = $s "
+        "RETURN a.track, b.track, r.label, r.certain ORDER BY a.track, b.track"
+    ) == [
+        (1, 2, "conversation", True),
+        (1, 3, "hugging", False),
+        (2, 1, "conversation", True),
+        (3, 1, "hugging", False),
+    ]
+    assert ask(
+        "MATCH (p)-[s:SeenIn]->() WHERE s.sequence = $s RETURN p.track, s.interactions_listed ORDER BY p.track"
+    ) == [(1, True), (2, True), (3, False)]
     # The partner who is not there is counted, and is no person.
     assert (report.absent_partners, report.people, report.problems) == (1, 3, [])
 
@@ -504,15 +504,21 @@ def test_case_29_nobody_interacts_with_oneself(tmp_path):
     assert sum(p.count for p in report.problems) == 1
 
 
-def test_case_30_members_disagree_on_their_group(tmp_path):
-    said = ({"indoor_room/class": "1"}, {"indoor_room/class": "2"}, {"outdoor_street": "1"}, {"outdoor_street": "3"})
-    people = [person(i, placed(i), {"sitting": 1}, (5, 1)) for i in range(4)]
-    told = [member(i, placed(i), info={"venue": venue, "aim": {"wandering": "1"}}) for i, venue in enumerate(said)]
-    graph, report = graph_of(tmp_path, {"2d": {0: people}, "social": {0: told}})
-    with graph:
-        found = graph.query("MATCH (g:SocialGroup) RETURN g.cluster, g.venue, g.aim, g.ssc ORDER BY g.id").to_pylist()
-        assert [tuple(row.values()) for row in found] == [(5, "indoor_room/class", ["wandering"], None)]
-    assert rows(Store(tmp_path / "store"), "group_info", "attribute", "value", "votes", "chosen") == [
+VENUES = ({"indoor_room/class": "1"}, {"indoor_room/class": "2"}, {"outdoor_street": "1"}, {"outdoor_street": "3"})
+GRAPHED["case_30"] = {
+    "2d": {0: [person(i, placed(i), {"sitting": 1}, (5, 1)) for i in range(4)]},
+    "social": {
+        0: [member(i, placed(i), info={"venue": venue, "aim": {"wandering": "1"}}) for i, venue in enumerate(VENUES)]
+    },
+}
+
+
+def test_case_30_members_disagree_on_their_group(graphed, tmp_path):
+    ask, report = graphed("case_30")
+    groups = "MATCH (g:SocialGroup) WHERE g.sequence = $s RETURN g.cluster, g.venue, g.aim, g.ssc ORDER BY g.id"
+    assert ask(groups) == [(5, "indoor_room/class", ["wandering"], None)]
+    store, _ = reported_store(tmp_path, GRAPHED["case_30"])
+    assert rows(store, "group_info", "attribute", "value", "votes", "chosen") == [
         ("aim", "wandering", 4, True),
         ("venue", "indoor_room/class", 2, True),
         ("venue", "outdoor_street", 1, False),
@@ -558,13 +564,14 @@ def test_case_33_panoptic_ids_under_three_names(tmp_path):
         "annotations": [{"id": i, "image_id": 9} | record for i, record in enumerate(things)],
         "categories": [{"id": i, "name": name} for i, name in categories.items()],
     }
-    graph, report = graph_of(tmp_path, {"2d": {15: [walking(5)]}, "panoptic": file})
-    with graph:
-        found = graph.query("MATCH (o:Object) RETURN o.category_id, o.track, o.category ORDER BY o.id")
-        # The person of the panoptic layer is tracked by the boxes, and is no thing.
-        assert sorted(tuple(row.values()) for row in found.to_pylist()) == sorted(
-            [(40, 1, "accessory"), (71, 1, "door"), (71, 2, "door"), (900, 6, None)]
-        )
+    store, report = loaded(tmp_path, boxes={15: [walking(5)]}, panoptic=file)
+    # The person of the panoptic layer is tracked by the boxes, and is no thing.
+    assert rows(store, "objects", "category_id", "object", "category") == [
+        (40, 1, "accessory"),
+        (71, 1, "door"),
+        (71, 2, "door"),
+        (900, 6, None),
+    ]
     assert [label.label for label in report.unknown_labels] == ["teapot"]
     assert report.problems == []
 
@@ -595,9 +602,7 @@ def test_case_34_directories_have_several_names(tmp_path, labels_level, names):
         "panoptic": {0: [thing(1, 40)]},
     }
     root = write_root(tmp_path / "root", {NAME: layers}, labels_level, FOLDERS | names)
-    (files,) = find_root(root).sequences
-    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules())).report
-    store = Store(tmp_path / "store")
+    store, report = load_root(tmp_path, root)
     assert rows(store, "sightings", "located", "face_visible", "handles_listed") == [(True, True, True)]
     assert column(store, "persons", "gender") == ["male"]
     assert rows(store, "objects", "category", "first_frame") == [("accessory", 0)]
@@ -608,9 +613,8 @@ def test_case_35_frames_are_counted_as_they_lie_on_disk(tmp_path):
     """bytes-cafe has 1,727 frames by the published constants, and 1,726 in the files."""
     name = "bytes-cafe-2019-02-07_0"
     root = write_root(tmp_path / "root", {name: {"2d": {0: [walking(1)], 1725: [walking(1)]}}})
-    (files,) = find_root(root).sequences
-    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules())).report
-    assert Store(tmp_path / "store").interval("sequence", name)["frame_count"].to_pylist() == [1726]
+    store, report = load_root(tmp_path, root)
+    assert store.interval("sequence", name)["frame_count"].to_pylist() == [1726]
     assert report.frames == 2
 
 

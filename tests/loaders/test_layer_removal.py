@@ -10,19 +10,13 @@ import random
 import tempfile
 from functools import cache
 from itertools import combinations
-from pathlib import Path
 
 import pytest
+from quick_store import NAME, read_store
 from random_worlds import random_world
-from worlds import CAMERAS, VISIBLE, member, person, person_3d, pose, thing, write_root
+from worlds import CAMERAS, VISIBLE, member, person, person_3d, pose, thing
 
-from jrdb_avr.loaders.load import Shard, load_shard
-from jrdb_avr.loaders.root import find_root
-from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS
-
-NAME = "yard-2020-01-01_0"
 
 FILES = ("2d", "3d", "social", "reasoning", "pose", "panoptic", "timestamps", "calibration", "images")
 
@@ -125,12 +119,10 @@ def world_of(seed):
 
 def tables_of(folder, layers):
     """Annotation and interval tables of a load as {name: {row, ...}}, or None where nothing could be loaded."""
-    (files,) = find_root(write_root(Path(folder) / "root", {NAME: layers})).sequences
-    shard = load_shard(Shard(files, str(folder), LoadRules()))
-    assert [p for p in shard.report.problems if p.kind == "file"] == []
-    if shard.entry is None:
+    store, found = read_store(folder, layers)
+    assert [p for p in found.problems if p.kind == "file"] == []
+    if not found.frames:
         return None
-    store = Store(folder)
     annotations = {table: store.annotation(table, NAME).to_pylist() for table in ANNOTATIONS}
     intervals = {kind: store.interval(kind, NAME).to_pylist() for kind in INTERVALS}
     return annotations, intervals
@@ -218,7 +210,7 @@ def without_stand_ins(world, gone):
     return {layer: content for layer, content in world.items() if not any(layer in banned.get(g, ()) for g in gone)}
 
 
-@pytest.mark.parametrize("seed", [None, 1, 2])
+@pytest.mark.parametrize("seed", [None, 1, pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("gone", FILES)
 def test_the_rest_is_unchanged_without_a_layer(tmp_path, seed, gone):
     check_removal(tmp_path, seed, gone)

@@ -9,22 +9,17 @@ from __future__ import annotations
 import os
 
 import pytest
+from quick_store import NAME, load_root, read_store
 from worlds import member, person, write_root
 
 from jrdb_avr.loaders.labelfiles import columns, facts, frames
-from jrdb_avr.loaders.load import Shard, load_shard
-from jrdb_avr.loaders.root import find_root
-from jrdb_avr.schema.rules import LoadRules
 
-NAME = "yard-2020-01-01_0"
 BOX = (100, 60, 50, 200)
 
 
-def report_of(folder, social):
-    """The report of a root with one person in two 2D frames, beside a social layer."""
-    write_root(folder / "root", {NAME: {"2d": {f: [person(1, BOX)] for f in (0, 1)}, "social": social}})
-    (files,) = find_root(folder / "root").sequences
-    return load_shard(Shard(files, str(folder / "store"), LoadRules())).report
+def found_in(folder, social):
+    """What is read of one person in two 2D frames, beside a social layer."""
+    return read_store(folder, {"2d": {f: [person(1, BOX)] for f in (0, 1)}, "social": social})[1]
 
 
 def different(n):
@@ -51,13 +46,13 @@ def many_labels(n):
 )
 def test_a_file_that_says_too_much_is_refused_and_the_rest_loads(monkeypatch, tmp_path, module, name, social, reason):
     monkeypatch.setattr(module, name, 20)
-    full = report_of(tmp_path / "full", social(20))
-    assert full.problems == [] and "2d" in full.layers
-    report = report_of(tmp_path / "more", social(21))
-    (problem,) = report.problems
+    full = found_in(tmp_path / "full", social(20))
+    assert full.problems == [] and "2d" in full.frames
+    found = found_in(tmp_path / "more", social(21))
+    (problem,) = found.problems
     assert (problem.kind, problem.layer, problem.count) == ("file", "social", 1)
     assert reason in problem.reason
-    assert report.layers == ["2d"] and report.boxes == 2
+    assert set(found.frames) == {"2d", "actions", "groups", "images"} and found.tables["boxes_2d"].num_rows == 2
 
 
 @pytest.mark.parametrize("kind", ["a link to itself", "a link to nothing", "a folder without rights"])
@@ -80,8 +75,7 @@ def test_what_cannot_be_followed_is_said_and_costs_its_layer_alone(tmp_path, mon
             monkeypatch.setattr(os, name, refuse)
     else:
         place.symlink_to(place.name if kind == "a link to itself" else "gone")
-    (files,) = find_root(root).sequences
-    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules())).report
+    _, report = load_root(tmp_path, root)
     (problem,) = report.problems
     assert (problem.kind, problem.layer, problem.count) == ("file", layer, 1)
     assert report.layers == ["2d"] and report.boxes == 1

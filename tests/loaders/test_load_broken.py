@@ -12,19 +12,17 @@ import time
 import msgspec
 import pyarrow.compute as pc
 import pytest
-from quick_store import MemoryStore, kept_in, without_graph
+from quick_store import NAME, read_store, without_graph
 from worlds import load_reported, person, person_3d, write_root
 
 from jrdb_avr.loaders.labelfiles import frames as labelfile
-from jrdb_avr.loaders.load import Shard, load_shard
+from jrdb_avr.loaders.layers.boxes_2d import load_2d
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.loaders.report import as_row
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError, InputError
-from jrdb_avr.schema.rules import LoadRules
 
-NAME = "yard-2020-01-01_0"
 GOOD = person(1, (100, 60, 50, 200), {"walking": 1}, (5, 1))
 
 
@@ -34,17 +32,9 @@ def raw_2d(*records, frame="000015.jpg"):
 
 
 def loaded(tmp_path, content, layer="2d"):
-    """Tables and report of a world of one file (beside good 2D labels, where the file is 3D); no graph is built."""
+    """What is read of one file (beside good 2D labels, where it is 3D): a store, and the readers' findings."""
     layers = {layer: content} if layer == "2d" else {"2d": {0: [GOOD], 15: [GOOD]}, layer: content}
-    return loaded_layers(tmp_path, layers)
-
-
-def loaded_layers(tmp_path, layers):
-    (files,) = find_root(write_root(tmp_path / "root", {NAME: layers})).sequences
-    store = MemoryStore(tmp_path / "store")
-    with kept_in(store):
-        report = load_shard(Shard(files, str(store.path), LoadRules())).report
-    return store, report
+    return read_store(tmp_path, layers)
 
 
 @pytest.fixture
@@ -58,7 +48,7 @@ def boxes(store, layer="boxes_2d"):
     return [(row["frame"], row["track"]) for row in store.annotation(layer, NAME).to_pylist()]
 
 
-def found(report):
+def problems_of(report):
     return [(p.kind, p.reason, p.count, p.file, p.frame, p.field) for p in report.problems]
 
 
@@ -88,9 +78,9 @@ BAD_BOXES = {
 
 @pytest.mark.parametrize("box", BAD_BOXES.values(), ids=BAD_BOXES)
 def test_a_bad_box_costs_its_own_record(tmp_path, box):
-    store, report = loaded(tmp_path, raw_2d(variant(box=box), json.dumps(GOOD)))
+    store, found = loaded(tmp_path, raw_2d(variant(box=box), json.dumps(GOOD)))
     assert boxes(store) == [(0, 1), (15, 1)]
-    ((kind, reason, count, file, frame, field),) = found(report)
+    ((kind, reason, count, file, frame, field),) = problems_of(found)
     assert (kind, count, file, frame, field) == ("record", 1, f"{NAME}.json", "000015.jpg", "box")
     assert reason.startswith("box")
     # Somebody was there whom we could not place: the frame proves nobody's absence and nothing unique.
@@ -116,66 +106,66 @@ BAD_IDS = {
 
 @pytest.mark.parametrize("label", BAD_IDS.values(), ids=BAD_IDS)
 def test_a_bad_label_id_costs_its_own_record(tmp_path, label):
-    store, report = loaded(tmp_path, raw_2d(variant(label_id=label), json.dumps(GOOD)))
+    store, found = loaded(tmp_path, raw_2d(variant(label_id=label), json.dumps(GOOD)))
     assert boxes(store) == [(0, 1), (15, 1)]
-    ((kind, _, count, _, frame, field),) = found(report)
+    ((kind, _, count, _, frame, field),) = problems_of(found)
     assert (kind, count, frame, field) == ("record", 1, "000015.jpg", "label_id")
 
 
 def test_ids_of_others_than_people_are_skipped_and_the_frame_stays_whole(tmp_path):
     others = [variant(label_id=label) for label in ("person:-1", "robot:3", "person:7", "car:2")]
-    store, report = loaded(tmp_path, raw_2d(*others, json.dumps(GOOD)))
+    store, found = loaded(tmp_path, raw_2d(*others, json.dumps(GOOD)))
     assert boxes(store) == [(0, 1), (15, 1)]
-    assert [(p.reason, p.count, p.detail) for p in report.problems] == [
+    assert [(p.reason, p.count, p.detail) for p in found.problems] == [
         ("label_id is not of a tracked person", 4, "person:-1")
     ]
     assert store.interval("frames", NAME)["annotated"].to_pylist() == [True, True]
 
 
 def test_id_zero_is_a_person(tmp_path):
-    store, report = loaded(tmp_path, {0: [person(0, (1, 60, 50, 200), {"sitting": 1}, (0, 1))]})
+    store, found = loaded(tmp_path, {0: [person(0, (1, 60, 50, 200), {"sitting": 1}, (0, 1))]})
     assert boxes(store) == [(0, 0)]
-    assert report.problems == []
+    assert found.problems == []
     assert store.interval("actions", NAME)["track"].to_pylist() == [0]
 
 
 def test_the_first_of_a_repeated_person_is_kept(tmp_path):
-    store, report = loaded(tmp_path, raw_2d(variant(box=[1, 2, 3, 4]), variant(box=[5, 6, 7, 8])))
+    store, found = loaded(tmp_path, raw_2d(variant(box=[1, 2, 3, 4]), variant(box=[5, 6, 7, 8])))
     assert [tuple(row[k] for k in "xywh") for row in store.annotation("boxes_2d", NAME).to_pylist()][1] == (1, 2, 3, 4)
-    assert found(report) == [
+    assert problems_of(found) == [
         ("record", "same person twice in a frame, the first is kept", 1, f"{NAME}.json", "000015.jpg", "label_id")
     ]
 
 
 @pytest.mark.parametrize("record", ["3", "null", '"pedestrian:1"', "[]", "[[1]]", "true", "NaN"])
 def test_a_record_that_is_no_object_is_refused(tmp_path, record):
-    store, report = loaded(tmp_path, raw_2d(record, json.dumps(GOOD)))
+    store, found = loaded(tmp_path, raw_2d(record, json.dumps(GOOD)))
     assert boxes(store) == [(0, 1), (15, 1)]
-    assert [(p.kind, p.reason, p.frame) for p in report.problems] == [("record", "record is no object", "000015.jpg")]
+    assert [(p.kind, p.reason, p.frame) for p in found.problems] == [("record", "record is no object", "000015.jpg")]
 
 
 @pytest.mark.parametrize("value", ["3", "null", '"x"', "{}", "NaN", "true"])
 def test_a_frame_that_is_no_list_is_refused_and_not_known(tmp_path, value):
     text = f'{{"labels": {{"000000.jpg": [{json.dumps(GOOD)}], "000015.jpg": {value}}}}}'
-    store, report = loaded(tmp_path, text)
+    store, found = loaded(tmp_path, text)
     assert store.interval("frames", NAME)["frame"].to_pylist() == [0]
-    assert [(p.kind, p.frame) for p in report.problems] == [("frame", "000015.jpg")]
+    assert [(p.kind, p.frame) for p in found.problems] == [("frame", "000015.jpg")]
 
 
 @pytest.mark.parametrize(
     "key", ["15.jpg", "000015", "000015.pcd", "-00015.jpg", "0000015.jpg", "x.jpg", "", "٠٠٠٠١٥.jpg"]
 )
 def test_a_bad_frame_key_is_refused(tmp_path, key):
-    store, report = loaded(tmp_path, {0: [GOOD], key: [GOOD]})
+    store, found = loaded(tmp_path, {0: [GOOD], key: [GOOD]})
     assert boxes(store) == [(0, 1)]
-    assert [(p.kind, p.frame) for p in report.problems] == [("frame", key)]
+    assert [(p.kind, p.frame) for p in found.problems] == [("frame", key)]
 
 
 def test_the_first_of_a_repeated_frame_key_is_kept(tmp_path):
     again = f'{{"labels": {{"000000.jpg": [{json.dumps(GOOD)}], "000000.jpg": [{variant()}]}}}}'
-    store, report = loaded(tmp_path, again)
+    store, found = loaded(tmp_path, again)
     assert boxes(store) == [(0, 1)]
-    assert [(p.kind, p.reason) for p in report.problems] == [("frame", "frame key twice, the first is kept")]
+    assert [(p.kind, p.reason) for p in found.problems] == [("frame", "frame key twice, the first is kept")]
 
 
 @pytest.mark.parametrize("frames", range(1, 20))
@@ -196,39 +186,37 @@ def test_a_repeated_frame_key_is_found_whatever_the_layout(tmp_path, frames, col
 
 def test_a_second_labels_object_is_counted(tmp_path):
     text = f'{{"labels": {{"000000.jpg": [{json.dumps(GOOD)}]}}, "labels": {{"000015.jpg": []}}}}'
-    store, report = loaded(tmp_path, text)
+    store, found = loaded(tmp_path, text)
     assert boxes(store) == [(0, 1)]
-    assert [(p.kind, p.reason, p.field) for p in report.problems] == [
-        ("file", "key twice, the first is kept", "labels")
-    ]
+    assert [(p.kind, p.reason, p.field) for p in found.problems] == [("file", "key twice, the first is kept", "labels")]
 
 
 def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path):
-    store, report = loaded(tmp_path, b"\xef\xbb\xbf" + json.dumps({"labels": {"000000.jpg": [GOOD]}}).encode())
-    assert (boxes(store), report.problems) == ([(0, 1)], [])
+    store, found = loaded(tmp_path, b"\xef\xbb\xbf" + json.dumps({"labels": {"000000.jpg": [GOOD]}}).encode())
+    assert (boxes(store), found.problems) == ([(0, 1)], [])
 
 
 @pytest.mark.parametrize("labels", ['{"sitting":1,"sitting" :3}', '{"sitting" :1,"sitting" :3}'])
 def test_a_repeated_label_is_found_whatever_the_layout(tmp_path, labels):
     record = f'{{"label_id": "pedestrian:2", "box": [1, 2, 3, 4], "action_label": {labels}}}'
-    store, report = loaded(tmp_path, raw_2d(record))
+    store, found = loaded(tmp_path, raw_2d(record))
     assert store.annotation("actions", NAME)["difficulty"].to_pylist() == [1, 1]
-    assert [(p.reason, p.field) for p in report.problems] == [("key twice, the first is kept", "action_label.sitting")]
+    assert [(p.reason, p.field) for p in found.problems] == [("key twice, the first is kept", "action_label.sitting")]
 
 
 def test_an_empty_list_means_nobody_is_here(tmp_path):
-    store, report = loaded(tmp_path, {0: [GOOD], 15: []})
-    assert report.problems == []
+    store, found = loaded(tmp_path, {0: [GOOD], 15: []})
+    assert found.problems == []
     assert store.interval("frames", NAME)["annotated"].to_pylist() == [True, True]
 
 
 def test_a_repeated_key_in_a_record_is_counted_and_the_first_holds(tmp_path):
     actions = '"action_label": {"sitting": 1, "sitting": 3}'
     record = f'{{"label_id": "pedestrian:2", "box": [1, 2, 3, 4], "box": [5, 6, 7, 8], {actions}}}'
-    store, report = loaded(tmp_path, raw_2d(record))
+    store, found = loaded(tmp_path, raw_2d(record))
     assert store.annotation("boxes_2d", NAME)["x"].to_pylist() == [100, 1]
     assert store.annotation("actions", NAME)["difficulty"].to_pylist() == [1, 1]
-    assert [(p.reason, p.field) for p in report.problems] == [
+    assert [(p.reason, p.field) for p in found.problems] == [
         ("key twice, the first is kept", "action_label.sitting"),
         ("key twice, the first is kept", "box"),
     ]
@@ -239,17 +227,17 @@ def test_a_repeated_key_in_a_record_is_counted_and_the_first_holds(tmp_path):
 
 @pytest.mark.parametrize(("code", "stored"), [(1, 1), (1.0, 1), ("1", 1), (2, 2), ("3", 3), (3.0, 3)])
 def test_difficulty_may_be_a_number_or_text(tmp_path, code, stored):
-    store, report = loaded(tmp_path, raw_2d(variant(action_label={"sitting": code})))
+    store, found = loaded(tmp_path, raw_2d(variant(action_label={"sitting": code})))
     assert store.annotation("actions", NAME)["difficulty"].to_pylist()[1] == stored
-    assert report.problems == []
+    assert found.problems == []
 
 
 @pytest.mark.parametrize("code", [0, 4, -1, 1.5, "x", "", None, [1], {}, True, float("nan"), 10**30, "1.0.0"])
 def test_an_unreadable_difficulty_makes_the_action_unknown(tmp_path, code):
-    store, report = loaded(tmp_path, raw_2d(variant(action_label={"sitting": code})))
+    store, found = loaded(tmp_path, raw_2d(variant(action_label={"sitting": code})))
     actions = store.annotation("actions", NAME).to_pylist()
     assert [(row["action"], row["difficulty"]) for row in actions] == [("walking", 1), ("sitting", None)]
-    (problem,) = report.problems
+    (problem,) = found.problems
     assert (problem.kind, problem.field, problem.frame) == ("field", "action_label", "000015.jpg")
     sitting = [row for row in store.interval("actions", NAME).to_pylist() if row["action"] == "sitting"]
     assert [row["certain"] for row in sitting] == [False]
@@ -258,33 +246,33 @@ def test_an_unreadable_difficulty_makes_the_action_unknown(tmp_path, code):
 
 @pytest.mark.parametrize("value", [[], "walking", 3, ["walking"], True])
 def test_an_action_label_of_another_type_is_refused(tmp_path, value):
-    store, report = loaded(tmp_path, raw_2d(variant(action_label=value)))
+    store, found = loaded(tmp_path, raw_2d(variant(action_label=value)))
     assert store.annotation("boxes_2d", NAME)["has_actions"].to_pylist() == [True, False]
-    assert [(p.kind, p.field) for p in report.problems] == [("field", "action_label")]
+    assert [(p.kind, p.field) for p in found.problems] == [("field", "action_label")]
 
 
 @pytest.mark.parametrize("value", [{}, None, ..., {"impossible": 1}])
 def test_no_usable_actions_is_no_list_and_no_problem(tmp_path, value):
-    store, report = loaded(tmp_path, raw_2d(variant(action_label=value)))
+    store, found = loaded(tmp_path, raw_2d(variant(action_label=value)))
     assert store.annotation("boxes_2d", NAME)["has_actions"].to_pylist() == [True, False]
-    assert report.problems == []
+    assert found.problems == []
 
 
 def test_labels_outside_the_vocabulary_are_kept_and_reported(tmp_path):
-    store, report = loaded(tmp_path, raw_2d(variant(action_label={"Juggling_Balls": 1, "Opening-the-door": 2})))
+    store, found = loaded(tmp_path, raw_2d(variant(action_label={"Juggling_Balls": 1, "Opening-the-door": 2})))
     names = store.annotation("actions", NAME).to_pylist()[1:]
     assert [(row["action"], row["raw"]) for row in names] == [
         ("interaction with door", "Opening-the-door"),
         ("juggling balls", "Juggling_Balls"),
     ]
-    assert [(u.field, u.label, u.count) for u in report.unknown_labels] == [("action_label", "juggling balls", 1)]
+    assert [(u.field, u.label, u.count) for u in found.unknown] == [("action_label", "juggling balls", 1)]
 
 
 @pytest.mark.parametrize("name", ["", " ", "\u0000", "\ud800", "x" * 101, "\x1b"])
 def test_a_label_that_is_no_text_is_refused(tmp_path, name):
-    store, report = loaded(tmp_path, raw_2d(variant(action_label={name: 1, "sitting": 1})))
+    store, found = loaded(tmp_path, raw_2d(variant(action_label={name: 1, "sitting": 1})))
     assert store.annotation("actions", NAME)["action"].to_pylist() == ["walking", "sitting"]
-    assert [(p.kind, p.field) for p in report.problems] == [("field", "action_label")]
+    assert [(p.kind, p.field) for p in found.problems] == [("field", "action_label")]
 
 
 @pytest.mark.parametrize(
@@ -292,9 +280,9 @@ def test_a_label_that_is_no_text_is_refused(tmp_path, name):
 )
 def test_truncated_in_its_spellings(tmp_path, value, stored):
     attributes = {k: v for k, v in {"occlusion": "Fully_visible", "truncated": value}.items() if v is not ...}
-    store, report = loaded(tmp_path, raw_2d(variant(attributes=attributes)))
+    store, found = loaded(tmp_path, raw_2d(variant(attributes=attributes)))
     assert store.annotation("boxes_2d", NAME)["truncated"].to_pylist()[1] is stored
-    assert report.problems == []
+    assert found.problems == []
 
 
 BAD_ATTRIBUTES = [
@@ -310,16 +298,16 @@ BAD_ATTRIBUTES = [
 
 @pytest.mark.parametrize(("name", "value"), BAD_ATTRIBUTES)
 def test_a_bad_attribute_is_unknown(tmp_path, name, value):
-    store, report = loaded(tmp_path, raw_2d(variant(attributes={"occlusion": "Fully_visible"} | {name: value})))
+    store, found = loaded(tmp_path, raw_2d(variant(attributes={"occlusion": "Fully_visible"} | {name: value})))
     assert store.annotation("boxes_2d", NAME)[name].to_pylist()[1] is None
-    (problem,) = report.problems
+    (problem,) = found.problems
     assert (problem.kind, problem.field, problem.frame) == ("field", f"attributes.{name}", "000015.jpg")
 
 
 def test_missing_occlusion_is_not_visible(tmp_path):
-    store, report = loaded(tmp_path, raw_2d(variant(attributes={"no_eval": False})))
+    store, found = loaded(tmp_path, raw_2d(variant(attributes={"no_eval": False})))
     assert store.interval("sightings", NAME)["clear"].to_pylist() == [True, False]
-    assert report.problems == []
+    assert found.problems == []
 
 
 def test_a_world_without_attributes_is_clear(tmp_path):
@@ -330,9 +318,9 @@ def test_a_world_without_attributes_is_clear(tmp_path):
 
 @pytest.mark.parametrize("value", [[], 5, {"cluster_ID": "x"}, {"cluster_ID": 1.5}, {}, {"cluster_ID": 10**30}, "a"])
 def test_a_bad_group_is_no_group(tmp_path, value):
-    store, report = loaded(tmp_path, raw_2d(variant(social_group=value)))
+    store, found = loaded(tmp_path, raw_2d(variant(social_group=value)))
     assert store.annotation("groups", NAME)["track"].to_pylist() == [1]
-    ((kind, field),) = [(p.kind, p.field.partition(".")[0]) for p in report.problems]
+    ((kind, field),) = [(p.kind, p.field.partition(".")[0]) for p in found.problems]
     assert (kind, field) == ("field", "social_group")
 
 
@@ -341,13 +329,20 @@ def test_time_is_not_squared_where_every_record_is_wrong_in_its_own_way(tmp_path
         named = [(i, f"label {frame} {i}") for i in range(500)]
         return [person(i, (1, 2, 30, 40), {name: 1, "sitting": name}, (name, 1)) for i, name in named]
 
-    world = {frame: crowd(frame) for frame in range(40)}
-    started = time.process_time()
-    _, report = loaded(tmp_path, world)
-    assert time.process_time() - started < 6
-    assert {(p.reason, p.field): (p.count, p.frame, p.detail) for p in report.problems} == {
-        ("difficulty: not a number", "action_label"): (20_000, "000000.jpg", "label 0 0"),
-        ("not a number", "social_group.cluster_ID"): (20_000, "000000.jpg", "label 0 0"),
+    def seconds(frames):
+        """Of processor time, and the problems."""
+        path = write_root(tmp_path, {NAME: {"2d": {frame: crowd(frame) for frame in range(frames)}}})
+        problems = Problems("x.json")
+        started = time.process_time()
+        load_2d(path / "labels" / "labels_2d_stitched" / f"{NAME}.json", NAME, problems)
+        return time.process_time() - started, problems.listed()
+
+    few = min(seconds(1)[0] for _ in range(3))
+    many, problems = seconds(16)
+    assert many < 16 * 3 * few
+    assert {(p.reason, p.field): (p.count, p.frame, p.detail) for p in problems} == {
+        ("difficulty: not a number", "action_label"): (8_000, "000000.jpg", "label 0 0"),
+        ("not a number", "social_group.cluster_ID"): (8_000, "000000.jpg", "label 0 0"),
     }
 
 
@@ -374,9 +369,9 @@ def with_3d(**changes):
     ],
 )
 def test_a_bad_3d_box_costs_its_own_record(tmp_path, changes):
-    store, report = loaded(tmp_path, with_3d(**changes), "3d")
+    store, found = loaded(tmp_path, with_3d(**changes), "3d")
     assert boxes(store, "boxes_3d") == [(0, 1)]
-    ((kind, _, count, _, frame, field),) = found(report)
+    ((kind, _, count, _, frame, field),) = problems_of(found)
     assert (kind, count, frame, field) == ("record", 1, "000000.pcd", "box")
 
 
@@ -395,25 +390,25 @@ def test_a_bad_3d_box_costs_its_own_record(tmp_path, changes):
 def test_a_bad_3d_attribute_is_unknown(tmp_path, name, value):
     record = person_3d(1, 3.0, 4.0)
     record["attributes"][name] = value
-    store, report = loaded(tmp_path, {0: [record]}, "3d")
+    store, found = loaded(tmp_path, {0: [record]}, "3d")
     assert store.annotation("boxes_3d", NAME)[name].to_pylist() == [None]
-    assert [(p.kind, p.field) for p in report.problems] == [("field", f"attributes.{name}")]
+    assert [(p.kind, p.field) for p in found.problems] == [("field", f"attributes.{name}")]
     assert store.interval("sightings", NAME)["distance"].to_pylist()[0] == (None if name == "num_points" else 5.0)
 
 
 def test_missing_distance_is_computed(tmp_path):
-    store, report = loaded(tmp_path, {0: [person_3d(1, 3.0, 4.0, distance=None)]}, "3d")
+    store, found = loaded(tmp_path, {0: [person_3d(1, 3.0, 4.0, distance=None)]}, "3d")
     assert store.interval("sightings", NAME)["distance"].to_pylist() == [5.0, None]
-    assert report.problems == []
+    assert found.problems == []
 
 
 def test_the_heading_check_sees_a_reversed_convention(tmp_path):
     walks = {f: [person_3d(1, 3.0 + f * 0.1, 0.0, heading=0.0)] for f in range(0, 60)}
-    _, report = loaded(tmp_path / "right", walks, "3d")
-    assert (report.heading.moves, round(report.heading.median_deg)) == (45, 0)
+    _, found = loaded(tmp_path / "right", walks, "3d")
+    assert (found.heading.moves, round(found.heading.median_deg)) == (45, 0)
     backwards = {f: [person_3d(1, 3.0 + f * 0.1, 0.0, heading=3.14159265)] for f in range(0, 60)}
-    _, report = loaded(tmp_path / "wrong", backwards, "3d")
-    assert round(report.heading.median_deg) == 180
+    _, found = loaded(tmp_path / "wrong", backwards, "3d")
+    assert round(found.heading.median_deg) == 180
 
 
 # -- files -----------------------------------------------------------------------------------------------------
@@ -447,11 +442,10 @@ BAD_FILES = {
 
 @pytest.mark.parametrize("content", BAD_FILES.values(), ids=BAD_FILES)
 def test_a_bad_file_is_refused_as_a_whole(tmp_path, content):
-    store, report = loaded(tmp_path, content)
-    assert (report.layers, report.boxes) == ([], 0)
-    assert not store.path.exists()
+    store, found = loaded(tmp_path, content)
+    assert not found.frames and boxes(store) == []
     if content not in (BAD_FILES["no frames"], BAD_FILES["only bad frames"]):
-        (problem,) = report.problems
+        (problem,) = found.problems
         assert (problem.kind, problem.file, problem.count) == ("file", f"{NAME}.json", 1)
         assert problem.reason.startswith(NAME) and "\n" not in problem.reason
 
@@ -460,10 +454,10 @@ def test_a_bad_file_is_refused_as_a_whole(tmp_path, content):
 @pytest.mark.parametrize("name", ["empty", "truncated", "not UTF-8", "a list", "zeros", "nested deeply", "a picture"])
 def test_a_bad_file_of_another_layer_costs_that_layer_alone(tmp_path, layer, name):
     content = {"images": BAD_FILES[name]} if layer == "timestamps" else BAD_FILES[name]
-    store, report = loaded_layers(tmp_path, {"2d": {0: [GOOD]}, layer: content})
-    assert report.layers == ["2d", "actions", "groups"]
+    store, found = read_store(tmp_path, {"2d": {0: [GOOD]}, layer: content})
+    assert list(found.frames) == ["2d", "actions", "groups", "images"]
     assert boxes(store) == [(0, 1)]
-    (problem,) = report.problems
+    (problem,) = found.problems
     assert (problem.kind, problem.count) == ("file", 1)
     assert problem.file and "\n" not in problem.reason
 
@@ -474,12 +468,12 @@ def test_a_stamp_that_is_no_json_number_is_refused(tmp_path, text):
     entry = f'{{{text}, "timestamp": 1549500000.0}}' if "timestamp" not in text else f"{{{text}}}"
     stamps = f'{{"data": [{{"frame_id": 0, "timestamp": 1549500000.0}}, {entry}]}}'
     world = {"2d": {0: [GOOD]}, "timestamps": {"images": stamps}}
-    store, report = loaded_layers(tmp_path, world)
+    store, found = read_store(tmp_path, world)
     assert store.annotation("timestamps", NAME)["frame"].to_pylist() == [0]
-    assert [(p.kind, p.count) for p in report.problems] == [("record", 1)]
+    assert [(p.kind, p.count) for p in found.problems] == [("record", 1)]
 
 
-def test_the_good_files_beside_bad_ones_load(tmp_path):
+def test_the_good_files_beside_bad_ones_load(tmp_path, graphless):
     world = {f"bad-{i}": {"2d": content} for i, content in enumerate(BAD_FILES.values())}
     store, reports = load_reported(tmp_path, world | {"good-1": {"2d": {0: [GOOD]}}})
     assert list(store.manifest().sequences) == ["good-1"]
@@ -489,9 +483,9 @@ def test_the_good_files_beside_bad_ones_load(tmp_path):
 
 def test_a_deeply_nested_record_costs_itself(tmp_path):
     deep = '{"label_id": "pedestrian:2", "box": [1, 2, 3, 4], "action_label": ' + "[" * 5000 + "]" * 5000 + "}"
-    store, report = loaded(tmp_path, raw_2d(deep, json.dumps(GOOD)))
+    store, found = loaded(tmp_path, raw_2d(deep, json.dumps(GOOD)))
     assert (15, 1) in boxes(store)
-    assert report.problems
+    assert found.problems
 
 
 def test_what_is_no_file_is_refused(tmp_path, graphless):
@@ -525,7 +519,7 @@ def test_images_that_cannot_be_read_are_no_images(tmp_path, monkeypatch, graphle
     store, reports = load_reported(tmp_path, world)
     pictures = {name: store.interval("frames", name).filter(pc.field("image"))["frame"].to_pylist() for name in world}
     assert pictures == {"good-1": [0], "good-2": []}
-    assert [found(report) for report in reports] == [
+    assert [problems_of(report) for report in reports] == [
         [],
         [("file", "good-2: the folder of images cannot be read: Permission denied", 1, "good-2", "", "")],
     ]
@@ -611,9 +605,9 @@ def test_the_first_byte_that_is_not_utf_8_is_named(tmp_path, monkeypatch):
 
 def test_frames_too_full_to_be_real_are_refused(tmp_path):
     crowd = [person(i, (1, 2, 30, 40)) for i in range(labelfile.MAX_RECORDS + 1)]
-    store, report = loaded(tmp_path, {0: [GOOD], 15: crowd})
+    store, found = loaded(tmp_path, {0: [GOOD], 15: crowd})
     assert boxes(store) == [(0, 1)]
-    assert [(p.kind, p.frame) for p in report.problems] == [("frame", "000015.jpg")]
+    assert [(p.kind, p.frame) for p in found.problems] == [("frame", "000015.jpg")]
 
 
 # -- roots -----------------------------------------------------------------------------------------------------
@@ -643,8 +637,8 @@ def test_of_a_file_that_is_refused_nothing_else_is_said(tmp_path, monkeypatch):
     twice = json.dumps(person_3d(2, 3.0, 1.0)).replace('"label_id"', '"label_id": "pedestrian:1", "label_id"')
     whole = f'{{"labels": {{"000000.pcd": [{twice}], "000000.pcd": [], "000015.pcd": []}}}}'
     monkeypatch.setattr(labelfile, "BATCH_BYTES", 1)
-    _, report = loaded(tmp_path / "whole", whole, "3d")
-    assert [p.kind for p in report.problems] == ["field", "frame"]
+    _, found = loaded(tmp_path / "whole", whole, "3d")
+    assert [p.kind for p in found.problems] == ["field", "frame"]
     for name, cut in (("cut", whole[:-2]), ("longer", whole + "]")):
-        _, report = loaded(tmp_path / name, cut, "3d")
-        assert [(p.kind, p.count, p.layer) for p in report.problems] == [("file", 1, "3d")]
+        _, found = loaded(tmp_path / name, cut, "3d")
+        assert [(p.kind, p.count, p.layer) for p in found.problems] == [("file", 1, "3d")]

@@ -12,7 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pycocotools.coco import COCO
-from worlds import coco_file, load_world, person, pose
+from quick_store import graphless_store
+from worlds import coco_file, person, pose
 
 from jrdb_avr.loaders.intervals.derive import derive
 from jrdb_avr.loaders.labelfiles import coco
@@ -423,7 +424,7 @@ def test_keypoints_are_read_with_their_sighting(tmp_path):
     people = {0: [1, 2], 15: [1]}
     world = {f: [person(t, (100 * t, 60, 50, 200)) for t in tracks] for f, tracks in people.items()}
     poses = coco_file({0: [pose(1, visibility=[2] * 17), pose(3)]}, "pose")
-    store = load_world(tmp_path, {NAME: {"2d": world, "pose": poses}})
+    store = graphless_store(tmp_path, {NAME: {"2d": world, "pose": poses}})
     rows = store.sql("SELECT * FROM sightings_keypoints ORDER BY frame, track").to_pylist()
     (kept,) = [a["keypoints"] for a in poses["annotations"] if a["track_id"] == 1]
     # Each sighting once: a pose without a box is none, a box without a pose has no key points.

@@ -7,14 +7,11 @@ import json
 
 import pytest
 from placed_people import placed
+from quick_store import reported_store
 from social_files import BOX, NAME, read, reasons, record, rows
-from worlds import member, person, thing, write_root
+from worlds import member, person, thing
 
 from jrdb_avr.loaders.layers.social import _READER, load_reasoning
-from jrdb_avr.loaders.load import Shard, load_shard
-from jrdb_avr.loaders.root import find_root
-from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.rules import LoadRules
 
 whole = functools.partial(load_reasoning, social=True)
 things_alone = functools.partial(load_reasoning, social=False)
@@ -179,9 +176,7 @@ def test_only_the_other_list_breaks(tmp_path):
 
 def loaded(tmp_path, **layers):
     layers = {{"boxes": "2d"}.get(name, name): content for name, content in layers.items()}
-    (files,) = find_root(write_root(tmp_path / "root", {NAME: layers})).sequences
-    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules())).report
-    return Store(tmp_path / "store"), report
+    return reported_store(tmp_path, layers)
 
 
 def spans(store, kind):

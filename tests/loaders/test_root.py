@@ -7,16 +7,13 @@ import os
 
 import pytest
 from click.testing import CliRunner
+from quick_store import NAME, reported_store
 from worlds import coco_file, member, person, person_3d, pose, write_root
 
 from jrdb_avr.engine.commands.load import command
-from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.root import LAYER_FILES, find_root
-from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.rules import LoadRules
 
-NAME = "yard-2020-01-01_0"
 BOX = (100, 60, 50, 200)
 NAMES = {
     "2d": ["labels_2d_stitched"],
@@ -138,9 +135,7 @@ def test_empty_and_unreadable_folders_are_said(tmp_path, monkeypatch):
 
 
 def load_one(tmp_path, layers):
-    (files,) = find_root(write_root(tmp_path / "root", {NAME: layers})).sequences
-    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules())).report
-    return Store(tmp_path / "store"), report
+    return reported_store(tmp_path, layers)
 
 
 def test_case_1_the_frame_is_the_key_and_file_id_a_note(tmp_path):

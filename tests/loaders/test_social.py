@@ -8,10 +8,10 @@ from __future__ import annotations
 import json
 
 import pytest
+from quick_store import load_root
 from social_files import BOX, NAME, read, reasons, record, rows
 from worlds import member, write_root
 
-from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.labels import (
@@ -27,7 +27,6 @@ from jrdb_avr.schema.labels import (
     normal_interaction,
     normal_values,
 )
-from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.things import VERBS, normal_verb
 
 
@@ -437,9 +436,10 @@ def test_a_file_that_cannot_be_used(tmp_path, content):
 
 def test_a_file_that_gives_the_boxes_too_is_reported_once(tmp_path):
     records = [record(box=[1, 2, -3, 4]), {"label_id": "dog"}, 7, member(2, BOX, {"gender": {"Male": "x"}})]
-    (files,) = find_root(write_root(tmp_path / "root", {NAME: {"social": {0: records}}})).sequences
+    root = write_root(tmp_path / "root", {NAME: {"social": {0: records}}})
+    (files,) = find_root(root).sequences
     assert set(files.labels) == {"2d", "social"}
-    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules())).report
+    _, report = load_root(tmp_path, root)
     assert sorted((p.field, p.count) for p in report.problems) == [
         ("", 1),
         ("box", 1),

@@ -6,15 +6,12 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from placed_people import placed
-from worlds import member, person, write_root
+from quick_store import NAME, reported_store
+from worlds import member, person
 
 from jrdb_avr.loaders.intervals.derive import derive
-from jrdb_avr.loaders.load import Shard, load_shard
-from jrdb_avr.loaders.root import find_root
-from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import LoadRules
 
-NAME = "yard-2020-01-01_0"
 BOX = (100, 60, 50, 200)
 
 
@@ -22,9 +19,7 @@ def loaded(tmp_path, social, boxes=None, **rules):
     """Store and report of a social file beside 2D boxes; by default everybody of the social file has a box."""
     if boxes is None:
         boxes = {f: [person(_track(r), r["box"]) for r in records] for f, records in social.items()}
-    (files,) = find_root(write_root(tmp_path / "root", {NAME: {"2d": boxes, "social": social}})).sequences
-    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules(**rules))).report
-    return Store(tmp_path / "store"), report
+    return reported_store(tmp_path, {"2d": boxes, "social": social}, **rules)
 
 
 def _track(record):

@@ -8,25 +8,30 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from worlds import person, write_root
+from quick_store import NAME, read_store, reported_store
+from worlds import person
 
 from jrdb_avr.loaders.intervals.timeline import Clock
-from jrdb_avr.loaders.load import Shard, load_shard
-from jrdb_avr.loaders.root import find_root
-from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.rules import LoadRules
+from jrdb_avr.loaders.problems import total
 
-NAME = "yard-2020-01-01_0"
 START = 1_549_578_400.25
 
 
-def loaded(tmp_path, stamps, frames=range(0, 60)):
-    """Store and report of a walk of one person, with a file of timestamps."""
-    walk = {f: [person(1, (100 + f, 60, 50, 200), {"walking": 1})] for f in frames}
-    root = write_root(tmp_path / "root", {NAME: {"2d": walk, "timestamps": stamps}})
-    (files,) = find_root(root).sequences
-    report = load_shard(Shard(files, str(tmp_path / "store"), LoadRules())).report
-    return Store(tmp_path / "store"), report
+def layers_of(stamps, frames):
+    """A walk of one person, with a file of timestamps."""
+    walk = {f: [person(1, (100 + f, 60, 50, 200), {"walking": 1})] for f in range(frames)}
+    return {"2d": walk, "timestamps": stamps}
+
+
+def loaded(tmp_path, stamps):
+    """Store and report of a walk of 60 frames."""
+    return reported_store(tmp_path, layers_of(stamps, 60))
+
+
+def read(tmp_path, stamps):
+    """The same, its files only read, of a walk of 10 frames: a store, and the problems."""
+    store, found = read_store(tmp_path, layers_of(stamps, 10))
+    return store, found.problems
 
 
 def rows(store, sensor="images"):
@@ -108,9 +113,9 @@ BAD = {
 
 @pytest.mark.parametrize("bad, field", BAD.values(), ids=BAD)
 def test_a_bad_entry_costs_itself(tmp_path, bad, field):
-    store, report = loaded(tmp_path, {"images": json.dumps({"data": [*GOOD, bad]})})
+    store, problems = read(tmp_path, {"images": json.dumps({"data": [*GOOD, bad]})})
     assert rows(store) == [(f, START + f) for f in (0, 1, 2, 4, 5)]
-    ((kind, count, layer, where),) = [(p.kind, p.count, p.layer, p.field) for p in report.problems]
+    ((kind, count, layer, where),) = [(p.kind, p.count, p.layer, p.field) for p in problems]
     assert (kind, count, layer, where) == ("record", 1, "timestamps", field)
 
 
@@ -118,10 +123,10 @@ def test_a_bad_entry_costs_itself(tmp_path, bad, field):
 @pytest.mark.parametrize("url", ["image_stitched/000003.jpg", "000003.png", "somewhere", None])
 def test_a_frame_has_its_number_from_the_entry_or_the_file(tmp_path, frame_id, url):
     made = {"frame_id": frame_id, "timestamp": str(START + 3), "cameras": [{"name": "x", "url": url}]}
-    store, report = loaded(tmp_path, {"images": json.dumps({"data": [made]})})
+    store, problems = read(tmp_path, {"images": json.dumps({"data": [made]})})
     known = frame_id is not None or (url or "").startswith(("image", "000"))
     assert rows(store) == ([(3, START + 3)] if known else [])
-    assert report.refused == (0 if known else 1)
+    assert total(problems) == (0 if known else 1)
 
 
 BROKEN = ["", "[]", "{}", '{"data": {}}', '{"data": 3}', '{"data": [', "x", '{"data": [1, 2', b"\xff\xfe", "[" * 5000]
@@ -129,11 +134,11 @@ BROKEN = ["", "[]", "{}", '{"data": {}}', '{"data": 3}', '{"data": [', "x", '{"d
 
 @pytest.mark.parametrize("content", BROKEN, ids=range(len(BROKEN)))
 def test_a_broken_file_costs_its_stamps_alone(tmp_path, content):
-    store, report = loaded(tmp_path, {"images": content, "clouds": {0: START, 1: START + 1}})
+    store, problems = read(tmp_path, {"images": content, "clouds": {0: START, 1: START + 1}})
     assert rows(store) == [] and len(rows(store, "clouds")) == 2
-    assert [(p.kind, p.layer) for p in report.problems] == [("file", "timestamps")]
-    assert "frames_img.json" in report.problems[0].reason
-    assert report.boxes == 60
+    assert [(p.kind, p.layer) for p in problems] == [("file", "timestamps")]
+    assert "frames_img.json" in problems[0].reason
+    assert store.annotation("boxes_2d", NAME).num_rows == 10
 
 
 def test_repeated_keys_keep_the_first(tmp_path):
@@ -141,6 +146,6 @@ def test_repeated_keys_keep_the_first(tmp_path):
         '{"data": [{"frame_id": 3, "timestamp": 5.5, "timestamp": 7.5, "cameras": []},'
         ' {"frame_id": 4, "frame_id": 9, "timestamp": 8.5}], "data": []}'
     )
-    store, report = loaded(tmp_path, {"images": text})
+    store, problems = read(tmp_path, {"images": text})
     assert rows(store) == [(3, 5.5), (4, 8.5)]
-    assert report.refused == 3
+    assert total(problems) == 3

@@ -2,6 +2,8 @@
 
 store = quick_store(tmp_path, world)    # all that searching a sequence reads
 store = memory_store(tmp_path, world)   # the same, the tables in memory
+store, report = reported_store(tmp_path, layers)    # the same of one sequence, and what the load reports
+store, found = read_store(tmp_path, layers) # the same, and what its files gave; intervals are derived if looked at
 store = graphless_store(tmp_path, world)    # all that generation reads
 """
 
@@ -12,11 +14,15 @@ import pytest
 from worlds import load_world, write_root
 
 from jrdb_avr.loaders import load
+from jrdb_avr.loaders.intervals.derive import derive
 from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.root import find_root
+from jrdb_avr.loaders.sequence import annotate
 from jrdb_avr.queries.store import SequenceEntry, Store, write_table
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS
+
+NAME = "yard-2020-01-01_0"
 
 
 def quick_store(folder, world):
@@ -33,6 +39,26 @@ def memory_store(folder, world):
     with kept_in(store):
         _load_each(folder, world, store)
     return store
+
+
+def reported_store(folder, layers, **rules):
+    """The MemoryStore and the load's report of a world of one sequence, `NAME`."""
+    return load_root(folder, write_root(Path(folder) / "root", {NAME: layers}), **rules)
+
+
+def read_store(folder, layers):
+    """A store with the annotations of a world of one sequence, `NAME`, and all that reading its files gave."""
+    (files,) = find_root(write_root(Path(folder) / "root", {NAME: layers})).sequences
+    found = annotate(files)
+    return ReadStore(Path(folder) / "store", found.tables), found
+
+
+def load_root(folder, root, **rules):
+    """As `reported_store`, from a root that is written already."""
+    store = MemoryStore(Path(folder) / "store")
+    (files,) = find_root(root).sequences
+    with kept_in(store):
+        return store, load_shard(Shard(files, str(store.path), LoadRules(**rules))).report
 
 
 def graphless_store(folder, world):
@@ -70,17 +96,15 @@ class MemoryStore(Store):
 
     def keep(self, staging, sequence, annotations, intervals):
         """In place of writing what a sequence's files gave."""
-        for kept, tables, schemas in (
-            (self._annotations, annotations, ANNOTATIONS),
-            (self._intervals, intervals, INTERVALS),
-        ):
-            for name, table in tables.items():
-                schema = schemas[name]
-                kept[name, sequence] = table.select(schema.names).cast(schema).replace_schema_metadata(None)
+        self._annotations |= {(name, sequence): table for name, table in annotations.items()}
+        self._intervals |= {(name, sequence): table for name, table in intervals.items()}
         return SequenceEntry(tuple(intervals["sequence"]["layers"][0].as_py()), {})
 
+    def annotation(self, layer, sequence):
+        return _as_read(self._annotations, (layer, sequence), ANNOTATIONS[layer])
+
     def interval(self, kind, sequence, columns=None):
-        table = self._intervals[kind, sequence]
+        table = _as_read(self._intervals, (kind, sequence), INTERVALS[kind])
         return table if columns is None else table.select(columns)
 
     def annotation_path(self, layer, sequence):
@@ -96,6 +120,28 @@ class MemoryStore(Store):
         for (kind, sequence), table in self._intervals.items():
             self.write_interval(kind, sequence, table)
         return Store(self.path)
+
+
+class ReadStore(MemoryStore):
+    """A store of one sequence in memory, whose intervals are derived when somebody looks at them."""
+
+    def __init__(self, path, annotations):
+        super().__init__(path)
+        self._annotations = {(name, NAME): table for name, table in annotations.items()}
+
+    def interval(self, kind, sequence, columns=None):
+        if not self._intervals:
+            annotations = {name: table for (name, _), table in self._annotations.items()}
+            self.keep(None, NAME, {}, derive(NAME, annotations, LoadRules()))
+        return super().interval(kind, sequence, columns)
+
+
+def _as_read(tables, key, schema):
+    """A table as its file would give it."""
+    table = tables[key]
+    if table.schema != schema or table.schema.metadata:
+        table = tables[key] = table.select(schema.names).cast(schema).replace_schema_metadata(None)
+    return table
 
 
 def _load_each(folder, world, store):
