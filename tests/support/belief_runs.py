@@ -9,14 +9,14 @@ from jrdb_avr.queries.runs import RunManifest, write_run_manifest
 from jrdb_avr.schema.method import Question, SequenceInfo
 
 ASKED = [
-    Question(f"{n:016x}", "yard-1_0", "f", "t", f"Question {n}?", ("a", "b"), "multiple_choice") for n in range(12)
+    Question(f"{n:016x}", "yard-1_0", "f", "t", f"Question {n}?", ("a", "b"), "multiple_choice") for n in range(6)
 ]
 
 
 INFO = {"yard-1_0": SequenceInfo("yard-1_0", 15.0, 61, (0, 15, 30, 45))}
 
 
-def run(store, run_id, asked=ASKED, path=None, finish=True, turns=30, **options):
+def run(store, run_id, asked=ASKED, path=None, finish=True, turns=20, **options):
     """A run of the believer, in the store's graph or one of its own."""
     write_run_manifest(
         store, RunManifest(run_id, "believer", "m", "0" * 64, tuple(q.question_id for q in asked), True, {}, "")

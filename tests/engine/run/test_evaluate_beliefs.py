@@ -172,7 +172,7 @@ def test_a_resumed_run_brings_back_what_a_new_graph_lacks(store, live):
     assert jrdb_avr("load", "--rebuild", "--store", store.path).exit_code == 0
     assert dump(store.graph_path) == of_run(live, "two")
     with open_world(store.graph_path, "one", journals.world_rows("one", [])) as world:
-        Believer(world, 20).answer(Task(ASKED[4]))
+        Believer(world, 20).answer(Task(ASKED[5]))
     run(store, "one")
     assert dump(store.graph_path) == live
 
@@ -271,7 +271,7 @@ def test_killed_in_a_write_the_run_ends_as_if_it_had_not_been(template, live, tm
     store = Store(tmp_path / "fresh")
     run(store, "two", ASKED[3:4], path=store.graph_path)
     here = SUPPORT
-    for after in (20, 115):
+    for after in (20, 60):
         done = subprocess.run([sys.executable, "-c", KILLED, str(store.path), str(after)], cwd=here, check=False)
         assert done.returncode == -signal.SIGKILL
     assert (store.run_path("one") / "journal.jsonl").read_bytes().count(b"\n") >= 1
