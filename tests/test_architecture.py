@@ -58,9 +58,16 @@ def modules():
     return found
 
 
+@cache
+def parsed(path):
+    return ast.parse(path.read_text("utf-8"))
+
+
+@cache
 def imported(path):
     """Modules of this project that a module imports anywhere, also for type checking."""
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    found = set()
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: a relative import"
             if not (node.module or "").startswith("jrdb_avr."):
@@ -68,10 +75,11 @@ def imported(path):
             base = node.module.removeprefix("jrdb_avr.")
             for alias in node.names:
                 name = f"{base}.{alias.name}"
-                yield name if name in modules() else base
+                found.add(name if name in modules() else base)
         elif isinstance(node, ast.Import):
             names = [alias.name for alias in node.names if alias.name.startswith("jrdb_avr.")]
-            yield from (name.removeprefix("jrdb_avr.") for name in names)
+            found.update(name.removeprefix("jrdb_avr.") for name in names)
+    return found
 
 
 def room(module):
@@ -82,16 +90,16 @@ def room(module):
 @pytest.mark.parametrize("name", sorted(modules()))
 def test_imports_go_downwards(name):
     if name in PACKAGES:
-        assert not set(imported(modules()[name]))
+        assert not imported(modules()[name])
         return
     allowed = MAY_IMPORT[room(name)]
-    for other in set(imported(modules()[name])):
+    for other in imported(modules()[name]):
         ancestors = {other[:end] for end, char in enumerate(other + ".") if char == "."}
         assert room(other) == room(name) or ancestors & allowed, f"{name} imports {other}"
 
 
 def test_no_module_imports_itself_through_others():
-    graph = {name: set(imported(path)) - {name} for name, path in modules().items()}
+    graph = {name: imported(path) - {name} for name, path in modules().items()}
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
@@ -122,7 +130,7 @@ def test_a_public_name_means_one_thing(package):
 
 
 def public_names(path):
-    for node in ast.parse(path.read_text("utf-8")).body:
+    for node in parsed(path).body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             names = [node.name]
         elif isinstance(node, ast.Assign | ast.AnnAssign):
@@ -136,7 +144,7 @@ def public_names(path):
 def test_every_public_definition_says_what_it_is():
     """Modules, classes and functions with a public name have a docstring."""
     for name, path in modules().items():
-        tree = ast.parse(path.read_text("utf-8"))
+        tree = parsed(path)
         silent = [] if not tree.body or ast.get_docstring(tree) else [name]
         for node in tree.body:
             if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
