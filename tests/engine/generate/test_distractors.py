@@ -2,20 +2,24 @@
 
 import json
 
+import pytest
 from built_worlds import SEQUENCE, build
 from quick_store import quick_store
 from worlds import person
 
-from jrdb_avr.engine.generate.sequence import SequenceJob, search_sequence
+from jrdb_avr.engine.generate import sequence
 from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.templates import FORMS
 
 
 def kept(tmp_path, world, template):
     """The kept candidates of a template, by stated seconds."""
     store = quick_store(tmp_path, world)
-    found = search_sequence(SequenceJob(store.path, SEQUENCE, Rules(max_per_person=1000, near_duplicate_s=0.0)))
-    rows = found.pool.to_pylist()
-    return {tuple(t // 15 for t in row["times"]): row for row in rows if row["template"] == template}
+    job = sequence.SequenceJob(store.path, SEQUENCE, Rules(max_per_person=1000, near_duplicate_s=0.0))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sequence, "FORMS", {template: FORMS[template]})
+        found = sequence.search_sequence(job)
+    return {tuple(t // 15 for t in row["times"]): row for row in found.pool.to_pylist()}
 
 
 def told(row):

@@ -87,6 +87,7 @@ def test_lively_and_sociable_worlds_give_exactly_the_proven_candidates_of_every_
     assert min(sociable[chain] for chain in CHAINED | FORMS) >= 8, sociable
 
 
+@pytest.mark.slow
 def test_a_sample_gives_exactly_the_proven_candidates(tmp_path):
     list(write(plan(tmp_path / "root", [(165, 7)], 0, "none"), 1))
     store = Store(tmp_path / "store")

@@ -216,7 +216,7 @@ def killed_once(launcher, store, server, counted, method, rng):
 
 
 def test_react_killed_and_resumed(launcher, asked_world, tmp_path):
-    kill_and_resume(launcher, asked_world, tmp_path, "react", react, 2, 1)
+    kill_and_resume(launcher, asked_world, tmp_path, "react", react, 1, 1)
 
 
 def test_agent_killed_and_resumed(launcher, asked_world, tmp_path):

@@ -3,18 +3,20 @@
 import itertools
 import json
 import os
+import queue
 import subprocess
 import sys
-import time
+import threading
 
 import pyarrow as pa
 import pytest
+import warm
 from asked_world import FRAMES, POSES, QUESTIONS_ASKED
 from click.testing import CliRunner
-from fake_server import FakeServer, Slow, images, sound, texts
+from fake_server import FakeServer, images, sound, texts
 from painted_world import SEQUENCE
 
-from jrdb_avr.engine.commands.evaluate import command
+from jrdb_avr.engine.commands import evaluate
 from jrdb_avr.engine.report.scoring import read_truth, score_run
 from jrdb_avr.engine.run import answering
 from jrdb_avr.engine.run import journal as journals
@@ -117,12 +119,10 @@ def test_lines_count_as_they_come_and_the_last_of_a_question_counts(judged):
 
 
 def test_four_numbers_come_back_and_the_process_goes(judged):
-    told = []
-    with report_scores(judged, "r", told.append):
-        deadline = time.monotonic() + 30
-        while not told and time.monotonic() < deadline:
-            time.sleep(0.02)
-    assert told == [final(judged)]
+    reported = queue.SimpleQueue()
+    with report_scores(judged, "r", reported.put):
+        assert reported.get(timeout=120) == final(judged)
+    assert reported.empty()
     children = subprocess.run(["ps", "-o", "args=", "--ppid", str(os.getpid())], capture_output=True, text=True)
     assert "running" not in children.stdout
 
@@ -147,27 +147,42 @@ def test_without_answers_nothing_is_said(judged, lost):
 
 
 def test_without_answers_the_process_ends_in_silence(store):
-    done = subprocess.run([*PROGRAM, str(store.path), "r"], stdin=subprocess.PIPE, capture_output=True, timeout=30)
+    program = "from jrdb_avr.engine.run.live_scores import print_scores; print_scores()"
+    done = warm.run(warm.script, program, store.path, "r")
     assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
 
 
-def test_a_run_tells_its_scores_when_asked(store):
+def test_a_run_tells_its_scores_when_asked(store, monkeypatch):
     """Without a terminal only if asked, and the model is told nothing of them."""
     write_answers(store)
-    asked = QUESTIONS_ASKED[1]
+    first, second = QUESTIONS_ASKED[1], QUESTIONS_ASKED[3]
+    noted, scored = [], threading.Event()
+
+    def note(text):
+        noted.append(text)
+        if text == "so far: answer 100.0 %, evidence 0.0 %, combined 0.0 % of 1":
+            scored.set()
+
+    monkeypatch.setattr(evaluate, "note", note)
+    monkeypatch.setattr(evaluate, "LOG_EVERY_S", 0.0)
 
     def script(request, n):
+        if second.question in texts(request):
+            # The second question is not answered before the score of the first is printed.
+            assert scored.wait(120)
         if not images(request):
-            turn = {"action": "observe", "frame_id": f"{asked_frame(asked):06d}", "angle_deg": 350}
-            return Slow(wait if QUESTIONS_ASKED[3].question in texts(request) else 0.0, json.dumps(turn))
-        box = [{"frame_id": f"{asked_frame(asked):06d}", "bbox": [1, 2, 3, 4]}]
-        return json.dumps({"action": "answer", "answer": shown_at(asked_frame(asked)), "evidence_bboxes": box})
+            return json.dumps({"action": "observe", "frame_id": f"{asked_frame(first):06d}", "angle_deg": 350})
+        box = [{"frame_id": f"{asked_frame(first):06d}", "bbox": [1, 2, 3, 4]}]
+        return json.dumps({"action": "answer", "answer": shown_at(asked_frame(first)), "evidence_bboxes": box})
 
     base = ["--store", str(store.path), "--method", "react", "--model", "m", "--concurrency", "2", "--questions"]
-    picked = f"{asked.question_id},{QUESTIONS_ASKED[3].question_id}"
-    for wait, options in ((0.0, ("--run-id", "a")), (9.0, ("--run-id", "b", "--scores"))):
+    for picked, options in (
+        ([first], ("--run-id", "a")),
+        ([first, second], ("--run-id", "b", "--scores")),
+    ):
+        ids = ",".join(question.question_id for question in picked)
         with FakeServer(sound(script)) as server:
-            result = CliRunner().invoke(command, [*base, picked, "--base-url", server.url, *options])
+            result = CliRunner().invoke(evaluate.command, [*base, ids, "--base-url", server.url, *options])
             assert result.exception is None, result.output
-            assert ("so far: answer 100.0 %, evidence 0.0 %, combined 0.0 % of 1" in result.stderr) == (wait > 0)
             assert not any("combined" in texts(request) for request in server.requests)
+        assert any(text.startswith("so far: ") for text in noted) == scored.is_set() == ("--scores" in options)

@@ -1,6 +1,7 @@
 """Questions of a small sample world can be answered by looking: one who sees perfectly scores 100 %.
 
-Some of every template are tried, and all with `-m slow`. The whole sample is put to the same test, through its panoramas, by `tests/benchmarks/solvability.py`.
+Some of every template are tried, and all with `-m slow`. The whole sample is put to the same test, through its
+panoramas, by `tests/benchmarks/solvability.py`.
 """
 
 import dataclasses
