@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.loaders.labelfiles.columns import LayerTables, constant
+from jrdb_avr.loaders.labelfiles.columns import LayerTables, annotation_table, constant
 from jrdb_avr.loaders.layers.boxes_2d import load_2d
 from jrdb_avr.loaders.layers.boxes_3d import heading_check, load_3d
 from jrdb_avr.loaders.layers.calibration import load_calibration
@@ -32,7 +32,7 @@ from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import ANNOTATIONS, LAYERS
 
-READERS: Final[dict[str, Callable[[Path, str, Problems], LayerTables]]] = {
+READERS: Final[dict[str, Callable[[Path, Problems], LayerTables]]] = {
     "2d": load_2d,
     "3d": load_3d,
     "social": load_social,
@@ -86,7 +86,7 @@ def annotate(files: SequenceFiles) -> Annotated:
         path = Path(files.labels[layer])
         problems.append(Problems(path.name, layer))
         try:
-            reading = _read(layer, path, files.sequence, readings, problems[-1])
+            reading = _read(layer, path, readings, problems[-1]).of(files.sequence)
         except InputError as error:
             # Problems counted in its frames and records no longer matter: none of them was loaded.
             problems[-1] = Problems(path.name, layer)
@@ -102,12 +102,12 @@ def annotate(files: SequenceFiles) -> Annotated:
     return _together(files, readings, problems, shifts)
 
 
-def _read(layer: str, path: Path, sequence: str, readings: dict[str, LayerTables], problems: Problems) -> LayerTables:
+def _read(layer: str, path: Path, readings: dict[str, LayerTables], problems: Problems) -> LayerTables:
     if layer != "reasoning":
-        return READERS[layer](path, sequence, problems)
+        return READERS[layer](path, problems)
     social = readings.get("social")
     served = social is not None and any(len(social.frames[fact][0]) for fact in SOCIAL_FACTS if fact in social.frames)
-    return load_reasoning(path, sequence, problems, social=not served)
+    return load_reasoning(path, problems, social=not served)
 
 
 def _check(layer: str, reading: LayerTables, readings: dict[str, LayerTables]) -> ShiftCheck | None:
@@ -166,15 +166,8 @@ def _once(files: SequenceFiles, problems: list[Problems]) -> list[Problems]:
 
 def _frames_table(sequence: str, frames: dict[str, tuple[Ints, Ints]]) -> pa.Table:
     parts = [
-        pa.table(
-            {
-                "sequence": constant(sequence, len(frames[layer][0])),
-                "layer": constant(layer, len(frames[layer][0])),
-                "frame": frames[layer][0],
-                "records": frames[layer][1],
-            }
-        ).cast(ANNOTATIONS["frames"])
-        for layer in LAYERS
-        if layer in frames
+        pa.table({"layer": constant(layer, len(known)), "frame": known, "records": records})
+        for layer, (known, records) in sorted(frames.items(), key=lambda found: LAYERS.index(found[0]))
     ]
-    return pa.concat_tables(parts) if parts else ANNOTATIONS["frames"].empty_table()
+    whole = pa.concat_tables(parts) if parts else ANNOTATIONS["frames"].remove(0).empty_table()
+    return annotation_table("frames", sequence, whole)

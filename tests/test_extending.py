@@ -39,16 +39,15 @@ import pyarrow as pa
 
 from jrdb_avr.loaders.labelfiles.columns import LayerTables
 from jrdb_avr.loaders.problems import Problems
-from jrdb_avr.schema.tables import ANNOTATIONS
 
 
-def load_toys(path: Path, sequence: str, problems: Problems) -> LayerTables:
+def load_toys(path: Path, problems: Problems) -> LayerTables:
     """Read the toys that people hold, {frame: [track, ...]}."""
     held = msgspec.json.decode(path.read_bytes(), type=dict[int, list[int]])
-    rows = [{"sequence": sequence, "frame": frame, "track": track} for frame in held for track in held[frame]]
+    rows = [{"frame": frame, "track": track} for frame in held for track in held[frame]]
     frames = np.array(sorted(held), np.int64)
     counts = np.array([len(held[frame]) for frame in frames], np.int64)
-    return LayerTables({"toys": pa.Table.from_pylist(rows, ANNOTATIONS["toys"])}, {"toys": (frames, counts)})
+    return LayerTables({"toys": pa.Table.from_pylist(rows)}, {"toys": (frames, counts)})
 '''
 
 PROGRAM = """

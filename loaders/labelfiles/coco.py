@@ -76,6 +76,8 @@ class CocoFile(NamedTuple):
     """The raw lists of a file."""
 
     name: str
+    sequence: str
+    """As the file's name has it."""
     sections: dict[str, memoryview]
 
     def has_list(self, section: str) -> bool:
@@ -88,7 +90,8 @@ def open_coco(path: Path, problems: Problems) -> CocoFile:
     or is no JSON on the outside."""
     name, data = path.name, read_file(path)
     try:
-        file = CocoFile(name, _strict_sections(data) or scanned_sections(data, _Sections.__struct_fields__, problems))
+        sections = _strict_sections(data) or scanned_sections(data, _Sections.__struct_fields__, problems)
+        file = CocoFile(name, path.stem, sections)
     except MalformedError as error:
         raise InputError(f"{name}: not JSON: {error}", file=name) from None
     for section in ("images", "annotations"):
@@ -172,8 +175,8 @@ class Images:
         return np.where(self.ids[place] == image_id, self.frame[place], -1)
 
 
-def read_images(file: CocoFile, sequence: str, problems: Problems) -> Images:
-    """The images of the file that are frames of `sequence`; what else is listed is refused. Raises InputError."""
+def read_images(file: CocoFile, problems: Problems) -> Images:
+    """The images of the file that are frames of its sequence; what else is listed is refused. Raises InputError."""
     listed: list[tuple[Image, int | None]] = []
 
     def refuse(image: Image, reason: str, field: str) -> None:
@@ -183,7 +186,7 @@ def read_images(file: CocoFile, sequence: str, problems: Problems) -> Images:
     for images in read_list(file, "images", _IMAGES, problems):
         for image in images:
             try:
-                listed.append((image, _frame_of(image.file_name, sequence)))
+                listed.append((image, _frame_of(image.file_name, file.sequence)))
             except ValueError as error:
                 listed.append((image, None))
                 refuse(image, str(error), "file_name")
@@ -300,10 +303,9 @@ def read_categories(file: CocoFile, problems: Problems) -> tuple[Categories, Cou
     return kept, Counter(("categories", normal_category(raw)) for raw, name in kept.values() if name is None)
 
 
-def categories_table(sequence: str, categories: Categories) -> pa.Table:
-    """The annotation table `categories`, by number."""
-    rows = [
-        {"sequence": sequence, "category_id": number, "category": name, "raw": raw}
-        for number, (raw, name) in categories.items()
-    ]
-    return pa.Table.from_pylist(rows, ANNOTATIONS["categories"])
+def categories_table(categories: Categories) -> pa.Table:
+    """The columns of the annotation table `categories`, by number."""
+    usual, raw = [name for _, name in categories.values()], [raw for raw, _ in categories.values()]
+    types = {name: ANNOTATIONS["categories"].field(name).type for name in ("category_id", "category", "raw")}
+    columns = zip(types.items(), (list(categories), usual, raw), strict=True)
+    return pa.table({name: pa.array(values, kind) for (name, kind), values in columns})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -14,10 +14,14 @@ import pyarrow as pa
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.errors import InputError
+from jrdb_avr.schema.tables import ANNOTATIONS
 
 PAIR_BITS: Final = 31
 MAX_DISTINCT: Final = 100_000
 """The most different values of one field in a file: labels repeat from frame to frame, and ids are a few hundred."""
+
+Columns = dict[str, npt.NDArray[Any]]
+"""Columns of records by name."""
 
 
 def paired(high: Ints, low: Ints) -> Ints:
@@ -56,14 +60,16 @@ def constant(value: str, n: int) -> pa.Array:
     return pa.DictionaryArray.from_arrays(np.zeros(n, np.int32), pa.array([value], pa.string()))
 
 
-def encoded(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """A table under a schema; texts that are numbered (dictionaries) stay so.
+def annotation_table(name: str, sequence: str, table: pa.Table) -> pa.Table:
+    """An annotation table of a sequence, of all its columns but the name of the sequence; texts that are numbered
+    (dictionaries) stay so.
 
     Few of them differ, and written out they would be most of the memory of a load.
     """
+    table = table.add_column(0, "sequence", constant(sequence, len(table)))
     fields = [
-        schema.field(name).with_type(column.type) if pa.types.is_dictionary(column.type) else schema.field(name)
-        for name, column in zip(table.column_names, table.columns, strict=True)
+        field.with_type(column.type) if pa.types.is_dictionary(column.type) else field
+        for field, column in zip(ANNOTATIONS[name], table.columns, strict=True)
     ]
     return table.cast(pa.schema(fields))
 
@@ -94,10 +100,8 @@ def numbered(codes: Distinct, values: Iterable[Any], n: int) -> Ints:
 class Refusals:
     """Counts what is refused of records that came in file order, naming the frame of the first."""
 
-    def __init__(self, frame: Ints, suffix: str, problems: Problems) -> None:
-        self._frame = frame
-        self._suffix = suffix
-        self._problems = problems
+    def __init__(self, frame: Ints, problems: Problems, suffix: str = "jpg") -> None:
+        self._frame, self._problems, self._suffix = frame, problems, suffix
 
     def count(
         self, where: Bools, kind: str, reason: str, field: str, value: Callable[[int], object] = lambda row: ""
@@ -119,7 +123,7 @@ class LayerTables:
     """What the loader of one layer makes of one sequence's file."""
 
     tables: dict[str, pa.Table]
-    """Annotation tables by name."""
+    """Annotation tables by name, without the column of the sequence's name."""
     frames: dict[str, tuple[Ints, Ints]]
     """Per layer of the `frames` table: its frames, ascending, and the records in each."""
     unknown: Counter[tuple[str, str]] = field(default_factory=Counter)
@@ -127,6 +131,10 @@ class LayerTables:
     boxes: pa.Table | None = None
     """Columns frame, track, x, y, w, h: the file's own 2D boxes, where they are not its facts. They tell whether its
     frame numbers agree with those of the 2D layer."""
+
+    def of(self, sequence: str) -> LayerTables:
+        """The same with whole annotation tables, those of a sequence."""
+        return replace(self, tables={name: annotation_table(name, sequence, t) for name, t in self.tables.items()})
 
 
 def mask_of(rows: Ints, n: int) -> Bools:

@@ -7,7 +7,7 @@ A person's labels repeat from frame to frame as the same bytes. So a column of r
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from operator import itemgetter
@@ -18,11 +18,10 @@ import pyarrow as pa
 
 from jrdb_avr.loaders.labelfiles import records
 from jrdb_avr.loaders.labelfiles.columns import (
+    Columns,
     Distinct,
     Refusals,
-    constant,
     distinct_of,
-    encoded,
     first_of_equal,
     known_frames,
     mask_of,
@@ -69,18 +68,18 @@ class KeptRecords(NamedTuple):
 
 
 def keep_people(
-    frame: Ints,
-    labels: Sequence[str],
-    code: Ints,
-    faults: Sequence[tuple[Bools, str]],
-    box: Callable[[int], object],
+    columns: Columns,
+    codes: Mapping[str, Distinct],
     refusals: Refusals,
+    faults: Sequence[tuple[Bools, str]] = (),
+    box: Callable[[int], object] = lambda row: "",
 ) -> KeptRecords:
-    """Choose the records to keep, and count the others. `labels[code]` is a record's label id.
+    """Choose the records to keep by their columns `frame` and `label_id`, and count the others.
 
-    `faults` are boxes that cannot be used and why, a record counting for the first of its faults only; `box` shows the
+    `faults` are boxes that cannot be used and why, a record counting for the first of its faults only; `box` gives the
     box of a record.
     """
+    frame, labels, code = columns["frame"], list(codes["label_id"]), columns["label_id"]
     track = np.array([_track_or_code(label) for label in labels], np.int64)[code]
     other, refused = track == _OTHER, track == _BAD
     for wrong, reason in ((other, "label_id is not of a tracked person"), (refused, "label_id is not pedestrian:N")):
@@ -237,14 +236,9 @@ def count_issues(codes: Ints, issues: dict[int, list[Issue]], refusals: Refusals
 
 
 def facts_table(
-    layer: str,
-    sequence: str,
-    people: KeptRecords,
-    facts: ColumnFacts,
-    names: tuple[str, ...],
-    ends: dict[str, Ints] | None = None,
+    layer: str, people: KeptRecords, facts: ColumnFacts, names: tuple[str, ...], ends: dict[str, Ints] | None = None
 ) -> pa.Table:
-    """The annotation table of a layer, sorted by person, then by `ends` (numbers per fact), then by value.
+    """The columns of a layer's annotation table, sorted by person, then by `ends` (numbers per fact), then by value.
 
     `names` are the columns that the value tuples fill. Texts are numbered (dictionaries).
     """
@@ -255,18 +249,16 @@ def facts_table(
     rank = np.empty(len(ascending), np.int64)
     rank[ascending] = np.arange(len(ascending))
     order = _order((facts.row, *(ends or {}).values(), rank[facts.code]))
-    schema = ANNOTATIONS[layer]
-    columns: dict[str, Any] = {"sequence": constant(sequence, len(order))}
-    columns |= {name: column[order] for name, column in rows.items()}
+    columns: dict[str, Any] = {name: column[order] for name, column in rows.items()}
     taken = pa.array(facts.code[order])
     for i, name in enumerate(names):
-        column = pa.array([value[i] for value in facts.values], schema.field(name).type)
+        column = pa.array([value[i] for value in facts.values], ANNOTATIONS[layer].field(name).type)
         if pa.types.is_string(column.type):
             column = column.dictionary_encode()
             columns[name] = pa.DictionaryArray.from_arrays(column.indices.take(taken), column.dictionary)
         else:
             columns[name] = column.take(taken)
-    return encoded(pa.table(columns), schema)
+    return pa.table(columns)
 
 
 def _order(columns: tuple[Ints, ...]) -> Ints:

@@ -22,9 +22,8 @@ from typing import Annotated, Any, Final, Generic, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 
-from jrdb_avr.loaders.labelfiles.columns import Distinct, numbered
+from jrdb_avr.loaders.labelfiles.columns import Columns, Distinct, numbered
 from jrdb_avr.loaders.labelfiles.json import BROKEN, MalformedError, elements, keys_exceed, members, strict_members
 from jrdb_avr.loaders.labelfiles.records import TWICE, Rules, read_fields, record_parts
 from jrdb_avr.loaders.problems import Problems, shorten
@@ -49,7 +48,6 @@ _CLOSING: Final = re.compile(rb"\}[ \t\r\n]*\Z")
 _FRAMES: Final = msgspec.json.Decoder(dict[Annotated[str, msgspec.Meta(pattern=r"^[0-9]{6}\.")], msgspec.Raw])
 """Other keys than those of frames are left to the scanner: objects of many small members could fill the memory."""
 
-Columns = dict[str, npt.NDArray[Any]]
 _R = TypeVar("_R", bound=msgspec.Struct)
 Keys = tuple[str | tuple[str, ...], ...]
 

@@ -20,23 +20,14 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from jrdb_avr.loaders.labelfiles import records
-from jrdb_avr.loaders.labelfiles.columns import (
-    Distinct,
-    LayerTables,
-    Refusals,
-    constant,
-    encoded,
-    known_frames,
-    mask_of,
-)
+from jrdb_avr.loaders.labelfiles.columns import Columns, Distinct, LayerTables, Refusals, known_frames, mask_of
 from jrdb_avr.loaders.labelfiles.facts import ColumnFacts, Decoded, KeptRecords, expand, facts_table, keep_people
-from jrdb_avr.loaders.labelfiles.frames import Columns, RecordReader, gather, take_fields
+from jrdb_avr.loaders.labelfiles.frames import RecordReader, gather, take_fields
 from jrdb_avr.loaders.labelfiles.json import NOTHING
 from jrdb_avr.loaders.labelfiles.records import Rule, optional
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.labels import ACTIONS, IMPOSSIBLE, OCCLUSIONS, normal_action
-from jrdb_avr.schema.tables import ANNOTATIONS
 
 SUFFIXES: Final = ("jpg", "jpeg", "png")
 
@@ -83,21 +74,15 @@ _READER: Final = RecordReader(
 _CODED: Final = ("label_id", "attributes", "file_id", "action_label", "social_group", "social_activity")
 
 
-def load_2d(path: Path, sequence: str, problems: Problems) -> LayerTables:
+def load_2d(path: Path, problems: Problems) -> LayerTables:
     """Read a stitched 2D label file. Raises InputError if the file as a whole cannot be used."""
     codes: dict[str, Distinct] = defaultdict(Distinct)
     columns, _, complete = gather(path, SUFFIXES, _READER, lambda found: take_people(found, _CODED, codes), problems)
     box = columns["box"]
-    people = keep_people(
-        columns["frame"],
-        list(codes["label_id"]),
-        columns["label_id"],
-        box_faults(box),
-        lambda row: box[row].tolist(),
-        Refusals(columns["frame"], "jpg", problems),
-    )
+    refusals = Refusals(columns["frame"], problems)
+    people = keep_people(columns, codes, refusals, box_faults(box), lambda row: box[row].tolist())
     # Rows are sorted by person from here on; the first example of a problem is then the first by frame.
-    refusals = Refusals(people.frame, "jpg", problems)
+    refusals = Refusals(people.frame, problems)
     columns = {name: column[people.row] for name, column in columns.items()}
 
     def expanded(field: str, decode: Callable[[bytes, Decoded], None]) -> ColumnFacts:
@@ -110,10 +95,10 @@ def load_2d(path: Path, sequence: str, problems: Problems) -> LayerTables:
     whole = np.array(sorted(set(complete) - people.partial), np.int64)
     return LayerTables(
         {
-            "boxes_2d": _box_table(columns, codes, people, sequence, labelled & actions.whole, refusals),
-            "actions": facts_table("actions", sequence, people, actions, ("action", "raw", "difficulty")),
-            "groups": facts_table("groups", sequence, people, groups, ("cluster", "difficulty")),
-            "social_activities": facts_table("social_activities", sequence, people, activities, ("activity", "value")),
+            "boxes_2d": _box_table(columns, codes, people, labelled & actions.whole, refusals),
+            "actions": facts_table("actions", people, actions, ("action", "raw", "difficulty")),
+            "groups": facts_table("groups", people, groups, ("cluster", "difficulty")),
+            "social_activities": facts_table("social_activities", people, activities, ("activity", "value")),
         },
         {
             "2d": known_frames(whole, people.frame),
@@ -140,12 +125,7 @@ def box_faults(box: npt.NDArray[np.float64]) -> list[tuple[Bools, str]]:
 
 
 def _box_table(
-    columns: Columns,
-    codes: dict[str, Distinct],
-    people: KeptRecords,
-    sequence: str,
-    listed: Bools,
-    refusals: Refusals,
+    columns: Columns, codes: dict[str, Distinct], people: KeptRecords, listed: Bools, refusals: Refusals
 ) -> pa.Table:
     box, code = columns["box"], columns["attributes"]
     known = [item or Attributes2D() for item in codes["attributes"]]
@@ -153,9 +133,8 @@ def _box_table(
     def attribute(name: str, read: Callable[[Any], Any] | None, kind: pa.DataType) -> pa.Array:
         return _taken([getattr(item, name) for item in known], code, kind, read, f"attributes.{name}", refusals)
 
-    table = pa.table(
+    return pa.table(
         {
-            "sequence": constant(sequence, len(box)),
             "frame": people.frame,
             "track": people.track,
             **{name: box[:, i] for i, name in enumerate("xywh")},
@@ -168,7 +147,6 @@ def _box_table(
             "file_id": _taken(list(codes["file_id"]), columns["file_id"], pa.string(), records.text),
         }
     )
-    return encoded(table, ANNOTATIONS["boxes_2d"])
 
 
 def _taken(

@@ -19,23 +19,21 @@ import pyarrow as pa
 from jrdb_avr.loaders.intervals.people import read_located, rows_of, wrap
 from jrdb_avr.loaders.labelfiles import records
 from jrdb_avr.loaders.labelfiles.columns import (
+    Columns,
     Distinct,
     LayerTables,
     Refusals,
-    constant,
-    encoded,
     known_frames,
     nullable,
     numbered,
     paired,
 )
 from jrdb_avr.loaders.labelfiles.facts import keep_people
-from jrdb_avr.loaders.labelfiles.frames import Columns, RecordReader, gather
+from jrdb_avr.loaders.labelfiles.frames import RecordReader, gather
 from jrdb_avr.loaders.labelfiles.records import Rule, optional
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.loaders.report import Heading
 from jrdb_avr.schema.rules import FPS, frames
-from jrdb_avr.schema.tables import ANNOTATIONS
 
 NUMBERS: Final = ("cx", "cy", "cz", "l", "w", "h", "rot_z")
 MOVING_MPS: Final = 0.5
@@ -78,7 +76,7 @@ _READER: Final = RecordReader(
 )
 
 
-def load_3d(path: Path, sequence: str, problems: Problems) -> LayerTables:
+def load_3d(path: Path, problems: Problems) -> LayerTables:
     """Read a 3D label file. Raises InputError if the file as a whole cannot be used."""
     codes: dict[str, Distinct] = defaultdict(Distinct)
     columns, listed, _ = gather(path, ("pcd", "pcb"), _READER, lambda found: _take(found, codes), problems)
@@ -87,16 +85,12 @@ def load_3d(path: Path, sequence: str, problems: Problems) -> LayerTables:
         (np.asarray(~(np.abs(numbers) <= records.MAX_METRE).all(axis=1)), "box: not finite or kilometres away"),
         (np.asarray(~(numbers[:, 3:6] > 0).all(axis=1)), "box: length, width or height is not positive"),
     ]
+    refusals = Refusals(columns["frame"], problems, "pcd")
     people = keep_people(
-        columns["frame"],
-        list(codes["label_id"]),
-        columns["label_id"],
-        faults,
-        lambda row: dict(zip(NUMBERS, numbers[row].tolist(), strict=True)),
-        Refusals(columns["frame"], "pcd", problems),
+        columns, codes, refusals, faults, lambda row: dict(zip(NUMBERS, numbers[row].tolist(), strict=True))
     )
     columns = {name: column[people.row] for name, column in columns.items()}
-    refusals = Refusals(people.frame, "pcd", problems)
+    refusals = Refusals(people.frame, problems, "pcd")
     distance, points = columns["distance"], columns["points"]
     far = ~np.isnan(distance) & ~((distance >= 0) & (distance <= records.MAX_METRE))
     refusals.count(far, "field", "number out of range", "attributes.distance", lambda row: float(distance[row]))
@@ -106,7 +100,6 @@ def load_3d(path: Path, sequence: str, problems: Problems) -> LayerTables:
     interpolated, no_eval = (pa.array(values, pa.bool_()).take(pa.array(columns["flags"])) for values in flags)
     table = pa.table(
         {
-            "sequence": constant(sequence, len(people.row)),
             "frame": people.frame,
             "track": people.track,
             **{name: columns["numbers"][:, i] for i, name in enumerate(NUMBERS)},
@@ -117,7 +110,7 @@ def load_3d(path: Path, sequence: str, problems: Problems) -> LayerTables:
         }
     )
     known = known_frames(np.array(sorted(listed), np.int64), people.frame)
-    return LayerTables({"boxes_3d": encoded(table, ANNOTATIONS["boxes_3d"])}, {"3d": known})
+    return LayerTables({"boxes_3d": table}, {"3d": known})
 
 
 def _take(found: list[Record3D], codes: dict[str, Distinct]) -> Columns:

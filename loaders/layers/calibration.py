@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pyarrow as pa
 import yaml
 
 from jrdb_avr.loaders.labelfiles import records
-from jrdb_avr.loaders.labelfiles.columns import LayerTables, constant
+from jrdb_avr.loaders.labelfiles.columns import LayerTables
 from jrdb_avr.loaders.labelfiles.frames import read_file
 from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.loaders.report import Cameras
@@ -35,21 +35,16 @@ _NUMBER: Final = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[
 _Row = tuple[str, int | None, int | None, float, float, float, float]
 
 
-def load_calibration(path: Path, sequence: str, problems: Problems) -> LayerTables:
-    """The cameras of a root, for one sequence. Raises InputError if the file as a whole cannot be used."""
+def load_calibration(path: Path, problems: Problems) -> LayerTables:
+    """The cameras of a root. Raises InputError if the file as a whole cannot be used."""
     rows: list[_Row] = []
     for name, node in _cameras(path, problems).items():
         try:
             rows.append(_camera(name, node, problems))
         except ValueError as error:
             problems.add("record", str(error), frame=name, field="K")
-    columns: list[tuple[Any, ...]] = list(zip(*sorted(rows), strict=True)) or [()] * 7
-    names = ANNOTATIONS["calibration"].names[1:]
-    values = {
-        name: pa.array(column, ANNOTATIONS["calibration"].field(name).type)
-        for name, column in zip(names, columns, strict=True)
-    }
-    table = pa.table({"sequence": constant(sequence, len(rows)), **values}).cast(ANNOTATIONS["calibration"])
+    schema = ANNOTATIONS["calibration"].remove(0)
+    table = pa.Table.from_pylist([dict(zip(schema.names, row, strict=True)) for row in sorted(rows)], schema)
     return LayerTables({"calibration": table}, {})
 
 

@@ -33,12 +33,11 @@ from jrdb_avr.loaders.labelfiles.coco import (
     read_images,
     read_list,
 )
-from jrdb_avr.loaders.labelfiles.columns import LayerTables, Refusals, constant, known_frames, mask_of, nullable
+from jrdb_avr.loaders.labelfiles.columns import LayerTables, Refusals, known_frames, mask_of, nullable
 from jrdb_avr.loaders.labelfiles.json import ABSENT, BROKEN, NOTHING, first_members, parse
 from jrdb_avr.loaders.labelfiles.records import Rule, optional
 from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.schema.arrays import Ints
-from jrdb_avr.schema.tables import ANNOTATIONS
 
 MAX_SEGMENTATION: Final = 1 << 20
 """The most bytes of a mask that is kept; a mask of every second pixel of the panorama takes about as much."""
@@ -90,10 +89,10 @@ _READER: Final = annotation_reader(
 )
 
 
-def load_panoptic(path: Path, sequence: str, problems: Problems) -> LayerTables:
+def load_panoptic(path: Path, problems: Problems) -> LayerTables:
     """Read a panoptic file. Raises InputError if the file as a whole cannot be used."""
     file = open_coco(path, problems)
-    images = read_images(file, sequence, problems)
+    images = read_images(file, problems)
     categories, unknown = read_categories(file, problems)
     parts: dict[str, list[Any]] = defaultdict(list)
     for chunk in read_list(file, "annotations", _READER, problems):
@@ -102,7 +101,7 @@ def load_panoptic(path: Path, sequence: str, problems: Problems) -> LayerTables:
     texts = pa.concat_arrays(parts.pop("segmentation"))
     columns = {name: np.concatenate(parts.pop(name)) for name in list(parts)}
     frame, track, category = (columns[name] for name in ("frame", "object", "category_id"))
-    refusals = Refusals(frame, "jpg", problems)
+    refusals = Refusals(frame, problems)
     full = crowded(frame, refusals)
     # By frame, category and track, those without a track last and in the file's order.
     rows = np.flatnonzero(~full)
@@ -118,7 +117,6 @@ def load_panoptic(path: Path, sequence: str, problems: Problems) -> LayerTables:
     rows = rows[~same]
     table = pa.table(
         {
-            "sequence": constant(sequence, len(rows)),
             "frame": frame[rows],
             "object": nullable(track[rows], track[rows] == NO_TRACK, pa.int32()),
             "category_id": category[rows],
@@ -126,11 +124,9 @@ def load_panoptic(path: Path, sequence: str, problems: Problems) -> LayerTables:
             "area": _number_column(columns["area"][rows]),
             "segmentation": texts.take(pa.array(rows)),
         }
-    ).cast(ANNOTATIONS["panoptic"])
-    known = known_frames(np.setdiff1d(images.frame, frame[full]), frame[rows])
-    return LayerTables(
-        {"panoptic": table, "categories": categories_table(sequence, categories)}, {"panoptic": known}, unknown
     )
+    known = known_frames(np.setdiff1d(images.frame, frame[full]), frame[rows])
+    return LayerTables({"panoptic": table, "categories": categories_table(categories)}, {"panoptic": known}, unknown)
 
 
 def _number_column(values: npt.NDArray[Any]) -> pa.Array:
@@ -149,12 +145,10 @@ def _take(chunk: list[SegmentAnnotation], frame: Ints, problems: Problems) -> di
     """Columns of the annotations of a chunk that have a frame and a category; numbers are NaN where there is none."""
     category = np.fromiter(map(attrgetter("category_id"), chunk), np.int64, len(chunk))
     odd = (category < 0) | (category > MAX_CATEGORY)
-    Refusals(frame, "jpg", problems).count(
-        (frame >= 0) & odd, "record", "number out of range", "category_id", _item(category)
-    )
+    Refusals(frame, problems).count((frame >= 0) & odd, "record", "number out of range", "category_id", _item(category))
     rows = np.flatnonzero((frame >= 0) & ~odd)
     chunk = [chunk[row] for row in rows.tolist()]
-    refusals = Refusals(frame[rows], "jpg", problems)
+    refusals = Refusals(frame[rows], problems)
     return {
         "frame": frame[rows],
         "category_id": category[rows],

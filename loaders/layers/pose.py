@@ -31,7 +31,6 @@ from jrdb_avr.loaders.labelfiles.coco import (
 from jrdb_avr.loaders.labelfiles.columns import (
     LayerTables,
     Refusals,
-    constant,
     first_of_equal,
     known_frames,
     mask_of,
@@ -40,7 +39,6 @@ from jrdb_avr.loaders.labelfiles.columns import (
 from jrdb_avr.loaders.labelfiles.json import ABSENT, BROKEN, NOTHING, parse
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.arrays import Floats, Ints
-from jrdb_avr.schema.tables import ANNOTATIONS
 
 POINTS: Final = 17
 VALUES: Final = 3 * POINTS
@@ -63,10 +61,10 @@ _SEVENTEEN: Final = tuple[(float,) * VALUES]  # type: ignore[misc]
 _ROWS: Final = msgspec.json.Decoder(list[_SEVENTEEN])  # type: ignore[valid-type]
 
 
-def load_pose(path: Path, sequence: str, problems: Problems) -> LayerTables:
+def load_pose(path: Path, problems: Problems) -> LayerTables:
     """Read a pose file. Raises InputError if the file as a whole cannot be used."""
     file = open_coco(path, problems)
-    images = read_images(file, sequence, problems)
+    images = read_images(file, problems)
     parts: list[tuple[Ints, Ints, Floats]] = []
     for chunk in read_list(file, "annotations", _READER, problems):
         track = np.fromiter(map(attrgetter("track_id"), chunk), np.int64, len(chunk))
@@ -75,7 +73,7 @@ def load_pose(path: Path, sequence: str, problems: Problems) -> LayerTables:
         parts.append((frame[rows], track[rows], points))
     frame, track, values = (np.concatenate(part) for part in zip(*parts, strict=True))
     parts.clear()
-    refusals = Refusals(frame, "jpg", problems)
+    refusals = Refusals(frame, problems)
     full = crowded(frame, refusals)
     usable = np.flatnonzero(~full)
     order, first = first_of_equal(paired(frame[usable], track[usable]))
@@ -87,13 +85,12 @@ def load_pose(path: Path, sequence: str, problems: Problems) -> LayerTables:
     if not np.array_equal(rows, np.arange(len(frame))):
         frame, track, values = frame[rows], track[rows], values[rows]
     points = pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), VALUES)
-    columns = {"sequence": constant(sequence, len(frame)), "frame": frame, "track": track, "keypoints": points}
-    return LayerTables({"poses": pa.table(columns).cast(ANNOTATIONS["poses"])}, {"pose": known})
+    return LayerTables({"poses": pa.table({"frame": frame, "track": track, "keypoints": points})}, {"pose": known})
 
 
 def _usable(frame: Ints, track: Ints, raws: Sequence[msgspec.Raw], problems: Problems) -> tuple[Ints, Floats]:
     """The rows of a chunk whose every part can be used, and their values (n, 51)."""
-    refusals = Refusals(frame, "jpg", problems)
+    refusals = Refusals(frame, problems)
     person = (track >= 0) & (track <= records.MAX_TRACK)
     refusals.count((frame >= 0) & ~person, "record", "number out of range", "track_id", lambda row: int(track[row]))
     rows, values = _decoded(np.flatnonzero((frame >= 0) & person).tolist(), raws, refusals)

@@ -22,9 +22,8 @@ import msgspec
 import numpy as np
 
 from jrdb_avr.loaders.labelfiles import records
-from jrdb_avr.loaders.labelfiles.columns import Distinct, Refusals, mask_of, numbered, ragged
+from jrdb_avr.loaders.labelfiles.columns import Columns, Distinct, Refusals, mask_of, numbered, ragged
 from jrdb_avr.loaders.labelfiles.facts import ColumnFacts, Decoded, Issue, KeptRecords, check_size, count_issues, expand
-from jrdb_avr.loaders.labelfiles.frames import Columns
 from jrdb_avr.loaders.labelfiles.json import ABSENT, NOTHING, MalformedError, elements, parse
 from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.schema.arrays import Bools, Ints
@@ -170,7 +169,7 @@ def read_lists(
     entry = start[people.row][person] + place
     pair = columns[f"{kind.layer}.pair"][entry]
     ends, issues = _read_pairs(list(codes[f"{kind.layer}.pair"]), kind)
-    refusals = Refusals(people.frame[person], "jpg", problems)
+    refusals = Refusals(people.frame[person], problems)
     count_issues(pair, issues, refusals)
     good = ~mask_of(np.array(list(issues), np.int64), len(ends))[pair]
     if len(kind.ends) == 1:
@@ -183,7 +182,7 @@ def read_lists(
         columns[f"{kind.layer}.labels"][entry],
         codes[f"{kind.layer}.labels"],
         kind.decode,
-        Refusals(people.frame[person], "jpg", problems),
+        Refusals(people.frame[person], problems),
         [("inter_labels is missing", kind.key, "")],
     )
     refused[person[~facts.whole]] = True

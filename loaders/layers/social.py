@@ -21,9 +21,9 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.loaders.labelfiles.columns import Distinct, LayerTables, Refusals, constant, encoded, mask_of
+from jrdb_avr.loaders.labelfiles.columns import Columns, Distinct, LayerTables, Refusals, constant, mask_of
 from jrdb_avr.loaders.labelfiles.facts import Decoded, KeptRecords, expand, facts_table, keep_people
-from jrdb_avr.loaders.labelfiles.frames import Columns, RecordReader, gather
+from jrdb_avr.loaders.labelfiles.frames import RecordReader, gather
 from jrdb_avr.loaders.labelfiles.json import NOTHING, parse
 from jrdb_avr.loaders.labelfiles.records import TWICE
 from jrdb_avr.loaders.layers.boxes_2d import PERSON, SUFFIXES, box_faults, take_people
@@ -41,7 +41,6 @@ from jrdb_avr.loaders.layers.relation_lists import (
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.labels import DEMOGRAPHICS, GROUP_INFO, INTERACTIONS, VALUES, normal_interaction, normal_values
-from jrdb_avr.schema.tables import ANNOTATIONS
 from jrdb_avr.schema.things import VERBS, normal_verb
 
 INTERACTING: Final = RelationKind(
@@ -70,31 +69,26 @@ class SocialRecord(msgspec.Struct, gc=False):
     handles: list[ThingEntry] | None = msgspec.field(default=None, name="HOI")
 
 
-def load_social(path: Path, sequence: str, problems: Problems) -> LayerTables:
+def load_social(path: Path, problems: Problems) -> LayerTables:
     """Demographics, interactions and group information of a social file.
 
     A record without `H-interaction` (or `HHI`) leaves its interactions unknown; an empty list says that there are none.
     Raises InputError if the file as a whole cannot be used.
     """
-    return _load(path, sequence, problems, True, (INTERACTING,), False)
+    return _load(path, problems, True, (INTERACTING,), False)
 
 
-def load_reasoning(path: Path, sequence: str, problems: Problems, social: bool) -> LayerTables:
+def load_reasoning(path: Path, problems: Problems, social: bool) -> LayerTables:
     """What people do with things; with `social` also demographics, interactions and group information.
 
     A record without `HOI` or `HHI` (or `H-interaction`) has no such relation: in these files a missing list is an empty
     one. Raises InputError if the file as a whole cannot be used.
     """
-    return _load(path, sequence, problems, social, (INTERACTING, HANDLING) if social else (HANDLING,), True)
+    return _load(path, problems, social, (INTERACTING, HANDLING) if social else (HANDLING,), True)
 
 
 def _load(
-    path: Path,
-    sequence: str,
-    problems: Problems,
-    attributes: bool,
-    kinds: tuple[RelationKind, ...],
-    absent_is_empty: bool,
+    path: Path, problems: Problems, attributes: bool, kinds: tuple[RelationKind, ...], absent_is_empty: bool
 ) -> LayerTables:
     """The tables of attributes and of kinds of relations, `listed`, and the file's own boxes.
 
@@ -111,37 +105,33 @@ def _load(
         return columns
 
     columns = gather(path, SUFFIXES, _READER, take, problems).columns
-    everybody = Refusals(columns["frame"], "jpg", problems)
-    people = keep_people(columns["frame"], list(codes["label_id"]), columns["label_id"], (), lambda row: "", everybody)
-    refusals = Refusals(people.frame, "jpg", problems)
+    people = keep_people(columns, codes, Refusals(columns["frame"], problems))
+    refusals = Refusals(people.frame, problems)
     tables: dict[str, pa.Table] = {}
     frames = {}
     unknown: Counter[tuple[str, str]] = Counter()
     for layer, name, keys in layers:
         decode = _AttributeDecoder(name, keys)
         facts = expand(columns[name][people.row], codes[name], decode, refusals)
-        tables[layer] = facts_table(layer, sequence, people, facts, ("attribute", "value", "raw", "difficulty"))
+        tables[layer] = facts_table(layer, people, facts, ("attribute", "value", "raw", "difficulty"))
         frames[layer] = people.frames_of(facts.row)
         unknown += facts.tally(decode.unknown)
     listed = []
     for kind in kinds:
         found = read_lists(columns, kind, codes, people, problems)
-        tables[kind.layer] = facts_table(
-            kind.layer, sequence, people, found.facts, (kind.label, "raw", "difficulty"), found.ends
-        )
+        names = (kind.label, "raw", "difficulty")
+        tables[kind.layer] = facts_table(kind.layer, people, found.facts, names, found.ends)
         whole = ~found.refused if absent_is_empty else found.there & ~found.refused
-        listed.append(_listed_table(whole, kind, sequence, people))
+        listed.append(_listed_table(whole, kind, people))
         frames[kind.layer] = people.frames_of(np.flatnonzero(whole | mask_of(found.facts.row, len(people.row))))
         unknown += found.facts.tally(kind.unknown)
     tables["listed"] = pa.concat_tables(listed)
     return LayerTables(tables, frames, unknown, _boxes(columns["box"][people.row], people, refusals))
 
 
-def _listed_table(whole: Bools, kind: RelationKind, sequence: str, people: KeptRecords) -> pa.Table:
-    n = int(whole.sum())
-    columns = {"sequence": constant(sequence, n), "layer": constant(kind.layer, n)}
-    columns |= {"frame": pa.array(people.frame[whole]), "track": pa.array(people.track[whole])}
-    return encoded(pa.table(columns), ANNOTATIONS["listed"])
+def _listed_table(whole: Bools, kind: RelationKind, people: KeptRecords) -> pa.Table:
+    columns = {"frame": people.frame[whole], "track": people.track[whole]}
+    return pa.table({"layer": constant(kind.layer, int(whole.sum())), **columns})
 
 
 def _boxes(box: Any, people: KeptRecords, refusals: Refusals) -> pa.Table:

@@ -18,13 +18,12 @@ import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.loaders.labelfiles import records
-from jrdb_avr.loaders.labelfiles.columns import LayerTables, constant
+from jrdb_avr.loaders.labelfiles.columns import LayerTables
 from jrdb_avr.loaders.labelfiles.frames import read_file
 from jrdb_avr.loaders.labelfiles.json import MalformedError, Members, elements, first_members, members, parse
 from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.tables import ANNOTATIONS
 
 _MAX_ENTRIES: Final = 100_000
 _MAX_BYTES: Final = 32 << 20
@@ -59,7 +58,7 @@ class Stamp(NamedTuple):
     seconds: float
 
 
-def load_timestamps(folder: Path, sequence: str, problems: Problems) -> LayerTables:
+def load_timestamps(folder: Path, problems: Problems) -> LayerTables:
     """Read what there is of the two files; one that cannot be used does not cost the other.
 
     Raises InputError where the folder holds neither of them or neither can be used.
@@ -83,12 +82,11 @@ def load_timestamps(folder: Path, sequence: str, problems: Problems) -> LayerTab
     frame = np.array([stamp.frame for stamps in found.values() for stamp in stamps], np.int64)
     table = pa.table(
         {
-            "sequence": constant(sequence, len(names)),
             "sensor": pa.array(names, pa.string()),
             "frame": frame,
             "timestamp": pa.array([stamp.seconds for stamps in found.values() for stamp in stamps], pa.float64()),
         }
-    ).cast(ANNOTATIONS["timestamps"])
+    )
     known, records = np.unique(frame, return_counts=True)
     return LayerTables({"timestamps": table}, {"timestamps": (known, records)})
 

@@ -126,7 +126,7 @@ def load_file(folder, layer, data):
         path.write_bytes(data)
         reader = READERS.get(layer) or (lambda *arguments: load_reasoning(*arguments, social=True))
     try:
-        return reader(path, NAME, problems), problems
+        return reader(path, problems).of(NAME), problems
     except InputError as error:
         assert str(error) and "\n" not in str(error)
         return None, problems

@@ -36,9 +36,9 @@ def reading_of(folder, content):
     path = folder / f"{NAME}.json"
     path.write_bytes(content if isinstance(content, bytes) else json.dumps(content).encode())
     problems = Problems(path.name)
-    reading = load_panoptic(path, NAME, problems)
+    reading = load_panoptic(path, problems).of(NAME)
     for name, table in reading.tables.items():
-        assert table.schema == ANNOTATIONS[name]
+        assert table.cast(ANNOTATIONS[name]).schema == ANNOTATIONS[name]
     return reading, problems.listed()
 
 
@@ -416,7 +416,7 @@ def derived(folder, frames, handles=(), categories=None):
     """Interval tables of a panoptic file beside 2D boxes; `handles`: (frame, person, object, category)."""
     boxes = {"labels": {f"{f:06d}.jpg": [person(1, (100, 60, 50, 200))] for f in range(32)}}
     (folder / "2d.json").write_text(json.dumps(boxes))
-    flat = load_2d(folder / "2d.json", NAME, Problems("2d"))
+    flat = load_2d(folder / "2d.json", Problems("2d")).of(NAME)
     content = coco_file(frames, "panoptic")
     if categories:
         content["categories"] = [{"id": number, "name": name} for number, name in categories.items()]

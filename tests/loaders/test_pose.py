@@ -34,9 +34,9 @@ def read(folder, content):
     path = folder / f"{NAME}.json"
     path.write_bytes(content if isinstance(content, bytes) else json.dumps(content).encode())
     problems = Problems(path.name)
-    reading = load_pose(path, NAME, problems)
+    reading = load_pose(path, problems).of(NAME)
     table = reading.tables["poses"]
-    assert table.schema == ANNOTATIONS["poses"]
+    assert table.cast(ANNOTATIONS["poses"]).schema == ANNOTATIONS["poses"]
     rows = [((row["frame"], row["track"]), row["keypoints"]) for row in table.to_pylist()]
     assert rows == sorted(rows), "by frame and track"
     frames = dict(zip(*(column.tolist() for column in reading.frames["pose"]), strict=True))
@@ -372,9 +372,9 @@ def derived(folder, people, poses):
         "labels": {f"{f:06d}.jpg": [person(t, (100, 60, 50, 200)) for t in tracks] for f, tracks in people.items()}
     }
     (folder / "2d.json").write_text(json.dumps(boxes))
-    (folder / "pose.json").write_text(json.dumps(poses))
+    (folder / f"{NAME}.json").write_text(json.dumps(poses))
     readings = [
-        load(folder / f"{name}.json", NAME, Problems(name)) for name, load in (("2d", load_2d), ("pose", load_pose))
+        load(folder / f"{name}.json", Problems(name)).of(NAME) for name, load in (("2d", load_2d), (NAME, load_pose))
     ]
     frames = [
         {"sequence": NAME, "layer": layer, "frame": frame, "records": n}

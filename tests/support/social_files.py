@@ -22,7 +22,7 @@ def read(tmp_path, content, loader=load_social):
         content = json.dumps({"labels": {f"{frame:06d}.jpg": records for frame, records in content.items()}})
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     problems = Problems(path.name)
-    return loader(path, NAME, problems), problems.listed()
+    return loader(path, problems).of(NAME), problems.listed()
 
 
 def rows(reading, layer):
