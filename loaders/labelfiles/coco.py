@@ -34,7 +34,7 @@ from jrdb_avr.loaders.labelfiles.frames import (
     read_file,
     scanned_sections,
 )
-from jrdb_avr.loaders.labelfiles.json import BROKEN, NOTHING, MalformedError, elements, strict_members
+from jrdb_avr.loaders.labelfiles.json import BROKEN, NOTHING, MalformedError, elements
 from jrdb_avr.loaders.labelfiles.records import Rule
 from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.schema.arrays import Bools, Ints
@@ -70,6 +70,7 @@ class _Sections(msgspec.Struct, gc=False):
 
 
 _MAPPING: Final = msgspec.json.Decoder(dict[str, msgspec.Raw])
+_MEMBER: Final = re.compile(rb'_[{,]_"([^"\\]*)"_:_'.replace(b"_", rb"[ \t\r\n]*"))
 
 
 class CocoFile(NamedTuple):
@@ -101,14 +102,24 @@ def open_coco(path: Path, problems: Problems) -> CocoFile:
 
 
 def _strict_sections(data: bytes) -> dict[str, memoryview] | None:
-    """The lists of a file; None where it is not strict JSON or repeats a key."""
+    """The lists of a file; None where it is not strict JSON or repeats a key, so that decoding loses a member."""
     try:
         sections = msgspec.json.decode(data, type=_Sections)
     except BROKEN:
         return None
     inside = sum(len(memoryview(getattr(sections, name))) for name in _Sections.__struct_fields__)
-    found = strict_members(memoryview(data), _MAPPING) if len(data) - inside < MAX_OUTSIDE else None
-    return None if found is None else {key: memoryview(data)[begin:end] for key, (begin, end) in found.items()}
+    if len(data) - inside >= MAX_OUTSIDE:
+        return None
+    text, end = memoryview(data), 0
+    found: dict[str, memoryview] = {}
+    for key, raw in _MAPPING.decode(data).items():
+        mark, value = _MEMBER.match(text, end), bytes(raw)
+        if mark is None or mark[1] != key.encode() or bytes(text[mark.end() : mark.end() + len(value)]) != value:
+            return None
+        end = mark.end() + len(value)
+        found[key] = text[mark.end() : end]
+    # After the last member there is only the closing bracket, unless a member is lost.
+    return found if not found or bytes(text[end : end + 100]).strip() == b"}" else None
 
 
 def read_list(file: CocoFile, section: str, reader: RecordReader[_R], problems: Problems) -> Iterator[list[_R]]:
@@ -125,7 +136,8 @@ def read_list(file: CocoFile, section: str, reader: RecordReader[_R], problems: 
             listed += len(batch)
             if listed > MAX_LISTED:
                 raise InputError(f"{file.name}: more than {MAX_LISTED:,} {section}", file=file.name)
-            frame = Frame(-1, "", b"[" + b",".join(batch) + b"]")
+            text = b"[" + b",".join(batch) + b"]"
+            frame = Frame(-1, "", text, reader.decode_quickly(text))
             for _, found, _ in reader.read([frame], problems):
                 yield found
     except MalformedError as error:

@@ -15,16 +15,16 @@ import os
 import re
 import stat
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from itertools import chain, repeat
+from itertools import chain, islice, pairwise, repeat
 from operator import attrgetter, is_not
 from pathlib import Path
-from typing import Annotated, Any, Final, Generic, NamedTuple, TypeVar
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
 
 from jrdb_avr.loaders.labelfiles.columns import Columns, Distinct, numbered
-from jrdb_avr.loaders.labelfiles.json import BROKEN, MalformedError, elements, keys_exceed, members, strict_members
+from jrdb_avr.loaders.labelfiles.json import BROKEN, MalformedError, elements, keys_exceed, members
 from jrdb_avr.loaders.labelfiles.records import TWICE, Rules, read_fields, record_parts
 from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.schema.errors import InputError
@@ -43,10 +43,10 @@ BATCH_BYTES: Final = 1 << 19
 MAX_KEYS: Final = 1000
 """Members of the outermost object."""
 
-_OPENING: Final = re.compile(rb'[ \t\r\n]*\{[ \t\r\n]*"labels"[ \t\r\n]*:[ \t\r\n]*')
-_CLOSING: Final = re.compile(rb"\}[ \t\r\n]*\Z")
-_FRAMES: Final = msgspec.json.Decoder(dict[Annotated[str, msgspec.Meta(pattern=r"^[0-9]{6}\.")], msgspec.Raw])
-"""Other keys than those of frames are left to the scanner: objects of many small members could fill the memory."""
+_BLANK: Final = b" \t\r\n"
+_OPENING: Final = re.compile(rb'_\{_"labels"_:_\{_"[0-9]{6}(\.[a-z]{3,4})"_:_'.replace(b"_", rb"[ \t\r\n]*"))
+_CLOSING: Final = re.compile(rb"\}[ \t\r\n]*\}[ \t\r\n]*\Z")
+_VALUE: Final = msgspec.json.Decoder(msgspec.Raw)
 
 _R = TypeVar("_R", bound=msgspec.Struct)
 Keys = tuple[str | tuple[str, ...], ...]
@@ -59,6 +59,8 @@ class Frame(NamedTuple):
     key: str
     raw: bytes
     """Its value."""
+    records: list[Any] | None
+    """The value decoded, where it is a list of records that all decode; repeated keys may be lost."""
 
 
 def _nothing_more(parts: dict[str, bytes], place: str, problems: Problems) -> dict[str, Any]:
@@ -95,7 +97,7 @@ class RecordReader(Generic[_R]):
 
     def read(self, frames: Sequence[Frame], problems: Problems) -> Iterator[tuple[Frame, list[_R], bool]]:
         """Frames that are lists, the usable records of each, and whether every record of it is usable."""
-        decoded = [self._decode(frame.raw, MAX_RECORDS) for frame in frames]
+        decoded = [frame.records if len(frame.records or ()) <= MAX_RECORDS else None for frame in frames]
         # Looking for repeated keys in few long texts takes half the time of looking in many short ones.
         clean = [(frame.raw, records) for frame, records in zip(frames, decoded, strict=True) if records is not None]
         all_plain = self._plain(list(chain.from_iterable(item[1] for item in clean)), b",".join(i[0] for i in clean))
@@ -107,16 +109,16 @@ class RecordReader(Generic[_R]):
 
     def decode(self, raw: bytes, most: int) -> list[_R] | None:
         """All records of a list, where decoding loses nothing and they are no more than `most`."""
-        records = self._decode(raw, most)
-        return records if records is not None and self._plain(records, raw) else None
+        records = self.decode_quickly(raw)
+        return records if records is not None and len(records) <= most and self._plain(records, raw) else None
 
-    def _decode(self, raw: bytes, most: int) -> list[_R] | None:
-        """As `decode`; repeated keys may be lost."""
+    def decode_quickly(self, raw: bytes) -> list[_R] | None:
+        """All records of a list, where they decode; repeated keys may be lost."""
         try:
             records: list[_R] = self._frame.decode(raw)
         except BROKEN:
             return None
-        return records if len(records) <= most else None
+        return records
 
     def _plain(self, records: list[_R], text: bytes) -> bool:
         """Whether no key is repeated, none being written with escapes, so that decoding lost nothing."""
@@ -204,7 +206,9 @@ def read_file(path: Path) -> bytes:
     return data.removeprefix(codecs.BOM_UTF8)
 
 
-def read_frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> Iterator[Frame]:
+def read_frames(
+    path: Path, suffixes: tuple[str, ...], reader: RecordReader[Any], problems: Problems
+) -> Iterator[Frame]:
     """The frames of a label file; the first of equal keys.
 
     Raises InputError, naming the file, if the file cannot be read as a whole. That may happen after frames were
@@ -213,7 +217,7 @@ def read_frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> It
     key_form = re.compile(r"([0-9]{6})\.(?:" + "|".join(suffixes) + ")")
     seen: set[int] = set()
     with _named_errors(path.name):
-        for key, raw in _frame_texts(path, problems):
+        for key, raw, records in _frame_texts(path, reader, problems):
             match = key_form.fullmatch(key)
             if match is None:
                 problems.add("frame", "frame key is not six digits and " + "/".join(suffixes), frame=shorten(key))
@@ -223,29 +227,74 @@ def read_frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> It
                 problems.add("frame", f"frame larger than {_MAX_FRAME >> 20} MB", frame=key)
             else:
                 seen.add(int(match[1]))
-                yield Frame(int(match[1]), key, bytes(raw))
+                yield Frame(int(match[1]), key, raw, records)
 
 
-def _frame_texts(path: Path, problems: Problems) -> Iterator[tuple[str, bytes | memoryview]]:
-    """Keys and raw values of frames, in the order of the file, repeated keys included."""
+def _frame_texts(
+    path: Path, reader: RecordReader[Any], problems: Problems
+) -> Iterator[tuple[str, bytes, list[Any] | None]]:
+    """Keys, raw values and decoded records of frames, in the order of the file, repeated keys included."""
+
+    def decoded(raw: bytes) -> list[Any] | None:
+        return reader.decode_quickly(raw) if len(raw) <= _MAX_FRAME else None
+
+    found = 0
+    for key, raw in _usual_frames(path):
+        records = decoded(raw)
+        if records is None and not _is_json(raw):
+            break
+        yield key, raw, records
+        found += 1
+    else:
+        if found:
+            return
+    # The frames found until here are those that the scanner finds first.
+    labels = scanned_sections(read_file(path), ("labels",), problems).get("labels")
+    if labels is None:
+        raise InputError(f'{path.name}: there is no object "labels"', file=path.name)
+    if bytes(labels[:1]) != b"{":
+        raise InputError(f'{path.name}: "labels" is not an object', file=path.name)
+    for key, value in islice(members(labels), found, None):
+        yield key, bytes(value), decoded(bytes(value))
+
+
+def _usual_frames(path: Path) -> Iterator[tuple[str, bytes]]:
+    """Keys and raw values of a file that is laid out as usual: of frames only, under keys with one suffix.
+
+    A quote before six digits begins a key, at whatever depth. So where each value is one whole JSON value and a comma
+    follows, the text has no other reading; any other text ends in a value that is none.
+    """
     data = read_file(path)
     opening, closing = _OPENING.match(data), _CLOSING.search(data, max(0, len(data) - 100))
-    spans = strict_members(memoryview(data)[opening.end() : closing.start()], _FRAMES) if opening and closing else None
-    if opening is None or spans is None:
-        labels = scanned_sections(data, ("labels",), problems).get("labels")
-        if labels is None:
-            raise InputError(f'{path.name}: there is no object "labels"', file=path.name)
-        if bytes(labels[:1]) != b"{":
-            raise InputError(f'{path.name}: "labels" is not an object', file=path.name)
-        yield from members(labels)
+    if opening is None or closing is None:
         return
-    start = opening.end() + path.stat().st_size - len(data)
+    # A search that begins with a literal is many times as fast.
+    suffix = re.escape(opening[1])
+    keys = re.compile(suffix + rb'(?<="[0-9]{6}' + suffix + rb')"[ \t\r\n]*:[ \t\r\n]*').finditer(data, opening.end())
+    starts = [(opening.start(1), opening.end()), *((key.start(), key.end()) for key in keys)]
+    width = len(opening[1])
+    names = [data[start - 6 : start + width].decode() for start, _ in starts]
+    ends = [(begin, start - 7) for (_, begin), (start, _) in pairwise(starts)] + [(starts[-1][1], closing.start())]
+    skipped = path.stat().st_size - len(data)
     # The columns grow while the frames are read: by now the whole text need not be in memory.
     del data, opening, closing
     with path.open("rb") as file:
-        for key, (begin, end) in spans.items():
-            file.seek(start + begin)
-            yield key, file.read(end - begin)
+        for place, (name, (begin, end)) in enumerate(zip(names, ends, strict=True), 1):
+            file.seek(skipped + begin)
+            raw = file.read(max(0, end - begin)).rstrip(_BLANK)
+            if place < len(names):
+                # Without its comma a value is broken.
+                raw = raw[:-1].rstrip(_BLANK) if raw.endswith(b",") else b""
+            yield name, raw
+
+
+def _is_json(value: bytes) -> bool:
+    """Whether a text is one whole JSON value."""
+    try:
+        _VALUE.decode(value)
+    except BROKEN:
+        return False
+    return True
 
 
 def scanned_sections(data: bytes, wanted: Sequence[str], problems: Problems) -> dict[str, memoryview]:
@@ -287,7 +336,7 @@ def gather(
     complete: list[int] = []
     parts: list[Columns] = []
     size = 0
-    for batch in byte_batches(read_frames(path, suffixes, problems), lambda frame: len(frame.raw)):
+    for batch in byte_batches(read_frames(path, suffixes, reader, problems), lambda frame: len(frame.raw)):
         read = list(reader.read(batch, problems))
         known += [frame.number for frame, _, _ in read]
         complete += [frame.number for frame, _, whole in read if whole]

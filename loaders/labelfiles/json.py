@@ -1,9 +1,9 @@
-"""JSON texts cut into raw parts: by msgspec where a text is strict JSON without repeated keys, else by a scanner.
+"""JSON texts that strict decoding refuses or loses parts of, cut into raw parts by a scanner.
 
-Strict decoding keeps the last of repeated keys and refuses a file for one bare NaN. So a strict result is only taken
-where it covers its whole text; any other text (repeated keys, a NaN, a file cut short) is cut by the scanner, which
-checks the structure it walks over and not the scalars inside. Each part is then judged alone. The scanner's memory does
-not depend on the number of members.
+Strict decoding keeps the last of repeated keys and refuses a file for one bare NaN. So its result is only taken where
+it covers the whole text; any other text (repeated keys, a NaN, a file cut short) is cut by the scanner, which checks
+the structure it walks over and not the scalars inside. Each part is then judged alone. The scanner's memory does not
+depend on the number of members.
 """
 
 from __future__ import annotations
@@ -29,37 +29,14 @@ NOTHING: Final = msgspec.Raw(b"")
 
 _BLANK: Final = rb"[ \t\r\n]*"
 _STRING: Final = rb'"[^"\\]*(?:\\.[^"\\]*)*"'
-_MEMBER: Final = re.compile(_BLANK + rb"[{,]" + _BLANK + rb'"([^"\\]*)"' + _BLANK + rb":" + _BLANK)
 _MARK: Final = re.compile(_BLANK + rb"(.?)" + _BLANK, re.DOTALL)
 _KEY: Final = re.compile(rb"(" + _STRING + rb")" + _BLANK + rb":" + _BLANK, re.DOTALL)
 _SCALAR: Final = re.compile(_STRING + rb'|[^,\[\]{}\s"]+', re.DOTALL)
 _TOKEN: Final = re.compile(_STRING + rb'|["\[\]{}]', re.DOTALL)
 
-Spans = dict[str, tuple[int, int]]
-
 
 class MalformedError(ValueError):
     """The text is not JSON in structure: most often it ends too early."""
-
-
-def strict_members(text: memoryview, decoder: msgspec.json.Decoder[dict[str, msgspec.Raw]]) -> Spans | None:
-    """Start and end of each value of an object by key; None where decoding fails or loses a member."""
-    try:
-        found = decoder.decode(text)
-    except BROKEN:
-        return None
-    spans, end = {}, 0
-    for key, raw in found.items():
-        mark = _MEMBER.match(text, end)
-        if mark is None or mark[1] != key.encode():
-            return None
-        value = bytes(raw)
-        begin, end = mark.end(), mark.end() + len(value)
-        if bytes(text[begin:end]) != value:
-            return None
-        spans[key] = begin, end
-    # After the last member there is only the closing bracket, unless a member is lost.
-    return spans if not found or bytes(text[end : end + 100]).strip() == b"}" else None
 
 
 def members(text: bytes | memoryview) -> Iterator[tuple[str, memoryview]]:

@@ -49,6 +49,13 @@ class ThingEntry(msgspec.Struct, gc=False):
     inter_labels: msgspec.Raw
 
 
+class UnreadEntry(msgspec.Struct, gc=False):
+    """An entry of a list that is only counted."""
+
+    pair: msgspec.Raw
+    inter_labels: msgspec.Raw
+
+
 @dataclass(frozen=True)
 class Unusable:
     """Stands for a pair that cannot be read."""

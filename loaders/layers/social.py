@@ -32,6 +32,7 @@ from jrdb_avr.loaders.layers.relation_lists import (
     Entry,
     RelationKind,
     ThingEntry,
+    UnreadEntry,
     person_of,
     read_lists,
     repaired_list,
@@ -57,16 +58,28 @@ ATTRIBUTES: Final = (("demographics", "demographics_info", DEMOGRAPHICS), ("grou
 _NO_BOX: Final = (math.nan,) * 4
 
 
-class SocialRecord(msgspec.Struct, gc=False):
+class Record(msgspec.Struct, gc=False):
     """One person in one frame."""
 
     label_id: str
     box: tuple[float, float, float, float]
+    handles: list[ThingEntry] | None = msgspec.field(default=None, name="HOI")
+
+
+class SocialRecord(Record, gc=False):
+    """A record of which everything is read."""
+
     demographics_info: msgspec.Raw = NOTHING
     group_info: msgspec.Raw = NOTHING
     interactions: list[Entry] | None = msgspec.field(default=None, name="H-interaction")
     hhi: list[Entry] | None = msgspec.field(default=None, name="HHI")
-    handles: list[ThingEntry] | None = msgspec.field(default=None, name="HOI")
+
+
+class HandlingRecord(Record, gc=False):
+    """A record of which only the things are read; decoding the rest would take half of the time."""
+
+    interactions: list[UnreadEntry] | None = msgspec.field(default=None, name="H-interaction")
+    hhi: list[UnreadEntry] | None = msgspec.field(default=None, name="HHI")
 
 
 def load_social(path: Path, problems: Problems) -> LayerTables:
@@ -75,7 +88,7 @@ def load_social(path: Path, problems: Problems) -> LayerTables:
     A record without `H-interaction` (or `HHI`) leaves its interactions unknown; an empty list says that there are none.
     Raises InputError if the file as a whole cannot be used.
     """
-    return _load(path, problems, True, (INTERACTING,), False)
+    return _load(path, problems, (INTERACTING,), False)
 
 
 def load_reasoning(path: Path, problems: Problems, social: bool) -> LayerTables:
@@ -84,27 +97,25 @@ def load_reasoning(path: Path, problems: Problems, social: bool) -> LayerTables:
     A record without `HOI` or `HHI` (or `H-interaction`) has no such relation: in these files a missing list is an empty
     one. Raises InputError if the file as a whole cannot be used.
     """
-    return _load(path, problems, social, (INTERACTING, HANDLING) if social else (HANDLING,), True)
+    return _load(path, problems, (INTERACTING, HANDLING) if social else (HANDLING,), True)
 
 
-def _load(
-    path: Path, problems: Problems, attributes: bool, kinds: tuple[RelationKind, ...], absent_is_empty: bool
-) -> LayerTables:
-    """The tables of attributes and of kinds of relations, `listed`, and the file's own boxes.
+def _load(path: Path, problems: Problems, kinds: tuple[RelationKind, ...], absent_is_empty: bool) -> LayerTables:
+    """The tables of kinds of relations and, beside interactions, of attributes; `listed`; and the file's own boxes.
 
     `absent_is_empty`: a record without a list has no relations, instead of unknown ones.
     """
-    layers = ATTRIBUTES if attributes else ()
+    reader, layers = (_SOCIAL, ATTRIBUTES) if INTERACTING in kinds else (_HANDLING, ())
     codes: dict[str, Distinct] = defaultdict(Distinct)
     coded = ("label_id", *(name for _, name, _ in layers))
 
-    def take(found: list[SocialRecord]) -> Columns:
+    def take(found: list[Any]) -> Columns:
         columns = take_people(found, coded, codes)
         for kind in kinds:
             columns |= take_lists(_lists(found, kind), kind, codes)
         return columns
 
-    columns = gather(path, SUFFIXES, _READER, take, problems).columns
+    columns = gather(path, SUFFIXES, reader, take, problems).columns
     people = keep_people(columns, codes, Refusals(columns["frame"], problems))
     refusals = Refusals(people.frame, problems)
     tables: dict[str, pa.Table] = {}
@@ -147,13 +158,13 @@ def _boxes(box: Any, people: KeptRecords, refusals: Refusals) -> pa.Table:
 # -- records -------------------------------------------------------------------------------------------------------
 
 
-def _lists(found: list[SocialRecord], kind: RelationKind) -> list[list[Any] | None]:
+def _lists(found: list[Any], kind: RelationKind) -> list[list[Any] | None]:
     if kind is HANDLING:
         return [record.handles for record in found]
     return [record.hhi if record.interactions is None else record.interactions for record in found]
 
 
-def _entry_keys(found: list[SocialRecord]) -> list[tuple[int, tuple[bytes, ...]]] | None:
+def _entry_keys(found: list[Any]) -> list[tuple[int, tuple[bytes, ...]]] | None:
     """The keys of entries, with their number; None where a list is too long or a record has one under both names."""
     if any(record.interactions is not None and record.hhi is not None for record in found):
         return None
@@ -173,13 +184,18 @@ def _repaired_lists(parts: dict[str, bytes], frame: str, problems: Problems) -> 
     return {"box": _NO_BOX} | {kind.layer: repaired_list(raw, kind, frame, problems) for kind, raw in raws}
 
 
-_READER: Final = RecordReader(
-    SocialRecord,
-    PERSON | {"box": PERSON["box"]._replace(costs="field")},
-    once=("label_id", "box", "demographics_info", "group_info", ("interactions", "hhi"), "handles"),
-    inner_keys=_entry_keys,
-    more=_repaired_lists,
-)
+def _reader(record: type[Any], *raws: str) -> RecordReader[Any]:
+    return RecordReader(
+        record,
+        PERSON | {"box": PERSON["box"]._replace(costs="field")},
+        once=("label_id", "box", *raws, ("interactions", "hhi"), "handles"),
+        inner_keys=_entry_keys,
+        more=_repaired_lists,
+    )
+
+
+_SOCIAL: Final = _reader(SocialRecord, "demographics_info", "group_info")
+_HANDLING: Final = _reader(HandlingRecord)
 
 
 # -- attributes ----------------------------------------------------------------------------------------------------

@@ -11,7 +11,8 @@ from quick_store import reported_store
 from social_files import BOX, NAME, read, reasons, record, rows
 from worlds import member, person, thing
 
-from jrdb_avr.loaders.layers.social import _READER, load_reasoning
+from jrdb_avr.loaders.labelfiles.frames import RecordReader
+from jrdb_avr.loaders.layers.social import load_reasoning
 
 whole = functools.partial(load_reasoning, social=True)
 things_alone = functools.partial(load_reasoning, social=False)
@@ -58,8 +59,10 @@ def test_beside_a_social_file_only_things_are_read(tmp_path):
 def test_clean_records_are_never_repaired(tmp_path, monkeypatch, loader, alias):
     """Entries of the list that is not read have the same keys as those of the one that is."""
     repaired = []
-    repair = _READER._repair
-    monkeypatch.setattr(_READER, "_repair", lambda raw, *rest: repaired.append(raw) or repair(raw, *rest))
+    repair = RecordReader._repair
+    monkeypatch.setattr(
+        RecordReader, "_repair", lambda own, raw, *rest: repaired.append(raw) or repair(own, raw, *rest)
+    )
     friends = [(2, {"hugging": "1"}), (3, {"moving together": "2"})]
     things = [((4, 17), {"holding": "1"})]
     people = [
