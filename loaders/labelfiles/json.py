@@ -119,11 +119,14 @@ class Members:
         return "{...}"
 
 
+_ANY: Final = json.JSONDecoder(object_pairs_hook=Members)
+
+
 def parse(raw: bytes | memoryview) -> Any:
     """Any JSON value, bare NaN and Infinity included; objects are `Members`. Raises ValueError."""
     try:
         # Text, not bytes: of bytes the decoder would guess an encoding, and take a NUL and a digit for a number.
-        return json.loads(str(raw, "utf-8"), object_pairs_hook=Members)
+        return _ANY.decode(str(raw, "utf-8"))
     except RecursionError:
         raise ValueError("nested too deeply") from None
     except ValueError:
