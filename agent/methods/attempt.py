@@ -8,9 +8,9 @@ of whole panoramas.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar, Final, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Final, NamedTuple, TypeVar
 
 import msgspec
 
@@ -20,10 +20,12 @@ from jrdb_avr.agent.model.conventions import CONTRACT, Convention
 from jrdb_avr.agent.model.messages import Message, Part, Picture, crop_metadata, transcript
 from jrdb_avr.agent.model.prompts import choice_lines, render
 from jrdb_avr.agent.model.reply import Reply
-from jrdb_avr.schema.answers import TIE, Answer, Evidence, encode_answer
+from jrdb_avr.schema.answers import TIE, Answer, Evidence
 from jrdb_avr.schema.errors import DecodeError, ObserveError
 from jrdb_avr.schema.method import Observation, Panorama, Prediction, Question, Step, StepKind, Task
-from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, angle_error, from_crop
+from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, angle_error, from_crop
+
+T = TypeVar("T")
 
 PANORAMAS: Final = 8
 """Panoramas in the context of the methods that cannot choose where to look."""
@@ -94,14 +96,6 @@ DUPLICATE_DEG: Final = 1.0
 """A look this near an earlier one of the same frame, or nearer, is refused."""
 
 
-def duplicate(made: Iterable[tuple[int, float]], frame: int, angle: float) -> str:
-    """Why a look would repeat one of those made, each a frame and an angle; "" where it would not."""
-    for other, seen in made:
-        if other == frame and float(angle_error(seen, angle)) <= DUPLICATE_DEG + TIE:
-            return f"within {DUPLICATE_DEG:g} degree of the earlier look at angle {seen:g}"
-    return ""
-
-
 def heading(question: Question) -> str:
     """The lines that open every task: question, mode, and the choices numbered from 1."""
     choices = choice_lines(question.choices)
@@ -154,24 +148,25 @@ class FixedContextMethod:
 class ImageFrame(NamedTuple):
     """The pictures that a box may refer to: their frames, size in pixels, and left column in the panorama."""
 
-    frames: frozenset[int]
+    frames: tuple[int, ...]
     width: int
     height: int
     left: int
 
+    def evidence(self, frame: int, box: Box) -> Evidence:
+        """A box in one of these pictures, in stitched pixels, x in [0, 3760)."""
+        x, y, w, h = from_crop(box, self.left)
+        return Evidence(frame, (x % WIDTH, y, w, h))
+
 
 def on_panoramas(panoramas: Sequence[Panorama]) -> ImageFrame:
     """A box lies in one of these panoramas."""
-    return ImageFrame(frozenset(panorama.frame_index for panorama in panoramas), WIDTH, HEIGHT, 0)
+    return ImageFrame(tuple(panorama.frame_index for panorama in panoramas), WIDTH, HEIGHT, 0)
 
 
 def on_crop(observation: Observation) -> ImageFrame:
     """A box lies in this crop."""
-    return ImageFrame(frozenset((observation.frame_index,)), CROP, CROP, observation.left)
-
-
-def _image_facts(image: ImageFrame) -> dict[str, Any]:
-    return {"frames": sorted(image.frames), "width": image.width, "height": image.height, "left": image.left}
+    return ImageFrame((observation.frame_index,), CROP, CROP, observation.left)
 
 
 @dataclass(frozen=True)
@@ -196,6 +191,8 @@ class Attempt:
     prompt_tokens: int = 0
     completion_tokens: int = 0
     raw: str = ""
+    made: list[tuple[int, float]] = field(default_factory=list)
+    """Frame and angle of each crop."""
 
     # -- calls and looks ----------------------------------------------------------------------------------------------
 
@@ -214,36 +211,45 @@ class Attempt:
         """One model call, its reply as one JSON object. Raises DecodeError."""
         return decode.reply_object(self.ask(messages, schema), self.convention)
 
+    def read_look(self, part: Mapping[str, Any]) -> tuple[int, float]:
+        """Frame and angle of a look that the model requests. Raises DecodeError, also for a frame that is not legal."""
+        frame, angle = decode.frame_id(part["frame_id"]), decode.angle(part["angle_deg"])
+        if frame not in self.task.sequence.frames:
+            raise DecodeError(f"frame_id {frame:06d} is none of the legal frames")
+        return frame, angle
+
+    def duplicate(self, frame: int, angle: float) -> str:
+        """Why a look would repeat an earlier one, "" where it would not; the transcript records that it is refused."""
+        for other, seen in self.made:
+            if other == frame and float(angle_error(seen, angle)) <= DUPLICATE_DEG + TIE:
+                reason = f"within {DUPLICATE_DEG:g} degree of the earlier look at angle {seen:g}"
+                request = self._request(frame_index=frame, angle_deg=angle)
+                self.record("observe", request, {"refused": reason}, time.perf_counter())
+                return reason
+        return ""
+
     def look(self, frame: int, angle: float) -> Observation:
         """A crop, counted as a look. Raises ObserveError."""
-        started = time.perf_counter()
-        request = self._request_of(frame, angle)
-        observation = self.task.observe(**request)
-        self.looks += 1
-        self.record("observe", request, crop_metadata(observation), started)
+        observation = self._observe(self.task.observe, crop_metadata, frame_index=frame, angle_deg=angle)
+        self.made.append((frame, observation.angle_deg))
         return observation
-
-    def refuse_look(self, frame: int, angle: float, reason: str) -> None:
-        """Record in the transcript a look that is not made."""
-        self.record("observe", self._request_of(frame, angle), {"refused": reason}, time.perf_counter())
-
-    def _request_of(self, frame: int, angle: float) -> dict[str, Any]:
-        return {"sequence": self.task.question.sequence, "frame_index": frame, "angle_deg": angle}
 
     def panoramas(self, n: int) -> tuple[Panorama, ...]:
         """The `n` panoramas of a fixed context, each counted as a look. Raises ObserveError."""
-        sequence = self.task.question.sequence
-        if not self.task.sequence.frames:
-            raise ObserveError(f"{sequence} has no panoramas: load a root that has its images")
-        panoramas = []
-        for frame in uniform_frames(self.task.sequence.frames, n):
-            request: dict[str, Any] = {"sequence": sequence, "frame_index": frame}
-            started = time.perf_counter()
-            panorama = self.task.panorama(**request)
-            self.looks += 1
-            self.record("observe", request, panorama_metadata(panorama), started)
-            panoramas.append(panorama)
-        return tuple(panoramas)
+        frames = uniform_frames(self.task.sequence.frames, n)
+        if not frames:
+            raise ObserveError(f"{self.task.question.sequence} has no panoramas: load a root that has its images")
+        return tuple(self._observe(self.task.panorama, panorama_metadata, frame_index=frame) for frame in frames)
+
+    def _observe(self, observe: Callable[..., T], describe: Callable[[T], dict[str, Any]], **place: float) -> T:
+        started, request = time.perf_counter(), self._request(**place)
+        seen = observe(**request)
+        self.looks += 1
+        self.record("observe", request, describe(seen), started)
+        return seen
+
+    def _request(self, **place: float) -> dict[str, Any]:
+        return {"sequence": self.task.question.sequence, **place}
 
     def record(self, kind: StepKind, request: object, response: object, started: float) -> None:
         """Append a step to the transcript; `started` is the `time.perf_counter` before it."""
@@ -268,7 +274,7 @@ class Attempt:
         """The `evidence_bboxes` part of a reply that is not final. Raises DecodeError."""
         started = time.perf_counter()
         evidence, facts = self._place(value, image)
-        self.record("solve", _image_facts(image), facts, started)
+        self.record("solve", image._asdict(), facts, started)
         return evidence
 
     def parse_final(self, reply: Mapping[str, Any], image: ImageFrame) -> ParsedReply:
@@ -279,28 +285,17 @@ class Attempt:
         unread = {"answer": None, "evidence_bboxes": None}
         parts = decode.only_keys({**unread, **reply}, unread, "the reply")
         started = time.perf_counter()
-        facts: dict[str, Any] = {"answer": None}
-        faults = []
-        answer: Answer | None = None
-        evidence: Evidence | None = None
-        try:
-            answer = self.read_answer(parts["answer"])
-            facts["answer"] = msgspec.Raw(encode_answer(answer).encode())
-        except DecodeError as error:
-            faults.append(str(error))
-        try:
-            evidence, place = self._place(parts["evidence_bboxes"], image)
-            facts |= place
-        except DecodeError as error:
-            faults.append(str(error))
-        self.record("solve", _image_facts(image), facts | {"faults": faults}, started)
-        return ParsedReply(answer, evidence, tuple(faults))
+        (answer, placed), faults = decode.read_each(
+            lambda: self.read_answer(parts["answer"]), lambda: self._place(parts["evidence_bboxes"], image)
+        )
+        evidence, place = placed or (None, {})
+        self.record("solve", image._asdict(), {"answer": answer, **place, "faults": faults}, started)
+        return ParsedReply(answer, evidence, faults)
 
     def _place(self, value: object, image: ImageFrame) -> tuple[Evidence, dict[str, Any]]:
-        """The one box in stitched pixels, x in [0, 3760), and its record in the transcript."""
+        """The one box in stitched pixels, and its record in the transcript."""
         seen = decode.read_evidence(value, image.frames, image.width, image.height, self.convention)
-        x, y, w, h = from_crop(seen.box, image.left)
-        evidence = Evidence(seen.frame, (x % WIDTH, y, w, h))
+        evidence = image.evidence(seen.frame, seen.box)
         return evidence, {"image_box": seen.box, "stitched_box": evidence.box, "box_key": seen.key}
 
     # -- the end ------------------------------------------------------------------------------------------------------

@@ -16,7 +16,6 @@ from jrdb_avr.agent.methods.attempt import (
     DUPLICATE_DEG,
     Attempt,
     ParsedReply,
-    duplicate,
     final_parts,
     heading,
     on_crop,
@@ -82,7 +81,6 @@ class _Episode:
     def __post_init__(self) -> None:
         question, sequence = self.task.question, self.task.sequence
         self.attempt = Attempt(self.task, self.method.chat, self.method.convention)
-        self.legal = frozenset(sequence.frames)
         text = mode_text(question.answer_mode, sequence.frame_count)
         self.system = render(
             "react_system",
@@ -127,15 +125,11 @@ class _Episode:
 
     def _observe(self, move: Mapping[str, Any]) -> None:
         decode.only_keys(move, ("action", "frame_id", "angle_deg"), "an observe turn")
-        frame, angle = decode.frame_id(move["frame_id"]), decode.angle(move["angle_deg"])
-        if frame not in self.legal:
-            raise DecodeError(f"frame_id {frame:06d} is none of the legal frames")
+        frame, angle = self.attempt.read_look(move)
         if len(self.looks) >= self.method.budget:
             raise DecodeError("no looks are left: answer now")
-        made = ((look.frame_index, look.angle_deg) for look, _ in self.looks)
-        if reason := duplicate(made, frame, angle):
+        if reason := self.attempt.duplicate(frame, angle):
             self.steps.append(f"look at frame {frame:06d}, angle {angle:g}: refused, {reason}")
-            self.attempt.refuse_look(frame, angle, reason)
             return
         observation = self.attempt.look(frame, angle)
         self.looks.append((observation, crop_picture(observation)))

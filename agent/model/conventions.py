@@ -86,7 +86,6 @@ class Convention:
 CONTRACT: Final = Convention("contract", {CONTRACT_KEY: "xyxy"})
 """The convention of a model without a declared one."""
 
-_THINK: Final = (("<think>", "</think>"),)
 _TEMPLATE_SWITCH: Final[Mapping[Thinking, Mapping[str, Any]]] = {
     "off": {"enable_thinking": False},
     "on": {"enable_thinking": True},
@@ -102,15 +101,10 @@ _GEMMA_4: Final = Convention(
     multiple=48,
     image_pixels=280 * 48 * 48,
 )
-_QWEN3_VL: Final = Convention("qwen3-vl", {CONTRACT_KEY: "xyxy", "bbox_2d": "xyxy"}, _THINK, thinks=False, multiple=32)
-_QWEN3_5: Final = Convention(
-    "qwen3.5",
-    {CONTRACT_KEY: "xyxy", "bbox_2d": "xyxy"},
-    _THINK,
-    thinks=True,
-    switch=_TEMPLATE_SWITCH,
-    multiple=32,
+_QWEN3_VL: Final = Convention(
+    "qwen3-vl", {CONTRACT_KEY: "xyxy", "bbox_2d": "xyxy"}, (("<think>", "</think>"),), thinks=False, multiple=32
 )
+_QWEN3_5: Final = replace(_QWEN3_VL, name="qwen3.5", thinks=True, switch=_TEMPLATE_SWITCH)
 # A model of its own, whose template always begins to think.
 _QWEN3_VL_THINKING: Final = replace(_QWEN3_VL, name="qwen3-vl-thinking", thinks=True)
 
@@ -120,16 +114,6 @@ _FAMILIES: Final = (
     (re.compile(r"qwen-?3-?vl"), _QWEN3_VL),
     (re.compile(r"qwen-?3[.-]5(?![0-9])"), _QWEN3_5),
 )
-
-BACKBONES: Final = {
-    "google/gemma-4-E2B-it": _GEMMA_4,
-    "google/gemma-4-E4B-it": _GEMMA_4,
-    "Qwen/Qwen3-VL-4B-Instruct": _QWEN3_VL,
-    "Qwen/Qwen3-VL-8B-Instruct": _QWEN3_VL,
-    "Qwen/Qwen3.5-4B": _QWEN3_5,
-    "Qwen/Qwen3.5-9B": _QWEN3_5,
-}
-"""The backbones that the conventions are declared for; their sisters of other sizes share them."""
 
 
 def convention_of(model: str) -> Convention:

@@ -12,14 +12,13 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 from jrdb_avr.agent.model.conventions import CONTRACT, CONTRACT_KEY, SCALE, TOLERANCE, Convention, Order, Reading
-from jrdb_avr.agent.model.conventions import convention_of as convention_of
 from jrdb_avr.agent.model.reply import Reply, spoken
-from jrdb_avr.schema.answers import Answer, AnswerMode, Choice, FrameAnswer, FrameViewpoint, Number, Span
+from jrdb_avr.schema.answers import ANSWER_TYPES, Answer, AnswerMode, Choice, Span
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import Box
 
@@ -75,15 +74,9 @@ def place_box(
 
 def full_sides(reading: Reading, convention: Convention, width: int, height: int) -> tuple[float, float]:
     """The numbers that stand for the right and the lower edge of an image of `width` x `height`."""
-    match reading.scale:
-        case "thousandths":
-            return SCALE, SCALE
-        case "unit":
-            return 1, 1
-        case "pixels":
-            return width, height
-        case "resized":
-            return convention.resized(width, height)
+    if reading.scale == "resized":
+        return convention.resized(width, height)
+    return {"thousandths": (SCALE, SCALE), "unit": (1, 1), "pixels": (width, height)}[reading.scale]
 
 
 def _numbers(value: object, reading: Reading, what: str) -> list[float]:
@@ -180,6 +173,18 @@ def _plain(text: str) -> str:
     return text[:40].encode("unicode_escape").decode()
 
 
+def read_each(*parts: Callable[[], Any]) -> tuple[tuple[Any, ...], tuple[str, ...]]:
+    """What each part of a reply is read as, None where it raises DecodeError, and the reasons of those."""
+    values, faults = [], []
+    for read in parts:
+        try:
+            values.append(read())
+        except DecodeError as error:
+            values.append(None)
+            faults.append(str(error))
+    return tuple(values), tuple(faults)
+
+
 # -- parts of the contract --------------------------------------------------------------------------------------------
 
 _FRAME_ID: Final = re.compile(r"[0-9]{6}")
@@ -211,34 +216,30 @@ def read_answer(value: object, mode: AnswerMode, n_choices: int, frame_count: in
 
     multiple_choice: an integer 1..n_choices; frames: six digits below `frame_count`; value: a string such as "12.5".
     """
+    if mode == "multiple_choice":
+        if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= n_choices:
+            raise DecodeError(f"answer must be the number of a choice, an integer from 1 to {n_choices}")
+        return Choice(value)
+    part = only_keys(value, _ANSWER_KEYS[mode], "answer")
+    answer = ANSWER_TYPES[mode](*(_answer_value(key, part[key], frame_count) for key in _ANSWER_KEYS[mode]))
+    if isinstance(answer, Span) and answer.end_frame < answer.start_frame:
+        raise DecodeError("answer.end_frame must not lie before answer.start_frame")
+    return answer
 
-    def frame(key: str, part: dict[str, Any]) -> int:
-        number = frame_id(part[key], f"answer.{key}")
-        if number >= frame_count:
-            raise DecodeError(f"answer.{key} must be below {frame_count:06d}")
-        return number
 
-    match mode:
-        case "multiple_choice":
-            if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= n_choices:
-                raise DecodeError(f"answer must be the number of a choice, an integer from 1 to {n_choices}")
-            return Choice(value)
-        case "frame":
-            return FrameAnswer(frame("frame_id", only_keys(value, ("frame_id",), "answer")))
-        case "span":
-            part = only_keys(value, ("start_frame", "end_frame"), "answer")
-            span = Span(frame("start_frame", part), frame("end_frame", part))
-            if span.end_frame < span.start_frame:
-                raise DecodeError("answer.end_frame must not lie before answer.start_frame")
-            return span
-        case "frame_viewpoint":
-            part = only_keys(value, ("frame_id", "angle_deg"), "answer")
-            return FrameViewpoint(frame("frame_id", part), angle(part["angle_deg"]))
-        case "number":
-            text = only_keys(value, ("value",), "answer")["value"]
-            if not (isinstance(text, str) and _DECIMAL.fullmatch(text)):
+def _answer_value(key: str, value: object, frame_count: int) -> Any:
+    """The value under a key of an answer: degrees, a decimal number, or a frame."""
+    match key:
+        case "angle_deg":
+            return angle(value)
+        case "value":
+            if not (isinstance(value, str) and _DECIMAL.fullmatch(value)):
                 raise DecodeError('answer.value must be a string with a decimal number, like "12.5"')
-            return Number(float(text))
+            return float(value)
+    frame = frame_id(value, f"answer.{key}")
+    if frame >= frame_count:
+        raise DecodeError(f"answer.{key} must be below {frame_count:06d}")
+    return frame
 
 
 @dataclass(frozen=True)
@@ -251,27 +252,21 @@ class ImageBox:
 
 
 def read_evidence(
-    value: object,
-    frames: Collection[int],
-    width: int,
-    height: int,
-    convention: Convention = CONTRACT,
-    what: str = "evidence_bboxes",
+    value: object, frames: Collection[int], width: int, height: int, convention: Convention = CONTRACT
 ) -> ImageBox:
     """The one box of `evidence_bboxes`, in pixels of an image of `width` x `height`. Raises DecodeError.
 
     Its frame must be one of `frames`. Corners outside by up to 2 % are clipped; reversed or empty boxes are refused.
     """
     if not isinstance(value, list) or len(value) != 1:
-        raise DecodeError(f"{what} must be a list of exactly one box")
-    entry = value[0]
-    key = box_key(entry, convention)
-    part = only_keys(entry, ("frame_id", key), f"{what}[0]")
-    frame = frame_id(part["frame_id"], f"{what}[0].frame_id")
+        raise DecodeError("evidence_bboxes must be a list of exactly one box")
+    what, key = "evidence_bboxes[0]", box_key(value[0], convention)
+    part = only_keys(value[0], ("frame_id", key), what)
+    frame = frame_id(part["frame_id"], f"{what}.frame_id")
     if frame not in frames:
         allowed = ", ".join(f"{f:06d}" for f in sorted(frames)[:8])
-        raise DecodeError(f"{what}[0].frame_id {frame:06d} is not a frame of the image at hand ({allowed})")
-    return ImageBox(frame, read_box(part[key], width, height, convention, key, f"{what}[0].{key}"), key)
+        raise DecodeError(f"{what}.frame_id {frame:06d} is not a frame of the image at hand ({allowed})")
+    return ImageBox(frame, read_box(part[key], width, height, convention, key, f"{what}.{key}"), key)
 
 
 # -- the contract as JSON Schema --------------------------------------------------------------------------------------
@@ -279,12 +274,8 @@ def read_evidence(
 
 def closed_object(properties: dict[str, Any]) -> dict[str, Any]:
     """The JSON Schema of an object with exactly these keys."""
-    return {
-        "type": "object",
-        "properties": properties,
-        "required": list(properties),
-        "additionalProperties": False,
-    }
+    names = list(properties)
+    return {"type": "object", "properties": properties, "required": names, "additionalProperties": False}
 
 
 FRAME_ID_SCHEMA: Final[dict[str, Any]] = {"type": "string", "pattern": "^[0-9]{6}$"}
@@ -297,18 +288,17 @@ EVIDENCE_SCHEMA: Final[dict[str, Any]] = {
 }
 
 
+_ANSWER_KEYS: Final[dict[AnswerMode, dict[str, Any]]] = {
+    "frame": {"frame_id": FRAME_ID_SCHEMA},
+    "span": {"start_frame": FRAME_ID_SCHEMA, "end_frame": FRAME_ID_SCHEMA},
+    "frame_viewpoint": {"frame_id": FRAME_ID_SCHEMA, "angle_deg": {"type": "number"}},
+    "number": {"value": {"type": "string", "pattern": r"^-?[0-9]+(\.[0-9]+)?$"}},
+}
+"""The keys of an answer that is an object, in the order of its type's fields."""
+
+
 def answer_schema(mode: AnswerMode, choices: Sequence[str]) -> dict[str, Any]:
     """The JSON Schema of `answer` in a mode."""
-    number = {"type": "number"}
-    decimal = {"type": "string", "pattern": r"^-?[0-9]+(\.[0-9]+)?$"}
-    match mode:
-        case "multiple_choice":
-            return {"type": "integer", "minimum": 1, "maximum": len(choices)}
-        case "frame":
-            return closed_object({"frame_id": FRAME_ID_SCHEMA})
-        case "span":
-            return closed_object({"start_frame": FRAME_ID_SCHEMA, "end_frame": FRAME_ID_SCHEMA})
-        case "frame_viewpoint":
-            return closed_object({"frame_id": FRAME_ID_SCHEMA, "angle_deg": number})
-        case "number":
-            return closed_object({"value": decimal})
+    if mode == "multiple_choice":
+        return {"type": "integer", "minimum": 1, "maximum": len(choices)}
+    return closed_object(_ANSWER_KEYS[mode])

@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Final
 
-import msgspec
-
 from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.decode import BOX_SCHEMA, box_key, read_box
@@ -16,10 +14,9 @@ from jrdb_avr.agent.model.messages import Message
 from jrdb_avr.agent.model.reply import Reply, spoken
 from jrdb_avr.agent.reference.graph_memory import OBSERVATION_SCHEMA
 from jrdb_avr.agent.reference.tool_calls import FINAL, Call, Turn, View, call_schema, turn_schema, view_parts
-from jrdb_avr.schema.answers import Answer, Evidence, encode_answer
+from jrdb_avr.schema.answers import Evidence
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Panorama
-from jrdb_avr.schema.panorama import HEIGHT, WIDTH, from_crop
 
 LONGEST_REPLY: Final = 8000
 """Characters of a reply that stay in the history."""
@@ -77,20 +74,12 @@ class ChatMemory:
         key = box_key(call.arguments, self.attempt.convention, "box")
         part = decode.only_keys(call.arguments, ("answer", "observation", key), "the call")
         started = time.perf_counter()
-        answer: Answer | None = None
-        evidence: Evidence | None = None
-        faults = []
-        try:
-            answer = self.attempt.read_answer(part["answer"])
-        except DecodeError as error:
-            faults.append(str(error))
-        try:
-            evidence = self._evidence(part["observation"], part[key], key, views)
-        except DecodeError as error:
-            faults.append(str(error))
-        self.proposed = ParsedReply(answer, evidence, tuple(faults))
-        stored = None if answer is None else msgspec.Raw(encode_answer(answer).encode())
-        parsed = {"answer": stored, "evidence": evidence, "box_key": key, "faults": faults}
+        (answer, evidence), faults = decode.read_each(
+            lambda: self.attempt.read_answer(part["answer"]),
+            lambda: self._evidence(part["observation"], part[key], key, views),
+        )
+        self.proposed = ParsedReply(answer, evidence, faults)
+        parsed = {"answer": answer, "evidence": evidence, "box_key": key, "faults": faults}
         self.attempt.record("solve", {"observation": call.text}, parsed, started)
         if faults:
             raise DecodeError("; ".join(faults))
@@ -101,8 +90,8 @@ class ChatMemory:
         view = views.get(observation) if isinstance(observation, str) else None
         if view is None:
             raise DecodeError("observation must name one that has been made")
-        x, y, w, h = from_crop(read_box(box, view.width, HEIGHT, self.attempt.convention, key), view.left)
-        return Evidence(view.frame, (x % WIDTH, y, w, h))
+        image = view.image
+        return image.evidence(image.frames[0], read_box(box, image.width, image.height, self.attempt.convention, key))
 
     def solved(self, reason: str) -> ParsedReply:
         """Return the readable parts of the newest final answer, which was refused."""

@@ -15,7 +15,7 @@ from typing import Any, Final
 import msgspec
 
 from jrdb_avr.agent.beliefs.grounding import printable
-from jrdb_avr.agent.methods.attempt import DUPLICATE_DEG, PANORAMAS, Attempt, ParsedReply, duplicate, fixed_settings
+from jrdb_avr.agent.methods.attempt import DUPLICATE_DEG, PANORAMAS, Attempt, ParsedReply, fixed_settings
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.reference.chat_memory import ChatMemory
 from jrdb_avr.agent.reference.graph_memory import GraphMemory
@@ -27,7 +27,6 @@ from jrdb_avr.agent.reference.tool_calls import (
     Turn,
     View,
     read_calls,
-    read_look,
     refusal,
     view_of,
 )
@@ -76,12 +75,8 @@ class Episode:
     looking: bool
     limits: Limits = LIMITS
     views: dict[str, View] = field(default_factory=dict)
-    made: list[tuple[int, float]] = field(default_factory=list)
     used: int = 0
     strikes: int = 0
-
-    def __post_init__(self) -> None:
-        self.legal = frozenset(self.attempt.task.sequence.frames)
 
     def play(self) -> Prediction:
         """Play to a legal final answer, to the second malformed turn, or to the last call."""
@@ -123,7 +118,8 @@ class Episode:
         return (*(("observe",) if self.looking else ()), *self.memory.tools)
 
     def _turn(self, results: Sequence[str], fresh: Sequence[View], error: str) -> Turn:
-        looks = (len(self.made), self.limits.looks - len(self.made) if self.looking else 0)
+        made = len(self.attempt.made)
+        looks = (made, self.limits.looks - made if self.looking else 0)
         return Turn(results, fresh, error, looks, (self.used, self.limits.calls - self.used))
 
     def _call(self, call: Call, step: int, results: list[str]) -> ParsedReply | None:
@@ -148,15 +144,13 @@ class Episode:
         return verdict
 
     def _look(self, call: Call, step: int) -> str:
-        frame, angle = read_look(call.arguments, self.legal)
-        if len(self.made) >= self.limits.looks:
+        decode.only_keys(call.arguments, ("frame_id", "angle_deg"), "the call")
+        frame, angle = self.attempt.read_look(call.arguments)
+        if len(self.attempt.made) >= self.limits.looks:
             raise DecodeError("no looks are left")
-        if reason := duplicate(self.made, frame, angle):
-            self.attempt.refuse_look(frame, angle, reason)
+        if reason := self.attempt.duplicate(frame, angle):
             raise DecodeError(reason)
-        observation = self.attempt.look(frame, angle)
-        self.made.append((frame, angle))
-        return self._name(observation, step)
+        return self._name(self.attempt.look(frame, angle), step)
 
     def _ended(self, reason: str) -> Prediction:
         return self.attempt.prediction(self.memory.solved(reason))

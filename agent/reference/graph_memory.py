@@ -33,7 +33,7 @@ from jrdb_avr.schema.answers import Evidence
 from jrdb_avr.schema.beliefs import Tool
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Panorama, Question
-from jrdb_avr.schema.panorama import HEIGHT, WIDTH, Box
+from jrdb_avr.schema.panorama import WIDTH, Box
 from jrdb_avr.schema.plan import Plan, canonical
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ class GraphMemory:
         if view is None:
             return contract, "the box is of no observation"
         try:
-            return contract, read_box(contract.get("box"), view.width, HEIGHT, convention, key)
+            return contract, read_box(contract.get("box"), view.image.width, view.image.height, convention, key)
         except DecodeError as error:
             return contract, str(error)
 

@@ -14,13 +14,12 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from jrdb_avr.agent.beliefs.grounding import printable
-from jrdb_avr.agent.methods.attempt import panorama_line, panorama_picture
+from jrdb_avr.agent.methods.attempt import ImageFrame, on_crop, on_panoramas, panorama_line, panorama_picture
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.messages import Part, Picture, crop_line, crop_picture
 from jrdb_avr.agent.model.prompts import render
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Panorama
-from jrdb_avr.schema.panorama import CROP, WIDTH
 
 MOST_PER_TURN: Final = 32
 """Calls in one turn."""
@@ -78,15 +77,6 @@ def _depth(value: object, most: int = _DEPTH) -> int:
     return 1 + max((_depth(part, most - 1) for part in parts), default=0)
 
 
-def read_look(arguments: Mapping[str, Any], legal: Collection[int]) -> tuple[int, float]:
-    """Frame and angle of a look. Raises DecodeError."""
-    decode.only_keys(arguments, ("frame_id", "angle_deg"), "the call")
-    frame, angle = decode.frame_id(arguments["frame_id"]), decode.angle(arguments["angle_deg"])
-    if frame not in legal:
-        raise DecodeError(f"frame_id {frame:06d} is none of the legal frames")
-    return frame, angle
-
-
 _COMPACT: Final = json.JSONEncoder(separators=(",", ":"))
 
 
@@ -125,13 +115,11 @@ LOOK_SCHEMA: Final = call_schema("observe", {"frame_id": decode.FRAME_ID_SCHEMA,
 
 @dataclass(frozen=True)
 class View:
-    """An observation under its name, for a turn. left, width: its columns in the panorama; line: its metadata."""
+    """An observation under its name, for a turn. image: its frame and place in the panorama; line: its metadata."""
 
     name: str
     kind: str
-    frame: int
-    left: int
-    width: int
+    image: ImageFrame
     line: str
     picture: Picture
 
@@ -139,8 +127,8 @@ class View:
 def view_of(name: str, seen: Observation | Panorama) -> View:
     """An observation under its name: a look, or a panorama of a fixed context."""
     if isinstance(seen, Panorama):
-        return View(name, "Panorama", seen.frame_index, 0, WIDTH, panorama_line(seen), panorama_picture(seen))
-    return View(name, "Picture", seen.frame_index, seen.left, CROP, crop_line(seen), crop_picture(seen))
+        return View(name, "Panorama", on_panoramas([seen]), panorama_line(seen), panorama_picture(seen))
+    return View(name, "Picture", on_crop(seen), crop_line(seen), crop_picture(seen))
 
 
 def view_parts(views: Sequence[View]) -> list[Part]:

@@ -5,13 +5,14 @@ import json
 import time
 
 import pytest
+from backbones import BACKBONES
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from jrdb_avr.agent.model import conventions, decode
 from jrdb_avr.agent.model import decode as boxes
 from jrdb_avr.agent.model import reply as replies
-from jrdb_avr.agent.model.conventions import BACKBONES, CONTRACT, convention_of
+from jrdb_avr.agent.model.conventions import CONTRACT, convention_of
 from jrdb_avr.agent.model.decode import read_answer, read_evidence, reply_object, write_box
 from jrdb_avr.agent.model.reply import Reply, spoken, thought
 from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span
