@@ -7,7 +7,6 @@ reads lines of its own from `Request.lines`.
 from __future__ import annotations
 
 import base64
-import binascii
 import hashlib
 import itertools
 import re
@@ -31,6 +30,7 @@ _ANNOUNCED: Final = re.compile(
     r"(?:Picture|Panorama|Crop)(?: \d+)?(?:, observation (\w{1,32}))?(?:, the newest)?: (\{.*\})"
 )
 _CHOICE: Final = re.compile(r"\d+\. (.+)")
+_CACHED: Final = 8192
 _URI: Final = "data:image/jpeg;base64,"
 AHEAD: Final = 180.0
 """Panorama angle of a whole panorama's middle column."""
@@ -88,18 +88,12 @@ Misread = Callable[[bytes, Mark], Mark]
 class Reader:
     """Reads marks from data URIs; caches them by hash, as every turn sends all pictures again."""
 
-    def __init__(self, cached: int = 8192) -> None:
+    def __init__(self) -> None:
         self._cache: OrderedDict[tuple[bytes, bool], PictureMarks] = OrderedDict()
-        self._cached = cached
         self._lock = threading.Lock()
 
-    def picture(self, part: Mapping[str, Any], *, wrap: bool) -> PictureMarks:
-        """The marks in a message part that holds a JPEG as a data URI; `wrap` for a whole panorama.
-
-        Raises DecodeError for any other part.
-        """
-        url = part.get("image_url")
-        uri = str(url.get("url") if isinstance(url, dict) else url)
+    def picture(self, uri: str, *, wrap: bool) -> PictureMarks:
+        """The marks in a JPEG, as a data URI; `wrap` for a whole panorama. Raises DecodeError for any other text."""
         digest = hashlib.sha256(uri.encode()).digest()
         key = (digest, wrap)
         with self._lock:
@@ -110,7 +104,7 @@ class Reader:
         found = PictureMarks(digest, image.shape[1], image.shape[0], tuple(read(image, wrap=wrap)))
         with self._lock:
             self._cache[key] = found
-            while len(self._cache) > self._cached:
+            while len(self._cache) > _CACHED:
                 self._cache.popitem(last=False)
         return found
 
@@ -121,32 +115,40 @@ def _image(uri: str) -> Any:
 
     try:
         data = base64.b64decode(uri.removeprefix(_URI), validate=True)
-    except (binascii.Error, ValueError):
-        raise DecodeError("an image must be a data URI of a JPEG") from None
-    try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB) if data else None
-    except cv2.error:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB)
+    except (ValueError, cv2.error):
         image = None
     if image is None:
-        raise DecodeError("an image of the request is no readable JPEG")
+        raise DecodeError("an image of the request is no data URI of a readable JPEG")
     return image
 
 
 # -- the request ------------------------------------------------------------------------------------------------------
 
 
+class _Url(msgspec.Struct):
+    url: str
+
+
+class Part(msgspec.Struct):
+    """A part of a message: text, or a picture."""
+
+    text: str = ""
+    image_url: _Url | None = None
+
+
+Turn = list[Part]
+"""The parts of a user message."""
+
+
 def read_request(
-    messages: Sequence[Mapping[str, Any]],
-    reader: Reader,
-    stages: Collection[str],
-    misread: Callable[[str], Misread | None] = lambda _: None,
+    turns: Sequence[Turn], reader: Reader, stages: Collection[str], misread: Callable[[str], Misread | None]
 ) -> Request | None:
-    """Parse a request; None for a conversation whose last line names none of the stages.
+    """Parse the user messages of a request; None where their last line names none of the stages.
 
     The question and its choices may stand in an earlier user message, as in a chat. `misread` returns how the marks of
     a question are misread. Raises DecodeError for a question or a picture that cannot be read.
     """
-    turns = user_turns(messages)
     lines = lines_of(turns[-1]) if turns else ()
     stage = lines[-1] if lines else ""
     if stage not in stages:
@@ -167,22 +169,9 @@ def read_request(
     return Request(stage, lines, question, plan, _choices(heading), frames, looks)
 
 
-def user_turns(messages: Sequence[Mapping[str, Any]]) -> list[list[dict[str, Any]]]:
-    """The parts of each user message; messages of other roles or with other content are left out."""
-    turns = []
-    for message in messages:
-        content = message.get("content")
-        parts = [{"type": "text", "text": content}] if isinstance(content, str) else content
-        user = message.get("role") not in ("system", "assistant")
-        if user and isinstance(parts, list) and all(isinstance(part, dict) for part in parts):
-            turns.append(parts)
-    return turns
-
-
-def lines_of(parts: Sequence[dict[str, Any]]) -> tuple[str, ...]:
+def lines_of(parts: Turn) -> tuple[str, ...]:
     """The lines of a message's text that are not blank."""
-    texts = [part["text"] for part in parts if isinstance(part.get("text"), str)]
-    return tuple(line for line in "\n".join(texts).split("\n") if line.strip())
+    return tuple(line for part in parts for line in part.text.split("\n") if line.strip())
 
 
 def _line(lines: Sequence[str], start: str) -> str | None:
@@ -211,20 +200,21 @@ class _Metadata(msgspec.Struct):
 _METADATA: Final = msgspec.json.Decoder(_Metadata)
 
 
-def _looks(parts: Sequence[dict[str, Any]], reader: Reader, misread: Misread | None) -> list[Look]:
+def _looks(parts: Turn, reader: Reader, misread: Misread | None) -> list[Look]:
     looks = []
     place: _Metadata | None = None
     name = ""
     for part in parts:
-        announced = _ANNOUNCED.fullmatch(str(part.get("text", "")).rpartition("\n")[2])
+        announced = _ANNOUNCED.fullmatch(part.text.rpartition("\n")[2])
         if announced:
             try:
                 place = _METADATA.decode(announced[2])
             except msgspec.DecodeError as error:
                 raise DecodeError(f"a picture's line cannot be read: {error}") from None
             name = announced[1] or ""
-        elif part.get("type") == "image_url" and place is not None:
-            looks.append(_look(place, name, reader.picture(part, wrap=place.angle_deg is None), misread))
+        elif part.image_url is not None and place is not None:
+            picture = reader.picture(part.image_url.url, wrap=place.angle_deg is None)
+            looks.append(_look(place, name, picture, misread))
             place = None
     return looks
 

@@ -1,7 +1,7 @@
 """Serve the simulated model: chat completions over HTTP on the loopback interface.
 
 The server plays the stages of a question, and does what the probes of a server ask for as far as marks and JSON go: it
-repeats a word or an object, fills in a JSON Schema, and finds the rectangle with a mark in a drawn picture.
+repeats a word or an object, follows a JSON Schema of labels, and finds the rectangle with a mark in a drawn picture.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -35,7 +35,7 @@ from jrdb_avr.agent.simulated.noise import (
     word,
 )
 from jrdb_avr.agent.simulated.play import STAGES
-from jrdb_avr.agent.simulated.requests import PictureMarks, Reader, Request, lines_of, read_request, user_turns
+from jrdb_avr.agent.simulated.requests import Part, Reader, Request, Turn, lines_of, read_request
 from jrdb_avr.schema.errors import DecodeError, EndpointError
 
 MODEL: Final = "marker"
@@ -45,10 +45,24 @@ READY: Final = "marker ready at "
 """Begins the line that the process prints once it takes requests; the server's address follows."""
 
 
+class _Message(msgspec.Struct):
+    role: str = "user"
+    content: str | Turn = ""
+
+    @property
+    def parts(self) -> Turn:
+        return [Part(self.content)] if isinstance(self.content, str) else self.content
+
+
 class _Request(msgspec.Struct):
-    messages: list[dict[str, Any]]
+    messages: list[_Message]
     model: str = MODEL
     response_format: Any = None
+
+    @property
+    def turns(self) -> list[Turn]:
+        """The user messages."""
+        return [message.parts for message in self.messages if message.role not in ("system", "assistant")]
 
 
 # Made at import: threads that meet a type first at the same time crash the decoder.
@@ -89,9 +103,9 @@ class Server(ThreadingHTTPServer):
             raise DecodeError(f"no chat-completions request: {error}") from None
         knobs = self.knobs
         draws = Draws(knobs.seed, "" if knobs == PERFECT else hashlib.sha256(body).hexdigest())
-        request = read_request(message.messages, self.reader, STAGES, functools.partial(misread, knobs))
+        request = read_request(message.turns, self.reader, STAGES, functools.partial(misread, knobs))
         if request is None:
-            wording = Wording(think(knobs, draws) + probe_reply(message.messages, message.response_format, self.reader))
+            wording = Wording(think(knobs, draws) + _probe_reply(message, self.reader))
         else:
             wording = self._play(request, draws)
         time.sleep(knobs.latency)
@@ -117,14 +131,9 @@ class Server(ThreadingHTTPServer):
 
 
 def _completion(request: _Request, wording: Wording) -> dict[str, Any]:
-    texts = images = 0
-    for message in request.messages:
-        content = message.get("content")
-        for part in content if isinstance(content, list) else [{"text": content}]:
-            if isinstance(part, dict):
-                texts += len(str(part.get("text") or ""))
-                images += part.get("type") == "image_url"
-    prompt_tokens = texts // 4 + images * _IMAGE_TOKENS
+    parts = [part for message in request.messages for part in message.parts]
+    images = sum(part.image_url is not None for part in parts)
+    prompt_tokens = sum(len(part.text) for part in parts) // 4 + images * _IMAGE_TOKENS
     completion_tokens = len(wording.content or wording.refusal or "") // 4
     answer: dict[str, Any] = {"role": "assistant", "content": wording.content}
     if wording.refusal is not None:
@@ -164,12 +173,6 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(200, self.server.reply(body))
         except DecodeError as error:
             self._refuse(400, str(error))
-
-    def do_GET(self) -> None:
-        if self.path.endswith("/models"):
-            self._send(200, {"object": "list", "data": [{"id": MODEL, "object": "model"}]})
-        else:
-            self._refuse(404, f"there is no {self.path}; use /v1/models")
 
     def _refuse(self, status: int, message: str) -> None:
         self._send(status, {"error": {"message": message}})
@@ -216,44 +219,46 @@ def marker_server(log: Path | None = None, knobs: Knobs = PERFECT) -> Iterator[s
 _WORD: Final = re.compile(r"Reply with the one word: (\w{1,40})")
 _OBJECT: Final = re.compile(r"Reply with the JSON object (\{.*\}) and nothing else\.")
 _FRAME: Final = re.compile(r'Picture \d+: \{"frame_id": ?"(\d{6})"\}')
-_DEEPEST: Final = 6
-_MOST_ITEMS: Final = 4
-_LONGEST: Final = 100
-"""Bounds on the sizes that a schema may ask for: lists of lists grow fast."""
 
 
-def probe_reply(messages: Sequence[Mapping[str, Any]], response_format: object, reader: Reader) -> str:
+def _probe_reply(request: _Request, reader: Reader) -> str:
     """The text of a reply to a request that is no stage of a question.
 
     Raises DecodeError where its picture is missing or cannot be read.
     """
-    turns = user_turns(messages)
-    parts = turns[-1] if turns else []
+    parts = request.turns[-1] if request.turns else []
     lines = lines_of(parts)
     text, last = "\n".join(lines), lines[-1] if lines else ""
     if last in (CORNER_LINE, BOX_LINE, PANORAMA_LINE, CROP_LINE):
-        return msgspec.json.encode(_picture_reply(last, text, parts, reader)).decode()
+        return msgspec.json.encode(_picture_reply(last, parts, reader)).decode()
     if found := _OBJECT.search(text):
         return found[1]
-    match response_format:
-        case {"type": "json_schema", "json_schema": {"schema": {**schema}}}:
-            return msgspec.json.encode(instance(schema)).decode()
+    match request.response_format:
+        case {"type": "json_schema", "json_schema": {"schema": {"properties": {**properties}}}}:
+            return msgspec.json.encode({str(name): _first_value(form) for name, form in properties.items()}).decode()
     found = _WORD.search(text)
     return found[1] if found else '{"ok":true}'
 
 
-def _picture_reply(last: str, text: str, parts: Sequence[Mapping[str, Any]], reader: Reader) -> dict[str, Any]:
+def _first_value(schema: object) -> Any:
+    """The first value that a schema lists."""
+    match schema:
+        case {"enum": [value, *_]}:
+            return value
+
+
+def _picture_reply(last: str, parts: Turn, reader: Reader) -> dict[str, Any]:
     """The reply to a probe with pictures, of which one shows a mark."""
-    pictures = (
-        (reader.picture(part, wrap=False), str(before.get("text", "")))
-        for before, part in zip(({}, *parts), parts, strict=False)
-        if part.get("type") == "image_url"
-    )
-    number, picture, before = next(
-        ((n, picture, before) for n, (picture, before) in enumerate(pictures, 1) if picture.readings),
-        (0, PictureMarks(b"", 0, 0, ()), ""),
-    )
-    if number == 0:
+    number, before = 0, ""
+    for part in parts:
+        if part.image_url is None:
+            before = part.text
+            continue
+        number += 1
+        picture = reader.picture(part.image_url.url, wrap=False)
+        if picture.readings:
+            break
+    else:
         raise DecodeError("no picture of the request shows a mark")
     mark = picture.readings[0].box
     if last == CORNER_LINE:
@@ -262,38 +267,9 @@ def _picture_reply(last: str, text: str, parts: Sequence[Mapping[str, Any]], rea
         return {"corner": f"{down} {across}"}
     if last == PANORAMA_LINE:
         return {"calls": [{"tool": "final_answer", "answer": number, "entity": "p1"}]}
-    frame = _FRAME.search(text if last == BOX_LINE else before)
+    frame = _FRAME.search(before)
     if frame is None:
         raise DecodeError("the request does not name its picture's frame")
     if last == CROP_LINE:
         return {"action": "observe", "frame_id": frame[1], "angle_deg": 180}
     return {"evidence_bboxes": [{"frame_id": frame[1], "bbox": write_box(mark, picture.width, picture.height)}]}
-
-
-def instance(schema: object, depth: int = 0) -> Any:
-    """The simplest value that follows a JSON Schema made of types, enumerations, and least lengths and numbers."""
-    if depth > _DEEPEST:
-        return None
-    match schema:
-        case {"enum": [first, *_]}:
-            return first
-        case {"anyOf": [first, *_]}:
-            return instance(first, depth + 1)
-        case {"type": "object", "properties": {**properties}}:
-            return {str(name): instance(form, depth + 1) for name, form in properties.items()}
-        case {"type": "array", "items": items, **rest}:
-            return [instance(items, depth + 1)] * _least(rest, "minItems", _MOST_ITEMS)
-        case {"type": "string", **rest}:
-            return "-" * _least(rest, "minLength")
-        case {"type": "integer" | "number", **rest}:
-            return _least(rest, "minimum")
-        case {"type": "boolean"}:
-            return True
-        case {"type": "object"}:
-            return {}
-    return None
-
-
-def _least(schema: Mapping[Any, Any], key: str, most: int = _LONGEST) -> int:
-    least = schema.get(key, 0)
-    return least if isinstance(least, int) and 0 <= least <= most else 0
