@@ -29,7 +29,7 @@ _EIGHT: Final = (0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0)
 """Turns that just cover the circle, for absences at several times, where nine looks each may be too many."""
 
 _SAME_DEG: Final = 1.0
-_PLENTY: Final = 1000
+_PLENTY: Final = 1001
 """Looks that a policy may plan with where it looks at fixed pictures, which costs nothing."""
 
 
@@ -235,12 +235,8 @@ class FixedExplorer(Explorer):
     def __init__(self, looks: Sequence[Look]) -> None:
         if not looks:
             raise DecodeError("the prompt shows no picture")
-        super().__init__(sorted({look.frame for look in looks}), (), 0)
+        super().__init__(sorted({look.frame for look in looks}), (), _PLENTY)
         self.looks = list(looks)
-
-    def spare(self) -> int:
-        """Looks that a policy may plan with."""
-        return _PLENTY
 
     def look(self, frame: int, angle: float) -> Look:
         """The widest picture of the frame, whatever the angle."""

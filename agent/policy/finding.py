@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from jrdb_avr.agent.policy.explorer import AROUND, Explorer, Sighting
+from jrdb_avr.agent.policy.explorer import AROUND, BudgetExhausted, Explorer, Sighting
 from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS, POSES
 from jrdb_avr.schema.markers import ALONE
 from jrdb_avr.schema.panorama import angle_error
@@ -35,8 +35,15 @@ def find(conditions: Sequence[Condition], frame: int, explorer: Explorer) -> Fou
     """Find the one person at a legal frame who satisfies every condition.
 
     The description fits one person alone, so looking ends at the first certain match; a group is counted all round
-    first. Raises BudgetExhausted when looks run out.
+    first. Nobody is found where looks run out.
     """
+    try:
+        return _find(conditions, frame, explorer)
+    except BudgetExhausted:
+        return FoundPerson(None, "budget: the person was not found")
+
+
+def _find(conditions: Sequence[Condition], frame: int, explorer: Explorer) -> FoundPerson:
     sized = counts_group(conditions)
     sector = next((_SECTOR_ANGLES[str(c.value)] for c in conditions if c.attribute == "sector"), None)
     for angle in _SWEEP if sector is None or sized else (sector - 22.0, sector + 22.0, sector):

@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from jrdb_avr.agent.policy.explorer import AROUND, NEARBY, BudgetExhausted, Sighting
-from jrdb_avr.agent.policy.finding import FoundPerson, find, likely
+from jrdb_avr.agent.policy.finding import find, likely
 from jrdb_avr.agent.policy.hops import look_round, path
 from jrdb_avr.agent.policy.searches import count_people, find_next_pose, find_seconds, find_span, find_start
 from jrdb_avr.agent.policy.state import EpisodeState
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 from jrdb_avr.schema.plan import Condition
-from jrdb_avr.schema.rules import KEYFRAME_STEP
+from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP
 
 _BESIDE: Final = (KEYFRAME_STEP, -KEYFRAME_STEP)
 """Frames away at which somebody who is hidden is looked for."""
@@ -45,10 +45,7 @@ def find_target(state: EpisodeState) -> Sighting | None:
 def _described(state: EpisodeState, conditions: Sequence[Condition]) -> Sighting | None:
     """The person of the description, or the best guess among the people seen."""
     explorer, frame = state.explorer, state.explorer.legal(state.t0)
-    try:
-        found = find(conditions, frame, explorer)
-    except BudgetExhausted:
-        found = FoundPerson(None, "budget: the person was not found")
+    found = find(conditions, frame, explorer)
     if found.missing:
         state.note(found.missing)
     if found.sighting is not None:
@@ -91,22 +88,28 @@ def find_answer(state: EpisodeState, person: Sighting | None) -> Any:
         case "next_action":
             return state.choose(find_next_pose(state, person), pose)
         case "start":
-            return {"frame_id": _id(state, find_start(state, person)[0])}
+            return answer_of_moments(state, find_start(state, person)[0])
         case "span":
-            start, end = find_span(state, person)
-            return {"start_frame": _id(state, start), "end_frame": _id(state, end)}
+            return answer_of_moments(state, *find_span(state, person))
         case "start_view":
             start, _ = find_start(state, person)
             angle = 180.0 if person is None else state.explorer.nearest(person.identity, start).angle
-            return {"frame_id": _id(state, start), "angle_deg": round(angle, 1)}
+            return {**answer_of_moments(state, start), "angle_deg": round(angle, 1)}
         case "seconds_between":
             return {"value": f"{find_seconds(state, person):.1f}"}
         case "count":
             return {"value": str(count_people(state, person))}
 
 
-def _id(state: EpisodeState, frame: float) -> str:
-    return f"{min(max(round(frame), 0), state.explorer.frames[-1]):06d}"
+def answer_of_moments(state: EpisodeState, *moments: float) -> dict[str, str]:
+    """The contract's `answer` for events at these frames, but for an angle."""
+    ids = [f"{min(max(round(moment), 0), state.explorer.frames[-1]):06d}" for moment in moments]
+    match state.plan.answer.read:
+        case "span":
+            return {"start_frame": ids[0], "end_frame": ids[1]}
+        case "seconds_between":
+            return {"value": f"{max((moments[1] - moments[0]) / FPS, 1.0):.1f}"}
+    return {"frame_id": ids[0]}
 
 
 # -- reads of one moment ----------------------------------------------------------------------------------------------

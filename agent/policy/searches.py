@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from jrdb_avr.agent.policy.explorer import AROUND, NEARBY, BudgetExhausted, Sighting
+from jrdb_avr.agent.policy.explorer import AROUND, NEARBY, Sighting
 from jrdb_avr.agent.policy.hops import look_round, related
 from jrdb_avr.agent.policy.state import EpisodeState
 from jrdb_avr.schema.labels import POSES
@@ -70,14 +70,12 @@ def find_start(
     if person is None or action is None:
         return guess, None
     before, after = min(t0 + _WAIT, last) - 1, None
-    try:
+    with state.budget("the start was not closed in on"):
         before, after = _first_seen(state, person, action, before, last)
         if after is None:
             state.note("mark unreadable, or the steps were too wide: the action was never seen")
             return guess, None
         before, after = _close_in(state, person, action, before, after, close or state.close, wanted=True)
-    except BudgetExhausted:
-        state.note("budget: the start was not closed in on")
     sightings = [seen for seen in state.explorer.sightings(person.identity) if seen.frame > t0]
     first = min((seen.frame for seen in sightings if performs(action, seen)), default=None)
     if first is None:
@@ -130,7 +128,7 @@ def find_span(state: EpisodeState, person: Sighting | None) -> tuple[float, floa
     action = next(time.action for time in state.plan.times.values() if time.event == "start")
     assert action is not None, "a start names its action"
     frame, during, after = inside, inside, None
-    try:
+    with state.budget("the end was not closed in on"):
         while frame < last and after is None:
             frame = min(frame + _STEP, last)
             performed = _probe(state, person, action, frame)
@@ -140,8 +138,6 @@ def find_span(state: EpisodeState, person: Sighting | None) -> tuple[float, floa
                 after = state.explorer.legal(frame)
         if after is not None:
             during, after = _close_in(state, person, action, during, after, _CLOSE_SPAN_FRAMES, wanted=False)
-    except BudgetExhausted:
-        state.note("budget: the end was not closed in on")
     return start, (during + after) / 2 if after is not None else during
 
 
@@ -151,15 +147,13 @@ def find_next_pose(state: EpisodeState, person: Sighting | None) -> str | None:
         return None
     explorer, last, frame = state.explorer, state.explorer.frames[-1], state.t0 + _LONG
     step = max(_STEP, -(-(last - frame) // max(explorer.spare(), 1)))
-    try:
+    with state.budget("no other posture was seen"):
         for at in range(frame, last + 1, step):
             seen = explorer.follow(person.identity, at, NEARBY)
             if seen is None:
                 state.note(f"mark unreadable at frame {explorer.legal(at)}")
             elif seen.mark.pose not in (None, person.mark.pose):
                 return seen.mark.pose
-    except BudgetExhausted:
-        state.note("budget: no other posture was seen")
     return None
 
 
@@ -176,7 +170,7 @@ def _absence(state: EpisodeState, person: Sighting) -> float:
     """Length of the first absence after t0: follow the person until absent, and then until back."""
     explorer, last = state.explorer, state.explorer.frames[-1]
     there, gone, frame = state.t0, None, state.t0 + _WAIT
-    try:
+    with state.budget("the person was not seen coming back"):
         while frame <= last:
             seen = explorer.follow(person.identity, frame, NEARBY)
             if seen is None:
@@ -186,8 +180,6 @@ def _absence(state: EpisodeState, person: Sighting) -> float:
             else:
                 return max((seen.frame + explorer.legal(frame - _WAIT) - there - gone) / 2 / FPS, 1.0)
             frame += _WAIT
-    except BudgetExhausted:
-        state.note("budget: the person was not seen coming back")
     return max((frame - there) / FPS, 1.0) if gone is not None else _ABSENCE_S
 
 
@@ -199,12 +191,10 @@ def count_people(state: EpisodeState, person: Sighting | None) -> int:
     rounds = max(state.explorer.spare() // (len(AROUND) + len(NEARBY)), 2)
     if person is None or relation is None:
         return 1
-    try:
+    with state.budget("not all of the time was looked at"):
         for frame in range(begin, end + 1, max(_STEP, (end - begin) // rounds)):
             own = state.explorer.follow(person.identity, frame, NEARBY)
             people = [] if own is None else look_round(state.explorer, own.frame)
             others = [seen for seen in people if seen.identity != person.identity]
             found |= {seen.identity for seen in others if own and related(relation, own, seen, people)}
-    except BudgetExhausted:
-        state.note("budget: not all of the time was looked at")
     return max(len(found), 1)

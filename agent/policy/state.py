@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from jrdb_avr.agent.policy.explorer import Explorer
+from jrdb_avr.agent.policy.explorer import BudgetExhausted, Explorer
 from jrdb_avr.schema.plan import Condition, Plan
 
 _CLOSE_FRAMES: Final = 28
@@ -55,6 +56,14 @@ class EpisodeState:
         """Add a reason why something could not be read, each one once."""
         if reason not in self.missing:
             self.missing.append(reason)
+
+    @contextlib.contextmanager
+    def budget(self, lack: str) -> Iterator[None]:
+        """End a `with` block where looks run out, and note what that leaves undone."""
+        try:
+            yield
+        except BudgetExhausted:
+            self.note(f"budget: {lack}")
 
     def choose(self, text: str | None, not_this: str | None = None) -> int:
         """The number of the choice with this text, else of the first that is not known to be wrong."""

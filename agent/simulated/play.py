@@ -17,7 +17,7 @@ from typing import Any, Final
 import msgspec
 
 from jrdb_avr.agent.model.decode import write_box
-from jrdb_avr.agent.policy.explorer import BudgetExhausted, Explorer, FixedExplorer, Look, NeedObservation, Sighting
+from jrdb_avr.agent.policy.explorer import Explorer, FixedExplorer, Look, NeedObservation, Sighting
 from jrdb_avr.agent.policy.finding import likely
 from jrdb_avr.agent.policy.policy import find_answer, find_target
 from jrdb_avr.agent.policy.state import EpisodeState
@@ -54,10 +54,8 @@ def _newest_box(state: EpisodeState, person: Sighting | None) -> list[dict[str, 
     seen = explorer.looks[-1].of(identity)
     if seen is None or not seen.whole:
         best = max(explorer.sightings(identity), key=lambda seen: (seen.whole, seen.frame))
-        try:
+        with state.budget("no look was left to show the person again"):
             seen = explorer.again(best.frame, best.angle).of(identity) or seen
-        except BudgetExhausted:
-            state.note("budget: no look was left to show the person again")
     if seen is None:
         state.note("mark unreadable in the look that should show the person again")
         return []

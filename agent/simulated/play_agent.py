@@ -14,6 +14,7 @@ Without a graph: all pictures so far are in the chat.
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Sequence
 from typing import Any, Final
@@ -21,7 +22,6 @@ from typing import Any, Final
 from jrdb_avr.agent.policy.enclosing import NEAR, BoundedEvent, between, bounded_events
 from jrdb_avr.agent.policy.explorer import (
     AROUND,
-    BudgetExhausted,
     FixedExplorer,
     Look,
     NeedObservation,
@@ -31,12 +31,11 @@ from jrdb_avr.agent.policy.explorer import (
 )
 from jrdb_avr.agent.policy.finding import FoundPerson, among, counts_group, find, holds, likely, possible
 from jrdb_avr.agent.policy.hops import path, related
-from jrdb_avr.agent.policy.policy import find_answer, find_target
+from jrdb_avr.agent.policy.policy import answer_of_moments, find_answer, find_target
 from jrdb_avr.agent.policy.state import EpisodeState
 from jrdb_avr.agent.simulated.notes import Draft, entity_name, placed, read_notes
 from jrdb_avr.agent.simulated.requests import Request, StageReply
 from jrdb_avr.schema.plan import Condition
-from jrdb_avr.schema.rules import FPS
 
 _MOST_CALLS: Final = 32
 _REFUSED: Final = re.compile(r"\d+\. final_answer: refused")
@@ -152,7 +151,9 @@ class _Player:
         for frame in sorted({look.frame for look in self.notes.newest} | {self._then}):
             if (seen := self.notes.of(identity, frame)) is not None:
                 self.draft.read(self._plan, seen)
-        self.state.explorer = self._explorer(self._survey())
+        # The first looks were made to find the person, all at the time of the description.
+        survey = list(itertools.takewhile(lambda look: look.frame == self._then, self.notes.looks))
+        self.state.explorer = self._explorer(len(survey))
         counts = self._plan.answer.read == "count"
         answer = {"value": str(self._count(person))} if counts else find_answer(self.state, person)
         frames = sorted({look.frame for look in self.notes.looks})
@@ -161,11 +162,6 @@ class _Player:
         self._close_in(known, all_seen)
         self._show_whole(known, all_seen)
         return {"answer": self._bounded(answer, known), "entity": entity_name(identity)}
-
-    def _survey(self) -> int:
-        """How many looks were made to find the person: the first ones, all at the time of the description."""
-        frames = [look.frame for look in self.notes.looks]
-        return next((place for place, frame in enumerate(frames) if frame != self._then), len(frames))
 
     def _target(self) -> Sighting | None:
         """The question's person at the time of the description; writes down the people of the plan that are found."""
@@ -197,8 +193,6 @@ class _Player:
                     self.draft.person(seen)
                     self.draft.conditions(seen, [c for c in conditions if holds(c, seen, people)])
             raise
-        except BudgetExhausted:
-            return FoundPerson(None, "budget: the person was not found")
 
     def _count(self, person: Sighting) -> int:
         """How many are seen to have the relation: all round at the first time, then near the person until the last."""
@@ -237,19 +231,10 @@ class _Player:
 
     def _bounded(self, answer: Any, known: dict[str, BoundedEvent]) -> Any:
         """The answer by the middles of the events, where all of them have been seen."""
-        if set(known) != set(self._plan.answer.times):
+        times = self._plan.answer.times
+        if set(known) != set(times):
             return answer
-        moments = [known[name].middle for name in self._plan.answer.times]
-        ids = [f"{round(moment):06d}" for moment in moments]
-        match self._plan.answer.read:
-            case "start":
-                return {"frame_id": ids[0]}
-            case "span":
-                return {"start_frame": ids[0], "end_frame": ids[1]}
-            case "start_view":
-                return {**answer, "frame_id": ids[0]}
-            case _:
-                return {"value": f"{max((moments[1] - moments[0]) / FPS, 1.0):.1f}"}
+        return answer | answer_of_moments(self.state, *(known[name].middle for name in times))
 
 
 def _observe(frame: int, angle: float) -> dict[str, Any]:
@@ -323,11 +308,9 @@ def _evidence(state: EpisodeState, person: Sighting | None) -> dict[str, Any]:
         return {"observation": state.explorer.looks[-1].name, "box": []}
     look, seen = _newest(state.explorer.looks, person.identity)
     if not seen.whole:
-        try:
+        with state.budget("no look was left to show the person again"):
             again = state.explorer.again(seen.frame, seen.angle)
             look, seen = (again, better) if (better := again.of(person.identity)) else (look, seen)
-        except BudgetExhausted:
-            state.note("budget: no look was left to show the person again")
     return placed(look, seen)
 
 
