@@ -27,8 +27,6 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
 
-import msgspec
-
 from jrdb_avr.agent.methods.attempt import PANORAMAS, panorama_parts
 from jrdb_avr.agent.methods.react import BUDGET, react_turn_schema
 from jrdb_avr.agent.model.client import Client
@@ -51,6 +49,7 @@ from jrdb_avr.agent.reference.planning import plan_form
 from jrdb_avr.agent.reference.tool_calls import LOOK_SCHEMA
 from jrdb_avr.schema.errors import DecodeError, EndpointError
 from jrdb_avr.schema.method import Panorama, Question
+from jrdb_avr.schema.plan import Plan
 
 CROPS: Final = max(BUDGET, LIMITS.looks)
 """Most crops in one request: ReAct and a chat show all of them, and all looks may be made in one turn."""
@@ -67,15 +66,8 @@ PLANNING: Final = ("agent", "agent-passive")
 _FRAME_STEP: Final = 15
 """Frames between two pictures, which only give each picture its own frame id."""
 
-_PLAN: Final = {
-    "root": "a",
-    "target": "a",
-    "times": {"t0": {"frame": 0}},
-    "nodes": [{"id": "a", "conditions": [{"action": "sitting", "at": "t0"}]}],
-    "edges": [],
-    "answer": {"mode": "multiple_choice", "read": "action", "of": "a", "at": "t0"},
-}
-"""The plan that the prompt contains, to be repeated."""
+_FRAMES: Final = tuple((number, number * _FRAME_STEP) for number in range(1, CROPS + 1))
+"""Number and frame of each picture of a request."""
 
 _SHAPE: Final = {"sea_state_q7": ["amber-41", "cobalt-17"]}
 """A key and its values that no prose and no habit would hold: a reply like it shows that the schema was followed."""
@@ -141,10 +133,10 @@ def demands() -> tuple[Demand, ...]:
             "plan",
             "",
             "the plan's schema ($ref at the root)",
-            lambda _: (render("preflight_plan", plan=_json(_PLAN)),),
+            lambda _: (render("preflight_plan"),),
             (0,),
             plan_form(),
-            lambda reply: 0 if set(reply) == set(_PLAN) else None,
+            lambda reply: 0 if set(reply) == set(Plan.__struct_fields__) else None,
             (),
             PLANNING,
         ),
@@ -155,8 +147,7 @@ def _panoramas_request(place: int) -> tuple[Part, ...]:
     """Panoramas as a fixed context holds them, the one numbered `place`, from 1, with the marked rectangle."""
     panoramas = [
         Panorama("drawn", frame, f"{frame:06d}", float(number), drawn_panorama(number == place).data)
-        for number in range(1, PANORAMAS + 1)
-        for frame in [number * _FRAME_STEP]
+        for number, frame in _FRAMES[:PANORAMAS]
     ]
     return (render("preflight_panoramas", n=PANORAMAS), *panorama_parts(panoramas), PANORAMA_LINE)
 
@@ -164,8 +155,8 @@ def _panoramas_request(place: int) -> tuple[Part, ...]:
 def _crops_request(place: int) -> tuple[Part, ...]:
     """Crops, the one numbered `place`, from 1, with the marked rectangle."""
     parts: list[Part] = [render("preflight_crops", n=CROPS)]
-    for number in range(1, CROPS + 1):
-        line = f'Picture {number}: {{"frame_id": "{number * _FRAME_STEP:06d}"}}'
+    for number, frame in _FRAMES[:CROPS]:
+        line = f'Picture {number}: {{"frame_id": "{frame:06d}"}}'
         parts += [line, corner_picture("upper left") if number == place else plain_crop()]
     return (*parts, CROP_LINE)
 
@@ -186,10 +177,6 @@ def _named_crop(reply: Mapping[str, Any]) -> int | None:
         case {"action": "answer"}:
             return 0
     return None
-
-
-def _json(value: object) -> str:
-    return msgspec.json.encode(value).decode()
 
 
 # -- the checks -------------------------------------------------------------------------------------------------------
@@ -231,11 +218,10 @@ def require(checks: Sequence[Check], method: str | None = None) -> list[str]:
 
 
 def _checks(client: Client) -> Iterator[Check]:
-    text = client.probe(_message(render("preflight_text")))
+    text = client.probe([Message("user", (render("preflight_text"),))])
     yield _text(client, text)
     strict = client.options.response_format == "json_schema"
-    prompt = "preflight_schema" if strict else "preflight_object"
-    shaped = _probe(client, _message(render(prompt)), _SHAPE_SCHEMA)
+    shaped = _probe(client, render("preflight_schema" if strict else "preflight_object"), schema=_SHAPE_SCHEMA)
     yield _schema(client, shaped)
     if strict and isinstance(shaped, EndpointError):
         # Each picture would be refused for the same reason.
@@ -305,8 +291,8 @@ def _picture(client: Client) -> Check:
     remedy = "serve a model that sees, and check that the server passes image_url parts on"
     right = 0
     for corner in CORNERS:
-        messages = _message(render("preflight_picture"), corner_picture(corner), CORNER_LINE)
-        found = _object(client, _probe(client, messages, _CORNER_SCHEMA))
+        parts = (render("preflight_picture"), corner_picture(corner), CORNER_LINE)
+        found = _object(client, _probe(client, *parts, schema=_CORNER_SCHEMA))
         if isinstance(found, EndpointError):
             return Check("picture", False, f"a picture is refused ({found})", remedy)
         right += isinstance(found, dict) and found.get("corner") == corner
@@ -317,7 +303,7 @@ def _picture(client: Client) -> Check:
 def _demand(client: Client, demand: Demand) -> Check:
     strict = client.options.response_format == "json_schema"
     for place in demand.places:
-        found = _object(client, _probe(client, _message(*demand.parts(place)), demand.schema))
+        found = _object(client, _probe(client, *demand.parts(place), schema=demand.schema))
         if isinstance(found, EndpointError):
             return _refused(client, demand, found)
         named = demand.place_of(found) if isinstance(found, dict) else None
@@ -339,8 +325,8 @@ def _refused(client: Client, demand: Demand, refusal: EndpointError) -> Check:
     """Find which of the two is refused, the number of pictures or the schema; both where each alone is taken."""
     parts = demand.parts(demand.places[0])
     strict, many = client.options.response_format == "json_schema", bool(demand.senders)
-    schema = strict and isinstance(_probe(client, _message(parts[0]), demand.schema), EndpointError)
-    pictures = many and isinstance(_probe(client, _message(*parts)), EndpointError)
+    schema = strict and isinstance(_probe(client, parts[0], schema=demand.schema), EndpointError)
+    pictures = many and isinstance(_probe(client, *parts), EndpointError)
     if not (schema or pictures):
         schema, pictures = strict, many
     refused = [
@@ -371,24 +357,17 @@ def _thinking(client: Client, text: Reply, shaped: Reply | EndpointError) -> Che
     return Check("thinking", thinks[-1], "declared on, " + ("and there" if thinks[-1] else "but not there"), remedy)
 
 
-def _probe(
-    client: Client, messages: Sequence[Message], schema: Mapping[str, Any] | None = None
-) -> Reply | EndpointError:
+def _probe(client: Client, *parts: Part, schema: Mapping[str, Any] | None = None) -> Reply | EndpointError:
+    """The reply to one user message, or the error in its place."""
     try:
-        return client.probe(messages, schema)
+        return client.probe([Message("user", parts)], schema)
     except EndpointError as error:
         return error
 
 
 def _object(client: Client, reply: Reply | EndpointError) -> dict[str, Any] | EndpointError | DecodeError:
     """The JSON object of a reply, or the error in its place."""
-    if isinstance(reply, EndpointError):
-        return reply
     try:
-        return reply_object(reply, client.convention)
+        return reply if isinstance(reply, EndpointError) else reply_object(reply, client.convention)
     except DecodeError as error:
         return error
-
-
-def _message(*parts: Part) -> list[Message]:
-    return [Message("user", parts)]

@@ -14,7 +14,7 @@ import statistics
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, get_args
 
 import msgspec
 
@@ -47,8 +47,7 @@ _IN_FLIGHT: Final = 8
 
 # The plainest first: of readings that read the same boxes, the first is chosen.
 _SCALES: Final[tuple[Scale, ...]] = ("thousandths", "pixels", "unit", "resized")
-_ORDERS: Final[tuple[Order, ...]] = ("xyxy", "yxyx")
-_READINGS: Final = tuple(Reading(order, scale) for scale in _SCALES for order in _ORDERS)
+_READINGS: Final = tuple(Reading(order, scale) for scale in _SCALES for order in get_args(Order))
 
 
 class Score(msgspec.Struct, frozen=True):
@@ -98,11 +97,9 @@ class _Written(NamedTuple):
     drawn: DrawnPicture
 
 
-def calibrate(
-    client: Client, n: int = PICTURES, seed: int = SEED, advance: Callable[[int], None] = lambda steps: None
-) -> Calibration:
+def calibrate(client: Client, n: int = PICTURES, advance: Callable[[int], None] = lambda steps: None) -> Calibration:
     """Request `n` boxes and find the reading that explains them. Raises EndpointError."""
-    pictures = drawn_rectangles(n, seed)
+    pictures = drawn_rectangles(n, SEED)
     requests = [request(drawn) for drawn in pictures]
 
     def complete(messages: Sequence[Message]) -> Reply:
@@ -122,11 +119,8 @@ def calibrate(
         scores = [msgspec.structs.replace(score, chosen=False) for score in scores]
     chosen = [score for score in scores if score.chosen]
     options = client.options
-    whole = [
-        BOX_REPLY_SCHEMA,
-        [options.response_format, options.thinking],
-        [fingerprint(messages) for messages in requests],
-    ]
+    sent = [fingerprint(messages) for messages in requests]
+    whole = [BOX_REPLY_SCHEMA, [options.response_format, options.thinking], sent]
     return Calibration(
         model=client.model,
         served_model=served[0] if served else "",

@@ -106,7 +106,6 @@ class Client:
         self._secret = _secret_pattern(self._key)
         self._pause = pause
         self._served: dict[str, None] = {}
-        self._lock = threading.Lock()
         # One connection per call in flight: the library's pool inspects all of its connections twice a call. The first
         # one is made at once, because the environment may be unusable.
         self._idle = [_connection(self.base_url)]
@@ -123,8 +122,7 @@ class Client:
     @property
     def served(self) -> tuple[str, ...]:
         """The model ids that replies have named so far, cached ones included, in the order of their first reply."""
-        with self._lock:
-            return tuple(self._served)
+        return tuple(self._served)
 
     def complete(self, messages: Sequence[Message], schema: Mapping[str, Any] | None = None) -> Reply:
         """Complete a chat, from the cache where the same request has finished cleanly before.
@@ -171,8 +169,8 @@ class Client:
         return self._one_line(version)[:80] if response.status_code == 200 and isinstance(version, str) else ""
 
     def _noted(self, reply: Reply) -> Reply:
-        with self._lock:
-            self._served.setdefault(reply.model)
+        # One step for the interpreter: no other thread sees it half done.
+        self._served.setdefault(reply.model)
         return reply
 
     def _request(self, schema: Mapping[str, Any] | None) -> dict[str, Any]:

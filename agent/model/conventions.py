@@ -13,7 +13,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, get_args
 
 Order = Literal["xyxy", "yxyx"]
 Scale = Literal["thousandths", "unit", "pixels", "resized"]
@@ -122,8 +122,8 @@ def convention_of(model: str) -> Convention:
     return next((convention for pattern, convention in _FAMILIES if pattern.search(plain)), CONTRACT)
 
 
-RESPONSE_FORMATS: Final[tuple[ResponseFormat, ...]] = ("json_schema", "json_object", "none")
-THINKING: Final[tuple[Thinking, ...]] = ("off", "on", "template")
+RESPONSE_FORMATS: Final[tuple[ResponseFormat, ...]] = get_args(ResponseFormat)
+THINKING: Final[tuple[Thinking, ...]] = get_args(Thinking)
 
 
 @dataclass(frozen=True)
