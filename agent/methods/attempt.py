@@ -17,7 +17,7 @@ import msgspec
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.client import Chat
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention
-from jrdb_avr.agent.model.messages import Message, Part, Picture, crop_metadata, transcript
+from jrdb_avr.agent.model.messages import Message, Part, metadata_line, metadata_of, picture_of, transcript
 from jrdb_avr.agent.model.prompts import choice_lines, render
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.schema.answers import TIE, Answer, Evidence
@@ -25,7 +25,7 @@ from jrdb_avr.schema.errors import DecodeError, ObserveError
 from jrdb_avr.schema.method import Observation, Panorama, Prediction, Question, Step, StepKind, Task
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, angle_error, from_crop
 
-T = TypeVar("T")
+Seen = TypeVar("Seen", Observation, Panorama)
 
 PANORAMAS: Final = 8
 """Panoramas in the context of the methods that cannot choose where to look."""
@@ -55,27 +55,12 @@ def uniform_frames(frames: Sequence[int], n: int = PANORAMAS) -> tuple[int, ...]
     return tuple(frames[(2 * i * last + n - 1) // (2 * (n - 1))] for i in range(n))
 
 
-def panorama_picture(panorama: Panorama) -> Picture:
-    """The panorama as it is stored: its file's bytes, not encoded anew."""
-    return Picture(f"{panorama.sequence} {panorama.frame_id} panorama", panorama.jpeg)
-
-
-def panorama_metadata(panorama: Panorama) -> dict[str, Any]:
-    """The metadata of a panorama that a model gets: frame id, and seconds from frame 0."""
-    return {"frame_id": panorama.frame_id, "timestamp": round(panorama.timestamp, 3)}
-
-
-def panorama_line(panorama: Panorama) -> str:
-    """`panorama_metadata` as JSON on one line."""
-    return msgspec.json.encode(panorama_metadata(panorama)).decode()
-
-
 def panorama_parts(panoramas: Sequence[Panorama]) -> tuple[Part, ...]:
     """Each panorama behind the line that numbers and places it."""
     return tuple(
         part
         for number, panorama in enumerate(panoramas, 1)
-        for part in (f"Panorama {number}: {panorama_line(panorama)}", panorama_picture(panorama))
+        for part in (f"Panorama {number}: {metadata_line(panorama)}", picture_of(panorama))
     )
 
 
@@ -152,6 +137,11 @@ class ImageFrame(NamedTuple):
     width: int
     height: int
     left: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height."""
+        return self.width, self.height
 
     def evidence(self, frame: int, box: Box) -> Evidence:
         """A box in one of these pictures, in stitched pixels, x in [0, 3760)."""
@@ -230,7 +220,7 @@ class Attempt:
 
     def look(self, frame: int, angle: float) -> Observation:
         """A crop, counted as a look. Raises ObserveError."""
-        observation = self._observe(self.task.observe, crop_metadata, frame_index=frame, angle_deg=angle)
+        observation = self._observe(self.task.observe, frame_index=frame, angle_deg=angle)
         self.made.append((frame, observation.angle_deg))
         return observation
 
@@ -239,13 +229,13 @@ class Attempt:
         frames = uniform_frames(self.task.sequence.frames, n)
         if not frames:
             raise ObserveError(f"{self.task.question.sequence} has no panoramas: load a root that has its images")
-        return tuple(self._observe(self.task.panorama, panorama_metadata, frame_index=frame) for frame in frames)
+        return tuple(self._observe(self.task.panorama, frame_index=frame) for frame in frames)
 
-    def _observe(self, observe: Callable[..., T], describe: Callable[[T], dict[str, Any]], **place: float) -> T:
+    def _observe(self, observe: Callable[..., Seen], **place: float) -> Seen:
         started, request = time.perf_counter(), self._request(**place)
         seen = observe(**request)
         self.looks += 1
-        self.record("observe", request, describe(seen), started)
+        self.record("observe", request, metadata_of(seen), started)
         return seen
 
     def _request(self, **place: float) -> dict[str, Any]:
@@ -294,7 +284,7 @@ class Attempt:
 
     def _place(self, value: object, image: ImageFrame) -> tuple[Evidence, dict[str, Any]]:
         """The one box in stitched pixels, and its record in the transcript."""
-        seen = decode.read_evidence(value, image.frames, image.width, image.height, self.convention)
+        seen = decode.read_evidence(value, image.frames, image.size, self.convention)
         evidence = image.evidence(seen.frame, seen.box)
         return evidence, {"image_box": seen.box, "stitched_box": evidence.box, "box_key": seen.key}
 

@@ -24,7 +24,7 @@ from jrdb_avr.agent.methods.attempt import (
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.client import Chat
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention
-from jrdb_avr.agent.model.messages import Message, Part, Picture, crop_line, crop_picture
+from jrdb_avr.agent.model.messages import Message, Part, Picture, metadata_line, picture_of
 from jrdb_avr.agent.model.prompts import frame_ranges, mode_text, render
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Prediction, Question, Task
@@ -132,7 +132,7 @@ class _Episode:
             self.steps.append(f"look at frame {frame:06d}, angle {angle:g}: refused, {reason}")
             return
         observation = self.attempt.look(frame, angle)
-        self.looks.append((observation, crop_picture(observation)))
+        self.looks.append((observation, picture_of(observation)))
         self.steps.append(f"look at frame {frame:06d}, angle {angle:g}: picture {len(self.looks)}")
 
     def _answer(self, move: dict[str, Any]) -> Prediction | None:
@@ -152,7 +152,7 @@ class _Episode:
         parts: list[Part] = [self.heading]
         for number, (observation, picture) in enumerate(self.looks, 1):
             newest = ", the newest" if number == len(self.looks) else ""
-            parts += [f"Picture {number}{newest}: {crop_line(observation)}", picture]
+            parts += [f"Picture {number}{newest}: {metadata_line(observation)}", picture]
         frames = sorted({observation.frame_id for observation, _ in self.looks})
         error = "Your last turn was malformed, and a second such turn ends the question: "
         parts.append(

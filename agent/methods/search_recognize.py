@@ -20,7 +20,7 @@ from jrdb_avr.agent.methods.attempt import (
     panorama_parts,
 )
 from jrdb_avr.agent.model import decode
-from jrdb_avr.agent.model.messages import Part, crop_line, crop_picture
+from jrdb_avr.agent.model.messages import Part, metadata_line, picture_of
 from jrdb_avr.agent.model.prompts import mode_text, render
 from jrdb_avr.schema.answers import Answer, Evidence
 from jrdb_avr.schema.errors import DecodeError
@@ -92,4 +92,4 @@ def _box(attempt: Attempt, parts: tuple[Part, ...], ground: ImageFrame) -> Evide
 
 
 def _crop_parts(crop: Observation) -> tuple[Part, ...]:
-    return (f"Crop: {crop_line(crop)}", crop_picture(crop))
+    return (f"Crop: {metadata_line(crop)}", picture_of(crop))

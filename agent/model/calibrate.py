@@ -213,6 +213,6 @@ def _try(written: Sequence[_Written], reading: Reading, convention: Convention) 
 
 def _box(one: _Written, reading: Reading, convention: Convention) -> Box | None:
     try:
-        return place_box(one.numbers, one.drawn.width, one.drawn.height, reading, convention)
+        return place_box(one.numbers, one.drawn.size, reading, convention)
     except DecodeError:
         return None

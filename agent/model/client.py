@@ -162,7 +162,7 @@ class Client:
         try:
             with _connection(self.base_url) as http:
                 url = f"{parts.scheme}://{parts.netloc}/version"
-                response, data = _exchange(http, "GET", url, _VERSION_TIMEOUT_S)
+                response, data = _exchange(http, _VERSION_TIMEOUT_S, "GET", url)
             version = msgspec.json.decode(data, type=dict[str, Any]).get("version")
         except (httpx2.HTTPError, EndpointError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             return ""
@@ -241,7 +241,8 @@ class Client:
             connection = _connection(self.base_url)
         headers = {"Content-Type": "application/json"} | ({"Authorization": f"Bearer {self._key}"} if self._key else {})
         try:
-            return _exchange(connection, "POST", f"{self.base_url}/chat/completions", timeout_s, body, headers)
+            url = f"{self.base_url}/chat/completions"
+            return _exchange(connection, timeout_s, "POST", url, content=body, headers=headers)
         finally:
             self._idle.append(connection)
 
@@ -296,12 +297,7 @@ def _certificates(environment: bool) -> ssl.SSLContext:
 
 
 def _exchange(
-    http: httpx2.Client,
-    method: str,
-    url: str,
-    timeout_s: float,
-    body: bytes | None = None,
-    headers: Mapping[str, str] | None = None,
+    http: httpx2.Client, timeout_s: float, method: str, url: str, **sent: Any
 ) -> tuple[httpx2.Response, bytes]:
     """Send a request and read the whole reply.
 
@@ -311,7 +307,7 @@ def _exchange(
     import httpx2
 
     timeout = httpx2.Timeout(timeout_s, connect=min(timeout_s, _CONNECT_S))
-    with http.stream(method, url, content=body, headers=headers, timeout=timeout) as response:
+    with http.stream(method, url, timeout=timeout, **sent) as response:
         if response.headers.get("content-encoding", "").strip().lower() not in ("", "identity"):
             raise EndpointError("the reply is compressed, but the request accepts no compression: switch it off there")
         data, end = bytearray(), time.monotonic() + timeout_s

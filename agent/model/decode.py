@@ -16,11 +16,14 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from jrdb_avr.agent.model.conventions import CONTRACT, CONTRACT_KEY, SCALE, TOLERANCE, Convention, Order, Reading
+from jrdb_avr.agent.model.conventions import CONTRACT, CONTRACT_KEY, SCALE, TOLERANCE, Convention, Reading
 from jrdb_avr.agent.model.reply import Reply, spoken
 from jrdb_avr.schema.answers import ANSWER_TYPES, Answer, AnswerMode, Choice, Span
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import Box
+
+Size = tuple[int, int]
+"""Width and height of an image in pixels."""
 
 # The numbers are not bounded: a server that keeps to the schema would bend a box of another scale into a wrong one,
 # where the decoder says that it lies outside.
@@ -37,27 +40,20 @@ def box_key(entry: object, convention: Convention = CONTRACT, requested: str = C
 
 
 def read_box(
-    value: object,
-    width: int,
-    height: int,
-    convention: Convention = CONTRACT,
-    key: str = CONTRACT_KEY,
-    what: str = "box",
+    value: object, size: Size, convention: Convention = CONTRACT, key: str = CONTRACT_KEY, what: str = "box"
 ) -> Box:
-    """Four numbers, written under `key`, as a box in pixels of an image of `width` x `height`. Raises DecodeError.
+    """Four numbers, written under `key`, as a box in pixels of an image of this size. Raises DecodeError.
 
     Numbers outside the image by up to 2 % of its side are clipped; farther ones, and reversed or empty boxes, are
     refused. A key that the convention does not know is read as the contract's own.
     """
     reading = convention.reading(key)
-    return place_box(_numbers(value, reading, what), width, height, reading, convention, what)
+    return place_box(_numbers(value, reading, what), size, reading, convention, what)
 
 
-def place_box(
-    numbers: Sequence[float], width: int, height: int, reading: Reading, convention: Convention, what: str = "box"
-) -> Box:
+def place_box(numbers: Sequence[float], size: Size, reading: Reading, convention: Convention, what: str = "box") -> Box:
     """Four numbers under one reading as a box in pixels of the image. Raises DecodeError, as `read_box`."""
-    across, down = full_sides(reading, convention, width, height)
+    (width, height), (across, down) = size, full_sides(reading, convention, size)
     sides = (across, down) * 2 if reading.order == "xyxy" else (down, across) * 2
     pairs = list(zip(numbers, sides, strict=True))
     if any(not -TOLERANCE * side <= number <= (1 + TOLERANCE) * side for number, side in pairs):
@@ -72,11 +68,11 @@ def place_box(
     )
 
 
-def full_sides(reading: Reading, convention: Convention, width: int, height: int) -> tuple[float, float]:
-    """The numbers that stand for the right and the lower edge of an image of `width` x `height`."""
+def full_sides(reading: Reading, convention: Convention, size: Size) -> tuple[float, float]:
+    """The numbers that stand for the right and the lower edge of an image of this size."""
     if reading.scale == "resized":
-        return convention.resized(width, height)
-    return {"thousandths": (SCALE, SCALE), "unit": (1, 1), "pixels": (width, height)}[reading.scale]
+        return convention.resized(*size)
+    return {"thousandths": (SCALE, SCALE), "unit": (1, 1), "pixels": size}[reading.scale]
 
 
 def _numbers(value: object, reading: Reading, what: str) -> list[float]:
@@ -90,11 +86,10 @@ def _numbers(value: object, reading: Reading, what: str) -> list[float]:
     return value
 
 
-def write_box(box: Box, width: int, height: int, order: Order = "xyxy") -> list[int]:
+def write_box(box: Box, size: Size) -> list[int]:
     """A box in image pixels as the four integers of the contract, clipped to the image."""
-    corners = ((box.x, width), (box.y, height), (box.x + box.w, width), (box.y + box.h, height))
-    left, top, right, bottom = (min(max(round(v * SCALE / side), 0), SCALE) for v, side in corners)
-    return [left, top, right, bottom] if order == "xyxy" else [top, left, bottom, right]
+    corners = zip((box.x, box.y, box.x + box.w, box.y + box.h), size * 2, strict=True)
+    return [min(max(round(v * SCALE / side), 0), SCALE) for v, side in corners]
 
 
 VERSION: Final = 1
@@ -251,10 +246,8 @@ class ImageBox:
     key: str
 
 
-def read_evidence(
-    value: object, frames: Collection[int], width: int, height: int, convention: Convention = CONTRACT
-) -> ImageBox:
-    """The one box of `evidence_bboxes`, in pixels of an image of `width` x `height`. Raises DecodeError.
+def read_evidence(value: object, frames: Collection[int], size: Size, convention: Convention = CONTRACT) -> ImageBox:
+    """The one box of `evidence_bboxes`, in pixels of an image of this size. Raises DecodeError.
 
     Its frame must be one of `frames`. Corners outside by up to 2 % are clipped; reversed or empty boxes are refused.
     """
@@ -266,7 +259,7 @@ def read_evidence(
     if frame not in frames:
         allowed = ", ".join(f"{f:06d}" for f in sorted(frames)[:8])
         raise DecodeError(f"{what}.frame_id {frame:06d} is not a frame of the image at hand ({allowed})")
-    return ImageBox(frame, read_box(part[key], width, height, convention, key, f"{what}.{key}"), key)
+    return ImageBox(frame, read_box(part[key], size, convention, key, f"{what}.{key}"), key)
 
 
 # -- the contract as JSON Schema --------------------------------------------------------------------------------------

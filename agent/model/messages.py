@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from jrdb_avr.schema.errors import ObserveError
-from jrdb_avr.schema.method import Image, Observation
+from jrdb_avr.schema.method import Image, Observation, Panorama
 
 JPEG_QUALITY: Final = 95
 
@@ -46,10 +46,11 @@ class Message:
     parts: tuple[Part, ...]
 
 
-def crop_picture(observation: Observation) -> Picture:
-    """The crop of an observation as JPEG of quality 95."""
-    name = f"{observation.sequence} {observation.frame_id} {observation.angle_deg:.12g}"
-    return jpeg_picture(name, observation.image[:, :, ::-1])
+def picture_of(seen: Observation | Panorama) -> Picture:
+    """A crop as JPEG of quality 95; a panorama as it is stored, its file's bytes not encoded anew."""
+    if isinstance(seen, Panorama):
+        return Picture(f"{seen.sequence} {seen.frame_id} panorama", seen.jpeg)
+    return jpeg_picture(f"{seen.sequence} {seen.frame_id} {seen.angle_deg:.12g}", seen.image[:, :, ::-1])
 
 
 def jpeg_picture(name: str, image: Image) -> Picture:
@@ -62,20 +63,17 @@ def jpeg_picture(name: str, image: Image) -> Picture:
     return Picture(name, data.tobytes())
 
 
-def crop_metadata(observation: Observation) -> dict[str, Any]:
-    """The metadata of a crop that a model gets: where and when it was taken, nothing of what it shows."""
-    return {
-        "frame_id": observation.frame_id,
-        "timestamp": round(observation.timestamp, 3),
-        "angle_deg": observation.angle_deg,
-        "fov_deg": round(observation.fov_deg, 2),
-        "left": observation.left,
-    }
+def metadata_of(seen: Observation | Panorama) -> dict[str, Any]:
+    """The metadata of a picture that a model gets: where and when it was taken, nothing of what it shows."""
+    metadata = {"frame_id": seen.frame_id, "timestamp": round(seen.timestamp, 3)}
+    if isinstance(seen, Panorama):
+        return metadata
+    return metadata | {"angle_deg": seen.angle_deg, "fov_deg": round(seen.fov_deg, 2), "left": seen.left}
 
 
-def crop_line(observation: Observation) -> str:
-    """`crop_metadata` as JSON on one line."""
-    return msgspec.json.encode(crop_metadata(observation)).decode()
+def metadata_line(seen: Observation | Panorama) -> str:
+    """`metadata_of` as JSON on one line."""
+    return msgspec.json.encode(metadata_of(seen)).decode()
 
 
 def wire(messages: Sequence[Message]) -> list[dict[str, Any]]:

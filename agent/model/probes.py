@@ -47,11 +47,10 @@ _TRIES: Final = 200
 
 @dataclass(frozen=True)
 class DrawnPicture:
-    """A picture of `width` x `height` pixels with a marked rectangle, and the rectangle's box and colour."""
+    """A picture with a marked rectangle: its width and height, and the rectangle's box and colour."""
 
     picture: Picture
-    width: int
-    height: int
+    size: tuple[int, int]
     box: Box
     color: str
 
@@ -103,7 +102,7 @@ def _drawn(rng: random.Random, number: int, width: int, height: int) -> DrawnPic
     for box in taken[1:]:
         _shape(image, box, rng.choice(others), rng.random() < 0.5)
     _marked(image, taken[0], color, rng.randrange(4096))
-    return DrawnPicture(_picture(f"drawn {number:03d} {width}x{height}", image), width, height, taken[0], color)
+    return DrawnPicture(_picture(f"drawn {number:03d} {width}x{height}", image), (width, height), taken[0], color)
 
 
 def _place(rng: random.Random, width: int, height: int, taken: Sequence[Box]) -> Box | None:

@@ -15,7 +15,7 @@ from typing import Final
 
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.markers import Mark
-from jrdb_avr.schema.panorama import CROP, HEIGHT, Box, angle_error
+from jrdb_avr.schema.panorama import CROP, Box, angle_error
 
 AROUND: Final = (0.0, 40.0, -40.0, 80.0, -80.0, 120.0, -120.0, 160.0, -160.0)
 """Turns from a first direction that cover the whole circle, the nearest first.
@@ -76,8 +76,7 @@ class Look:
     panorama: bool = False
     name: str = ""
     left: int = 0
-    width: int = CROP
-    height: int = HEIGHT
+    size: tuple[int, int] = (CROP, CROP)
 
     def of(self, identity: int) -> Sighting | None:
         """The person's sighting in this picture, if there is one."""
@@ -85,8 +84,9 @@ class Look:
 
     def box_inside(self, seen: Sighting) -> Box:
         """A sighting's box in pixels of this picture; for a person over a panorama's seam, the larger part of it."""
-        turns = (seen.box.x + seen.box.w / 2) // self.width if self.panorama else 0
-        return seen.box._replace(x=seen.box.x - self.width * turns)
+        width, _ = self.size
+        turns = (seen.box.x + seen.box.w / 2) // width if self.panorama else 0
+        return seen.box._replace(x=seen.box.x - width * turns)
 
 
 class NeedObservation(Exception):  # noqa: N818

@@ -91,7 +91,7 @@ class ChatMemory:
         if view is None:
             raise DecodeError("observation must name one that has been made")
         image = view.image
-        return image.evidence(image.frames[0], read_box(box, image.width, image.height, self.attempt.convention, key))
+        return image.evidence(image.frames[0], read_box(box, image.size, self.attempt.convention, key))
 
     def solved(self, reason: str) -> ParsedReply:
         """Return the readable parts of the newest final answer, which was refused."""

@@ -128,7 +128,7 @@ class GraphMemory:
         if view is None:
             return contract, "the box is of no observation"
         try:
-            return contract, read_box(contract.get("box"), view.image.width, view.image.height, convention, key)
+            return contract, read_box(contract.get("box"), view.image.size, convention, key)
         except DecodeError as error:
             return contract, str(error)
 

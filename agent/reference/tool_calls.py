@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from jrdb_avr.agent.beliefs.grounding import printable
-from jrdb_avr.agent.methods.attempt import ImageFrame, on_crop, on_panoramas, panorama_line, panorama_picture
+from jrdb_avr.agent.methods.attempt import ImageFrame, on_crop, on_panoramas
 from jrdb_avr.agent.model import decode
-from jrdb_avr.agent.model.messages import Part, Picture, crop_line, crop_picture
+from jrdb_avr.agent.model.messages import Part, Picture, metadata_line, picture_of
 from jrdb_avr.agent.model.prompts import render
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Panorama
@@ -126,9 +126,8 @@ class View:
 
 def view_of(name: str, seen: Observation | Panorama) -> View:
     """An observation under its name: a look, or a panorama of a fixed context."""
-    if isinstance(seen, Panorama):
-        return View(name, "Panorama", on_panoramas([seen]), panorama_line(seen), panorama_picture(seen))
-    return View(name, "Picture", on_crop(seen), crop_line(seen), crop_picture(seen))
+    kind, image = ("Panorama", on_panoramas([seen])) if isinstance(seen, Panorama) else ("Picture", on_crop(seen))
+    return View(name, kind, image, metadata_line(seen), picture_of(seen))
 
 
 def view_parts(views: Sequence[View]) -> list[Part]:

@@ -195,7 +195,7 @@ def _look_of(place: Mapping[str, Any], looks: Sequence[Look]) -> Look | None:
 
 def _wrong_box(box: list[int], look: Look, draws: Draws, number: int) -> list[int]:
     """Another person's box in the picture, or the box beside itself by more than half its width."""
-    others = [write_box(seen.box, look.width, look.height) for seen in look.sightings]
+    others = [write_box(seen.box, look.size) for seen in look.sightings]
     others = [other for other in others if other != box and other[0] < other[2] and other[1] < other[3]]
     if others and draws.happens(0.5, "whose", number):
         return draws.pick(others, "which", number)

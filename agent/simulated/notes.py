@@ -20,7 +20,7 @@ from jrdb_avr.schema.beliefs import TIMELESS
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.markers import Mark
-from jrdb_avr.schema.panorama import CROP, WIDTH, Box, center_angle, crop_left, to_crop
+from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, center_angle, crop_left, to_crop
 from jrdb_avr.schema.plan import Condition, Plan
 
 _PREFIX: Final = "p"
@@ -139,19 +139,19 @@ def _restored(made: _Observation, people: Sequence[tuple[int, _Entity]]) -> Look
     """A look whose picture is gone, with the people who were written down in it."""
     frame, panorama = int(made.frame_id), made.angle_deg is None
     angle = AHEAD if made.angle_deg is None else made.angle_deg
-    left, width = (0, WIDTH) if panorama else (int(crop_left(angle)), CROP)
+    left, size = (0, (WIDTH, HEIGHT)) if panorama else (int(crop_left(angle)), (CROP, CROP))
     sightings = []
     for identity, entity in people:
         for seen in entity.sightings:
             box = Box(*seen.box)
             place = box if panorama else to_crop(box, left)
             # A person who was looked at again, to be seen whole, was seen here as well.
-            again = _order(seen.observation) > _order(made.observation) and 0 <= place.x + place.w / 2 < width
+            again = _order(seen.observation) > _order(made.observation) and 0 <= place.x + place.w / 2 < size[0]
             if int(seen.frame_id) == frame and (again or seen.observation == made.observation):
                 inside = place if panorama else _cut_off(place)
                 mark = _mark(identity, entity, frame)
-                sightings.append(Sighting(frame, mark, inside, False, center_angle(box.x, box.w), width))
-    return Look(frame, angle, tuple(sightings), panorama, made.observation, left, width)
+                sightings.append(Sighting(frame, mark, inside, False, center_angle(box.x, box.w), size[0]))
+    return Look(frame, angle, tuple(sightings), panorama, made.observation, left, size)
 
 
 def _cut_off(box: Box) -> Box:
@@ -267,7 +267,7 @@ class Draft:
 
 def placed(look: Look, seen: Sighting) -> dict[str, Any]:
     """The keys of a call that place a person in an observation."""
-    return {"observation": look.name, "box": write_box(look.box_inside(seen), look.width, look.height)}
+    return {"observation": look.name, "box": write_box(look.box_inside(seen), look.size)}
 
 
 def attribute_of(condition: Condition) -> tuple[str, str | float]:

@@ -59,7 +59,7 @@ def _newest_box(state: EpisodeState, person: Sighting | None) -> list[dict[str, 
     if seen is None:
         state.note("mark unreadable in the look that should show the person again")
         return []
-    return [{"frame_id": f"{seen.frame:06d}", "bbox": write_box(seen.box, CROP, CROP)}]
+    return [{"frame_id": f"{seen.frame:06d}", "bbox": write_box(seen.box, (CROP, CROP))}]
 
 
 def _plan(request: Request) -> StageReply:
@@ -98,7 +98,7 @@ def _refine(request: Request) -> StageReply:
     if crop is None:
         raise DecodeError("the prompt shows no crop")
     state = EpisodeState(request.plan, request.choices, FixedExplorer((crop,)))
-    people = sorted(crop.sightings, key=lambda seen: abs(seen.box.x + seen.box.w / 2 - crop.width / 2))
+    people = sorted(crop.sightings, key=lambda seen: abs(seen.box.x + seen.box.w / 2 - crop.size[0] / 2))
     person = people[0] if people else None
     if not request.plan.edges:
         person = likely(request.plan.nodes[0].conditions, people, exact=crop.frame == state.t0) or person
@@ -158,7 +158,7 @@ def _best_box(looks: Sequence[Look], person: Sighting | None) -> list[dict[str, 
         return []
     shown = [(look, seen) for look in looks if (seen := look.of(person.identity)) is not None]
     look, seen = min(shown, key=lambda one: (not one[1].whole, abs(one[1].frame - person.frame)))
-    box = write_box(look.box_inside(seen), look.width, look.height)
+    box = write_box(look.box_inside(seen), look.size)
     return [{"frame_id": f"{seen.frame:06d}", "bbox": box}]
 
 

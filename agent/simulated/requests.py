@@ -73,11 +73,10 @@ class Request:
 
 
 class PictureMarks(NamedTuple):
-    """The marks read in an image, with its size in pixels and its sha256."""
+    """The marks read in an image, with its width and height in pixels and its sha256."""
 
     digest: bytes
-    width: int
-    height: int
+    size: tuple[int, int]
     readings: tuple[Reading, ...]
 
 
@@ -101,7 +100,7 @@ class Reader:
                 self._cache.move_to_end(key)
                 return self._cache[key]
         image = _image(uri)
-        found = PictureMarks(digest, image.shape[1], image.shape[0], tuple(read(image, wrap=wrap)))
+        found = PictureMarks(digest, image.shape[1::-1], tuple(read(image, wrap=wrap)))
         with self._lock:
             self._cache[key] = found
             while len(self._cache) > _CACHED:
@@ -222,7 +221,7 @@ def _looks(parts: Turn, reader: Reader, misread: Misread | None) -> list[Look]:
 def _look(place: _Metadata, name: str, picture: PictureMarks, misread: Misread | None) -> Look:
     frame, panorama = int(place.frame_id), place.angle_deg is None
     # A panorama may be sent smaller than it is, a crop is as large as it was cut.
-    scale = WIDTH / picture.width if panorama else 1.0
+    scale = WIDTH / picture.size[0] if panorama else 1.0
     sightings = tuple(
         Sighting(
             frame,
@@ -230,12 +229,12 @@ def _look(place: _Metadata, name: str, picture: PictureMarks, misread: Misread |
             box,
             complete,
             angle_of_column(place.left + (box.x + box.w / 2) * scale),
-            picture.width,
+            picture.size[0],
         )
         for mark, box, complete in picture.readings
     )
     angle = AHEAD if place.angle_deg is None else place.angle_deg
-    return Look(frame, angle, sightings, panorama, name, place.left, picture.width, picture.height)
+    return Look(frame, angle, sightings, panorama, name, place.left, picture.size)
 
 
 class StageReply(NamedTuple):

@@ -262,8 +262,9 @@ def _picture_reply(last: str, parts: Turn, reader: Reader) -> dict[str, Any]:
         raise DecodeError("no picture of the request shows a mark")
     mark = picture.readings[0].box
     if last == CORNER_LINE:
-        down = "upper" if mark.y + mark.h / 2 < picture.height / 2 else "lower"
-        across = "left" if mark.x + mark.w / 2 < picture.width / 2 else "right"
+        width, height = picture.size
+        down = "upper" if mark.y + mark.h / 2 < height / 2 else "lower"
+        across = "left" if mark.x + mark.w / 2 < width / 2 else "right"
         return {"corner": f"{down} {across}"}
     if last == PANORAMA_LINE:
         return {"calls": [{"tool": "final_answer", "answer": number, "entity": "p1"}]}
@@ -272,4 +273,4 @@ def _picture_reply(last: str, parts: Turn, reader: Reader) -> dict[str, Any]:
         raise DecodeError("the request does not name its picture's frame")
     if last == CROP_LINE:
         return {"action": "observe", "frame_id": frame[1], "angle_deg": 180}
-    return {"evidence_bboxes": [{"frame_id": frame[1], "bbox": write_box(mark, picture.width, picture.height)}]}
+    return {"evidence_bboxes": [{"frame_id": frame[1], "bbox": write_box(mark, picture.size)}]}

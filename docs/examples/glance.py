@@ -3,7 +3,7 @@
 from jrdb_avr.agent.methods.attempt import Attempt, final_parts, heading, on_crop
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.conventions import CONTRACT
-from jrdb_avr.agent.model.messages import Message, crop_line, crop_picture
+from jrdb_avr.agent.model.messages import Message, metadata_line, picture_of
 from jrdb_avr.agent.model.prompts import mode_text
 from jrdb_avr.schema.errors import DecodeError
 
@@ -30,7 +30,7 @@ class Glance:
         text = mode_text(task.question.answer_mode, task.sequence.frame_count)
         messages = [
             Message("system", (RULES % (text.form, text.rule),)),
-            Message("user", (heading(task.question), f"Crop: {crop_line(seen)}", crop_picture(seen))),
+            Message("user", (heading(task.question), f"Crop: {metadata_line(seen)}", picture_of(seen))),
         ]
         try:
             reply = attempt.ask_object(messages, decode.closed_object(final_parts(task.question)))

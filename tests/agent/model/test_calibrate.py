@@ -156,10 +156,10 @@ def test_the_pictures_show_what_is_known_of_them():
     """The mark in each says where its rectangle is: in JPEG, read back by the marks' own reader."""
     pictures = drawn_rectangles(50, 0)
     assert len(pictures) == 50
-    assert {(drawn.width, drawn.height) for drawn in pictures} == {(480, 480), (3760, 480)}
+    assert {drawn.size for drawn in pictures} == {(480, 480), (3760, 480)}
     for drawn in pictures:
         width, height, box = marked({"messages": wire(request(drawn))})
-        assert (width, height) == (drawn.width, drawn.height)
+        assert (width, height) == drawn.size
         assert iou(type(drawn.box)(*box), drawn.box) > 0.95
     assert [drawn.picture.digest for drawn in drawn_rectangles(4, 0)] == [d.picture.digest for d in pictures[:4]]
     assert drawn_rectangles(1, 1)[0].picture.digest != pictures[0].picture.digest
@@ -190,8 +190,7 @@ def test_the_true_box_is_in_no_request():
         text = "".join(part for part in message.parts if isinstance(part, str)) + drawn.picture.name
         for value in drawn.box:
             assert (
-                str(int(value)) not in text.replace(f"{drawn.width}x{drawn.height}", "").replace("1000", "")
-                or value < 10
+                str(int(value)) not in text.replace("{}x{}".format(*drawn.size), "").replace("1000", "") or value < 10
             )
 
 

@@ -119,7 +119,7 @@ def test_what_a_convention_writes_it_reads(convention, size, a, b, c, d, data):
     assume(right - left > 0.01 and bottom - top > 0.01)
     width, height = size
     written = encode((left, top, right, bottom), convention.reading(key), convention, width, height)
-    box = read_box(json.loads(json.dumps(written)), width, height, convention, key)
+    box = read_box(json.loads(json.dumps(written)), (width, height), convention, key)
     slack = 0.0005 if convention.reading(key).scale == "thousandths" else 0.002
     for seen, true, side in (
         (box.x, left, width),
@@ -135,13 +135,13 @@ def test_reversed_corners_are_never_a_box(convention, size, numbers):
     for key in convention.boxes:
         a, b, c, d = numbers
         if a < c and b < d:
-            read_box(numbers, *size, convention, key)
+            read_box(numbers, size, convention, key)
             for swapped in ([c, b, a, d], [a, d, c, b], [c, d, a, b]):
                 with pytest.raises(DecodeError, match="reversed"):
-                    read_box(swapped, *size, convention, key)
+                    read_box(swapped, size, convention, key)
         else:
             with pytest.raises(DecodeError, match="reversed"):
-                read_box(numbers, *size, convention, key)
+                read_box(numbers, size, convention, key)
 
 
 NUMBER = (
@@ -160,7 +160,7 @@ NUMBER = (
 def test_junk_is_no_box(convention, value):
     """Whatever is no list of four fitting numbers gives a reason, and what does fit lies in the image."""
     try:
-        box = read_box(value, 480, 480, convention)
+        box = read_box(value, (480, 480), convention)
     except DecodeError as error:
         assert str(error).isprintable()
         return
@@ -175,10 +175,10 @@ def test_junk_is_no_box(convention, value):
 def test_one_number_that_is_none_spoils_the_box(convention, place, spoiled):
     full = 1 if convention.scales["bbox"] == "unit" else 400
     numbers = [0, 0, full, full]
-    read_box(numbers, 480, 480, convention)
+    read_box(numbers, (480, 480), convention)
     numbers[place] = spoiled
     with pytest.raises(DecodeError):
-        read_box(numbers, 480, 480, convention)
+        read_box(numbers, (480, 480), convention)
 
 
 @pytest.mark.parametrize(
@@ -193,24 +193,24 @@ def test_one_number_that_is_none_spoils_the_box(convention, place, spoiled):
 )
 def test_two_percent_are_clipped_and_no_more(value, outcome):
     if outcome:
-        assert read_box(value, 480, 480) == outcome
+        assert read_box(value, (480, 480)) == outcome
     else:
         with pytest.raises(DecodeError, match="outside"):
-            read_box(value, 480, 480)
+            read_box(value, (480, 480))
 
 
 def test_two_percent_of_pixels_are_of_each_side():
     pixels = Convention("p", {"bbox": "xyxy"}, scales={"bbox": "pixels"})
-    assert read_box([0, 0, 3835, 489], WIDTH, HEIGHT, pixels) == Box(0, 0, WIDTH, HEIGHT)
+    assert read_box([0, 0, 3835, 489], (WIDTH, HEIGHT), pixels) == Box(0, 0, WIDTH, HEIGHT)
     for beyond in ([0, 0, 3836, 480], [0, 0, 3760, 490]):
         with pytest.raises(DecodeError, match="outside"):
-            read_box(beyond, WIDTH, HEIGHT, pixels)
+            read_box(beyond, (WIDTH, HEIGHT), pixels)
 
 
 def test_a_key_of_another_tool_is_read_as_the_contracts():
     gemma = convention_of("google/gemma-4-E4B-it")
-    assert read_box([100, 200, 300, 600], 1000, 1000, gemma, "box") == Box(100, 200, 200, 400)
-    assert read_box([100, 200, 300, 600], 1000, 1000, gemma, "box_2d") == Box(200, 100, 400, 200)
+    assert read_box([100, 200, 300, 600], (1000, 1000), gemma, "box") == Box(100, 200, 200, 400)
+    assert read_box([100, 200, 300, 600], (1000, 1000), gemma, "box_2d") == Box(200, 100, 400, 200)
 
 
 @pytest.mark.parametrize(
@@ -231,6 +231,5 @@ def test_the_key_that_was_written(entry, key):
 
 
 def test_the_contract_writes_thousandths():
-    assert write_box(Box(120, 0, 240, 480), 480, 480) == [250, 0, 750, 1000]
-    assert write_box(Box(120, 0, 240, 480), 480, 480, "yxyx") == [0, 250, 1000, 750]
-    assert write_box(Box(-50, -50, 4000, 600), WIDTH, HEIGHT) == [0, 0, 1000, 1000]
+    assert write_box(Box(120, 0, 240, 480), (480, 480)) == [250, 0, 750, 1000]
+    assert write_box(Box(-50, -50, 4000, 600), (WIDTH, HEIGHT)) == [0, 0, 1000, 1000]

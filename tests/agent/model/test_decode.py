@@ -201,7 +201,7 @@ def test_any_value_is_an_answer_or_a_reason(value, mode):
 @given(JSON)
 def test_any_value_is_a_box_or_a_reason(value):
     with pytest.raises(DecodeError):
-        read_evidence(value, {150}, CROP, CROP)
+        read_evidence(value, {150}, (CROP, CROP))
 
 
 # -- answers ----------------------------------------------------------------------------------------------------------
@@ -272,14 +272,14 @@ def evidence(bbox, frame="000150", key="bbox"):
 
 
 def test_a_box_in_thousandths():
-    seen = read_evidence(evidence([0, 250, 500, 1000]), {150}, 480, 480)
+    seen = read_evidence(evidence([0, 250, 500, 1000]), {150}, (480, 480))
     assert (seen.frame, seen.box, seen.key) == (150, Box(0, 120, 240, 360), "bbox")
-    wide = read_evidence(evidence([0, 250, 500, 1000]), {150}, 3760, 480)
+    wide = read_evidence(evidence([0, 250, 500, 1000]), {150}, (3760, 480))
     assert wide.box == Box(0, 120, 1880, 360)
 
 
 def test_two_percent_outside_is_clipped():
-    assert read_evidence(evidence([-20, 0, 1020, 1000]), {150}, 480, 480).box == Box(0, 0, 480, 480)
+    assert read_evidence(evidence([-20, 0, 1020, 1000]), {150}, (480, 480)).box == Box(0, 0, 480, 480)
 
 
 @pytest.mark.parametrize(
@@ -312,18 +312,20 @@ def test_two_percent_outside_is_clipped():
 )
 def test_boxes_that_do_not_fit(value):
     with pytest.raises(DecodeError):
-        read_evidence(value, {150}, 480, 480)
+        read_evidence(value, {150}, (480, 480))
 
 
 def test_conventions_are_declared_by_name():
     gemma, qwen = convention_of("google/gemma-4-E4B-it"), convention_of("Qwen/Qwen3-VL-8B-Instruct")
-    assert read_evidence(evidence([10, 20, 30, 50], key="box_2d"), {150}, 1000, 1000, gemma).box == Box(20, 10, 30, 20)
-    assert read_evidence(evidence([10, 20, 30, 50]), {150}, 1000, 1000, gemma).box == Box(10, 20, 20, 30)
-    assert read_evidence(evidence([10, 20, 30, 50], key="bbox_2d"), {150}, 1000, 1000, qwen).key == "bbox_2d"
+    assert read_evidence(evidence([10, 20, 30, 50], key="box_2d"), {150}, (1000, 1000), gemma).box == Box(
+        20, 10, 30, 20
+    )
+    assert read_evidence(evidence([10, 20, 30, 50]), {150}, (1000, 1000), gemma).box == Box(10, 20, 20, 30)
+    assert read_evidence(evidence([10, 20, 30, 50], key="bbox_2d"), {150}, (1000, 1000), qwen).key == "bbox_2d"
     assert convention_of("some-other-model") is CONTRACT
     both = [{"frame_id": "000150", "bbox": [0, 0, 1, 1], "bbox_2d": [0, 0, 9, 9]}]
     with pytest.raises(DecodeError):
-        read_evidence(both, {150}, 480, 480, qwen)
+        read_evidence(both, {150}, (480, 480), qwen)
 
 
 SIDE = st.floats(0, 480, allow_nan=False)
@@ -335,7 +337,9 @@ def test_boxes_survive_writing_and_reading(x, y, w, h, order):
     if box.w < 2 or box.h < 2:
         return
     convention = decode.Convention("test", {"bbox": order})
-    back = read_evidence(evidence(write_box(box, 480, 480, order)), {150}, 480, 480, convention).box
+    left, top, right, bottom = write_box(box, (480, 480))
+    written = [left, top, right, bottom] if order == "xyxy" else [top, left, bottom, right]
+    back = read_evidence(evidence(written), {150}, (480, 480), convention).box
     for a, b in ((back.x, box.x), (back.y, box.y), (back.x + back.w, box.x + box.w), (back.y + back.h, box.y + box.h)):
         assert abs(a - b) <= 0.25
 
@@ -353,7 +357,7 @@ def test_a_box_on_the_ring_survives_crop_contract_and_back(x, y, w, h, off):
     seen = to_crop(box, left)
     if seen.x < 0 or seen.x + seen.w > CROP:
         return
-    back = from_crop(read_evidence(evidence(write_box(seen, CROP, CROP)), {150}, CROP, CROP).box, left)
+    back = from_crop(read_evidence(evidence(write_box(seen, (CROP, CROP))), {150}, (CROP, CROP)).box, left)
     assert iou(back, box) > 0.94
 
 
