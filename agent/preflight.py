@@ -36,10 +36,10 @@ from jrdb_avr.agent.model.probes import (
     CORNER_LINE,
     CORNERS,
     CROP_LINE,
+    CROP_SIZE,
     PANORAMA_LINE,
-    corner_picture,
-    drawn_panorama,
-    plain_crop,
+    PANORAMA_SIZE,
+    drawn_picture,
 )
 from jrdb_avr.agent.model.prompts import render
 from jrdb_avr.agent.model.reply import Reply, thought
@@ -49,6 +49,7 @@ from jrdb_avr.agent.reference.planning import plan_form
 from jrdb_avr.agent.reference.tool_calls import LOOK_SCHEMA
 from jrdb_avr.schema.errors import DecodeError, EndpointError
 from jrdb_avr.schema.method import Panorama, Question
+from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan
 
 CROPS: Final = max(BUDGET, LIMITS.looks)
@@ -63,6 +64,7 @@ LOOKING: Final = ("react", "agent", "agent-no-world")
 AGENTS: Final = ("agent", "agent-passive", "agent-no-world", "agent-passive-no-world")
 PLANNING: Final = ("agent", "agent-passive")
 
+_IN_PANORAMA: Final = Box(1500, 130, 180, 240)
 _FRAME_STEP: Final = 15
 """Frames between two pictures, which only give each picture its own frame id."""
 
@@ -145,8 +147,9 @@ def demands() -> tuple[Demand, ...]:
 
 def _panoramas_request(place: int) -> tuple[Part, ...]:
     """Panoramas as a fixed context holds them, the one numbered `place`, from 1, with the marked rectangle."""
+    boxes = {place: _IN_PANORAMA}
     panoramas = [
-        Panorama("drawn", frame, f"{frame:06d}", float(number), drawn_panorama(number == place).data)
+        Panorama("drawn", frame, f"{frame:06d}", float(number), drawn_picture(PANORAMA_SIZE, boxes.get(number)).data)
         for number, frame in _FRAMES[:PANORAMAS]
     ]
     return (render("preflight_panoramas", n=PANORAMAS), *panorama_parts(panoramas), PANORAMA_LINE)
@@ -154,10 +157,10 @@ def _panoramas_request(place: int) -> tuple[Part, ...]:
 
 def _crops_request(place: int) -> tuple[Part, ...]:
     """Crops, the one numbered `place`, from 1, with the marked rectangle."""
+    boxes = {place: CORNERS["upper left"]}
     parts: list[Part] = [render("preflight_crops", n=CROPS)]
     for number, frame in _FRAMES[:CROPS]:
-        line = f'Picture {number}: {{"frame_id": "{frame:06d}"}}'
-        parts += [line, corner_picture("upper left") if number == place else plain_crop()]
+        parts += [f'Picture {number}: {{"frame_id": "{frame:06d}"}}', drawn_picture(CROP_SIZE, boxes.get(number))]
     return (*parts, CROP_LINE)
 
 
@@ -290,8 +293,8 @@ def _schema(client: Client, reply: Reply | EndpointError) -> Check:
 def _picture(client: Client) -> Check:
     remedy = "serve a model that sees, and check that the server passes image_url parts on"
     right = 0
-    for corner in CORNERS:
-        parts = (render("preflight_picture"), corner_picture(corner), CORNER_LINE)
+    for corner, box in CORNERS.items():
+        parts = (render("preflight_picture"), drawn_picture(CROP_SIZE, box), CORNER_LINE)
         found = _object(client, _probe(client, *parts, schema=_CORNER_SCHEMA))
         if isinstance(found, EndpointError):
             return Check("picture", False, f"a picture is refused ({found})", remedy)

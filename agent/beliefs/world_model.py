@@ -175,15 +175,19 @@ class BeliefEpisode:
         try:
             if tool == "add_entity":
                 fact = self._sighting(arguments, box, step)
+            elif tool == "add_attribute":
+                fact = Fact(has=self._attribute(arguments, step))
             else:
-                fact = (self._attribute if tool == "add_attribute" else self._relation)(arguments, step)
+                fact = Fact(related=self._relation(arguments, step))
         except DecodeError as error:
             return self.refused(tool, arguments, str(error), step)
         self._accepted += 1
-        for edge in (fact.sighted, fact.has, fact.related):
-            if edge is not None:
-                self._current[_place(edge)] = edge
-        self._write(tool, arguments, step, fact)
+        edge = fact.sighted or fact.has or fact.related
+        assert edge is not None, "every writing tool makes an edge"
+        place = _place(edge)
+        replaced = (self._current[place].write,) if place in self._current else ()
+        self._current[place] = edge
+        self._write(tool, arguments, step, msgspec.structs.replace(fact, replaced=replaced))
         return Result(True, "done")
 
     def _sighting(self, arguments: object, box: Box | str, step: int) -> Fact:
@@ -209,26 +213,23 @@ class BeliefEpisode:
             changed=row if there not in (None, row) else None,
             freed=tuple(one.id for one in entities.values() if row.node and one.node == row.node and one.id != key),
             sighted=sighted,
-            replaced=self._replaced(sighted),
         )
 
-    def _attribute(self, arguments: object, step: int) -> Fact:
+    def _attribute(self, arguments: object, step: int) -> AttributeRow:
         name, attribute, value, number, observation = read_attribute(arguments)
         look = self._look(observation)
         key = self._sighted(name, look)
         self._check_room()
         frames = (0, ALWAYS) if attribute in TIMELESS else (look.frame, look.frame)
-        has = AttributeRow(key, look.id, self.key, self._rows.written, step, attribute, value, number, *frames)
-        return Fact(has=has, replaced=self._replaced(has))
+        return AttributeRow(key, look.id, self.key, self._rows.written, step, attribute, value, number, *frames)
 
-    def _relation(self, arguments: object, step: int) -> Fact:
+    def _relation(self, arguments: object, step: int) -> RelationRow:
         first, relation, second, observation = read_relation(arguments)
         look = self._look(observation)
         source, target = self._sighted(first, look), self._sighted(second, look)
         self._check_room()
         write, frame = self._rows.written, look.frame
-        related = RelationRow(source, target, self.key, write, step, relation, look.id, frame, frame)
-        return Fact(related=related, replaced=self._replaced(related))
+        return RelationRow(source, target, self.key, write, step, relation, look.id, frame, frame)
 
     # -- the grounding rule -------------------------------------------------------------------------------------------
 
@@ -253,11 +254,6 @@ class BeliefEpisode:
         """Raises DecodeError where no more writes are taken."""
         if self._accepted >= MOST_WRITES:
             raise DecodeError(f"{MOST_WRITES} writes have been made, and no more are taken")
-
-    def _replaced(self, edge: Edge) -> tuple[int, ...]:
-        """The write of the edge that this one takes the place of, if there is one."""
-        before = self._current.get(_place(edge))
-        return () if before is None else (before.write,)
 
     # -- writing ------------------------------------------------------------------------------------------------------
 
@@ -363,19 +359,19 @@ def _slots(plan: Plan, episode: str) -> tuple[SlotRow, ...]:
     A slot's `name` is the attribute (or action, object, interaction), the relation or the read; `value` what it is to
     be, and of the read the names of its times. `frame` is the stated frame at which it holds, -1 where there is none.
     """
-    rows: list[tuple[str, str, str, str, str]] = []
-    times: list[str | None] = []
+    rows: list[tuple[tuple[str, str, str, str, str], str | None]] = []
     for node in plan.nodes:
-        rows.append(("node", node.id, "", "", ""))
-        rows += [("condition", node.id, "", *condition.wanted) for condition in node.conditions]
-        times += [None, *(condition.at for condition in node.conditions)]
-    rows += [("edge", edge.source, edge.target, edge.relation, "") for edge in plan.edges]
-    rows.append(("read", plan.answer.of, "", plan.answer.read, ", ".join(plan.answer.times)))
-    times += [*(edge.at for edge in plan.edges), plan.answer.times[0]]
-    stated = [None if time is None else plan.times[time].frame for time in times]
+        rows.append((("node", node.id, "", "", ""), None))
+        rows += [(("condition", node.id, "", *condition.wanted), condition.at) for condition in node.conditions]
+    rows += [(("edge", edge.source, edge.target, edge.relation, ""), edge.at) for edge in plan.edges]
+    answer = plan.answer
+    rows.append((("read", answer.of, "", answer.read, ", ".join(answer.times)), answer.times[0]))
+    stated = [None if time is None else plan.times[time].frame for _, time in rows]
     frames = [_NO_FRAME if frame is None else frame for frame in stated]
-    places = enumerate(zip(rows, frames, strict=True))
-    return tuple(SlotRow(f"{episode}/{number}", episode, number, *row, frame) for number, (row, frame) in places)
+    return tuple(
+        SlotRow(f"{episode}/{number}", episode, number, *row, frame)
+        for number, ((row, _), frame) in enumerate(zip(rows, frames, strict=True))
+    )
 
 
 def _stitched(look: ObservationRow, box: Box) -> XYWH:

@@ -24,10 +24,16 @@ BOX_LINE: Final = "The rectangle's box, as one JSON object:"
 PANORAMA_LINE: Final = "The panorama's number, as one JSON object:"
 CROP_LINE: Final = "The picture's frame, as one JSON object:"
 
-CORNERS: Final = ("upper left", "upper right", "lower left", "lower right")
+CROP_SIZE: Final = (CROP, CROP)
+PANORAMA_SIZE: Final = (WIDTH, HEIGHT)
+"""Width and height of the pictures that methods send."""
 
-SHAPES: Final = ((CROP, CROP), (WIDTH, HEIGHT))
-"""Width and height of the pictures that methods send: a crop, a panorama."""
+CORNERS: Final = {
+    f"{down} {across}": Box(x, y, 150, 190)
+    for down, y in (("upper", 15), ("lower", CROP - 205))
+    for across, x in (("left", 15), ("right", CROP - 165))
+}
+"""A rectangle in each corner of a crop."""
 
 _COLORS: Final = {
     "red": (185, 30, 30),
@@ -56,39 +62,24 @@ class DrawnPicture:
 
 
 @functools.cache
-def corner_picture(corner: str) -> Picture:
-    """A crop-sized picture with a marked rectangle in one of the `CORNERS`."""
-    w, h, edge = 150, 190, 15
-    x = edge if corner.endswith("left") else CROP - edge - w
-    y = edge if corner.startswith("upper") else CROP - edge - h
-    image = _plain(CROP, CROP)
-    _marked(image, Box(x, y, w, h), "red", 0)
-    return _picture(f"drawn {corner}", image)
+def drawn_picture(size: tuple[int, int], box: Box | None = None) -> Picture:
+    """A picture with a marked rectangle in its place, or without any shape.
 
-
-@functools.cache
-def plain_crop() -> Picture:
-    """A crop-sized picture without any shape."""
-    return _picture("drawn nothing", _plain(CROP, CROP))
-
-
-@functools.cache
-def drawn_panorama(marked: bool) -> Picture:
-    """A panorama, with a marked rectangle or without.
-
-    Its pixels differ slightly, so that its file is as large as a real one's (650 kB).
+    The pixels of a panorama differ slightly, so that its file is as large as a real one's (650 kB).
     """
-    grain = np.random.default_rng(0).integers(-_GRAIN, _GRAIN + 1, (HEIGHT, WIDTH, 1), dtype=np.int8)
-    image = (_plain(WIDTH, HEIGHT).astype(np.int16) + grain).astype(np.uint8)
-    if marked:
-        _marked(image, Box(1500, 130, 180, 240), "red", 0)
-    return _picture(f"drawn panorama {marked}", image)
+    image = _plain(*size)
+    if size == PANORAMA_SIZE:
+        grain = np.random.default_rng(0).integers(-_GRAIN, _GRAIN + 1, (HEIGHT, WIDTH, 1), dtype=np.int8)
+        image = (image.astype(np.int16) + grain).astype(np.uint8)
+    if box is not None:
+        _marked(image, box, "red", 0)
+    return _picture(f"drawn {size} {box}", image)
 
 
 def drawn_rectangles(n: int, seed: int) -> list[DrawnPicture]:
     """`n` pictures, crop- and panorama-shaped in turn, each with one marked rectangle among plain shapes."""
     rng = random.Random(seed)  # noqa: S311
-    return [_drawn(rng, number, *SHAPES[number % len(SHAPES)]) for number in range(n)]
+    return [_drawn(rng, number, *(PANORAMA_SIZE if number % 2 else CROP_SIZE)) for number in range(n)]
 
 
 def _drawn(rng: random.Random, number: int, width: int, height: int) -> DrawnPicture:

@@ -134,20 +134,12 @@ def holds(condition: Condition, person: Sighting, people: Sequence[Sighting]) ->
         return mark.interaction == condition.interaction or _unless_other(person, mark.interaction)
     if condition.object is not None:
         return (mark.object, mark.verb) == (condition.object, condition.verb) or _unless_other(person, mark.object)
-    read: str | None = None
-    match condition.attribute:
-        case None:
-            read = mark.pose
-        case "gender":
-            read = mark.gender
-        case "age":
-            read = mark.age
-        case "distance":
-            read = None if mark.distance_dm is None else distance_word(mark.distance_dm / 10)
-        case "sector":
-            return bool(angle_error(person.angle, _SECTOR_ANGLES[str(condition.value)]) <= 45.0)
-        case "group_size":
-            return _group_holds(condition, person, people)
+    if condition.attribute == "sector":
+        return bool(angle_error(person.angle, _SECTOR_ANGLES[str(condition.value)]) <= 45.0)
+    if condition.attribute == "group_size":
+        return _group_holds(condition, person, people)
+    distance = None if mark.distance_dm is None else distance_word(mark.distance_dm / 10)
+    read = {"gender": mark.gender, "age": mark.age, "distance": distance, "": mark.pose}[condition.attribute or ""]
     return None if read is None else read == (condition.action or condition.value)
 
 

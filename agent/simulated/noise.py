@@ -29,7 +29,7 @@ _HASHED: Final = 2.0**64
 _Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 
 
-class Knobs(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Knobs(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """Error rates of the simulated model, shares of 0 to 1; with none above 0, no byte of a reply changes.
 
     wrong_box: share of boxes that are shifted or another person's. wrong_attribute: share of a mark's readable fields
@@ -71,8 +71,8 @@ def parse(settings: Iterable[str]) -> Knobs:
 
 def turned(knobs: Knobs) -> dict[str, float]:
     """The knobs that differ from their defaults, for a run's manifest."""
-    values = msgspec.structs.asdict(knobs)
-    return {name: value for name, value in values.items() if value != getattr(PERFECT, name)}
+    values: dict[str, float] = msgspec.to_builtins(knobs)
+    return values
 
 
 def settings(knobs: Knobs) -> list[str]:

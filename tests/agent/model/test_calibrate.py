@@ -13,7 +13,7 @@ from jrdb_avr.agent.model.calibrate import calibrate, request
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import CONTRACT, Options, Reading, convention_of
 from jrdb_avr.agent.model.messages import wire
-from jrdb_avr.agent.model.probes import CORNERS, corner_picture, drawn_rectangles
+from jrdb_avr.agent.model.probes import CORNERS, CROP_SIZE, drawn_picture, drawn_rectangles
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.engine.cli import group
 from jrdb_avr.engine.run.endpoint import connect, convention_path, read_calibration, write_calibration
@@ -166,7 +166,7 @@ def test_the_pictures_show_what_is_known_of_them():
 
 
 def test_each_corner_shows_its_own_mark():
-    assert len({corner_picture(corner).digest for corner in CORNERS}) == 4
+    assert len({drawn_picture(CROP_SIZE, box).digest for box in CORNERS.values()}) == 4
 
 
 def test_a_server_that_changes_its_model_is_no_model():
