@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 from jrdb_avr.agent.methods.attempt import (
     DUPLICATE_DEG,
@@ -36,13 +36,11 @@ BUDGET: Final = 24
 class ReAct:
     """The method `react` with a budget of observations; at most twice as many model calls and two."""
 
+    name: ClassVar = "react"
+
     chat: Chat
     convention: Convention = CONTRACT
     budget: int = BUDGET
-
-    @property
-    def name(self) -> str:
-        return "react"
 
     @property
     def most_calls(self) -> int:

@@ -116,7 +116,7 @@ class Client:
             "base_url": self.base_url,
             "temperature": 0,
             **asdict(self.options),
-            "chat_template_kwargs": dict(self.options.template(self.convention)),
+            "chat_template_kwargs": self.options.template(self.convention),
         }
 
     @property
@@ -176,7 +176,7 @@ class Client:
     def _request(self, schema: Mapping[str, Any] | None) -> dict[str, Any]:
         request: dict[str, Any] = {"model": self.model, "temperature": 0, "max_tokens": self.options.max_tokens}
         if template := self.options.template(self.convention):
-            request["chat_template_kwargs"] = dict(template)
+            request["chat_template_kwargs"] = template
         return request if schema is None else {**request, **self.options.response(schema)}
 
     def _send(self, request: Mapping[str, Any], retries: int, most_s: float = math.inf) -> Reply:

@@ -43,8 +43,8 @@ class Convention:
 
     `boxes`: the accepted keys with the order of their numbers; `bbox` is the contract's, the others are aliases.
     `scales`: of the keys whose numbers are no thousandths. `thinking`: (opening, closing) delimiters. `thinks`: whether
-    the chat template thinks if nothing is said (None: not known). `switch`: the request's `chat_template_kwargs` that
-    turn thinking off and on; empty where it cannot be turned. `multiple` and `image_pixels`: what the model's own
+    the chat template thinks by itself (None: not known). `switches`: whether `enable_thinking` in the request's
+    `chat_template_kwargs` turns thinking off and on. `multiple` and `image_pixels`: what the model's own
     resizing makes of an image: sides as multiples, pixels at most (0: no such bound known). `calibrated` marks readings
     that were found by `calibrate`, not declared.
     """
@@ -53,7 +53,7 @@ class Convention:
     boxes: Mapping[str, Order]
     thinking: tuple[tuple[str, str], ...] = (("<think>", "</think>"), ("<|channel>thought", "<channel|>"))
     thinks: bool | None = None
-    switch: Mapping[Thinking, Mapping[str, Any]] = field(default_factory=dict)
+    switches: bool = False
     scales: Mapping[str, Scale] = field(default_factory=dict)
     multiple: int = 1
     image_pixels: int = 0
@@ -86,25 +86,20 @@ class Convention:
 CONTRACT: Final = Convention("contract", {CONTRACT_KEY: "xyxy"})
 """The convention of a model without a declared one."""
 
-_TEMPLATE_SWITCH: Final[Mapping[Thinking, Mapping[str, Any]]] = {
-    "off": {"enable_thinking": False},
-    "on": {"enable_thinking": True},
-}
-
 # The default budget is 280 soft tokens of 48 x 48 pixels: a whole panorama shrinks to some 60 % a side.
 _GEMMA_4: Final = Convention(
     "gemma-4",
     {CONTRACT_KEY: "xyxy", "box_2d": "yxyx"},
     (("<|channel>thought", "<channel|>"),),
     thinks=False,
-    switch=_TEMPLATE_SWITCH,
+    switches=True,
     multiple=48,
     image_pixels=280 * 48 * 48,
 )
 _QWEN3_VL: Final = Convention(
     "qwen3-vl", {CONTRACT_KEY: "xyxy", "bbox_2d": "xyxy"}, (("<think>", "</think>"),), thinks=False, multiple=32
 )
-_QWEN3_5: Final = replace(_QWEN3_VL, name="qwen3.5", thinks=True, switch=_TEMPLATE_SWITCH)
+_QWEN3_5: Final = replace(_QWEN3_VL, name="qwen3.5", thinks=True, switches=True)
 # A model of its own, whose template always begins to think.
 _QWEN3_VL_THINKING: Final = replace(_QWEN3_VL, name="qwen3-vl-thinking", thinks=True)
 
@@ -145,11 +140,11 @@ class Options:
         """Whether replies are declared to hold thinking; None where nothing is declared."""
         return convention.thinks if self.thinking == "template" else self.thinking == "on"
 
-    def template(self, convention: Convention) -> Mapping[str, Any]:
+    def template(self, convention: Convention) -> dict[str, Any]:
         """The request's `chat_template_kwargs`: sent only where they change what the template does by itself."""
-        if self.thinking == "template" or convention.thinks == (self.thinking == "on"):
-            return {}
-        return convention.switch.get(self.thinking, {})
+        thinks = self.thinking == "on"
+        changes = convention.switches and self.thinking != "template" and convention.thinks != thinks
+        return {"enable_thinking": thinks} if changes else {}
 
     def response(self, schema: Mapping[str, Any]) -> dict[str, Any]:
         """The request's `response_format` for a schema; empty where none is sent."""

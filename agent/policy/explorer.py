@@ -78,6 +78,10 @@ class Look:
     left: int = 0
     size: tuple[int, int] = (CROP, CROP)
 
+    def shows(self, frame: int, angle: float) -> bool:
+        """Whether a look at this frame and angle would repeat this one."""
+        return self.frame == frame and same_angle(self.angle, angle)
+
     def of(self, identity: int) -> Sighting | None:
         """The person's sighting in this picture, if there is one."""
         return next((seen for seen in self.sightings if seen.identity == identity), None)
@@ -129,7 +133,7 @@ class Explorer:
         Raises NeedObservation if it is the next to make, BudgetExhausted when only one look is left.
         """
         for look in self.looks:
-            if look.frame == frame and same_angle(look.angle, angle):
+            if look.shows(frame, angle):
                 return look
         if self.spare() == 0:
             raise BudgetExhausted
@@ -146,10 +150,16 @@ class Explorer:
         return self._next(frame, angle + offset)
 
     def _next(self, frame: int, angle: float) -> Look:
-        if self._ahead and self._ahead[0].frame == frame and same_angle(self._ahead[0].angle, angle):
-            self.looks.append(self._ahead.pop(0))
-            return self.looks[-1]
+        # A restored look may show somebody earlier than the original did: looks may be left over.
+        for look in self._ahead:
+            if look.shows(frame, angle):
+                return self._uncover(look)
         raise NeedObservation(frame, angle % 360.0)
+
+    def _uncover(self, look: Look) -> Look:
+        while self._ahead and not any(look is other for other in self.looks):
+            self.looks.append(self._ahead.pop(0))
+        return look
 
     def sightings(self, identity: int) -> list[Sighting]:
         """Every sighting of a person so far, the newest look first."""
@@ -211,19 +221,7 @@ class RestoredExplorer(Explorer):
         made = [look for look in (*self.looks, *self._ahead) if look.frame == frame]
         first = made[0].angle if made else angle
         for place, turn in enumerate(turns):
-            yield self._recall(made[place]) if place < len(made) else self.look(frame, first + turn)
-
-    def _recall(self, look: Look) -> Look:
-        while self._ahead and not any(look is other for other in self.looks):
-            self.looks.append(self._ahead.pop(0))
-        return look
-
-    def _next(self, frame: int, angle: float) -> Look:
-        # A restored look may show somebody earlier than the original did: looks may be left over.
-        for look in self._ahead:
-            if look.frame == frame and same_angle(look.angle, angle):
-                return self._recall(look)
-        raise NeedObservation(frame, angle % 360.0)
+            yield self._uncover(made[place]) if place < len(made) else self.look(frame, first + turn)
 
 
 class FixedExplorer(Explorer):

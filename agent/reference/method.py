@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from jrdb_avr.agent.beliefs.solver import BeliefSolver, beliefs_of
 from jrdb_avr.agent.methods.attempt import Attempt, heading, shared_settings, uniform_frames
@@ -72,8 +72,6 @@ class ReferenceAgent:
 
 # -- texts of the tool turns ------------------------------------------------------------------------------------------
 
-_LOOK_CALL: Final = '{"tool": "observe", "frame_id": "000150", "angle_deg": 210}'
-
 
 def system_prompt(task: Task, limits: Limits, looks: bool, remembers: bool) -> str:
     """The system message of a variant's tool turns."""
@@ -87,10 +85,11 @@ def system_prompt(task: Task, limits: Limits, looks: bool, remembers: bool) -> s
         "most": MOST_PER_TURN,
         "answer_form": text.form,
         "answer_rule": text.rule,
-        "budget": _budget(limits, looks),
+        "budget": render("agent_budget", looks=f"{limits.looks} looks and " if looks else "", calls=limits.calls),
     }
     if not remembers:
-        return render("agent_chat", call=_LOOK_CALL if looks else _final(text.form), **shared)
+        call = render("agent_call_observe" if looks else "agent_call_final", answer_form=text.form)
+        return render("agent_chat", call=call, **shared)
     return render(
         "agent_world",
         poses=", ".join(POSES),
@@ -100,15 +99,6 @@ def system_prompt(task: Task, limits: Limits, looks: bool, remembers: bool) -> s
         distances=", ".join(DISTANCE_WORDS),
         **shared,
     )
-
-
-def _final(form: str) -> str:
-    return f'{{"tool": "final_answer", "answer": {form}, "observation": "o1", "box": [410, 230, 590, 700]}}'
-
-
-def _budget(limits: Limits, looks: bool) -> str:
-    looking = f"{limits.looks} looks and " if looks else ""
-    return f"You may make {looking}{limits.calls} calls in all, a refused call included."
 
 
 def task_heading(task: Task, limits: Limits, looks: bool) -> str:

@@ -27,7 +27,6 @@ from jrdb_avr.agent.policy.explorer import (
     NeedObservation,
     RestoredExplorer,
     Sighting,
-    same_angle,
 )
 from jrdb_avr.agent.policy.finding import FoundPerson, among, counts_group, find, holds, likely, possible
 from jrdb_avr.agent.policy.hops import path, related
@@ -135,12 +134,11 @@ class _Player:
 
     def look(self, frame: int, angles: Sequence[float]) -> list[dict[str, Any]]:
         """The calls that look; none where no look is left, or all have been made already."""
-        made = self._angles_at(frame)
-        due = [round(angle % 360.0, 3) for angle in angles if not any(same_angle(angle, other) for other in made)]
+        due = [angle for angle in angles if not self._made(frame, angle)]
         return [_observe(frame, angle) for angle in due[: self._left]]
 
-    def _angles_at(self, frame: int) -> list[float]:
-        return [look.angle for look in self.notes.looks if look.frame == frame]
+    def _made(self, frame: int, angle: float) -> bool:
+        return any(look.shows(frame, angle) for look in self.notes.looks)
 
     def play(self) -> dict[str, Any] | None:
         """The final answer without its tool's name, or None where nobody was found. Raises NeedObservation."""
@@ -206,7 +204,7 @@ class _Player:
                     self.draft.member(seen, relation, other)
         for third in (1, 2, 3):
             then = self.state.explorer.legal(begin + (end - begin) * third / 3)
-            if self._left >= len(_COUNTED) and not self._angles_at(then):
+            if self._left >= len(_COUNTED) and all(look.frame != then for look in self.notes.looks):
                 last = [s for look in self.notes.looks if (s := look.of(person.identity)) is not None][-1]
                 raise NeedObservation(then, *(last.angle + turn for turn in _COUNTED))
         return max(len(self.draft.partners(person, relation)), 1)
@@ -225,8 +223,7 @@ class _Player:
             known[name].high if name in known else self._plan.times[name].frame for name in self._plan.answer.times
         ]
         evidence = next((seen[frame] for frame in reversed(frames) if frame in seen), seen[self._then])
-        made = any(same_angle(angle, evidence.angle) for angle in self._angles_at(evidence.frame))
-        if not evidence.whole and self._left and not made:
+        if not evidence.whole and self._left and not self._made(evidence.frame, evidence.angle):
             raise NeedObservation(evidence.frame, evidence.angle)
 
     def _bounded(self, answer: Any, known: dict[str, BoundedEvent]) -> Any:

@@ -196,7 +196,7 @@ def test_a_person_over_the_seam_of_a_panorama_is_its_larger_part():
     notes = read_notes(
         request(
             '{"observations": [{"observation": "o1", "frame_id": "000060", "panorama": true}]}',
-            [Look(60, 180.0, (over,), True, "o1", 0, WIDTH)],
+            [Look(60, 180.0, (over,), True, "o1", 0, (WIDTH, 480))],
         )
     )
     draft = Draft(notes)
