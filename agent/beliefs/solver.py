@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 
@@ -216,19 +216,34 @@ def _unread(reader: BeliefReader, plan: Plan, people: Mapping[str, str]) -> tupl
 # -- matching a plan with rows ----------------------------------------------------------------------------------------
 
 
+class _Part(NamedTuple):
+    """A part of a plan about one node or two: who satisfies it, and what is missing otherwise, in words.
+
+    counts: whether it is a condition or an edge, not only a sighting of the node.
+    """
+
+    nodes: tuple[str, ...]
+    fits: frozenset[tuple[str, ...]]
+    lack: str
+    counts: bool = True
+
+    def holds(self, bound: Mapping[str, str]) -> bool:
+        """Whether it is satisfied under a binding of nodes to people."""
+        return tuple(map(bound.get, self.nodes)) in self.fits
+
+
 @dataclass(frozen=True)
 class PlanMatch:
     """Entities that satisfy each part of a plan, by an episode's rows alone: what the compiled plan finds.
 
-    people: those who are seen at all; sighted: by node and time; conditions: by node and number; edges: pairs from
-    source to target. texts: how many texts the compiled plan gathers.
+    people: those who are seen at all; own: the parts about each node alone, its sightings first; edges: the parts about
+    two. texts: how many texts the compiled plan gathers.
     """
 
     plan: Plan
     people: tuple[str, ...]
-    sighted: Mapping[tuple[str, str], frozenset[str]]
-    conditions: Mapping[tuple[str, int], frozenset[str]]
-    edges: tuple[frozenset[tuple[str, str]], ...]
+    own: Mapping[str, Sequence[_Part]]
+    edges: Sequence[_Part]
     texts: int
 
     @cached_property
@@ -240,21 +255,19 @@ class PlanMatch:
         It goes the way of the compiled plan: at each node it tries everybody, and compares what each part that can be
         decided by then needs with all that it has gathered.
         """
-        parts = [*self.sighted.items(), *self.conditions.items()]
-        own = {node.id: [who for (name, _), who in parts if name == node.id] for node in self.plan.nodes}
-        people = sorted(frozenset[str]().union(*(who for _, who in parts)))
-        compared = filled(max(map(len, own.values())))
+        people = sorted({who for parts in self.own.values() for part in parts for (who,) in part.fits})
+        compared = filled(max(map(len, self.own.values())))
         places: dict[str, int] = {}
         found: list[tuple[str, ...]] = [()]
         visits = 0
         for node, edges in believed_order(self.plan):
             places[node] = len(places)
             fit = people
-            for who in own[node]:
+            for part in self.own[node]:
                 visits += len(found) * len(fit) * self.texts
-                fit = [one for one in fit if one in who]
+                fit = [who for who in fit if (who,) in part.fits]
             # A statement compares some parts more than once, so that it is one of a few.
-            visits += len(found) * len(fit) * self.texts * (compared - len(own[node]))
+            visits += len(found) * len(fit) * self.texts * (compared - len(self.own[node]))
             if visits > MOST_VISITS:
                 return None
             found = [(*bound, who) for bound in found for who in fit if who not in bound]
@@ -263,8 +276,13 @@ class PlanMatch:
                 if visits > MOST_VISITS:
                     return None
                 source, target = places[edge.source], places[edge.target]
-                found = [bound for bound in found if (bound[source], bound[target]) in self.edges[i]]
+                found = [bound for bound in found if (bound[source], bound[target]) in self.edges[i].fits]
         return [dict(zip(places, bound, strict=True)) for bound in found]
+
+    @cached_property
+    def counted(self) -> list[_Part]:
+        """The conditions and edges."""
+        return [*(part for parts in self.own.values() for part in parts if part.counts), *self.edges]
 
     def likeliest(self, named: Mapping[str, str]) -> tuple[dict[str, str], int]:
         """A binding of nodes to different people, those `named` among them, under which most conditions and edges hold,
@@ -273,12 +291,11 @@ class PlanMatch:
         order, free = [*named], [node.id for node in self.plan.nodes if node.id not in named]
         while free:
             # Along edges, so that what joins a person to the rest is known when it is chosen.
-            near = [n for n in free if any({n, o} == {e.source, e.target} for e in self.plan.edges for o in order)]
+            near = [n for n in free if any({n, o} == {*edge.nodes} for edge in self.edges for o in order)]
             order.append((near or free)[0])
             free.remove(order[-1])
         place = {node: at for at, node in enumerate(order)}
-        decided = [max(place[edge.source], place[edge.target]) for edge in self.plan.edges]
-        decided += [place[node] for node, _ in self.conditions]
+        decided = [max(place[node] for node in part.nodes) for part in self.counted]
         candidates = {node: self._candidates(node) for node in order[len(named) :]}
         best: dict[str, str] = {}
         most, steps = -1, 1
@@ -301,51 +318,33 @@ class PlanMatch:
         return best, most
 
     def _candidates(self, node: str) -> list[str]:
-        """People who satisfy at least one condition of a node."""
-        found = set[str]().union(*(who for (name, _), who in self.conditions.items() if name == node))
-        for edge, pairs in zip(self.plan.edges, self.edges, strict=True):
-            if node in (edge.source, edge.target):
-                found |= {pair[0 if node == edge.source else 1] for pair in pairs}
-        return sorted(found)
+        """People who satisfy at least one condition or edge of a node."""
+        parts = [part for part in self.counted if node in part.nodes]
+        return sorted({fit[part.nodes.index(node)] for part in parts for fit in part.fits})
 
     def _held(self, bound: Mapping[str, str]) -> int:
         """How many conditions and edges hold under a binding."""
-        return sum(bound.get(node) in who for (node, _), who in self.conditions.items()) + sum(
-            (bound.get(edge.source), bound.get(edge.target)) in pairs
-            for edge, pairs in zip(self.plan.edges, self.edges, strict=True)
-        )
+        return sum(part.holds(bound) for part in self.counted)
 
     def missing(self, bound: Mapping[str, str]) -> list[str]:
         """What does not hold under a binding, in words."""
-        named = {node.id: f"{node.id} ({bound[node.id]})" if node.id in bound else node.id for node in self.plan.nodes}
+        named = {node: f"{node} ({bound[node]})" if node in bound else node for node in self.own}
         lines = []
-        for node in self.plan.nodes:
-            who = bound.get(node.id)
-            if who is None:
-                lines.append(f"{node.id}: nobody is known to be it")
-            else:
-                unseen = [time for (name, time), seen in self.sighted.items() if name == node.id and who not in seen]
-                lines += [f"{named[node.id]}: not seen{self._when(time)}" for time in unseen]
-            for i, condition in enumerate(node.conditions):
-                if who not in self.conditions[node.id, i]:
-                    wanted = " ".join(condition.wanted)
-                    lines.append(f"{named[node.id]}: {wanted} is not known{self._when(condition.at)}")
-        for edge, pairs in zip(self.plan.edges, self.edges, strict=True):
-            if (bound.get(edge.source), bound.get(edge.target)) not in pairs:
-                ends = f"{named[edge.source]} -> {named[edge.target]}"
-                lines.append(f"edge {ends}: {edge.relation} is not known{self._when(edge.at)}")
+        for node, parts in self.own.items():
+            if node not in bound:
+                lines.append(f"{node}: nobody is known to be it")
+            lacking = [part for part in parts if not part.holds(bound) and (part.counts or node in bound)]
+            lines += [f"{named[node]}: {part.lack}" for part in lacking]
+        for edge in self.edges:
+            if not edge.holds(bound):
+                lines.append(f"edge {' -> '.join(named[node] for node in edge.nodes)}: {edge.lack}")
         return lines
-
-    def _when(self, time: str | None) -> str:
-        frame = self.plan.times[time].frame if time is not None else None
-        return "" if frame is None else f" at frame {frame:06d}"
 
 
 def match_plan(reader: BeliefReader, plan: Plan) -> PlanMatch:
     """Match the parts of a plan with an episode's rows. Raises PlanError where a part holds at no stated frame."""
     seen = reader.all("sighted")
-    sighted: dict[tuple[str, str], frozenset[str]] = {}
-    conditions: dict[tuple[str, int], frozenset[str]] = {}
+    own: dict[str, list[_Part]] = {}
     texts: dict[Hashable, int] = {}
     pairs: dict[tuple[str, int], frozenset[tuple[str, str]]] = {}
 
@@ -358,24 +357,28 @@ def match_plan(reader: BeliefReader, plan: Plan) -> PlanMatch:
         return pairs.setdefault((relation, frame), found)
 
     for node in plan.nodes:
-        times = times_of(plan, node.id)
+        times, parts = times_of(plan, node.id), own.setdefault(node.id, [])
         for time in times:
             frame = stated_frame(plan, time)
-            sighted[node.id, time] = frozenset(row["who"] for row in seen if row["frame"] == frame)
-            texts[frame] = len(sighted[node.id, time])
-        for i, condition in enumerate(node.conditions):
+            there = frozenset((row["who"],) for row in seen if row["frame"] == frame)
+            texts[frame] = len(there)
+            parts.append(_Part((node.id,), there, f"not seen at frame {frame:06d}", counts=False))
+        for condition in node.conditions:
             frame = stated_frame(plan, condition.at or times[0])
             name, value = condition.wanted
-            who = {row["who"] for row in held("attributes", frame, name=name, value=value)}
+            who = {(row["who"],) for row in held("attributes", frame, name=name, value=value)}
             texts[name, value, frame] = len(who)
             if condition.interaction is not None:
-                who.update(end for pair in joined(value, frame) for end in pair)
-            conditions[node.id, i] = frozenset(who)
+                who.update((end,) for pair in joined(value, frame) for end in pair)
+            when = "" if condition.at is None else f" at frame {frame:06d}"
+            parts.append(_Part((node.id,), frozenset(who), f"{name} {value} is not known{when}"))
     edges = []
     for edge in plan.edges:
-        found = joined(edge.relation, stated_frame(plan, edge.at))
-        edges.append(found | {(b, a) for a, b in found} if edge.relation in SYMMETRIC else found)
+        frame = stated_frame(plan, edge.at)
+        found = joined(edge.relation, frame)
+        fits = found | {(b, a) for a, b in found} if edge.relation in SYMMETRIC else found
+        edges.append(_Part((edge.source, edge.target), fits, f"{edge.relation} is not known at frame {frame:06d}"))
     ends = any(one.interaction is not None for node in plan.nodes for one in node.conditions)
     gathered = sum(texts.values()) + (3 if ends else 1) * sum(map(len, pairs.values()))
     people = tuple(sorted({row["who"] for row in seen}))
-    return PlanMatch(plan, people, sighted, conditions, tuple(edges), gathered)
+    return PlanMatch(plan, people, own, edges, gathered)
