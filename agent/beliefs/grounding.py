@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, Final
 
-from jrdb_avr.agent.model.decode import only_keys
+from jrdb_avr.agent.model.decode import finite, only_keys
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.labels import (
     ACTIONS,
@@ -152,11 +152,8 @@ def _text(value: object, what: str) -> str:
 def _number(value: object, what: str, least: float = -math.inf, most: float = math.inf, whole: bool = False) -> float:
     """A finite number in a range."""
     kind = "a whole number" if whole else "a number"
-    try:
-        number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
-    except OverflowError:
-        number = math.nan
-    if not math.isfinite(number) or not least <= number <= most or (whole and number % 1):
+    number = finite(value)
+    if number is None or not least <= number <= most or (whole and number % 1):
         within = f" from {least:g} to {most:g}" if math.isfinite(most) else ""
         raise DecodeError(f"{what} must be {kind}{within}")
     return number

@@ -9,7 +9,6 @@ involved.
 from __future__ import annotations
 
 import hashlib
-import math
 import statistics
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -20,7 +19,7 @@ import msgspec
 
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import CONTRACT_KEY, Convention, Order, Reading, Scale
-from jrdb_avr.agent.model.decode import EVIDENCE_SCHEMA, closed_object, place_box, reply_object
+from jrdb_avr.agent.model.decode import EVIDENCE_SCHEMA, closed_object, finite, place_box, reply_object
 from jrdb_avr.agent.model.messages import Message, fingerprint
 from jrdb_avr.agent.model.probes import BOX_LINE, DrawnPicture, drawn_rectangles
 from jrdb_avr.agent.model.prompts import render
@@ -150,13 +149,9 @@ def _written(reply: Reply, drawn: DrawnPicture, convention: Convention) -> _Writ
     entry: Any = boxes[0] if isinstance(boxes, list) and len(boxes) == 1 else None
     found = [(key, entry[key]) for key in KEYS if isinstance(entry, dict) and key in entry]
     key, numbers = found[0] if len(found) == 1 else ("", None)
-    if isinstance(numbers, list) and len(numbers) == 4 and all(map(_is_number, numbers)):
+    if isinstance(numbers, list) and len(numbers) == 4 and all(finite(number) is not None for number in numbers):
         return _Written(key, numbers, drawn)
     return None
-
-
-def _is_number(value: object) -> bool:
-    return type(value) is int or (isinstance(value, float) and math.isfinite(value))
 
 
 class _Tried(NamedTuple):

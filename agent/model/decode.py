@@ -78,12 +78,10 @@ def full_sides(reading: Reading, convention: Convention, size: Size) -> tuple[fl
 def _numbers(value: object, reading: Reading, what: str) -> list[float]:
     """Whole numbers, as the contract asks; any finite ones where the convention's scale is 0..1."""
     whole = reading.scale != "unit"
-    kinds = (int,) if whole else (int, float)
-    if not isinstance(value, list) or len(value) != 4 or any(type(v) not in kinds for v in value):
+    numbers: list[Any] = value if isinstance(value, list) and len(value) == 4 else [None]
+    if any(finite(number) is None or (whole and isinstance(number, float)) for number in numbers):
         raise DecodeError(f"{what} must be a list of four {'integers' if whole else 'numbers'}")
-    if any(isinstance(v, float) and not math.isfinite(v) for v in value):
-        raise DecodeError(f"{what} must be a list of four finite numbers")
-    return value
+    return numbers
 
 
 def write_box(box: Box, size: Size) -> list[int]:
@@ -186,6 +184,15 @@ _FRAME_ID: Final = re.compile(r"[0-9]{6}")
 _DECIMAL: Final = re.compile(r"-?[0-9]{1,12}(\.[0-9]{1,12})?")
 
 
+def finite(value: object) -> float | None:
+    """A number of JSON; None for anything else, and for a number that is not finite or too large."""
+    try:
+        number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+    except OverflowError:
+        number = math.inf
+    return number if math.isfinite(number) else None
+
+
 def frame_id(value: object, what: str = "frame_id") -> int:
     """The frame of a six-digit frame id."""
     if not (isinstance(value, str) and _FRAME_ID.fullmatch(value)):
@@ -195,14 +202,9 @@ def frame_id(value: object, what: str = "frame_id") -> int:
 
 def angle(value: object) -> float:
     """A finite angle in degrees, wrapped to [0, 360)."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    degrees = finite(value)
+    if degrees is None:
         raise DecodeError("angle_deg must be a number of degrees")
-    try:
-        degrees = float(value)
-    except OverflowError:
-        degrees = math.inf
-    if not math.isfinite(degrees):
-        raise DecodeError("angle_deg must be a finite number of degrees")
     return degrees % 360.0 % 360.0
 
 

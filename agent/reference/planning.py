@@ -150,6 +150,9 @@ _LEFT_OUT: Final = frozenset({"title", "description", "default", "propertyNames"
 
 # -- labels -----------------------------------------------------------------------------------------------------------
 
+_LABELS: Final = {"action": ACTIONS, "interaction": INTERACTIONS, "object": OBJECTS, "verb": VERBS}
+"""The labels of a condition's fields."""
+
 _VALUES: Final = {"gender": GENDERS, "age": AGES, "sector": ROBOT_SECTORS, "distance": DISTANCE_WORDS}
 """The values of the attributes that have labels."""
 
@@ -221,10 +224,8 @@ def check_labels(plan: Plan) -> None:
 
 
 def _check_condition(field: str, condition: Condition) -> None:
-    _check(f"{field}.action", condition.action, ACTIONS)
-    _check(f"{field}.interaction", condition.interaction, INTERACTIONS)
-    _check(f"{field}.object", condition.object, OBJECTS)
-    _check(f"{field}.verb", condition.verb, VERBS)
+    for name, labels in _LABELS.items():
+        _check(f"{field}.{name}", getattr(condition, name), labels)
     if condition.attribute == "group_size":
         if not isinstance(condition.value, int) or not 1 <= condition.value <= 1000:
             raise PlanError(f"{field}.value", "is the number of people in the group, 1 or more")

@@ -129,19 +129,19 @@ class _Url(msgspec.Struct):
     url: str
 
 
-class Part(msgspec.Struct):
+class MessagePart(msgspec.Struct):
     """A part of a message: text, or a picture."""
 
     text: str = ""
     image_url: _Url | None = None
 
 
-Turn = list[Part]
+UserMessage = list[MessagePart]
 """The parts of a user message."""
 
 
 def read_request(
-    turns: Sequence[Turn], reader: Reader, stages: Collection[str], misread: Callable[[str], Misread | None]
+    turns: Sequence[UserMessage], reader: Reader, stages: Collection[str], misread: Callable[[str], Misread | None]
 ) -> Request | None:
     """Parse the user messages of a request; None where their last line names none of the stages.
 
@@ -168,7 +168,7 @@ def read_request(
     return Request(stage, lines, question, plan, _choices(heading), frames, looks)
 
 
-def lines_of(parts: Turn) -> tuple[str, ...]:
+def lines_of(parts: UserMessage) -> tuple[str, ...]:
     """The lines of a message's text that are not blank."""
     return tuple(line for part in parts for line in part.text.split("\n") if line.strip())
 
@@ -199,7 +199,7 @@ class _Metadata(msgspec.Struct):
 _METADATA: Final = msgspec.json.Decoder(_Metadata)
 
 
-def _looks(parts: Turn, reader: Reader, misread: Misread | None) -> list[Look]:
+def _looks(parts: UserMessage, reader: Reader, misread: Misread | None) -> list[Look]:
     looks = []
     place: _Metadata | None = None
     name = ""

@@ -35,7 +35,7 @@ from jrdb_avr.agent.simulated.noise import (
     word,
 )
 from jrdb_avr.agent.simulated.play import STAGES
-from jrdb_avr.agent.simulated.requests import Part, Reader, Request, Turn, lines_of, read_request
+from jrdb_avr.agent.simulated.requests import MessagePart, Reader, Request, UserMessage, lines_of, read_request
 from jrdb_avr.schema.errors import DecodeError, EndpointError
 
 MODEL: Final = "marker"
@@ -47,11 +47,11 @@ READY: Final = "marker ready at "
 
 class _Message(msgspec.Struct):
     role: str = "user"
-    content: str | Turn = ""
+    content: str | UserMessage = ""
 
     @property
-    def parts(self) -> Turn:
-        return [Part(self.content)] if isinstance(self.content, str) else self.content
+    def parts(self) -> UserMessage:
+        return [MessagePart(self.content)] if isinstance(self.content, str) else self.content
 
 
 class _Request(msgspec.Struct):
@@ -60,7 +60,7 @@ class _Request(msgspec.Struct):
     response_format: Any = None
 
     @property
-    def turns(self) -> list[Turn]:
+    def turns(self) -> list[UserMessage]:
         """The user messages."""
         return [message.parts for message in self.messages if message.role not in ("system", "assistant")]
 
@@ -247,7 +247,7 @@ def _first_value(schema: object) -> Any:
             return value
 
 
-def _picture_reply(last: str, parts: Turn, reader: Reader) -> dict[str, Any]:
+def _picture_reply(last: str, parts: UserMessage, reader: Reader) -> dict[str, Any]:
     """The reply to a probe with pictures, of which one shows a mark."""
     number, before = 0, ""
     for part in parts:
