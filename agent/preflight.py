@@ -25,7 +25,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from jrdb_avr.agent.methods.attempt import PANORAMAS, panorama_parts
 from jrdb_avr.agent.methods.react import BUDGET, react_turn_schema
@@ -83,25 +83,30 @@ _PICTURE_REMEDY: Final = "let the server take so many pictures and so long a req
 _SCHEMA_REMEDY: Final = "use a server that keeps to such schemas, or declare --response-format json_object or none"
 
 
+class Requirement(NamedTuple):
+    """What a request requires of a server, in words; the methods that suffer where it is refused; what helps then."""
+
+    what: str
+    methods: tuple[str, ...]
+    remedy: str
+
+
 @dataclass(frozen=True)
 class Demand:
     """A largest request of some methods.
 
-    pictures, form: its pictures and its schema, in words; senders, keepers: the methods that suffer where the server
-    refuses the one or the other (no pictures and no senders where there are none). parts: the message for each place
-    at which the marked rectangle may be; places: those that are tried until one is named right. place_of: the place
-    that a reply names, None where the reply does not follow the schema; without pictures it is `places[0]`.
+    pictures, form: what it requires by its pictures, None without any, and by its schema. parts: the message for each
+    place at which the marked rectangle may be; places: those that are tried until one is named right. place_of: the
+    place that a reply names, None where the reply does not follow the schema; without pictures it is `places[0]`.
     """
 
     name: str
-    pictures: str
-    form: str
+    pictures: Requirement | None
+    form: Requirement
     parts: Callable[[int], tuple[Part, ...]]
     places: tuple[int, ...]
     schema: Mapping[str, Any]
     place_of: Callable[[Mapping[str, Any]], int | None]
-    senders: tuple[str, ...]
-    keepers: tuple[str, ...]
 
 
 @cache
@@ -111,36 +116,30 @@ def demands() -> tuple[Demand, ...]:
     return (
         Demand(
             "panoramas",
-            f"{PANORAMAS} panoramas in one request",
-            "the reference agent's turn schema (anyOf in a list)",
+            Requirement(f"{PANORAMAS} panoramas in one request", FIXED_CONTEXT, _PICTURE_REMEDY),
+            Requirement("the reference agent's turn schema (anyOf in a list)", AGENTS, _SCHEMA_REMEDY),
             _panoramas_request,
             (5, 3),
             graph_turn_schema(question, ("a", "b"), LOOK_SCHEMA),
             _named_panorama,
-            FIXED_CONTEXT,
-            AGENTS,
         ),
         Demand(
             "crops",
-            f"{CROPS} crops in one request",
-            "ReAct's turn schema (anyOf at the root)",
+            Requirement(f"{CROPS} crops in one request", LOOKING, _PICTURE_REMEDY),
+            Requirement("ReAct's turn schema (anyOf at the root)", ("react",), _SCHEMA_REMEDY),
             _crops_request,
             (14, 9),
             react_turn_schema(question),
             _named_crop,
-            LOOKING,
-            ("react",),
         ),
         Demand(
             "plan",
-            "",
-            "the plan's schema ($ref at the root)",
+            None,
+            Requirement("the plan's schema ($ref at the root)", PLANNING, _SCHEMA_REMEDY),
             lambda _: (render("preflight_plan"),),
             (0,),
             plan_form(),
             lambda reply: 0 if set(reply) == set(Plan.__struct_fields__) else None,
-            (),
-            PLANNING,
         ),
     )
 
@@ -233,7 +232,7 @@ def _checks(client: Client) -> Iterator[Check]:
     yield picture
     for demand in demands():
         # Where one picture is not seen, many are not; and a schema is only refused where it is sent.
-        if picture.passed if demand.senders else strict:
+        if picture.passed if demand.pictures else strict:
             yield _demand(client, demand)
     yield _thinking(client, text, shaped)
     yield Check(
@@ -305,6 +304,7 @@ def _picture(client: Client) -> Check:
 
 def _demand(client: Client, demand: Demand) -> Check:
     strict = client.options.response_format == "json_schema"
+    pictures, form = demand.pictures, demand.form
     for place in demand.places:
         found = _object(client, _probe(client, *demand.parts(place), schema=demand.schema))
         if isinstance(found, EndpointError):
@@ -312,34 +312,33 @@ def _demand(client: Client, demand: Demand) -> Check:
         named = demand.place_of(found) if isinstance(found, dict) else None
         if named is None:
             fault = found if isinstance(found, DecodeError) else "another object came"
-            remedy = _SCHEMA_REMEDY if strict else "use a model that replies in the form of the prompt"
-            seen = f"{demand.form} is not kept to ({fault})"
-            return Check(demand.name, False, seen, _without(demand.keepers, remedy), strict, demand.keepers)
+            remedy = form.remedy if strict else "use a model that replies in the form of the prompt"
+            seen = f"{form.what} is not kept to ({fault})"
+            return Check(demand.name, False, seen, _without(form.methods, remedy), strict, form.methods)
         if named == place:
-            seen = f"{demand.pictures}: taken and seen" if demand.senders else f"{demand.form}: taken"
+            seen = f"{pictures.what}: taken and seen" if pictures else f"{form.what}: taken"
             return Check(demand.name, True, seen, "")
-    seen = f"of {demand.pictures} the one with the marked rectangle was not found"
-    remedy = _without(demand.senders, "check that the server passes every picture on, and in its size")
+    assert pictures is not None, "without pictures the first place is named"
+    seen = f"of {pictures.what} the one with the marked rectangle was not found"
+    remedy = _without(pictures.methods, "check that the server passes every picture on, and in its size")
     # So many crops are no reason to refuse a run to a model that loses count: most questions need a few.
-    return Check(demand.name, False, seen, remedy, demand.name == "panoramas", demand.senders)
+    return Check(demand.name, False, seen, remedy, demand.name == "panoramas", pictures.methods)
 
 
 def _refused(client: Client, demand: Demand, refusal: EndpointError) -> Check:
     """Find which of the two is refused, the number of pictures or the schema; both where each alone is taken."""
     parts = demand.parts(demand.places[0])
-    strict, many = client.options.response_format == "json_schema", bool(demand.senders)
-    schema = strict and isinstance(_probe(client, parts[0], schema=demand.schema), EndpointError)
-    pictures = many and isinstance(_probe(client, *parts), EndpointError)
-    if not (schema or pictures):
-        schema, pictures = strict, many
-    refused = [
-        *([(demand.pictures, _PICTURE_REMEDY, demand.senders)] if pictures else ()),
-        *([(demand.form, _SCHEMA_REMEDY, demand.keepers)] if schema else ()),
-    ]
-    what, remedies, methods = zip(*refused, strict=True)
-    hurt = tuple(dict.fromkeys(method for some in methods for method in some))
-    seen = f"{' and '.join(what)} refused ({refusal})"
-    return Check(demand.name, False, seen, _without(hurt, "; ".join(remedies)), True, hurt)
+    sent = []
+    if demand.pictures is not None:
+        sent.append((demand.pictures, _probe(client, *parts)))
+    if client.options.response_format == "json_schema":
+        sent.append((demand.form, _probe(client, parts[0], schema=demand.schema)))
+    alone = [required for required, reply in sent if isinstance(reply, EndpointError)]
+    refused = alone or [required for required, _ in sent]
+    hurt = tuple(dict.fromkeys(method for required in refused for method in required.methods))
+    seen = f"{' and '.join(required.what for required in refused)} refused ({refusal})"
+    remedy = _without(hurt, "; ".join(required.remedy for required in refused))
+    return Check(demand.name, False, seen, remedy, True, hurt)
 
 
 def _without(methods: Sequence[str], remedy: str) -> str:

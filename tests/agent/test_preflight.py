@@ -347,9 +347,9 @@ def test_a_server_without_schemas_is_not_blamed_for_them():
 
 
 def test_every_method_has_its_largest_request_tried():
-    senders = [method for demand in demands() for method in demand.senders]
+    senders = [method for demand in demands() if demand.pictures for method in demand.pictures.methods]
     assert sorted(senders) == sorted(METHODS)
-    assert {method for demand in demands() for method in demand.keepers} == {*AGENTS, "react"}
+    assert {method for demand in demands() for method in demand.form.methods} == {*AGENTS, "react"}
 
 
 # -- the command ------------------------------------------------------------------------------------------------------
