@@ -144,9 +144,14 @@ class ImageFrame(NamedTuple):
         return self.width, self.height
 
     def evidence(self, frame: int, box: Box) -> Evidence:
-        """A box in one of these pictures, in stitched pixels, x in [0, 3760)."""
-        x, y, w, h = from_crop(box, self.left)
-        return Evidence(frame, (x % WIDTH, y, w, h))
+        """A box in one of these pictures as evidence."""
+        return stitched_evidence(frame, from_crop(box, self.left))
+
+
+def stitched_evidence(frame: int, box: Box) -> Evidence:
+    """A box in stitched pixels as evidence, x in [0, 3760)."""
+    x, y, w, h = box
+    return Evidence(frame, (x % WIDTH, y, w, h))
 
 
 def on_panoramas(panoramas: Sequence[Panorama]) -> ImageFrame:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, get_args
 
 import msgspec
 
-from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply
+from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, stitched_evidence
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.decode import BOX_SCHEMA, box_key, read_box
 from jrdb_avr.agent.model.messages import Message, Part
@@ -29,11 +29,10 @@ from jrdb_avr.agent.reference.tool_calls import (
     turn_schema,
     view_parts,
 )
-from jrdb_avr.schema.answers import Evidence
 from jrdb_avr.schema.beliefs import Tool
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Panorama, Question
-from jrdb_avr.schema.panorama import WIDTH, Box
+from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan, canonical
 
 if TYPE_CHECKING:
@@ -143,7 +142,9 @@ class GraphMemory:
         if reason := self.solver.fault(self.plan, belief, proposed, part["entity"]):
             raise DecodeError(reason)
         self.world.noted(FINAL, call.arguments, step, True)
-        return ParsedReply(proposed, _evidence(belief.seen), () if belief.seen else ("the target has no box",))
+        if belief.seen is None:
+            return ParsedReply(proposed, None, ("the target has no box",))
+        return ParsedReply(proposed, stitched_evidence(*belief.seen))
 
     def solved(self, reason: str) -> ParsedReply:
         """Return the answer of the solver; without a single target, that of the likeliest entity.
@@ -156,8 +157,8 @@ class GraphMemory:
             belief = self.solver.guess(self.plan, self.world.rows()) or belief
             self.attempt.record("solve", {"guess": self.plan.target}, msgspec.to_builtins(belief), started)
         answer = self.solver.answer(self.plan, belief)
-        faults = () if answer is not None and belief.seen is not None else (reason,)
-        return ParsedReply(answer, _evidence(belief.seen), faults)
+        evidence = None if belief.seen is None else stitched_evidence(*belief.seen)
+        return ParsedReply(answer, evidence, () if answer is not None and evidence is not None else (reason,))
 
     def _changed(self) -> None:
         self.weighed = self.compiled = None
@@ -196,11 +197,3 @@ def graph_turn_schema(question: Question, nodes: Sequence[str], looks: Mapping[s
         call_schema(FINAL, {"answer": answer, "entity": _NAME}),
     ]
     return turn_schema([*([looks] if looks else []), *calls])
-
-
-def _evidence(seen: tuple[int, Box] | None) -> Evidence | None:
-    """A sighting as evidence, x in [0, 3760)."""
-    if seen is None:
-        return None
-    frame, (x, y, w, h) = seen
-    return Evidence(frame, (x % WIDTH, y, w, h))
