@@ -239,7 +239,7 @@ def _checks(client: Client) -> Iterator[Check]:
         "finish",
         bool(text.finish_reason),
         f"finish_reason {text.finish_reason!a}"[:80] if text.finish_reason else "no finish_reason",
-        "use a server that sends finish_reason: without it a reply that was cut off cannot be told",
+        "use a server that sends finish_reason: without it a reply that was cut off looks like any other",
     )
     counted = text.prompt_tokens > 0 and text.completion_tokens > 0
     yield Check(
@@ -281,12 +281,12 @@ def _schema(client: Client, reply: Reply | EndpointError) -> Check:
         case EndpointError() as error:
             return Check("schema", False, f"{declared} is refused ({error})", remedy)
         case DecodeError() as error:
-            return Check("schema", False, f"{declared} is not kept to ({error})", remedy)
+            return Check("schema", False, f"{declared} is not followed ({error})", remedy)
         case found:
             pairs = [(key, value in _SHAPE.get(key, ())) for key, value in found.items()]
-            kept = declared != "json_schema" or pairs == [(key, True) for key in _SHAPE]
-            seen = "kept to" if kept else "ignored: another object came"
-            return Check("schema", kept, f"{declared} is {seen}", remedy)
+            follows = declared != "json_schema" or pairs == [(key, True) for key in _SHAPE]
+            seen = "followed" if follows else "ignored: another object came"
+            return Check("schema", follows, f"{declared} is {seen}", remedy)
 
 
 def _picture(client: Client) -> Check:
@@ -313,7 +313,7 @@ def _demand(client: Client, demand: Demand) -> Check:
         if named is None:
             fault = found if isinstance(found, DecodeError) else "another object came"
             remedy = form.remedy if strict else "use a model that replies in the form of the prompt"
-            seen = f"{form.what} is not kept to ({fault})"
+            seen = f"{form.what} is not followed ({fault})"
             return Check(demand.name, False, seen, _without(form.methods, remedy), strict, form.methods)
         if named == place:
             seen = f"{pictures.what}: taken and seen" if pictures else f"{form.what}: taken"

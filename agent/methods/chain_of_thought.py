@@ -67,5 +67,5 @@ def _fact(value: object, what: str) -> str:
         value.encode()
     except UnicodeEncodeError:
         raise DecodeError(f"{what} holds half a character, which no request can carry") from None
-    # A fact is shown as one line: a line of its own must not be taken for one of the prompt's.
+    # A fact is sent as one line: a line of its own must not be taken for one of the prompt's.
     return " ".join(value.split())

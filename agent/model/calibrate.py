@@ -63,10 +63,10 @@ class Score(msgspec.Struct, frozen=True):
 
 
 class Calibration(msgspec.Struct, frozen=True):
-    """`STORE/conventions/<model>.json`: what was found of a model under one way of asking.
+    """`STORE/conventions/<model>.json`: what was found of a model under one way of requesting boxes.
 
-    `asked_sha256` covers everything that was asked; `boxes` and `scales` say how each chosen key is read, and are empty
-    where no reading was clearly best: `reason` then says so.
+    `asked_sha256` covers every request, `asked` counts them. `boxes` and `scales` say how each chosen key is read, and
+    are empty where no reading was clearly best: `reason` then says so.
     """
 
     model: str

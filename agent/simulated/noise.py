@@ -61,7 +61,7 @@ def parse(settings: Iterable[str]) -> Knobs:
         if name not in names or not equals:
             raise InputError(f"{setting[:60]!r} is no knob: give NAME=VALUE with a name of {', '.join(names)}")
         if name in values:
-            raise InputError(f"the knob {name} is given twice")
+            raise InputError(f"the knob {name} is set twice")
         try:
             values[name] = getattr(msgspec.convert({name: text}, Knobs, strict=False), name)
         except msgspec.ValidationError:

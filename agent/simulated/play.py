@@ -156,8 +156,8 @@ def _best_box(looks: Sequence[Look], person: Sighting | None) -> list[dict[str, 
     """The person's box where recognized or, where a picture's edge cuts it there, in a picture nearby."""
     if person is None:
         return []
-    shown = [(look, seen) for look in looks if (seen := look.of(person.identity)) is not None]
-    look, seen = min(shown, key=lambda one: (not one[1].whole, abs(one[1].frame - person.frame)))
+    found = [(look, seen) for look in looks if (seen := look.of(person.identity)) is not None]
+    look, seen = min(found, key=lambda one: (not one[1].whole, abs(one[1].frame - person.frame)))
     box = write_box(look.box_inside(seen), look.size)
     return [{"frame_id": f"{seen.frame:06d}", "bbox": box}]
 

@@ -85,7 +85,7 @@ def test_another_model_than_asked_is_a_warning():
 def test_a_server_that_fails_a_check_is_no_endpoint():
     with FakeServer(lambda request, n: "I would rather talk.") as server, pytest.raises(EndpointError) as caught:
         connect(None, "fake", server.url)
-    assert str(caught.value).startswith("preflight: schema: json_schema is not kept to")
+    assert str(caught.value).startswith("preflight: schema: json_schema is not followed")
 
 
 def test_no_address_is_an_address_of_the_marker_alone():
