@@ -46,8 +46,7 @@ def _described(state: EpisodeState, conditions: Sequence[Condition]) -> Sighting
     """The person of the description, or the best guess among the people seen."""
     explorer, frame = state.explorer, state.explorer.legal(state.t0)
     found = find(conditions, frame, explorer)
-    if found.missing:
-        state.note(found.missing)
+    state.note(found.missing)
     if found.sighting is not None:
         return found.sighting
     exact = frame == state.t0

@@ -53,8 +53,8 @@ class EpisodeState:
                 self.note(f"not shown: {name}")
 
     def note(self, reason: str) -> None:
-        """Add a reason why something could not be read, each one once."""
-        if reason not in self.missing:
+        """Add a reason why something could not be read, each one once; "" is none."""
+        if reason and reason not in self.missing:
             self.missing.append(reason)
 
     @contextlib.contextmanager

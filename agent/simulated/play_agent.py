@@ -173,8 +173,7 @@ class _Player:
             found = among(conditions, people)
         else:
             found = self._seek(conditions, people)
-        if found.missing:
-            self.state.note(found.missing)
+        self.state.note(found.missing)
         return found.sighting and _write_plan(self.state, self.draft, found.sighting, conditions, people)
 
     def _seek(self, conditions: Sequence[Condition], people: Sequence[Sighting]) -> FoundPerson:
@@ -261,8 +260,7 @@ def _shown_target(state: EpisodeState, draft: Draft) -> Sighting | None:
     conditions, frame = state.description, state.explorer.legal(state.t0)
     exact, people = frame == state.t0, state.explorer.at(frame)
     found = among(conditions, people)
-    if found.missing:
-        state.note(found.missing)
+    state.note(found.missing)
     person = found.sighting if exact else likely(conditions, people, exact=False)
     if person is None:
         return None
