@@ -2,7 +2,7 @@
 
 A mutant is a small fault put into one module: a score that is too lenient, a proof that is skipped, a word that the
 guard lets through. `mutants.toml` lists them by area. The script applies them one at a time in a temporary copy of the
-tracked files and runs the tests that must notice. It ends with exit code 1 if a mutant survives, or if the code that it
+repository and runs the tests that must notice. It ends with exit code 1 if a mutant survives, or if the code that it
 replaces no longer occurs exactly once: then change its row along with the code. `--check-only` only looks for the code,
 which takes a second.
 """
@@ -61,12 +61,13 @@ def occurrences(mutant: Mutant) -> int:
 
 
 def copy_tree(folder: Path) -> Path:
-    """Copy the tracked files as the package `jrdb_avr`.
+    """Copy the files of the repository, also those not yet committed, as the package `jrdb_avr`.
 
     Compiled modules are checked by their text: two mutants of one length within a second have the same time and size.
     """
     copy = folder / "jrdb_avr"
-    listed = subprocess.run(["git", "ls-files", "-z"], cwd=TREE, check=True, capture_output=True, text=True)
+    command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    listed = subprocess.run(command, cwd=TREE, check=True, capture_output=True, text=True)
     for name in listed.stdout.split("\0"):
         if (TREE / name).is_file():
             (copy / name).parent.mkdir(parents=True, exist_ok=True)

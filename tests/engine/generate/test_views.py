@@ -1,8 +1,9 @@
-"""The fewest crops, against trying every set of crops at every column."""
+"""The fewest crops, against trying every set of crops at every column, and whether one crop is enough."""
 
 from itertools import combinations
 
 import numpy as np
+import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -58,3 +59,16 @@ def test_the_whole_circle():
 
 def test_frames_are_looked_at_one_by_one():
     assert min_crops([(0, 100.0, 50.0), (0, 200.0, 50.0), (15, 100.0, 50.0), (15, 1900.0, 50.0)]) == 3
+
+
+@pytest.mark.parametrize(
+    ("x", "whether"),
+    [
+        ((100.0, 560.0), True),  # from column 120 to 590: 470 of the 480 of a crop
+        ((100.0, 575.0), False),
+        ((3700.0, 400.0), True),
+        ((3700.0, 415.0), False),
+    ],
+)
+def test_one_view_shows_half_of_each_box(x, whether):
+    assert single_view(np.array(x), np.array([40.0, 60.0]), 0.5) == whether

@@ -1,7 +1,7 @@
-"""Stable segments and keyframes of small sequences, worked out by hand."""
+"""Interval tables of small sequences, worked out by hand: segments, keyframes, poses, groups and sectors."""
 
 import pytest
-from labelled_people import HARD, SEQUENCE, World
+from labelled_people import HARD, SEQUENCE, World, toward
 
 from jrdb_avr.loaders.intervals.derive import derive
 from jrdb_avr.schema.rules import LoadRules
@@ -97,3 +97,21 @@ def test_of_two_poses_neither_is_certain():
         ("standing", 0, True),
         ("standing", 15, False),
     ]
+
+
+def test_a_group_has_a_size_where_everybody_certainly_is_in_or_out():
+    world = World([0, 15, 30, 45])
+    for frame, third in ((0, 8), (15, 7), (30, (7, HARD)), (45, None)):
+        world.see(1, [frame], group=7).see(2, [frame], group=7).see(3, [frame], group=third)
+    sizes = [row["group_size"] for row in derived(world, "sightings")]
+    # A hard label leaves its own group open, a person without a group every group.
+    assert sizes == [2, 2, 1] + [3, 3, 3] + [None] * 3 + [None] * 3
+
+
+@pytest.mark.parametrize(
+    ("degrees", "sector", "other"),
+    [(180, "ahead", None), (139, "ahead", "left"), (134, "left", "ahead"), (129, "left", None), (2, "behind", None)],
+)
+def test_near_its_edge_a_sector_has_another(degrees, sector, other):
+    (row,) = derived(World([0]).see(1, [0], x=toward(degrees)), "sightings")
+    assert (row["sector"], row["sector_other"]) == (sector, other)
