@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jrdb_avr.engine.commands._endpoint import base_url_option, endpoint_options, model_option
+from jrdb_avr.engine.commands._endpoint import endpoint_options
 from jrdb_avr.engine.commands._options import json_option, store_option
 from jrdb_avr.engine.console import note, print_rows, progress_bar
 
@@ -19,9 +19,7 @@ if TYPE_CHECKING:
     epilog="Example: jrdb-avr calibrate --store S --model google/gemma-4-E4B-it --base-url http://localhost:8000/v1"
 )
 @store_option()
-@model_option()
-@base_url_option
-@endpoint_options
+@endpoint_options()
 @json_option
 def command(store: Store, model: str, base_url: str | None, options: Any, as_json: bool) -> None:
     """Find out in which order and scale a model writes boxes, from 50 drawn rectangles that belong to no question.

@@ -31,10 +31,7 @@ class Size:
     questions: int = 200
 
 
-@click.command(
-    short_help="Run everything once on a synthetic world.",
-    epilog="Example: jrdb-avr demo --out demo-out",
-)
+@click.command(epilog="Example: jrdb-avr demo --out demo-out")
 @click.option(
     "--out",
     default="demo-out",

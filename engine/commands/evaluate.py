@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from jrdb_avr.engine.commands._endpoint import base_url_option, endpoint_options, model_option
+from jrdb_avr.engine.commands._endpoint import endpoint_options
 from jrdb_avr.engine.commands._options import FILE, json_option, store_option
 from jrdb_avr.engine.console import note, print_rows, progress_bar
 from jrdb_avr.engine.run.methods import MARKER, METHODS
@@ -43,8 +43,7 @@ panoramas:
     metavar="METHOD",
     help=f"How questions are answered: {', '.join(METHODS)}; or one of your own, as FILE.py:NAME or MODULE:NAME.",
 )
-@model_option(", 'none' for a method of your own without any.")
-@base_url_option
+@endpoint_options(", 'none' for a method of your own without any.")
 @click.option("--run-id", help="Name of the run; METHOD-MODEL if left out.")
 @click.option("--questions", "picked", help="Question ids with commas between, or a file with one id per line.")
 @click.option("--limit", type=click.IntRange(1), help="Ask at most this many.")
@@ -75,7 +74,6 @@ panoramas:
     default=None,
     help="Scores so far, from a process of their own; beside the bar on a terminal, as lines if asked for elsewhere.",
 )
-@endpoint_options
 @json_option
 def command(
     store: Store, picked: str | None, noise: tuple[str, ...], scores: bool | None, as_json: bool, **options: Any

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -16,10 +16,7 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 
-@click.command(
-    short_help="Find questions, prove them and write the benchmark.",
-    epilog="Example: jrdb-avr generate --store store --profile paper --workers 2",
-)
+@click.command(epilog="Example: jrdb-avr generate --store store --profile paper --workers 2")
 @store_option()
 @click.option(
     "--profile",
@@ -55,36 +52,24 @@ def generate(
     with progress_bar() as progress:
         made = run.generate(store, rules, excluded=excluded, progress=progress, **options)
     if as_json:
-        aims = {row["template"]: row["aim"] for row in made.selection}
-        print_json(
-            {
-                **row,
-                **short,
-                "aim": aims[row["template"]],
-                "blind": [own for own in made.blind if own["template"] == row["template"]],
-            }
-            for row, short in zip(made.templates, made.shortfalls, strict=True)
-        )
+        print_json(made.rows())
     else:
         # A column per template: there are more rules than fit on a line.
         names = [name for name in made.templates[0] if name not in ("family", "template")]
         crossed = [{"": name, **{row["template"]: row[name] for row in made.templates}} for name in names]
         print_rows(crossed, title="Candidates, refusals by rule, and questions")
-        _print_shortfalls(made.shortfalls)
+        _print_reasons(made.shortfalls)
         if families := fillings(made.selection):
             print_rows(families, title="Questions aimed at and reached, and which template fills for which")
-        _print_blind(made.blind, "Answering without looking: shares of right answers")
+        _print_table(made.blind, "Answering without looking: shares of right answers")
     for fault in made.faults[:10]:
-        note(f"fault: the second path disagrees: {fault}")
+        note(f"fault: the second program disagrees: {fault}")
     if made.faults:
-        note(f"{len(made.faults)} candidates were refused by the second path: this is a fault of the program")
+        note(f"{len(made.faults)} candidates were refused by the second program: this is a fault of the software")
         sys.exit(1)
 
 
-@click.command(
-    short_help="Count questions; show what a blind guesser scores.",
-    epilog="Example: jrdb-avr stats --store store --picture stats.svg",
-)
+@click.command(epilog="Example: jrdb-avr stats --store store --picture stats.svg")
 @store_option()
 @click.option("--picture", type=FILE, help="Also draw the distributions into this SVG file.")
 @json_option
@@ -108,45 +93,37 @@ def stats(store: Store, picture: Path | None, as_json: bool) -> None:
         print_json({"table": name, **row} for name, rows in tables.items() for row in rows)
         return
     for name, rows in tables.items():
-        if name == "blind":
-            _print_blind(rows, TITLES[name])
-        elif name == "refusal":
-            print_rows(_crossed(rows, REFUSALS), title=TITLES[name])
-        elif rows:
-            # Reasons are printed below the table.
-            print_rows(_rounded(rows, ("why", "skipped")), title=TITLES[name])
-        if name == "shortfall":
-            _print_shortfalls(rows)
+        if rows:
+            _print_table(_crossed(rows, REFUSALS) if name == "refusal" else rows, TITLES[name])
 
 
 def _crossed(rows: Sequence[Mapping[str, Any]], rules: Sequence[str]) -> list[dict[str, Any]]:
     """A row per rule and a column per template: a row for each pair would be a long table."""
-    counts = {(row["rule"], row["template"]): row["candidates"] for row in rows}
-    templates = sorted({template for _, template in counts})
-    return [
-        {"": rule, **{name: counts.get((rule, name), 0) for name in templates}}
-        for rule in rules
-        if any(refused == rule for refused, _ in counts)
-    ]
-
-
-def _rounded(rows: Iterable[Mapping[str, Any]], left_out: Sequence[str]) -> list[dict[str, Any]]:
-    """The rows without some columns, with three decimals at most."""
-    return [
-        {key: round(cell, 3) if isinstance(cell, float) else cell for key, cell in row.items() if key not in left_out}
-        for row in rows
-    ]
-
-
-def _print_shortfalls(rows: Iterable[Mapping[str, Any]]) -> None:
+    templates = dict.fromkeys(sorted({row["template"] for row in rows}), 0)
+    crossed = {rule: {"": rule, **templates} for rule in rules}
     for row in rows:
-        if row["why"]:
+        crossed[row["rule"]][row["template"]] = row["candidates"]
+    refusing = {row["rule"] for row in rows}
+    return [row for rule, row in crossed.items() if rule in refusing]
+
+
+_REASONS: Final = ("why", "skipped", "reason")
+"""Columns whose texts are printed below their table."""
+
+
+def _print_table(rows: Sequence[Mapping[str, Any]], title: str) -> None:
+    """Print rows with three decimals at most, and the reasons among them as lines."""
+    rounded = [
+        {name: round(cell, 3) if isinstance(cell, float) else cell for name, cell in row.items()} for row in rows
+    ]
+    print_rows([{name: row[name] for name in row if name not in _REASONS} for row in rounded], title=title)
+    _print_reasons(rows)
+
+
+def _print_reasons(rows: Iterable[Mapping[str, Any]]) -> None:
+    """Print why a template has few questions, and why a blind guesser is above its aim."""
+    for row in rows:
+        if row.get("why"):
             click.echo(f"{row['template']}: {row['why']}")
-
-
-def _print_blind(rows: Sequence[Mapping[str, Any]], title: str) -> None:
-    """Print the scores of blind guessers, and a line for each aim that is missed."""
-    print_rows(_rounded(rows, ["reason"]), title=title)
-    for row in rows:
-        if row["reason"]:
+        if row.get("reason"):
             click.echo(f"{row['template']} ({row['asks']}): above the aim of {row['aim']:g}; {row['reason']}")

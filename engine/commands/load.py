@@ -21,10 +21,7 @@ MAX_ROWS: Final = 50
 """Printed rows of a table whose length depends on the files."""
 
 
-@click.command(
-    short_help="Read annotations into a store and build its graph.",
-    epilog="Example: jrdb-avr load ~/jrdb/train_dataset_with_activity --store store --workers 2",
-)
+@click.command(epilog="Example: jrdb-avr load ~/jrdb/train_dataset_with_activity --store store --workers 2")
 @click.argument("root", required=False, type=click.Path(path_type=Path))
 @store_option()
 @click.option("--rebuild", is_flag=True, help="Derive intervals and graph again from the store's annotation tables.")

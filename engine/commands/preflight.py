@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from jrdb_avr.engine.commands._endpoint import base_url_option, endpoint_options, model_option
+from jrdb_avr.engine.commands._endpoint import endpoint_options
 from jrdb_avr.engine.commands._options import json_option
 from jrdb_avr.engine.console import note, print_json, print_rows
 
@@ -15,9 +15,7 @@ from jrdb_avr.engine.console import note, print_json, print_rows
 @click.command(
     epilog="Example: jrdb-avr preflight --model Qwen/Qwen3-VL-8B-Instruct --base-url http://localhost:8000/v1"
 )
-@model_option()
-@base_url_option
-@endpoint_options
+@endpoint_options()
 @json_option
 def command(model: str, base_url: str | None, options: Any, as_json: bool) -> None:
     """Check a model's server: text, JSON schema, pictures, thinking, and what its replies say of themselves.

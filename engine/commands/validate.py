@@ -14,10 +14,7 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 
-@click.command(
-    short_help="Check the question files against the annotations.",
-    epilog="Example: jrdb-avr validate --store store --replay",
-)
+@click.command(epilog="Example: jrdb-avr validate --store store --replay")
 @store_option()
 @click.option("--replay", is_flag=True, help="Also run every proof again, and every plan as Cypher on the graph.")
 @workers_option

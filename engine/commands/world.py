@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 
 @click.group(
-    short_help="Bring runs' world models into the graph, or drop them.",
     epilog="Examples: jrdb-avr world merge agent-marker --store S   |   jrdb-avr world drop agent-marker --store S",
 )
 def command() -> None:

@@ -44,6 +44,17 @@ class Generation(Displayed):
     blind: tuple[dict[str, Any], ...]
     faults: tuple[str, ...]
 
+    def rows(self) -> list[dict[str, Any]]:
+        """A row per template: its counts, why they are few, the number requested, and its rows of the blind check."""
+        aims = {row["template"]: row["aim"] for row in self.selection}
+        blind: dict[str, list[dict[str, Any]]] = {name: [] for name in aims}
+        for row in self.blind:
+            blind[row["template"]].append(row)
+        return [
+            {**row, **short, "aim": aims[row["template"]], "blind": blind[row["template"]]}
+            for row, short in zip(self.templates, self.shortfalls, strict=True)
+        ]
+
     def _summary(self) -> str:
         questions = sum(row["kept"] for row in self.selection)
         return f"{questions} questions of {len(self.selection)} templates, {len(self.faults)} faults"

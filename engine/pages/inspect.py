@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import random
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -9,20 +10,21 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
-import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.engine.observe.observer import Observer
-from jrdb_avr.engine.pages.page import jpeg_uri, readable, render, unit_of
+from jrdb_avr.engine.pages.page import jpeg_uri, on_strip, readable, render, unit_of
 from jrdb_avr.engine.pages.svg import plan_graph
 from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.answers import Choice, decode_answer
 from jrdb_avr.schema.errors import InputError, ObserveError
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.method import Image
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, center_angle, to_crop
 from jrdb_avr.schema.plan import Plan, parse_plan
+from jrdb_avr.schema.questions import NeededBox, QuestionRecord
 from jrdb_avr.schema.relations import SAME_GROUP
 from jrdb_avr.schema.rules import frames as frames_in
 
@@ -67,23 +69,22 @@ class TimelineRow(NamedTuple):
 
 @dataclass(frozen=True)
 class Inspected:
-    """A question with its answer, plan, people and views.
+    """A question with its plan, people and views.
 
     people: the plan's nodes as (role, track); counted: further people whom the answer counts, as (role, track);
-    moments: named times as frames; annotated: the annotated frame of each named time; boxes: per frame to show, the
-    boxes of all these people as rows `role`, `x`, `y`, `w`, `h`; decisive: the needed box that answers the question.
+    moments: named times as frames; annotated: the annotated frame of each named time; boxes: per frame to display, the
+    boxes of all these people by role; decisive: the needed box that answers the question.
     """
 
-    question: Record
-    answer: Record
+    record: QuestionRecord
     plan: Plan
     people: Mapping[str, int]
     counted: Mapping[str, int]
     moments: Mapping[str, int]
     annotated: Mapping[str, int]
     timeline: tuple[TimelineRow, ...]
-    boxes: Mapping[int, Sequence[Record]]
-    decisive: Record
+    boxes: Mapping[int, Sequence[tuple[str, Box]]]
+    decisive: NeededBox
     fps: float
     frame_count: int
 
@@ -100,17 +101,17 @@ def choose_questions(store: Store, ids: Sequence[str], sample: int | None, seed:
 
 
 def inspect_questions(store: Store, ids: Sequence[str]) -> list[Inspected]:
-    """Collect what the page shows of each question. Raises StoreError where a table is missing."""
+    """Collect what the page displays of each question. Raises StoreError where a table is missing."""
     questions, answers = (_by_id(store.questions(name), ids) for name in ("questions", "answers"))
     sequences = {row["sequence"]: row for row in store.questions("sequences").to_pylist()}
     # One sequence at a time: consecutive questions mostly share one, and its tables may be large.
     read: _Sequence | None = None
     found = []
     for name in ids:
-        sequence = questions[name]["sequence"]
-        if read is None or read.name != sequence:
-            read = _Sequence(store, sequence)
-        found.append(_inspected(questions[name], answers[name], sequences[sequence], read))
+        record = QuestionRecord.read(questions[name], answers[name])
+        if read is None or read.name != record.sequence:
+            read = _Sequence(store, record.sequence)
+        found.append(_inspected(record, sequences[record.sequence], read))
     return found
 
 
@@ -134,29 +135,26 @@ class _Sequence:
         return rows
 
 
-def _inspected(question: Record, answer: Record, info: Record, sequence: _Sequence) -> Inspected:
-    plan = parse_plan(answer["plan"])
-    bindings = msgspec.json.decode(answer["bindings"], type=dict[str, int])
-    people = {node.id: bindings[node.id] for node in plan.nodes}
-    moments = {name: frame for name, frame in bindings.items() if name not in people}
-    needed = msgspec.json.decode(answer["needed"], type=list[dict[str, Any]])
+def _inspected(record: QuestionRecord, info: Record, sequence: _Sequence) -> Inspected:
+    plan = parse_plan(record.plan)
+    people = {node.id: record.bindings[node.id] for node in plan.nodes}
+    moments = {name: frame for name, frame in record.bindings.items() if name not in people}
     # A count has no decisive box: its first needed one is the target at the first of its two times.
-    decisive = next((row for row in needed if row["decisive"]), needed[0])
+    decisive = next((box for box in record.needed if box.decisive), record.needed[0])
     at = {name: nearest_annotated(frame, sequence.frames, sequence.step) for name, frame in moments.items()}
-    counted = [row for row in needed if row["node"] not in people]
+    counted = [box for box in record.needed if box.node not in people]
     sightings = {role: sequence.rows("sightings", "track", track) for role, track in people.items()}
-    boxes: dict[int, list[Record]] = {
-        frame: [{"role": role, **row} for role, rows in sightings.items() for row in rows if row["frame"] == frame]
-        for frame in sorted({*at.values(), decisive["frame"], *(row["frame"] for row in counted)})
+    boxes: dict[int, list[tuple[str, Box]]] = {
+        frame: [(role, _box(row)) for role, rows in sightings.items() for row in rows if row["frame"] == frame]
+        for frame in sorted({*at.values(), decisive.frame, *(box.frame for box in counted)})
     }
-    for row in counted:
-        boxes[row["frame"]].append({"role": row["node"], **row})
+    for box in counted:
+        boxes[box.frame].append((box.node, Box(box.x, box.y, box.w, box.h)))
     return Inspected(
-        question=question,
-        answer=answer,
+        record=record,
         plan=plan,
         people=people,
-        counted={row["node"]: row["track"] for row in counted},
+        counted={box.node: box.track for box in counted},
         moments=moments,
         annotated=at,
         timeline=tuple(
@@ -167,6 +165,10 @@ def _inspected(question: Record, answer: Record, info: Record, sequence: _Sequen
         fps=info["fps"],
         frame_count=info["frame_count"],
     )
+
+
+def _box(row: Record) -> Box:
+    return Box(row["x"], row["y"], row["w"], row["h"])
 
 
 def nearest_annotated(frame: int, frames: Sequence[int], step: int) -> int:
@@ -283,24 +285,21 @@ def inspect_page(
 
 
 def _question(one: Inspected, observer: Observer) -> dict[str, Any]:
-    question, stored, unit = one.question, one.answer["answer"], unit_of(one.plan)
-    right = msgspec.json.decode(stored, type=dict[str, Any]).get("choice")
-    wrong = msgspec.json.decode(one.answer["distractors"], type=list[str | None])
-    choices = [
-        {"text": text, "right": place == right, "from": _perturbation(one, wrong[place - 1] if wrong else None)}
-        for place, text in enumerate(question["choices"], 1)
-    ]
-    proofs = msgspec.json.decode(one.answer["proofs"], type=list[dict[str, Any]])
-    if not choices:
-        for proof in proofs:
-            proof["answer"] = readable(question["answer_mode"], proof["answer"], (), one.fps, unit)
+    record, answer = one.record, decode_answer(one.record.answer_mode, one.record.answer)
+    words = functools.partial(readable, record.answer_mode, choices=(), fps=one.fps, unit=unit_of(one.plan))
+    # A proof's answer is a choice's text, or stored JSON.
+    proofs = [(proof, proof.answer if record.choices else words(proof.answer)) for proof in record.proofs]
+    perturbations = record.distractors or (None,) * len(record.choices)
     return {
         "one": one,
-        "choices": choices,
-        "answer": "" if choices else readable(question["answer_mode"], stored, (), one.fps, unit),
+        "choices": [
+            {"text": text, "right": answer == Choice(place), "from": _perturbation(one, perturbation)}
+            for place, (text, perturbation) in enumerate(zip(record.choices, perturbations, strict=True), 1)
+        ],
+        "answer": "" if record.choices else words(record.answer),
         "graph": plan_graph(one.plan),
         "times": _times(one.plan),
-        "asks": _asks(one.plan),
+        "reads": _reads(one.plan),
         "roles": {role: place for place, role in enumerate(one.people)} | dict.fromkeys(one.counted, len(one.people)),
         "views": [_strip(one, frame, observer) for frame in one.boxes],
         "crop": _crop(one, observer),
@@ -320,7 +319,8 @@ def _times(plan: Plan) -> list[str]:
     return words
 
 
-def _asks(plan: Plan) -> str:
+def _reads(plan: Plan) -> str:
+    """What the answer of a plan reads, of whom and when."""
     counted = f" of '{plan.answer.relation}'" if plan.answer.relation else ""
     return f"{plan.answer.read.replace('_', ' ')}{counted} of {plan.answer.of} at {', '.join(plan.answer.times)}"
 
@@ -338,21 +338,15 @@ def _strip(one: Inspected, frame: int, observer: Observer) -> View:
     title = f"frame {frame}, {frame / one.fps:.1f} s"
     if names := [_moment(one, name) for name, at in one.annotated.items() if at == frame]:
         title = f"{', '.join(names)}: {title}"
-    if absent := one.people.keys() - {row["role"] for row in one.boxes[frame]}:
+    if absent := one.people.keys() - {role for role, _ in one.boxes[frame]}:
         title += f"; no box of {', '.join(sorted(absent)).upper()}"
     try:
-        image = observer.panorama(one.question["sequence"], frame)
+        image = observer.panorama(one.record.sequence, frame)
     except ObserveError as error:
         return View(title, missing=str(error))
-    scale = STRIP_WIDTH / WIDTH
-    boxes = [
-        FramedBox(row["role"], (row["x"] + shift) * scale, row["y"] * scale, row["w"] * scale, row["h"] * scale)
-        for row in one.boxes[frame]
-        for shift in (-WIDTH, 0, WIDTH)
-        if row["x"] + shift < WIDTH and row["x"] + shift + row["w"] > 0
-    ]
-    size = STRIP_WIDTH, round(HEIGHT * scale)
-    near = tuple(close_up(row, image, frame) for row in one.boxes[frame] if row["role"] in one.people)
+    boxes = [FramedBox(role, *part) for role, box in one.boxes[frame] for part in on_strip(box, STRIP_WIDTH)]
+    size = STRIP_WIDTH, round(HEIGHT * STRIP_WIDTH / WIDTH)
+    near = tuple(close_up(role, box, image, frame) for role, box in one.boxes[frame] if role in one.people)
     return View(title, jpeg_uri(image, size), *size, boxes, near=near)
 
 
@@ -362,26 +356,24 @@ def _moment(one: Inspected, name: str) -> str:
     return name if frame == one.annotated[name] else f"{name} (frame {frame}, between two annotated)"
 
 
-def close_up(row: Record, image: Image, frame: int) -> View:
+def close_up(role: str, box: Box, image: Image, frame: int) -> View:
     """A person with some surroundings, square; across the seam if necessary."""
-    side = int(min(max(1.5 * max(row["w"], row["h"]), _LEAST_CLOSE_UP), HEIGHT))
-    left = int(row["x"] + row["w"] / 2 - side / 2)
-    top = int(min(max(row["y"] + row["h"] / 2 - side / 2, 0), HEIGHT - side))
+    side = int(min(max(1.5 * max(box.w, box.h), _LEAST_CLOSE_UP), HEIGHT))
+    left = int(box.x + box.w / 2 - side / 2)
+    top = int(min(max(box.y + box.h / 2 - side / 2, 0), HEIGHT - side))
     cut = np.take(image, np.arange(left, left + side), axis=1, mode="wrap")[top : top + side]
     scale, size = CLOSE_UP / side, (CLOSE_UP, CLOSE_UP)
-    box = FramedBox(
-        row["role"], (row["x"] - left) * scale, (row["y"] - top) * scale, row["w"] * scale, row["h"] * scale
-    )
-    return View(f"{row['role'].upper()} in frame {frame}", jpeg_uri(cut, size), *size, (box,), plate=24.0)
+    framed = FramedBox(role, (box.x - left) * scale, (box.y - top) * scale, box.w * scale, box.h * scale)
+    return View(f"{role.upper()} in frame {frame}", jpeg_uri(cut, size), *size, (framed,), plate=24.0)
 
 
 def _crop(one: Inspected, observer: Observer) -> View:
-    row = one.decisive
-    frame, angle = row["frame"], float(center_angle(row["x"], row["w"]))
-    title = f"what answers it: {row['node'].upper()} in frame {frame}, angle {angle:.1f}\N{DEGREE SIGN}"
+    needed = one.decisive
+    frame, angle = needed.frame, float(center_angle(needed.x, needed.w))
+    title = f"what answers it: {needed.node.upper()} in frame {frame}, angle {angle:.1f}\N{DEGREE SIGN}"
     try:
-        seen = observer(one.question["sequence"], frame, angle)
+        seen = observer(one.record.sequence, frame, angle)
     except ObserveError as error:
         return View(title, missing=str(error))
-    box = FramedBox(row["node"], *to_crop(Box(row["x"], row["y"], row["w"], row["h"]), seen.left))
+    box = FramedBox(needed.node, *to_crop(Box(needed.x, needed.y, needed.w, needed.h), seen.left))
     return View(title, jpeg_uri(seen.image, (CROP, CROP)), CROP, CROP, (box,))

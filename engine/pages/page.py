@@ -14,10 +14,11 @@ import msgspec
 from jrdb_avr.engine.console import clean
 from jrdb_avr.engine.pages.svg import NODE_WIDTH, shortened
 from jrdb_avr.engine.report.formats import cell
+from jrdb_avr.engine.report.scoring import read_answer
 from jrdb_avr.queries.store import write_bytes
-from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span, decode_answer
-from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.method import Image
+from jrdb_avr.schema.panorama import WIDTH, Box
 from jrdb_avr.schema.plan import Plan
 
 if TYPE_CHECKING:
@@ -48,6 +49,13 @@ def jpeg_uri(image: Image, size: tuple[int, int]) -> str:
         image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     _, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
+
+
+def on_strip(box: Box, width: float) -> list[Box]:
+    """A box in the pixels of a panorama of a width, at both ends where it lies across the seam."""
+    scale = width / WIDTH
+    shifts = [shift for shift in (-WIDTH, 0, WIDTH) if box.x + shift < WIDTH and box.x + shift + box.w > 0]
+    return [Box((box.x + shift) * scale, box.y * scale, box.w * scale, box.h * scale) for shift in shifts]
 
 
 @functools.cache
@@ -94,11 +102,9 @@ def readable(mode: str, text: str | None, choices: Sequence[str], fps: float, un
 
     `unit` follows a number, as `unit_of` names it.
     """
-    try:
-        answer = decode_answer(mode, text or "")
-    except DecodeError:
-        return text or ""
-    match answer:
+    match read_answer(mode, text):
+        case None:
+            return text or ""
         case Choice(choice):
             return f"{choice}: {choices[choice - 1] if 1 <= choice <= len(choices) else 'no such choice'}"
         case FrameAnswer(frame):

@@ -11,12 +11,13 @@ from typing import Any, Final, NamedTuple
 import msgspec
 
 from jrdb_avr.engine.observe.observer import Observer
-from jrdb_avr.engine.pages.page import jpeg_uri, readable, render, unit_of
+from jrdb_avr.engine.pages.page import jpeg_uri, on_strip, readable, render, unit_of
 from jrdb_avr.engine.pages.svg import shortened
+from jrdb_avr.engine.report.scoring import read_answer
 from jrdb_avr.engine.report.traces import Look, StoredRow, Trace
-from jrdb_avr.schema.answers import FrameAnswer, FrameViewpoint, Span, decode_answer
+from jrdb_avr.schema.answers import Answer, Choice
 from jrdb_avr.schema.beliefs import ALWAYS
-from jrdb_avr.schema.errors import DecodeError, ObserveError
+from jrdb_avr.schema.errors import ObserveError
 from jrdb_avr.schema.panorama import CROP, WIDTH, Box, center_angle, iou, to_crop
 from jrdb_avr.schema.plan import parse_plan
 
@@ -52,7 +53,7 @@ def trace_page(trace: Trace, observer: Observer) -> str:
     mode, choices = trace.question["answer_mode"], trace.question["choices"]
     answers = [row["answer"] for row in (trace.answer, trace.prediction)]
     true, own = (readable(mode, text, choices, trace.fps, unit) for text in answers)
-    true_choice, own_choice = map(_choice, answers)
+    true_choice, own_choice = (_choice(read_answer(mode, text)) for text in answers)
     return render(
         "trace.html",
         trace=trace,
@@ -83,28 +84,11 @@ def given_box(trace: Trace) -> tuple[int, Box] | None:
     return frame, Box(*sides)
 
 
-def _choice(text: str | None) -> int | None:
-    try:
-        value = msgspec.json.decode(text or "{}")
-    except (msgspec.DecodeError, UnicodeEncodeError):
-        return None
-    return value.get("choice") if isinstance(value, dict) else None
+def _choice(answer: Answer | None) -> int | None:
+    return answer.choice if isinstance(answer, Choice) else None
 
 
 # -- the map: panorama columns across and frames downwards -------------------------------------------------------------
-
-
-class Mark(NamedTuple):
-    """An entity that was seen in a column, or, with `end`, a relation from there to another column."""
-
-    step: int
-    role: int
-    frame: int
-    column: float
-    text: str
-    end: float | None = None
-    label: str = ""
-    below: bool = False
 
 
 def _map(trace: Trace, given: tuple[int, Box] | None) -> dict[str, Any]:
@@ -129,17 +113,9 @@ def _map(trace: Trace, given: tuple[int, Box] | None) -> dict[str, Any]:
 
 def _frames(mode: str, text: str | None) -> list[int]:
     """The frames that an answer names; none where it names none or is unreadable."""
-    try:
-        answer = decode_answer(mode, text or "")
-    except DecodeError:
-        return []
-    match answer:
-        case FrameAnswer(frame) | FrameViewpoint(frame):
-            return [frame]
-        case Span(first, last):
-            return [first, last]
-        case _:
-            return []
+    answer = read_answer(mode, text)
+    values = {} if answer is None else msgspec.structs.asdict(answer)
+    return [value for name, value in values.items() if name.endswith("frame")]
 
 
 def _way(trace: Trace, low: int, high: int) -> list[list[tuple[float, int]]]:
@@ -155,26 +131,31 @@ def _way(trace: Trace, low: int, high: int) -> list[list[tuple[float, int]]]:
     return way
 
 
-def _marks(trace: Trace, names: Names) -> list[Mark]:
-    """Sightings, and the relations between entities that were seen in the same frame."""
-    marks: list[Mark] = []
+def _marks(trace: Trace, names: Names) -> list[dict[str, Any]]:
+    """Entities that were seen in a column, and relations, which lead on to an `end`, between those seen in one frame.
+
+    Each with its step, the entity's colour (`role`), frame and text; `label`: a name that stands `below` or above.
+    """
+    marks: list[dict[str, Any]] = []
     columns: dict[tuple[str, int], float] = {}
     labelled: set[str] = set()
     for write in trace.writes:
         if (seen := write.fact.sighted) is not None and seen.source in names:
             name, role = names[seen.source]
             column = columns[seen.source, seen.frame] = (seen.box.x + seen.box.w / 2) % WIDTH
+            mark = {"step": write.step, "role": role, "frame": seen.frame, "column": column, "end": None}
             # The name stands at the first sighting, while there are few; above and below in turn, as the people of a
             # plan often stand side by side.
             label = name[:12] if seen.source not in labelled and len(names) <= _NAMED else ""
-            below = len(labelled) % 2 == 1
+            marks.append(
+                mark | {"text": f"{name}, frame {seen.frame}", "label": label, "below": len(labelled) % 2 == 1}
+            )
             labelled.add(seen.source)
-            text = f"{name}, frame {seen.frame}"
-            marks.append(Mark(write.step, role, seen.frame, column, text, label=label, below=below))
         if (tie := write.fact.related) is not None:
             start, end = (columns.get((key, tie.first)) for key in (tie.source, tie.target))
             if start is not None and end is not None:
-                marks.append(Mark(write.step, names[tie.source][1], tie.first, start, tie.name, end))
+                mark = {"step": write.step, "role": names[tie.source][1], "frame": tie.first, "column": start}
+                marks.append(mark | {"end": end, "text": tie.name})
     return marks
 
 
@@ -235,39 +216,11 @@ _MOST_NODES: Final = 40
 """Of a drawing; where a hostile run wrote more, relations are a list."""
 
 
-class Knot(NamedTuple):
-    """An entity as drawn: left edge, name, colour, and the step that made it."""
+def _web(trace: Trace, names: Names) -> dict[str, Any] | None:
+    """The related entities in a row (`knots`) and their relations above as arcs of a height (`ties`), from `left` on.
 
-    x: float
-    name: str
-    role: int
-    step: int
-
-
-class Tie(NamedTuple):
-    """A relation as drawn: an arc from `x1` to `x2` of height `rise`."""
-
-    x1: float
-    x2: float
-    rise: float
-    step: int
-    until: int
-    text: str
-    title: str
-
-
-class Web(NamedTuple):
-    """The related entities in a row, and the relations above them; `left`: where the drawing begins."""
-
-    left: float
-    size: tuple[float, float]
-    node: tuple[float, float]
-    knots: list[Knot]
-    ties: list[Tie]
-
-
-def _web(trace: Trace, names: Names) -> Web | None:
-    """The relations as a drawing; None where there are none, or too many people for one."""
+    None where there are no relations, or too many people for a drawing.
+    """
     made = {write.fact.entity.id: write.step for write in trace.writes if write.fact.entity is not None}
     related = [(write, tie) for write in trace.writes if (tie := write.fact.related) is not None]
     joined = dict.fromkeys(key for _, tie in related for key in (tie.source, tie.target) if key in made)
@@ -276,7 +229,7 @@ def _web(trace: Trace, names: Names) -> Web | None:
     place = {key: number * _STRIDE + 1 for number, key in enumerate(joined)}
     several = len({tie.first for _, tie in related}) > 1
     levels: list[list[tuple[float, float]]] = []
-    ties = []
+    ties: list[dict[str, Any]] = []
     for write, tie in related:
         if tie.source not in place or tie.target not in place:
             continue
@@ -287,13 +240,14 @@ def _web(trace: Trace, names: Names) -> Web | None:
         text = shortened(title if several else tie.name, _WORDS)
         half = max(abs(x1 - x2), _LETTER * len(text)) / 2 + 6
         rise = _ARC * (1 + _level(levels, ((x1 + x2) / 2 - half, (x1 + x2) / 2 + half)))
-        ties.append(Tie(x1, x2, rise, write.step, write.until, text, title))
-    knots = [Knot(x, *names[key], made[key]) for key, x in place.items()]
+        tie_words = {"text": text, "title": title, "step": write.step, "until": write.until}
+        ties.append({"x1": x1, "x2": x2, "rise": rise, **tie_words})
+    knots = [{"x": x, "name": names[key][0], "role": names[key][1], "step": made[key]} for key, x in place.items()]
     # Words may reach beyond the people at the ends.
     ends = [end for level in levels for extent in level for end in extent]
     left, right = min(0.0, *ends), max((len(place) - 1) * _STRIDE + _NODE[0] + 2, *ends)
-    height = max((tie.rise for tie in ties), default=0.0) + 18 + _NODE[1] + 2
-    return Web(left, (right - left, height), _NODE, knots, ties)
+    height = max((tie["rise"] for tie in ties), default=0.0) + 18 + _NODE[1] + 2
+    return {"left": left, "size": (right - left, height), "node": _NODE, "knots": knots, "ties": ties}
 
 
 def _level(levels: list[list[tuple[float, float]]], extent: tuple[float, float]) -> int:
@@ -309,15 +263,6 @@ def _level(levels: list[list[tuple[float, float]]], extent: tuple[float, float])
 # -- steps -------------------------------------------------------------------------------------------------------------
 
 
-class LookView(NamedTuple):
-    """A look with the panorama and the crop as pictures; `missing` tells why there are none."""
-
-    look: Look
-    strip: str = ""
-    crop: str = ""
-    missing: str = ""
-
-
 class _Message(msgspec.Struct):
     role: str
     content: str
@@ -330,12 +275,10 @@ class _Reply(msgspec.Struct):
 
 
 def _steps(trace: Trace, observer: Observer, strip: Callable[[int], str]) -> list[dict[str, Any]]:
-    views = {
-        look.step: _view(trace, look, observer, strip)
-        if number < _PICTURES
-        else LookView(look, missing=f"only the first {_PICTURES} looks are shown")
-        for number, look in enumerate(trace.looks)
-    }
+    """The steps, each with the writes that were refused in it, and with its look."""
+    views = {look.step: _view(trace, look, observer, strip) for look in trace.looks[:_PICTURES]}
+    for look in trace.looks[_PICTURES:]:
+        views[look.step] = {"look": look, "missing": f"only the first {_PICTURES} looks are shown"}
     refused: dict[int, list[StoredRow]] = {}
     for write in trace.refused:
         refused.setdefault(write.step, []).append(write.row)
@@ -354,14 +297,16 @@ def _step(step: StoredRow) -> dict[str, Any]:
     return {**step, "request": request, "response": response, "short": short}
 
 
-def _view(trace: Trace, look: Look, observer: Observer, strip: Callable[[int], str]) -> LookView:
+def _view(trace: Trace, look: Look, observer: Observer, strip: Callable[[int], str]) -> dict[str, Any]:
+    """A look with the panorama and, of a crop, the crop as pictures; `missing` tells why there are none."""
+    view: dict[str, Any] = {"look": look, "missing": "", "crop": ""}
     try:
-        if look.angle is None:
-            return LookView(look, strip(look.frame))
-        crop = observer(str(trace.question["sequence"]), look.frame, look.angle).image
-        return LookView(look, strip(look.frame), jpeg_uri(crop, _SMALL))
+        if look.angle is not None:
+            crop = observer(str(trace.question["sequence"]), look.frame, look.angle).image
+            view["crop"] = jpeg_uri(crop, _SMALL)
+        return view | {"strip": strip(look.frame)}
     except ObserveError as error:
-        return LookView(look, missing=str(error))
+        return view | {"missing": str(error)}
 
 
 def _final(trace: Trace, frame: int, given: Box, observer: Observer, strip: Callable[[int], str]) -> dict[str, Any]:
@@ -381,17 +326,10 @@ def _final(trace: Trace, frame: int, given: Box, observer: Observer, strip: Call
             "uri": jpeg_uri(seen.image, (CROP, CROP)),
             "boxes": [(name, to_crop(box, seen.left)) for name, box in boxes.items()],
             "strip": strip(frame),
-            "on_strip": [(name, box) for name, own in boxes.items() for box in _on_strip(own)],
+            "on_strip": [(name, box) for name, own in boxes.items() for box in on_strip(own, _STRIP[0])],
         }
     except ObserveError as error:
         return found | {"missing": str(error)}
-
-
-def _on_strip(box: Box) -> list[Box]:
-    """A box in the pixels of a strip, at both ends where it lies across the seam."""
-    scale = _STRIP[0] / WIDTH
-    shifts = [shift for shift in (-WIDTH, 0, WIDTH) if box.x + shift < WIDTH and box.x + shift + box.w > 0]
-    return [Box((box.x + shift) * scale, box.y * scale, box.w * scale, box.h * scale) for shift in shifts]
 
 
 # -- texts of models, which may be anything ----------------------------------------------------------------------------

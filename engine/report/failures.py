@@ -31,10 +31,12 @@ from jrdb_avr.engine.report.scoring import (
     box_ious,
     frame_key,
     predicted_boxes,
+    read_answer,
     target_boxes,
 )
 from jrdb_avr.engine.report.traces import look_shown
 from jrdb_avr.queries.store import Store, read_table
+from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.panorama import CROP, WIDTH
 
@@ -81,12 +83,8 @@ def wrong_choice_rows(store: Store, index: QuestionIndex, runs: Sequence[ScoredR
 
 @functools.lru_cache(maxsize=1 << 12)
 def _choice(text: str | None) -> int | None:
-    try:
-        answer = msgspec.json.decode(text or "null")
-    except (msgspec.DecodeError, UnicodeEncodeError):
-        return None
-    number = answer.get("choice") if isinstance(answer, dict) else None
-    return number if isinstance(number, int) else None
+    answer = read_answer("multiple_choice", text)
+    return answer.choice if isinstance(answer, Choice) else None
 
 
 def _perturbations(distractors: str) -> dict[int, str]:

@@ -19,8 +19,17 @@ import pyarrow.compute as pc
 
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest
 from jrdb_avr.queries.store import Store, read_table, write_table
-from jrdb_avr.schema.answers import ANSWER_TYPES, TIE, Answer, Choice, FrameAnswer, FrameViewpoint, Number, Span
-from jrdb_avr.schema.answers import decode_answer as decode
+from jrdb_avr.schema.answers import (
+    ANSWER_TYPES,
+    TIE,
+    Answer,
+    Choice,
+    FrameAnswer,
+    FrameViewpoint,
+    Number,
+    Span,
+    decode_answer,
+)
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.errors import DecodeError, InputError, StoreError
 from jrdb_avr.schema.panorama import WIDTH, angle_error
@@ -253,12 +262,18 @@ def _payloads(texts: pa.ChunkedArray, mode: Ints) -> Payloads:
     return np.array(distinct, PAYLOAD).view(np.recarray)[where.reshape(-1)]
 
 
-def _payload(text: str | None, mode: str) -> tuple[bool, int, int, float]:
+def read_answer(mode: str, text: str | None) -> Answer | None:
+    """A stored answer; None without one, and for a text that is no answer of the mode."""
     try:
-        answer = decode(mode, text or "")
+        return decode_answer(mode, text or "")
     except DecodeError:
-        return False, 0, 0, 0.0
-    match answer:
+        return None
+
+
+def _payload(text: str | None, mode: str) -> tuple[bool, int, int, float]:
+    match read_answer(mode, text):
+        case None:
+            return False, 0, 0, 0.0
         case Choice(first) | FrameAnswer(first):
             return True, first, 0, 0.0
         case Span(first, last):

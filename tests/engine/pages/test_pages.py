@@ -9,6 +9,7 @@ import time
 from importlib.resources import files
 from xml.etree import ElementTree
 
+import msgspec
 import numpy as np
 import pytest
 from browser import browser, complaints
@@ -31,6 +32,7 @@ from jrdb_avr.engine.pages.report import crossed, pivot
 from jrdb_avr.engine.pages.svg import plan_graph, scatter, wrapped
 from jrdb_avr.engine.validate.reviews import read_reviews
 from jrdb_avr.queries.questions import read_sequences
+from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import parse_plan
 
 HOSTILE = '</script><script>document.title="hit"</script><img src=x onerror=\'document.title="hit"\'>\x1b[31m'
@@ -181,11 +183,12 @@ def test_no_text_of_a_question_runs_or_breaks_the_page(opened, sample_benchmark,
     text = f"{HOSTILE}{{{{7*7}}}}\u202e{'x' * 10_000}"
     multiple = next(r for r in sample_benchmark.questions("questions").to_pylist() if r["choices"])
     (one,) = inspect_questions(sample_benchmark, [multiple["question_id"]])
-    proofs = [{**proof, "variant": text, "answer": text} for proof in json.loads(one.answer["proofs"])]
+    proofs = tuple(msgspec.structs.replace(proof, variant=text, answer=text) for proof in one.record.proofs)
     spoiled = dataclasses.replace(
         one,
-        question={**one.question, "question": text, "choices": [text] * 4},
-        answer={**one.answer, "distractors": json.dumps([text] * 4), "proofs": json.dumps(proofs)},
+        record=msgspec.structs.replace(
+            one.record, question=text, choices=(text,) * 4, distractors=(text,) * 4, proofs=proofs
+        ),
         timeline=tuple(row._replace(label=text) for row in one.timeline),
     )
     html = inspect_page([spoiled], Observer(None, read_sequences(sample_benchmark).values()), "0", lambda _: None)
@@ -438,7 +441,7 @@ def test_a_close_up_reaches_over_the_seam():
 
     image = np.zeros((480, 3760, 3), np.uint8)
     image[:, 3745:], image[:, :15] = (255, 0, 0), (255, 0, 0)
-    seen = close_up({"role": "a", "x": 3745.0, "y": 200.0, "w": 30.0, "h": 80.0}, image, 7)
+    seen = close_up("a", Box(3745.0, 200.0, 30.0, 80.0), image, 7)
     (box,) = seen.boxes
     picture = cv2.imdecode(np.frombuffer(base64.b64decode(seen.uri.partition(",")[2]), np.uint8), cv2.IMREAD_COLOR)
     assert picture.shape == (seen.height, seen.width, 3)
