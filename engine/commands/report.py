@@ -60,7 +60,7 @@ def score(runs: tuple[str, ...], store: Store, iou: float, as_json: bool) -> Non
 @click.option("--latex", "as_latex", is_flag=True, help="Print LaTeX, for the package booktabs.")
 @click.option("--html", type=FILE, help="Write everything as one page.")
 def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html: Path | None, **options: Any) -> None:
-    """Compare runs: answer, evidence, combined, hallucination and invalid in percent of the n questions asked.
+    """Compare runs: answer, evidence, combined, hallucination and invalid in percent of the n questions.
 
     Intervals are 95 %, from 10,000 seeded draws of whole sequences. Macro averages are over the seven families and the
     paper's five groups.

@@ -11,16 +11,16 @@
 
   // What was decided outlives a page that is closed by mistake; a browser that keeps nothing for files only warns.
   const shelf = `jrdb-avr inspect ${about.questions_sha256} ${articles.map((a) => a.dataset.id).join()}`;
-  let kept = false;
+  let saved = false;
   const keep = () => {
     try {
       if (decided.size) localStorage.setItem(shelf, JSON.stringify([...decided.values()]));
       else localStorage.removeItem(shelf);
-      kept = true;
+      saved = true;
     } catch {
-      kept = false;
+      saved = false;
     }
-    document.getElementById("kept").textContent = kept ? "This browser keeps them until you start anew." : "";
+    document.getElementById("saved").textContent = saved ? "This browser keeps them until you start anew." : "";
   };
   const remember = () => {
     try {
@@ -31,7 +31,7 @@
           decided.set(own.question_id, { question_id: own.question_id, decision: own.decision, reason: own.reason });
       }
     } catch {
-      // Nothing was kept, or nothing that can be read: there is nothing to remember.
+      // Nothing is stored, or nothing that can be read.
     }
   };
   const changed = () => {
@@ -116,7 +116,7 @@
     unsaved = false;
   });
   window.addEventListener("beforeunload", (event) => {
-    if (unsaved && !kept) event.preventDefault();
+    if (unsaved && !saved) event.preventDefault();
   });
   document.getElementById("anew").addEventListener("click", () => {
     if (decided.size && !confirm("Forget every decision on this page?")) return;

@@ -278,7 +278,7 @@ def _steps(trace: Trace, observer: Observer, strip: Callable[[int], str]) -> lis
     """The steps, each with the writes that were refused in it, and with its look."""
     views = {look.step: _view(trace, look, observer, strip) for look in trace.looks[:_PICTURES]}
     for look in trace.looks[_PICTURES:]:
-        views[look.step] = {"look": look, "missing": f"only the first {_PICTURES} looks are shown"}
+        views[look.step] = {"look": look, "missing": f"only the first {_PICTURES} looks have pictures"}
     refused: dict[int, list[StoredRow]] = {}
     for write in trace.refused:
         refused.setdefault(write.step, []).append(write.row)

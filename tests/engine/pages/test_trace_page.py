@@ -151,12 +151,12 @@ def test_the_world_model_grows_with_the_slider(traced, tmp_path):
         # Two looks have a known form, and one of them was refused.
         assert len(driver.find_elements("css selector", ".map rect.look")) == 2, "a crop over the seam is two parts"
         assert len(visible(".entity")) == 2 and len(visible("circle.given")) == 1
-        assert visible(".entity .gone") == [t for t in visible(".entity .said") if "walking" in t] != []
+        assert visible(".entity .gone") == [t for t in visible(".entity .belief") if "walking" in t] != []
         at(1)
         assert visible(".entity") == visible("circle.seen") == visible("td.refused") == []
         at(2)
         assert [text.split()[0] for text in visible(".entity")] == ["p1"]
-        assert any("walking" in t for t in visible(".entity .said")) and not visible(".gone")
+        assert any("walking" in t for t in visible(".entity .belief")) and not visible(".gone")
         assert len(visible("td.refused")) == 1 and not visible(".map path.tie")
         assert driver.find_element("id", "at").text == "2 of 6: model"
         at(5)
@@ -167,7 +167,7 @@ def test_the_world_model_grows_with_the_slider(traced, tmp_path):
             assert run("trace", other, name, "--store", store.path, "--out", tmp_path / "o.html")[0] == 0
             driver.get((tmp_path / "o.html").as_uri())
             assert complaints(driver) == []
-            assert "kept no steps" in driver.find_element("tag name", "main").text
+            assert "recorded no steps" in driver.find_element("tag name", "main").text
 
 
 def test_a_page_of_thousands_of_steps_stays_small(benchmark_copy, tmp_path, monkeypatch):
@@ -183,7 +183,7 @@ def test_a_page_of_thousands_of_steps_stays_small(benchmark_copy, tmp_path, monk
     )
     assert code == 0, err
     text = (tmp_path / "t").read_text()
-    assert text.count("only the first 2 looks are shown") == 2998
+    assert text.count("only the first 2 looks have pictures") == 2998
     assert len(text) < 3_000_000
 
 
