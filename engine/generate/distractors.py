@@ -22,7 +22,7 @@ from jrdb_avr.engine.generate.relations import STATED_POSES
 from jrdb_avr.engine.generate.scene import NOBODY, Scene
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 
-COUNT: Final = 4
+CHOICE_COUNT: Final = 4
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,9 @@ def make_choices(context: SearchContext, candidates: Candidates, row: int, key: 
     for text, perturbation in found:
         wrong.setdefault(text, perturbation)
     wrong = {text: perturbation for text, perturbation in wrong.items() if text not in barred}
-    if len(wrong) < COUNT - 1:
+    if len(wrong) < CHOICE_COUNT - 1:
         return None
-    chosen = {truth: None, **dict(list(wrong.items())[: COUNT - 1])}
+    chosen = {truth: None, **dict(list(wrong.items())[: CHOICE_COUNT - 1])}
     texts = tuple(sorted(chosen, key=lambda text: hashlib.sha256(f"{key}\n{text}".encode()).hexdigest()))
     return Choices(texts, texts.index(truth) + 1, tuple(chosen[text] for text in texts))
 

@@ -18,6 +18,7 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from jrdb_avr.engine.generate.distractors import CHOICE_COUNT
 from jrdb_avr.engine.generate.proofs import expected, failing
 from jrdb_avr.engine.generate.publish import GENERATION_KEY
 from jrdb_avr.engine.rederive import Annotations, rederive
@@ -55,10 +56,7 @@ REPLAY_CHECKS: Final = {
 }
 """What is also checked when the proofs run again."""
 
-CHOICE_COUNT: Final = 4
-
 _FILES: Final = ("questions", "sequences", "answers", "evidence", "rejected")
-_PUBLIC: Final = ("sequence", "family", "template", "question", "choices", "answer_mode")
 _STATED: Final = re.compile(r"(\S+) s \(frame (\d+)\)")
 """A stated time in a question's text: its seconds and its frame."""
 
@@ -138,16 +136,13 @@ def validate(
     for row in tables["evidence"].to_pylist():
         boxes[row["question_id"]].append((row["frame"], Box(row["x"], row["y"], row["w"], row["h"])))
     _check_ids(report, tables, boxes.keys())
-    by_sequence: dict[str, list[QuestionRecord]] = defaultdict(list)
     records = read_records(store, report)
-    for record in records:
-        by_sequence[record.sequence].append(record)
-    for sequence, members in sorted(by_sequence.items()):
+    for sequence in sorted({record.sequence for record in records}):
         if not report.check("files", sequence in infos, f"sequences.parquet lacks {sequence}"):
             continue
         annotations = Annotations.read(store, sequence, rules)
         _check_sequence(report, infos[sequence], annotations)
-        for record in members:
+        for record in (record for record in records if record.sequence == sequence):
             _QuestionCheck(report, record, infos[sequence], annotations, rules).run(boxes[record.question_id])
             advance(1)
     _check_selection(report, records, rules)
@@ -169,10 +164,8 @@ def read_records(store: Store, report: Validation) -> list[QuestionRecord]:
             record = QuestionRecord.read(row, private[name])
             decode_answer(record.answer_mode, record.answer)
             records.append(record)
-        except msgspec.MsgspecError as error:
-            report.check("proofs", False, f"{name}: {error}")
-        except DecodeError as error:
-            report.check("answers", False, f"{name}: {error}")
+        except (msgspec.MsgspecError, DecodeError) as error:
+            report.check("answers" if isinstance(error, DecodeError) else "proofs", False, f"{name}: {error}")
     return records
 
 
@@ -227,8 +220,8 @@ def _columns(schema: pa.Schema) -> str:
 
 def _check_ids(report: Validation, tables: Mapping[str, pa.Table], with_evidence: Iterable[str]) -> None:
     for row in tables["questions"].to_pylist():
-        own = question_id(*(row[name] for name in _PUBLIC))
-        report.check("ids", own == row["question_id"], f"{row['question_id']}: the id of other columns")
+        name = row.pop("question_id")
+        report.check("ids", question_id(**row) == name, f"{name}: the id of other columns")
     questions, answers = (Counter(tables[name]["question_id"].to_pylist()) for name in ("questions", "answers"))
     evidence = Counter(with_evidence)
     for name in sorted(questions | answers | evidence):

@@ -6,6 +6,7 @@ the place of those that generation chooses; from there the same queries search a
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +23,7 @@ from jrdb_avr.engine.generate.records import make_record
 from jrdb_avr.engine.generate.relations import RELATIONS, find_facts
 from jrdb_avr.engine.generate.scene import NOBODY, Ints, box_count, load_scene
 from jrdb_avr.engine.generate.search import find_candidates
-from jrdb_avr.engine.rederive import Annotations, rederive
+from jrdb_avr.engine.rederive import Annotations, Outcome, rederive
 from jrdb_avr.queries.compiler.find import compile_find
 from jrdb_avr.queries.compiler.mapping import SCENE
 from jrdb_avr.queries.compiler.reads import SceneReader
@@ -34,7 +35,7 @@ from jrdb_avr.schema.errors import AvrError, PlanError
 from jrdb_avr.schema.plan import Plan, canonical, parse_plan
 from jrdb_avr.schema.questions import Proof, QuestionRecord
 from jrdb_avr.schema.rules import Rules
-from jrdb_avr.schema.templates import Template, forms_of
+from jrdb_avr.schema.templates import Slots, Template, forms_of
 
 _TOLERANCE: Final = 1e-9
 """Seconds and degrees that differ by no more are the same."""
@@ -52,11 +53,12 @@ class Difference(NamedTuple):
 
 
 class StoredPlan(NamedTuple):
-    """A stored question with its plan and the form of its template that the plan has."""
+    """A stored question with its plan, the form of its template that the plan has, and the plan's slots."""
 
     record: QuestionRecord
     plan: Plan
     form: Template
+    slots: Slots
 
 
 # -- comparison ---------------------------------------------------------------------------------------------------
@@ -108,18 +110,18 @@ def read_plans(records: Iterable[QuestionRecord]) -> tuple[list[StoredPlan], lis
     for record in records:
         try:
             plan = parse_plan(record.plan)
-            plans.append(StoredPlan(record, plan, _form(record.template, plan)))
+            plans.append(StoredPlan(record, plan, *_form(record.template, plan)))
         except AvrError as error:
             unreadable.append(Difference(record.question_id, "plan", str(error)))
     return plans, unreadable
 
 
-def _form(name: str, plan: Plan) -> Template:
-    """Find the form of a template that a plan has. Raises PlanError where there is none."""
+def _form(name: str, plan: Plan) -> tuple[Template, Slots]:
+    """Find the form of a template that a plan has, and its slots. Raises PlanError where there is none."""
     for template in forms_of(name):
         slots = template.slots(plan)
         if slots is not None and canonical(template.build(slots)) == canonical(plan):
-            return template
+            return template, slots
     raise PlanError("plan", f"it is no plan of the template {name!r}")
 
 
@@ -147,10 +149,10 @@ def replay(
 
     `advance` receives the number of finished questions. Raises StoreError where the store lacks a sequence's tables.
     """
-    by_sequence: dict[str, list[QuestionRecord]] = {}
-    for record in records:
-        by_sequence.setdefault(record.sequence, []).append(record)
-    jobs = [ReplayJob(store.path, name, rules, tuple(members)) for name, members in sorted(by_sequence.items())]
+    jobs = [
+        ReplayJob(store.path, name, rules, tuple(record for record in records if record.sequence == name))
+        for name in sorted({record.sequence for record in records})
+    ]
     found: list[Difference] = []
     for index, own in map_shards(replay_sequence, jobs, workers, lambda job: box_count(store, job.sequence)):
         found += own
@@ -166,97 +168,78 @@ def replay_sequence(job: ReplayJob) -> list[Difference]:
     facts = find_facts(scene)
     plans, found = read_plans(job.records)
     conditions = find_conditions(scene, facts, job.rules)
-    stated = [(_root(plan), _frame(plan)) for _, plan, _ in plans]
+    stated = [(slots.conditions, slots.frames[form.described]) for _, _, form, slots in plans]
     descriptions, names = resolve(conditions, stated, job.rules)
-    by_form: dict[str, list[tuple[StoredPlan, int]]] = {}
-    for stored, name in zip(plans, names, strict=True):
+    by_form: dict[str, list[tuple[StoredPlan, int]]] = defaultdict(list)
+    for stored_plan, name in zip(plans, names, strict=True):
         if name < 0:
             what = "its description fits no single person"
-            found.append(Difference(stored.record.question_id, "anchor match", what))
+            found.append(Difference(stored_plan.record.question_id, "anchor match", what))
         else:
-            by_form.setdefault(stored.form.query, []).append((stored, name))
+            by_form[stored_plan.form.query].append((stored_plan, name))
     annotations = Annotations.read(store, job.sequence, job.rules)
     with SearchContext(scene, job.rules, facts, descriptions) as context:
         for members in by_form.values():
-            again = _Regenerated(context, find_candidates(context, members[0][0].form), annotations)
-            for (stored, _), line in zip(members, _lines(again, members), strict=True):
-                found += again.compare(stored, line)
+            candidates = find_candidates(context, members[0][0].form)
+            for (stored_plan, _), line in zip(members, _lines(context, candidates, members), strict=True):
+                second = rederive(annotations, stored_plan.plan, stored_plan.record.template, job.rules)
+                found += _compare(context, candidates, stored_plan.record, line, second)
     return found
-
-
-def _root(plan: Plan) -> tuple[Any, ...]:
-    return next(node.conditions for node in plan.nodes if node.id == plan.root)
-
-
-def _frame(plan: Plan) -> int:
-    """The frame at which the description holds: the first stated one."""
-    return next(time.frame for _, time in sorted(plan.times.items()) if time.frame is not None)
 
 
 _Line = Mapping[str, Any]
 """A candidate as a row of `to_table`."""
 
 
-def _lines(again: _Regenerated, members: Sequence[tuple[StoredPlan, int]]) -> list[_Line | None]:
+def _lines(
+    context: SearchContext, candidates: Candidates, members: Sequence[tuple[StoredPlan, int]]
+) -> list[_Line | None]:
     """For each plan with the number of its description, the candidate that has this plan, None where there is none."""
-    candidates = again.candidates
     order = np.argsort(candidates.name, kind="stable")
     names = candidates.name[order]
     likely: list[Ints] = []
-    for (_, plan, _), name in members:
+    for (_, _, _, slots), name in members:
         low, high = np.searchsorted(names, [name, name + 1])
         rows: Ints = order[low:high].astype(np.int64)
-        for time in candidates.template.stated:
-            rows = rows[candidates.frames[time][rows] == plan.times[time].frame]
-        for column, codes in candidates.relations.items():
-            relation = _relation(plan, column)
+        for time, frame in slots.frames.items():
+            rows = rows[candidates.frames[time][rows] == frame]
+        for codes, relation in zip(candidates.relations.values(), slots.relations, strict=True):
             rows = rows[codes[rows] == (RELATIONS.index(relation) if relation in RELATIONS else NOBODY)]
         likely.append(rows)
     every = np.unique(np.concatenate(likely)) if likely else np.zeros(0, np.int64)
-    table = to_table(again.context, candidates, every)
-    lines = {line["row"]: line for line in table.to_pylist()}
-    texts = [canonical(plan) for (_, plan, _), _ in members]
+    lines = {line["row"]: line for line in to_table(context, candidates, every).to_pylist()}
+    texts = [canonical(stored.plan) for stored, _ in members]
     return [
         next((lines[row] for row in rows.tolist() if lines[row]["plan"] == text), None)
         for rows, text in zip(likely, texts, strict=True)
     ]
 
 
-def _relation(plan: Plan, name: str) -> str | None:
-    """The relation of an edge by its column, r1, r2, ...; without edges, that which is counted."""
-    return plan.edges[int(name[1:]) - 1].relation if plan.edges else plan.answer.relation
+def _compare(
+    context: SearchContext, candidates: Candidates, stored: QuestionRecord, line: _Line | None, second: Outcome
+) -> Iterator[Difference]:
+    """Compare a stored record with that of `line`, the candidate with the question's plan, found and proven again.
 
-
-@dataclass(frozen=True)
-class _Regenerated:
-    """Candidates of a template, found and proven again."""
-
-    context: SearchContext
-    candidates: Candidates
-    annotations: Annotations
-
-    def compare(self, stored: StoredPlan, line: _Line | None) -> Iterator[Difference]:
-        """Compare a stored record with that of `line`, the candidate with the question's plan."""
-        name = stored.record.question_id
-        if line is None:
-            yield Difference(name, "plan", "the stored plan finds no candidate")
-            return
-        refusing = int(self.candidates.rule[line["row"]])
-        if refusing != PASSED:
-            yield Difference(name, RULES[refusing], "refuses the candidate, run again")
-            return
-        second = rederive(self.annotations, stored.plan, stored.record.template, self.context.rules)
-        agrees = second.outcome == "defined" and second.answer == line["answer"] and not second.faults
-        outcome = "same" if agrees else "different" if second.outcome == "defined" else second.outcome
-        rederived = Proof("rederive", "annotations", agrees, outcome, second.answer)
-        record = make_record(self.context, self.candidates, line, rederived)
-        if record is None:
-            yield Difference(name, "choices", "now there are fewer than three wrong answers")
-            return
-        again = msgspec.structs.asdict(record) | {"answer": record.answer_text}
-        # The id is a hash of columns that are compared themselves.
-        del again["question_id"]
-        yield from differences(stored.record, again)
+    second: what the second program finds.
+    """
+    name = stored.question_id
+    if line is None:
+        yield Difference(name, "plan", "the stored plan finds no candidate")
+        return
+    refusing = int(candidates.rule[line["row"]])
+    if refusing != PASSED:
+        yield Difference(name, RULES[refusing], "refuses the candidate, run again")
+        return
+    agrees = second.outcome == "defined" and second.answer == line["answer"] and not second.faults
+    outcome = "same" if agrees else "different" if second.outcome == "defined" else second.outcome
+    record = make_record(context, candidates, line, Proof("rederive", "annotations", agrees, outcome, second.answer))
+    if record is None:
+        yield Difference(name, "choices", "now there are fewer than three wrong answers")
+        return
+    again = msgspec.structs.asdict(record) | {"answer": record.answer_text}
+    # The id is a hash of columns that are compared themselves.
+    del again["question_id"]
+    yield from differences(stored, again)
 
 
 # -- plans as Cypher ----------------------------------------------------------------------------------------------
@@ -281,9 +264,9 @@ def run_compiled(
         except PlanError as error:
             found.append(Difference(stored.record.question_id, "compiled", str(error)))
     with Graph.open(store.graph_path, read_only=True) as graph:
-        scoped = [PlanQuery(plan, record.sequence) for record, plan, _ in compiled]
+        scoped = [PlanQuery(stored.plan, stored.record.sequence) for stored in compiled]
         solutions = solve(SceneReader(graph, SCENE, rules.load), scoped, rules, advance)
-    for (record, plan, _), solution in zip(compiled, solutions, strict=True):
+    for (record, plan, _, _), solution in zip(compiled, solutions, strict=True):
         if solution.outcome != "defined":
             what = f"{solution.outcome}, stored {_short(record.answer_text)}"
             found.append(Difference(record.question_id, "compiled", what))

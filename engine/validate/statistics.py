@@ -8,11 +8,9 @@ from statistics import median
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
 
 from jrdb_avr.engine.generate.blind import QuestionText, blind_check, question_texts
-from jrdb_avr.engine.generate.diagnostics import shortfalls, tallies
+from jrdb_avr.engine.generate.diagnostics import REFUSALS, shortfalls, tallies
 from jrdb_avr.engine.generate.selection import PROFILES
 from jrdb_avr.engine.generate.views import min_crops
 from jrdb_avr.queries.store import Store
@@ -75,21 +73,36 @@ def statistics(store: Store) -> dict[str, list[_Row]]:
         _measured(QuestionRecord.read(*row), text)
         for row, text in zip(rows, question_texts(questions, answers), strict=True)
     ]
-    sequences = store.manifest().sequences
-    lacking = _lacking({name: entry.layers for name, entry in sequences.items()})
+    layers = {name: entry.layers for name, entry in store.manifest().sequences.items()}
+    lacking, refused = _lacking(layers), tallies(rejected, questions)
     counts = {(row["template"], row["layer"]): row["sequences_without"] for row in lacking}
+    records, total = [one.record for one in measured], max(1, len(measured))
+    families, sequences = (Counter(getattr(record, name) for record in records) for name in ("family", "sequence"))
+    people = Counter(sequence for sequence, _ in {(record.sequence, record.target_track) for record in records})
+    having = Counter(layer for own in layers.values() for layer in own)
     return {
-        "family": _families(measured),
+        "family": [
+            {"family": name, "n": families[name], "share": families[name] / total, "paper": paper}
+            for name, paper in PROFILES["paper"].items()
+        ],
         "template": _counted(
             {"family": record.family, "template": record.template, "asks": text.asks, "mode": record.answer_mode}
             for record, text, _ in measured
         ),
-        "mode": _counted({"mode": one.record.answer_mode} for one in measured),
-        "sequence": _sequences(measured, sequences),
-        "shortfall": shortfalls(tallies(rejected, questions), counts, len(sequences)),
-        "refusal": _refusals(rejected),
+        "mode": _counted({"mode": record.answer_mode} for record in records),
+        "sequence": [
+            {"sequence": name, "n": sequences[name], "share": sequences[name] / total, "people": people[name]}
+            for name in sorted(layers)
+        ],
+        "shortfall": shortfalls(refused, counts, len(layers)),
+        "refusal": [
+            {"family": row["family"], "template": row["template"], "rule": rule, "candidates": row[rule]}
+            for row in sorted(refused, key=lambda row: (row["family"], row["template"]))
+            for rule in sorted(REFUSALS)
+            if row[rule]
+        ],
         "lacking": lacking,
-        "layer": _layers([entry.layers for entry in sequences.values()]),
+        "layer": [{"layer": name, "sequences_with": having[name], "sequences": len(layers)} for name in LAYERS],
         "answer": _answers(measured),
         "position": _positions(measured),
         "distractor": _distractors(measured),
@@ -109,33 +122,12 @@ def _measured(record: QuestionRecord, text: QuestionText) -> MeasuredQuestion:
 
 def _counted(rows: Iterable[dict[str, Any]], within: Sequence[str] = ()) -> list[_Row]:
     """Distinct rows with their n and their share of all, or of all rows that agree in the columns of `within`."""
-    counts: Counter[tuple[tuple[str, Any], ...]] = Counter(tuple(row.items()) for row in rows)
+    counts = Counter(tuple(row.items()) for row in rows)
+    counted = [dict(key) | {"n": n} for key, n in sorted(counts.items())]
     totals: Counter[tuple[Any, ...]] = Counter()
-    for key, n in counts.items():
-        totals[tuple(dict(key)[name] for name in within)] += n
-    return [
-        dict(key) | {"n": n, "share": n / totals[tuple(dict(key)[name] for name in within)]}
-        for key, n in sorted(counts.items())
-    ]
-
-
-def _families(measured: Sequence[MeasuredQuestion]) -> list[_Row]:
-    """Every family, in the paper's order."""
-    counts = Counter(one.record.family for one in measured)
-    return [
-        {"family": family, "n": counts[family], "share": counts[family] / max(1, len(measured)), "paper": paper}
-        for family, paper in PROFILES["paper"].items()
-    ]
-
-
-def _sequences(measured: Sequence[MeasuredQuestion], sequences: Iterable[str]) -> list[_Row]:
-    """Every sequence of the store, also those without a question."""
-    counts = Counter(one.record.sequence for one in measured)
-    people = Counter(sequence for sequence, _ in {(one.record.sequence, one.record.target_track) for one in measured})
-    return [
-        {"sequence": name, "n": counts[name], "share": counts[name] / max(1, len(measured)), "people": people[name]}
-        for name in sorted(sequences)
-    ]
+    for row in counted:
+        totals[tuple(row[name] for name in within)] += row["n"]
+    return [row | {"share": row["n"] / totals[tuple(row[name] for name in within)]} for row in counted]
 
 
 def _answers(measured: Sequence[MeasuredQuestion]) -> list[_Row]:
@@ -147,9 +139,7 @@ def _answers(measured: Sequence[MeasuredQuestion]) -> list[_Row]:
         place = 0.0 if choice else float(name.strip("[").split(",")[0])
         rows.append({"template": record.template, "asks": text.asks, "place": place, "answer": name})
     counted = _counted(rows, within=("template", "asks"))
-    for row in counted:
-        del row["place"]
-    return counted
+    return [{name: value for name, value in row.items() if name != "place"} for row in counted]
 
 
 def _positions(measured: Sequence[MeasuredQuestion]) -> list[_Row]:
@@ -215,14 +205,6 @@ def _spread(measured: Sequence[MeasuredQuestion]) -> list[_Row]:
     return rows
 
 
-def _refusals(rejected: pa.Table) -> list[_Row]:
-    keys = ["family", "template", "rule"]
-    counts = rejected.filter(pc.equal(rejected["kind"], "count")).group_by(keys).aggregate([("candidates", "sum")])
-    ordered = counts.select([*keys, "candidates_sum"]).sort_by([(key, "ascending") for key in keys])
-    rows: list[_Row] = ordered.rename_columns([*keys, "candidates"]).to_pylist()
-    return rows
-
-
 def _lacking(layers: Mapping[str, Sequence[str]]) -> list[_Row]:
     """Templates that some sequences cannot carry, with the layer and how many sequences lack it."""
     rows = []
@@ -234,9 +216,3 @@ def _lacking(layers: Mapping[str, Sequence[str]]) -> list[_Row]:
                 row = {"family": forms[0].family, "template": name, "layer": layer}
                 rows.append(row | {"sequences_without": without, "sequences": len(layers)})
     return rows
-
-
-def _layers(sequences: Sequence[Sequence[str]]) -> list[_Row]:
-    """Each layer that there can be, with the sequences that have it."""
-    counts = Counter(layer for layers in sequences for layer in layers)
-    return [{"layer": layer, "sequences_with": counts[layer], "sequences": len(sequences)} for layer in LAYERS]
