@@ -98,19 +98,11 @@ def numbered_sums(numbers: Ints, count: int, columns: Floats) -> Floats:
     return np.stack([np.bincount(numbers, weights=column, minlength=count) for column in columns.T], axis=1)
 
 
-def ratio(numerator: int, denominator: int) -> Statistic:
-    """The statistic that divides one column's total by another's; NaN over zero."""
+def mean_ratio(*pairs: tuple[int, int]) -> Statistic:
+    """The mean of ratios of columns' totals, each (above, below), over those not divided by 0; NaN without any.
 
-    def divide(totals: Floats) -> Floats:
-        below = totals[:, denominator]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(below > 0, totals[:, numerator] / below, np.nan)
-
-    return divide
-
-
-def mean_of_ratios(pairs: Sequence[tuple[int, int]]) -> Statistic:
-    """The mean of several ratios, a macro average: over those whose denominator is not zero."""
+    Of one pair it is the ratio, of several a macro average.
+    """
 
     def mean(totals: Floats) -> Floats:
         added, count = np.zeros(len(totals)), np.zeros(len(totals))
@@ -152,7 +144,7 @@ def compare(runs: Sequence[tuple[Ints, Ints, Ints]], n: int = DRAWS, seed: int =
             statistics, column = [], 0
             for number in batch:
                 n_column = column + sums[number].shape[1] - 1
-                statistics += [ratio(score, n_column) for score in range(column, n_column)]
+                statistics += [mean_ratio((score, n_column)) for score in range(column, n_column)]
                 column = n_column + 1
             found = iter(intervals(np.concatenate([sums[number] for number in batch], axis=1), statistics, n, seed))
             differences |= {number: list(islice(found, sums[number].shape[1] - 1)) for number in batch}

@@ -12,18 +12,21 @@ from jrdb_avr.queries.display import columns_of
 
 Rows = Sequence[Mapping[str, Any]]
 
-_LATEX: Final = {letter: f"\\{letter}" for letter in "&%$#_{}"} | {
-    "\\": r"\textbackslash{}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    # After the end of a row, and after a rule, a bracket would open an optional argument.
-    "[": "{[}",
-    "]": "{]}",
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
-}
+_LATEX: Final = str.maketrans(
+    {letter: f"\\{letter}" for letter in "&%$#_{}"}
+    | {
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        # After the end of a row, and after a rule, a bracket would open an optional argument.
+        "[": "{[}",
+        "]": "{]}",
+        "<": r"\textless{}",
+        ">": r"\textgreater{}",
+    }
+)
 
-_MARKDOWN: Final = {letter: f"\\{letter}" for letter in "\\`*[]|"} | {"&": "&amp;", "<": "&lt;"}
+_MARKDOWN: Final = str.maketrans({letter: f"\\{letter}" for letter in "\\`*[]|"} | {"&": "&amp;", "<": "&lt;"})
 
 _FORMULA: Final = ("=", "+", "-", "@", "\t", "\r")
 """First characters of a formula in a spreadsheet."""
@@ -60,7 +63,7 @@ def markdown(rows: Rows) -> str:
     """A Markdown table."""
     columns = columns_of(rows)
     lines = [columns, ["---:" if _is_number(rows, name) else "---" for name in columns]]
-    lines += [[_in_markdown(cell(row.get(name), name)) for name in columns] for row in rows]
+    lines += [[_escaped(cell(row.get(name), name), _MARKDOWN) for name in columns] for row in rows]
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
@@ -80,7 +83,7 @@ def latex(rows: Rows) -> str:
         lines.append(_latex_row([cell(row.get(name), name) for name in columns]))
         before = first
     lines += [r"\bottomrule", r"\end{tabular}"]
-    lines += [rf"\par{{\footnotesize {number}: {_in_latex(note)}}}" for number, note in enumerate(notes, 1)]
+    lines += [rf"\par{{\footnotesize {number}: {_escaped(note, _LATEX)}}}" for number, note in enumerate(notes, 1)]
     return "\n".join([*lines, ""])
 
 
@@ -111,20 +114,13 @@ def _in_csv(value: object) -> object:
     return clean(f"'{value}" if value.startswith(_FORMULA) else value)
 
 
-def _in_markdown(text: str) -> str:
-    return "".join(_MARKDOWN.get(letter, letter) for letter in _in_a_line(text))
-
-
 def _latex_row(cells: Sequence[str]) -> str:
-    return " & ".join(map(_in_latex, cells)) + r" \\"
+    return " & ".join(_escaped(text, _LATEX) for text in cells) + r" \\"
 
 
-def _in_latex(text: str) -> str:
-    return "".join(_LATEX.get(letter, letter) for letter in _in_a_line(text))
-
-
-def _in_a_line(text: str) -> str:
-    return clean(" ".join(text.split()))
+def _escaped(text: str, letters: dict[int, str]) -> str:
+    """A text in one line, with the letters that mean something else escaped."""
+    return clean(" ".join(text.split())).translate(letters)
 
 
 def _is_number(rows: Rows, name: str) -> bool:

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 import pyarrow.compute as pc
 
-from jrdb_avr.engine.report.bootstrap import Interval, compare, intervals, mean_of_ratios, numbered_sums, ratio
+from jrdb_avr.engine.report.bootstrap import Interval, compare, intervals, mean_ratio, numbered_sums
 from jrdb_avr.engine.report.paper import ABLATION, BY_GROUP, MAIN, Published
 from jrdb_avr.engine.report.scored_runs import (
     DIMENSIONS,
@@ -51,7 +51,8 @@ def _main_row(index: QuestionIndex, run: ScoredRun, iou: float, setting: str) ->
     base = np.concatenate([np.ones((run.n, 1)), run.scores, run.scores[:, :1] - run.scores[:, 2:]], axis=1)
     found, cluster = np.unique(index.labels["sequence"].numbers[run.rows], return_inverse=True)
     sums = [numbered_sums(cluster, len(found), base)]
-    statistics = {name: ratio(place, 0) for place, name in enumerate(SCORES, 1)} | {"hallucination": ratio(4, 1)}
+    statistics = {name: mean_ratio((place, 0)) for place, name in enumerate(SCORES, 1)}
+    statistics["hallucination"] = mean_ratio((4, 1))
     column = base.shape[1]
     for title, dimension in (("families", "family"), ("groups", "group")):
         labels = index.labels[dimension]
@@ -60,7 +61,7 @@ def _main_row(index: QuestionIndex, run: ScoredRun, iou: float, setting: str) ->
         sums.append(parts.reshape(len(found), 4 * count))
         for place, name in enumerate(SCORES, 1):
             places = [(column + 4 * k + place, column + 4 * k) for k in range(count)]
-            statistics[f"{name}_macro_{title}"] = mean_of_ratios(places)
+            statistics[f"{name}_macro_{title}"] = mean_ratio(*places)
         column += 4 * count
     shares = intervals(np.concatenate(sums, axis=1), tuple(statistics.values()))
     bounds = {name: _with_bounds(name, share) for name, share in zip(statistics, shares, strict=True)}

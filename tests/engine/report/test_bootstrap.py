@@ -15,8 +15,7 @@ from jrdb_avr.engine.report.bootstrap import (
     draws,
     intervals,
     mcnemar,
-    mean_of_ratios,
-    ratio,
+    mean_ratio,
 )
 from jrdb_avr.engine.report.paper import ABLATION, BY_GROUP, GROUPS, MAIN
 from jrdb_avr.schema.templates import FAMILIES
@@ -47,7 +46,7 @@ def test_mcnemar_of_a_whole_benchmark_is_no_overflow():
 def test_one_question_per_cluster_is_the_plain_bootstrap():
     scores = np.random.default_rng(5).integers(0, 2, 120).astype(float)
     sums = cluster_sums(np.arange(120), np.stack([scores, np.ones(120)], axis=1))
-    ours = interval(sums, ratio(0, 1))
+    ours = interval(sums, mean_ratio((0, 1)))
     theirs = stats.bootstrap(
         (scores,), np.mean, method="percentile", n_resamples=10_000, rng=np.random.default_rng(1)
     ).confidence_interval
@@ -79,7 +78,7 @@ def test_questions_of_one_sequence_are_drawn_together():
     scores, clusters = np.repeat([0, 1, 1, 1], 10), np.repeat([5, 2, 9, 0], 10)
     sums = cluster_sums(clusters, np.stack([scores, np.ones(40)], axis=1))
     assert sums.tolist() == [[10, 10], [10, 10], [0, 10], [10, 10]]
-    found = interval(sums, ratio(0, 1))
+    found = interval(sums, mean_ratio((0, 1)))
     # By hand: in 4 of 4^4 draws of sequences no 1 is drawn ... the 2.5 % quantile is one 1 in four.
     assert (found.value, found.low, found.high) == (0.75, 0.25, 1.0)
 
@@ -92,14 +91,14 @@ def test_a_draw_is_seeded_and_of_as_many_clusters():
 
 def test_what_nothing_was_asked_of_is_not_a_number():
     nothing = Interval(None, None, None)
-    assert interval(np.zeros((0, 2)), ratio(0, 1)) == nothing
-    assert interval(np.zeros((3, 2)), ratio(0, 1)) == nothing
-    assert interval(np.array([[1.0, 4.0]]), ratio(0, 1)) == Interval(0.25, None, None)
+    assert interval(np.zeros((0, 2)), mean_ratio((0, 1))) == nothing
+    assert interval(np.zeros((3, 2)), mean_ratio((0, 1))) == nothing
+    assert interval(np.array([[1.0, 4.0]]), mean_ratio((0, 1))) == Interval(0.25, None, None)
 
 
 def test_a_macro_average_is_over_the_groups_that_were_asked():
     totals = np.array([[1.0, 2.0, 3.0, 4.0, 0.0, 0.0]])
-    assert mean_of_ratios([(0, 1), (2, 3), (4, 5)])(totals).tolist() == [(0.5 + 0.75) / 2]
+    assert mean_ratio((0, 1), (2, 3), (4, 5))(totals).tolist() == [(0.5 + 0.75) / 2]
 
 
 def test_the_papers_figures_fit_together():
