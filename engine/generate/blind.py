@@ -25,9 +25,7 @@ from jrdb_avr.schema.answers import (
     Answer,
     Choice,
     FrameAnswer,
-    FrameViewpoint,
     Number,
-    Span,
     decode_answer,
     encode_answer,
     same_answer,
@@ -175,15 +173,8 @@ def best_guess(relative: Sequence[Answer]) -> Answer:
 
 def _moved(answer: Answer, frames: int) -> Answer:
     """An answer with its frames counted from another one."""
-    names = _FRAMES.get(type(answer), ())
-    return msgspec.structs.replace(answer, **{name: getattr(answer, name) + frames for name in names})
-
-
-_FRAMES: Final[dict[type[Answer], tuple[str, ...]]] = {
-    FrameAnswer: ("frame",),
-    FrameViewpoint: ("frame",),
-    Span: ("start_frame", "end_frame"),
-}
+    frames_of = {name: getattr(answer, name) for name in answer.__struct_fields__ if name.endswith("frame")}
+    return msgspec.structs.replace(answer, **{name: frame + frames for name, frame in frames_of.items()})
 
 
 # -- the text-only guesser ----------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ import pyarrow.compute as pc
 
 from jrdb_avr.engine.generate.conditions import ANCHOR_TIME
 from jrdb_avr.engine.generate.context import SearchContext
-from jrdb_avr.engine.generate.relations import RELATIONS
+from jrdb_avr.engine.generate.relations import RELATIONS, STATED_POSES
 from jrdb_avr.engine.generate.scene import NOBODY, Ints, Scene, coded, ints, masked, named
 from jrdb_avr.engine.generate.templates import joined, plan_texts
 from jrdb_avr.schema.arrays import Bools, Floats
@@ -168,6 +168,13 @@ class Candidates:
         rows = met.slice(low, high - low).to_pylist()
         until = int(self.frames["t2"][row])
         return [(int(context.scene.tracks[one["person"]]), one["seen"]) for one in rows if one["met"] <= until]
+
+
+def stated_poses(context: SearchContext, candidates: Candidates) -> Bools:
+    """(candidates, poses): the poses that the words of the question name."""
+    stated = [context.descriptions.stated_poses[candidates.name]]
+    stated += [STATED_POSES[codes] for codes in candidates.relations.values()]
+    return np.asarray(np.any(stated, axis=0))
 
 
 def first_refusing(holds: Mapping[str, Bools], count: int) -> Codes:

@@ -8,10 +8,10 @@ certainly false; those of whom it is not sure could match. Sets of a keyframe's 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -58,8 +58,8 @@ ANCHOR_TIME: Final = "t0"
 class Conditions:
     """People present at each keyframe, the conditions that hold of them, and the people that these exclude.
 
-    moment, keyframe, slot: per sighting, its moment, its keyframe's number and its place in the masks. kinds: per code
-    the kind of its condition. states: (sightings, codes). held: per sighting the uses by which it may be described, by
+    moment, keyframe, slot: per sighting, its moment, its keyframe's number and its place in the masks. states:
+    (sightings, codes). held: per sighting the uses by which it may be described, by
     the rules' order of kinds, filled up with NOBODY. rank: per code the place of its kind in that order. everybody: per
     keyframe the mask of all people with a box; slots: per keyframe and slot the moment, NOBODY where there is none.
     """
@@ -69,7 +69,6 @@ class Conditions:
     keyframe: Ints
     slot: Ints
     vocabulary: tuple[Condition, ...]
-    kinds: tuple[str, ...]
     rank: Ints
     states: States
     held: Ints
@@ -95,7 +94,7 @@ class Conditions:
 
     def of_kind(self, *kinds: str) -> Bools:
         """Per code, whether it is of one of these kinds."""
-        return np.array([kind in kinds for kind in self.kinds], dtype=bool)
+        return np.array([condition.kind in kinds for condition in self.vocabulary], dtype=bool)
 
     @cached_property
     def states_pose(self) -> Bools:
@@ -168,14 +167,12 @@ class Conditions:
         return np.sort(self.slots[keyframe, slots])
 
 
-@dataclass(frozen=True)
-class _Column:
-    """One condition: what it is, its state of every sighting, and whose it may describe."""
+class _Column(NamedTuple):
+    """One condition, its state of every sighting, and whose it may describe."""
 
-    kind: str
     condition: Condition
     state: States
-    usable: Bools | None = None
+    usable: Bools | bool = True
 
 
 def find_conditions(scene: Scene, facts: Facts, rules: Rules) -> Conditions:
@@ -193,21 +190,18 @@ def find_conditions(scene: Scene, facts: Facts, rules: Rules) -> Conditions:
         column
         for find in (_persons, _actions, _objects, _interactions, _places)
         for column in find(scene, facts, moments, rows)
-        if column.kind in rules.condition_order and (column.state == TRUE).any()
+        if column.condition.kind in rules.condition_order and (column.state == TRUE).any()
     ]
-    states = np.stack([column.state for column in columns], axis=1) if columns else np.zeros((len(rows), 0), np.int8)
-    rank = np.array([rules.condition_order.index(column.kind) for column in columns], dtype=np.int64)
-    usable = states == TRUE
-    for code, column in enumerate(columns):
-        if column.usable is not None:
-            usable[:, code] &= column.usable
+    none = np.zeros((len(rows), 0), dtype=np.int8)
+    states = np.column_stack([none, *(column.state for column in columns)])
+    usable = np.column_stack([none.astype(bool), *((column.state == TRUE) & column.usable for column in columns)])
+    rank = np.array([rules.condition_order.index(column.condition.kind) for column in columns], dtype=np.int64)
     return Conditions(
         scene=scene,
         moment=moments,
         keyframe=keyframe,
         slot=slot,
         vocabulary=tuple(column.condition for column in columns),
-        kinds=tuple(column.kind for column in columns),
         rank=rank,
         states=states,
         held=_held(usable, rank, keyframe),
@@ -243,18 +237,32 @@ def _state(true: Bools, false: Bools) -> States:
 # -- the kinds --------------------------------------------------------------------------------------------------
 
 
+def _valued(
+    name: Attribute,
+    words: Iterable[tuple[int, str | int]],
+    value: Ints,
+    other: Ints | int = NOBODY,
+    at: str | None = ANCHOR_TIME,
+    usable: Bools | bool = True,
+) -> Iterator[_Column]:
+    """Conditions on an attribute, a word each with its number in `value`; NOBODY is unknown.
+
+    other: a second number that is possible too, NOBODY for none.
+    """
+    for code, word in words:
+        true = (value == code) & (other == NOBODY)
+        state = _state(true, (value != NOBODY) & (value != code) & (other != code))
+        yield _Column(Condition(attribute=name, value=word, at=at), state, usable)
+
+
 def _persons(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[_Column]:
     """Gender and age; used only of people whose face can be seen, where the pose layer knows."""
-    person = scene.people(moments)
-    seen = scene.flag("face_visible")[rows] if "pose" in scene.layers else None
+    seen = scene.flag("face_visible")[rows] if "pose" in scene.layers else True
     attributes: tuple[tuple[Attribute, tuple[str, ...]], ...] = (("gender", GENDERS), ("age", AGES))
     for name, words in attributes:
         codes = np.full(len(scene.tracks), NOBODY)
         codes[scene.person_of(scene.persons["track"].to_numpy())] = coded(scene.persons[name], words)
-        value = codes[person]
-        for code, word in enumerate(words):
-            state = _state(value == code, (value != NOBODY) & (value != code))
-            yield _Column(name, Condition(attribute=name, value=word), state, seen)
+        yield from _valued(name, enumerate(words), codes[scene.people(moments)], at=None, usable=seen)
 
 
 def _actions(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[_Column]:
@@ -269,10 +277,10 @@ def _actions(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[
     for code, word in enumerate(POSES):
         # A closed gap of a pose leaves it possible beside the pose that is listed.
         state = _state(pose == code, (pose != NOBODY) & (pose != code) & ~maybe[code, moments])
-        yield _Column("pose", Condition(action=word, at=ANCHOR_TIME), state)
+        yield _Column(Condition(action=word, at=ANCHOR_TIME), state)
     for code, word in enumerate(OTHER_ACTIONS, start=len(POSES)):
         state = _state(sure[code, moments], listed & ~maybe[code, moments])
-        yield _Column("action", Condition(action=word, at=ANCHOR_TIME), state)
+        yield _Column(Condition(action=word, at=ANCHOR_TIME), state)
 
 
 def _objects(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[_Column]:
@@ -290,7 +298,7 @@ def _objects(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[
         could = exact | ((verb == pair[0]) & (thing == NOBODY))
         true, possible = _marked(scene, moment[exact & certain]), _marked(scene, moment[could])
         state = _state(true[moments], listed & ~possible[moments])
-        yield _Column("object", Condition(object=category, verb=action, at=ANCHOR_TIME), state)
+        yield _Column(Condition(object=category, verb=action, at=ANCHOR_TIME), state)
 
 
 def _interactions(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[_Column]:
@@ -304,27 +312,21 @@ def _interactions(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iter
         true = _marked(scene, facts.source[of_label & facts.certain])
         possible = _marked(scene, facts.source[of_label])
         state = _state(true[moments], (open_to[moments] == 0) & ~possible[moments])
-        yield _Column("interaction", Condition(interaction=label, at=ANCHOR_TIME), state)
+        yield _Column(Condition(interaction=label, at=ANCHOR_TIME), state)
 
 
 def _places(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[_Column]:
     """Group size, sector and distance word."""
     sizes = scene.column("group_size")[rows]
     size = np.where(np.isnan(sizes), NOBODY, sizes).astype(np.int64)
-    for number in np.unique(size[size != NOBODY]).tolist():
-        state = _state(size == number, (size != NOBODY) & (size != number))
-        yield _Column("group_size", Condition(attribute="group_size", value=number, at=ANCHOR_TIME), state)
+    yield from _valued("group_size", ((number, number) for number in np.unique(size[size != NOBODY]).tolist()), size)
     attributes: tuple[tuple[Attribute, str, tuple[str, ...]], ...] = (
         ("sector", "sector", ROBOT_SECTORS),
         ("distance", "distance_word", DISTANCE_WORDS),
     )
-    for kind, column, words in attributes:
-        value, other = (coded(scene.boxes[name], words)[rows] for name in (column, f"{column}_other"))
-        known = value != NOBODY
-        for code, word in enumerate(words):
-            true = (value == code) & (other == NOBODY)
-            state = _state(true, known & (value != code) & (other != code))
-            yield _Column(kind, Condition(attribute=kind, value=word, at=ANCHOR_TIME), state)
+    for name, column, words in attributes:
+        value, other = (coded(scene.boxes[own], words)[rows] for own in (column, f"{column}_other"))
+        yield from _valued(name, enumerate(words), value, other)
 
 
 def _marked(scene: Scene, moments: Ints) -> Bools:

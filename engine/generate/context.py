@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from functools import cached_property
-from types import TracebackType
 from typing import Self
 
 import pyarrow as pa
@@ -22,7 +22,7 @@ from jrdb_avr.schema.rules import Rules
 
 
 @dataclass(frozen=True)
-class SearchContext:
+class SearchContext(contextlib.AbstractContextManager["SearchContext"]):
     """Shared inputs of every search in one scene; a context manager, which closes the graph.
 
     facts: the scene's relations. Whatever else follows from these four is worked out when it is first used.
@@ -67,11 +67,6 @@ class SearchContext:
         """Everybody whom an encounter window meets: company, person, met, seen; sorted by the first two."""
         return self.query("generators", "gap_count_people")
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if "graph" in self.__dict__:
             self.graph.close()

@@ -15,10 +15,9 @@ from typing import Final
 
 import numpy as np
 
-from jrdb_avr.engine.generate.candidates import VALUES, Candidates
+from jrdb_avr.engine.generate.candidates import VALUES, Candidates, stated_poses
 from jrdb_avr.engine.generate.context import SearchContext
 from jrdb_avr.engine.generate.proofs import condition_text
-from jrdb_avr.engine.generate.relations import STATED_POSES
 from jrdb_avr.engine.generate.scene import NOBODY, Scene
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 
@@ -40,7 +39,8 @@ def make_choices(context: SearchContext, candidates: Candidates, row: int, key: 
     barred = {truth}
     fill: tuple[str, ...] = PRESENCE_ANSWERS if truth in PRESENCE_ANSWERS else DISTANCE_ANSWERS
     if candidates.template.pose_answer:
-        barred |= _stated(context, candidates, row)
+        (stated,) = stated_poses(context, candidates.take(np.array([row])))
+        barred |= {POSES[code] for code in np.flatnonzero(stated).tolist()}
         frame = int(candidates.frames[candidates.template.decisive[-1]][row])
         barred |= context.onsets.possible_poses(_target(context.scene, candidates, row), frame)
         fill = _common_poses(context.scene, key)
@@ -59,13 +59,6 @@ def make_choices(context: SearchContext, candidates: Candidates, row: int, key: 
 def _target(scene: Scene, candidates: Candidates, row: int) -> int:
     """Track of the target."""
     return scene.track(int(candidates.people[candidates.template.target][row]))
-
-
-def _stated(context: SearchContext, candidates: Candidates, row: int) -> set[str]:
-    """Poses that the question's words name."""
-    stated = [context.descriptions.stated_poses[int(candidates.name[row])]]
-    stated += [STATED_POSES[int(codes[row])] for codes in candidates.relations.values()]
-    return {POSES[code] for code in np.flatnonzero(np.any(stated, axis=0)).tolist()}
 
 
 def _perturbed(context: SearchContext, candidates: Candidates, row: int) -> Iterator[tuple[str, str]]:

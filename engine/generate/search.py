@@ -15,13 +15,14 @@ from jrdb_avr.engine.generate.candidates import (
     choice_codes,
     first_refusing,
     proven_rules,
+    stated_poses,
 )
 from jrdb_avr.engine.generate.chains import chain_proofs, in_blocks
 from jrdb_avr.engine.generate.context import SearchContext
 from jrdb_avr.engine.generate.fork_join import find_forks, find_joins, fork_proofs
 from jrdb_avr.engine.generate.presence import find_presence
-from jrdb_avr.engine.generate.relations import RELATIONS, STATED_POSES
-from jrdb_avr.engine.generate.scene import NOBODY, Ints, coded, flags, ints
+from jrdb_avr.engine.generate.relations import RELATIONS
+from jrdb_avr.engine.generate.scene import NOBODY, coded, flags, ints
 from jrdb_avr.engine.generate.time_shift import held_person_proofs
 from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.relations import SAME_GROUP
@@ -88,17 +89,14 @@ def list_candidates(context: SearchContext, template: Template, found: pa.Table)
 
 def _stated(context: SearchContext, candidates: Candidates) -> Bools:
     """Where the question's own words name the answer."""
-    template, descriptions = candidates.template, context.descriptions
+    template = candidates.template
     if template.counts:
         # Whoever is described as in a group of six is with five others, at that moment at least.
         group = candidates.relations["r1"] == RELATIONS.index(SAME_GROUP)
-        return np.asarray(group & descriptions.stated_sizes[candidates.name])
+        return np.asarray(group & context.descriptions.stated_sizes[candidates.name])
     if not template.pose_answer:
         return np.zeros(len(candidates), dtype=bool)
-    poses: Ints = candidates.answer.astype(np.int64)
-    named = [descriptions.stated_poses[candidates.name, poses]]
-    named += [STATED_POSES[codes, poses] for codes in candidates.relations.values()]
-    return np.asarray(np.any(named, axis=0))
+    return stated_poses(context, candidates)[np.arange(len(candidates)), candidates.answer]
 
 
 def _needs_turning(context: SearchContext, paths: Candidates) -> Bools:

@@ -156,22 +156,20 @@ class _Search:
 
     def _record(self, candidates: Candidates, rows: Ints) -> None:
         """Add the records of candidates to the pool; refuse those that the second program does not confirm."""
-        template = candidates.template
         for line in to_table(self.context, candidates, rows).to_pylist():
-            record, row = None, line["row"]
             if fault := self._disagreement(candidates, line):
                 self._refuse(candidates, "rederive", line, fault)
                 self.result.faults.append(f"{self.result.sequence} {line['plan']}: {fault}")
-            else:
-                confirmed = Proof("rederive", "annotations", True, "same", line["answer"])
-                record = make_record(self.context, candidates, line, confirmed)
-                if record is None:
-                    self._refuse(candidates, "choices", line, "fewer than three wrong answers")
-            if record is not None:
-                own = {"key": line["key"], "answer_text": line["answer"]}
-                own["stated"] = list(stated_actions(parse_plan(line["plan"])))
-                own["times"] = [int(candidates.frames[name][row]) for name in template.stated]
-                self.rows.append(record.columns() | own)
+                continue
+            confirmed = Proof("rederive", "annotations", True, "same", line["answer"])
+            record = make_record(self.context, candidates, line, confirmed)
+            if record is None:
+                self._refuse(candidates, "choices", line, "fewer than three wrong answers")
+                continue
+            own = {"key": line["key"], "answer_text": line["answer"]}
+            own["stated"] = list(stated_actions(parse_plan(line["plan"])))
+            own["times"] = [int(candidates.frames[name][line["row"]]) for name in candidates.template.stated]
+            self.rows.append(record.columns() | own)
 
     def _disagreement(self, candidates: Candidates, line: Mapping[str, Any]) -> str | None:
         """The difference that the second program finds in the annotation tables; None where it agrees."""

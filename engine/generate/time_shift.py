@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from jrdb_avr.engine.generate.candidates import Candidates, Effect, PerturbationResult, choice_codes
+from jrdb_avr.engine.generate.candidates import Candidates, Effect, PerturbationResult, choice_codes, compared
 from jrdb_avr.engine.generate.chains import beyond, both_ways
 from jrdb_avr.engine.generate.context import SearchContext
 from jrdb_avr.engine.generate.scene import NOBODY, find_sorted, ints
@@ -35,7 +35,6 @@ def _shift(context: SearchContext, candidates: Candidates, by: int) -> Perturbat
     row = find_sorted(key, keys)
     # A last row stands for NOBODY.
     answer = np.append(choice_codes(read["answer"]), np.int8(NOBODY))[row]
-    known = np.where(answer == candidates.answer, Effect.SAME, Effect.DIFFERENT)
-    read_nothing = np.where(row == NOBODY, Effect.UNKNOWN, Effect.EMPTY)
-    outcome = np.where(answer == NOBODY, read_nothing, known).astype(np.int8)
+    nothing = (answer == NOBODY) & (row != NOBODY)
+    outcome = np.where(nothing, Effect.EMPTY, compared(answer, candidates.answer)).astype(np.int8)
     return PerturbationResult.of_shift(by, outcome, answer, (t1 + by <= t0) | beyond(context, t1 + by))

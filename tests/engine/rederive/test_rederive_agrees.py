@@ -128,7 +128,7 @@ def test_both_paths_see_the_same_conditions_in_random_worlds(random_store):
                 track, frame = int(scene.tracks[person]), int(scene.keyframes[place])
                 state = int(conditions.states[sighting, code])
                 assert annotations.holds(condition, track, frame) == state, (sequence, condition, track, frame)
-                seen.setdefault(conditions.kinds[code], set()).add(state)
+                seen.setdefault(conditions.vocabulary[code].kind, set()).add(state)
     assert set(seen) == set(RULES.condition_order)
     assert all(states >= {TRUE, UNKNOWN} for states in seen.values())
 
