@@ -6,28 +6,15 @@ question is published only if both programs find the same answer.
 
 Each module adds facts to those of the one before: `people` (boxes), `actions` (what people do), `relations` (whom and
 what they are with, and where), `labels` (conditions and relations as three-valued facts). `plan` then finds the people
-of a plan, and `reads` reads the answer.
+of a plan, and `reads` reads the answer: `read_<read>` of each read of `schema.plan`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Final
-
+from jrdb_avr.engine.rederive import reads
 from jrdb_avr.engine.rederive.labels import Annotations
 from jrdb_avr.engine.rederive.plan import ResolvedPlan, find_people
-from jrdb_avr.engine.rederive.reads import (
-    Reading,
-    read_action,
-    read_count,
-    read_distance,
-    read_next_action,
-    read_presence,
-    read_seconds_between,
-    read_span,
-    read_start,
-    read_start_view,
-)
+from jrdb_avr.engine.rederive.reads import Reading
 from jrdb_avr.engine.rederive.truth import FALSE, TRUE, UNKNOWN, Outcome, Undefined
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.questions import NeededBox
@@ -35,24 +22,12 @@ from jrdb_avr.schema.rules import Rules
 
 __all__ = ["FALSE", "TRUE", "UNKNOWN", "Annotations", "Outcome", "rederive"]
 
-_READERS: Final[dict[str, Callable[[ResolvedPlan], Reading]]] = {
-    "action": read_action,
-    "presence": read_presence,
-    "distance_change": read_distance,
-    "count": read_count,
-    "start": read_start,
-    "span": read_span,
-    "start_view": read_start_view,
-    "next_action": read_next_action,
-    "seconds_between": read_seconds_between,
-}
-
 
 def rederive(annotations: Annotations, plan: Plan, template: str, rules: Rules) -> Outcome:
     """Return the plan's answer and the rules of its template that do not hold."""
     try:
         found = find_people(annotations, plan, template, rules)
-        reading = _READERS[plan.answer.read](found)
+        reading: Reading = getattr(reads, f"read_{plan.answer.read}")(found)
     except Undefined as reason:
         return Outcome(reason.outcome, faults=(str(reason),))
     needed = _needed(found, reading)

@@ -137,16 +137,10 @@ class ActionFacts(PersonBoxes):
             steps = [f for f in range(low, high + 1) if (f - self.grid.start) % self.step == 0]
             return all(f in self.grid and false(f) and self.clear(track, f) for f in steps)
 
-        place = 0
-        while place < len(self.grid):
-            if not inside(place):
-                place += 1
-                continue
-            begin = place
-            while place < len(self.grid) and inside(place):
-                place += 1
-            first, last = self.grid[begin], self.grid[place - 1]
-            if last - first < least or not edge_at(first - edge, first - 1):
+        for held, run in itertools.groupby(range(len(self.grid)), inside):
+            places = list(run)
+            first, last = self.grid[places[0]], self.grid[places[-1]]
+            if not held or last - first < least or not edge_at(first - edge, first - 1):
                 continue
             if quiet_at(first - quiet, first - 1) and quiet_at(last + 1, last + quiet):
                 yield Segment(first, last, first - half, last + half, edge_at(last + 1, last + edge))

@@ -1,4 +1,7 @@
-"""Read the answer of a plan: at stated times (posture, presence, distance, count) and at events (starts, absences)."""
+"""Read the answer of a plan: at stated times (posture, presence, distance, count) and at events (starts, absences).
+
+Each `read_<read>` finds the answer of the plans with that read.
+"""
 
 from __future__ import annotations
 
@@ -54,9 +57,8 @@ def read_presence(found: ResolvedPlan) -> Reading:
     found.wait(found.t0, first, found.rules.min_wait_s)
     found.wait(first, second, found.rules.min_wait_s)
     present = [_present(found, frame) for frame in (first, second)]
-    place = {(True, True): 0, (True, False): 1, (False, True): 2, (False, False): 3}[present[0], present[1]]
     decisive = [frame for frame, there in zip((first, second), present, strict=True) if there]
-    return Reading(PRESENCE_ANSWERS[place], {}, decisive)
+    return Reading(PRESENCE_ANSWERS[3 - 2 * present[0] - present[1]], {}, decisive)
 
 
 def _present(found: ResolvedPlan, frame: int) -> bool:
@@ -67,7 +69,7 @@ def _present(found: ResolvedPlan, frame: int) -> bool:
     raise Undefined("unknown", f"whether the person is present at frame {frame} is unknown")
 
 
-def read_distance(found: ResolvedPlan) -> Reading:
+def read_distance_change(found: ResolvedPlan) -> Reading:
     """How the distance from the robot changes between two times."""
     before, after = found.frame(0), found.frame(1)
     found.wait(before, after, found.rules.min_wait_s)
@@ -80,10 +82,8 @@ def read_distance(found: ResolvedPlan) -> Reading:
     if end is None:
         raise Undefined("unknown", f"the distance at frame {after} is unknown")
     changed = end - start
-    if changed <= -found.rules.distance_changed_m:
-        return Reading(DISTANCE_ANSWERS[0], {}, [after])
-    if changed >= found.rules.distance_changed_m:
-        return Reading(DISTANCE_ANSWERS[1], {}, [after])
+    if abs(changed) >= found.rules.distance_changed_m:
+        return Reading(DISTANCE_ANSWERS[0 if changed < 0 else 1], {}, [after])
     if abs(changed) < found.rules.distance_same_m:
         return Reading(DISTANCE_ANSWERS[2], {}, [after])
     raise Undefined("unknown", f"the distance changes by {abs(changed):.2f} m, neither much nor little")

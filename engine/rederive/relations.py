@@ -32,7 +32,7 @@ class SocialFacts(ActionFacts):
         super().__init__(tables, rules)
         self._chosen = _chosen(tables["demographics"])
         self._faces = _faces(tables["poses"])
-        self._listed = {(layer, frame, track) for layer, frame, track in rows(tables["listed"], *_LISTED)}
+        self._listed = set(rows(tables["listed"], "layer", "frame", "track"))
         self._groups: dict[tuple[int, int], tuple[int, bool]] = {}
         self._clusters: dict[int, dict[int, _Labels]] = defaultdict(lambda: defaultdict(dict))
         for frame, track, cluster, difficulty in rows(tables["groups"], "frame", "track", "cluster", "difficulty"):
@@ -146,9 +146,6 @@ class SocialFacts(ActionFacts):
         return FALSE if not possible and self.tells(track, frame, "handles") else UNKNOWN
 
 
-_LISTED: Final = ("layer", "frame", "track")
-
-
 def _add_label(labels: _Labels, frame: int, difficulty: int | None) -> None:
     """Add one label; of several for one frame the easiest counts."""
     labels[frame] = labels.get(frame, False) or difficulty in (1, 2)
@@ -175,6 +172,12 @@ def _faces(table: pa.Table) -> dict[tuple[int, int], bool]:
     seen = (points[:, [2, 5, 8]] == 2).any(axis=1).tolist()
     return {(frame, track): face for (frame, track), face in zip(rows(table, "frame", "track"), seen, strict=True)}
 
+
+_CENTERS: Final = (("ahead", 180.0), ("left", 90.0), ("behind", 0.0), ("right", 270.0))
+"""Sectors of the robot, with the panorama angle of each centre."""
+
+_BEGINS_M: Final = dict(zip(DISTANCE_WORDS, (0.0, *DISTANCE_BOUNDS_M), strict=True))
+"""Metres at which each distance word begins."""
 
 _SIDES: Final = ((0.0, "front"), (30.0, "front {}"), (45.0, "{}"), (135.0, "back {}"), (145.0, "back"))
 """Sectors of a person by the turn, in degrees to either side, at which each begins."""
@@ -216,12 +219,8 @@ class RelationFacts(SocialFacts):
 
     def sectors(self, track: int, frame: int) -> list[str]:
         """The sectors that the person could be in: two near an edge."""
-        found = []
-        for word, center in (("ahead", 180.0), ("left", 90.0), ("behind", 0.0), ("right", 270.0)):
-            away = abs((self.angle(track, frame) - center + 180) % 360 - 180)
-            if away <= 45 + self.rules.load.sector_margin_deg + SLACK:
-                found.append(word)
-        return found
+        angle, reach = self.angle(track, frame), 45 + self.rules.load.sector_margin_deg + SLACK
+        return [word for word, center in _CENTERS if abs((angle - center + 180) % 360 - 180) <= reach]
 
     def distance_words(self, track: int, frame: int) -> list[str]:
         """The distance words that could be right of the person: two near a bound, all where nothing is known."""
@@ -230,13 +229,9 @@ class RelationFacts(SocialFacts):
 
     def _words(self, metres: float) -> list[str]:
         margin = self.rules.load.distance_margin
-        found = []
-        for i, word in enumerate(DISTANCE_WORDS):
-            low = DISTANCE_BOUNDS_M[i - 1] * (1 - margin) - SLACK if i else -math.inf
-            high = DISTANCE_BOUNDS_M[i] * (1 + margin) + SLACK if i < len(DISTANCE_BOUNDS_M) else math.inf
-            if low <= metres <= high:
-                found.append(word)
-        return found
+        lows = (-math.inf, *(bound * (1 - margin) - SLACK for bound in DISTANCE_BOUNDS_M))
+        highs = (*(bound * (1 + margin) + SLACK for bound in DISTANCE_BOUNDS_M), math.inf)
+        return [word for word, low, high in zip(DISTANCE_WORDS, lows, highs, strict=True) if low <= metres <= high]
 
     # -- from a person, in space --------------------------------------------------------------------------------
 
@@ -250,7 +245,7 @@ class RelationFacts(SocialFacts):
         metres = math.sqrt(ahead**2 + left**2 + up**2)
         if metres > load.pair_max_m + load.pair_margin_m + SLACK:
             return FALSE
-        words = [word for word in self._words(metres) if _begins(word) < load.pair_max_m]
+        words = [word for word in self._words(metres) if _BEGINS_M[word] < load.pair_max_m]
         sectors = self._person_sectors(math.degrees(math.atan2(left, ahead) - here.heading))
         if word not in words or sector not in sectors:
             return FALSE
@@ -262,12 +257,9 @@ class RelationFacts(SocialFacts):
         """The sectors that somebody in this direction, degrees to the left of straight ahead, could be in."""
         turn = (bearing_deg + 180) % 360 - 180
         side, margin = "left" if turn >= 0 else "right", self.rules.load.narrow_sector_margin_deg + SLACK
-        found = []
-        for i, (begin, name) in enumerate(_SIDES):
-            end = _SIDES[i + 1][0] if i + 1 < len(_SIDES) else 180.0
-            if begin - margin <= abs(turn) <= end + margin:
-                found.append(name.format(side))
-        return found
+        ends = (*(begin for begin, _ in _SIDES[1:]), 180.0)
+        within = zip(_SIDES, ends, strict=True)
+        return [name.format(side) for (begin, name), end in within if begin - margin <= abs(turn) <= end + margin]
 
     # -- from a person, as the robot sees it --------------------------------------------------------------------
 
@@ -299,9 +291,3 @@ class RelationFacts(SocialFacts):
         if min(turn, 360.0 - turn) <= margin or abs(turn - degrees) <= margin:
             return UNKNOWN
         return int(turn < degrees)
-
-
-def _begins(word: str) -> float:
-    """Metres at which a distance word begins."""
-    place = DISTANCE_WORDS.index(word)
-    return DISTANCE_BOUNDS_M[place - 1] if place else 0.0

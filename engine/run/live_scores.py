@@ -51,12 +51,7 @@ def report_scores(store: Store, run_id: str, report: Callable[[LiveScore], None]
     # It has no business with the model's server.
     environment = {name: value for name, value in os.environ.items() if not name.endswith("_API_KEY")}
     with subprocess.Popen(
-        command,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        env=environment,
-        text=True,
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment, text=True
     ) as process:
         assert process.stdout is not None, "stdout is a pipe"
         reader = threading.Thread(target=_report_all, args=(process.stdout, report), daemon=True)

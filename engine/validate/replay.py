@@ -246,10 +246,7 @@ def _compare(
 
 
 def run_compiled(
-    store: Store,
-    records: Sequence[QuestionRecord],
-    rules: Rules,
-    advance: Callable[[int], None] = lambda steps: None,
+    store: Store, records: Sequence[QuestionRecord], rules: Rules, advance: Callable[[int], None] = lambda steps: None
 ) -> list[Difference]:
     """Compile the stored plans and run them on the store's graph; `advance` receives the number of finished ones.
 
