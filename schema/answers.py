@@ -110,13 +110,12 @@ def frames_iou(a: Span, b: Span) -> float:
     return both / (a.end_frame - a.start_frame + 1 + b.end_frame - b.start_frame + 1 - both)
 
 
-def same_answer(given: Answer | None, truth: Answer) -> bool:
+def same_answer(given: Answer | None, truth: Answer, second: int = round(FPS)) -> bool:
     """Whether `given` scores against `truth`; every bound is inclusive and a missing answer never scores.
 
-    frame: within one second; span: temporal IoU >= 0.5; frame_viewpoint: the frame, and within 20 degrees;
+    frame: within `second` frames; span: temporal IoU >= 0.5; frame_viewpoint: the frame, and within 20 degrees;
     number: both positive, ratio within [0.5, 2]; choice: equal. Answers of different kinds are never the same.
     """
-    second = round(FPS)
     match given, truth:
         case Choice(), Choice():
             return given.choice == truth.choice

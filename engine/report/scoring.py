@@ -2,8 +2,8 @@
 
 Every question of a run gets one row: its answer compared under its answer mode, its evidence box compared with the
 target's boxes, and the product of both. Missing, unreadable and failed predictions score 0, and n stays the number of
-questions. The rules are those of `schema/answers.py` and `schema/panorama.py`, here over arrays: 25 runs of 2,098
-questions take well under two seconds.
+questions. Answers are compared by `schema/answers.py`; the overlap of boxes is that of `schema/panorama.py`, here over
+arrays. 25 runs of 2,098 questions take well under two seconds.
 """
 
 from __future__ import annotations
@@ -19,48 +19,28 @@ import pyarrow.compute as pc
 
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest
 from jrdb_avr.queries.store import Store, read_table, write_table
-from jrdb_avr.schema.answers import (
-    ANSWER_TYPES,
-    TIE,
-    Answer,
-    Choice,
-    FrameAnswer,
-    FrameViewpoint,
-    Number,
-    Span,
-    decode_answer,
-)
+from jrdb_avr.schema.answers import ANSWER_TYPES, TIE, Answer, decode_answer, same_answer
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.errors import DecodeError, InputError, StoreError
-from jrdb_avr.schema.panorama import WIDTH, angle_error
+from jrdb_avr.schema.panorama import WIDTH
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
 
 DEFAULT_IOU: Final = 0.5
-SPAN_IOU: Final = 0.5
-ANGLE_DEG: Final = 20.0
-NUMBER_RATIO: Final = 2.0
-
-_MODES: Final = tuple(ANSWER_TYPES)
 MOST_FRAMES: Final = 1 << 24
 """Above every frame number."""
 
 
-Payloads = Any
-"""Answers as a record array of `PAYLOAD`, one row each."""
-
-PAYLOAD: Final = np.dtype([("readable", bool), ("first", np.int64), ("last", np.int64), ("number", np.float64)])
-"""Where `readable` is false, the rest of a row has no meaning. `first` is a choice, a frame or the start of a span,
-`last` the end of a span, `number` an angle in degrees or a value."""
-
-
 @dataclass(frozen=True)
 class Truth:
-    """The right answers, one row per question, and the target's boxes sorted by key (row, frame)."""
+    """The right answers, one row per question, and the target's boxes sorted by key (row, frame).
+
+    modes, seconds: per question its answer mode, and a second in frames.
+    """
 
     ids: pa.Array
-    mode: Ints
-    second: Ints
-    answers: Payloads
+    modes: list[str]
+    seconds: list[int]
+    answers: list[Answer]
     keys: Ints
     boxes: Floats
 
@@ -79,11 +59,12 @@ def make_truth(questions: pa.Table, sequences: pa.Table, answers: pa.Table, evid
     ids = questions["question_id"].combine_chunks()
     answer_row = _find(answers["question_id"], ids, "answers")
     sequence_row = _find(sequences["sequence"], questions["sequence"], "sequences")
-    mode = row_numbers(questions["answer_mode"], pa.array(_MODES))
-    if (mode < 0).any():
+    modes = questions["answer_mode"].to_pylist()
+    if not ANSWER_TYPES.keys() >= set(modes):
         raise StoreError("the questions name an unknown answer mode: generate again")
-    payloads = _payloads(answers["answer"].take(pa.array(answer_row)), mode)
-    if not payloads.readable.all():
+    texts = answers["answer"].take(pa.array(answer_row)).to_pylist()
+    right = [answer for answer in map(read_answer, modes, texts) if answer is not None]
+    if len(right) < len(texts):
         raise StoreError("an answer of the store cannot be read under its mode: generate again")
     row = _find(ids, evidence["question_id"], "questions")
     keys = frame_key(row, evidence["frame"].to_numpy().astype(np.int64))
@@ -91,8 +72,8 @@ def make_truth(questions: pa.Table, sequences: pa.Table, answers: pa.Table, evid
     if (keys[1:] < keys[:-1]).any():  # `generate` writes them sorted; copying a million is expensive.
         order = np.argsort(keys, kind="stable")
         keys, boxes = keys[order], boxes[order]
-    fps = sequences["fps"].to_numpy()[sequence_row]
-    return Truth(ids, mode, np.round(fps).astype(np.int64), payloads, keys, boxes)
+    seconds = np.round(sequences["fps"].to_numpy()[sequence_row]).astype(np.int64).tolist()
+    return Truth(ids, modes, seconds, right, keys, boxes)
 
 
 def score_predictions(
@@ -123,12 +104,14 @@ def score_predictions(
     table, judged = align_predictions(question_ids, predictions)
     invalid = judged & _flags(pc.equal(table["status"], "invalid"))
 
-    answers = _payloads(table["answer"], truth.mode[row])
-    answer_score = judged & answers_match(truth.mode[row], truth.second[row], answers, truth.answers[row])
+    numbers, texts = row.tolist(), table["answer"].to_pylist()
+    answers = [read_answer(truth.modes[i], text) for i, text in zip(numbers, texts, strict=True)]
+    right = [same_answer(own, truth.answers[i], truth.seconds[i]) for i, own in zip(numbers, answers, strict=True)]
+    answer_score = judged & np.array(right, dtype=bool)
     frame, box, boxed = predicted_boxes(table)
     present, target = target_boxes(truth, row, frame)
     evidence_score = judged & boxed & present & (box_ious(box, target) >= iou - TIE)
-    invalid |= judged & (~answers.readable | ~boxed)
+    invalid |= judged & (np.array([answer is None for answer in answers], dtype=bool) | ~boxed)
     return pa.table(
         {
             "run_id": pa.array([run_id] * len(row), pa.string()),
@@ -160,25 +143,6 @@ def is_judged(status: pa.ChunkedArray) -> Bools:
 def frame_key(row: Ints | int, frame: Ints) -> Ints:
     """One number for a row and a frame; `Truth.keys` are such numbers, sorted."""
     return row * MOST_FRAMES + frame
-
-
-def answers_match(mode: Ints, second: Ints, given: Payloads, truth: Payloads) -> Bools:
-    """Row by row, whether an answer is right: `same_answer` over arrays. `second` is a second in frames."""
-    score = np.zeros(len(mode), dtype=bool)
-    near = np.abs(given.first - truth.first) <= second
-    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-        ratio = given.number / truth.number
-    by_type: dict[type[Answer], Bools] = {
-        Choice: given.first == truth.first,
-        FrameAnswer: near,
-        Span: _span_iou(given, truth) >= SPAN_IOU,
-        FrameViewpoint: near & (angle_error(given.number, truth.number) <= ANGLE_DEG + TIE),
-        Number: (given.number > 0) & (truth.number > 0) & (ratio >= 1 / NUMBER_RATIO) & (ratio <= NUMBER_RATIO),
-    }
-    for number, name in enumerate(_MODES):
-        score |= (mode == number) & by_type[ANSWER_TYPES[name]]
-    score &= given.readable & truth.readable
-    return score
 
 
 def predicted_boxes(predictions: pa.Table) -> tuple[Ints, Floats, Bools]:
@@ -252,45 +216,12 @@ def write_scores(store: Store, run_id: str, scores: pa.Table, iou: float) -> Non
 # -- columns ------------------------------------------------------------------------------------------------------
 
 
-def _payloads(texts: pa.ChunkedArray, mode: Ints) -> Payloads:
-    """Stored answers as columns; each distinct (mode, text) is decoded once."""
-    encoded = pa.chunked_array([texts.combine_chunks()]).combine_chunks().dictionary_encode()
-    values = [None, *encoded.dictionary.to_pylist()]
-    index = encoded.indices.fill_null(-1).to_numpy(zero_copy_only=False).astype(np.int64) + 1
-    pairs, where = np.unique(index * len(_MODES) + mode, return_inverse=True)
-    distinct = [_payload(values[pair // len(_MODES)], _MODES[pair % len(_MODES)]) for pair in pairs.tolist()]
-    return np.array(distinct, PAYLOAD).view(np.recarray)[where.reshape(-1)]
-
-
 def read_answer(mode: str, text: str | None) -> Answer | None:
     """A stored answer; None without one, and for a text that is no answer of the mode."""
     try:
         return decode_answer(mode, text or "")
     except DecodeError:
         return None
-
-
-def _payload(text: str | None, mode: str) -> tuple[bool, int, int, float]:
-    match read_answer(mode, text):
-        case None:
-            return False, 0, 0, 0.0
-        case Choice(first) | FrameAnswer(first):
-            return True, first, 0, 0.0
-        case Span(first, last):
-            return True, first, last, 0.0
-        case FrameViewpoint(first, angle):
-            return True, first, 0, angle
-        case Number(value):
-            return True, 0, 0, value
-
-
-def _span_iou(a: Payloads, b: Payloads) -> Floats:
-    """IoU of spans as sets of inclusive frames; a reversed span is empty."""
-    sizes = np.maximum(a.last - a.first + 1, 0) + np.maximum(b.last - b.first + 1, 0)
-    both = np.minimum(a.last, b.last) - np.maximum(a.first, b.first) + 1
-    both = np.where((a.last >= a.first) & (b.last >= b.first), np.maximum(both, 0), 0)
-    found: Floats = both / np.maximum(sizes - both, 1)
-    return found
 
 
 def row_numbers(values: Any, among: Any) -> Ints:
