@@ -93,14 +93,6 @@ def from_crop(box: Box, left: float) -> Box:
     return Box(box.x + left, box.y, box.w, box.h)
 
 
-def visible_share(box: Box, angle_deg: float) -> float:
-    """Share, [0, 1], of the box's width that the crop at `angle_deg` shows. A box without width: 0."""
-    if not box.w > 0:
-        return 0.0
-    seen = to_crop(box, crop_left(angle_deg))
-    return max(0.0, min(seen.x + seen.w, float(CROP)) - max(seen.x, 0.0)) / box.w
-
-
 def iou(a: Box, b: Box) -> float:
     """Seam-aware intersection over union, [0, 1].
 

@@ -5,6 +5,7 @@ A pure function of the sequence's tables and the rules, so sequences can be shar
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -86,8 +87,9 @@ def search_sequence(job: SequenceJob) -> SequenceResult:
     store = Store(job.store)
     scene = load_scene(store, job.sequence)
     annotations = Annotations.read(store, job.sequence, job.rules)
-    with SearchContext.of(scene, job.rules) as context:
-        search = _Search(job, context, annotations)
+    writing = contextlib.nullcontext() if job.candidates is None else pq.ParquetWriter(job.candidates, CANDIDATES)
+    with SearchContext.of(scene, job.rules) as context, writing as writer:
+        search = _Search(context, annotations, writer, SequenceResult(_head(scene), POOL.empty_table()))
         for name, forms in FORMS.items():
             missing = [tuple(layer for layer in form.layers if layer not in scene.layers) for form in forms]
             if least := min(missing, key=len):
@@ -95,7 +97,8 @@ def search_sequence(job: SequenceJob) -> SequenceResult:
                 continue
             searched = [form for form, layers in zip(forms, missing, strict=True) if not layers]
             search.judge([find_candidates(context, form) for form in searched])
-    return search.finish()
+    search.result.pool = pa.Table.from_pylist(search.rows, schema=POOL)
+    return search.result
 
 
 def _head(scene: Scene) -> dict[str, Any]:
@@ -105,21 +108,15 @@ def _head(scene: Scene) -> dict[str, Any]:
     return {**head, "frames": frames.tolist()}
 
 
+@dataclass
 class _Search:
-    """Collects the results of the templates, one after the other."""
+    """Collects the results of the templates, one after the other; `writer` takes every proven candidate."""
 
-    def __init__(self, job: SequenceJob, context: SearchContext, annotations: Annotations) -> None:
-        self.context = context
-        self.annotations = annotations
-        self.result = SequenceResult(_head(context.scene), POOL.empty_table())
-        self.rows: list[dict[str, Any]] = []
-        self.writer = pq.ParquetWriter(job.candidates, CANDIDATES) if job.candidates is not None else None
-
-    def finish(self) -> SequenceResult:
-        if self.writer is not None:
-            self.writer.close()
-        self.result.pool = pa.Table.from_pylist(self.rows, schema=POOL)
-        return self.result
+    context: SearchContext
+    annotations: Annotations
+    writer: pq.ParquetWriter | None
+    result: SequenceResult
+    rows: list[dict[str, Any]] = field(default_factory=list)
 
     def judge(self, forms: Sequence[Candidates]) -> None:
         """Judge the candidates of a template, whose forms compete with each other."""

@@ -1,7 +1,6 @@
 """Visibility of boxes in crops: in the forward view, in any one view, and the fewest crops that show all.
 
-The functions take arrays of boxes in stitched pixels and agree with `schema.panorama.visible_share`, which judges one
-box at a time.
+The functions take arrays of boxes in stitched pixels.
 """
 
 from __future__ import annotations

@@ -50,13 +50,8 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError, StoreError
 from jrdb_avr.schema.method import ConfigurableMethod, Method, Question
 
-_SUMS: Final = {
-    "model_calls": "n_model_calls",
-    "observations": "n_observations",
-    "prompt_tokens": "prompt_tokens",
-    "completion_tokens": "completion_tokens",
-    "seconds": "seconds",
-}
+_SUMS: Final = ("n_model_calls", "n_observations", "prompt_tokens", "completion_tokens", "seconds")
+"""Columns of `predictions` that a run adds up."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -70,7 +65,7 @@ class RunResult(Displayed):
     def row(self) -> dict[str, Any]:
         """Counts by status, and sums of calls, looks, tokens and seconds."""
         status = self.predictions["status"].to_pylist()
-        sums = {name: pc.sum(self.predictions[column]).as_py() or 0 for name, column in _SUMS.items()}
+        sums = {name.removeprefix("n_"): pc.sum(self.predictions[name]).as_py() or 0 for name in _SUMS}
         return {
             "run_id": self.run_id,
             "n": len(status),

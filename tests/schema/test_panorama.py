@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pycocotools import mask as coco
+from visible import visible_share
 
 from jrdb_avr.schema.panorama import (
     CROP,
@@ -25,7 +26,6 @@ from jrdb_avr.schema.panorama import (
     iou,
     row_of_height,
     to_crop,
-    visible_share,
 )
 
 columns = st.floats(-3 * WIDTH, 3 * WIDTH)

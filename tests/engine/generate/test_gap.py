@@ -14,6 +14,7 @@ from effort import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from quick_store import memory_store, quick_store
+from visible import visible_share
 from worlds import member, person, person_3d
 
 from jrdb_avr.engine.generate.candidates import PASSED, to_table
@@ -25,7 +26,7 @@ from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.engine.generate.sequence import SequenceJob, search_sequence
 from jrdb_avr.engine.rederive import UNKNOWN, Annotations, rederive
 from jrdb_avr.schema.answers import decode_answer, encode_answer
-from jrdb_avr.schema.panorama import Box, visible_share
+from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import canonical, parse_plan
 from jrdb_avr.schema.questions import Proof
 from jrdb_avr.schema.relations import SAME_GROUP

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from lively_worlds import lively_world
 from places import REAL
 from quick_store import graphless_store
+from visible import visible_share
 
 from jrdb_avr.engine.commands.generate import generate as generate_command
 from jrdb_avr.engine.generate import views
@@ -30,7 +31,7 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Span, decode_answer
 from jrdb_avr.schema.errors import LockedError, StoreError
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
-from jrdb_avr.schema.panorama import Box, visible_share
+from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Condition, canonical, parse_plan
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
 from jrdb_avr.schema.rules import Rules, override, rules_hash
