@@ -31,19 +31,21 @@ from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 from jrdb_avr.schema.rules import FPS
 from jrdb_avr.schema.templates import Template
 
-RULES: Final = (
-    "anchor",
-    "evidence",
-    "image",
-    "view.ahead",
-    "view.single",
-    "stated",
-    "hop.stop",
-    "hop.skip",
-    "time.shift",
-    "time.drop",
-)
-"""Rules that refuse a candidate set-wise, in the order in which they are tried."""
+MEANINGS: Final = {
+    "anchor": "a condition of the description is not needed, or it may fit somebody else",
+    "evidence": "a person who must be seen is hidden, cut off, too small or too wide",
+    "image": "a needed frame has no image",
+    "view.ahead": "answerable from the forward view alone",
+    "view.single": "answerable from a single view",
+    "stated": "the question's text states the answer",
+    "hop.stop": "stopping one person early gives the same answer, or one not known to differ",
+    "hop.skip": "skipping a hop gives the same answer, or one not known to differ",
+    "time.shift": "three seconds earlier or later the answer is not known to differ",
+    "time.drop": "every other time gives the same answer",
+}
+"""Rules that refuse a candidate set-wise, in the order in which they are tried, with why each refuses."""
+
+RULES: Final = tuple(MEANINGS)
 
 PASSED: Final = len(RULES)
 

@@ -13,30 +13,20 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.engine.generate.blind import FEW
-from jrdb_avr.engine.generate.candidates import RULES
+from jrdb_avr.engine.generate.candidates import MEANINGS, RULES
 from jrdb_avr.schema.templates import FAMILIES, forms_of
 
-REFUSALS: Final = (*RULES, "rederive", "choices", "near_duplicate", "max_per_person", "balance")
-"""Every rule that refuses a candidate, in the order in which they are tried."""
-
-MEANINGS: Final = {
-    "anchor": "a condition of the description is not needed, or it may fit somebody else",
-    "evidence": "a person who must be seen is hidden, cut off, too small or too wide",
-    "image": "a needed frame has no image",
-    "view.ahead": "answerable from the forward view alone",
-    "view.single": "answerable from a single view",
-    "stated": "the question's text states the answer",
-    "hop.stop": "stopping one person early gives the same answer, or one not known to differ",
-    "hop.skip": "skipping a hop gives the same answer, or one not known to differ",
-    "time.shift": "three seconds earlier or later the answer is not known to differ",
-    "time.drop": "every other time gives the same answer",
+REASONS: Final = {
+    **MEANINGS,
     "rederive": "the second program disagrees, which is a defect of the software",
     "choices": "fewer than three answers are certainly wrong",
     "near_duplicate": "another question about the same person and nearly the same moment is selected already",
     "max_per_person": "the person has the maximum number of questions of this template",
     "balance": "selecting more would make one answer too common or exceed the requested number",
 }
-"""Why each rule refuses a candidate."""
+"""Every rule that refuses a candidate, in the order in which they are tried, with why each refuses."""
+
+REFUSALS: Final = tuple(REASONS)
 
 _NAMED: Final = 2
 """How many of the rules that refused most are named per template."""
@@ -107,7 +97,7 @@ def _why_few(row: Mapping[str, Any], most: Sequence[str]) -> list[str]:
     if not row["candidates"]:
         return [f"no candidate, nowhere is it certain that {forms_of(row['template'])[0].seeks}"]
     numbers = f"{_number(row['questions'], 'question')} of {_number(row['candidates'], 'candidate')}"
-    refused = [f"{rule} refused {_percent(row[rule], row['candidates'])}: {MEANINGS[rule]}" for rule in most]
+    refused = [f"{rule} refused {_percent(row[rule], row['candidates'])}: {REASONS[rule]}" for rule in most]
     return [f"{numbers}, {row['proven']:,} proven", *refused]
 
 

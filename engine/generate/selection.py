@@ -95,17 +95,6 @@ def near_duplicates(table: pa.Table, rules: Rules) -> npt.NDArray[np.str_]:
 # -- all sequences ----------------------------------------------------------------------------------------------
 
 
-class _Read(msgspec.Struct):
-    mode: str
-    read: str
-
-
-class _Plan(msgspec.Struct):
-    """The facts of a plan that selection uses."""
-
-    answer: _Read
-
-
 def select(table: pa.Table, rules: Rules, profile: str, seed: int) -> Selection:
     """Balance the candidates of all sequences and, under a profile, keep its number per family.
 
@@ -147,8 +136,8 @@ def _orders(table: pa.Table, rules: Rules, seed: int) -> dict[str, list[_Order]]
     """The balanced candidates by template, one order for each thing that is read: a template may have several forms."""
     rows: dict[tuple[str, str, str], list[int]] = defaultdict(list)
     for row, (name, plan) in enumerate(zip(table["template"].to_pylist(), table["plan"].to_pylist(), strict=True)):
-        answer = msgspec.json.decode(plan, type=_Plan).answer
-        rows[name, answer.read, answer.mode].append(row)
+        answer = msgspec.json.decode(plan)["answer"]
+        rows[name, answer["read"], answer["mode"]].append(row)
     orders: dict[str, list[_Order]] = defaultdict(list)
     for (name, read, mode), places in sorted(rows.items()):
         orders[name].append(_ordered(table.take(pa.array(places)), mode, read, rules, seed))

@@ -50,8 +50,8 @@ def report_page(comparison: Comparison) -> str:
     return render(
         "report.html",
         names=names,
-        iou=comparison.iou,
-        synthetic=comparison.synthetic,
+        comparison=comparison,
+        tables=tables,
         main=own,
         published=[row for row in tables["main"] if not row["run"]],
         dots=dots,
@@ -59,9 +59,7 @@ def report_page(comparison: Comparison) -> str:
         square=SQUARE,
         breakdowns=[(name, crossed(tables[name], name, names)) for name in DIMENSIONS],
         ablation=filled(tables["ablation"]),
-        pairs=tables["pairs"],
         causes=CAUSES,
-        failures=tables["evidence_failures"],
         titles=_TITLES,
         wrong=pivot(tables["wrong_choices"], "run", "perturbation"),
         perturbations=sorted(perturbations, key=lambda name: (-perturbations[name], name)),
@@ -69,7 +67,6 @@ def report_page(comparison: Comparison) -> str:
         labels={row["run"]: row["label"] for row in own},
         ticks=(0, 20, 40, 60, 80, 100),
         kinds=SCORES,
-        cost=tables["cost"],
         settings=[(run.manifest.run_id, _pretty(run.manifest.settings)) for run in runs],
     )
 

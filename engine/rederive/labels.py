@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Final
 
 import pyarrow as pa
 
@@ -15,19 +14,18 @@ from jrdb_avr.schema.relations import RELATIONS
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.tables import ANNOTATIONS
 
-_READ: Final = (
-    "frames",
-    "boxes_2d",
-    "actions",
-    "groups",
-    "boxes_3d",
-    "demographics",
-    "interactions",
-    "handles",
-    "listed",
-    "poses",
-    "categories",
-)
+
+class _LayerTables(dict[str, pa.Table]):
+    """A sequence's annotation tables by layer, each read when it is first used; a layer that it lacks is empty."""
+
+    def __init__(self, store: Store, sequence: str) -> None:
+        super().__init__()
+        self._store, self._sequence = store, sequence
+
+    def __missing__(self, layer: str) -> pa.Table:
+        there = self._store.annotation_path(layer, self._sequence).exists()
+        table = self._store.annotation(layer, self._sequence) if there else ANNOTATIONS[layer].empty_table()
+        return self.setdefault(layer, table)
 
 
 class Annotations(RelationFacts):
@@ -40,11 +38,7 @@ class Annotations(RelationFacts):
     @classmethod
     def read(cls, store: Store, sequence: str, rules: Rules) -> Annotations:
         """Read a sequence's tables; a layer that it lacks is empty. Raises StoreError for a broken file."""
-        tables = {}
-        for layer in _READ:
-            there = store.annotation_path(layer, sequence).exists()
-            tables[layer] = store.annotation(layer, sequence) if there else ANNOTATIONS[layer].empty_table()
-        return cls(tables, rules)
+        return cls(_LayerTables(store, sequence), rules)
 
     # -- descriptions -------------------------------------------------------------------------------------------
 

@@ -26,13 +26,13 @@ from jrdb_avr.engine.report.scored_runs import (
 
 Row = dict[str, Any]
 
-_CELLS: Final = (
-    ("agent-passive-no-world", False, False),
-    ("agent-passive", False, True),
-    ("agent-no-world", True, False),
-    ("agent", True, True),
-)
-"""Cells of the ablation: method, active observation, world model."""
+_CELLS: Final[dict[str, Row]] = {
+    "agent-passive-no-world": {"active": "off", "world_model": "off"},
+    "agent-passive": {"active": "off", "world_model": "on"},
+    "agent-no-world": {"active": "on", "world_model": "off"},
+    "agent": {"active": "on", "world_model": "on"},
+}
+"""Cells of the ablation, active observation by world model, by method."""
 
 _COSTS: Final = ("n_observations", "n_model_calls", "prompt_tokens", "completion_tokens", "seconds")
 
@@ -155,22 +155,17 @@ def _shares(n: int, answer: int, evidence: int, combined: int, invalid: int) -> 
 def ablation_rows(runs: Sequence[ScoredRun], *, published: bool = False) -> list[Row]:
     """The four cells, active observation by world model, of every model that ran one of them."""
     settings = distinguishing_settings(runs)
-    places = {method: place for place, (method, _, _) in enumerate(_CELLS)}
+    places = list(_CELLS)
     among = [run for run in runs if run.manifest.method in places]
     # The cells of a model stand together, and of those the ones of one setting.
-    among.sort(key=lambda run: (run.manifest.model, settings[run.manifest.run_id], places[run.manifest.method]))
+    among.sort(key=lambda run: (run.manifest.model, settings[run.manifest.run_id], places.index(run.manifest.method)))
     rows: list[Row] = []
     for run in among:
-        _, active, world = _CELLS[places[run.manifest.method]]
         own = {"setting": settings[run.manifest.run_id]}
-        rows.append(_cell(active, world) | _head(run) | own | _shares(*_totals(run)))
+        rows.append(_CELLS[run.manifest.method] | _head(run) | own | _shares(*_totals(run)))
     if published:
-        rows += [_cell(active, world) | _published(ABLATION[method]) for method, active, world in _CELLS]
+        rows += [cell | _published(ABLATION[method]) for method, cell in _CELLS.items()]
     return rows
-
-
-def _cell(active: bool, world: bool) -> Row:
-    return {"active": "on" if active else "off", "world_model": "on" if world else "off"}
 
 
 # -- pairs ------------------------------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 import pyarrow as pa
 
 from jrdb_avr.engine.generate.candidates import RULES
-from jrdb_avr.engine.generate.diagnostics import MEANINGS, REFUSALS, fillings, shortfalls, tallies
+from jrdb_avr.engine.generate.diagnostics import REASONS, REFUSALS, fillings, shortfalls, tallies
 from jrdb_avr.schema.tables import QUESTIONS
 from jrdb_avr.schema.templates import FAMILIES, FORMS, forms_of
 
@@ -54,10 +54,10 @@ def test_few_questions_are_explained_by_the_rules_that_refused_most():
     assert row["refused_most"] == "evidence 50 %, hop.stop 35 %"
     assert row["why"] == (
         "5 questions of 200 candidates, 10 proven; "
-        f"evidence refused 50 %: {MEANINGS['evidence']}; hop.stop refused 35 %: {MEANINGS['hop.stop']}"
+        f"evidence refused 50 %: {REASONS['evidence']}; hop.stop refused 35 %: {REASONS['hop.stop']}"
     )
     # One question fewer than balance dropped: that is a reason too.
-    assert told(COUNTS, asked(two_hop=4))["two_hop"]["why"].endswith(f"balance refused 3 %: {MEANINGS['balance']}")
+    assert told(COUNTS, asked(two_hop=4))["two_hop"]["why"].endswith(f"balance refused 3 %: {REASONS['balance']}")
 
 
 def test_shares_too_small_for_a_percent_are_not_called_none():
@@ -87,7 +87,7 @@ def test_a_missing_layer_is_the_reason():
 
 
 def test_every_rule_and_template_has_its_words():
-    assert tuple(MEANINGS) == REFUSALS and REFUSALS[: len(RULES)] == RULES
+    assert tuple(REASONS) == REFUSALS and REFUSALS[: len(RULES)] == RULES
     assert all(forms[0].seeks for forms in FORMS.values())
 
 
