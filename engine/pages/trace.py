@@ -337,17 +337,13 @@ def _final(trace: Trace, frame: int, given: Box, observer: Observer, strip: Call
 
 def _messages(text: str) -> str:
     """The messages sent to a model as text, images by name."""
-    try:
-        messages = msgspec.json.decode(text, type=list[_Message])
-    except (msgspec.DecodeError, UnicodeEncodeError):
-        return _cut(text)
-    return _cut("\n\n".join(f"[{message.role}]\n{message.content}" for message in messages))
+    messages = _decoded(text, list[_Message])
+    return _cut(text if messages is text else "\n\n".join(f"[{own.role}]\n{own.content}" for own in messages))
 
 
 def _reply(text: str) -> str:
-    try:
-        reply = msgspec.json.decode(text, type=_Reply)
-    except (msgspec.DecodeError, UnicodeEncodeError):
+    reply = _decoded(text, _Reply)
+    if reply is text:
         return _cut(text)
     thought = f"[reasoning]\n{_cut(reply.reasoning)}\n\n" if reply.reasoning else ""
     ended = "" if reply.finish_reason in ("", "stop") else f"\n[finish_reason {reply.finish_reason}]"
@@ -368,10 +364,10 @@ def _plain(text: str | None) -> str:
         return _cut(text)
 
 
-def _decoded(text: str) -> Any:
-    """The value of a JSON text; the text itself where it is not JSON."""
+def _decoded(text: str, kind: Any = Any) -> Any:
+    """The value of a JSON text of a type; the text itself where it is not."""
     try:
-        return msgspec.json.decode(text)
+        return msgspec.json.decode(text, type=kind)
     except (msgspec.DecodeError, UnicodeError, RecursionError):
         return text
 

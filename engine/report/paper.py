@@ -10,33 +10,25 @@ import csv
 from importlib.resources import files
 from typing import Final, NamedTuple
 
-GROUPS: Final[dict[str, tuple[str, ...]]] = {
-    "action boundary": ("action_boundary",),
-    "chain": ("chain_2hop", "chain_3hop", "chain_fork_join"),
-    "hybrid": ("chain_hybrid",),
-    "long range": ("long_range",),
-    "unique anchor": ("unique_anchor",),
-}
-"""The paper's groups, as families."""
 
+class Group(NamedTuple):
+    """A group of the paper: its families, its questions, and on how many the answer, the evidence, and both score."""
 
-class Counts(NamedTuple):
-    """Questions of a group, and on how many the answer, the evidence, and both score."""
-
+    families: tuple[str, ...]
     n: int
     answer: int
     evidence: int
     combined: int
 
 
-BY_GROUP: Final[dict[str, Counts]] = {
-    "action boundary": Counts(67, 25, 38, 16),
-    "chain": Counts(330, 138, 28, 18),
-    "hybrid": Counts(51, 6, 3, 0),
-    "long range": Counts(30, 15, 1, 0),
-    "unique anchor": Counts(1620, 624, 507, 271),
+GROUPS: Final[dict[str, Group]] = {
+    "action boundary": Group(("action_boundary",), 67, 25, 38, 16),
+    "chain": Group(("chain_2hop", "chain_3hop", "chain_fork_join"), 330, 138, 28, 18),
+    "hybrid": Group(("chain_hybrid",), 51, 6, 3, 0),
+    "long range": Group(("long_range",), 30, 15, 1, 0),
+    "unique anchor": Group(("unique_anchor",), 1620, 624, 507, 271),
 }
-"""Counts of the paper's agent on Qwen3.5 9B."""
+"""The paper's groups, with the counts of its agent on Qwen3.5 9B."""
 
 
 class Published(NamedTuple):

@@ -28,7 +28,7 @@ _SEPARATION_EDGES_DEG: Final = (10.0, 30.0, 60.0)
 DIMENSIONS: Final = ("family", "group", "template", "answer_mode", "hops", "time_gap_s", "separation_deg", "sequence")
 """Ways to group questions; the last three but one in bins."""
 
-_GROUP_OF: Final = {family: group for group, families in GROUPS.items() for family in families}
+_GROUP_OF: Final = {family: group for group, own in GROUPS.items() for family in own.families}
 
 
 class Labels(NamedTuple):

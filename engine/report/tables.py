@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow.compute as pc
 
 from jrdb_avr.engine.report.bootstrap import Interval, compare, intervals, mean_ratio, numbered_sums
-from jrdb_avr.engine.report.paper import ABLATION, BY_GROUP, MAIN, Published
+from jrdb_avr.engine.report.paper import ABLATION, GROUPS, MAIN, Published
 from jrdb_avr.engine.report.scored_runs import (
     DIMENSIONS,
     SCORES,
@@ -94,7 +94,7 @@ def published_rows() -> list[Row]:
 
 
 def _published(row: Published) -> Row:
-    n = sum(counts.n for counts in BY_GROUP.values())
+    n = sum(counts.n for counts in GROUPS.values())
     return {"run": "", "method": row.method, "model": row.model, "label": "paper", "n": n} | row._asdict()
 
 
@@ -123,7 +123,7 @@ def published_groups() -> list[Row]:
         {"group": group, "run": "", "method": "agent", "model": "Qwen3.5 9B", "label": "paper", "n": counts.n}
         | {name: percent_of(getattr(counts, name), counts.n) for name in SCORES}
         | {"hallucination": percent_of(counts.answer - counts.combined, counts.answer)}
-        for group, counts in BY_GROUP.items()
+        for group, counts in GROUPS.items()
     ]
 
 

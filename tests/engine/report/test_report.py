@@ -26,7 +26,7 @@ from jrdb_avr.engine.report.failures import (
     wrong_choice_rows,
 )
 from jrdb_avr.engine.report.formats import cell, csv_text, latex, markdown, with_intervals
-from jrdb_avr.engine.report.paper import ABLATION, BY_GROUP, GROUPS
+from jrdb_avr.engine.report.paper import ABLATION, GROUPS
 from jrdb_avr.engine.report.scored_runs import distinguishing_settings
 from jrdb_avr.engine.report.tables import (
     TABLES,
@@ -45,8 +45,8 @@ from jrdb_avr.schema.tables import RUNS
 def papers_predictions():
     """As many questions per group as the paper's, with its counts of right answers, boxes and both."""
     asked, given = [], []
-    for group, counts in BY_GROUP.items():
-        families = GROUPS[group]
+    for group, counts in GROUPS.items():
+        families = counts.families
         for i in range(counts.n):
             # Both right first, then answers alone, then boxes alone.
             answers = i < counts.answer
