@@ -26,7 +26,7 @@ COMMANDS: Final[dict[str, str]] = {
     "cypher": "Ask the scene graph.",
     "sql": "Ask the Parquet tables.",
     "observe": "Look: write a crop of a panorama as PNG.",
-    "preflight": "Check a model's server before it is asked.",
+    "preflight": "Check a model's server before a run.",
     "calibrate": "Find out how a model writes boxes.",
     "evaluate": "Run a method on the questions.",
     "world": "Bring runs' world models into the graph, or drop them.",

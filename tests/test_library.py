@@ -182,5 +182,5 @@ def test_a_method_object_is_evaluated(store):
     assert seen[0] == ("mine, none", 0, 12) and seen[-1] == ("mine, none", 12, 12)
     with pytest.raises(jrdb_avr.InputError, match="none of"):
         jrdb_avr.evaluate(store, "reacts", "marker")
-    with pytest.raises(jrdb_avr.InputError, match="asks a model"):
+    with pytest.raises(jrdb_avr.InputError, match="needs a model"):
         jrdb_avr.evaluate(store, "react")

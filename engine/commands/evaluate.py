@@ -67,12 +67,12 @@ panoramas:
     multiple=True,
     metavar="KEY=VALUE",
     help="How imperfectly the marker model plays: wrong_box=0.1, wrong_attribute, malformed, refusal, truncated and "
-    "thinking as shares, latency in seconds, seed. May be given several times.",
+    "thinking as shares, latency in seconds, seed. May be repeated.",
 )
 @click.option(
     "--scores/--no-scores",
     default=None,
-    help="Scores so far, from a process of their own; beside the bar on a terminal, as lines if asked for elsewhere.",
+    help="Scores so far, from a process of their own; beside the bar on a terminal, as lines elsewhere.",
 )
 @json_option
 def command(

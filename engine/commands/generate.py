@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     "--candidates", type=FILE, help="Also write every proven candidate before selection to this Parquet file."
 )
 @click.option("--exclude-rejected", is_flag=True, help="Leave out what a reviewer rejected (see inspect --import).")
-@pairs_option("--rule", "overrides", "Override a rule; may be given often.")
+@pairs_option("--rule", "overrides", "Override a rule; may be repeated.")
 @json_option
 def generate(
     store: Store, exclude_rejected: bool, overrides: list[tuple[str, str]], as_json: bool, **options: Any

@@ -29,12 +29,12 @@ MAX_ROWS: Final = 50
 @pairs_option(
     "--layer-dir",
     "layer_dirs",
-    "Look for a layer's files in FOLDER, in ROOT or absolute; may be given often. LAYER= leaves the layer out. "
+    "Look for a layer's files in FOLDER, in ROOT or absolute; may be repeated. LAYER= leaves the layer out. "
     "Layers: 2d, 3d, social, reasoning, pose, panoptic, timestamps, calibration.",
     metavar="LAYER=FOLDER",
 )
 @click.option("--strict", is_flag=True, help="Exit with 1 if anything was refused or skipped.")
-@pairs_option("--rule", "overrides", "Override a load rule; may be given often.")
+@pairs_option("--rule", "overrides", "Override a load rule; may be repeated.")
 @workers_option
 @json_option
 def command(root: Path | None, store: Store, strict: bool, workers: int, as_json: bool, **options: Any) -> None:
@@ -77,13 +77,13 @@ def command(root: Path | None, store: Store, strict: bool, workers: int, as_json
                 click.echo(clean(part))
                 continue
             title, rows = part
-            shown = rows[:MAX_ROWS] if title not in ("Loaded", "Checks") else rows
-            print_rows(shown, title=title, width=WIDTH)
-            if len(shown) < len(rows):
+            printed = rows[:MAX_ROWS] if title not in ("Loaded", "Checks") else rows
+            print_rows(printed, title=title, width=WIDTH)
+            if len(printed) < len(rows):
                 click.echo(f"... and {len(rows) - MAX_ROWS:,} more: --json lists all")
         click.echo(clean(totals(result.reports)))
     if strict and result.refused:
-        note("something was refused or skipped, and --strict was given")
+        note("something was refused or skipped, and --strict is set")
         sys.exit(1)
 
 

@@ -3,7 +3,7 @@
     python -m jrdb_avr.engine.commands.page commands > docs/commands.md
     python -m jrdb_avr.engine.commands.page api > docs/api.md
 
-Tests compare the pages with the code, so that neither says what the other does not.
+Tests compare the pages with the code, so that they agree.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ def _query_options(function: _C) -> _C:
 )
 @_query_options
 def cypher(**options: Any) -> None:
-    """Ask the scene graph: QUERY is one reading Cypher statement, or the name of a kept one (see --list)."""
+    """Ask the scene graph: QUERY is one reading Cypher statement, or the name of a saved query (see --list)."""
     _run("cypher", **options)
 
 
@@ -55,7 +55,7 @@ def cypher(**options: Any) -> None:
 )
 @_query_options
 def sql(**options: Any) -> None:
-    """Ask the Parquet tables: QUERY is one SELECT over the store's views, or the name of a kept one (see --list)."""
+    """Ask the Parquet tables: QUERY is one SELECT over the store's views, or the name of a saved query (see --list)."""
     _run("sql", **options)
 
 

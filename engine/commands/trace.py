@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 def command(run: str, question: str, store: Store, out: Path) -> None:
     """Write a page that shows how RUN came to its answer to QUESTION (an id), step by step, beside the truth.
 
-    Each look is drawn on the panorama; of an agent the world model is shown as it grew, with the writes that were
-    refused.
+    Each look is drawn on the panorama; of an agent, the world model as it grew, with the writes that were refused.
     """
     from jrdb_avr.engine.observe.observer import Observer
     from jrdb_avr.engine.pages.page import write_page

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 @store_option()
 @click.option("--replay", is_flag=True, help="Also run every proof again, and every plan as Cypher on the graph.")
 @workers_option
-@pairs_option("--rule", "overrides", "As it was given to generate.")
+@pairs_option("--rule", "overrides", "As in the call of generate.")
 @json_option
 def command(store: Store, replay: bool, workers: int, overrides: list[tuple[str, str]], as_json: bool) -> None:
     """Check the questions of STORE: files, ids, choices, answers, texts, evidence, proofs; derive each answer again.

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 def command() -> None:
     """What runs' agents believed, in the store's graph.
 
-    The record is runs/RUN/world.parquet. A run writes its world model into the graph itself, unless it was given one of
-    its own by --world-db; 'load' and 'load --rebuild' bring every run's back. Ask it with 'cypher' (see its --list).
+    The record is runs/RUN/world.parquet. A run writes its world model into the graph itself, unless --world-db names
+    another; 'load' and 'load --rebuild' bring every run's back. Query it with 'cypher' (see its --list).
     """
 
 
@@ -66,7 +66,7 @@ def drop(run_ids: tuple[str, ...], store: Store, as_json: bool) -> None:
             progress("dropping", number, len(rows))
     print_rows(rows, as_json=as_json)
     if not as_json:
-        note("dropped; the space is given back by 'jrdb-avr load --rebuild'")
+        note("dropped; 'jrdb-avr load --rebuild' frees the space")
 
 
 def _record(store: Store, run_id: str) -> pa.Table:

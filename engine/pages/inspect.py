@@ -261,7 +261,7 @@ class FramedBox(NamedTuple):
 
 
 class View(NamedTuple):
-    """A picture with boxes; `missing` tells why there is none; `near`: close-ups of its people."""
+    """A picture with boxes; `missing`: why there is none; `near`: close-ups of its people."""
 
     title: str
     uri: str = ""

@@ -48,7 +48,7 @@ def trace_page(trace: Trace, observer: Observer) -> str:
     strip = functools.cache(lambda frame: jpeg_uri(observer.panorama(sequence, frame), _STRIP))
     made = [write.fact.entity for write in trace.writes if write.fact.entity is not None]
     names = {entity.id: (entity.name, number % ROLES) for number, entity in enumerate(made)}
-    given = given_box(trace)
+    evidence = evidence_box(trace)
     unit = unit_of(parse_plan(trace.answer["plan"]))
     mode, choices = trace.question["answer_mode"], trace.question["choices"]
     answers = [row["answer"] for row in (trace.answer, trace.prediction)]
@@ -62,22 +62,22 @@ def trace_page(trace: Trace, observer: Observer) -> str:
         choices=[(text, place == true_choice, place == own_choice) for place, text in enumerate(choices, 1)],
         given=own,
         right=true,
-        map=_map(trace, given),
+        map=_map(trace, evidence),
         marks=_marks(trace, names),
-        box=given,
+        box=evidence,
         panorama=WIDTH,
         strip_size=_STRIP,
         last_step=max((int(step["step"]) for step in trace.steps), default=0),
         entities=_cards(trace, names),
         web=_web(trace, names),
         steps=_steps(trace, observer, strip),
-        final=None if given is None else _final(trace, *given, observer, strip),
+        final=None if evidence is None else _final(trace, *evidence, observer, strip),
         settings=_plain(msgspec.json.encode(trace.manifest.settings).decode()),
     )
 
 
-def given_box(trace: Trace) -> tuple[int, Box] | None:
-    """The frame and box given as evidence; None where there is none that can be drawn."""
+def evidence_box(trace: Trace) -> tuple[int, Box] | None:
+    """The frame and box of the run's evidence; None where there is none that can be drawn."""
     frame, sides = trace.prediction["evidence_frame"], [trace.prediction[f"evidence_{key}"] for key in "xywh"]
     if frame is None or any(side is None or not math.isfinite(side) for side in sides):
         return None
@@ -91,11 +91,11 @@ def _choice(answer: Answer | None) -> int | None:
 # -- the map: panorama columns across and frames downwards -------------------------------------------------------------
 
 
-def _map(trace: Trace, given: tuple[int, Box] | None) -> dict[str, Any]:
+def _map(trace: Trace, evidence: tuple[int, Box] | None) -> dict[str, Any]:
     """The frames that the map spans, those it names, the frames of both answers, and the target's way."""
     mode = trace.question["answer_mode"]
     true, own = (_frames(mode, row["answer"]) for row in (trace.answer, trace.prediction))
-    frames = [look.frame for look in trace.looks] + ([] if given is None else [given[0]]) + true
+    frames = [look.frame for look in trace.looks] + ([] if evidence is None else [evidence[0]]) + true
     # A run may answer with any frame; one far outside what it looked at would press the rest together.
     low, high = min(frames, default=0) - _FAR, max(frames, default=0) + _FAR
     own = [frame for frame in own if low <= frame <= high]
@@ -298,7 +298,7 @@ def _step(step: StoredRow) -> dict[str, Any]:
 
 
 def _view(trace: Trace, look: Look, observer: Observer, strip: Callable[[int], str]) -> dict[str, Any]:
-    """A look with the panorama and, of a crop, the crop as pictures; `missing` tells why there are none."""
+    """A look with the panorama and, of a crop, the crop as pictures; `missing`: why there are none."""
     view: dict[str, Any] = {"look": look, "missing": "", "crop": ""}
     try:
         if look.angle is not None:
@@ -309,24 +309,24 @@ def _view(trace: Trace, look: Look, observer: Observer, strip: Callable[[int], s
         return view | {"missing": str(error)}
 
 
-def _final(trace: Trace, frame: int, given: Box, observer: Observer, strip: Callable[[int], str]) -> dict[str, Any]:
-    """The box given as evidence and the target's box in that frame, on the strip and in the crop around the former."""
+def _final(trace: Trace, frame: int, box: Box, observer: Observer, strip: Callable[[int], str]) -> dict[str, Any]:
+    """The box of the evidence and the target's box in that frame, on the strip and in the crop around the former."""
     target = Box(*trace.target[frame]) if frame in trace.target else None
-    angle = float(center_angle(given.x, given.w))
+    angle = float(center_angle(box.x, box.w))
     found: dict[str, Any] = {
         "frame": frame,
         "angle": angle,
-        "iou": None if target is None else iou(given, target),
+        "iou": None if target is None else iou(box, target),
         "target_angle": None if target is None else float(center_angle(target.x, target.w)),
     }
-    boxes = {"given": given} if target is None else {"target": target, "given": given}
+    boxes = {"given": box} if target is None else {"target": target, "given": box}
     try:
         seen = observer(str(trace.question["sequence"]), frame, angle)
         return found | {
             "uri": jpeg_uri(seen.image, (CROP, CROP)),
-            "boxes": [(name, to_crop(box, seen.left)) for name, box in boxes.items()],
+            "boxes": [(name, to_crop(own, seen.left)) for name, own in boxes.items()],
             "strip": strip(frame),
-            "on_strip": [(name, box) for name, own in boxes.items() for box in on_strip(own, _STRIP[0])],
+            "on_strip": [(name, part) for name, own in boxes.items() for part in on_strip(own, _STRIP[0])],
         }
     except ObserveError as error:
         return found | {"missing": str(error)}

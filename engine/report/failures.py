@@ -67,9 +67,9 @@ def wrong_choice_rows(store: Store, index: QuestionIndex, runs: Sequence[ScoredR
     with_choices = np.array(modes.names)[modes.numbers] == "multiple_choice"
     rows = []
     for run in runs:
-        given, judged = align_predictions(run.manifest.question_ids, run.predictions)
+        aligned, judged = align_predictions(run.manifest.question_ids, run.predictions)
         wrong = judged & (run.scores[:, 0] == 0) & with_choices[run.rows]
-        choices = map(_choice, given["answer"].filter(pa.array(wrong)).to_pylist())
+        choices = map(_choice, aligned["answer"].filter(pa.array(wrong)).to_pylist())
         found = Counter(
             perturbations[question].get(choice, NONE_RECORDED)
             for question, choice in zip(run.rows[wrong].tolist(), choices, strict=True)
@@ -118,16 +118,16 @@ def evidence_causes(
     store: Store, truth: Truth, index: QuestionIndex, run: ScoredRun, people: tuple[Ints, Floats]
 ) -> Ints:
     """The place of each question's cause in `CAUSES`, `SCORES_AT` where its box scores."""
-    given, judged = align_predictions(run.manifest.question_ids, run.predictions)
-    frame, box, boxed = predicted_boxes(given)
+    aligned, judged = align_predictions(run.manifest.question_ids, run.predictions)
+    frame, box, boxed = predicted_boxes(aligned)
     present, target = target_boxes(truth, run.rows, frame)
     own = np.where(present, box_ious(box, target), 0.0)
     scores = run.scores[:, 1] == 1
     # Looks and other people matter only where no earlier cause fits.
     shown = _shown(store, truth, run, ~scores & judged & boxed)
-    asked = np.flatnonzero(~scores & judged & boxed & shown & present)
+    rows = np.flatnonzero(~scores & judged & boxed & shown & present)
     best = np.zeros(run.n)
-    best[asked] = _best_ious(people, frame_key(index.labels["sequence"].numbers[run.rows], frame)[asked], box[asked])
+    best[rows] = _best_ious(people, frame_key(index.labels["sequence"].numbers[run.rows], frame)[rows], box[rows])
     causes = np.select(
         [
             scores,
@@ -173,18 +173,18 @@ def _shown(store: Store, truth: Truth, run: ScoredRun, among: Bools) -> Bools:
     found = np.zeros(run.n, dtype=bool)
     # Requests hold whole conversations: the looks stand in the responses, a hundredth of the size.
     steps = read_table(store.run_path(run.manifest.run_id) / "steps.parquet", ["question_id", "kind", "response"])
-    asked = pc.index_in(steps["question_id"], value_set=pa.array(run.manifest.question_ids, pa.string()))
-    wanted = pc.and_(pc.equal(steps["kind"], "observe"), pc.take(pa.array(among), asked))
-    place = asked.filter(wanted).to_numpy()
+    rows = pc.index_in(steps["question_id"], value_set=pa.array(run.manifest.question_ids, pa.string()))
+    wanted = pc.and_(pc.equal(steps["kind"], "observe"), pc.take(pa.array(among), rows))
+    place = rows.filter(wanted).to_numpy()
     looks = _looks(steps["response"].filter(wanted))
     known = np.isfinite(looks).all(axis=1)
-    asked, (frame, left, width) = place[known], looks[known].T
-    present, box = target_boxes(truth, run.rows[asked], frame.astype(np.int64))
+    rows, (frame, left, width) = place[known], looks[known].T
+    present, box = target_boxes(truth, run.rows[rows], frame.astype(np.int64))
     x, w = box[:, 0], box[:, 2]
     # Columns from the look's left edge on; a box may begin before it and reach in, also over the seam.
     start = (x - left) % WIDTH
     seen = np.maximum(0, np.minimum(start + w, width) - start) + np.maximum(0, np.minimum(start + w - WIDTH, width))
-    found[asked[present & (seen >= _SHOWN * w)]] = True
+    found[rows[present & (seen >= _SHOWN * w)]] = True
     return found
 
 

@@ -130,8 +130,8 @@ def align_predictions(question_ids: Sequence[str], predictions: pa.Table) -> tup
 
     A question without a prediction counts as an error too: its row is null.
     """
-    given = pc.index_in(pa.array(question_ids, pa.string()), value_set=predictions["question_id"].combine_chunks())
-    table = predictions.take(given)
+    places = pc.index_in(pa.array(question_ids, pa.string()), value_set=predictions["question_id"].combine_chunks())
+    table = predictions.take(places)
     return table, is_judged(table["status"])
 
 

@@ -42,7 +42,7 @@ class Endpoint:
     def changed(self) -> str:
         """A line about replies that named another model than the first one; empty without any."""
         others = ", ".join(ascii(name) for name in self.client.served if name != self.served)
-        return f"the server changed its model while it was asked: {self.served!a}, then {others}" if others else ""
+        return f"the server changed its model during the run: {self.served!a}, then {others}" if others else ""
 
 
 def connect(
@@ -66,9 +66,9 @@ def connect(
     warnings = require(preflight(client), method)
     served = client.served[0]
     if store is not None and found is not None:
-        asked = (options.response_format, options.thinking, served)
+        wanted = (options.response_format, options.thinking, served)
         before = (found.response_format, found.thinking, found.served_model)
-        for what, now, then in zip(("response format", "thinking", "served model"), asked, before, strict=True):
+        for what, now, then in zip(("response format", "thinking", "served model"), wanted, before, strict=True):
             if now != then:
                 raise EndpointError(
                     f"{model} was calibrated with {what} {then!a}, not {now!a}: calibrate again with these options, "

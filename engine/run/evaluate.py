@@ -167,7 +167,7 @@ def check_arguments(
     if isinstance(method, str) and method not in METHODS and not is_custom(method):
         raise InputError(f"{method!r} is none of {', '.join(METHODS)}, nor FILE.py:NAME or MODULE:NAME", field="method")
     if model == NO_MODEL and method in METHODS:
-        raise InputError(f"--model none: {method} asks a model", field="model")
+        raise InputError(f"--model none: {method} needs a model", field="model")
     if marker != PERFECT and (model != MARKER or base_url is not None):
         raise InputError(
             "--marker sets how the built-in marker model plays: give it with --model marker alone", field="marker"

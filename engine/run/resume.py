@@ -53,7 +53,7 @@ def _shaping(manifest: RunManifest) -> dict[str, Any]:
         "method": manifest.method,
         "model": manifest.model,
         "settings": settings.pop("method", {}),
-        "way of asking": {name: value for name, value in endpoint.items() if name not in _PATIENCE},
+        "request settings": {name: value for name, value in endpoint.items() if name not in _PATIENCE},
         **{name.replace("_", " "): value for name, value in settings.items()},
     }
 
@@ -75,9 +75,9 @@ def run_questions(
             return picked
     manifest = read_run_manifest(store, run_id)
     if manifest.questions_sha256 != questions_hash(store):
-        raise StoreError(f"run {run_id!r} asked other questions than the store has now: give another --run-id")
+        raise StoreError(f"run {run_id!r} has other questions than the store has now: give another --run-id")
     if chosen and manifest.question_ids != tuple(question.question_id for question in picked):
-        raise StoreError(f"run {run_id!r} asked other questions: leave --questions and --limit out to resume it")
+        raise StoreError(f"run {run_id!r} has other questions: leave --questions and --limit out to resume it")
     return choose(questions, manifest.question_ids, None)
 
 

@@ -72,11 +72,11 @@ def read_decisions(path: Path, store: Store) -> Decisions:
 def import_decisions(store: Store, reviewer: str, decisions: Sequence[Decision]) -> pa.Table:
     """Store a reviewer's decisions; a new decision on a question replaces the old one. Returns all reviews."""
     with store.writing("inspect --import"):
-        kept = {(row["question_id"], row["reviewer"]): row for row in read_reviews(store)}
+        stored = {(row["question_id"], row["reviewer"]): row for row in read_reviews(store)}
         for decision in decisions:
             row = {"question_id": decision.question_id, "reviewer": reviewer}
-            kept[decision.question_id, reviewer] = row | {"decision": decision.decision, "reason": decision.reason}
-        table = pa.Table.from_pylist([kept[key] for key in sorted(kept)], QUESTIONS["reviews"])
+            stored[decision.question_id, reviewer] = row | {"decision": decision.decision, "reason": decision.reason}
+        table = pa.Table.from_pylist([stored[key] for key in sorted(stored)], QUESTIONS["reviews"])
         store.write_questions("reviews", table, {"canary": CANARY})
     return table
 

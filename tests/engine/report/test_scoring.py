@@ -517,7 +517,7 @@ MUTANTS = [
     ("(answer_score & evidence_score)", "answer_score"),
     ('["answered", "invalid"]', '["answered"]'),
     ('["answered", "invalid"]', '["answered", "invalid", "error"]'),
-    ("predictions.take(given)", "predictions.take(pc.fill_null(given, 0))"),
+    ("predictions.take(places)", "predictions.take(pc.fill_null(places, 0))"),
     ("judged & boxed & present & ", "judged & boxed & "),
     ("answer is None for answer in answers", "False for answer in answers"),
     ("truth.answers[i], truth.seconds[i])", "truth.answers[i])"),
