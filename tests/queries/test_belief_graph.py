@@ -1,15 +1,14 @@
 """The handle on the world tables: what it refuses, where it lives, and what it leaves of the scene."""
 
 import os
-import signal
-import subprocess
-import sys
+import time
 
 import pytest
-from places import SUPPORT
+import warm
 from world_play import SCENE, believe, beside_scene, tables_of
 
 from jrdb_avr.queries.beliefs.graph import WorldGraph, check_world
+from jrdb_avr.queries.graph import handle
 from jrdb_avr.queries.graph.file import check_fingerprint
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS
@@ -193,8 +192,8 @@ def test_a_file_that_is_no_graph_is_refused(tmp_path):
 def test_a_graph_has_one_writer(scene):
     with WorldGraph.open(scene):
         code = f"from jrdb_avr.queries.beliefs.graph import WorldGraph; WorldGraph.open({str(scene)!r})"
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert f"process {os.getpid()}" in done.stderr.splitlines()[-1]
+        done = warm.run(warm.script, code)
+    assert f"process {os.getpid()}" in done.stderr.decode().splitlines()[-1]
     with Graph.open(scene, read_only=True), pytest.raises(LockedError):
         WorldGraph.open(scene)
 
@@ -208,8 +207,6 @@ def test_closing_twice_is_harmless_and_what_comes_later_is_told():
 
 
 KILLED = """
-import sys
-sys.path.insert(0, {tests!r})
 from world_play import believe
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 world = WorldGraph.open({path!r})
@@ -219,18 +216,16 @@ for number in range(1000):
 """
 
 
-def test_a_killed_writer_leaves_a_graph_that_opens(scene):
+def test_a_killed_writer_leaves_a_graph_that_opens(scene, tmp_path):
     before = scene_rows(scene)
-    code = KILLED.format(tests=str(SUPPORT), path=str(scene))
-    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
-    done = -1
-    for line in process.stdout:
-        done = int(line)
-        if done == 3:
-            process.send_signal(signal.SIGKILL)
-            break
-    process.wait()
-    assert done == 3
+    said = tmp_path / "out"
+    said.touch()
+    process = warm.started(warm.script, KILLED.format(path=str(scene)), folder=tmp_path)
+    while process.is_alive() and "3\n" not in said.read_text():
+        time.sleep(0.01)
+    process.kill()
+    process.join()
+    assert "3\n" in said.read_text()
     assert scene_rows(scene) == before, "a reader opens it as it was left"
     with WorldGraph.open(scene) as world:
         kept = tables_of(world)
@@ -241,26 +236,28 @@ def test_a_killed_writer_leaves_a_graph_that_opens(scene):
     assert scene_rows(scene) == before
 
 
-def test_statements_of_many_texts_do_not_pile_up():
+def test_statements_of_many_texts_do_not_pile_up(monkeypatch):
     """The engine keeps what a connection has planned, so connections change, but never within a transaction."""
+    assert handle._PREPARED == 256
+    monkeypatch.setattr(handle, "_PREPARED", 32)
     with WorldGraph.memory() as world:
         make = "CREATE (:Entity {{id: $id, name: 'n{}'}})"
         for part in range(3):
-            world.write([(make.format(f"{part}x{n}"), {"id": f"{part}/{n}"}) for n in range(200)])
-            for n in range(100):
+            world.write([(make.format(f"{part}x{n}"), {"id": f"{part}/{n}"}) for n in range(25)])
+            for n in range(14):
                 asked = f"MATCH (n:Entity {{id: $id}}) WHERE n.name <> 'm{part}x{n}' RETURN count(*) AS n"
                 assert world.query(asked, {"id": f"{part}/{n}"})["n"].to_pylist() == [1]
-            assert max(map(len, (world.graph._plans, world.graph._prepared))) <= 256
-            assert world.graph._planned <= 256 + 2 * 200
+            assert max(map(len, (world.graph._plans, world.graph._prepared))) <= 32
+            assert world.graph._planned <= 32 + 2 * 25
         with pytest.raises(QueryError):
-            world.write([(make.format(n), {"id": f"{n % 299}"}) for n in range(300)])
-        assert world.query("MATCH (n:Entity) RETURN count(*) AS n")["n"].to_pylist() == [600]
+            world.write([(make.format(n), {"id": f"{n % 39}"}) for n in range(40)])
+        assert world.query("MATCH (n:Entity) RETURN count(*) AS n")["n"].to_pylist() == [75]
 
 
 def test_a_label_of_thousands_of_alternatives_is_looked_through():
-    assert check_world(f"MATCH (n:{'|:'.join(['Entity'] * 1500)}) RETURN n.id") == {"entity"}
+    assert check_world(f"MATCH (n:{'|:'.join(['Entity'] * 1100)}) RETURN n.id") == {"entity"}
     with pytest.raises(QueryError, match="'Person' is no table"):
-        check_world(f"MATCH (n:{'|'.join(['Entity'] * 1500)}|Person) RETURN n.id")
+        check_world(f"MATCH (n:{'|'.join(['Entity'] * 1100)}|Person) RETURN n.id")
 
 
 def test_check_world_names_what_is_there():

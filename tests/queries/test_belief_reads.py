@@ -22,7 +22,7 @@ WOMAN = {"attribute": "gender", "value": "female"}
 
 class Site:
     def __init__(self):
-        self.graph = Graph.memory()
+        self.graph = Graph.memory(prepares=True)
         for statement in world_ddl():
             self.graph.execute(statement)
 

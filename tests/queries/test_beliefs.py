@@ -23,7 +23,7 @@ ALL_READS = (*READS, "count")
 
 @pytest.fixture(scope="module")
 def graph():
-    with Graph.memory() as made:
+    with Graph.memory(prepares=True) as made:
         for statement in world_ddl():
             made.execute(statement)
         yield made
@@ -36,10 +36,10 @@ RUNS = itertools.count()
 OUTCOMES = ("defined", "unknown", "ambiguous", "empty")
 
 
-def wanted(rng, mind, story, read, outcome):
+def wanted(rng, mind, read, outcome):
     """A random plan with what brute force makes of it; of this outcome where one of some tries has it."""
     for _ in range(100):
-        plan = random_plan(rng, story, read)
+        plan = random_plan(rng, mind, read)
         solved = mind.solve(plan)
         if solved[0] == outcome:
             break
@@ -55,7 +55,7 @@ def compare(graph, seed, outcomes=OUTCOMES):
     key, story = next(iter(stories.items()))
     mind = Mind(story.rows)
     for read in ALL_READS:
-        plan, expected = wanted(rng, mind, story, read, rng.choice(outcomes))
+        plan, expected = wanted(rng, mind, read, rng.choice(outcomes))
         belief = BeliefSolver(graph, key, rules=RULES).solve(parsed(plan))
         assert told(belief) == expected, (seed, plan, expected)
         assert bool(belief.missing) == (belief.outcome != "defined"), (seed, plan)
@@ -120,7 +120,7 @@ def test_an_episode_without_beliefs_is_empty(graph):
     rng = random.Random(1)
     story = random_story(rng)
     write(graph, {"empty/1": Story(), "empty/2": story})
-    plan = parsed(random_plan(rng, story, "action"))
+    plan = parsed(random_plan(rng, Mind(story.rows), "action"))
     for key in ("empty/1", "never begun"):
         belief = BeliefSolver(graph, key, rules=RULES).solve(plan)
         assert belief.outcome == "empty" and belief.missing

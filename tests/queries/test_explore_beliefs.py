@@ -21,12 +21,12 @@ ALWAYS = 10_000_000
 
 @pytest.fixture(scope="module")
 def world():
-    """A graph with two runs of five questions each, and their records by (run, question)."""
+    """A graph with two runs of six questions each, and their records by (run, question)."""
     with WorldGraph.memory() as graph:
         record = {}
         for run_id, turns in (("one", 40), ("two", 25)):
             method = Believer(WorldModel(graph, run_id), turns)
-            for question in ASKED:
+            for question in ASKED[:6]:
                 asked = answering.answer_one(method, question, None, None, None)
                 assert asked.prediction["status"] == "invalid", asked.prediction
                 record[run_id, question.question_id] = asked.world

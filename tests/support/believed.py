@@ -99,7 +99,26 @@ def write(graph, stories):
             tables["Related"].append({**one, **edge, **span, **ends})
     for name, rows in tables.items():
         if rows:
-            graph.copy(name, _table(name, rows))
+            _add(graph, name, _table(name, rows))
+
+
+def _add(graph, name, rows):
+    """As `graph.copy`, which takes three times as long for a few rows, and has every plan looked at anew."""
+    values = {c: f"CAST({c} AS UUID)" if c.endswith("_hash") else c for c in rows.column_names if c not in ENDS}
+    made = ", ".join(f"{column}: {value}" for column, value in values.items())
+    if name in WORLD_NODES:
+        text = f"LOAD FROM $rows CREATE (:{name} {{{made}}})"
+    else:
+        source, target, _ = WORLD_RELS[name]
+        rows = rows.rename_columns([ENDS.get(column, column) for column in rows.column_names])
+        ends = f"(a:{source} {{id: source_id}}), (b:{target} {{id: target_id}})"
+        text = f"LOAD FROM $rows MATCH {ends} CREATE (a)-[:{name} {{{made}}}]->(b)"
+    with graph._writing():
+        graph._run(text, {"rows": rows}, None)
+
+
+ENDS = {"from": "source_id", "to": "target_id"}
+"""The ends of an edge, under names that a statement may hold."""
 
 
 def hash_of(key):

@@ -3,7 +3,6 @@
 import itertools
 
 from believed import CIRCLE, Story, planned
-from oracle_beliefs import Mind
 
 FRAMES = (0, 10, 15, 30, 31, 45, 60, 61, 75, 90)
 POSES = ("walking", "standing", "sitting")
@@ -81,9 +80,8 @@ def sighting(rng, story, who, frame, habits):
 READS = ("action", "presence", "distance_change", "next_action", "start", "span", "start_view", "seconds_between")
 
 
-def random_plan(rng, story, read):
+def random_plan(rng, mind, read):
     """Conditions and edges are mostly true of somebody."""
-    mind = Mind(story.rows)
     t0 = rng.choice(FRAMES[:5])
     there = [who for who, frame in mind.sighted if frame == t0]
     cast = [*rng.sample(there, len(there)), "p1", "p2", "p3", "p4"]
