@@ -15,7 +15,7 @@ settings.load_profile("tests")
 
 
 # Fixtures of more than one file.
-pytest_plugins = ["asked_world"]
+pytest_plugins = ["asked_world", "small_demo"]
 
 DEAREST = (
     "test_readme",

@@ -1,6 +1,7 @@
 """The marker model on a small sample world, from files to scores: evidence is lost to marks and budget alone."""
 
 import json
+import shutil
 
 import cv2
 import pyarrow.parquet as pq
@@ -11,7 +12,7 @@ from jrdb_avr.engine.cli import group
 from jrdb_avr.schema.markers import read
 from jrdb_avr.schema.panorama import Box, iou
 
-N = 36
+N = 28
 
 
 def run(*arguments):
@@ -25,11 +26,10 @@ def rows(store, *path):
 
 
 @pytest.fixture(scope="module")
-def store(tmp_path_factory):
+def store(small_demo, tmp_path_factory):
+    folder, _ = small_demo
     root = tmp_path_factory.mktemp("sample")
-    run("sample", root / "root", "--sequences", 1, "--frames", 300, "--people", 14, "--workers", 1)
-    run("load", root / "root", "--store", root / "store", "--workers", 1)
-    run("generate", "--store", root / "store", "--workers", 1)
+    shutil.copytree(folder / "store", root / "store", ignore=shutil.ignore_patterns("runs"))
     questions = rows(root / "store", "questions", "questions.parquet")
     # Some of every template, in the ids' order, which is as good as random.
     by_template = {}
@@ -93,7 +93,7 @@ def test_every_loss_is_explained(store):
 
 def test_a_run_keeps_its_knobs(store):
     """What `--marker` sets is done, stands in the manifest, and cannot be another when the run is resumed."""
-    names = sorted(row["question_id"] for row in rows(store, "questions", "questions.parquet"))[:10]
+    names = sorted(row["question_id"] for row in rows(store, "questions", "questions.parquet"))[:6]
     ask = ["evaluate", "--store", store, "--method", "monolithic", "--model", "marker", "--run-id", "knobs"]
     knobs = ["--marker", "refusal=0.5", "--marker", "seed=1"]
     run(*ask, *knobs, "--questions", ",".join(names))
