@@ -81,7 +81,7 @@ def test_awkward_worlds_give_exactly_the_proven_candidates(seed):
 
 def test_lively_and_sociable_worlds_give_exactly_the_proven_candidates_of_every_template():
     # Worlds in which there is much to ask; `test_many_worlds` takes them as they come.
-    lively = sum((compare(seed, lively_world) for seed in (0, 2, 5)), Counter())
+    lively = sum((compare(seed, lively_world) for seed in (0, 5)), Counter())
     assert set(lively) >= SIMPLE
     sociable = sum((compare(seed, sociable_world) for seed in (7, 42)), Counter())
     assert min(sociable[chain] for chain in CHAINED | FORMS) >= 8, sociable

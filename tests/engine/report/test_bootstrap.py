@@ -1,12 +1,13 @@
-"""Intervals and comparisons against scipy and statsmodels, and against counting by hand."""
+"""Intervals and comparisons against scipy and statsmodels, and against counting by hand.
+
+Their import takes seconds, so that only the worker that runs a test pays for it.
+"""
 
 import numpy as np
 import pytest
 from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import stats
-from statsmodels.stats.contingency_tables import mcnemar as exact_mcnemar
 
 from jrdb_avr.engine.report.bootstrap import (
     Interval,
@@ -25,17 +26,21 @@ def interval(sums, statistic):
     return intervals(sums, [statistic])[0]
 
 
-@settings(max_examples=examples(200), deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 400), st.integers(0, 400))
 def test_mcnemar_is_the_exact_binomial_test(first, second):
+    from scipy import stats
+
     expected = stats.binomtest(first, first + second, 0.5).pvalue if first + second else 1.0
     assert mcnemar(first, second) == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize(("first", "second"), [(0, 0), (3, 9), (12, 12), (40, 7), (0, 5)])
 def test_mcnemar_as_statsmodels_has_it(first, second):
+    from statsmodels.stats import contingency_tables
+
     table = [[50, first], [second, 30]]
-    assert mcnemar(first, second) == pytest.approx(exact_mcnemar(table, exact=True).pvalue)
+    assert mcnemar(first, second) == pytest.approx(contingency_tables.mcnemar(table, exact=True).pvalue)
 
 
 def test_mcnemar_of_a_whole_benchmark_is_no_overflow():
@@ -44,6 +49,8 @@ def test_mcnemar_of_a_whole_benchmark_is_no_overflow():
 
 
 def test_one_question_per_cluster_is_the_plain_bootstrap():
+    from scipy import stats
+
     scores = np.random.default_rng(5).integers(0, 2, 120).astype(float)
     sums = cluster_sums(np.arange(120), np.stack([scores, np.ones(120)], axis=1))
     ours = interval(sums, mean_ratio((0, 1)))
@@ -56,6 +63,8 @@ def test_one_question_per_cluster_is_the_plain_bootstrap():
 
 
 def test_a_paired_difference_is_the_paired_bootstrap():
+    from scipy import stats
+
     generator = np.random.default_rng(7)
     first = generator.integers(0, 2, 150)
     second = np.where(generator.random(150) < 0.7, first, 1 - first)

@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pycocotools import mask as coco
@@ -260,7 +261,7 @@ near = st.tuples(st.floats(-60, 60), st.floats(-60, 60), st.floats(0.5, 2), st.f
 
 
 @given(boxes, near)
-@settings(max_examples=200)
+@settings(max_examples=examples(80))
 def test_box_iou_equals_pycocotools(a, change):
     dx, dy, fw, fh, turn = change
     b = (a[0] + dx + turn * WIDTH, a[1] + dy, a[2] * fw, a[3] * fh)
@@ -278,7 +279,7 @@ def grid(box):
 
 
 @given(cells, st.integers(-30, 30), st.integers(-30, 30), st.integers(1, 50), st.integers(1, 50), st.integers(-2, 2))
-@settings(max_examples=100)
+@settings(max_examples=examples(40))
 def test_box_iou_equals_counted_cells(a, dx, dy, w, h, turn):
     b = (a[0] + dx + turn * WIDTH, a[1] + dy, w, h)
     ours = float(box_ious(np.array([a], float), np.array([b], float))[0])
@@ -289,7 +290,7 @@ frames = st.integers(0, 60)
 
 
 @given(frames, frames, frames, frames)
-@settings(max_examples=200)
+@settings(max_examples=examples(80))
 def test_span_equals_jaccard_of_sets(a, b, c, d):
     truth, said = set(range(min(a, b), max(a, b) + 1)), set(range(c, d + 1))
     expected = int(2 * len(truth & said) >= len(truth | said))
@@ -386,7 +387,7 @@ def worlds(draw):
 
 
 @given(worlds(), st.sampled_from([0.25, 0.5, 1.0]))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_set_wise_equals_row_by_row(world, threshold):
     rows, predicted = world
     by_name = {p["question_id"]: p for p in predicted}
@@ -411,7 +412,7 @@ def test_set_wise_equals_row_by_row(world, threshold):
 
 
 @given(worlds())
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_set_wise_equals_the_comparison_of_the_proofs(world):
     rows, predicted = world
     scores = dict(zip([row[0] for row in rows], score(rows, predicted), strict=True))
@@ -432,7 +433,7 @@ def test_set_wise_equals_the_comparison_of_the_proofs(world):
 
 
 @given(worlds(), st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_missing_and_degenerate_never_help(world, data):
     """Whatever is taken from predictions, or made of no size, no score of any question rises."""
     rows, predicted = world

@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lively_worlds import lively_world
 from quick_store import graphless_store
-from statsmodels.stats.inter_rater import cohens_kappa
 
 from jrdb_avr.engine.generate import run as generating
 from jrdb_avr.engine.validate.reviews import Agreement, agreements, kappa, read_reviews, rejected
@@ -114,13 +113,16 @@ PAIRS = st.lists(st.tuples(st.sampled_from(["accept", "reject"]), st.sampled_fro
 
 @given(PAIRS)
 def test_kappa_is_that_of_statsmodels(pairs):
+    # Its import takes seconds.
+    from statsmodels.stats import inter_rater
+
     names = ["accept", "reject"]
     table = [[sum(pair == (a, b) for pair in pairs) for b in names] for a in names]
     ours = kappa(pairs)
     if ours is None:
         assert len({name for pair in pairs for name in pair}) == 1
     else:
-        assert ours == pytest.approx(cohens_kappa(table).kappa)
+        assert ours == pytest.approx(inter_rater.cohens_kappa(table).kappa)
 
 
 def test_only_questions_that_both_decided_are_compared():
