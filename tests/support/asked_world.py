@@ -52,10 +52,12 @@ def write_store(path, image_root, questions=(*QUESTIONS_ASKED, BLIND)):
 
 
 @pytest.fixture(scope="session")
-def asked_world(tmp_path_factory):
+def asked_world(once):
     """The folders `store` and `images`, made once; not to be written to."""
-    root = tmp_path_factory.mktemp("asked")
+    return once("asked", make_asked_world)
 
+
+def make_asked_world(root):
     def box(frame):
         return Box(3650 + frame * 0.5, 120, 70, 220)
 
@@ -66,7 +68,6 @@ def asked_world(tmp_path_factory):
     for frame in FRAMES:
         world.paint(root / "images" / SEQUENCE / f"{frame:06d}.jpg", frame)
     write_store(root / "store", root / "images")
-    return root
 
 
 @pytest.fixture

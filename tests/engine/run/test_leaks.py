@@ -31,7 +31,7 @@ from jrdb_avr.schema.tables import PRIVATE
 
 TRACK, LABEL, KEY = 918273, "juggling swordfish", "sk-never-to-be-seen"
 SECRETS = (str(TRACK), "swordfish", KEY, "target_track", "distractor", "proof")
-BARE = ("monolithic", "react", "agent")
+BARE = ("monolithic", "agent")
 ASKED = QUESTIONS_ASKED[:2]
 
 METADATA = {"sequence", "frame_index", "frame_id", "timestamp", "angle_deg", "fov_deg", "left"}
