@@ -277,7 +277,9 @@ def _finish(
 
 def _move(store: Store, staging: Store, parts: Sequence[str]) -> None:
     for part in parts:
-        _swap(store.path / part, staging.path / part, staging.path / f"old_{part}")
+        if (store.path / part).exists():
+            (store.path / part).rename(staging.path / f"old_{part}")
+        (staging.path / part).rename(store.path / part)
     (staging.path / "store.json").replace(store.path / "store.json")
 
 
@@ -307,12 +309,6 @@ def _build(store: Store, staging: Store, manifest: Manifest) -> list[str]:
         # From here to the end there is no manifest, so nobody takes a half-moved store for a whole one.
         (store.path / "store.json").unlink(missing_ok=True)
     return left_out
-
-
-def _swap(place: Path, new: Path, old: Path) -> None:
-    if place.exists():
-        place.rename(old)
-    new.rename(place)
 
 
 # -- reports -----------------------------------------------------------------------------------------------------

@@ -7,17 +7,15 @@ points, in metres in the robot frame (x forward, y left, z up).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.loaders.labelfiles.columns import begins, paired, ranked, whole_numbers
+from jrdb_avr.loaders.labelfiles.columns import Rows, begins, paired, ranked, whole_numbers
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.labels import CLEAR_OCCLUSIONS, POSES
 from jrdb_avr.schema.panorama import HEIGHT, center_angle
@@ -26,27 +24,6 @@ from jrdb_avr.schema.rules import LoadRules
 HARD = 3
 UNREADABLE = 9
 """Stands for a missing difficulty in arrays: harder than hard."""
-
-
-class Rows:
-    """Base of dataclasses of parallel arrays, one value of each per row."""
-
-    def at(self, rows: npt.NDArray[Any]) -> Self:
-        """These rows of every array, by places or by a mask."""
-        return self._with({name: getattr(self, name)[rows] for name in self._arrays()})
-
-    def joined(self, others: Sequence[Self]) -> Self:
-        """These rows, then those of others."""
-        parts = (self, *others)
-        return self._with({name: np.concatenate([getattr(x, name) for x in parts]) for name in self._arrays()})
-
-    def _arrays(self) -> list[str]:
-        return [
-            name for name in getattr(self, "__dataclass_fields__", ()) if isinstance(getattr(self, name), np.ndarray)
-        ]
-
-    def _with(self, arrays: dict[str, npt.NDArray[Any]]) -> Self:
-        return replace(self, **arrays)  # type: ignore[type-var]
 
 
 @dataclass(frozen=True)

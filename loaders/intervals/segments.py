@@ -16,11 +16,11 @@ from typing import Final
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.loaders.intervals.people import Boxes, Facts, Rows
+from jrdb_avr.loaders.intervals.people import Boxes, Facts
 from jrdb_avr.loaders.intervals.sightings import certain_pose
 from jrdb_avr.loaders.intervals.spans import Runs
 from jrdb_avr.loaders.intervals.timeline import Grid, Timeline
-from jrdb_avr.loaders.labelfiles.columns import distinct_of, paired, ragged, texts, unpaired
+from jrdb_avr.loaders.labelfiles.columns import Rows, distinct_of, paired, ragged, texts, unpaired
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules, frames
 from jrdb_avr.schema.tables import INTERVALS

@@ -18,9 +18,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.loaders.intervals.people import HARD, UNREADABLE, Boxes, Facts, Rows, rows_of
+from jrdb_avr.loaders.intervals.people import HARD, UNREADABLE, Boxes, Facts, rows_of
 from jrdb_avr.loaders.intervals.timeline import Timeline
-from jrdb_avr.loaders.labelfiles.columns import begins, nullable, paired, ranked, texts, whole_numbers
+from jrdb_avr.loaders.labelfiles.columns import Rows, begins, nullable, paired, ranked, texts, whole_numbers
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.things import PERSON_CATEGORIES

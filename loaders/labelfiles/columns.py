@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -135,6 +135,27 @@ class LayerTables:
     def of(self, sequence: str) -> LayerTables:
         """The same with whole annotation tables, those of a sequence."""
         return replace(self, tables={name: annotation_table(name, sequence, t) for name, t in self.tables.items()})
+
+
+class Rows:
+    """Base of dataclasses of parallel arrays, one value of each per row."""
+
+    def at(self, rows: npt.NDArray[Any]) -> Self:
+        """These rows of every array, by places or by a mask."""
+        return self._with({name: getattr(self, name)[rows] for name in self._arrays()})
+
+    def joined(self, others: Sequence[Self]) -> Self:
+        """These rows, then those of others."""
+        parts = (self, *others)
+        return self._with({name: np.concatenate([getattr(x, name) for x in parts]) for name in self._arrays()})
+
+    def _arrays(self) -> list[str]:
+        return [
+            name for name in getattr(self, "__dataclass_fields__", ()) if isinstance(getattr(self, name), np.ndarray)
+        ]
+
+    def _with(self, arrays: dict[str, npt.NDArray[Any]]) -> Self:
+        return replace(self, **arrays)  # type: ignore[type-var]
 
 
 def mask_of(rows: Ints, n: int) -> Bools:

@@ -14,13 +14,13 @@ Columns are centres of people in stitched pixels. Of 3D boxes they follow from t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from jrdb_avr.loaders.labelfiles.columns import LayerTables, paired, whole_numbers
+from jrdb_avr.loaders.labelfiles.columns import LayerTables, Rows, paired, whole_numbers
 from jrdb_avr.loaders.report import ShiftCheck
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.panorama import WIDTH, angle_of_azimuth, column_of_angle
@@ -66,7 +66,7 @@ FOREIGN: Final = "the boxes fit the 2D boxes at no shift of up to 2 frames"
 
 
 @dataclass(frozen=True)
-class Tracks:
+class Tracks(Rows):
     """Where a layer sees people, sorted by track and frame."""
 
     frame: Ints
@@ -76,8 +76,7 @@ class Tracks:
     """(n, 4), where the layer has boxes in the panorama."""
 
 
-@dataclass(frozen=True)
-class Slope:
+class Slope(NamedTuple):
     """The shift in frames that motion tells, and its standard error."""
 
     frames: float
@@ -102,7 +101,8 @@ def check_shift(layer: str, tracks: Tracks, reference: Tracks | None) -> ShiftCh
     shared = np.isin(tracks.track, reference.track)
     if not shared.any():
         return ShiftCheck(layer, "not tested", NO_COMMON_PERSON)
-    tracks = _thinned(tracks, shared)
+    rows = np.flatnonzero(shared)
+    tracks = tracks.at(rows[:: -(-len(rows) // MAX_ROWS)])
     if tracks.box is not None:
         equal = equal_at(tracks, reference)
         if equal is not None:
@@ -114,12 +114,12 @@ def check_shift(layer: str, tracks: Tracks, reference: Tracks | None) -> ShiftCh
     if size - CLOCK >= ERRORS_BEYOND * slope.error and size >= ERRORS_AWAY * slope.error:
         nearest = nearest_shift(tracks, reference)
         if size > MAX_SHIFT or nearest * slope.frames <= 0:
-            return ShiftCheck(layer, "not tested", FOREIGN, slope.frames, slope.error)
+            return ShiftCheck(layer, "not tested", FOREIGN, *slope)
         return _shifted(layer, nearest, slope)
     response = response_of(tracks, reference)
     if response >= MIN_RESPONSE and size + ERRORS_BEYOND * slope.error < response:
         return _agrees(layer, slope)
-    return ShiftCheck(layer, "not tested", TOO_STILL, slope.frames, slope.error)
+    return ShiftCheck(layer, "not tested", TOO_STILL, *slope)
 
 
 def equal_at(tracks: Tracks, reference: Tracks) -> int | None:
@@ -210,13 +210,13 @@ def nearest_shift(tracks: Tracks, reference: Tracks) -> int:
 
 def _agrees(layer: str, slope: Slope | None) -> ShiftCheck:
     how = "its boxes are those of the 2D layer" if slope is None else "people move in both layers at the same frames"
-    return ShiftCheck(layer, "agrees", how, *((slope.frames, slope.error) if slope else (0.0, 0.0)))
+    return ShiftCheck(layer, "agrees", how, *(slope or (0.0, 0.0)))
 
 
 def _shifted(layer: str, frames: int, slope: Slope | None) -> ShiftCheck:
     about = "about " if slope else ""
     reason = f"agrees with the 2D boxes only when moved by {about}{frames:+d} frames: renumber it or load without it"
-    return ShiftCheck(layer, "shifted", reason, *((slope.frames, slope.error) if slope else (float(frames), 0.0)))
+    return ShiftCheck(layer, "shifted", reason, *(slope or (float(frames), 0.0)))
 
 
 # -- people ------------------------------------------------------------------------------------------------------
@@ -235,18 +235,9 @@ def _of_3d(table: pa.Table) -> Tracks:
 
 
 def _sorted(table: pa.Table, column: Floats, box: Floats | None, usable: Bools) -> Tracks:
-    frame, track = whole_numbers(table, "frame"), whole_numbers(table, "track")
-    order = np.lexsort((frame, track))
-    order = order[usable[order]]
-    return Tracks(frame[order], track[order], column[order], None if box is None else box[order])
-
-
-def _thinned(tracks: Tracks, shared: Bools) -> Tracks:
-    rows = np.flatnonzero(shared)
-    rows = rows[:: -(-len(rows) // MAX_ROWS)]
-    return Tracks(
-        tracks.frame[rows], tracks.track[rows], tracks.column[rows], None if tracks.box is None else tracks.box[rows]
-    )
+    tracks = Tracks(whole_numbers(table, "frame"), whole_numbers(table, "track"), column, box)
+    order = np.lexsort((tracks.frame, tracks.track))
+    return tracks.at(order[usable[order]])
 
 
 class _Lookup:
