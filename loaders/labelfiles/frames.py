@@ -15,7 +15,7 @@ import os
 import re
 import stat
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from itertools import chain, islice, pairwise, repeat
+from itertools import chain, islice, repeat
 from operator import attrgetter, is_not
 from pathlib import Path
 from typing import Any, Final, Generic, NamedTuple, TypeVar
@@ -32,6 +32,7 @@ from jrdb_avr.schema.errors import InputError
 MAX_FILE: Final = 320 << 20
 """Bytes of the largest file that is read: twice those of JRDB's fullest sequence."""
 _PIECE: Final = 1 << 20
+_WINDOW: Final = 8 << 20
 _MAX_FRAME: Final = 4 << 20
 MAX_RECORDS: Final = 1000
 """Records of one frame: JRDB's fullest have about a hundred, and pairs of people grow with the square."""
@@ -44,7 +45,9 @@ MAX_KEYS: Final = 1000
 """Members of the outermost object."""
 
 _BLANK: Final = b" \t\r\n"
-_OPENING: Final = re.compile(rb'_\{_"labels"_:_\{_"[0-9]{6}(\.[a-z]{3,4})"_:_'.replace(b"_", rb"[ \t\r\n]*"))
+_OPENING: Final = re.compile(
+    rb'(?:\xef\xbb\xbf)?_\{_"labels"_:_\{_"[0-9]{6}(\.[a-z]{3,4})"_:_'.replace(b"_", rb"[ \t\r\n]*")
+)
 _CLOSING: Final = re.compile(rb"\}[ \t\r\n]*\}[ \t\r\n]*\Z")
 _VALUE: Final = msgspec.json.Decoder(msgspec.Raw)
 
@@ -178,6 +181,16 @@ def _named_errors(name: str) -> Iterator[None]:
         raise InputError(f"{name}: not JSON: {error}", file=name) from None
 
 
+def _check_file(path: Path) -> None:
+    """Raise InputError for what is no file or too large, OSError for what cannot be seen."""
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
+        raise InputError(f"{path.name}: not a file", file=path.name)
+    if status.st_size > MAX_FILE:
+        size = f"{status.st_size / (1 << 20):.0f} MB"
+        raise InputError(f"{path.name}: {size}, larger than the limit of {MAX_FILE >> 20} MB", file=path.name)
+
+
 def read_file(path: Path) -> bytes:
     """The text of a label file, without a byte order mark.
 
@@ -185,12 +198,7 @@ def read_file(path: Path) -> bytes:
     """
     name = path.name
     with _named_errors(name):
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            raise InputError(f"{name}: not a file", file=name)
-        if status.st_size > MAX_FILE:
-            size = f"{status.st_size / (1 << 20):.0f} MB"
-            raise InputError(f"{name}: {size}, larger than the limit of {MAX_FILE >> 20} MB", file=name)
+        _check_file(path)
         data = path.read_bytes()
     if not data or data.isspace():
         raise InputError(f"{name}: the file is empty", file=name)
@@ -239,9 +247,10 @@ def _frame_texts(
         return reader.decode_quickly(raw) if len(raw) <= _MAX_FRAME else None
 
     found = 0
+    _check_file(path)
     for key, raw in _usual_frames(path):
         records = decoded(raw)
-        if records is None and not _is_json(raw):
+        if not _is_utf8(raw) or (records is None and not _is_json(raw)):
             break
         yield key, raw, records
         found += 1
@@ -262,30 +271,42 @@ def _usual_frames(path: Path) -> Iterator[tuple[str, bytes]]:
     """Keys and raw values of a file that is laid out as usual: of frames only, under keys with one suffix.
 
     A quote before six digits begins a key, at whatever depth. So where each value is one whole JSON value and a comma
-    follows, the text has no other reading; any other text ends in a value that is none.
+    follows, the text has no other reading; any other text ends in a value that is none. The file is read window by
+    window: it need not be in memory while the columns grow.
     """
-    data = read_file(path)
-    opening, closing = _OPENING.match(data), _CLOSING.search(data, max(0, len(data) - 100))
-    if opening is None or closing is None:
-        return
-    # A search that begins with a literal is many times as fast.
-    suffix = re.escape(opening[1])
-    keys = re.compile(suffix + rb'(?<="[0-9]{6}' + suffix + rb')"[ \t\r\n]*:[ \t\r\n]*').finditer(data, opening.end())
-    starts = [(opening.start(1), opening.end()), *((key.start(), key.end()) for key in keys)]
-    width = len(opening[1])
-    names = [data[start - 6 : start + width].decode() for start, _ in starts]
-    ends = [(begin, start - 7) for (_, begin), (start, _) in pairwise(starts)] + [(starts[-1][1], closing.start())]
-    skipped = path.stat().st_size - len(data)
-    # The columns grow while the frames are read: by now the whole text need not be in memory.
-    del data, opening, closing
     with path.open("rb") as file:
-        for place, (name, (begin, end)) in enumerate(zip(names, ends, strict=True), 1):
-            file.seek(skipped + begin)
-            raw = file.read(max(0, end - begin)).rstrip(_BLANK)
-            if place < len(names):
+        text = file.read(_WINDOW)
+        opening = _OPENING.match(text)
+        if opening is None:
+            return
+        # A search that begins with a literal is many times as fast.
+        suffix, width = re.escape(opening[1]), len(opening[1])
+        later = re.compile(suffix + rb'(?<="[0-9]{6}' + suffix + rb')"[ \t\r\n]*:[ \t\r\n]*')
+        place, begin = opening.start(1), opening.end()
+        search = begin
+        name = text[place - 6 : place + width].decode()
+        while len(text) - begin <= _MAX_FRAME + 2 * _WINDOW:
+            if key := later.search(text, search):
+                raw = text[begin : key.start() - 7].rstrip(_BLANK)
                 # Without its comma a value is broken.
-                raw = raw[:-1].rstrip(_BLANK) if raw.endswith(b",") else b""
-            yield name, raw
+                yield name, raw[:-1].rstrip(_BLANK) if raw.endswith(b",") else b""
+                name = text[key.start() - 6 : key.start() + width].decode()
+                begin = search = key.end()
+            elif more := file.read(_WINDOW):
+                # A key may be cut by the end of the window.
+                text, search = text[begin:] + more, max(0, len(text) - begin - 100)
+                begin = 0
+            else:
+                break
+        closing = _CLOSING.search(text, max(begin, len(text) - 100))
+        yield name, text[begin : closing.start()].rstrip(_BLANK) if closing else b""
+
+
+def _is_utf8(value: bytes) -> bool:
+    try:
+        return value.isascii() or bool(value.decode())
+    except UnicodeError:
+        return False
 
 
 def _is_json(value: bytes) -> bool:
