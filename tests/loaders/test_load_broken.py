@@ -592,6 +592,16 @@ def test_the_scanner_and_the_decoder_cut_files_alike(tmp_path, monkeypatch, text
     assert frames_of(tmp_path, text) == found
 
 
+@pytest.mark.parametrize("window", range(60, 90))
+def test_a_key_is_found_wherever_a_window_of_the_file_ends(tmp_path, monkeypatch, window):
+    frames = {f"{i:06d}.jpg": [GOOD] * (i % 3) for i in range(12)}
+    text = json.dumps({"labels": frames})
+    monkeypatch.setattr(labelfile, "_WINDOW", window)
+    monkeypatch.setattr(labelfile, "scanned_sections", None)
+    found, problems = frames_of(tmp_path, text)
+    assert ({frame.key: json.loads(frame.raw) for frame in found}, problems) == (frames, [])
+
+
 def test_the_first_byte_that_is_not_utf_8_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(labelfile, "_PIECE", 4)
     for place in range(12):
