@@ -195,6 +195,9 @@ def test_presence():
     assert answer(120, 195).outcome == "unknown"  # seen a second before
     both = World(SECONDS).see(9, SECONDS, x=100).see(1, SECONDS, ["sitting"])
     assert answer(60, 105, both).answer == "both times"
+    assert answer(60, 105, both).faults == ()
+    assert answer(45, 105, both).faults == ("frame 45 is less than 3 s after frame 15",)
+    assert answer(60, 90, both).faults == ("frame 90 is less than 3 s after frame 60",)
     assert [(n.frame, n.decisive) for n in answer(150, 210).needed] == [(15, True)]
     assert [(n.frame, n.decisive) for n in answer(90, 195).needed] == [(15, False), (90, True)]
     hidden = World(SECONDS).see(9, SECONDS, x=100).see(1, SECONDS, ["sitting"])
@@ -323,6 +326,7 @@ def test_the_first_time_after_is_the_first_that_is_not_certainly_false():
     assert start(world, t0=150).outcome == "unknown"  # reading at t0
     assert start(world, t0=450).outcome == "empty"
     assert start(phone_call(1, range(100, 200), hard=[40])).outcome == "unknown"
+    assert start(phone_call(1, range(100, 200), hard=[15])).outcome == "unknown"
     assert start(phone_call(1, range(100, 200), hard=[40]), t0=45).answer == '{"frame":100}'
 
 

@@ -10,9 +10,11 @@ from entry import run as run_command
 from spoiled_questions import keep_only, rewrite
 
 from jrdb_avr.engine.validate.checks import CHECKS, REPLAY_CHECKS, Validation, check_replay, read_records
+from jrdb_avr.engine.validate.replay import differences
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.plan import parse_plan
+from jrdb_avr.schema.questions import Proof, QuestionRecord
 from jrdb_avr.schema.rules import Rules
 
 pytestmark = pytest.mark.usefixtures("known_plans")
@@ -220,3 +222,51 @@ def test_a_fact_changed_in_the_graph_is_noticed(one):
     faults = run(store).faults
     assert any(fault.startswith(f"{name}: answer: ") and fault.endswith("now lying") for fault in faults["compiled"])
     assert "replay" not in faults
+
+
+# -- the comparison by itself -----------------------------------------------------------------------------------------
+
+SHIFT, DROP = (
+    Proof("time.shift", "-3 s", True, "different", "sitting"),
+    Proof("time.drop", "by construction", True, "empty"),
+)
+RECORD = QuestionRecord(
+    question_id="q",
+    sequence="s",
+    family="f",
+    template="t",
+    question="?",
+    choices=("walking", "sitting"),
+    answer_mode="multiple_choice",
+    answer='{"choice":1}',
+    target_track=1,
+    plan="",
+    proofs=(SHIFT, DROP),
+    distractors=(None, None),
+    rules="",
+    hops=0,
+    time_gap_s=3.0,
+    separation_deg=0.5,
+    people_in_scene=2,
+    bindings={"a": 1, "t0": 15},
+    needed=(),
+)
+
+
+@pytest.mark.parametrize(
+    ("again", "where"),
+    [
+        ({"answer": "walking", "proofs": (DROP, SHIFT), "separation_deg": 0.5 + 1e-12, "needed": frozenset()}, []),
+        ({"answer": "sitting"}, ["answer"]),
+        ({"separation_deg": 0.5001, "time_gap_s": 3.0}, ["separation_deg"]),
+        ({"bindings": {"a": 1, "t0": 30}, "hops": 0}, ["bindings"]),
+        ({"proofs": (SHIFT,)}, ["time.drop by construction"]),
+        ({"proofs": (SHIFT, DROP, Proof("hop.stop", "0", True, "empty"))}, ["hop.stop 0"]),
+        ({"proofs": (SHIFT, DROP, DROP)}, ["proofs"]),
+        ({"proofs": (Proof("time.shift", "-3 s", True, "different", "lying"), DROP)}, ["time.shift -3 s"]),
+        ({"proofs": (Proof("time.shift", "-3 s", True, "empty", "sitting"), DROP)}, ["time.shift -3 s"]),
+        ({"proofs": (Proof("time.shift", "-3 s", False, "different", "sitting"), DROP)}, ["time.shift -3 s"]),
+    ],
+)
+def test_what_differs_from_the_stored_record_is_named(again, where):
+    assert [one.where for one in differences(RECORD, again)] == where
