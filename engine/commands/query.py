@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
@@ -104,11 +105,8 @@ def _unique_names(table: Any) -> Any:
     """The table with repeated column names numbered: a row object holds each name once."""
     names: list[str] = []
     for name in table.column_names:
-        fresh, number = name, 1
-        while fresh in names:
-            number += 1
-            fresh = f"{name}_{number}"
-        names.append(fresh)
+        numbered = (f"{name}_{number}" for number in itertools.count(2))
+        names.append(next(own for own in itertools.chain([name], numbered) if own not in names))
     return table.rename_columns(names)
 
 

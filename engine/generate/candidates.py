@@ -13,7 +13,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import msgspec
 import numpy as np
@@ -143,18 +143,8 @@ class Candidates:
 
     def take(self, rows: Ints) -> Candidates:
         """Only these rows, without the results of the proofs."""
-        return Candidates(
-            self.template,
-            self.name[rows],
-            {node: moments[rows] for node, moments in self.people.items()},
-            {name: codes[rows] for name, codes in self.relations.items()},
-            (self.segments[0][rows], self.segments[1][rows]),
-            {name: numbers[rows] for name, numbers in self.frames.items()},
-            self.answer[rows],
-            self.value[rows],
-            self.window[rows],
-            self.rule[rows],
-        )
+        columns = {name: value for name, value in vars(self).items() if name not in ("template", "perturbed")}
+        return Candidates(self.template, **{name: _taken(value, rows) for name, value in columns.items()})
 
     def refusals(self) -> dict[str, int]:
         """Candidates refused, by rule."""
@@ -170,6 +160,13 @@ class Candidates:
         rows = met.slice(low, high - low).to_pylist()
         until = int(self.frames["t2"][row])
         return [(int(context.scene.tracks[one["person"]]), one["seen"]) for one in rows if one["met"] <= until]
+
+
+def _taken(columns: Any, rows: Ints) -> Any:
+    """The rows of a column, or of each column of a mapping or tuple."""
+    if isinstance(columns, Mapping):
+        return {name: column[rows] for name, column in columns.items()}
+    return tuple(column[rows] for column in columns) if isinstance(columns, tuple) else columns[rows]
 
 
 def stated_poses(context: SearchContext, candidates: Candidates) -> Bools:

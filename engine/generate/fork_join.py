@@ -60,8 +60,8 @@ class Joins:
         """Masks of those who could, and who certainly do, have a relation with a person, leaving out some people."""
         sighting_of, alone = self.conditions.sighting_of, self.conditions.alone
         place = sighting_of[source], self.column[relation]
-        kept = ~np.bitwise_or.reduce([alone[sighting_of[moment]] for moment in apart])
-        return self.could[place] & kept, self.sure[place] & kept
+        others = ~np.bitwise_or.reduce([alone[sighting_of[moment]] for moment in apart])
+        return self.could[place] & others, self.sure[place] & others
 
     def joined(self, b: Ints, r3: Ints, c: Ints, r4: Ints, apart: Sequence[Ints]) -> Ints:
         """The moment of the one person who has both relations, `r3` with `b` and `r4` with `c`, for certain while
@@ -124,10 +124,10 @@ def find_joins(context: SearchContext) -> Joins:
 
 def _add_facts(joins: Joins, facts: Facts) -> None:
     conditions, usable = joins.conditions, joins.column[facts.relation] != NOBODY
-    for masks, kept in ((joins.could, usable), (joins.sure, usable & facts.certain)):
-        source, target = (conditions.sighting_of[moment[kept]] for moment in (facts.source, facts.target))
+    for masks, rows in ((joins.could, usable), (joins.sure, usable & facts.certain)):
+        source, target = (conditions.sighting_of[moment[rows]] for moment in (facts.source, facts.target))
         slot = conditions.slot[target]
-        place = source, joins.column[facts.relation[kept]], slot // 64
+        place = source, joins.column[facts.relation[rows]], slot // 64
         np.bitwise_or.at(masks, place, np.uint64(1) << (slot % 64).astype(np.uint64))
 
 

@@ -98,8 +98,8 @@ def find_facts(scene: Scene) -> Facts:
     # A pair may have a row by each of two spans: what is certain by one of them is certain.
     key = (source * len(RELATIONS) + relation) * scene.moment_count + target
     order = np.lexsort((~certain, key))
-    kept = order[np.unique(key[order], return_index=True)[1]]
-    return Facts(source[kept], relation[kept], target[kept], certain[kept], _known(scene))
+    first = order[np.unique(key[order], return_index=True)[1]]
+    return Facts(source[first], relation[first], target[first], certain[first], _known(scene))
 
 
 def find_steps(scene: Scene, facts: Facts) -> Steps:

@@ -326,8 +326,8 @@ def _absences(scene: Scene) -> tuple[Ints, Ints, Ints, Ints]:
     before = np.pad(np.cumsum(gone, axis=1), ((0, 0), (1, 0)))
     low, high = np.searchsorted(scene.keyframes, leaves, side="right"), np.searchsorted(scene.keyframes, returns)
     absent = before[person, high] > before[person, low]
-    kept = absent & _annotated_between(scene.annotated, leaves, returns)
-    return person[kept], leaves[kept], returns[kept], rows[kept]
+    known = absent & _annotated_between(scene.annotated, leaves, returns)
+    return person[known], leaves[known], returns[known], rows[known]
 
 
 def _annotated_between(annotated: Ints, first: Ints, last: Ints) -> Bools:

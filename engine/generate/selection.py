@@ -73,8 +73,8 @@ class Selection:
 def near_duplicates(table: pa.Table, rules: Rules) -> npt.NDArray[np.str_]:
     """Per row of one template in one sequence: KEPT, or the rule that drops it.
 
-    near_duplicate: every frame where the answer is read lies within `near_duplicate_s` of those of a kept row of the
-    same target, with a smaller key; max_per_person: as many as that are kept of the target already.
+    near_duplicate: every frame where the answer is read lies within `near_duplicate_s` of those of a row of the
+    same target that stays, with a smaller key; max_per_person: as many as that of the target stay already.
     """
     order = pc.sort_indices(table, sort_keys=[("target_track", "ascending"), ("key", "ascending")]).to_numpy()
     track = table["target_track"].to_numpy()[order]
@@ -103,8 +103,8 @@ def select(table: pa.Table, rules: Rules, profile: str, seed: int) -> Selection:
     more than `max_answer_share` of a choice template. What one template of a family cannot give, the others give; what
     one form of a template cannot give, its others give. `profile` is a name of PROFILES.
 
-    The report has a row for every template: family, template, candidates (in all), balanced (could be kept), aim (its
-    even part of the family's number, None where there is none) and kept.
+    The report has a row for every template: family, template, candidates (in all), balanced (could stay), aim (its
+    even part of the family's number, None where there is none) and kept (selected).
     """
     orders = _orders(table, rules, seed)
     parts: list[pa.Table] = []
@@ -113,10 +113,10 @@ def select(table: pa.Table, rules: Rules, profile: str, seed: int) -> Selection:
         names = [name for name in sorted(FAMILIES) if FAMILIES[name] == family]
         forms = {name: orders.get(name, []) for name in names}
         wanted = PROFILES[profile].get(family)
-        kept = _kept(forms, wanted)
+        chosen = _chosen(forms, wanted)
         aims = _share_out(dict.fromkeys(names, wanted), wanted) if wanted is not None else {}
         for name in names:
-            parts += [form.rows.take(pa.array(rows)) for form, rows in zip(forms[name], kept[name], strict=True)]
+            parts += [form.rows.take(pa.array(rows)) for form, rows in zip(forms[name], chosen[name], strict=True)]
             report.append(
                 {
                     "family": family,
@@ -124,7 +124,7 @@ def select(table: pa.Table, rules: Rules, profile: str, seed: int) -> Selection:
                     "candidates": sum(form.rows.num_rows for form in forms[name]),
                     "balanced": sum(len(form.give(None)) for form in forms[name]),
                     "aim": aims.get(name),
-                    "kept": sum(map(len, kept[name])),
+                    "kept": sum(map(len, chosen[name])),
                 }
             )
     result = pa.concat_tables(parts) if parts else table
@@ -144,20 +144,20 @@ def _orders(table: pa.Table, rules: Rules, seed: int) -> dict[str, list[_Order]]
     return orders
 
 
-def _kept(forms: Mapping[str, Sequence[_Order]], wanted: int | None) -> dict[str, list[Ints]]:
+def _chosen(forms: Mapping[str, Sequence[_Order]], wanted: int | None) -> dict[str, list[Ints]]:
     """Rows of every form of every template of a family, `wanted` in all if they have so many."""
     able = {name: [len(form.give(None)) for form in some] for name, some in forms.items()}
     quotas = _share_out({name: sum(some) for name, some in able.items()}, wanted)
     shares = {name: _share_out(dict(enumerate(able[name])), quotas[name]) for name in forms}
-    kept = {name: [form.give(shares[name][place]) for place, form in enumerate(some)] for name, some in forms.items()}
+    picked = {name: [form.give(shares[name][place]) for place, form in enumerate(some)] for name, some in forms.items()}
     # Not every number is possible with no answer above its share: other templates fill what is missing.
-    left = sum(quotas.values()) - sum(len(rows) for some in kept.values() for rows in some)
+    left = sum(quotas.values()) - sum(len(rows) for some in picked.values() for rows in some)
     for name, some in forms.items():
         for place, form in enumerate(some):
-            more = form.give(len(kept[name][place]) + left)
-            left -= len(more) - len(kept[name][place])
-            kept[name][place] = more
-    return kept
+            more = form.give(len(picked[name][place]) + left)
+            left -= len(more) - len(picked[name][place])
+            picked[name][place] = more
+    return picked
 
 
 def _share_out(available: Mapping[K, int], wanted: int | None) -> dict[K, int]:
@@ -182,7 +182,7 @@ def _share_out(available: Mapping[K, int], wanted: int | None) -> dict[K, int]:
 class _Limit:
     """The most that one answer should take of the questions of a template and read.
 
-    strict: it is a rule; otherwise an aim, and where too few could be kept under it, all stay. neighbors: the limit is
+    strict: it is a rule; otherwise an aim, and where too few could stay under it, all do. neighbors: the limit is
     on any two bins next to each other.
     """
 
@@ -314,11 +314,11 @@ def _under_pairs(counts: Ints, most: int) -> Ints:
 
     Whatever a bin leaves, only the next one could take, so every bin takes what it can.
     """
-    kept = np.zeros_like(counts)
+    most_of = np.zeros_like(counts)
     before = 0
     for number, count in enumerate(counts.tolist()):
-        before = kept[number] = min(count, most - before)
-    return kept
+        before = most_of[number] = min(count, most - before)
+    return most_of
 
 
 def _ranks(group: Ints, order: Ints) -> Ints:
