@@ -4,6 +4,7 @@ import json
 from fractions import Fraction
 
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scripted import MODES, RedWorld, blank_task, evidence, final, play, proposal, red_eyes, shown
@@ -33,7 +34,7 @@ def close(box, exact):
     return all(abs(a - float(b)) < 1e-6 for a, b in zip(box, exact, strict=True))
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(30))
 @given(places, st.sampled_from([0, 5, 10]))
 def test_a_box_in_a_panorama(bbox, frame):
     prediction, _ = play(Monolithic, [final(2, bbox, frame)], blank_task())
@@ -41,7 +42,7 @@ def test_a_box_in_a_panorama(bbox, frame):
     assert close(prediction.evidence.box, exactly(bbox, 3760))
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(30))
 @given(places, places)
 def test_a_box_in_the_crop(coarse, fine):
     """The crop's middle column is the coarse box's, to half a column; the fine box counts from the crop's left one."""
@@ -135,7 +136,7 @@ replies = (
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 @given(st.sampled_from(METHODS), st.sampled_from(MODES), st.lists(replies, min_size=3, max_size=3))
 def test_whatever_the_model_says_the_question_ends(method, mode, script):
     task = blank_task(mode, "abcd" if mode == "multiple_choice" else ())
