@@ -10,7 +10,7 @@ import re
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any, Final
 
 import click
@@ -105,7 +105,9 @@ def progress_bar(beside: Callable[[], str] = lambda: "") -> Iterator[Callable[[s
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), Beside())
     tasks: dict[str, TaskID] = {}
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar, warnings_as_notes():
+    bar = Progress(*columns, console=console, disable=not console.is_terminal)
+    # A bar that is disabled ends with an empty line in older versions of rich.
+    with bar if console.is_terminal else nullcontext(), warnings_as_notes():
 
         def show(what: str, done: int, total: int) -> None:
             if what not in tasks:

@@ -137,7 +137,7 @@ class _Search:
         for rule in ("near_duplicate", "max_per_person"):
             dropped = slim.filter(pa.array(verdicts == rule))
             counts[name, rule] += len(dropped)
-            first = dropped.take(pc.select_k_unstable(dropped, EXAMPLES, [("key", "ascending")]))
+            first = dropped.take(pc.sort_indices(dropped["key"])[:EXAMPLES])
             for candidates, rows in _by_form(forms, first):
                 self._add_examples(candidates, rule, rows)
         for candidates, rows in _by_form(forms, slim.filter(pa.array(verdicts == KEPT))):
