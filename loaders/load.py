@@ -277,9 +277,7 @@ def _finish(
 
 def _move(store: Store, staging: Store, parts: Sequence[str]) -> None:
     for part in parts:
-        if (store.path / part).exists():
-            (store.path / part).rename(staging.path / f"old_{part}")
-        (staging.path / part).rename(store.path / part)
+        _swap(store.path / part, staging.path / part, staging.path / f"old_{part}")
     (staging.path / "store.json").replace(store.path / "store.json")
 
 
@@ -309,6 +307,12 @@ def _build(store: Store, staging: Store, manifest: Manifest) -> list[str]:
         # From here to the end there is no manifest, so nobody takes a half-moved store for a whole one.
         (store.path / "store.json").unlink(missing_ok=True)
     return left_out
+
+
+def _swap(place: Path, new: Path, old: Path) -> None:
+    if place.exists():
+        place.rename(old)
+    new.rename(place)
 
 
 # -- reports -----------------------------------------------------------------------------------------------------

@@ -21,6 +21,8 @@ from uuid import UUID
 
 import msgspec
 
+from jrdb_avr.schema.graph import table_ddl
+
 ALWAYS: Final = 10_000_000
 """`last` of a belief that holds at every frame, and `until` of a current one."""
 
@@ -228,10 +230,7 @@ WORLD_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
 
 def world_ddl() -> list[str]:
     """CREATE statements of the world namespace, nodes first."""
-    statements = [f"CREATE NODE TABLE {name}({columns})" for name, columns in WORLD_NODES.items()]
-    for name, (source, target, columns) in WORLD_RELS.items():
-        statements.append(f"CREATE REL TABLE {name}({', '.join([f'FROM {source} TO {target}', *columns])})")
-    return statements
+    return table_ddl(WORLD_NODES, WORLD_RELS)
 
 
 def episode_key(run_id: str, question_id: str) -> str:

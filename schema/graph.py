@@ -9,6 +9,7 @@ the fact is unknown, that is, where it may or may not hold.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
 
 from jrdb_avr.schema.tables import INTERVALS
@@ -60,9 +61,12 @@ STORAGE_VERSION: Final = 3
 
 def scene_ddl() -> list[str]:
     """CREATE statements of the scene namespace, nodes first."""
-    statements = [f"CREATE NODE TABLE {name}({columns})" for name, columns in SCENE_NODES.items()]
-    statements += [
-        f"CREATE REL TABLE {name}(FROM {source} TO {target}, {', '.join(columns)})"
-        for name, (source, target, columns) in SCENE_RELS.items()
-    ]
+    return table_ddl(SCENE_NODES, SCENE_RELS)
+
+
+def table_ddl(nodes: Mapping[str, str], rels: Mapping[str, tuple[str, str, tuple[str, ...]]]) -> list[str]:
+    """CREATE statements of tables, nodes first."""
+    statements = [f"CREATE NODE TABLE {name}({columns})" for name, columns in nodes.items()]
+    for name, (source, target, columns) in rels.items():
+        statements.append(f"CREATE REL TABLE {name}({', '.join([f'FROM {source} TO {target}', *columns])})")
     return statements
