@@ -11,7 +11,7 @@ from jrdb_avr.schema.method import Question, SequenceInfo
 ASKED = [Question(f"{n:016x}", "yard-1_0", "f", "t", f"Question {n}?", ("a", "b"), "multiple_choice") for n in range(6)]
 
 
-INFO = {"yard-1_0": SequenceInfo("yard-1_0", 15.0, 61, (0, 15, 30, 45))}
+INFO = {"yard-1_0": SequenceInfo("yard-1_0", 15.0, 46, (0, 15, 30, 45))}
 
 
 def run(store, run_id, asked=ASKED, path=None, finish=True, turns=20, **options):

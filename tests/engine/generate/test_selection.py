@@ -7,6 +7,7 @@ from itertools import pairwise, product
 
 import pyarrow as pa
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -370,7 +371,7 @@ def test_the_seed_changes_which_are_kept_and_nothing_else_does():
 
 
 @given(st.lists(st.integers(0, 12), min_size=4, max_size=4))
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=examples(20))
 def test_no_two_bins_of_gaps_hold_more_and_no_more_gaps_could_stay(counts):
     lengths = (6.0, 12.0, 25.0, 50.0)
     rows = gaps([length for length, count in zip(lengths, counts, strict=True) for _ in range(count)])

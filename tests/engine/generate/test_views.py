@@ -4,6 +4,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from effort import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -43,7 +44,7 @@ def brute_force(boxes):
 @example([(0.5, 12.0), (480.5, 12.0)])
 @example([(3750.0, 61.0), (400.0, 12.0), (2000.0, 480.0)])
 @example([(470.0 * i, 12.0) for i in range(8)])
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(30))
 def test_no_set_of_crops_is_smaller(drawn):
     boxes = [(center - w / 2, w) for center, w in drawn]
     fewest = min_crops_of_frame(x + w / 2 for x, w in boxes)

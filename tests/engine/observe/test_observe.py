@@ -8,6 +8,7 @@ import threading
 import cv2
 import numpy as np
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -59,7 +60,7 @@ def stored(root, frame):
 
 
 @given(st.floats(-1e6, 1e6), st.sampled_from(FRAMES), st.booleans())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 def test_the_crop_is_the_columns_round_the_angle(root, observe, angle, frame, first_look):
     seen = (Observer(root, [info()]) if first_look else observe)(NAME, frame, angle)
     centre = angle / 360 * 3760
@@ -235,7 +236,7 @@ def test_many_threads_see_what_one_sees(root, monkeypatch):
 
     def look():
         start.wait()
-        for i in range(30):
+        for i in range(12):
             frame, angle = FRAMES[i % 3], i * 37.0
             columns = (np.arange(480) + int(crop_left(angle))) % 3760
             if not np.array_equal(observe(NAME, frame, angle).image, truth[frame][:, columns]):

@@ -44,7 +44,7 @@ def jrdb_avr(*arguments):
 @pytest.fixture(scope="module")
 def template(tmp_path_factory):
     """A store with a scene of one sequence, and two runs in its graph."""
-    store = table_store(tmp_path_factory.mktemp("world"), sequences=("yard-1_0",), frames=61, people=6)
+    store = table_store(tmp_path_factory.mktemp("world"), sequences=("yard-1_0",), frames=46, people=4)
     run(store, "one")
     run(store, "two", ASKED[3:4])
     return store

@@ -32,7 +32,7 @@ from jrdb_avr.schema.tables import PRIVATE
 TRACK, LABEL, KEY = 918273, "juggling swordfish", "sk-never-to-be-seen"
 SECRETS = (str(TRACK), "swordfish", KEY, "target_track", "distractor", "proof")
 BARE = ("monolithic", "agent")
-ASKED = QUESTIONS_ASKED[:2]
+ASKED = QUESTIONS_ASKED[:1]
 
 METADATA = {"sequence", "frame_index", "frame_id", "timestamp", "angle_deg", "fov_deg", "left"}
 """What `Observation` and `Panorama` say beside their pixels."""
@@ -144,7 +144,7 @@ def test_who_opens_a_private_file_waits_for_ever(full):
 
 def test_nothing_private_is_sent(full, marker):
     sent = [text for body in marker[1] for text in said(body)]
-    assert len(sent) > 50
+    assert len(sent) > 25
     assert not [secret for secret in SECRETS if any(secret in text for text in sent)]
 
 
@@ -155,7 +155,7 @@ def test_what_is_said_of_a_picture_is_what_its_observation_says(full, marker):
         for text in said(body)
         for found in re.finditer(r"^(?:Picture|Panorama|Crop)[^{\n]*: (\{.*\})$", text, re.MULTILINE)
     ]
-    assert len(announced) > 30
+    assert len(announced) > 15
     assert set().union(*announced) <= METADATA
 
 
