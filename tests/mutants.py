@@ -78,7 +78,7 @@ def copy_tree(folder: Path) -> Path:
 
 def run_tests(copy: Path, tests: tuple[str, ...]) -> tuple[int, str]:
     """Exit code of pytest in the copy, and the first test that failed (or the end of what it printed)."""
-    command = [sys.executable, "-m", "pytest", "-n", "0", "-x", "--tb=line", "-rf", "-p", "no:cacheprovider", *tests]
+    command = [sys.executable, "-m", "pytest", "-n", "0", "-x", "--tb=line", "-rfE", "-p", "no:cacheprovider", *tests]
     environment = os.environ | {"PYTHONPATH": str(copy.parent)}
     try:
         done = subprocess.run(
@@ -86,7 +86,7 @@ def run_tests(copy: Path, tests: tuple[str, ...]) -> tuple[int, str]:
         )
     except subprocess.TimeoutExpired:
         return -1, f"stopped after {TIMEOUT_S} s"
-    failed = re.search(r"^(?:FAILED|ERROR) (.*?)(?: - .*)?$", done.stdout, re.MULTILINE)
+    failed = re.search(r"^(?:FAILED|ERROR) (tests.*?)(?: - .*)?$", done.stdout, re.MULTILINE)
     return done.returncode, failed[1] if failed else (done.stdout + done.stderr).strip()[-300:]
 
 
