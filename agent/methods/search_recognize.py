@@ -50,11 +50,8 @@ class SearchRecognize(FixedContextMethod):
         except DecodeError as error:
             return attempt.invalid(f"{stage}: {error}")
         panorama = next(panorama for panorama in panoramas if panorama.frame_index == crop.frame_index)
-        try:
-            answer = _choose(attempt, panorama, crop, refined)
-        except DecodeError as error:
-            return attempt.prediction(ParsedReply(None, refined, (str(error),)))
-        return attempt.prediction(ParsedReply(answer, refined))
+        (answer,), faults = decode.read_each(lambda: _choose(attempt, panorama, crop, refined))
+        return attempt.prediction(ParsedReply(answer, refined, faults))
 
 
 def _propose(attempt: Attempt, panoramas: tuple[Panorama, ...]) -> Evidence:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
@@ -44,6 +44,11 @@ class Message:
 
     role: Literal["system", "user", "assistant"]
     parts: tuple[Part, ...]
+
+    @property
+    def text(self) -> str:
+        """The message as a person reads it, each picture as `[image SEQUENCE FRAME ANGLE]`."""
+        return "\n".join(part if isinstance(part, str) else f"[image {part.name}]" for part in self.parts)
 
 
 def picture_of(seen: Observation | Panorama) -> Picture:
@@ -88,18 +93,12 @@ def fingerprint(messages: Sequence[Message]) -> list[dict[str, Any]]:
 
 def transcript(messages: Sequence[Message]) -> list[dict[str, str]]:
     """Messages as a person reads them: each picture as `[image SEQUENCE FRAME ANGLE]`, from which it can be redrawn."""
-    return [
-        {
-            "role": message.role,
-            "content": "\n".join(p if isinstance(p, str) else f"[image {p.name}]" for p in message.parts),
-        }
-        for message in messages
-    ]
+    return [{"role": message.role, "content": message.text} for message in messages]
 
 
-def _message(message: Message, url: Any) -> dict[str, Any]:
+def _message(message: Message, url: Callable[[Picture], str]) -> dict[str, Any]:
     if all(isinstance(part, str) for part in message.parts):
-        return {"role": message.role, "content": "\n".join(str(part) for part in message.parts)}
+        return {"role": message.role, "content": message.text}
     content = [
         {"type": "text", "text": part}
         if isinstance(part, str)
