@@ -37,20 +37,16 @@ def find(conditions: Sequence[Condition], frame: int, explorer: Explorer) -> Fou
     The description fits one person alone, so looking ends at the first certain match; a group is counted all round
     first. Nobody is found where looks run out.
     """
-    try:
-        return _find(conditions, frame, explorer)
-    except BudgetExhausted:
-        return FoundPerson(None, "budget: the person was not found")
-
-
-def _find(conditions: Sequence[Condition], frame: int, explorer: Explorer) -> FoundPerson:
     sized = counts_group(conditions)
     sector = next((_SECTOR_ANGLES[str(c.value)] for c in conditions if c.attribute == "sector"), None)
-    for angle in _SWEEP if sector is None or sized else (sector - 22.0, sector + 22.0, sector):
-        explorer.look(frame, angle % 360.0)
-        if not sized and (match := _only(conditions, explorer.at(frame))):
-            return FoundPerson(match)
-    return _count(conditions, frame, explorer) if sized else among(conditions, explorer.at(frame))
+    try:
+        for angle in _SWEEP if sector is None or sized else (sector - 22.0, sector + 22.0, sector):
+            explorer.look(frame, angle % 360.0)
+            if not sized and (match := _only(conditions, explorer.at(frame))):
+                return FoundPerson(match)
+        return _count(conditions, frame, explorer) if sized else among(conditions, explorer.at(frame))
+    except BudgetExhausted:
+        return FoundPerson(None, "budget: the person was not found")
 
 
 def among(conditions: Sequence[Condition], people: Sequence[Sighting]) -> FoundPerson:
