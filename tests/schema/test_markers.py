@@ -5,6 +5,7 @@ import random
 import cv2
 import numpy as np
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -85,6 +86,7 @@ def scene(rng, width=CROP):
     return np.clip(image + noise, 0, 185).astype(np.uint8)
 
 
+@settings(max_examples=examples(30))
 @given(any_mark(), st.sampled_from(["first", "tall", "wide"]), st.integers(0, 255), st.integers(0, 255))
 def test_cells_give_back_the_mark(mark, layout, wide, high):
     decoded = decode(encode(mark, layout, wide, high))
@@ -97,6 +99,7 @@ def test_cells_give_back_the_mark(mark, layout, wide, high):
         assert decoded.mark == mark
 
 
+@settings(max_examples=examples(30))
 @given(any_mark(), st.sampled_from(["first", "tall", "wide"]), st.data())
 def test_up_to_three_wrong_cells_are_noticed(mark, layout, data):
     cells = encode(mark, layout, 60, 120)
@@ -116,13 +119,13 @@ def test_random_cells_are_no_mark():
     found = sum(
         decode(rng.integers(0, 2, shape).astype(np.uint8)) is not None
         for shape in ((16, 5), (27, 5), (16, 10))
-        for _ in range(10_000)
+        for _ in range(examples(3_000))
     )
     # A 17-bit checksum lets one in 131,072 pass, and some of those hold invalid fields.
-    assert found <= 2
+    assert found <= examples(1)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(any_mark(), st.integers(18, 460), st.integers(40, 470), st.data())
 def test_what_is_drawn_is_read_through_jpeg(mark, w, h, data):
     x, y = data.draw(st.integers(0, CROP - w)), data.draw(st.integers(0, HEIGHT - h))
@@ -178,7 +181,7 @@ def test_a_panorama_reads_no_mark_twice():
 def test_scaled_pictures_are_read_or_left_out(scale):
     rng = random.Random(3)
     read_count = 0
-    for _ in range(40):
+    for _ in range(examples(12)):
         mark = random_mark(rng)
         image = scene(rng)
         box = Box(rng.randrange(0, 380), rng.randrange(0, 230), 72, 160)
@@ -188,14 +191,14 @@ def test_scaled_pictures_are_read_or_left_out(scale):
             read_count += 1
             assert is_true(reading, mark)
             assert overlap(reading.box, Box(*(scale * value for value in box))) >= 0.85
-    assert read_count >= 36
+    assert read_count >= 0.9 * examples(12)
 
 
 def test_crowds_noise_and_cuts_give_no_false_reading():
-    """Thousands of marks that cover and cut each other, twice through JPEG, with noise: each reading is right."""
+    """Many marks that cover and cut each other, twice through JPEG, with noise: each reading is right."""
     rng = random.Random(1)
     drawn, readings = 0, 0
-    for round_ in range(120):
+    for round_ in range(examples(30)):
         image = scene(rng)
         truth = {}
         for identity in rng.sample(range(4096), 30):
@@ -215,14 +218,13 @@ def test_crowds_noise_and_cuts_give_no_false_reading():
             mark, box = truth[reading.mark.identity]
             assert is_true(reading, mark)
             assert overlap(reading.box, box) >= 0.8
-    assert drawn == 3600
-    assert readings > 200
+    assert readings > 0.05 * drawn > 40
 
 
 @pytest.mark.parametrize("cover", [0.02, 0.05, 0.2, 0.5, 0.9])
 def test_a_plate_covered_in_part_is_not_read_wrong(cover):
     rng = random.Random(7)
-    for _ in range(60):
+    for _ in range(examples(15)):
         mark = random_mark(rng)
         image = scene(rng)
         w, h = rng.randrange(18, 120), rng.randrange(60, 300)

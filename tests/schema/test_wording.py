@@ -5,6 +5,7 @@ import re
 
 import msgspec
 import pytest
+from effort import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -227,7 +228,7 @@ def test_every_word_of_the_vocabularies_has_a_phrase_and_no_two_share_one():
 # -- render and parse -----------------------------------------------------------------------------------------
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=examples(80), deadline=None)
 @given(plans(), KEYS, st.booleans())
 def test_parse_is_the_inverse_of_render(case, key, about):
     form, plan = case
@@ -277,6 +278,7 @@ def test_no_two_plans_share_a_text_and_each_is_read_back(form):
             assert (template, canonical(back)) == (template_of(form), plan)
 
 
+@settings(max_examples=examples(25))
 @given(plans(), plans(), KEYS, KEYS, st.booleans(), st.booleans())
 def test_different_plans_have_different_texts(one, other, key, second, about, rough):
     texts = [
@@ -285,6 +287,7 @@ def test_different_plans_have_different_texts(one, other, key, second, about, ro
     assert texts[0] != texts[1] or canonical(one[1]) == canonical(other[1])
 
 
+@settings(max_examples=examples(25))
 @given(plans(), KEYS, st.booleans())
 def test_every_stated_time_has_its_frame_and_its_second(case, key, about):
     form, plan = case
@@ -300,7 +303,7 @@ ROBOTS = r"\bto the robot's (?:left|right)\b"
 SEEN = r"\bto the (?:left|right) of [A-D] as seen from the robot\b"
 
 
-@settings(max_examples=300)
+@settings(max_examples=examples(60))
 @given(plans(), KEYS)
 def test_left_and_right_say_whose(case, key):
     form, plan = case
@@ -322,6 +325,7 @@ def test_left_and_right_say_whose(case, key):
         assert word not in text
 
 
+@settings(max_examples=examples(25))
 @given(plans(), KEYS)
 def test_about_is_said_of_events_only(case, key):
     form, plan = case
@@ -332,6 +336,7 @@ def test_about_is_said_of_events_only(case, key):
         assert exact == rough
 
 
+@settings(max_examples=examples(25))
 @given(plans("action_search"), KEYS, st.booleans())
 def test_viewpoints_say_what_the_angles_mean(case, key, about):
     text = render(*case, key, about)
@@ -344,7 +349,7 @@ def test_viewpoints_say_what_the_angles_mean(case, key, about):
         assert re.search(rf"\b{angle} is [a-z ]*{meaning}", text)
 
 
-@settings(max_examples=300)
+@settings(max_examples=examples(60))
 @given(plans(), KEYS, st.data())
 def test_an_altered_question_is_refused_or_says_something_else(case, key, data):
     form, plan = case
@@ -615,6 +620,7 @@ POSE_WORDS = {
 }
 
 
+@settings(max_examples=examples(25))
 @given(plans(), KEYS)
 def test_a_pose_that_the_text_names_is_among_the_stated_actions(case, key):
     form, plan = case
