@@ -10,15 +10,15 @@ import math
 
 import numpy as np
 import pytest
+from effort import examples
 from places import REAL
-from worlds import load_reported, member, person, person_3d
+from quick_store import NAME, read_store
+from worlds import member, person, person_3d
 
 from jrdb_avr.loaders.layers.frame_offset import Tracks, check_shift
-from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.root import find_root
-from jrdb_avr.schema.rules import LoadRules
+from jrdb_avr.loaders.sequence import annotate
 
-NAME = "yard-2020-01-01_0"
 SHIFTS = (1, -1, 2, -2)
 
 
@@ -57,7 +57,7 @@ def seen(rng, world, frames, shift=0, step=1, phase=0, noise=1.0, bias=0.0, boxe
 
 @pytest.mark.parametrize("steps", [(1, 1), (1, 15), (15, 1), (15, 15)], ids=str)
 def test_unshifted_layers_are_never_refused(steps):
-    for seed in range(40):
+    for seed in range(examples(10)):
         rng = np.random.default_rng(seed)
         frames = int(rng.choice([40, 150, 450]))
         world = places(rng, int(rng.integers(1, 15)), frames, rng.choice([0, 0.3, 1]), rng.choice([0, 0.03]))
@@ -106,7 +106,7 @@ def test_standing_people_and_few_boxes_tell_nothing():
 @pytest.mark.parametrize("shift", [0, *SHIFTS])
 @pytest.mark.parametrize("repeats", [True, False], ids=["errors repeated", "errors of its own"])
 def test_boxes_that_only_tremble_are_never_said_to_agree(shift, repeats):
-    for seed in range(3):
+    for seed in range(examples(1)):
         rng = np.random.default_rng(seed)
         standing = places(rng, 20, 600, walking=0, turning=0)
         reference = seen(rng, standing, 600, noise=2)
@@ -142,17 +142,17 @@ def world_files(shift_3d=0, shift_social=0, seed=0):
             member(t, (column(*path[f + shift_social]) - 20, 60, 40, 200), {"gender": {"Male": "1"}})
             for t, path in world.items()
         ]
-    return {NAME: layers}
+    return layers
 
 
 def test_case_2_a_layer_with_another_numbering_is_refused_and_the_rest_loads(tmp_path):
-    store, (report,) = load_reported(tmp_path / "bad", world_files(shift_3d=2))
-    (problem,) = report.problems
+    store, found = read_store(tmp_path / "bad", world_files(shift_3d=2))
+    (problem,) = found.problems
     assert (problem.kind, problem.layer, problem.count) == ("file", "3d", 1)
     assert "only when moved by about +2 frames" in problem.reason
     assert store.annotation("boxes_3d", NAME).num_rows == 0
-    assert "3d" not in report.layers and "demographics" in report.layers
-    whole, (clean,) = load_reported(tmp_path / "good", world_files())
+    assert "3d" not in found.frames and "demographics" in found.frames
+    whole, clean = read_store(tmp_path / "good", world_files())
     assert clean.problems == [] and {check.layer: check.result for check in clean.shifts} == {
         "3d": "agrees",
         "social": "agrees",
@@ -164,10 +164,10 @@ def test_case_2_a_layer_with_another_numbering_is_refused_and_the_rest_loads(tmp
 
 def test_a_shifted_social_file_leaves_its_facts_to_the_reasoning_file(tmp_path):
     files = world_files(shift_social=-2)
-    files[NAME]["reasoning"] = world_files()[NAME]["social"]
-    store, (report,) = load_reported(tmp_path, files)
-    assert [(p.layer, p.kind) for p in report.problems] == [("social", "file")]
-    assert "only when moved by -2 frames" in report.problems[0].reason
+    files["reasoning"] = world_files()["social"]
+    store, found = read_store(tmp_path, files)
+    assert [(p.layer, p.kind) for p in found.problems] == [("social", "file")]
+    assert "only when moved by -2 frames" in found.problems[0].reason
     assert store.annotation("demographics", NAME).num_rows == 3600
 
 
@@ -184,6 +184,6 @@ def test_real_boxes_under_other_numbers_are_found(tmp_path, shift):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / f"{name}.json").write_text(json.dumps({"labels": content}))
     (files,) = find_root(tmp_path).sequences
-    (check,) = load_shard(Shard(files, str(tmp_path / "store"), LoadRules())).report.shifts
+    (check,) = annotate(files).shifts
     assert check.result == ("shifted" if shift else "agrees")
     assert not shift or f"by {shift:+d} frames" in check.reason

@@ -35,7 +35,7 @@ from jrdb_avr.schema.tables import ANNOTATIONS
 
 NAME = "yard-2020-01-01_0"
 SEEDS = range(200)
-WORLD_SEEDS = range(15)
+WORLD_SEEDS = range(8)
 LONGEST = 4000
 """Frames of a sequence whose derived tables are compared: the oracle walks from the first to the last."""
 

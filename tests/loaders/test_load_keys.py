@@ -6,7 +6,8 @@ import json
 import tracemalloc
 
 import pytest
-from hypothesis import given
+from effort import examples
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jrdb_avr.loaders.labelfiles.json import keys_exceed
@@ -29,6 +30,7 @@ def values(draw, depth=3):
     return f"{{{draw(blanks)}{f',{space}'.join(members)}}}"
 
 
+@settings(max_examples=examples(25))
 @given(
     values(),
     st.lists(st.sampled_from(KEYS), min_size=1, max_size=3, unique=True),

@@ -6,6 +6,7 @@ import json
 
 import pytest
 from click.testing import CliRunner
+from quick_store import without_graph
 from worlds import member, person, write_root
 
 from jrdb_avr.engine.cli import group
@@ -16,9 +17,10 @@ BOX = (100, 60, 50, 200)
 
 def run(folder, world, *options):
     write_root(folder / "root", world)
-    result = CliRunner().invoke(
-        group, ["load", str(folder / "root"), "--store", str(folder / "store"), "--workers", "1", *options]
-    )
+    with without_graph():
+        result = CliRunner().invoke(
+            group, ["load", str(folder / "root"), "--store", str(folder / "store"), "--workers", "1", *options]
+        )
     assert result.exit_code == 0, result.output
     return result.stdout
 

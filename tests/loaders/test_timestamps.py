@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from quick_store import NAME, read_store, reported_store
@@ -64,7 +65,7 @@ def test_clouds_alone_leave_the_seconds_to_the_frame_rate(tmp_path):
     assert report.stamps.fps is None and report.problems == []
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(st.dictionaries(st.integers(0, 200), st.integers(1, 30), min_size=1, max_size=8), st.integers(0, 250))
 def test_frames_without_a_stamp_lie_between_their_neighbours(steps, frame):
     known = sorted(steps)
