@@ -24,7 +24,7 @@ JOINED: Final[dict[str, str]] = {
     "sightings_keypoints": (
         "SELECT s.*, p.keypoints FROM intervals_sightings s"
         " LEFT JOIN annotations_poses p USING (sequence, frame, track)"
-    ),
+    )
 }
 """Views over the tables' views. Key points are read with their sighting here: 51 numbers per person and frame, written
 once; beside every sighting of the graph they would be two thirds of its file."""

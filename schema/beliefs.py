@@ -185,12 +185,7 @@ class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_field
     replaced: tuple[int, ...] = ()
 
 
-_TYPES: Final = {
-    str: "STRING",
-    int: "INT64",
-    float: "DOUBLE",
-    XYWH: "STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)",
-}
+_TYPES: Final = {str: "STRING", int: "INT64", float: "DOUBLE", XYWH: "STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)"}
 
 
 def _columns(row: type[_Row], *more: str) -> tuple[str, ...]:

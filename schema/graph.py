@@ -43,11 +43,7 @@ _SPAN: Final = ("first INT64", "last INT64", "first_s DOUBLE", "last_s DOUBLE")
 
 SCENE_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "SeenIn": ("Person", "Frame", _sighting_columns()),
-    "Performs": (
-        "Person",
-        "Action",
-        ("sequence STRING", *_SPAN, "difficulty INT64", "certain BOOLEAN", "gap BOOLEAN"),
-    ),
+    "Performs": ("Person", "Action", ("sequence STRING", *_SPAN, "difficulty INT64", "certain BOOLEAN", "gap BOOLEAN")),
     "MemberOf": ("Person", "SocialGroup", ("sequence STRING", *_SPAN, "certain BOOLEAN", "gap BOOLEAN")),
     "Interacts": ("Person", "Person", ("label STRING", "sequence STRING", *_SPAN, "certain BOOLEAN", "gap BOOLEAN")),
     "Beside": ("Person", "Person", ("label STRING", "sequence STRING", *_SPAN, "certain BOOLEAN")),

@@ -105,16 +105,7 @@ CLEAR_OCCLUSIONS: Final = frozenset(OCCLUSIONS[:2])
 ROBOT_SECTORS: Final = ("ahead", "right", "behind", "left")
 """Sectors of a person as the robot sees it: panorama angles 180, 270, 0, 90, each +-45 degrees."""
 
-PERSON_SECTORS: Final = (
-    "front",
-    "front left",
-    "left",
-    "back left",
-    "back",
-    "back right",
-    "right",
-    "front right",
-)
+PERSON_SECTORS: Final = ("front", "front left", "left", "back left", "back", "back right", "right", "front right")
 """Sectors in a person's own heading frame; left is the person's own."""
 
 DISTANCE_WORDS: Final = ("very close", "close", "moderate", "far", "very far")
@@ -257,12 +248,7 @@ VALUES: Final[dict[str, tuple[str, ...]]] = {
 """The vocabulary of every attribute."""
 
 PRESENCE_ANSWERS: Final = ("both times", "only at the first time", "only at the second time", "neither time")
-DISTANCE_ANSWERS: Final = (
-    "closer to the robot",
-    "farther from the robot",
-    "about the same distance",
-    "not in view",
-)
+DISTANCE_ANSWERS: Final = ("closer to the robot", "farther from the robot", "about the same distance", "not in view")
 
 UNKNOWN_WORDS: Final = frozenset({IMPOSSIBLE, "unknown"})
 """Annotators' words for "could not tell"."""

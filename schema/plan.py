@@ -26,15 +26,7 @@ _Frame = Annotated[int, msgspec.Meta(ge=0, le=10_000_000)]
 
 Event = Literal["start", "end", "leaves", "returns"]
 Read = Literal[
-    "action",
-    "presence",
-    "distance_change",
-    "next_action",
-    "start",
-    "span",
-    "start_view",
-    "seconds_between",
-    "count",
+    "action", "presence", "distance_change", "next_action", "start", "span", "start_view", "seconds_between", "count"
 ]
 Attribute = Literal["gender", "age", "group_size", "sector", "distance"]
 

@@ -131,10 +131,7 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "frames": (_list(_I), "frame numbers that can be observed"),
     "first_frame": (_I, "first frame with a label"),
     "last_frame": (_I, "last frame with a label"),
-    "start": (
-        _I,
-        "frame of the start that a question expects: half a step earlier where labels come once a second",
-    ),
+    "start": (_I, "frame of the start that a question expects: half a step earlier where labels come once a second"),
     "end": (_I, "frame of the end, likewise"),
     "quiet_from": (_I, "from here to the segment the action is false"),
     "closed": (_B, "the action is false for a second after the end, with the person present"),

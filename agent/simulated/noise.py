@@ -230,9 +230,5 @@ def think(knobs: Knobs, draws: Draws) -> str:
 
 def _malformed(content: str, draws: Draws) -> str:
     """A JSON object as models spoil it: it lacks its end, prose stands round it, or it has Python's quotes."""
-    spoiled = (
-        content[:-1],
-        f"Here is my reply: {content} I hope that this helps.",
-        repr(msgspec.json.decode(content)),
-    )
+    spoiled = (content[:-1], f"Here is my reply: {content} I hope that this helps.", repr(msgspec.json.decode(content)))
     return draws.pick(spoiled, "how")

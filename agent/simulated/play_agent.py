@@ -20,14 +20,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from jrdb_avr.agent.policy.enclosing import NEAR, BoundedEvent, between, bounded_events
-from jrdb_avr.agent.policy.explorer import (
-    AROUND,
-    FixedExplorer,
-    Look,
-    NeedObservation,
-    RestoredExplorer,
-    Sighting,
-)
+from jrdb_avr.agent.policy.explorer import AROUND, FixedExplorer, Look, NeedObservation, RestoredExplorer, Sighting
 from jrdb_avr.agent.policy.finding import FoundPerson, among, counts_group, find, holds, likely, possible
 from jrdb_avr.agent.policy.hops import path, related
 from jrdb_avr.agent.policy.policy import answer_of_moments, find_answer, find_target

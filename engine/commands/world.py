@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @click.group(
-    epilog="Examples: jrdb-avr world merge agent-marker --store S   |   jrdb-avr world drop agent-marker --store S",
+    epilog="Examples: jrdb-avr world merge agent-marker --store S   |   jrdb-avr world drop agent-marker --store S"
 )
 def command() -> None:
     """What runs' agents believed, in the store's graph.

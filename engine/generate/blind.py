@@ -21,15 +21,7 @@ import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.engine.generate.bins import answer_bin, bin_name, wait_bin
-from jrdb_avr.schema.answers import (
-    Answer,
-    Choice,
-    FrameAnswer,
-    Number,
-    decode_answer,
-    encode_answer,
-    same_answer,
-)
+from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, Number, decode_answer, encode_answer, same_answer
 from jrdb_avr.schema.rules import FPS
 from jrdb_avr.schema.wording.text import parse, stated_actions, stated_frames
 

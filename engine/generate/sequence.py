@@ -18,14 +18,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from jrdb_avr.engine.generate.candidates import (
-    OUTCOMES,
-    PASSED,
-    RULES,
-    Candidates,
-    frame_lists,
-    to_table,
-)
+from jrdb_avr.engine.generate.candidates import OUTCOMES, PASSED, RULES, Candidates, frame_lists, to_table
 from jrdb_avr.engine.generate.context import SearchContext
 from jrdb_avr.engine.generate.diagnostics import refusal_row
 from jrdb_avr.engine.generate.records import make_record, needed_boxes

@@ -78,12 +78,7 @@ class Graph:
 
     @classmethod
     def open(
-        cls,
-        path: str | Path,
-        *,
-        read_only: bool = False,
-        buffer_bytes: int = BUFFER_BYTES,
-        prepares: bool = False,
+        cls, path: str | Path, *, read_only: bool = False, buffer_bytes: int = BUFFER_BYTES, prepares: bool = False
     ) -> Graph:
         """Open the graph file at `path`, made by `build_graph`.
 

@@ -42,11 +42,7 @@ def _social(label: str) -> Words:
         )
     phrase = JOINT_PHRASES[label]
     holds = phrase.format(someone="{x}")
-    return Words(
-        "{x} is " + phrase.format(someone="exactly one person, {y}"),
-        f"the only person who is {holds}",
-        holds,
-    )
+    return Words("{x} is " + phrase.format(someone="exactly one person, {y}"), f"the only person who is {holds}", holds)
 
 
 def _words(relation: Relation) -> Words:
