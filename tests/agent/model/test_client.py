@@ -198,17 +198,18 @@ def test_a_reply_without_end_is_not_read_to_its_end(monkeypatch):
 
 
 def test_a_reply_that_drips_is_given_up():
-    """Each byte comes in time; all of them would take minutes."""
+    """Each byte comes in time; were all of them waited for, the reply would be another."""
     with FakeServer(sequence_of(Drip(0.05, "late"), "hi")) as server:
         made, _ = client(server, timeout_s=0.3)
-        started = time.monotonic()
         assert made.complete(ASK).content == "hi"
-        assert time.monotonic() - started < 3
 
 
 @pytest.mark.parametrize("said", [b"a", b"HTTP/1.1 102 Processing\r\n\r\n"], ids=["head", "announcements"])
 def test_a_reply_that_never_begins_is_given_up(said):
-    """A byte of a header line, or an announcement that the reply is to come, again and again, each in time."""
+    """A byte of a header line, or an announcement that the reply is to come, again and again, each in time.
+
+    Were all of them waited for, the connection would end in another error.
+    """
     with socket.socket() as listening:
         listening.bind(("127.0.0.1", 0))
         listening.listen(8)
@@ -218,16 +219,14 @@ def test_a_reply_that_never_begins_is_given_up(said):
             with connection, contextlib.suppress(OSError):
                 connection.recv(1 << 16)
                 connection.sendall(b"HTTP/1.1 200 OK\r\nX: " if said == b"a" else b"")
-                for _ in range(100):
+                for _ in range(400):
                     time.sleep(0.05)
                     connection.sendall(said)
 
         threading.Thread(target=drip, daemon=True).start()
         made = Client(f"http://127.0.0.1:{listening.getsockname()[1]}/v1", "x", Options(timeout_s=0.2, retries=0))
-        started = time.monotonic()
         with pytest.raises(EndpointError, match=r"no whole reply within 0.2 s \(1 tries\)"):
             made.complete(ASK)
-        assert time.monotonic() - started < 3
 
 
 def test_retries_end():

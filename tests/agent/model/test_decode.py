@@ -384,10 +384,10 @@ def test_schemas_close_every_object():
 @pytest.mark.parametrize("start", ["", "```\n", "```json\n{", "<think>", "<think></think>"])
 def test_a_long_reply_is_read_in_a_moment(start, filler):
     """A megabyte took hours where reading was quadratic."""
-    started = time.perf_counter()
+    started = time.thread_time()
     with pytest.raises(DecodeError):
         reply_object(Reply(start + filler * (1_000_000 // len(filler)) + "x", finish_reason="stop"))
-    assert time.perf_counter() - started < 5
+    assert time.thread_time() - started < 5
 
 
 def test_reasons_hold_no_control_characters():
