@@ -13,7 +13,6 @@ from quick_store import NAME, read_store, reported_store
 from worlds import person
 
 from jrdb_avr.loaders.intervals.timeline import Clock
-from jrdb_avr.loaders.problems import total
 
 START = 1_549_578_400.25
 
@@ -127,7 +126,7 @@ def test_a_frame_has_its_number_from_the_entry_or_the_file(tmp_path, frame_id, u
     store, problems = read(tmp_path, {"images": json.dumps({"data": [made]})})
     known = frame_id is not None or (url or "").startswith(("image", "000"))
     assert rows(store) == ([(3, START + 3)] if known else [])
-    assert total(problems) == (0 if known else 1)
+    assert sum(problem.count for problem in problems) == (0 if known else 1)
 
 
 BROKEN = ["", "[]", "{}", '{"data": {}}', '{"data": 3}', '{"data": [', "x", '{"data": [1, 2', b"\xff\xfe", "[" * 5000]
@@ -149,4 +148,4 @@ def test_repeated_keys_keep_the_first(tmp_path):
     )
     store, problems = read(tmp_path, {"images": text})
     assert rows(store) == [(3, 5.5), (4, 8.5)]
-    assert total(problems) == 3
+    assert sum(problem.count for problem in problems) == 3
