@@ -24,6 +24,8 @@ from jrdb_avr.queries.runs import RunManifest, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError, LockedError, StoreError
 
+pytestmark = pytest.mark.usefixtures("known_plans")
+
 
 def dump(path):
     with Graph.open(path, read_only=True) as graph:
