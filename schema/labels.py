@@ -15,44 +15,30 @@ from __future__ import annotations
 import functools
 from typing import Final
 
-_POSES: Final = {
-    "walking": "walking",
-    "standing": "standing",
-    "sitting": "sitting",
-    "cycling": "cycling",
-    "going upstairs": "going upstairs",
-    "going downstairs": "going downstairs",
-    "bending": "bending down",
-    "skating": "skating",
-    "scootering": "riding a scooter",
-    "running": "running",
-    "lying": "lying down",
-}
-_OTHER_ACTIONS: Final = {
-    "holding sth": "holding something",
-    "listening to someone": "listening to someone",
-    "talking to someone": "talking to someone",
-    "looking at robot": "looking at the robot",
-    "looking into sth": "looking into something",
-    "looking at sth": "looking at something",
-    "typing": "typing",
-    "interaction with door": "using a door",
-    "eating sth": "eating something",
-    "talking on the phone": "talking on the phone",
-    "pointing at sth": "pointing at something",
-    "reading": "reading",
-    "pushing": "pushing something",
-    "greeting gestures": "making a greeting gesture",
-    "writing": "writing",
-    "pulling": "pulling something",
-}
-
-POSES: Final = tuple(_POSES)
+POSES: Final = (
+    *("walking", "standing", "sitting", "cycling", "going upstairs", "going downstairs", "bending", "skating"),
+    *("scootering", "running", "lying"),
+)
 """Actions that are poses: a person is expected to have exactly one of them."""
 
-OTHER_ACTIONS: Final = tuple(_OTHER_ACTIONS)
+OTHER_ACTIONS: Final = (
+    *("holding sth", "listening to someone", "talking to someone", "looking at robot", "looking into sth"),
+    *("looking at sth", "typing", "interaction with door", "eating sth", "talking on the phone", "pointing at sth"),
+    *("reading", "pushing", "greeting gestures", "writing", "pulling"),
+)
 ACTIONS: Final = POSES + OTHER_ACTIONS
-ACTION_PHRASES: Final = _POSES | _OTHER_ACTIONS
+
+_SPELLED_OUT: Final = {label: label.replace("sth", "something") for label in ACTIONS}
+ACTION_PHRASES: Final = _SPELLED_OUT | {
+    "bending": "bending down",
+    "scootering": "riding a scooter",
+    "lying": "lying down",
+    "looking at robot": "looking at the robot",
+    "interaction with door": "using a door",
+    "pushing": "pushing something",
+    "greeting gestures": "making a greeting gesture",
+    "pulling": "pulling something",
+}
 
 JOINT_PHRASES: Final[dict[str, str]] = {
     "walking together": "walking together with {someone}",
@@ -92,11 +78,7 @@ _ACTION_SPELLINGS: Final = {
     "opening the door": "interaction with door",
     "pushing the door": "interaction with door",
     "holding the door": "interaction with door",
-    "holding something": "holding sth",
-    "looking at something": "looking at sth",
-    "looking into something": "looking into sth",
-    "pointing at something": "pointing at sth",
-    "eating something": "eating sth",
+    **{phrase: label for label, phrase in _SPELLED_OUT.items()},
 }
 
 OCCLUSIONS: Final = ("Fully_visible", "Mostly_visible", "Severely_occluded", "Fully_occluded")

@@ -2,7 +2,7 @@
 
 Categories of things are those of the panoptic layer, verbs those of the reasoning layer.
 
-The order of both tables gives the codes of the marks in sample pictures: append only.
+The order of categories and verbs gives the codes of the marks in sample pictures: append only.
 """
 
 from __future__ import annotations
@@ -93,96 +93,45 @@ OBJECTS: Final = tuple(OBJECT_PHRASES)
 PERSON_CATEGORIES: Final = frozenset({"pedestrian", "bicyclist/rider", "child"})
 """Categories of people: the box layers track and count them."""
 
-VERB_PHRASES: Final[dict[str, str]] = {
+VERBS: Final = (
+    *("working", "opening", "closing", "entering", "exiting", "touching", "cleaning", "watering", "pruning"),
+    *("planting", "sitting", "pushing", "pulling", "carrying", "holding", "looking at", "looking into"),
+    *("looking out", "presenting", "organizing", "leaning", "painting", "installing", "removing", "walking"),
+    *("standing", "running", "repairing", "riding", "parking", "mounting", "depositing", "placing", "warning"),
+    *("blocking", "adjusting", "constructing", "maintaining", "handling/manipulating", "accessing", "inspecting"),
+    *("storing", "pressing", "switching", "drinking", "refilling", "moving", "operating", "displaying", "arranging"),
+    *("talking on", "browsing/engaging", "loading", "unloading", "transporting", "connecting", "using"),
+    *("configuring", "disconnecting", "printing/copying", "identifying", "locating", "promoting", "advertising"),
+    *("finding_something", "putting_something", "directing", "attracting", "investigating", "exploring", "utilizing"),
+    *("understanding", "observing", "turning", "wearing", "adorning", "replacing", "matching", "collecting"),
+    *("folding", "servicing", "feeding", "climbing", "going down", "going up"),
+)
+"""The verbs of the reasoning layer."""
+
+_OTHER_PHRASES: Final = {
     "working": "working at",
-    "opening": "opening",
-    "closing": "closing",
-    "entering": "entering",
     "exiting": "leaving",
-    "touching": "touching",
-    "cleaning": "cleaning",
-    "watering": "watering",
-    "pruning": "pruning",
-    "planting": "planting",
     "sitting": "sitting on",
-    "pushing": "pushing",
-    "pulling": "pulling",
-    "carrying": "carrying",
-    "holding": "holding",
-    "looking at": "looking at",
-    "looking into": "looking into",
     "looking out": "looking out of",
-    "presenting": "presenting",
-    "organizing": "organizing",
     "leaning": "leaning on",
-    "painting": "painting",
-    "installing": "installing",
-    "removing": "removing",
     "walking": "walking on",
     "standing": "standing on",
     "running": "running on",
-    "repairing": "repairing",
-    "riding": "riding",
-    "parking": "parking",
-    "mounting": "mounting",
     "depositing": "depositing something in",
-    "placing": "placing",
     "warning": "warning of",
-    "blocking": "blocking",
-    "adjusting": "adjusting",
-    "constructing": "constructing",
-    "maintaining": "maintaining",
     "handling/manipulating": "handling",
     "accessing": "getting access to",
-    "inspecting": "inspecting",
-    "storing": "storing",
-    "pressing": "pressing",
-    "switching": "switching",
     "drinking": "drinking from",
-    "refilling": "refilling",
-    "moving": "moving",
-    "operating": "operating",
-    "displaying": "displaying",
-    "arranging": "arranging",
-    "talking on": "talking on",
     "browsing/engaging": "browsing",
-    "loading": "loading",
-    "unloading": "unloading",
-    "transporting": "transporting",
-    "connecting": "connecting",
-    "using": "using",
     "configuring": "setting up",
-    "disconnecting": "disconnecting",
     "printing/copying": "printing or copying",
-    "identifying": "identifying",
-    "locating": "locating",
-    "promoting": "promoting",
-    "advertising": "advertising",
     "finding_something": "finding something in",
     "putting_something": "putting something into",
-    "directing": "directing",
     "attracting": "attracting attention with",
-    "investigating": "investigating",
-    "exploring": "exploring",
-    "utilizing": "utilizing",
     "understanding": "trying to understand",
-    "observing": "observing",
-    "turning": "turning",
-    "wearing": "wearing",
-    "adorning": "adorning",
-    "replacing": "replacing",
-    "matching": "matching",
-    "collecting": "collecting",
-    "folding": "folding",
-    "servicing": "servicing",
-    "feeding": "feeding",
-    "climbing": "climbing",
-    "going down": "going down",
-    "going up": "going up",
 }
-"""Each verb of the reasoning layer, as it stands before a thing."""
-
-VERBS: Final = tuple(VERB_PHRASES)
+VERB_PHRASES: Final = {verb: _OTHER_PHRASES.get(verb, verb) for verb in VERBS}
+"""Each verb as it stands before a thing."""
 
 _VERB_OF: Final = {plain(verb): verb for verb in VERBS} | {
     "finding sth": "finding_something",
