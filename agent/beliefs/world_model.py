@@ -18,7 +18,7 @@ from typing import Any, Final
 
 import msgspec
 
-from jrdb_avr.agent.beliefs.grounding import (
+from jrdb_avr.agent.beliefs.arguments import (
     LONGEST_ARGUMENTS,
     NUMBERS,
     as_json,

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import msgspec
 
-from jrdb_avr.agent.beliefs.grounding import printable
+from jrdb_avr.agent.beliefs.arguments import printable
 from jrdb_avr.agent.methods.attempt import DUPLICATE_DEG, PANORAMAS, Attempt, ParsedReply, fixed_settings
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.reference.chat_memory import ChatMemory

@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
-from jrdb_avr.agent.beliefs.grounding import printable
+from jrdb_avr.agent.beliefs.arguments import printable
 from jrdb_avr.agent.methods.attempt import Attempt, heading
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.messages import Message

@@ -13,7 +13,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from jrdb_avr.agent.beliefs.grounding import printable
+from jrdb_avr.agent.beliefs.arguments import printable
 from jrdb_avr.agent.methods.attempt import ImageFrame, on_crop, on_panoramas
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.messages import Part, Picture, metadata_line, picture_of

@@ -28,14 +28,7 @@ from jrdb_avr.loaders.labelfiles.coco import (
     read_images,
     read_list,
 )
-from jrdb_avr.loaders.labelfiles.columns import (
-    LayerTables,
-    Refusals,
-    first_of_equal,
-    known_frames,
-    mask_of,
-    paired,
-)
+from jrdb_avr.loaders.labelfiles.columns import LayerTables, Refusals, first_of_equal, known_frames, mask_of, paired
 from jrdb_avr.loaders.labelfiles.json import ABSENT, BROKEN, NOTHING, parse
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.arrays import Floats, Ints

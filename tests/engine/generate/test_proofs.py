@@ -5,14 +5,7 @@ import pytest
 from built_worlds import SEQUENCE, build
 from quick_store import memory_store
 
-from jrdb_avr.engine.generate.candidates import (
-    PASSED,
-    RULES,
-    Effect,
-    PerturbationResult,
-    first_refusing,
-    proven_rules,
-)
+from jrdb_avr.engine.generate.candidates import PASSED, RULES, Effect, PerturbationResult, first_refusing, proven_rules
 from jrdb_avr.engine.generate.chains import last_person
 from jrdb_avr.engine.generate.conditions import find_conditions
 from jrdb_avr.engine.generate.proofs import expected, failing

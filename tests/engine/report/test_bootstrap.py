@@ -9,15 +9,7 @@ from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jrdb_avr.engine.report.bootstrap import (
-    Interval,
-    cluster_sums,
-    compare,
-    draws,
-    intervals,
-    mcnemar,
-    mean_ratio,
-)
+from jrdb_avr.engine.report.bootstrap import Interval, cluster_sums, compare, draws, intervals, mcnemar, mean_ratio
 from jrdb_avr.engine.report.paper import ABLATION, GROUPS, MAIN
 from jrdb_avr.schema.templates import FAMILIES
 
