@@ -14,6 +14,7 @@ Columns are centres of people in stitched pixels. Of 3D boxes they follow from t
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -75,6 +76,29 @@ class Tracks(Rows):
     box: Floats | None
     """(n, 4), where the layer has boxes in the panorama."""
 
+    def columns_at(self, track: Ints, frame: Ints) -> Floats:
+        """Columns of people at any frame, on straight lines between the layer's own frames; NaN beyond them."""
+        return self._between(self.column, track, frame)
+
+    def boxes_at(self, track: Ints, frame: Ints) -> Floats:
+        """Boxes of people, likewise."""
+        assert self.box is not None
+        return self._between(self.box, track, frame)
+
+    def _between(self, values: Floats, track: Ints, frame: Ints) -> Floats:
+        wanted = paired(track, np.maximum(frame, 0))
+        after = np.minimum(np.searchsorted(self._keys, wanted), len(self._keys) - 1)
+        before = np.where(self._keys[after] == wanted, after, np.maximum(after - 1, 0))
+        start, end = self._keys[before], self._keys[after]
+        inside = (start <= wanted) & (wanted <= end) & (end - start <= MAX_GAP) & (frame >= 0)
+        part = np.where(inside, (wanted - start) / np.maximum(end - start, 1), np.nan)
+        step = _difference(values[after], values[before])
+        return np.asarray(values[before] + (part * step.T).T)
+
+    @cached_property
+    def _keys(self) -> Ints:
+        return paired(self.track, self.frame)
+
 
 class Slope(NamedTuple):
     """The shift in frames that motion tells, and its standard error."""
@@ -124,9 +148,8 @@ def check_shift(layer: str, tracks: Tracks, reference: Tracks | None) -> ShiftCh
 
 def equal_at(tracks: Tracks, reference: Tracks) -> int | None:
     """The shift at which a layer's boxes are the reference's own; None where they are not, or too few boxes move."""
-    look = _Lookup(reference)
     assert tracks.box is not None
-    there = {s: look.boxes(tracks.track, tracks.frame + s) for s in TRIED}
+    there = {s: reference.boxes_at(tracks.track, tracks.frame + s) for s in TRIED}
     same = {s: _apart(tracks.box, there[s]) <= SAME for s in TRIED}
     usable = np.logical_and.reduce([~np.isnan(box[:, 0]) for box in there.values()])
     found = None
@@ -160,11 +183,10 @@ def slope_of(tracks: Tracks, reference: Tracks, moved: int = 0) -> Slope | None:
 
     `moved`: frames by which the layer is moved before it is compared.
     """
-    look = _Lookup(reference)
     here = tracks.frame + moved
-    apart = _wrapped(tracks.column - look.columns(tracks.track, here))
-    ahead = look.columns(tracks.track, here + REACH)
-    speed = _wrapped(ahead - look.columns(tracks.track, here - REACH)) / (2 * REACH)
+    apart = _difference(tracks.column, reference.columns_at(tracks.track, here))
+    ahead, behind = (reference.columns_at(tracks.track, here + away) for away in (REACH, -REACH))
+    speed = _difference(ahead, behind) / (2 * REACH)
     usable = (np.abs(apart) <= MAX_APART) & (np.abs(speed) <= MAX_SPEED)
     track, frame = tracks.track[usable], tracks.frame[usable]
     if not len(track):
@@ -195,8 +217,7 @@ def slope_of(tracks: Tracks, reference: Tracks, moved: int = 0) -> Slope | None:
 
 def nearest_shift(tracks: Tracks, reference: Tracks) -> int:
     """Of the shifts tried, the one at which columns lie closest to those of the reference, people's means left out."""
-    look = _Lookup(reference)
-    apart = np.stack([_wrapped(tracks.column - look.columns(tracks.track, tracks.frame + s)) for s in TRIED])
+    apart = np.stack([_difference(tracks.column, reference.columns_at(tracks.track, tracks.frame + s)) for s in TRIED])
     usable = (np.abs(apart) <= MAX_APART).all(axis=0)
     if not usable.any():
         return 0
@@ -240,47 +261,17 @@ def _sorted(table: pa.Table, column: Floats, box: Floats | None, usable: Bools) 
     return tracks.at(order[usable[order]])
 
 
-class _Lookup:
-    """Where people of a layer are at any frame, on straight lines between its own frames; NaN beyond them."""
-
-    def __init__(self, tracks: Tracks) -> None:
-        self._tracks = tracks
-        self._keys = paired(tracks.track, tracks.frame)
-
-    def columns(self, track: Ints, frame: Ints) -> Floats:
-        before, after, part = self._between(track, frame)
-        column = self._tracks.column
-        return column[before] + part * _wrapped(column[after] - column[before])
-
-    def boxes(self, track: Ints, frame: Ints) -> Floats:
-        before, after, part = self._between(track, frame)
-        box = self._tracks.box
-        assert box is not None
-        step = box[after] - box[before]
-        step[:, 0] = _wrapped(step[:, 0])
-        return np.asarray(box[before] + part[:, None] * step)
-
-    def _between(self, track: Ints, frame: Ints) -> tuple[Ints, Ints, Floats]:
-        """Rows before and after, and the part of the way between them."""
-        wanted = paired(track, np.maximum(frame, 0))
-        after = np.minimum(np.searchsorted(self._keys, wanted), len(self._keys) - 1)
-        before = np.where(self._keys[after] == wanted, after, np.maximum(after - 1, 0))
-        start, end = self._keys[before], self._keys[after]
-        inside = (start <= wanted) & (wanted <= end) & (end - start <= MAX_GAP) & (frame >= 0)
-        part = (wanted - start) / np.maximum(end - start, 1)
-        return before, after, np.where(inside, part, np.nan)
-
-
-def _wrapped(columns: Floats) -> Floats:
-    """Differences of columns, the short way round."""
-    return (columns + WIDTH / 2) % WIDTH - WIDTH / 2
+def _difference(a: Floats, b: Floats) -> Floats:
+    """By how much columns, or boxes, differ; columns the short way round."""
+    difference = a - b
+    columns = difference if difference.ndim == 1 else difference[:, 0]
+    columns[:] = (columns + WIDTH / 2) % WIDTH - WIDTH / 2
+    return difference
 
 
 def _apart(a: Floats, b: Floats) -> Floats:
     """Largest difference of each pair of boxes."""
-    difference = a - b
-    difference[:, 0] = _wrapped(difference[:, 0])
-    return np.asarray(np.abs(difference).max(axis=1))
+    return np.asarray(np.abs(_difference(a, b)).max(axis=1))
 
 
 def _without_means(values: Floats, track: Ints) -> Floats:
