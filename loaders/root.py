@@ -7,6 +7,7 @@ a sequence, the next one serves it. Folders of single cameras, of heads and anyt
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -60,10 +61,8 @@ class SequenceFiles:
         """Bytes of label files; unreadable ones count nothing."""
         sizes = 0
         for path in self.labels.values():
-            try:
+            with contextlib.suppress(OSError):
                 sizes += Path(path).stat().st_size
-            except OSError:
-                continue
         return sizes
 
 
@@ -89,9 +88,9 @@ def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None =
     where a given folder is missing, and for a layer that is none of `LAYER_FILES`.
     """
     root = Path(path)
-    if not _is_folder(root):
-        raise InputError(f"{root} is not a folder: give the folder that holds labels/ or labels_2d_stitched/")
     search = _Search(root)
+    if not search.is_folder(root):
+        raise InputError(f"{root} is not a folder: give the folder that holds labels/ or labels_2d_stitched/")
     given = {layer: search.given(layer, names) for layer, names in (layer_dirs or {}).items()}
     files: dict[str, dict[str, str]] = {}
     for layer in LABEL_DIRS:
@@ -136,7 +135,7 @@ class _Search:
             raise InputError(f"there is no layer {layer}: choose from {', '.join(LAYER_FILES)}")
         folders = [self.root / name for name in names]
         for folder in folders:
-            if not _is_folder(folder):
+            if not self.is_folder(folder):
                 raise InputError(f"{folder}, given for the layer {layer}, is not a folder")
         return folders
 
@@ -227,11 +226,4 @@ def _is_file(entry: os.DirEntry[str]) -> bool:
     try:
         return entry.is_file()
     except OSError:  # a link that leads round in a circle
-        return False
-
-
-def _is_folder(path: Path) -> bool:
-    try:
-        return path.is_dir()
-    except OSError:
         return False
