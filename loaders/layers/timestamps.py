@@ -18,12 +18,13 @@ import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.loaders.labelfiles import records
-from jrdb_avr.loaders.labelfiles.columns import LayerTables
+from jrdb_avr.loaders.labelfiles.columns import LayerTables, whole_numbers
 from jrdb_avr.loaders.labelfiles.frames import read_file
 from jrdb_avr.loaders.labelfiles.json import MalformedError, Members, elements, first_members, members, parse
 from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.errors import InputError
+from jrdb_avr.schema.tables import ANNOTATIONS
 
 _MAX_ENTRIES: Final = 100_000
 _MAX_BYTES: Final = 32 << 20
@@ -78,17 +79,11 @@ def load_timestamps(folder: Path, problems: Problems) -> LayerTables:
         raise errors[0] if errors else InputError("there is neither frames_img.json nor frames_pc.json")
     for unusable in errors:
         problems.add("file", str(unusable))
-    names = [name for name, stamps in found.items() for _ in stamps]
-    frame = np.array([stamp.frame for stamps in found.values() for stamp in stamps], np.int64)
-    table = pa.table(
-        {
-            "sensor": pa.array(names, pa.string()),
-            "frame": frame,
-            "timestamp": pa.array([stamp.seconds for stamps in found.values() for stamp in stamps], pa.float64()),
-        }
-    )
-    known, records = np.unique(frame, return_counts=True)
-    return LayerTables({"timestamps": table}, {"timestamps": (known, records)})
+    schema = ANNOTATIONS["timestamps"].remove(0)
+    rows = [(name, *stamp) for name, stamps in found.items() for stamp in stamps]
+    table = pa.Table.from_pylist([dict(zip(schema.names, row, strict=True)) for row in rows], schema)
+    known = np.unique(whole_numbers(table, "frame"), return_counts=True)
+    return LayerTables({"timestamps": table}, {"timestamps": known})
 
 
 def frame_rate(frame: Ints, seconds: Sequence[float]) -> float | None:
