@@ -270,13 +270,8 @@ def _check_condition(field: str, condition: Condition, plan: Plan) -> None:
 
 def _check_reach(plan: Plan) -> None:
     reached = {plan.root}
-    grown = True
-    while grown:
-        grown = False
-        for edge in plan.edges:
-            if edge.source in reached and edge.target not in reached:
-                reached.add(edge.target)
-                grown = True
+    for _ in plan.nodes:
+        reached |= {edge.target for edge in plan.edges if edge.source in reached}
     for i, node in enumerate(plan.nodes):
         if node.id not in reached:
             field = "target" if node.id == plan.target else f"nodes[{i}].id"

@@ -12,9 +12,10 @@ from typing import Final
 
 import msgspec
 
+from jrdb_avr.schema.beliefs import TIMELESS
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.labels import ACTION_PHRASES, INTERACTION_PHRASES
-from jrdb_avr.schema.plan import Condition
+from jrdb_avr.schema.plan import Attribute, Condition
 from jrdb_avr.schema.rules import CONDITION_KINDS
 from jrdb_avr.schema.wording.phrases import FAR_AWAY, handled, handling, phrase_of
 
@@ -141,15 +142,14 @@ def read_description(text: str, at: str) -> tuple[Condition, ...]:
         raise PlanError("question", f"{text[:80]!r} describes nobody")
     gender, age = next(key for key, head in _HEADS.items() if head == match["head"])
     sector, distance = _PLACES[match["place"] or ""]
-    conditions = [] if gender is None else [Condition(attribute="gender", value=gender)]
-    if age is not None:
-        conditions.append(Condition(attribute="age", value=age))
+    values: dict[Attribute, str | None] = {"gender": gender, "age": age, "sector": sector, "distance": distance}
+    conditions = [
+        Condition(attribute=name, value=value, at=None if name in TIMELESS else at)
+        for name, value in values.items()
+        if value is not None
+    ]
     if match["state"]:
         conditions += [_read_state(part, at) for part in re.split(", | and ", match["state"])]
-    if sector is not None:
-        conditions.append(Condition(attribute="sector", value=sector, at=at))
-    if distance is not None:
-        conditions.append(Condition(attribute="distance", value=distance, at=at))
     return in_order(conditions)
 
 
