@@ -64,14 +64,19 @@ class EpisodeRow(_Row, frozen=True):
     plan: str
 
 
-class ObservationRow(_Row, frozen=True):
+class _NodeRow(_Row, frozen=True):
+    """A row of a node of an episode, whose key begins with the episode's."""
+
+    id: str
+    episode: str
+
+
+class ObservationRow(_NodeRow, frozen=True):
     """A row of `Observation` without the hash, and of `Made` from its episode.
 
     A crop covers columns [left, left + width) of the panorama, over the seam; a whole panorama all 3760.
     """
 
-    id: str
-    episode: str
     number: int
     step: int
     frame: int
@@ -80,11 +85,9 @@ class ObservationRow(_Row, frozen=True):
     width: int
 
 
-class EntityRow(_Row, frozen=True):
+class EntityRow(_NodeRow, frozen=True):
     """A row of `Entity` without the hash, and of `Holds` from its episode. Only `kind` and `node` may change."""
 
-    id: str
-    episode: str
     name: str
     number: int
     kind: str
@@ -92,15 +95,13 @@ class EntityRow(_Row, frozen=True):
     step: int
 
 
-class SlotRow(_Row, frozen=True):
+class SlotRow(_NodeRow, frozen=True):
     """A row of `Slot`, and of `Asks` from its episode: a part of the plan.
 
     kind: a node (a person to be found), a condition, an edge, or the read. What a kind lacks is "", and -1 for the
     frame of a part at no stated time.
     """
 
-    id: str
-    episode: str
     number: int
     kind: str
     node: str
@@ -119,11 +120,10 @@ class XYWH(NamedTuple):
     h: float
 
 
-class SightingRow(_Row, frozen=True):
-    """A row of `Sighted`; source and target are keys of the nodes.
+class _EdgeRow(_Row, frozen=True):
+    """A row of an edge; source and target are keys of the nodes.
 
-    write: the write that made it; no two edges of an episode have the same. box: as the agent saw it; angle: that of
-    the box's centre.
+    write: the write that made it; no two edges of an episode have the same.
     """
 
     source: str
@@ -131,19 +131,19 @@ class SightingRow(_Row, frozen=True):
     episode: str
     write: int
     step: int
+
+
+class SightingRow(_EdgeRow, frozen=True):
+    """A row of `Sighted`. box: as the agent saw it; angle: that of the box's centre."""
+
     frame: int
     box: XYWH
     angle: float
 
 
-class AttributeRow(_Row, frozen=True):
+class AttributeRow(_EdgeRow, frozen=True):
     """A row of `Has`. `value` is a text; `number` its number, 0 where it is none."""
 
-    source: str
-    target: str
-    episode: str
-    write: int
-    step: int
     name: str
     value: str
     number: float
@@ -151,14 +151,9 @@ class AttributeRow(_Row, frozen=True):
     last: int
 
 
-class RelationRow(_Row, frozen=True):
+class RelationRow(_EdgeRow, frozen=True):
     """A row of `Related`; `observation` is the key of its node."""
 
-    source: str
-    target: str
-    episode: str
-    write: int
-    step: int
     name: str
     observation: str
     first: int
