@@ -8,6 +8,7 @@ a sequence, the next one serves it. Folders of single cameras, of heads and anyt
 from __future__ import annotations
 
 import contextlib
+import fnmatch
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -143,13 +144,7 @@ class _Search:
         """The folders of a layer that exist, the preferred one first."""
         found = []
         for name in LABEL_DIRS[layer]:
-            stem = name.removesuffix("*")
-            fits = {
-                entry
-                for entries in self._names.values()
-                for entry in entries
-                if entry == stem or (stem != name and entry.startswith(stem))
-            }
+            fits = {entry for entries in self._names.values() for entry in fnmatch.filter(entries, name)}
             found += [base / entry for entry in sorted(fits) for base in self._names if entry in self._names[base]]
         return found
 
