@@ -12,40 +12,38 @@ from typing import Final
 
 from jrdb_avr.schema.labels import plain
 
-OBJECT_PHRASES: Final[dict[str, str]] = {
+OBJECTS: Final = (
+    *("road", "terrain", "sky", "vegetation", "wall", "column", "building", "stair", "ceiling", "barrier/fence"),
+    *("crutch", "fire_extinguisher", "big_socket/button", "airpot", "controller", "umbrella", "animal", "monitor"),
+    *("carpet", "cabinet", "jacket", "emergency_pole", "helmet", "peripheral", "curtain", "box", "document"),
+    *("television", "light_pole", "board", "manhole", "phone", "ladder", "waterbottle", "picture_frames", "standee"),
+    *("store_sign", "statues", "cargo", "tableware", "accessory", "other", "clock", "golfcart", "wall_panel"),
+    *("decoration", "hanging_light", "window", "poster", "lift", "vent", "fountain", "door_handle"),
+    *("floor/walking_path", "machines", "child", "trash_bin", "shelf", "car", "bicycle/scooter", "bag"),
+    *("big_vehicle", "chair/sofa", "pedestrian", "sign", "trolley", "pole/trafficcone", "bicyclist/rider", "table"),
+    *("skateboard/segway/hoverboard", "glass", "door"),
+)
+"""The categories, in the standard numbering of the panoptic layer."""
+
+
+def _noun_phrase(category: str) -> str:
+    noun = category.replace("_", " ").replace("/", " or ")
+    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
+
+
+OBJECT_PHRASES: Final = {category: _noun_phrase(category) for category in OBJECTS} | {
     "road": "the road",
     "terrain": "the ground",
     "sky": "the sky",
     "vegetation": "some plants",
-    "wall": "a wall",
-    "column": "a column",
-    "building": "a building",
     "stair": "the stairs",
     "ceiling": "the ceiling",
-    "barrier/fence": "a barrier or fence",
-    "crutch": "a crutch",
-    "fire_extinguisher": "a fire extinguisher",
     "big_socket/button": "a large socket or button",
     "airpot": "a thermos jug",
-    "controller": "a controller",
-    "umbrella": "an umbrella",
-    "animal": "an animal",
-    "monitor": "a monitor",
-    "carpet": "a carpet",
-    "cabinet": "a cabinet",
-    "jacket": "a jacket",
     "emergency_pole": "an emergency call pole",
-    "helmet": "a helmet",
     "peripheral": "a computer accessory",
-    "curtain": "a curtain",
-    "box": "a box",
-    "document": "a document",
-    "television": "a television",
     "light_pole": "a lamp post",
-    "board": "a board",
     "manhole": "a manhole cover",
-    "phone": "a phone",
-    "ladder": "a ladder",
     "waterbottle": "a water bottle",
     "picture_frames": "a picture frame",
     "standee": "a display stand",
@@ -53,42 +51,18 @@ OBJECT_PHRASES: Final[dict[str, str]] = {
     "statues": "a statue",
     "cargo": "some cargo",
     "tableware": "some tableware",
-    "accessory": "an accessory",
     "other": "some other kind of object",
-    "clock": "a clock",
     "golfcart": "a golf cart",
-    "wall_panel": "a wall panel",
-    "decoration": "a decoration",
     "hanging_light": "a hanging lamp",
-    "window": "a window",
-    "poster": "a poster",
-    "lift": "a lift",
     "vent": "an air vent",
-    "fountain": "a fountain",
-    "door_handle": "a door handle",
     "floor/walking_path": "the floor or a path",
     "machines": "a machine",
-    "child": "a child",
-    "trash_bin": "a trash bin",
-    "shelf": "a shelf",
-    "car": "a car",
-    "bicycle/scooter": "a bicycle or scooter",
-    "bag": "a bag",
     "big_vehicle": "a large vehicle",
-    "chair/sofa": "a chair or sofa",
-    "pedestrian": "a pedestrian",
-    "sign": "a sign",
-    "trolley": "a trolley",
     "pole/trafficcone": "a pole or traffic cone",
     "bicyclist/rider": "a cyclist or rider",
-    "table": "a table",
-    "skateboard/segway/hoverboard": "a skateboard or segway or hoverboard",
     "glass": "a pane of glass",
-    "door": "a door",
 }
-"""Each category, in the standard numbering of the panoptic layer, as a noun phrase; no two phrases are equal."""
-
-OBJECTS: Final = tuple(OBJECT_PHRASES)
+"""Each category as a noun phrase; no two phrases are equal."""
 
 PERSON_CATEGORIES: Final = frozenset({"pedestrian", "bicyclist/rider", "child"})
 """Categories of people: the box layers track and count them."""
@@ -108,7 +82,7 @@ VERBS: Final = (
 )
 """The verbs of the reasoning layer."""
 
-_OTHER_PHRASES: Final = {
+VERB_PHRASES: Final = {verb: verb for verb in VERBS} | {
     "working": "working at",
     "exiting": "leaving",
     "sitting": "sitting on",
@@ -130,7 +104,6 @@ _OTHER_PHRASES: Final = {
     "attracting": "attracting attention with",
     "understanding": "trying to understand",
 }
-VERB_PHRASES: Final = {verb: _OTHER_PHRASES.get(verb, verb) for verb in VERBS}
 """Each verb as it stands before a thing."""
 
 _VERB_OF: Final = {plain(verb): verb for verb in VERBS} | {
