@@ -7,6 +7,7 @@ People are annotated here too; they stay in the table, but it is the box layers 
 
 from __future__ import annotations
 
+import functools
 import math
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -44,6 +45,8 @@ MAX_SEGMENTATION: Final = 1 << 20
 NO_TRACK: Final = -1
 
 _NO_BOX: Final = (math.nan,) * 4
+# Names of tracks repeat from frame to frame.
+_parse: Final = functools.lru_cache(maxsize=10_000)(parse)
 
 
 class SegmentAnnotation(msgspec.Struct, gc=False):
@@ -72,8 +75,9 @@ _SEGMENTATION: Final = msgspec.json.Decoder(RunLengths | list[list[float]])
 def _track_keys(annotations: list[SegmentAnnotation]) -> list[tuple[int, tuple[bytes, ...]]]:
     """How often the name of the track is written, attributes included."""
     key = b'"tracking_id"'
-    outer = sum(annotation.tracking_id is not NOTHING for annotation in annotations)
-    return [(outer + sum(bytes(annotation.attributes).count(key) for annotation in annotations), (key,))]
+    outer = len([item for item in annotations if item.tracking_id is not NOTHING])
+    attributes = [bytes(item.attributes) for item in annotations if item.attributes is not NOTHING]
+    return [(outer + sum(raw.count(key) for raw in attributes), (key,))]
 
 
 _READER: Final = annotation_reader(
@@ -166,14 +170,14 @@ def _track(row: int, annotation: SegmentAnnotation, refusals: Refusals) -> int:
     raw = bytes(annotation.attributes)
     try:
         if raw not in ABSENT:
-            inner, again = first_members(parse(raw))
+            inner, again = first_members(_parse(raw))
             for key in again:
                 refusals.add("field", records.TWICE, f"attributes.{shorten(key)}", row, raw, 1)
     except ValueError as error:
         refusals.add("field", str(error), "attributes", row, raw, 1)
     raw = bytes(annotation.tracking_id)
     try:
-        outer = None if raw in ABSENT else parse(raw)
+        outer = None if raw in ABSENT else _parse(raw)
         values = (outer, inner.get("tracking_id"), inner.get("floor_id"))
         value = next((value for value in values if value is not None), NO_TRACK)
         return records.whole(value, NO_TRACK, records.MAX_TRACK)

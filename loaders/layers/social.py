@@ -166,9 +166,10 @@ def _lists(found: list[Any], kind: RelationKind) -> list[list[Any] | None]:
 
 def _entry_keys(found: list[Any]) -> list[tuple[int, tuple[bytes, ...]]] | None:
     """The keys of entries, with their number; None where a list is too long or a record has one under both names."""
-    if any(record.interactions is not None and record.hhi is not None for record in found):
+    if [record for record in found if record.hhi is not None and record.interactions is not None]:
         return None
-    lists = [*filter(None, chain.from_iterable(map(attrgetter("interactions", "hhi", "handles"), found)))]
+    columns = [map(attrgetter(name), found) for name in ("interactions", "hhi", "handles")]
+    lists = [*filter(None, chain(*columns))]
     entries = sum(map(len, lists))
     if entries > MAX_ENTRIES and max(map(len, lists)) > MAX_ENTRIES:
         return None

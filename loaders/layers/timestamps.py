@@ -168,8 +168,8 @@ def _file_names(files: object, sensor: Sensor, place: str, problems: Problems) -
 
 def _frame(frame_id: object, names: list[str], sensor: Sensor) -> int:
     """The one frame on which an entry and the names of its files agree. Raises ValueError."""
-    matches = [re.fullmatch(rf"([0-9]{{6}})\.(?:{sensor.suffixes})", name) for name in names]
-    frames = {int(match[1]) for match in matches if match}
+    form = re.compile(rf"([0-9]{{6}})\.(?:{sensor.suffixes})")
+    frames = {int(match[1]) for match in map(form.fullmatch, names) if match}
     if frame_id is not None:
         try:
             frames.add(records.whole(frame_id, 0, _MAX_FRAME))
