@@ -16,7 +16,7 @@ MAX_TURN_DEG: Final = 90.0
 
 
 class UnknownLabel(msgspec.Struct):
-    """A label outside the vocabulary, kept in its normal spelling."""
+    """A label outside the vocabulary, in its normal spelling."""
 
     field: str
     label: str

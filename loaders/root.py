@@ -92,10 +92,10 @@ def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None =
     search = _Search(root)
     if not search.is_folder(root):
         raise InputError(f"{root} is not a folder: give the folder that holds labels/ or labels_2d_stitched/")
-    given = {layer: search.given(layer, names) for layer, names in (layer_dirs or {}).items()}
+    chosen = {layer: search.chosen(layer, names) for layer, names in (layer_dirs or {}).items()}
     files: dict[str, dict[str, str]] = {}
     for layer in LABEL_DIRS:
-        for folder in given[layer] if layer in given else search.usual(layer):
+        for folder in chosen[layer] if layer in chosen else search.usual(layer):
             for file in search.label_files(folder):
                 sequence = search.sequence(file)
                 if sequence is not None:
@@ -107,13 +107,13 @@ def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None =
     sequences = []
     for sequence in sorted(files):
         found = files[sequence]
-        if "2d" not in given:
+        if "2d" not in chosen:
             elsewhere = next((found[layer] for layer in BOXES_ELSEWHERE if layer in found), None)
             if elsewhere is not None:
                 found.setdefault("2d", elsewhere)
         for layer in (TIMESTAMPS, CALIBRATION):
             name = sequence if layer == TIMESTAMPS else CAMERAS_FILE
-            for folder in given[layer] if layer in given else (root / layer, root / "labels" / layer):
+            for folder in chosen[layer] if layer in chosen else (root / layer, root / "labels" / layer):
                 if search.exists(folder / name):
                     found.setdefault(layer, str(folder / name))
         images = image_root / sequence if image_root else None
@@ -130,8 +130,8 @@ class _Search:
         self.notes: list[str] = []
         self._names = {base: self._listing(base) or frozenset() for base in (root / "labels", root)}
 
-    def given(self, layer: str, names: Sequence[str]) -> list[Path]:
-        """Folders that somebody asked for. Raises InputError where one is missing or the layer is unknown."""
+    def chosen(self, layer: str, names: Sequence[str]) -> list[Path]:
+        """The folders in place of a layer's usual ones. Raises InputError for an unknown layer or a missing folder."""
         if layer not in LAYER_FILES:
             raise InputError(f"there is no layer {layer}: choose from {', '.join(LAYER_FILES)}")
         folders = [self.root / name for name in names]

@@ -1,1 +1,1 @@
-"""What is stored and said: types, tables, rules, geometry, wording, marks and errors. Imports nothing else of ours."""
+"""What all packages share: types, tables, rules, geometry, wording, marks and errors. Imports nothing else of ours."""

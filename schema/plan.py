@@ -185,7 +185,7 @@ def canonical(plan: Plan) -> str:
 
 
 def plan_json_schema() -> dict[str, Any]:
-    """The plan's JSON Schema, as an agent is shown it."""
+    """The plan's JSON Schema, as an agent receives it."""
     return msgspec.json.schema(Plan)
 
 

@@ -31,7 +31,7 @@ Pixels = Annotated[float, msgspec.Meta(ge=0, le=10_000)]
 Metres = Annotated[float, msgspec.Meta(ge=0, le=1000)]
 Seconds = Annotated[float, msgspec.Meta(ge=0, le=3600)]
 Wait = Annotated[float, msgspec.Meta(ge=1, le=3600)]
-"""Seconds between two asked times: one keyframe step at least, or both would be the same time."""
+"""Seconds between two times of a question: one keyframe step at least, or both would be the same time."""
 Share = Annotated[float, msgspec.Meta(gt=0, le=1)]
 
 CONDITION_KINDS: Final = (
@@ -86,7 +86,7 @@ class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Ties between descriptions of equal length go to the earlier kinds."""
     max_conditions: Annotated[int, msgspec.Meta(ge=1, le=3)] = 3
     min_wait_s: Wait = 3.0
-    """Least time from the description's time to what is asked, and between two asked times."""
+    """Least time from the description's time to the next time of a question, and between its later times."""
     long_wait_s: Wait = 10.0
     """Least time that long-range questions reach over."""
     search_wait_s: Wait = 2.0
@@ -94,16 +94,16 @@ class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     turn_deg: Annotated[float, msgspec.Meta(ge=0, lt=180)] = 20.0
     """A person watched for an action must have moved by more than this angle, as the robot sees it."""
     gap_min_s: Seconds = 5.0
-    """Least time between two events whose distance in time is asked for."""
+    """Least time between two events where a question reads the seconds between them."""
     count_min: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 4
     """Fewest people that a question lets count."""
     shift_s: Wait = 3.0
-    """How far time.shift moves the asked times."""
+    """How far time.shift moves the times of a question."""
     distance_changed_m: Metres = 1.5
     distance_same_m: Metres = 0.5
-    """Closer or farther when it changes by 1.5 m or more, about the same below 0.5 m; in between nothing is asked."""
+    """Closer or farther when it changes by 1.5 m or more, about the same below 0.5 m; in between no question."""
     visible_share: Share = 0.5
-    """A box counts as shown by a view when at least this share of its width lies inside."""
+    """A view shows a box when at least this share of its width lies inside."""
     near_duplicate_s: Seconds = 2.0
     max_per_person: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 12
     max_answer_share: Share = 0.34

@@ -59,7 +59,7 @@ class Template:
     times, with `{1}` and `{2}` for the question's actions. edges: source and target of each relation. time_queries:
     prefix of the queries `_shift` and `_drop` of the time proofs. single_view: whether one fixed view may answer the
     question. form: name of a form, which is also that of its generator query; the forms of a template are judged
-    together. seeks: what a scene must hold for a candidate, said by the first form for all.
+    together. seeks: what a scene must hold for a candidate; the first form states it for all.
     """
 
     name: str

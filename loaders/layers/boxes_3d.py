@@ -1,6 +1,6 @@
 """The 3D layer: `labels_3d/<sequence>.json` -> the annotation table `boxes_3d`.
 
-Metres in the robot frame: x forward, y left, z up, the box's centre. `rot_z` is kept as written; the heading that
+Metres in the robot frame: x forward, y left, z up, the box's centre. `rot_z` is stored as written; the heading that
 follows from it is `wrap(pi - rot_z)`, which `heading_check` compares with how people move.
 """
 

@@ -84,7 +84,7 @@ def _members(node: yaml.Node | None, place: str, problems: Problems) -> dict[str
         if not isinstance(key, yaml.ScalarNode):
             problems.add("field", "key is no text", frame=place)
         elif key.value in found:
-            problems.add("field", "key twice, the first is kept", frame=place, field=shorten(key.value))
+            problems.add("field", records.TWICE, frame=place, field=shorten(key.value))
         else:
             found[key.value] = value
     return found
@@ -92,8 +92,8 @@ def _members(node: yaml.Node | None, place: str, problems: Problems) -> dict[str
 
 def _camera(name: str, node: yaml.Node, problems: Problems) -> _Row:
     """A row of the table. Raises ValueError where there is no usable matrix."""
-    shown = records.text(name)
-    values = _members(node, shown, problems)
+    sensor = records.text(name)
+    values = _members(node, sensor, problems)
     sizes: list[int | None] = []
     for field in ("width", "height"):
         size = values.get(field)
@@ -101,7 +101,7 @@ def _camera(name: str, node: yaml.Node, problems: Problems) -> _Row:
             sizes.append(None if size is None else records.whole(_scalar(size), 1, MAX_PIXELS))
         except ValueError as error:
             sizes.append(None)
-            problems.add("field", str(error), frame=shown, field=field)
+            problems.add("field", str(error), frame=sensor, field=field)
     if "K" not in values:
         raise ValueError("K is missing")
     matrix = [_number(text) for text in _texts(values["K"])]
@@ -112,7 +112,7 @@ def _camera(name: str, node: yaml.Node, problems: Problems) -> _Row:
         raise ValueError("K: not the matrix of a camera")
     if max(fx, fy, abs(cx), abs(cy)) > MAX_PIXELS:
         raise ValueError("K: number out of range")
-    return shown, sizes[0], sizes[1], fx, fy, cx, cy
+    return sensor, sizes[0], sizes[1], fx, fy, cx, cy
 
 
 def _texts(node: yaml.Node) -> list[str]:

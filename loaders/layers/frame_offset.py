@@ -1,4 +1,4 @@
-"""Whether two layers number their frames alike, told by the people whom both of them hold.
+"""Whether two layers number their frames alike, judged by the people that both hold.
 
 Train files come in two numberings that are two frames apart, and nothing in them says which. A layer at frame f is
 compared with the 2D boxes at f + s. Standing people say nothing, a person's boxes may be off to one side throughout,
@@ -101,7 +101,7 @@ class Tracks(Rows):
 
 
 class Slope(NamedTuple):
-    """The shift in frames that motion tells, and its standard error."""
+    """The shift in frames, estimated from motion, and its standard error."""
 
     frames: float
     error: float

@@ -1,7 +1,7 @@
 """The panoptic layer: `labels_2d_panoptic_stitched_CW/<sequence>.json` -> the tables `panoptic` and `categories`.
 
 Masks of things and of their surroundings, once per second. A thing is known by its track and its category together:
-tracks restart in each category. Category numbers are the file's own, so that each file's list of names is kept beside.
+tracks restart in each category. Category numbers are the file's own, so each file's list of names is stored beside.
 People are annotated here too; they stay in the table, but it is the box layers that count them.
 """
 
@@ -41,7 +41,7 @@ from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.schema.arrays import Ints
 
 MAX_SEGMENTATION: Final = 1 << 20
-"""The most bytes of a mask that is kept; a mask of every second pixel of the panorama takes about as much."""
+"""The most bytes of a mask that is stored; a mask of every second pixel of the panorama takes about as much."""
 NO_TRACK: Final = -1
 
 _NO_BOX: Final = (math.nan,) * 4

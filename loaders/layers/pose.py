@@ -1,6 +1,6 @@
 """The pose layer: `labels_2d_pose_stitched_coco/<sequence>.json` -> the annotation table `poses`.
 
-Seventeen points per person in stitched pixels, kept as written: they may lie past column 3760 or before column 0, and
+Seventeen points per person in stitched pixels, stored as written: they may lie past column 3760 or before column 0, and
 points that are occluded have coordinates too. Only part of the people have a pose, so that a missing one says nothing.
 """
 

@@ -50,7 +50,7 @@ _MOMENT: Final = re.compile(r"[0-9]{1,7}\.[0-9] s \(frame ([0-9]{1,7})\)")
 def render(template: str, plan: Plan, key: str, about: bool = False) -> str:
     """The question's text; `key` (hex, as `question_key` gives it) picks the paraphrase.
 
-    `about` marks a time that is asked for as approximate: True where the action layer is annotated once a second.
+    `about` marks a time that the answer names as approximate: True where the action layer is annotated once a second.
     Templates that ask for no event do not change with it. Raises PlanError for a plan that is not of the template,
     or for which there are no words.
     """
