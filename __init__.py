@@ -6,6 +6,7 @@
     avr.evaluate("store", "react", "marker", limit=20)
     avr.report("store")
 
+In a script these lines stand under `if __name__ == "__main__":`, as parts of the work run in processes that import it.
 Names load on first use, so that the import itself is light. The packages below, from the bottom up:
 
 schema   the data model: plans, answers, tables, rules, errors

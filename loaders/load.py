@@ -269,7 +269,7 @@ def _finish(
             left.unlink(missing_ok=True)
         raise StoreError(
             f"the graph could not be written into {store.path}: is the disk full, or the memory? "
-            "Free some space and load again"
+            'Free some space and load again (and in a script call this under `if __name__ == "__main__":`)'
         ) from None
     _move(store, staging, parts)
     return left_out

@@ -242,11 +242,18 @@ class Store(Displayed):
         if not (self.path / "store.json").exists():
             return f"{self.path}, nothing loaded"
         path, runs = self.question_path("questions"), len(list((self.path / "runs").glob("*/run.json")))
-        questions = pq.read_metadata(path).num_rows if path.exists() else 0
-        return f"{self.path}, {len(self.manifest().sequences)} sequences, {questions} questions, {runs} runs"
+        try:
+            questions = pq.read_metadata(path).num_rows if path.exists() else 0
+            return f"{self.path}, {len(self.manifest().sequences)} sequences, {questions} questions, {runs} runs"
+        except (StoreError, pa.ArrowException, OSError):
+            # To look at a result must not fail.
+            return f"{self.path}, damaged"
 
     def _tables(self) -> Tables:
-        known = self.manifest().sequences if (self.path / "store.json").exists() else {}
+        try:
+            known = self.manifest().sequences
+        except StoreError:
+            return {}
         return {"Sequences": [{"sequence": name, "layers": ", ".join(known[name].layers)} for name in sorted(known)]}
 
     # -- one writer -------------------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
 """The public surface: `import jrdb_avr` offers it lazily and typed, and results display in a notebook."""
 
 import ast
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -117,6 +118,12 @@ def test_a_store_displays_what_it_holds(store, tmp_path):
     assert "<td>2d, pose</td>" in store._repr_html_()
     assert repr(jrdb_avr.Store(tmp_path / "none")) == f"<Store: {tmp_path / 'none'}, nothing loaded>"
     assert "<table>" not in jrdb_avr.Store(tmp_path / "none")._repr_html_()
+    for i, damage in enumerate(("store.json", "questions/questions.parquet")):
+        damaged = jrdb_avr.Store(tmp_path / str(i))
+        shutil.copytree(store.path, damaged.path)
+        (damaged.path / damage).write_text("{")
+        assert repr(damaged) == f"<Store: {damaged.path}, damaged>"
+        assert "damaged" in damaged._repr_html_()
 
 
 def prediction(status):

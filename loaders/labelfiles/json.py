@@ -39,15 +39,18 @@ class MalformedError(ValueError):
     """The text is not JSON in structure: most often it ends too early."""
 
 
-def members(text: bytes | memoryview) -> Iterator[tuple[str, memoryview]]:
+def members(text: bytes | memoryview, strict: bool = False) -> Iterator[tuple[str, memoryview]]:
     """Keys and raw values of an object, repeated keys included.
 
-    Raises MalformedError where the structure breaks, possibly after some members were yielded.
+    strict: a key that is no JSON text breaks the object. Raises MalformedError where the structure breaks, possibly
+    after some members were yielded.
     """
     for key, value in _scan(text, b"{", b"}"):
         try:
             name = msgspec.json.decode(key, type=str)
         except BROKEN:
+            if strict:
+                raise MalformedError("a key is no text") from None
             name = key.decode("utf-8", "replace")
         yield name, value
 

@@ -159,7 +159,7 @@ def record_parts(raw: bytes | memoryview, place: str, problems: Problems, kind: 
     Raises MalformedError if it is no object.
     """
     parts: dict[str, bytes] = {}
-    for name, value in members(raw):
+    for name, value in members(raw, strict=True):
         if name in parts:
             problems.add("field", TWICE, frame=place, field=kind + shorten(name))
         else:

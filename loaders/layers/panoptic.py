@@ -73,11 +73,10 @@ _SEGMENTATION: Final = msgspec.json.Decoder(RunLengths | list[list[float]])
 
 
 def _track_keys(annotations: list[SegmentAnnotation]) -> list[tuple[int, tuple[bytes, ...]]]:
-    """How often the name of the track is written, attributes included."""
-    key = b'"tracking_id"'
-    outer = len([item for item in annotations if item.tracking_id is not NOTHING])
+    """How often the names of the track are written, attributes included."""
+    outer = {b'"tracking_id"': len([item for item in annotations if item.tracking_id is not NOTHING]), b'"floor_id"': 0}
     attributes = [bytes(item.attributes) for item in annotations if item.attributes is not NOTHING]
-    return [(outer + sum(raw.count(key) for raw in attributes), (key,))]
+    return [(count + sum(raw.count(key) for raw in attributes), (key,)) for key, count in outer.items()]
 
 
 _READER: Final = annotation_reader(

@@ -99,7 +99,7 @@ def _stamps(path: Path, sensor: Sensor, problems: Problems) -> list[Stamp]:
     if len(data) > _MAX_BYTES:
         raise InputError(f"{sensor.file}: larger than the limit of {_MAX_BYTES >> 20} MB", file=sensor.file)
     try:
-        top, again = first_members(_tree(data.strip()))
+        top, again = first_members(_tree(data.strip(b" \t\r\n")))
     except ValueError as error:
         raise InputError(f"{sensor.file}: not JSON: {error}", file=sensor.file) from None
     entries = top.get("data")
@@ -138,7 +138,7 @@ def _tree(raw: bytes | memoryview, depth: int = DEPTH) -> Any:
         if first == b"[":
             return [_tree(value, depth - 1) for value in elements(raw)]
         if first == b"{":
-            return Members([(key, _tree(value, depth - 1)) for key, value in members(raw)])
+            return Members([(key, _tree(value, depth - 1)) for key, value in members(raw, strict=True)])
     except MalformedError:
         if depth >= DEPTH - 1:
             raise

@@ -602,6 +602,23 @@ def test_a_key_is_found_wherever_a_window_of_the_file_ends(tmp_path, monkeypatch
     assert ({frame.key: json.loads(frame.raw) for frame in found}, problems) == (frames, [])
 
 
+@pytest.mark.parametrize("width", range(64))
+def test_an_end_that_is_seen_in_a_window_alone_is_no_end(tmp_path, monkeypatch, width):
+    monkeypatch.setattr(labelfile, "_WINDOW", 64)
+    monkeypatch.setattr(labelfile, "_MAX_FRAME", 500)
+    last = json.dumps({"labels": {"000000.jpg": [GOOD], "000015.jpg": "x" * (560 + 2 * width)}})
+    assert frames_of(tmp_path, last + " more") == "x.json: not JSON: there is text after its end"
+    found, problems = frames_of(tmp_path, last)
+    assert ([frame.number for frame in found], [problem.frame for problem in problems]) == ([0], ["000015.jpg"])
+
+
+def test_a_record_with_a_key_that_is_no_text_is_no_object(tmp_path):
+    for key in ('"n\\x"', '"n\t"'):
+        store, found = loaded(tmp_path, raw_2d(json.dumps(GOOD)[:-1] + f", {key}: 1}}"))
+        assert boxes(store) == [(0, 1)]
+        assert [p.reason for p in found.problems] == ["record is no object"]
+
+
 def test_the_first_byte_that_is_not_utf_8_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(labelfile, "_PIECE", 4)
     for place in range(12):

@@ -117,6 +117,14 @@ def test_case_33_the_first_name_that_says_anything_counts(tmp_path):
     assert [(kind, count, field) for kind, _, count, _, field in found(problems)] == [("field", 1, "tracking_id")]
 
 
+def test_case_33_of_attributes_that_stand_twice_the_first_count(tmp_path):
+    content = json.dumps(coco_file({0: [thing(4, SHELF, where="attributes.floor_id")]}, "panoptic"))
+    for other in ('{"floor_id": 5}', "{}", "null"):
+        reading, problems = reading_of(tmp_path, content.replace("}}", f'}}, "attributes": {other}}}', 1).encode())
+        assert things(reading) == [(0, SHELF, 4)]
+        assert [(p.field, p.kind) for p in problems] == [("attributes", "field")]
+
+
 def test_case_33_categories_go_by_name_and_tracks_restart_in_each(tmp_path):
     content = coco_file({0: [thing(1, 5), thing(1, 6), thing(1, 6)], 15: [thing(1, 5)]}, "panoptic")
     content["categories"] = [{"id": 6, "name": "shelf"}, {"id": 5, "name": "door"}]
