@@ -159,12 +159,15 @@ class Client:
         import httpx2
 
         parts = urlsplit(self.base_url)
-        try:
+
+        def get() -> tuple[httpx2.Response, bytes]:
             with _connection(self.base_url) as http:
-                url = f"{parts.scheme}://{parts.netloc}/version"
-                response, data = _exchange(http, _VERSION_TIMEOUT_S, "GET", url)
+                return _exchange(http, _VERSION_TIMEOUT_S, "GET", f"{parts.scheme}://{parts.netloc}/version")
+
+        try:
+            response, data = within(_VERSION_TIMEOUT_S, get)
             version = msgspec.json.decode(data, type=dict[str, Any]).get("version")
-        except (httpx2.HTTPError, EndpointError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        except (httpx2.HTTPError, EndpointError, TimeoutError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             return ""
         return self._one_line(version)[:80] if response.status_code == 200 and isinstance(version, str) else ""
 
@@ -225,7 +228,7 @@ class Client:
             raise EndpointError(f"{self.base_url}: {error}") from None
         if self._secret is not None:
             # A server may echo its request, and replies are stored.
-            data = self._secret.sub(b"[key]", data)
+            data = self._secret.sub(lambda found: found[1] or b"[key]", data)
         if not response.is_success:
             raise self._refusal(response, data)
         try:
@@ -251,11 +254,12 @@ class Client:
         status, message, code = response.status_code, data.decode(errors="replace"), None
         try:
             match msgspec.json.decode(data):
-                case {"error": {"message": str(message), **rest}} | {"message": str(message), **rest}:
-                    code = rest.get("code")
+                case {"error": dict(error)} | dict(error):
+                    code = error.get("code")
+                    message = error["message"] if isinstance(error.get("message"), str) else message
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             pass
-        reason = f"HTTP {status}: {self._one_line(message)}"
+        reason = f"HTTP {status}: {self._one_line(message.strip() or 'the server gives no reason')}"
         busy = status == 429 and code != _NO_CREDIT
         if busy or status >= 500:
             return _BrokenError(reason, _retry_after(response.headers.get("retry-after")), busy)
@@ -279,7 +283,7 @@ def _connection(base_url: str) -> httpx2.Client:
         return httpx2.Client(
             trust_env=environment,
             verify=_certificates(environment),
-            follow_redirects=True,
+            follow_redirects=False,
             headers={"Accept": "application/json", "Accept-Encoding": "identity"},
         )
     except (httpx2.InvalidURL, ValueError, ImportError):
@@ -301,13 +305,18 @@ def _exchange(
 ) -> tuple[httpx2.Response, bytes]:
     """Send a request and read the whole reply.
 
-    Raises EndpointError for a reply over 16 MB and for a compressed one, of which few bytes may become many, and
-    httpx2.ReadTimeout for one that has not ended in time: the library's timeouts bound each wait for bytes only.
+    Raises EndpointError for a redirect, which would take the request and its key elsewhere, for a reply over 16 MB and
+    for a compressed one, of which few bytes may become many. Raises httpx2.ReadTimeout for a reply that has not ended
+    in time: the library's timeouts bound each wait for bytes only.
     """
     import httpx2
 
     timeout = httpx2.Timeout(timeout_s, connect=min(timeout_s, _CONNECT_S))
     with http.stream(method, url, timeout=timeout, **sent) as response:
+        if response.has_redirect_location:
+            raise EndpointError(
+                f"the server redirects to another address (HTTP {response.status_code}): give that one as --base-url"
+            )
         if response.headers.get("content-encoding", "").strip().lower() not in ("", "identity"):
             raise EndpointError("the reply is compressed, but the request accepts no compression: switch it off there")
         data, end = bytearray(), time.monotonic() + timeout_s
@@ -404,9 +413,12 @@ def _environment_key() -> str:
 
 
 def _secret_pattern(key: str) -> re.Pattern[bytes] | None:
-    """Matches the key in a reply, also with JSON's escapes, as some servers write / and +; None for a short key."""
+    """Matches the key in a reply, also with JSON's escapes, as some servers write / and +; None for a short key.
+
+    Also matches an escaped backslash, as group 1, so that its second half is not taken for the escape of the key.
+    """
     forms = (rf"(?:\\?{re.escape(character)}|\\u00(?i:{ord(character):02x}))" for character in key)
-    return re.compile("".join(forms).encode()) if len(key) >= _SECRET else None
+    return re.compile(("".join(forms) + r"|(\\\\)").encode()) if len(key) >= _SECRET else None
 
 
 def _retry_after(value: str | None) -> float | None:

@@ -156,8 +156,10 @@ def test_waiting_for_a_busy_server_leaves_the_retries():
         assert client(server)[0].complete(ASK).content == "hi"
 
 
-def test_an_account_without_credit_is_told_at_once():
-    body = json.dumps({"error": {"message": "no more", "code": "insufficient_quota"}}).encode()
+@pytest.mark.parametrize("said", [{"message": "no more"}, {"message": None}, {}])
+@pytest.mark.parametrize("wrap", [lambda error: {"error": error}, lambda error: error], ids=["nested", "flat"])
+def test_an_account_without_credit_is_told_at_once(said, wrap):
+    body = json.dumps(wrap({**said, "code": "insufficient_quota"})).encode()
     with FakeServer(sequence_of(Body(body, code=429))) as server, pytest.raises(EndpointError, match="credit"):
         client(server)[0].complete(ASK)
     assert len(server.requests) == 1
@@ -205,7 +207,7 @@ def test_a_reply_that_drips_is_given_up():
 
 
 @pytest.mark.parametrize("said", [b"a", b"HTTP/1.1 102 Processing\r\n\r\n"], ids=["head", "announcements"])
-def test_a_reply_that_never_begins_is_given_up(said):
+def test_a_reply_that_never_begins_is_given_up(said, monkeypatch):
     """A byte of a header line, or an announcement that the reply is to come, again and again, each in time.
 
     Were all of them waited for, the connection would end in another error.
@@ -214,8 +216,7 @@ def test_a_reply_that_never_begins_is_given_up(said):
         listening.bind(("127.0.0.1", 0))
         listening.listen(8)
 
-        def drip():
-            connection, _ = listening.accept()
+        def drip(connection):
             with connection, contextlib.suppress(OSError):
                 connection.recv(1 << 16)
                 connection.sendall(b"HTTP/1.1 200 OK\r\nX: " if said == b"a" else b"")
@@ -223,10 +224,18 @@ def test_a_reply_that_never_begins_is_given_up(said):
                     time.sleep(0.05)
                     connection.sendall(said)
 
-        threading.Thread(target=drip, daemon=True).start()
+        def serve():
+            for _ in range(2):
+                threading.Thread(target=drip, args=listening.accept()[:1], daemon=True).start()
+
+        threading.Thread(target=serve, daemon=True).start()
         made = Client(f"http://127.0.0.1:{listening.getsockname()[1]}/v1", "x", Options(timeout_s=0.2, retries=0))
         with pytest.raises(EndpointError, match=r"no whole reply within 0.2 s \(1 tries\)"):
             made.complete(ASK)
+        monkeypatch.setattr("jrdb_avr.agent.model.client._VERSION_TIMEOUT_S", 0.2)
+        began = time.monotonic()
+        assert made.server_version() == ""
+        assert time.monotonic() - began < 10
 
 
 def test_retries_end():
@@ -246,6 +255,22 @@ def test_a_refusal_is_not_tried_again(code):
         made, _ = client(server)
         with pytest.raises(EndpointError, match=f"HTTP {code}"):
             made.complete(ASK)
+    assert len(server.requests) == 1
+
+
+@pytest.mark.parametrize("body", [b"", b" ", b'{"error": {"message": ""}}'])
+def test_a_refusal_without_a_reason_says_so(body):
+    words = r"HTTP 400: the server gives no reason$"
+    with FakeServer(sequence_of(Body(body, code=400))) as server, pytest.raises(EndpointError, match=words):
+        client(server)[0].complete(ASK)
+
+
+def test_a_redirect_is_refused_whatever_its_body():
+    bomb = gzip.compress(bytes(5_000_000))
+    headers = (("Location", "/v1/elsewhere"), ("Content-Encoding", "gzip"))
+    script, words = sequence_of(Body(bomb, code=307, headers=headers), "hi"), r"redirects .*HTTP 307.*--base-url"
+    with FakeServer(script) as server, pytest.raises(EndpointError, match=words):
+        client(server)[0].complete(ASK)
     assert len(server.requests) == 1
 
 
@@ -633,6 +658,16 @@ def test_a_key_in_jsons_escapes_is_not_stored_either(monkeypatch, tmp_path):
         made, _ = client(server, cache=tmp_path / CALLS)
         assert key not in str(made.complete(ASK)) + str(made.served) + made.server_version()
     assert made.served == ("[key]",)
+
+
+@pytest.mark.parametrize("key", [SECRET, "/" + SECRET])
+@pytest.mark.parametrize("before", ["", "\\", "\\\\", "\n"])
+@pytest.mark.parametrize("escape", [str, lambda body: body.replace("/", "\\/")])
+def test_what_stands_before_the_key_stays(monkeypatch, key, before, escape):
+    monkeypatch.setenv("OPENAI_API_KEY", key)
+    body = escape(json.dumps(completion(f"k {before}{key}"))).encode()
+    with FakeServer(sequence_of(Body(body))) as server:
+        assert client(server, retries=0)[0].complete(ASK).content == f"k {before}[key]"
 
 
 def test_nothing_of_this_machine_is_told():
