@@ -78,9 +78,13 @@ def full_sides(reading: Reading, convention: Convention, size: Size) -> tuple[fl
 def _numbers(value: object, reading: Reading, what: str) -> list[float]:
     """Whole numbers, as the contract asks; any finite ones where the convention's scale is 0..1."""
     whole = reading.scale != "unit"
+    kinds = (int,) if whole else (int, float)
     numbers: list[Any] = value if isinstance(value, list) and len(value) == 4 else [None]
-    if any(finite(number) is None or (whole and isinstance(number, float)) for number in numbers):
+    if any(type(number) not in kinds for number in numbers):
         raise DecodeError(f"{what} must be a list of four {'integers' if whole else 'numbers'}")
+    # An integer that no float holds is finite, and told to lie outside.
+    if any(isinstance(number, float) and not math.isfinite(number) for number in numbers):
+        raise DecodeError(f"{what} must be a list of four finite numbers")
     return numbers
 
 
@@ -202,9 +206,11 @@ def frame_id(value: object, what: str = "frame_id") -> int:
 
 def angle(value: object) -> float:
     """A finite angle in degrees, wrapped to [0, 360)."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise DecodeError("angle_deg must be a number of degrees")
     degrees = finite(value)
     if degrees is None:
-        raise DecodeError("angle_deg must be a number of degrees")
+        raise DecodeError("angle_deg must be a finite number of degrees")
     return degrees % 360.0 % 360.0
 
 

@@ -8,6 +8,7 @@ not interrupted, and the same request gets the same reply.
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Final, TypeVar
@@ -29,7 +30,7 @@ _HASHED: Final = 2.0**64
 _Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 
 
-class Knobs(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class Knobs(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Error rates of the simulated model, shares of 0 to 1; with none above 0, no byte of a reply changes.
 
     wrong_box: share of boxes that are shifted or another person's. wrong_attribute: share of a mark's readable fields
@@ -63,16 +64,18 @@ def parse(settings: Iterable[str]) -> Knobs:
         if name in values:
             raise InputError(f"the knob {name} is set twice")
         try:
-            values[name] = getattr(msgspec.convert({name: text}, Knobs, strict=False), name)
-        except msgspec.ValidationError:
+            if name == "seed" and not re.fullmatch("[0-9]{1,16}", text):
+                raise ValueError
+            value = int(text) if name == "seed" else float(text)
+            values[name] = getattr(msgspec.convert({name: value}, Knobs), name)
+        except (ValueError, msgspec.ValidationError):
             raise InputError(f"{name}={text[:40]} must be {_RANGES.get(name, 'a number from 0 to 1')}") from None
     return msgspec.convert(values, Knobs)
 
 
 def turned(knobs: Knobs) -> dict[str, float]:
     """The knobs that differ from their defaults, for a run's manifest."""
-    values: dict[str, float] = msgspec.to_builtins(knobs)
-    return values
+    return {name: value for name, value in msgspec.structs.asdict(knobs).items() if value != getattr(PERFECT, name)}
 
 
 def settings(knobs: Knobs) -> list[str]:

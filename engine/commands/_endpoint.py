@@ -35,12 +35,12 @@ _REQUEST: Final[dict[str, tuple[str, click.ParamType[Any], str]]] = {
 """Per field of `Options`: its flag, its type and its help."""
 
 
-def endpoint_options(models: str = ".") -> Callable[[_C], Callable[..., Any]]:
+def endpoint_options(optional: bool = False) -> Callable[[_C], Callable[..., Any]]:
     """Add the options of a model's server; the command gets `model`, `base_url`, and all others as one `options`.
 
-    `models` ends the help of `--model`. A model without an address is a usage error, unless it is the built-in one or
-    none.
+    A model without an address is a usage error, unless it is the built-in one or, where a model is `optional`, none.
     """
+    models = ", 'none' for a method of your own without any." if optional else "."
     server = [
         click.option(
             "--model", required=True, help=f"Id of the model; 'marker' is the built-in reader of marks{models}"
@@ -59,7 +59,7 @@ def endpoint_options(models: str = ".") -> Callable[[_C], Callable[..., Any]]:
             if math.isnan(options.timeout_s):
                 raise click.UsageError("--timeout must be a number of seconds")
             model = values["model"]
-            if values["base_url"] is None and model not in ("marker", "none"):
+            if values["base_url"] is None and model != "marker" and not (optional and model == "none"):
                 raise click.UsageError(f"--model {model} needs --base-url, the address of the server that has it")
             return function(**values, options=options)
 

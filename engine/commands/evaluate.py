@@ -43,7 +43,7 @@ panoramas:
     metavar="METHOD",
     help=f"How questions are answered: {', '.join(METHODS)}; or one of your own, as FILE.py:NAME or MODULE:NAME.",
 )
-@endpoint_options(", 'none' for a method of your own without any.")
+@endpoint_options(optional=True)
 @click.option("--run-id", help="Name of the run; METHOD-MODEL if left out.")
 @click.option("--questions", "picked", help="Question ids with commas between, or a file with one id per line.")
 @click.option("--limit", type=click.IntRange(1), help="Ask at most this many.")
@@ -86,11 +86,11 @@ def command(
     from jrdb_avr.agent.simulated.noise import parse
     from jrdb_avr.engine.run.evaluate import check_arguments, evaluate
 
-    marker = parse(noise)
     try:
-        check_arguments(options["method"], options["model"], options["base_url"], marker, options["world_db"])
+        check_arguments(options["method"], options["model"], options["base_url"], bool(noise), options["world_db"])
     except InputError as error:
         raise click.UsageError(str(error)) from None
+    marker = parse(noise)
     questions = None if picked is None else _ids(picked)
     terminal = sys.stderr.isatty()
     latest, printed = "", 0.0

@@ -117,11 +117,11 @@ def _row(table: str, record: object, **known: Any) -> dict[str, Any]:
     """A row of a table of `RUNS` without its run id: `known` values, and the record's attributes for all others."""
     names = [name for name in RUNS[table].names if name not in known and name != "run_id"]
     values = {name: getattr(record, name) for name in names}
-    # Lone surrogates, which UTF-8 cannot hold, are written out.
+    # Lone surrogates, which UTF-8 cannot hold, are written out; in a short name they are a fault.
     texts = {
         name: value.encode("utf-8", "backslashreplace").decode()
         for name, value in values.items()
-        if isinstance(value, str)
+        if isinstance(value, str) and name not in ("kind", "tool")
     }
     return {**known, **values, **texts}
 

@@ -112,7 +112,7 @@ def evaluate(
         evaluate("store", "react", "marker", limit=20)
     """
     store = Store.of(store)
-    check_arguments(method, model, base_url, marker, world_db)
+    check_arguments(method, model, base_url, marker != PERFECT, world_db)
     name = method if isinstance(method, str) else method.name
     run_id = run_id or default_run_id(name, model)
     folder = store.run_path(run_id)
@@ -160,15 +160,13 @@ def evaluate(
     return RunResult(run_id, predictions, manifest.synthetic)
 
 
-def check_arguments(
-    method: str | Method, model: str, base_url: str | None, marker: Knobs, world_db: Path | None
-) -> None:
+def check_arguments(method: str | Method, model: str, base_url: str | None, noisy: bool, world_db: Path | None) -> None:
     """Raises InputError, in the words of the command's options, for arguments that contradict each other."""
     if isinstance(method, str) and method not in METHODS and not is_custom(method):
         raise InputError(f"{method!r} is none of {', '.join(METHODS)}, nor FILE.py:NAME or MODULE:NAME", field="method")
     if model == NO_MODEL and method in METHODS:
         raise InputError(f"--model none: {method} needs a model", field="model")
-    if marker != PERFECT and (model != MARKER or base_url is not None):
+    if noisy and (model != MARKER or base_url is not None):
         raise InputError(
             "--marker sets how the built-in marker model plays: give it with --model marker alone", field="marker"
         )

@@ -1,5 +1,6 @@
 """The strict contract of replies, and that boxes survive the way there and back."""
 
+import dataclasses
 import inspect
 import json
 import time
@@ -264,6 +265,15 @@ def test_answers_that_do_not_fit(mode, value):
         read_answer(value, mode, 4, 1000)
 
 
+@pytest.mark.parametrize(
+    ("degrees", "said"),
+    [("90", "must be a number"), (True, "must be a number"), (10**400, "a finite number"), (1e999, "a finite number")],
+)
+def test_what_is_said_of_an_angle_that_is_none(degrees, said):
+    with pytest.raises(DecodeError, match=f"{said}.* of degrees"):
+        decode.angle(degrees)
+
+
 # -- boxes ------------------------------------------------------------------------------------------------------------
 
 
@@ -276,6 +286,22 @@ def test_a_box_in_thousandths():
     assert (seen.frame, seen.box, seen.key) == (150, Box(0, 120, 240, 360), "bbox")
     wide = read_evidence(evidence([0, 250, 500, 1000]), {150}, (3760, 480))
     assert wide.box == Box(0, 120, 1880, 360)
+
+
+@pytest.mark.parametrize(
+    ("scale", "number", "said"),
+    [
+        ("thousandths", 10**400, "box has a coordinate outside 0..1000"),
+        ("unit", 10**400, "box has a coordinate outside 0..1"),
+        ("unit", float("inf"), "box must be a list of four finite numbers"),
+        ("unit", True, "box must be a list of four numbers"),
+        ("thousandths", float("inf"), "box must be a list of four integers"),
+    ],
+)
+def test_what_is_said_of_numbers_without_bounds(scale, number, said):
+    convention = dataclasses.replace(CONTRACT, scales={"bbox": scale})
+    with pytest.raises(DecodeError, match=f"^{said}$"):
+        decode.read_box([number, 1, 2, 3], (480, 480), convention, "bbox")
 
 
 def test_two_percent_outside_is_clipped():

@@ -17,7 +17,7 @@ from jrdb_avr.agent.model.decode import reply_object
 from jrdb_avr.agent.model.messages import Message
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.agent.policy.explorer import Look, Sighting
-from jrdb_avr.agent.simulated.noise import PERFECT, Draws, Knobs, misread, parse, settings, with_wrong_boxes
+from jrdb_avr.agent.simulated.noise import PERFECT, Draws, Knobs, misread, parse, settings, turned, with_wrong_boxes
 from jrdb_avr.agent.simulated.server import Server, marker_server
 from jrdb_avr.schema.errors import DecodeError, InputError
 from jrdb_avr.schema.markers import Mark, encode
@@ -85,6 +85,23 @@ def test_knobs_are_read_from_texts_and_written_back():
 
 
 @pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("wrong_box=.1", {"wrong_box": 0.1}),
+        ("wrong_box=1.", {"wrong_box": 1.0}),
+        ("wrong_box=+0.5", {"wrong_box": 0.5}),
+        ("latency=.5", {"latency": 0.5}),
+        ("seed=007", {"seed": 7}),
+        ("wrong_box=0", {}),
+        ("latency=0.0", {}),
+        ("seed=0", {}),
+    ],
+)
+def test_a_manifest_shows_knobs_that_differ_from_their_defaults(text, shown):
+    assert turned(parse([text])) == shown
+
+
+@pytest.mark.parametrize(
     ("texts", "said"),
     [
         (["wrong=0.1"], "no knob"),
@@ -98,6 +115,8 @@ def test_knobs_are_read_from_texts_and_written_back():
         (["latency=601"], "from 0 to 600 seconds"),
         (["seed=1.5"], "whole number"),
         (["seed=-1"], "whole number"),
+        (["seed=1e3"], "whole number"),
+        (["seed=5.0"], "whole number"),
         (["seed=\u0663"], "whole number"),
         (["refusal=0.1", "refusal=0.1"], "twice"),
     ],

@@ -96,3 +96,20 @@ def test_options_that_contradict_are_a_usage_error(store):
     for method, model in (("react", "none"), ("reacts", "marker"), ("a.py:", "none")):
         code, _, err = run("evaluate", "--store", store.path, "--method", method, "--model", model)
         assert (code, "Traceback" in err) == (2, False)
+    ask = (
+        "evaluate",
+        "--store",
+        store.path,
+        "--method",
+        "react",
+        "--model",
+        "m",
+        "--base-url",
+        "http://localhost:1/v1",
+    )
+    assert run(*ask, "--marker", "wrong_box=0")[0] == 2, "given at all, whatever its value"
+
+
+def test_only_evaluate_does_without_a_model(store):
+    assert run("preflight", "--model", "none")[0] == 2
+    assert run("calibrate", "--store", store.path, "--model", "none")[0] == 2

@@ -407,6 +407,12 @@ NAN = float("nan")
         lambda task: (_ for _ in ()).throw(ValueError("\ud800")),
         lambda task: task.record("a step") or Prediction("answered", Choice(1)),
         lambda task: task.record_write(7) or Prediction("answered", Choice(1)),
+        lambda task: Prediction("answered", Choice(1), Evidence(0.9, Box(0.0, 0.0, 1.0, 1.0))),
+        lambda task: Prediction("answered", Choice(1), Evidence(0, Box(0.0, 0.0, True, 1.0))),
+        lambda task: Prediction("answered", Choice(1), n_observations=1.5),
+        lambda task: Prediction("answered", Choice(1), prompt_tokens=1.5),
+        lambda task: task.record(Step("model", "{}", "{}", True)) or Prediction("answered", Choice(1)),
+        lambda task: task.record(Step("\ud800", "{}", "{}", 0.1)) or Prediction("answered", Choice(1)),
     ],
     ids=[
         *(
@@ -422,6 +428,7 @@ NAN = float("nan")
             "decimals",
         ),
         *("huge", "half a character", "no step", "no write"),
+        *("part of a frame", "true as a side", "part of a look", "part of a token", "true seconds", "half a kind"),
     ],
 )
 def test_what_a_method_leaves_that_cannot_be_kept_is_an_error_row(tmp_path, behave):
