@@ -21,8 +21,6 @@ from uuid import UUID
 
 import msgspec
 
-from jrdb_avr.schema.graph import table_ddl
-
 ALWAYS: Final = 10_000_000
 """`last` of a belief that holds at every frame, and `until` of a current one."""
 
@@ -216,11 +214,6 @@ WORLD_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "Related": ("Entity", "Entity", _columns(RelationRow, *_CURRENT, "who STRING", "whom STRING")),
 }
 """Per relationship table: from, to, and its columns as name and type."""
-
-
-def world_ddl() -> list[str]:
-    """CREATE statements of the world namespace, nodes first."""
-    return table_ddl(WORLD_NODES, WORLD_RELS)
 
 
 def episode_key(run_id: str, question_id: str) -> str:

@@ -20,9 +20,9 @@ from jrdb_avr.queries.graph.guard import check_cypher
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.queries.graph.parameters import strip_literals
 from jrdb_avr.queries.graph.wrong_answers import QueryPlan
-from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS, world_ddl
+from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS
 from jrdb_avr.schema.errors import QueryError
-from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
+from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS, table_ddl
 
 _BUFFER_BYTES: Final = 256 << 20
 """Hard limit of the engine's page cache."""
@@ -114,7 +114,7 @@ def make_world_tables(graph: Graph) -> Graph:
     """Make the tables of the world namespace that a graph lacks; the graph, which is closed where that fails."""
     try:
         there = set(graph.query("CALL show_tables() RETURN name AS name", ordered=False)["name"].to_pylist())
-        for name, statement in zip((*WORLD_NODES, *WORLD_RELS), world_ddl(), strict=True):
+        for name, statement in zip((*WORLD_NODES, *WORLD_RELS), table_ddl(WORLD_NODES, WORLD_RELS), strict=True):
             if name not in there:
                 graph.execute(statement)
     except BaseException:

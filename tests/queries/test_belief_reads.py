@@ -13,8 +13,9 @@ from jrdb_avr.queries.compiler.beliefs import find_believed
 from jrdb_avr.queries.compiler.mapping import read_text
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span
-from jrdb_avr.schema.beliefs import world_ddl
+from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS
 from jrdb_avr.schema.errors import PlanError
+from jrdb_avr.schema.graph import table_ddl
 
 KEYS = itertools.count()
 WOMAN = {"attribute": "gender", "value": "female"}
@@ -23,7 +24,7 @@ WOMAN = {"attribute": "gender", "value": "female"}
 class Site:
     def __init__(self):
         self.graph = Graph.memory(prepares=True)
-        for statement in world_ddl():
+        for statement in table_ddl(WORLD_NODES, WORLD_RELS):
             self.graph.execute(statement)
 
     def begun(self, story):

@@ -14,7 +14,8 @@ from random_beliefs import READS, random_plan, random_story
 
 from jrdb_avr.agent.beliefs.solver import BeliefSolver
 from jrdb_avr.queries.graph.handle import Graph
-from jrdb_avr.schema.beliefs import world_ddl
+from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS
+from jrdb_avr.schema.graph import table_ddl
 from jrdb_avr.schema.rules import Rules
 
 RULES = Rules()
@@ -24,7 +25,7 @@ ALL_READS = (*READS, "count")
 @pytest.fixture(scope="module")
 def graph():
     with Graph.memory(prepares=True) as made:
-        for statement in world_ddl():
+        for statement in table_ddl(WORLD_NODES, WORLD_RELS):
             made.execute(statement)
         yield made
 

@@ -60,7 +60,7 @@ def test_a_run_is_resumed_under_equal_settings_only(store, tmp_path):
     ask = ("evaluate", "--store", store.path, "--method", f"{file}:Mine", "--model", "none")
     assert run(*ask)[0] == 0
     assert run(*ask, "--resume")[0] == 0
-    file.write_text(text.replace("'n': 1", "'n': 2"))
+    file.write_text(text.replace("'n': 1", "'n': 20"))
     code, _, err = run(*ask, "--resume")
     assert code == 1
     assert "settings" in err and err.count("\n") == 1
