@@ -217,7 +217,7 @@ def _unread(reader: BeliefReader, plan: Plan, people: Mapping[str, str]) -> tupl
 
 
 class _Part(NamedTuple):
-    """A part of a plan about one node or two: who satisfies it, and what is missing otherwise, in words.
+    """A condition, sighting or edge of a plan: the entities that satisfy it, and what to report if none do.
 
     counts: whether it is a condition or an edge, not only a sighting of the node.
     """

@@ -108,7 +108,7 @@ def _crossed(rows: Sequence[Mapping[str, Any]], rules: Sequence[str]) -> list[di
 
 
 _REASONS: Final = ("why", "skipped", "reason")
-"""Columns whose texts are printed below their table."""
+"""Columns of explanations, which are too long for a cell and are printed as lines below their table."""
 
 
 def _print_table(rows: Sequence[Mapping[str, Any]], title: str) -> None:

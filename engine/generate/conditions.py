@@ -168,7 +168,7 @@ class Conditions:
 
 
 class _Column(NamedTuple):
-    """One condition, its state of every sighting, and whose it may describe."""
+    """A condition, whether it holds for each sighting (true, false, unsure), and which sightings it may describe."""
 
     condition: Condition
     state: States

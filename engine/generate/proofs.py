@@ -1,4 +1,4 @@
-"""The proofs of a question: the stored ones, those that its template and plan expect, and those that must hold."""
+"""Proofs of a question: the rows to store, those that its template and plan require, and the check that all hold."""
 
 from __future__ import annotations
 

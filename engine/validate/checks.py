@@ -48,13 +48,13 @@ CHECKS: Final = {
     "selection": "shares of answers and questions per person obey the rules",
     "rederive": "the second program finds the same person, answer and needed boxes",
 }
-"""What is checked, in the order in which it is reported."""
+"""Checks of stored questions: name and the statement that is tested, in the order of the report."""
 
 REPLAY_CHECKS: Final = {
     "replay": "every proof, run again from the stored plan, gives the stored result",
     "compiled": "the plan, compiled to Cypher, finds the stored people and answer in the graph",
 }
-"""What is also checked when the proofs run again."""
+"""Further checks of `--replay`: name and the statement that is tested."""
 
 _FILES: Final = ("questions", "sequences", "answers", "evidence", "rejected")
 _STATED: Final = re.compile(r"(\S+) s \(frame (\d+)\)")

@@ -130,7 +130,7 @@ def _form(name: str, plan: Plan) -> tuple[Template, Slots]:
 
 @dataclass(frozen=True)
 class ReplayJob:
-    """A sequence whose questions' proofs run again."""
+    """The work of one process: a sequence, and those of its questions whose proofs are computed again."""
 
     store: Path
     sequence: str

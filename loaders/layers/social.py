@@ -67,7 +67,7 @@ class Record(msgspec.Struct, gc=False):
 
 
 class SocialRecord(Record, gc=False):
-    """A record of which everything is read."""
+    """A record of the social or reasoning layer with all fields."""
 
     demographics_info: msgspec.Raw = NOTHING
     group_info: msgspec.Raw = NOTHING
@@ -76,7 +76,7 @@ class SocialRecord(Record, gc=False):
 
 
 class HandlingRecord(Record, gc=False):
-    """A record of which only the things are read; decoding the rest would take half of the time."""
+    """The same record with only the fields about objects; decoding the rest would take half of the time."""
 
     interactions: list[UnreadEntry] | None = msgspec.field(default=None, name="H-interaction")
     hhi: list[UnreadEntry] | None = msgspec.field(default=None, name="HHI")

@@ -70,8 +70,10 @@ class Shape:
 
 
 def find_believed(plan: Plan) -> Find:
-    """Compile a plan's conditions and edges, to a statement whose parameters are the values of `Find.row` and the
-    episode's `hash`. It gives columns who0, who1, ..., every binding once, in any order.
+    """Compile a plan to a Cypher statement over one episode's beliefs that finds the people of its nodes.
+
+    Its parameters are the values of `Find.row` and the episode's `hash`. It gives columns who0, who1, ..., every
+    binding once, in any order.
 
     Raises PlanError where the plan is invalid or not of stated times.
     """

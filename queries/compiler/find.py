@@ -66,7 +66,7 @@ class _Pattern:
         return Find("\n".join(lines), tuple(self.nodes), self.row)
 
     def _person(self, node: str, edges: Edges) -> tuple[str, str, list[str], dict[str, str]]:
-        """The pattern, the tests of what is possible, the sightings bound, and the tests of what is certain by name."""
+        """The parts of a node's MATCH: pattern, tests that unsure facts pass, sightings, named tests of certainty."""
         self.nodes.append(node)
         place = len(self.nodes) - 1
         bound = [self._at(node, time) for time in times_of(self.plan, node)]

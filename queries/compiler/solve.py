@@ -158,7 +158,7 @@ def _read_events(reader: Reader, found: Sequence[_Found]) -> None:
 
 
 def _answers(reader: Reader, read: str, found: Sequence[_Found], rules: Rules) -> Mapping[int, str | None]:
-    """Answers of one kind of read, by the plans' numbers; without those that are unknown, or as None."""
+    """Answers to plans of one kind of read, by number of the plan; an unknown answer is left out or None."""
     if read == "next_action":
         return _next_actions(reader, found)
     stated = [(one, one.frames) for one in found if len(one.frames) == len(one.plan.answer.times)]

@@ -30,7 +30,7 @@ STORE_GRAPH: Final = "graph.kuzu"
 PAGE: Final = 4096
 
 ENDING_S: Final = 5.0
-"""Longest wait for a lock whose holder is about to end."""
+"""Seconds to wait for a lock before it counts as held: a process that was just killed keeps it for a moment."""
 
 _LEAST_FREE: Final = 32 << 20
 """Bytes that must be free on the disk before a graph is written: where the engine runs out of them in the middle of a
