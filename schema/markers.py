@@ -17,6 +17,7 @@ Nothing else in a picture of the sample world is as bright as a plate's white (`
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
@@ -337,15 +338,24 @@ def read(image: MarkImage, *, wrap: bool = False) -> list[Reading]:
         image = np.hstack([image, image[:, :margin]])
     gray: MarkImage = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
     bright = np.asarray(gray > BRIGHT, np.uint8)
-    _, _, stats, _ = cv2.connectedComponentsWithStats(bright, connectivity=4)
-    boxes = stats[1:, :4]
-    least = (GRID_COLUMNS + 1) * MIN_CELL * 0.8, (FIRST_ROWS + 1) * MIN_CELL * 0.8
     found: dict[tuple[int, int], Reading] = {}
-    for x, y, w, h in boxes[(boxes[:, 2:] >= least).all(axis=1)].tolist():
+    for x, y, w, h in _bright_parts(bright):
         reading = _read_plate(gray, x, y, w, h)
         if reading is not None and x < width:
             found.setdefault((x, y), reading)
     return [found[key] for key in sorted(found)]
+
+
+def _bright_parts(bright: MarkImage) -> Iterator[tuple[int, int, int, int]]:
+    """The boxes (x, y, w, h) of the connected bright parts that are large enough for a plate."""
+    least = (GRID_COLUMNS + 1) * MIN_CELL * 0.8, (FIRST_ROWS + 1) * MIN_CELL * 0.8
+    # No part reaches over a column without a bright pixel, and most of a panorama's columns have none.
+    edges = np.flatnonzero(np.diff(bright.any(axis=0), prepend=False, append=False))
+    for left, right in edges.reshape(-1, 2)[edges[1::2] - edges[::2] >= least[0]].tolist():
+        _, _, stats, _ = cv2.connectedComponentsWithStats(bright[:, left:right], connectivity=4)
+        boxes = stats[1:, :4]
+        for x, y, w, h in boxes[(boxes[:, 2:] >= least).all(axis=1)].tolist():
+            yield left + x, y, w, h
 
 
 def _read_plate(gray: MarkImage, x: int, y: int, w: int, h: int) -> Reading | None:

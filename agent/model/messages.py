@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
 import msgspec
-import numpy as np
 
 from jrdb_avr.schema.errors import ObserveError
 from jrdb_avr.schema.method import Image, Observation, Panorama
@@ -55,14 +54,15 @@ def picture_of(seen: Observation | Panorama) -> Picture:
     """A crop as JPEG of quality 95; a panorama as it is stored, its file's bytes not encoded anew."""
     if isinstance(seen, Panorama):
         return Picture(f"{seen.sequence} {seen.frame_id} panorama", seen.jpeg)
-    return jpeg_picture(f"{seen.sequence} {seen.frame_id} {seen.angle_deg:.12g}", seen.image[:, :, ::-1])
+    return jpeg_picture(f"{seen.sequence} {seen.frame_id} {seen.angle_deg:.12g}", seen.image)
 
 
 def jpeg_picture(name: str, image: Image) -> Picture:
-    """A BGR image as JPEG of quality 95. Raises ObserveError where it cannot be encoded."""
+    """An RGB image as JPEG of quality 95. Raises ObserveError where it cannot be encoded."""
     import cv2
 
-    done, data = cv2.imencode(".jpg", np.ascontiguousarray(image), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     if not done:
         raise ObserveError(f"the picture {name!r} cannot be written as JPEG")
     return Picture(name, data.tobytes())

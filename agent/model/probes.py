@@ -73,7 +73,7 @@ def drawn_picture(size: tuple[int, int], box: Box | None = None) -> Picture:
         image = (image.astype(np.int16) + grain).astype(np.uint8)
     if box is not None:
         _marked(image, box, "red", 0)
-    return _picture(f"drawn {size} {box}", image)
+    return jpeg_picture(f"drawn {size} {box}", image)
 
 
 def drawn_rectangles(n: int, seed: int) -> list[DrawnPicture]:
@@ -93,7 +93,7 @@ def _drawn(rng: random.Random, number: int, width: int, height: int) -> DrawnPic
     for box in taken[1:]:
         _shape(image, box, rng.choice(others), rng.random() < 0.5)
     _marked(image, taken[0], color, rng.randrange(4096))
-    return DrawnPicture(_picture(f"drawn {number:03d} {width}x{height}", image), (width, height), taken[0], color)
+    return DrawnPicture(jpeg_picture(f"drawn {number:03d} {width}x{height}", image), (width, height), taken[0], color)
 
 
 def _place(rng: random.Random, width: int, height: int, taken: Sequence[Box]) -> Box | None:
@@ -133,7 +133,3 @@ def _marked(image: MarkImage, box: Box, color: str, identity: int) -> None:
     for thick in range(2):
         image[[y + thick, y + h - 1 - thick], x : x + w] = _COLORS[color]
         image[y : y + h, [x + thick, x + w - 1 - thick]] = _COLORS[color]
-
-
-def _picture(name: str, image: MarkImage) -> Picture:
-    return jpeg_picture(name, image[:, :, ::-1])

@@ -56,7 +56,7 @@ class World:
         for actor in self.actors:
             if (box := actor.box(frame)) is not None:
                 draw(image, box, actor.mark(frame))
-        cv2.imwrite(str(path), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])
+        cv2.imwrite(str(path), cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 90])
 
     def task(self, question, mode, choices=(), steps=None, writes=None):
         row = Question("0" * 16, SEQUENCE, "family", "template", question, tuple(choices), mode)

@@ -90,7 +90,7 @@ class RedWorld(World):
         x, y, w, h = self.actors[frame]
         columns = np.arange(x, x + w) % 3760
         image[y : y + h, columns] = (250, 0, 0)
-        cv2.imwrite(str(path), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 97])
+        cv2.imwrite(str(path), cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 97])
 
 
 def seen_red(picture):
