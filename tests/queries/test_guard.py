@@ -325,9 +325,12 @@ def test_what_cannot_be_a_parameter_is_one_line(store, value):
     assert "crashed" not in str(error.value)
 
 
-def test_a_map_is_an_error_that_says_what_to_return(store, without_process):
-    with pytest.raises(QueryError, match=r"map_keys\(...\)"):
-        store.cypher("RETURN map(['k'], [1]) AS m")
+def test_a_map_comes_as_it_is_or_an_error_says_what_to_return(store, without_process):
+    # Some versions of pyarrow take back the keys' type as the engine gives it.
+    try:
+        assert store.cypher("RETURN map(['k'], [1]) AS m").to_pylist() == [{"m": [("k", 1)]}]
+    except QueryError as error:
+        assert "map_keys(...)" in str(error)
     found = store.cypher("WITH map(['k'], [1]) AS m RETURN map_keys(m) AS k, map_values(m) AS v")
     assert found.to_pylist() == [{"k": ["k"], "v": [1]}]
 
