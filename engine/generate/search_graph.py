@@ -68,7 +68,8 @@ def add_table(graph: Graph, name: str, rows: pa.Table) -> None:
         graph.execute(f"CREATE NODE TABLE `{name}`({', '.join(columns)}, PRIMARY KEY({rows.column_names[0]}))")
     else:
         graph.execute(f"CREATE REL TABLE `{name}`({', '.join([f'FROM {ends[0]} TO {ends[1]}', *columns[2:]])})")
-    graph.copy(name, rows)
+    if len(rows):
+        graph.copy(name, rows)
 
 
 def scene_graph(scene: Scene, tables: Mapping[str, pa.Table], rules: Rules) -> Graph:

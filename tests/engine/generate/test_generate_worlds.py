@@ -4,6 +4,7 @@ import itertools
 import re
 from collections import Counter
 
+import numpy as np
 import pytest
 from built_worlds import SEQUENCE, build
 from places import TESTS
@@ -45,7 +46,7 @@ def read_worlds():
 def judge(store, claimed):
     """({(template, track, seconds, action): (rule or None, answer)}, {(track, second): description}).
 
-    Only the templates of these names are searched for: those that the world claims something of.
+    Only that is looked at which the world claims something of: {name of a template: tracks of its targets}.
     """
     rules = Rules()
     scene = load_scene(store, SEQUENCE)
@@ -57,7 +58,8 @@ def judge(store, claimed):
             if template.query not in claimed or not set(template.layers) <= scene.layers:
                 continue
             rows = find_candidates(context, template)
-            for i in range(len(rows)):
+            targets = scene.tracks[scene.people(rows.people[template.target])]
+            for i in np.flatnonzero(np.isin(targets, claimed[template.query])).tolist():
                 path = walk(scene, rows, i)
                 track = int(path.split()[-1])
                 when = tuple(int(rows.frames[name][i]) // 15 for name in template.stated)
@@ -133,8 +135,10 @@ CLAIM = re.compile(
 def test_world(title, tmp_path):
     lines = read_worlds()[title]
     store = memory_store(tmp_path, build(lines))
-    claimed = {match[2] for line in lines if (match := CLAIM.fullmatch(line))}
-    assert claimed <= {template.query for template in TEMPLATES.values()}
+    claimed = {}
+    for match in filter(None, map(CLAIM.fullmatch, lines)):
+        claimed.setdefault(match[2], []).append(int(match[3]))
+    assert claimed.keys() <= {template.query for template in TEMPLATES.values()}
     found, described = judge(store, claimed)
     claims = 0
     for line in lines:
