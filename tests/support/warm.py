@@ -2,6 +2,7 @@
 more than what the process is for."""
 
 import contextlib
+import ctypes
 import multiprocessing
 import os
 import subprocess
@@ -33,6 +34,22 @@ IMPORTED = (
     "jrdb_avr.loaders.synthetic.write",
     "jrdb_avr.loaders.verify",
 )
+
+
+def keep_memory():
+    """Let the allocator keep what is freed. It gives large pieces back to the system otherwise, which fills the next
+    ones with zeros again: twenty megabytes for each table of a graph, and as many for the pictures of a sample.
+    """
+    trim_threshold, map_threshold = -1, -3
+    # Only glibc has it.
+    with contextlib.suppress(AttributeError):
+        allocator = ctypes.CDLL(None)
+        allocator.mallopt(trim_threshold, 256 << 20)
+        allocator.mallopt(map_threshold, 32 << 20)
+
+
+# Here and, as they import this first, in the processes that are forked.
+keep_memory()
 
 
 def context():
