@@ -35,27 +35,27 @@ def run(*arguments):
 
 
 @pytest.fixture(scope="module", params=["short", pytest.param("default", marks=pytest.mark.slow)])
-def lengths(request):
-    """Frames of each sequence: those of the default are dear. Each of the five has awkward cases of its own."""
-    return {"short": [LONG, 300, 300, 300, 300], "default": [1050] * 5}[request.param]
+def sizes(request):
+    """(frames, people) of each sequence: the default's are dear. Each of the five has awkward cases of its own."""
+    return {"short": [(LONG, 26)] + [(120, 26)] * 4, "default": [(1050, 34)] * 5}[request.param]
 
 
 @pytest.fixture(scope="module")
-def frames(lengths):
+def frames(sizes):
     """Frames of each sequence, by its name."""
-    return {sequence_name(i): length for i, length in enumerate(lengths)}
+    return {sequence_name(i): length for i, (length, _) in enumerate(sizes)}
 
 
 @pytest.fixture(scope="module")
-def root(once, lengths):
-    """The default sample but for its lengths; the rows that the command prints of it lie beside it."""
+def root(once, sizes):
+    """The default sample but for its sizes; the rows that the command prints of it lie beside it."""
 
     def make(folder):
-        orders = plan(folder / "root", [(length, 34) for length in lengths], 0, "none")
+        orders = plan(folder / "root", sizes, 0, "none")
         printed = printed_rows(sorted(write(orders, 1), key=lambda one: one.name))
         (folder / "root.json").write_text(json.dumps(printed))
 
-    return once(f"sample-{sum(lengths)}", make) / "root"
+    return once(f"sample-{sizes[1][0]}", make) / "root"
 
 
 def files(root, layer):
@@ -467,7 +467,7 @@ def test_changes_fall_between_keyframes_once_a_second(flat):
         assert all(len(one) == 1 for one in places.values())
         found = Counter(place for one in places.values() for place in one)
         assert not set(found) & {0, 1, 2, 13, 14}
-        assert len(found) > 5
+        assert len(found) > min(5, found.total() / 2)
 
 
 def test_shares_lie_near_those_of_jrdb(root, flat, solid, seen, frames):

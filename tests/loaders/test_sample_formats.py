@@ -14,7 +14,7 @@ from pycocotools import mask
 
 from jrdb_avr.engine.cli import group
 
-FRAMES = 120
+FRAMES = 75
 
 
 def run(*arguments):
@@ -39,8 +39,8 @@ def stuff(content):
 
 
 def inside(one):
-    """The pixels (480, 3760) of an annotation."""
-    return mask.decode({**one["segmentation"], "counts": one["segmentation"]["counts"].encode()}) == 1
+    """The pixels (3760, 480) of an annotation, column by column, as they are stored."""
+    return mask.decode({**one["segmentation"], "counts": one["segmentation"]["counts"].encode()}).T == 1
 
 
 def test_segments_decode_to_their_area_and_box_and_fill_the_picture(root):
@@ -58,7 +58,7 @@ def test_segments_decode_to_their_area_and_box_and_fill_the_picture(root):
 def test_segments_fill_the_picture_and_do_not_overlap(root):
     for name, content in files(root, "labels_2d_panoptic_stitched_CW").items():
         for image in (1, 4):
-            count = np.zeros((480, 3760), int)
+            count = np.zeros((3760, 480), np.uint8)
             for one in content["annotations"]:
                 if one["image_id"] == image:
                     count += inside(one)
@@ -74,7 +74,7 @@ def test_segments_of_people_lie_in_their_boxes(root):
     for name, content in files(root, "labels_2d_panoptic_stitched_CW").items():
         (pedestrian,) = [o["id"] for o in content["categories"] if o["name"].lower().removeprefix("t_") == "pedestrian"]
         for one in content["annotations"]:
-            if one["category_id"] != pedestrian or one["image_id"] not in (2, 5, 7):
+            if one["category_id"] != pedestrian or one["image_id"] not in (2, 5):
                 continue
             inner = one.get("attributes", {})
             track = one.get("tracking_id", inner.get("tracking_id", inner.get("floor_id")))
@@ -83,14 +83,14 @@ def test_segments_of_people_lie_in_their_boxes(root):
             x, y, w, h = boxes.get(f"pedestrian:{track}", (0, 0, 0, 0))
             if w <= 10:
                 continue
-            rows, columns = np.nonzero(inside(one))
+            columns, rows = np.nonzero(inside(one))
             # Limbs are strokes round their joints: thicker, the nearer.
             slack = 3 + h // 20
             assert rows.min() >= y - slack
             assert rows.max() <= y + h + slack
             assert ((columns - x + slack) % 3760 <= w + 2 * slack).all()
             checked += 1
-    assert checked > 100
+    assert checked > 80
 
 
 def test_panoptic_files_name_frames_and_categories(root):
