@@ -20,7 +20,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 
 BROKEN = type("Broken", (), {"__repr__": lambda self: "BROKEN"})()
@@ -217,12 +217,16 @@ def flag(value):
 
 def clean(value):
     """Text that can be printed, else None."""
-    if not isinstance(value, str):
-        return None
-    value = "".join(c if c.isprintable() else " " for c in value).strip()
-    return value if 0 < len(value) <= 100 else None
+    return _printed(value) if isinstance(value, str) else None
 
 
+@lru_cache(1000)
+def _printed(text):
+    text = "".join(c if c.isprintable() else " " for c in text).strip()
+    return text if 0 < len(text) <= 100 else None
+
+
+@lru_cache(1000)
 def plain(label):
     """Lower case, one blank for any of blank, _ and -."""
     return " ".join(label.lower().replace("_", " ").replace("-", " ").split())
@@ -461,6 +465,7 @@ def _objects(value, every):
     return [item for item in (elements if every else elements[:1]) if isinstance(item, dict)]
 
 
+@lru_cache(1000)
 def told_values(attribute, name):
     """What a label of a person's or a group's attribute says: several aims may be joined; None cannot be told."""
     values = []
@@ -476,7 +481,7 @@ def told_values(attribute, name):
             "venue": re.sub("^(indoor|outdoor) (.*)", lambda m: f"{m[1]}_{_spelled(m[2])}", word),
         }.get(attribute, _spelled(word))
         values.append(None if word in NOT_TOLD else value)
-    return list(dict.fromkeys(values))
+    return tuple(dict.fromkeys(values))
 
 
 def _spelled(word):

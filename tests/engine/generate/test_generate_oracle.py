@@ -83,8 +83,8 @@ def test_lively_and_sociable_worlds_give_exactly_the_proven_candidates_of_every_
     # Worlds in which there is much to ask; `test_many_worlds` takes them as they come.
     lively = sum((compare(seed, lively_world) for seed in (0, 5)), Counter())
     assert set(lively) >= SIMPLE
-    sociable = sum((compare(seed, sociable_world) for seed in (7, 42)), Counter())
-    assert min(sociable[chain] for chain in CHAINED | FORMS) >= 8, sociable
+    sociable = compare(7, sociable_world)
+    assert min(sociable[chain] for chain in CHAINED | FORMS) >= 3, sociable
 
 
 @pytest.mark.slow
