@@ -99,11 +99,14 @@ class Search:
         self.database.register("cypher", found)
         self.database.execute(f"CREATE OR REPLACE TEMP TABLE joined_rows AS {query}")
         number = self.database.execute("SELECT count(*) FROM joined_rows").fetchone()[0]
-        only = [
-            self.database.execute(f"FROM {a} EXCEPT ALL FROM {b} LIMIT 3").fetchall()
-            for a, b in (("joined_rows", "cypher"), ("cypher", "joined_rows"))
-        ]
-        return number, *only
+        if number == len(found) and not self._beyond("joined_rows", "cypher"):
+            # As many rows, of which none is missing, are the same.
+            return number, [], []
+        return number, self._beyond("joined_rows", "cypher"), self._beyond("cypher", "joined_rows")
+
+    def _beyond(self, one, other):
+        """Examples of rows of a table that another lacks."""
+        return self.database.execute(f"FROM {one} EXCEPT ALL FROM {other} LIMIT 3").fetchall()
 
     # -- the generators' side -------------------------------------------------------------------------------------
 
