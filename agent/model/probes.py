@@ -42,7 +42,7 @@ _COLORS: Final = {
     "yellow": (185, 165, 20),
     "purple": (125, 40, 145),
 }
-_GREY: Final = (105, 105, 105)
+_GREY: Final = 105
 _GRAIN: Final = 8
 _SIDE_PX: Final = (60, 180)
 _HEIGHT_PX: Final = (90, 300)
@@ -70,7 +70,8 @@ def drawn_picture(size: tuple[int, int], box: Box | None = None) -> Picture:
     image = _plain(*size)
     if size == PANORAMA_SIZE:
         grain = np.random.default_rng(0).integers(-_GRAIN, _GRAIN + 1, (HEIGHT, WIDTH, 1), dtype=np.int8)
-        image = (image.astype(np.int16) + grain).astype(np.uint8)
+        # Sums of bytes wrap round: a negative grain darkens.
+        image += grain.view(np.uint8)
     if box is not None:
         _marked(image, box, "red", 0)
     return jpeg_picture(f"drawn {size} {box}", image)
