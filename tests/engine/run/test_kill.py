@@ -21,6 +21,7 @@ import pytest
 from asked_world import write_store
 from believing import PLAN, world_dump
 from fake_server import FakeServer, images, sound, texts
+from places import SUPPORT
 
 from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.beliefs.record import replayed
@@ -32,13 +33,12 @@ ASKED = 8
 
 # One process that has everything imported and no thread forks each run: a run costs its own work alone.
 LAUNCHER = """
-import os, sys
-import cv2, kuzu, httpx2, pyarrow.parquet
-from jrdb_avr.agent.methods import react
-from jrdb_avr.agent.reference import method
+import importlib, os, sys
+sys.path.insert(0, sys.argv[1])
+import warm
+for name in warm.IMPORTED:
+    importlib.import_module(name)
 from jrdb_avr.engine import cli
-from jrdb_avr.engine.commands import evaluate
-from jrdb_avr.engine.observe import observer
 for line in sys.stdin:
     child = os.fork()
     if child == 0:
@@ -58,7 +58,7 @@ for line in sys.stdin:
 @pytest.fixture(scope="module")
 def launcher():
     with subprocess.Popen(
-        [sys.executable, "-c", LAUNCHER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", LAUNCHER, SUPPORT], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as process:
         yield process
         process.stdin.close()
