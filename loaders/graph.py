@@ -43,8 +43,10 @@ def build_scene(graph: Graph, store: Store, sequences: Sequence[str]) -> dict[st
         for sequence in sequences:
             if not (stage / "Sequence" / f"{safe_sequence(sequence)}.parquet").exists():
                 stage_scene(store, sequence, {kind: store.interval(kind, sequence) for kind in INTERVALS})
-        for statement in scene_ddl():
-            graph.execute(statement)
+        # In one transaction the tables are written to disk together.
+        with graph.transaction():
+            for statement in scene_ddl():
+                graph.execute(statement)
         copied = _copy_staged(graph, stage, sequences)
     finally:
         shutil.rmtree(stage, ignore_errors=True)

@@ -114,9 +114,12 @@ def make_world_tables(graph: Graph) -> Graph:
     """Make the tables of the world namespace that a graph lacks; the graph, which is closed where that fails."""
     try:
         there = set(graph.query("CALL show_tables() RETURN name AS name", ordered=False)["name"].to_pylist())
-        for name, statement in zip((*WORLD_NODES, *WORLD_RELS), table_ddl(WORLD_NODES, WORLD_RELS), strict=True):
-            if name not in there:
-                graph.execute(statement)
+        tables = zip((*WORLD_NODES, *WORLD_RELS), table_ddl(WORLD_NODES, WORLD_RELS), strict=True)
+        if missing := [statement for name, statement in tables if name not in there]:
+            # In one transaction they are written to disk together.
+            with graph.transaction():
+                for statement in missing:
+                    graph.execute(statement)
     except BaseException:
         graph.close()
         raise
