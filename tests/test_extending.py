@@ -72,7 +72,8 @@ class Copy:
     def __init__(self, folder):
         self.root = folder / "jrdb_avr"
         self.edited = set()
-        ignored = shutil.ignore_patterns("tests", "docs", ".*", "build", "*.egg-info", "__pycache__")
+        # What is compiled already comes along: it is made anew for what is edited.
+        ignored = shutil.ignore_patterns("tests", "docs", ".*", "build", "*.egg-info")
         shutil.copytree(ROOT, self.root, ignore=ignored)
 
     def add(self, name, text):
