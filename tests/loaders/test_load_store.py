@@ -56,6 +56,12 @@ def loaded_two(tmp_path_factory):
     return load_world(tmp_path_factory.mktemp("two"), {"yard-1": GOOD, "yard-2": GOOD})
 
 
+@pytest.fixture
+def graphless():
+    with without_graph():
+        yield
+
+
 def copied(store, place):
     """A store of the same, to be written to."""
     return Store(shutil.copytree(store.path, place))
@@ -270,10 +276,10 @@ def test_killed_between_any_two_moves_no_table_is_lost(
     same(store, expected)
 
 
-@pytest.mark.parametrize("limit_kb", [20, 300])
-def test_a_full_disk_is_one_line_and_leaves_the_old_store(tmp_path, loaded_one, limit_kb):
+@pytest.mark.parametrize(("limit_kb", "people"), [(20, 60), (300, 10)], ids=["a table", "the graph"])
+def test_a_full_disk_is_one_line_and_leaves_the_old_store(tmp_path, loaded_one, limit_kb, people):
     store = copied(loaded_one, tmp_path / "store")
-    large = {f"yard-{i}": {"2d": {f: crowd(f) for f in range(40)}} for i in range(2)}
+    large = {f"yard-{i}": {"2d": {f: crowd(f, people) for f in range(40)}} for i in range(2)}
     root = write_root(tmp_path / "large", large)
     size = {resource.RLIMIT_FSIZE: limit_kb << 10}
     result = warm.run(warm.command_line, "load", root, "--store", store.path, "--workers", 1, limit=size)
@@ -281,14 +287,15 @@ def test_a_full_disk_is_one_line_and_leaves_the_old_store(tmp_path, loaded_one, 
     assert result.returncode == 1, said
     assert len(said.strip().splitlines()) == 1 and said.startswith("jrdb-avr: ")
     assert "Traceback" not in said
+    assert ("graph" in said) == (limit_kb == 300)
     same(store, loaded_one)
     assert run("load", root, "--store", store.path, "--workers", 1)[0] == 0
     assert list(store.manifest().sequences) == ["yard-0", "yard-1"]
 
 
-def crowd(frame):
+def crowd(frame, people):
     rng = random.Random(frame)
-    return [person(i, (rng.uniform(0, 3700), 60, 50, 200), {"walking": 1}, (i, 1)) for i in range(60)]
+    return [person(i, (rng.uniform(0, 3700), 60, 50, 200), {"walking": 1}, (i, 1)) for i in range(people)]
 
 
 def test_a_second_writer_is_refused_and_told_who_writes(tmp_path):
@@ -328,6 +335,7 @@ def test_a_store_that_cannot_be_written_is_one_line(tmp_path, place):
 # -- the command ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("graphless")
 def test_json_is_one_array_of_rows_and_strict_fails_on_a_bad_record(tmp_path):
     bad = {"2d": {0: [person(1, (1, 1, 0, 0))], 15: [person(1, (1, 1, 20, 50))]}}
     root = write_root(tmp_path / "root", {"yard-1": GOOD, "yard-2": bad})
@@ -362,6 +370,7 @@ def test_json_is_one_array_of_rows_and_strict_fails_on_a_bad_record(tmp_path):
     assert len(Store(tmp_path / "store").manifest().sequences) == 2
 
 
+@pytest.mark.usefixtures("graphless")
 def test_rules_are_overridden_by_name(tmp_path):
     root = write_root(tmp_path / "root", {"yard-1": GOOD})
     store = Store(tmp_path / "store")
@@ -395,6 +404,7 @@ def test_rebuild_of_nothing_is_an_error(tmp_path):
         loading.rebuild(Store(tmp_path / "store"), LoadRules())
 
 
+@pytest.mark.usefixtures("graphless")
 def test_terminal_escapes_of_a_file_are_not_printed(tmp_path):
     odd = {"2d": {0: [person(1, (1, 1, 20, 50), {"\x1b[31mred": 1})], "\x1b[2J.jpg": []}}
     root = write_root(tmp_path / "root", {"yard-1": odd})

@@ -102,7 +102,7 @@ def dump(store):
 
 
 def overwrite(path, rng, page=None):
-    """Write over one page: noise, zeros, another page or a few bytes."""
+    """Write over one page: noise, zeros, another page or a few bytes. Returns which."""
     data = bytearray(path.read_bytes())
     at = PAGE * (rng.randrange(1, len(data) // PAGE) if page is None else page)
     kind = rng.choice(["noise", "zeros", "other page", "bytes"])
@@ -117,6 +117,7 @@ def overwrite(path, rng, page=None):
         for _ in range(8):
             data[at + rng.randrange(PAGE)] ^= rng.randrange(1, 256)
     path.write_bytes(data)
+    return kind
 
 
 def test_a_loaded_store_is_what_was_loaded(store):
@@ -132,12 +133,13 @@ def test_a_loaded_store_is_what_was_loaded(store):
 
 def test_every_overwritten_page_is_found_by_the_checksum(store, tmp_path):
     place = tmp_path / "graph.kuzu"
-    before = fingerprint_of(store.graph_path)
-    for seed in range(20):
-        shutil.copy(store.graph_path, place)
-        rng = random.Random(seed)
-        overwrite(place, rng)
-        assert (fingerprint_of(place) == before) == (place.read_bytes() == store.graph_path.read_bytes())
+    before, data = fingerprint_of(store.graph_path), store.graph_path.read_bytes()
+    kinds = set()
+    for seed in range(8):
+        place.write_bytes(data)
+        kinds.add(overwrite(place, random.Random(seed)))
+        assert (fingerprint_of(place) == before) == (place.read_bytes() == data)
+    assert len(kinds) == 4
 
 
 def damaged(store, answers, copy, seed):
@@ -243,9 +245,11 @@ def _hang(answers, path, tables):
 def test_tables_beside_the_scene_do_no_harm(small):
     with Graph.open(small.graph_path) as graph:
         make_world_tables(graph)
-        ids = [f"r/{n}" for n in range(30_000)]
+        ids = [f"r/{n}" for n in range(3_000)]
         graph.copy("Episode", pa.table(dict.fromkeys(("id", "run", "question", "sequence", "plan"), ids)))
-    assert fingerprint_of(small.graph_path).crc32 != check_fingerprint(small.graph_path).crc32
+    now, built = fingerprint_of(small.graph_path), check_fingerprint(small.graph_path)
+    assert now.crc32 != built.crc32
+    assert now.size > built.size
     assert not faults(small)
 
 
