@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pyarrow as pa
 import pytest
+import warm
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -416,7 +417,9 @@ def child(path, mode, *more, **options):
 
 
 def ask_child(path, mode):
-    return subprocess.run(child(path, mode), capture_output=True, text=True, check=True).stdout.strip()
+    done = warm.run(warm.script, CHILD, path, mode)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.decode().strip()
 
 
 def test_a_writer_keeps_other_processes_out(path):

@@ -40,6 +40,8 @@ from jrdb_avr.schema.templates import TEMPLATES, Slots
 from jrdb_avr.schema.wording.people import in_order
 from jrdb_avr.schema.wording.text import question_id, question_key
 
+pytestmark = pytest.mark.usefixtures("known_plans")
+
 NAMES = ("hall-2020-01-01_0", "yard-2020-01-01_0")
 SEEDS = (5, 8)
 HOW = {"profile": "all", "seed": 0, "workers": 1}

@@ -17,6 +17,8 @@ from jrdb_avr.engine.validate.reviews import Agreement, agreements, kappa, read_
 from jrdb_avr.queries.runs import questions_hash
 from jrdb_avr.queries.store import Store
 
+pytestmark = pytest.mark.usefixtures("known_plans")
+
 
 def decisions(store, path, given, sha=None):
     """given: {question id: (decision, reason)}."""
