@@ -233,7 +233,7 @@ def test_without_boxes_there_is_nothing_to_ask(tmp_path, monkeypatch):
     assert found.lacking == {"gap": ("2d",)} and found.counts == {} and len(found.pool) == 0
 
 
-@settings(max_examples=examples(4), deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=examples(2), deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.integers(0, 2**32 - 1))
 def test_search_agrees_with_trying_all(seed):
     compare(seed)
