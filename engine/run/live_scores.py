@@ -24,7 +24,7 @@ import msgspec
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
-EVERY_S: Final = 2.0
+EVERY_S: Final = 1.0
 """Seconds between two readings of the journal."""
 
 _LINE: Final = re.compile(r"(\d{1,9}) (\d{1,9}) (\d{1,9}) (\d{1,9})")

@@ -15,6 +15,7 @@ import pytest
 from browser import browser, complaints
 from entry import run
 from failing_runs import stored_failures
+from traced_runs import trace_runs
 
 from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.pages.inspect import (
@@ -297,6 +298,51 @@ def test_unknown_questions_are_refused(sample_benchmark, tmp_path):
     code, out, err = run("inspect", "0" * 16, "--store", sample_benchmark.path, "--out", tmp_path / "i.html")
     assert (code, out) == (1, "")
     assert err == f"jrdb-avr: no question '{'0' * 16}' in {sample_benchmark.path}\n"
+
+
+# -- trace ------------------------------------------------------------------------------------------------------------
+
+
+def test_the_world_model_grows_with_the_slider(opened, benchmark_copy, tmp_path):
+    driver, _ = opened
+    store, name = benchmark_copy, trace_runs(benchmark_copy)
+    code, _, err = run("trace", "full", name, "--store", store.path, "--out", tmp_path / "t.html")
+    assert (code, err) == (0, f"wrote {tmp_path / 't.html'}: 7 steps\n")
+    driver.get((tmp_path / "t.html").as_uri())
+    assert complaints(driver) == []
+    assert "hit" not in driver.title and not driver.find_elements("css selector", "img")
+
+    def visible(selector):
+        return [e.text for e in driver.find_elements("css selector", selector) if e.is_displayed()]
+
+    def at(step):
+        driver.execute_script(
+            "const s = document.getElementById('until'); s.value = arguments[0];s.dispatchEvent(new Event('input'))",
+            step,
+        )
+
+    assert visible(".verdict b") == ["answer \N{BALLOT X}", "evidence \N{CHECK MARK}", "combined \N{BALLOT X}"]
+    assert len(driver.find_elements("css selector", "section.step")) == 7
+    # Two looks have a known form, and one of them was refused.
+    assert len(driver.find_elements("css selector", ".map rect.look")) == 2, "a crop over the seam is two parts"
+    assert len(visible(".entity")) == 2 and len(visible("circle.given")) == 1
+    assert visible(".entity .gone") == [t for t in visible(".entity .belief") if "walking" in t] != []
+    at(1)
+    assert visible(".entity") == visible("circle.seen") == visible("td.refused") == []
+    at(2)
+    assert [text.split()[0] for text in visible(".entity")] == ["p1"]
+    assert any("walking" in t for t in visible(".entity .belief")) and not visible(".gone")
+    assert len(visible("td.refused")) == 1 and not visible(".map path.tie")
+    assert driver.find_element("id", "at").text == "2 of 6: model"
+    at(5)
+    assert len(visible(".map path.tie")) == len(visible(".web path.tie")) == len(visible(".entity .gone")) == 1
+    # A text of ten thousand letters does not make the page wide.
+    assert driver.execute_script("return document.documentElement.scrollWidth") <= 1250
+    for other in ("empty", "broken"):
+        assert run("trace", other, name, "--store", store.path, "--out", tmp_path / "o.html")[0] == 0
+        driver.get((tmp_path / "o.html").as_uri())
+        assert complaints(driver) == []
+        assert "recorded no steps" in driver.find_element("tag name", "main").text
 
 
 # -- diagrams ---------------------------------------------------------------------------------------------------------

@@ -1,0 +1,119 @@
+"""Runs made by hand for the page that traces them: every kind of step, refused ones too, and texts of any kind."""
+
+import json
+
+import msgspec
+from known_runs import table
+
+from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
+from jrdb_avr.schema.beliefs import AttributeRow, EntityRow, Fact, RelationRow, SightingRow
+from jrdb_avr.schema.panorama import Box
+from jrdb_avr.schema.tables import RUNS
+
+HOSTILE = (
+    '</script><script>document.title="hit"</script><img src=x onerror=\'document.title="hit"\'>\x1b[31m\u202e\u05d0'
+)
+LONG = "x" * 10_000
+
+
+def entity(name, number, step, node=""):
+    return EntityRow(f"e/{name}", "e", name, number, "person", node, step)
+
+
+def sighted(name, write, step, frame, x):
+    return SightingRow(f"e/{name}", "e/o1", "e", write, step, frame, Box(x, 200.0, 40.0, 90.0), x / 3760 * 360)
+
+
+def has(name, write, step, value, frame):
+    return AttributeRow(f"e/{name}", "e/o1", "e", write, step, "action", value, 0.0, frame, frame)
+
+
+def world_rows(frame):
+    """p1 is written down at step 2, its action at step 2 and anew at step 5; p2 and what ties them at step 5."""
+    facts = [
+        (2, "add_entity", "", Fact(entity=entity("p1", 0, 2, "a"), sighted=sighted("p1", 0, 2, frame, 900.0))),
+        (2, "add_attribute", "", Fact(has=has("p1", 1, 2, "walking", frame))),
+        (2, "add_relation", f"no observation o9 {HOSTILE}", Fact()),
+        (5, "add_attribute", "", Fact(has=has("p1", 3, 5, "sitting", frame), replaced=(1,))),
+        (5, "add_entity", "", Fact(entity=entity(HOSTILE, 1, 5), sighted=sighted(HOSTILE, 4, 5, frame, 3750.0))),
+        (
+            5,
+            "add_relation",
+            "",
+            Fact(related=RelationRow("e/p1", f"e/{HOSTILE}", "e", 5, 5, "conversation", "o1", frame, frame)),
+        ),
+    ]
+    return [
+        {
+            "number": number,
+            "step": step,
+            "tool": tool,
+            "arguments": json.dumps({"text": HOSTILE}),
+            "accepted": not reason,
+            "reason": reason,
+            "fact": msgspec.json.encode(fact).decode(),
+        }
+        for number, (step, tool, reason, fact) in enumerate(facts)
+    ]
+
+
+def step_rows(sequence, frame):
+    asked = {"sequence": sequence, "frame_index": frame}
+    reply = {"content": f"I look {HOSTILE}", "reasoning": LONG * 3, "finish_reason": "length"}
+    return [
+        ("model", json.dumps([{"role": "user", "content": f"{HOSTILE} [image panorama]"}]), json.dumps(reply)),
+        (
+            "observe",
+            json.dumps(asked | {"angle_deg": 0.0}),
+            json.dumps({"frame_id": f"{frame:06}", "angle_deg": 0.0, "left": 3520}),
+        ),
+        ("model", "no JSON " + LONG, HOSTILE),
+        ("observe", json.dumps(asked | {"angle_deg": 0.4}), json.dumps({"refused": "a duplicate"})),
+        # A method of somebody's own: no form that is known.
+        ("observe", "looked round", "\x00\x07 saw 3 people"),
+        ("model", json.dumps([3, {"role": 1}]), json.dumps({"content": None})),
+        ("my own kind", '{"a": 1}', LONG),
+    ]
+
+
+def stored_run(store, name, *, steps, world=None, prediction=None, manifest=None):
+    question = store.questions("questions").to_pylist()[0]
+    own = {"run_id": name, "question_id": question["question_id"]}
+    about = {"method": f"mine {HOSTILE}", "model": HOSTILE} | (manifest or {})
+    write_run_manifest(
+        store,
+        RunManifest(
+            run_id=name,
+            questions_sha256=questions_hash(store),
+            question_ids=(question["question_id"],),
+            synthetic=True,
+            settings={"note": HOSTILE},
+            created="2020-01-01T00:00:00Z",
+            **about,
+        ),
+    )
+    given = {"status": "invalid", "reason": HOSTILE, "answer": None} | (prediction or {})
+    store.write_run(name, "predictions", table([own | given], RUNS["predictions"]))
+    rows = [
+        own | {"step": number, "kind": kind, "request": asked, "response": said, "seconds": 0.5}
+        for number, (kind, asked, said) in enumerate(steps)
+    ]
+    store.write_run(name, "steps", table(rows, RUNS["steps"]))
+    if world is not None:
+        store.write_run(name, "world", table([own | row for row in world], RUNS["world"]))
+    return question
+
+
+def trace_runs(store):
+    """Give a store a run that has everything, one that has nothing, and one whose box cannot be drawn."""
+    question = store.questions("questions").to_pylist()[0]
+    evidence = store.questions("evidence").to_pylist()
+    box = next(row for row in evidence if row["question_id"] == question["question_id"])
+    frame = box["frame"]
+    given = {"evidence_frame": frame} | {f"evidence_{key}": box[key] + 1.0 for key in "xywh"}
+    steps, world = step_rows(question["sequence"], frame), world_rows(frame)
+    stored_run(store, "full", steps=steps, world=world, prediction=given | {"answer": f'{{"choice": "{LONG}"'})
+    stored_run(store, "empty", steps=[], prediction={"status": "error", "reason": LONG})
+    broken = {"evidence_frame": frame, "evidence_x": float("inf"), "evidence_y": 1.0, "evidence_w": None}
+    stored_run(store, "broken", steps=[], prediction=broken)
+    return question["question_id"]
