@@ -38,8 +38,10 @@ def places(rng, people, frames, walking=0.6, turning=0.02):
     return world
 
 
-def column(x, y):
-    return 3760 * (0.5 - math.atan2(y, x) / (2 * math.pi)) % 3760
+def column(place):
+    """Of a place (x, y), or of each row of such."""
+    x, y = np.asarray(place).T
+    return 3760 * (0.5 - np.arctan2(y, x) / (2 * math.pi)) % 3760
 
 
 def seen(rng, world, frames, shift=0, step=1, phase=0, noise=1.0, bias=0.0, boxes=False):
@@ -47,12 +49,13 @@ def seen(rng, world, frames, shift=0, step=1, phase=0, noise=1.0, bias=0.0, boxe
     rows = []
     for track, path in world.items():
         off = rng.normal(0, bias) if bias else 0.0
-        for f in range(phase, frames, step):
-            if rng.random() < 0.9:
-                rows.append((track, f, (column(*path[f + shift]) + off + rng.normal(0, noise)) % 3760))
-    track, frame, centre = (np.array(values) for values in zip(*rows, strict=True))
-    box = np.stack([centre - 30, np.full(len(rows), 60.0), np.full(len(rows), 60.0), np.full(len(rows), 200.0)], 1)
-    return Tracks(frame.astype(np.int64), track.astype(np.int64), centre, box if boxes else None)
+        there = np.arange(phase, frames, step)
+        there = there[rng.random(len(there)) < 0.9]
+        middle = column(np.array([path[f + shift] for f in there.tolist()]).reshape(-1, 2))
+        rows.append((np.full(len(there), track), there, (middle + off + rng.normal(0, noise, len(there))) % 3760))
+    track, frame, centre = (np.concatenate(values) for values in zip(*rows, strict=True))
+    sizes = [np.full(len(centre), size) for size in (60.0, 60.0, 200.0)]
+    return Tracks(frame, track, centre, np.stack([centre - 30, *sizes], 1) if boxes else None)
 
 
 @pytest.mark.parametrize("steps", [(1, 1), (1, 15), (15, 1), (15, 15)], ids=str)
@@ -135,11 +138,11 @@ def world_files(shift_3d=0, shift_social=0, seed=0):
     world = places(rng, 12, 300)
     layers = {"2d": {}, "3d": {}, "social": {}}
     for f in range(300):
-        boxes = {t: (column(*path[f]) - 20, 60, 40, 200) for t, path in world.items()}
+        boxes = {t: (column(path[f]) - 20, 60, 40, 200) for t, path in world.items()}
         layers["2d"][f] = [person(t, box) for t, box in boxes.items()]
         layers["3d"][f] = [person_3d(t, *path[f + shift_3d]) for t, path in world.items()]
         layers["social"][f] = [
-            member(t, (column(*path[f + shift_social]) - 20, 60, 40, 200), {"gender": {"Male": "1"}})
+            member(t, (column(path[f + shift_social]) - 20, 60, 40, 200), {"gender": {"Male": "1"}})
             for t, path in world.items()
         ]
     return layers

@@ -166,16 +166,35 @@ def _container(text, at, last, depth, carrying):
 
 
 def _closing(text, at):
-    depth = 0
+    """Where the list or object ends that begins there."""
+    known = _closings(text)
+    if at not in known:
+        _close(text, at, known)
+    if isinstance(known[at], str):
+        raise StructureError(known[at])
+    return known[at]
+
+
+@lru_cache(maxsize=8)
+def _closings(text):
+    """{beginning: end, or why there is none} of what has been looked at; whatever lies inside is known with it."""
+    return {}
+
+
+def _close(text, at, known):
+    fault, begun = "the text ends early", []
     for match in _MARK.finditer(text, at):
         mark = match[0]
         if mark == '"':
-            raise StructureError("a string does not end")
-        if len(mark) == 1:
-            depth += 1 if mark in "[{" else -1
-            if depth == 0:
-                return match.end()
-    raise StructureError("the text ends early")
+            fault = "a string does not end"
+            break
+        if len(mark) == 1 and mark in "[{":
+            begun.append(match.start())
+        elif len(mark) == 1:
+            known[begun.pop()] = match.end()
+            if not begun:
+                break
+    known.update(dict.fromkeys(begun, fault))
 
 
 # -- single fields ---------------------------------------------------------------------------------------------------
