@@ -1,5 +1,6 @@
 """What the tests share: worlds made once per run, and the two costs of a load that few tests are about."""
 
+import contextlib
 import fcntl
 import gc
 import os
@@ -139,6 +140,13 @@ def known_plans():
     For tests that hold what many small graphs answer against brute force or what is written by hand: looking at a plan
     takes as long as the answer. `HYPOTHESIS_PROFILE=deep` looks at all of them.
     """
+    with remembered_plans():
+        yield
+
+
+@contextlib.contextmanager
+def remembered_plans():
+    """A context in which a statement's plan is looked at once, in whichever graph it runs first."""
     from jrdb_avr.queries.graph.handle import Graph
 
     plans, look = {}, Graph._plan
@@ -198,7 +206,8 @@ def make_benchmark(folder):
         list(write(plan(folder / "root", [(450, 15)] * 2, 4, "none"), 1))
     store = Store(folder / "store")
     load(find_root(folder / "root"), store, LoadRules(), 1)
-    generate(store, Rules(), workers=1)
+    with remembered_plans():
+        generate(store, Rules(), workers=1)
 
 
 @pytest.fixture
