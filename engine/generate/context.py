@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import re
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -18,6 +17,7 @@ from jrdb_avr.engine.generate.scene import Scene, absence_tables
 from jrdb_avr.engine.generate.search_graph import scene_graph
 from jrdb_avr.engine.generate.templates import query_text, query_values
 from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.schema.rules import Rules
 
 
@@ -60,8 +60,7 @@ class SearchContext(contextlib.AbstractContextManager["SearchContext"]):
         """Rows of a packaged query over the graph; besides `values` it may use those of the rules."""
         text = query_text(folder, name)
         known = query_values(self.rules) | values
-        # As numbers in the text: a statement with parameters is planned twice at each use.
-        return self.graph.query(re.sub(r"\$(\w+)", lambda found: str(known[found[1]]), text))
+        return self.graph.query(text, {key: known[key] for key in parameters(text)})
 
     @cached_property
     def people_met(self) -> pa.Table:
