@@ -12,7 +12,7 @@ from jrdb_avr.engine.cli import group
 from jrdb_avr.schema.markers import read
 from jrdb_avr.schema.panorama import Box, iou
 
-N = 20
+N = 24
 
 
 def run(*arguments):
