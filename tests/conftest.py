@@ -69,7 +69,7 @@ DEAREST = (
     "test_react",
     "test_pose",
 )
-"""Files of two seconds and a half or more: begun first, so that the workers, who take a file at a time, end together."""
+"""Files of 2.5 seconds and more: begun first, so that the workers, who take a file at a time, end together."""
 
 
 MEMORY = Path("/dev/shm")

@@ -12,7 +12,7 @@ from jrdb_avr.engine.cli import group
 from jrdb_avr.schema.markers import read
 from jrdb_avr.schema.panorama import Box, iou
 
-N = 24
+N = 20
 
 
 def run(*arguments):
@@ -35,7 +35,8 @@ def store(small_demo, tmp_path_factory):
     by_template = {}
     for row in sorted(questions, key=lambda row: row["question_id"]):
         by_template.setdefault(row["template"], []).append(row["question_id"])
-    picked = [name for names in by_template.values() for name in names[: N // len(by_template)]]
+    turns = sorted((turn, name) for names in by_template.values() for turn, name in enumerate(names))
+    picked = [name for _, name in turns[:N]]
     run(
         "evaluate", "--store", root / "store", "--method", "react", "--model", "marker", "--questions", ",".join(picked)
     )
