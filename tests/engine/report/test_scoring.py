@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from effort import examples
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pycocotools import mask as coco
 
@@ -604,6 +604,7 @@ def test_mutants_of_the_comparison_of_answers_are_caught(old, new, monkeypatch):
     assert not scores_as_specified(scoring)
 
 
+@example(122, 200)  # 32.2 - 12.2 is a little more than 20
 @given(st.integers(0, 3599), st.sampled_from([200, -200]))
 def test_twenty_degrees_score_whatever_rounding_says(tenths, turn):
     truth = {"frame": 100, "angle_deg": tenths / 10}
