@@ -78,7 +78,7 @@ MEMORY = Path("/dev/shm")
 
 def pytest_configure():
     """Temporary files lie in memory where there is plenty: nothing waits for a disk. `TMPDIR` goes before."""
-    if "TMPDIR" not in os.environ and MEMORY.is_dir() and shutil.disk_usage(MEMORY).free > 8 << 30:
+    if "TMPDIR" not in os.environ and os.access(MEMORY, os.W_OK) and shutil.disk_usage(MEMORY).free > 8 << 30:
         os.environ["TMPDIR"] = str(MEMORY)
         tempfile.tempdir = None
 

@@ -287,7 +287,7 @@ def test_a_full_disk_is_one_line_and_leaves_the_old_store(tmp_path, loaded_one, 
     assert result.returncode == 1, said
     assert len(said.strip().splitlines()) == 1 and said.startswith("jrdb-avr: ")
     assert "Traceback" not in said
-    assert ("graph" in said) == (limit_kb == 300)
+    assert ("graph" in said.replace(str(tmp_path), "")) == (limit_kb == 300)
     same(store, loaded_one)
     assert run("load", root, "--store", store.path, "--workers", 1)[0] == 0
     assert list(store.manifest().sequences) == ["yard-0", "yard-1"]

@@ -7,6 +7,7 @@ import pytest
 import warm
 from world_play import SCENE, believe, beside_scene, tables_of
 
+from jrdb_avr.queries.beliefs import graph as beliefs
 from jrdb_avr.queries.beliefs.graph import WorldGraph, check_world
 from jrdb_avr.queries.graph import handle
 from jrdb_avr.queries.graph.file import check_fingerprint
@@ -179,6 +180,18 @@ def test_a_file_of_its_own_is_made_from_nothing(tmp_path):
         both = tables_of(world)
     assert all(row in both[table] for table in written for row in written[table])
     assert len(both["Entity"]) == 2 * len(written["Entity"])
+
+
+def test_tables_that_cannot_all_be_made_are_not_made(scene, monkeypatch):
+    statements = [*beliefs.table_ddl(WORLD_NODES, WORLD_RELS)]
+    with monkeypatch.context() as patch:
+        patch.setattr(beliefs, "table_ddl", lambda nodes, rels: [*statements[:-1], "CREATE NODE TABLE"])
+        with pytest.raises(QueryError):
+            beliefs.open_graph(scene)
+    with Graph.open(scene, read_only=True) as graph:
+        tables = graph.query("CALL show_tables() RETURN name AS name", ordered=False)["name"].to_pylist()
+    assert set(tables) == {*SCENE_NODES, *SCENE_RELS}
+    beliefs.open_graph(scene).close()
 
 
 def test_a_file_that_is_no_graph_is_refused(tmp_path):

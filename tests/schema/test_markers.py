@@ -168,6 +168,15 @@ def test_over_the_seam(x):
     assert overlap(reading.box, Box(left, 150, 60, 160)) > 0.9
 
 
+def test_a_plate_that_touches_the_edges_of_a_picture():
+    image = np.full((HEIGHT, 400, 3), 90, np.uint8)
+    draw(image, Box(100, 100, 100, 250), Mark(7))
+    lit = np.flatnonzero((image.min(axis=2) > marks.BRIGHT).any(axis=0))
+    for left, right in ((lit[0], 400), (0, lit[-1] + 1), (lit[0], lit[-1] + 1)):
+        (reading,) = read(image[:, left:right])
+        assert reading.mark.identity == 7 and abs(reading.box.x + left - 100) < 3
+
+
 def test_a_panorama_reads_no_mark_twice():
     image = np.full((HEIGHT, WIDTH, 3), 90, np.uint8)
     for i, x in enumerate(range(0, WIDTH - 60, 47)):
