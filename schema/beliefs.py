@@ -63,7 +63,7 @@ class EpisodeRow(_Row, frozen=True):
 
 
 class _NodeRow(_Row, frozen=True):
-    """A row of a node of an episode, whose key begins with the episode's."""
+    """A node of one episode's beliefs; its key begins with the key of the episode."""
 
     id: str
     episode: str

@@ -1,4 +1,4 @@
-"""Proofs of a question: the rows to store, those that its template and plan require, and the check that all hold."""
+"""Make the proofs of a question, list those that its template and plan require, and check that they hold."""
 
 from __future__ import annotations
 

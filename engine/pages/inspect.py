@@ -320,7 +320,7 @@ def _times(plan: Plan) -> list[str]:
 
 
 def _reads(plan: Plan) -> str:
-    """The last line of a plan as text: what is read of the target person, and at which times."""
+    """A line of text that says what a plan reads of its target person, and at which times."""
     counted = f" of '{plan.answer.relation}'" if plan.answer.relation else ""
     return f"{plan.answer.read.replace('_', ' ')}{counted} of {plan.answer.of} at {', '.join(plan.answer.times)}"
 

@@ -130,7 +130,7 @@ def _form(name: str, plan: Plan) -> tuple[Template, Slots]:
 
 @dataclass(frozen=True)
 class ReplayJob:
-    """The work of one process: a sequence, and those of its questions whose proofs are computed again."""
+    """A sequence, and the questions of it whose proofs one process computes again."""
 
     store: Path
     sequence: str

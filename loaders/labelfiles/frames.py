@@ -179,7 +179,7 @@ def _named_errors(name: str) -> Iterator[None]:
 
 
 def _check_file(path: Path) -> None:
-    """Raise InputError for what is no regular file or is too large, OSError where the file cannot be examined."""
+    """Check that a path is a regular file and not too large. Raises InputError, or OSError if it cannot be examined."""
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
         raise InputError(f"{path.name}: not a file", file=path.name)

@@ -105,7 +105,7 @@ def stored_run(store, name, *, steps, world=None, prediction=None, manifest=None
 
 
 def trace_runs(store):
-    """Give a store a run that has everything, one that has nothing, and one whose box cannot be drawn."""
+    """Write three runs into a store: a complete one, an empty one, and one with a box that cannot be drawn."""
     question = store.questions("questions").to_pylist()[0]
     evidence = store.questions("evidence").to_pylist()
     box = next(row for row in evidence if row["question_id"] == question["question_id"])

@@ -51,8 +51,10 @@ IMPORTED = (
 
 
 def keep_memory():
-    """Let the allocator keep what is freed. It gives large pieces back to the system otherwise, which fills the next
-    ones with zeros again: twenty megabytes for each table of a graph, and as many for the pictures of a sample.
+    """Keep freed memory in the process.
+
+    The allocator gives large pieces back to the system otherwise, which fills the next ones with zeros again: twenty
+    megabytes for each table of a graph, and as many for the pictures of a sample.
     """
     trim_threshold, map_threshold = -1, -3
     # Only glibc has it.
