@@ -71,6 +71,43 @@ INTERACTION_PHRASES: Final = {label: phrase.format(someone="someone") for label,
 POSES_OF_INTERACTIONS: Final = {label: pose for label in INTERACTIONS for pose in POSES if label.startswith(pose)}
 """The pose that an interaction implies."""
 
+_OVERLAPS: Final = {
+    ("walking", "going upstairs"): "people walk up stairs",
+    ("walking", "going downstairs"): "people walk down stairs",
+    ("walking", "running"): "there is no bound between the two",
+    ("bending", "standing"): "people bend down while they stand",
+    ("bending", "sitting"): "people bend down while they sit",
+    ("bending", "walking"): "people bend down while they walk",
+    ("sitting", "cycling"): "people sit on a bicycle",
+    ("standing", "scootering"): "people stand on a scooter",
+    ("standing", "skating"): "people stand on a skateboard",
+}
+"""Poses that one person may have at once in ordinary words, and why."""
+
+
+def overlapping(pose: str) -> frozenset[str]:
+    """The poses that cannot be wrong choices beside this one.
+
+    >>> sorted(overlapping("cycling"))
+    ['sitting']
+    """
+    return frozenset(other for pair in _OVERLAPS if pose in pair for other in pair if other != pose)
+
+
+def choice_text(answer: str) -> str:
+    """An answer as a choice says it, in the words of questions: a pose as its phrase.
+
+    >>> choice_text("bending"), choice_text("neither time")
+    ('bending down', 'neither time')
+    """
+    return ACTION_PHRASES.get(answer, answer)
+
+
+def answer_of_choice(text: str) -> str:
+    """The answer that a choice says: the reverse of `choice_text`."""
+    return next((action for action, phrase in ACTION_PHRASES.items() if phrase == text), text)
+
+
 IMPOSSIBLE: Final = "impossible"
 """The annotators' word for an action or attribute that they could not tell; it states no fact."""
 
@@ -84,8 +121,8 @@ _ACTION_SPELLINGS: Final = {
 OCCLUSIONS: Final = ("Fully_visible", "Mostly_visible", "Severely_occluded", "Fully_occluded")
 CLEAR_OCCLUSIONS: Final = frozenset(OCCLUSIONS[:2])
 
-ROBOT_SECTORS: Final = ("ahead", "right", "behind", "left")
-"""Sectors of a person as the robot sees it: panorama angles 180, 270, 0, 90, each +-45 degrees."""
+ROBOT_SECTORS: Final = {"ahead": 180.0, "right": 270.0, "behind": 0.0, "left": 90.0}
+"""Directions as the robot sees them, with the panorama angle of each one's axis."""
 
 PERSON_SECTORS: Final = ("front", "front left", "left", "back left", "back", "back right", "right", "front right")
 """Sectors in a person's own heading frame; left is the person's own."""

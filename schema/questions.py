@@ -8,6 +8,7 @@ from typing import Any, Final, Self
 import msgspec
 
 from jrdb_avr.schema.answers import AnswerMode, Choice, decode_answer
+from jrdb_avr.schema.labels import answer_of_choice
 
 
 class Proof(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -74,11 +75,11 @@ class QuestionRecord(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def answer_text(self) -> str:
-        """The true choice's text, empty where there is no such choice, or the answer's JSON."""
+        """What the true choice says, empty where there is no such choice, or the answer's JSON."""
         answer = decode_answer(self.answer_mode, self.answer)
         if not isinstance(answer, Choice):
             return self.answer
-        return self.choices[answer.choice - 1] if answer.choice <= len(self.choices) else ""
+        return answer_of_choice(self.choices[answer.choice - 1]) if answer.choice <= len(self.choices) else ""
 
 
 _JSON_COLUMNS: Final = ("proofs", "distractors", "bindings", "needed")

@@ -21,6 +21,9 @@ FPS: Final = 15.0
 KEYFRAME_STEP: Final = 15
 """Frames between keyframes: one per second."""
 
+SLACK: Final = 1e-9
+"""Degrees or metres that a decimal such as 0.55 may miss the edge by that it names."""
+
 
 def frames(seconds: float) -> int:
     """Frames in a span of seconds."""
@@ -50,7 +53,7 @@ CONDITION_KINDS: Final = (
 class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What makes a fact true, false or unknown.
 
-    Margins stay so small that at most two sectors, or two distance words, meet anywhere.
+    Margins stay so small that at most two person-frame sectors, or two distance words, meet anywhere.
     """
 
     gap_frames: Annotated[int, msgspec.Meta(ge=0, le=900)] = 7
@@ -58,7 +61,10 @@ class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     clear_min_width: Pixels = 12.0
     clear_min_height: Pixels = 40.0
     clear_max_width: Pixels = 480.0
-    sector_margin_deg: Annotated[float, msgspec.Meta(ge=0, lt=45)] = 5.0
+    sector_true_deg: Annotated[float, msgspec.Meta(gt=0, le=45)] = 40.0
+    """A robot sector is true of whoever is at most this far off its axis."""
+    sector_false_deg: Annotated[float, msgspec.Meta(ge=45, lt=180)] = 90.0
+    """A robot sector is false farther off its axis than this; in between some would say that it is true."""
     narrow_sector_margin_deg: Annotated[float, msgspec.Meta(ge=0, lt=5)] = 2.0
     """Margin at the edges of the front-side and back-side sectors, which are only 15 and 10 degrees wide."""
     distance_margin: Annotated[float, msgspec.Meta(ge=0, le=0.33)] = 0.10

@@ -82,8 +82,7 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "annotated": (_B, "the 2D layer knows the frame"),
     "image": (_B, "there is a panorama"),
     "angle": (_F, "panorama angle, degrees: 180 ahead, 90 left"),
-    "sector": (_S, "direction as the robot sees it"),
-    "sector_other": (_S, "the other possible sector near an edge"),
+    "sector": (_S, "direction as the robot sees it, null where it is between two"),
     "distance": (_F, "metres from the robot"),
     "distance_word": (_S, "the distance in a word"),
     "distance_word_other": (_S, "the other possible word near a bound"),
@@ -295,12 +294,12 @@ _INTERVALS: Final = {
     # listed: the person has an action list, so an action not performed is false. pose: the one certain pose.
     # face_visible: head or an eye is marked visible; null where the person has no pose at this frame.
     # interactions_listed, handles_listed: the list was read, so what it does not hold is false.
-    # group_size: null when unknown. sector/distance_word: the word; *_other: the second possible word near an
-    # edge, null when the first is certain. A null distance_word: the distance is unknown.
+    # group_size: null when unknown. sector: the certain one, null between two. distance_word: the word; *_other: the
+    # second possible word near a bound, null when the first is certain. A null distance_word: the distance is unknown.
     "sightings": (
         "One row per 2D box: direction, distance, visibility, pose and group at that frame.",
         "sequence frame track x y w h angle occlusion? no_eval clear face_visible? listed interactions_listed "
-        "handles_listed pose? cluster? group_size? sector sector_other? located distance? distance_word? "
+        "handles_listed pose? cluster? group_size? sector? located distance? distance_word? "
         "distance_word_other? cx? cy? cz? heading?",
     ),
     # certain = false: hard or unreadable label, one of two poses, or (gap = true) a closed gap.

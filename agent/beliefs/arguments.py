@@ -111,7 +111,7 @@ _WORDS: Final[dict[str, tuple[Callable[[str], str], tuple[str, ...]]]] = {
     "gender": (plain, GENDERS),
     "age": (plain, AGES),
     "action": (normal_action, ACTIONS),
-    "sector": (plain, ROBOT_SECTORS),
+    "sector": (plain, tuple(ROBOT_SECTORS)),
     "distance": (plain, DISTANCE_WORDS),
     "interaction": (normal_interaction, INTERACTIONS),
 }

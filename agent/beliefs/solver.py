@@ -29,6 +29,7 @@ from jrdb_avr.queries.compiler.reads import Queryable
 from jrdb_avr.queries.compiler.solve import PlanQuery, Solution, read_with, solve
 from jrdb_avr.schema.answers import TIE, Answer, Choice, decode_answer, same_answer
 from jrdb_avr.schema.beliefs import episode_key
+from jrdb_avr.schema.labels import choice_text
 from jrdb_avr.schema.method import Question
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan
@@ -132,7 +133,8 @@ class BeliefSolver:
             return None
         if plan.answer.mode != "multiple_choice":
             return decode_answer(plan.answer.mode, belief.answer)
-        return Choice(list(self.choices).index(belief.answer) + 1) if belief.answer in self.choices else None
+        text = choice_text(belief.answer)
+        return Choice(list(self.choices).index(text) + 1) if text in self.choices else None
 
     def fault(self, plan: Plan, belief: Belief, proposed: Answer, entity: str) -> str:
         """Why a final answer is refused, "" where it is legal: the graph gives one target, which is `entity`, and an

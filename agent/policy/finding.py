@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from jrdb_avr.agent.policy.explorer import AROUND, BudgetExhausted, Explorer, Sighting
-from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS, POSES
+from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS, POSES, ROBOT_SECTORS
 from jrdb_avr.schema.markers import ALONE
 from jrdb_avr.schema.panorama import angle_error
 from jrdb_avr.schema.plan import Condition
-from jrdb_avr.schema.rules import KEYFRAME_STEP
+from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules
 
-_SECTOR_ANGLES: Final = {"ahead": 180.0, "right": 270.0, "behind": 0.0, "left": 90.0}
 _SWEEP: Final = tuple(180.0 + turn for turn in AROUND)
+_RULES: Final = LoadRules()
 _ALONE_SIZE: Final = 1
 _MARK_ACTIONS: Final = 2
 """A mark has room for this many actions beside the pose."""
@@ -38,7 +38,7 @@ def find(conditions: Sequence[Condition], frame: int, explorer: Explorer) -> Fou
     first. Nobody is found where looks run out.
     """
     sized = counts_group(conditions)
-    sector = next((_SECTOR_ANGLES[str(c.value)] for c in conditions if c.attribute == "sector"), None)
+    sector = next((ROBOT_SECTORS[str(c.value)] for c in conditions if c.attribute == "sector"), None)
     try:
         for angle in _SWEEP if sector is None or sized else (sector - 22.0, sector + 22.0, sector):
             explorer.look(frame, angle % 360.0)
@@ -131,7 +131,8 @@ def holds(condition: Condition, person: Sighting, people: Sequence[Sighting]) ->
     if condition.object is not None:
         return (mark.object, mark.verb) == (condition.object, condition.verb) or _unless_other(person, mark.object)
     if condition.attribute == "sector":
-        return bool(angle_error(person.angle, _SECTOR_ANGLES[str(condition.value)]) <= 45.0)
+        off = angle_error(person.angle, ROBOT_SECTORS[str(condition.value)])
+        return bool(off <= _RULES.sector_true_deg) or (None if off <= _RULES.sector_false_deg else False)
     if condition.attribute == "group_size":
         return _group_holds(condition, person, people)
     distance = None if mark.distance_dm is None else distance_word(mark.distance_dm / 10)

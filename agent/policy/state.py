@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from jrdb_avr.agent.policy.explorer import BudgetExhausted, Explorer
+from jrdb_avr.schema.labels import answer_of_choice
 from jrdb_avr.schema.plan import Condition, Plan
 
 _CLOSE_FRAMES: Final = 28
@@ -66,7 +67,8 @@ class EpisodeState:
             self.note(f"budget: {lack}")
 
     def choose(self, text: str | None, not_this: str | None = None) -> int:
-        """The number of the choice with this text, else of the first that is not known to be wrong."""
-        if text in self.choices:
-            return self.choices.index(text) + 1
-        return next((n for n, choice in enumerate(self.choices, 1) if choice != not_this), 1)
+        """The number of the choice that says this, else of the first that is not known to be wrong."""
+        answers = [answer_of_choice(choice) for choice in self.choices]
+        if text in answers:
+            return answers.index(text) + 1
+        return next((n for n, answer in enumerate(answers, 1) if answer != not_this), 1)

@@ -153,7 +153,7 @@ _LEFT_OUT: Final = frozenset({"title", "description", "default", "propertyNames"
 _LABELS: Final = {"action": ACTIONS, "interaction": INTERACTIONS, "object": OBJECTS, "verb": VERBS}
 """The labels of a condition's fields."""
 
-_VALUES: Final = {"gender": GENDERS, "age": AGES, "sector": ROBOT_SECTORS, "distance": DISTANCE_WORDS}
+_VALUES: Final = {"gender": GENDERS, "age": AGES, "sector": tuple(ROBOT_SECTORS), "distance": DISTANCE_WORDS}
 """The values of the attributes that have labels."""
 
 _AGE_WORDS: Final = {

@@ -35,10 +35,14 @@ class ActionOnsets:
         return None
 
     def could_start(self, track: int, action: str, stored: FrameViewpoint) -> bool:
-        """Whether the person could be seen to start the action so near to `stored` that it would score."""
-        for frame in range(stored.frame - KEYFRAME_STEP, stored.frame + KEYFRAME_STEP + 1):
+        """Whether the person could be seen to start the action so near to `stored` that it would score.
+
+        A start lies after the frame before the first one with the action, as the layer counts them, and not after it.
+        """
+        latest = stored.frame + KEYFRAME_STEP + self.scene.action_step - 1
+        for frame in range(stored.frame - KEYFRAME_STEP, latest + 1):
             line = self.scene.box_of(track, frame)
-            if line == NOBODY or not same_answer(viewpoint(self.scene, line, frame), stored):
+            if line == NOBODY or not same_answer(viewpoint(self.scene, line, stored.frame), stored):
                 continue
             before = self.state(track, action, frame - KEYFRAME_STEP)
             if self.state(track, action, frame) != FALSE and before != TRUE:

@@ -39,8 +39,9 @@ from jrdb_avr.schema.labels import (
     POSES,
     ROBOT_SECTORS,
 )
+from jrdb_avr.schema.panorama import angle_error
 from jrdb_avr.schema.plan import Attribute, Condition
-from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.rules import SLACK, Rules
 from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES, VERBS
 from jrdb_avr.schema.wording.text import actions_of
 
@@ -189,7 +190,7 @@ def find_conditions(scene: Scene, facts: Facts, rules: Rules) -> Conditions:
     columns = [
         column
         for find in (_persons, _actions, _objects, _interactions, _places)
-        for column in find(scene, facts, moments, rows)
+        for column in find(scene, facts, rules, moments, rows)
         if column.condition.kind in rules.condition_order and (column.state == TRUE).any()
     ]
     none = np.zeros((len(rows), 0), dtype=np.int8)
@@ -255,7 +256,7 @@ def _valued(
         yield _Column(Condition(attribute=name, value=word, at=at), state, usable)
 
 
-def _persons(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[_Column]:
+def _persons(scene: Scene, facts: Facts, rules: Rules, moments: Ints, rows: Ints) -> Iterator[_Column]:
     """Gender and age; used only of people whose face can be seen, where the pose layer knows."""
     seen = scene.flag("face_visible")[rows] if "pose" in scene.layers else True
     attributes: tuple[tuple[Attribute, tuple[str, ...]], ...] = (("gender", GENDERS), ("age", AGES))
@@ -265,7 +266,7 @@ def _persons(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[
         yield from _valued(name, enumerate(words), codes[scene.people(moments)], at=None, usable=seen)
 
 
-def _actions(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[_Column]:
+def _actions(scene: Scene, facts: Facts, rules: Rules, moments: Ints, rows: Ints) -> Iterator[_Column]:
     sure = np.zeros((len(ACTIONS), scene.moment_count), dtype=bool)
     maybe = np.zeros_like(sure)
     row, moment = scene.covered(scene.actions, "track")
@@ -283,7 +284,7 @@ def _actions(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[
         yield _Column(Condition(action=word, at=ANCHOR_TIME), state)
 
 
-def _objects(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[_Column]:
+def _objects(scene: Scene, facts: Facts, rules: Rules, moments: Ints, rows: Ints) -> Iterator[_Column]:
     """What is done with a thing of a category; a thing of unknown category could be any."""
     row, moment = scene.covered(scene.handles, "track")
     certain = flags(scene.handles, "certain")[row]
@@ -301,7 +302,7 @@ def _objects(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[
         yield _Column(Condition(object=category, verb=action, at=ANCHOR_TIME), state)
 
 
-def _interactions(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[_Column]:
+def _interactions(scene: Scene, facts: Facts, rules: Rules, moments: Ints, rows: Ints) -> Iterator[_Column]:
     """An interaction with anybody; false where everybody's lists were read and none holds it."""
     social = KIND[facts.relation] == SOCIAL
     if not social.any():
@@ -315,18 +316,20 @@ def _interactions(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iter
         yield _Column(Condition(interaction=label, at=ANCHOR_TIME), state)
 
 
-def _places(scene: Scene, facts: Facts, moments: Ints, rows: Ints) -> Iterator[_Column]:
+def _places(scene: Scene, facts: Facts, rules: Rules, moments: Ints, rows: Ints) -> Iterator[_Column]:
     """Group size, sector and distance word."""
+    angle, load = scene.geometry["angle"][rows], rules.load
+    for word, axis in ROBOT_SECTORS.items():
+        off = angle_error(angle, np.array(axis))
+        state = _state(off <= load.sector_true_deg + SLACK, off > load.sector_false_deg + SLACK)
+        yield _Column(Condition(attribute="sector", value=word, at=ANCHOR_TIME), state)
     sizes = scene.column("group_size")[rows]
     size = np.where(np.isnan(sizes), NOBODY, sizes).astype(np.int64)
     yield from _valued("group_size", ((number, number) for number in np.unique(size[size != NOBODY]).tolist()), size)
-    attributes: tuple[tuple[Attribute, str, tuple[str, ...]], ...] = (
-        ("sector", "sector", ROBOT_SECTORS),
-        ("distance", "distance_word", DISTANCE_WORDS),
+    metres, other = (
+        coded(scene.boxes[name], DISTANCE_WORDS)[rows] for name in ("distance_word", "distance_word_other")
     )
-    for name, column, words in attributes:
-        value, other = (coded(scene.boxes[own], words)[rows] for own in (column, f"{column}_other"))
-        yield from _valued(name, enumerate(words), value, other)
+    yield from _valued("distance", enumerate(DISTANCE_WORDS), metres, other)
 
 
 def _marked(scene: Scene, moments: Ints) -> Bools:

@@ -2,7 +2,8 @@
 
 A distractor is first the answer of a perturbed program: at the description's time instead of the stated one, at a
 shifted time, of a look-alike who could match when a condition is dropped. Only then follow other poses known to be
-false for the target at the stated time. Nothing unknown is ever a distractor, and no pose that the question states.
+false for the target at the stated time. Nothing unknown is ever a distractor, no pose that the question states, and
+none that overlaps the true one.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from jrdb_avr.engine.generate.candidates import VALUES, Candidates, stated_poses
 from jrdb_avr.engine.generate.context import SearchContext
 from jrdb_avr.engine.generate.proofs import condition_text
 from jrdb_avr.engine.generate.scene import NOBODY, Scene
-from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
+from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS, choice_text, overlapping
 
 CHOICE_COUNT: Final = 4
 
@@ -40,7 +41,7 @@ def make_choices(context: SearchContext, candidates: Candidates, row: int, key: 
     fill: tuple[str, ...] = PRESENCE_ANSWERS if truth in PRESENCE_ANSWERS else DISTANCE_ANSWERS
     if candidates.template.pose_answer:
         (stated,) = stated_poses(context, candidates.take(np.array([row])))
-        barred |= {POSES[code] for code in np.flatnonzero(stated).tolist()}
+        barred |= {POSES[code] for code in np.flatnonzero(stated).tolist()} | overlapping(truth)
         frame = int(candidates.frames[candidates.template.decisive[-1]][row])
         barred |= context.onsets.possible_poses(_target(context.scene, candidates, row), frame)
         fill = _common_poses(context.scene, key)
@@ -52,8 +53,9 @@ def make_choices(context: SearchContext, candidates: Candidates, row: int, key: 
     if len(wrong) < CHOICE_COUNT - 1:
         return None
     chosen = {truth: None, **dict(list(wrong.items())[: CHOICE_COUNT - 1])}
-    texts = tuple(sorted(chosen, key=lambda text: hashlib.sha256(f"{key}\n{text}".encode()).hexdigest()))
-    return Choices(texts, texts.index(truth) + 1, tuple(chosen[text] for text in texts))
+    order = sorted(chosen, key=lambda text: hashlib.sha256(f"{key}\n{text}".encode()).hexdigest())
+    perturbations = tuple(chosen[text] for text in order)
+    return Choices(tuple(map(choice_text, order)), order.index(truth) + 1, perturbations)
 
 
 def _target(scene: Scene, candidates: Candidates, row: int) -> int:

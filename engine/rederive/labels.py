@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import pyarrow as pa
 
-from jrdb_avr.engine.rederive.relations import RelationFacts
+from jrdb_avr.engine.rederive.relations import AXES, RelationFacts
 from jrdb_avr.engine.rederive.truth import FALSE, TRUE, UNKNOWN, OutcomeKind, among
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.plan import Condition
@@ -57,7 +57,7 @@ class Annotations(RelationFacts):
                 size = self.group_size(track, frame)
                 return UNKNOWN if size is None else int(size == wanted)
             case "sector", str(wanted):
-                return among(wanted, self.sectors(track, frame))
+                return self.in_sector(track, wanted, frame) if wanted in AXES else FALSE
             case "distance", str(wanted):
                 return among(wanted, self.distance_words(track, frame))
         return UNKNOWN

@@ -16,6 +16,7 @@ import pyarrow as pa
 from jrdb_avr.engine.rederive.actions import ActionFacts
 from jrdb_avr.engine.rederive.truth import FALSE, SLACK, TRUE, UNKNOWN, in_closed_gap, rows, step_of
 from jrdb_avr.schema.labels import AGES, DISTANCE_BOUNDS_M, DISTANCE_WORDS, GENDERS, POSES
+from jrdb_avr.schema.panorama import WIDTH
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules
 from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES
 
@@ -173,8 +174,8 @@ def _faces(table: pa.Table) -> dict[tuple[int, int], bool]:
     return {(frame, track): face for (frame, track), face in zip(rows(table, "frame", "track"), seen, strict=True)}
 
 
-_CENTERS: Final = (("ahead", 180.0), ("left", 90.0), ("behind", 0.0), ("right", 270.0))
-"""Sectors of the robot, with the panorama angle of each centre."""
+AXES: Final = {"ahead": 180.0, "left": 90.0, "behind": 0.0, "right": 270.0}
+"""The panorama angle of the axis of each of the robot's sectors."""
 
 _BEGINS_M: Final = dict(zip(DISTANCE_WORDS, (0.0, *DISTANCE_BOUNDS_M), strict=True))
 """Metres at which each distance word begins."""
@@ -217,10 +218,12 @@ class RelationFacts(SocialFacts):
     def _solid(self, track: int, frame: int) -> _Solid | None:
         return self._solids.get((frame, track)) if self.box(track, frame) is not None else None
 
-    def sectors(self, track: int, frame: int) -> list[str]:
-        """The sectors that the person could be in: two near an edge."""
-        angle, reach = self.angle(track, frame), 45 + self.rules.load.sector_margin_deg + SLACK
-        return [word for word, center in _CENTERS if abs((angle - center + 180) % 360 - 180) <= reach]
+    def in_sector(self, track: int, word: str, frame: int) -> int:
+        """Whether the person, who has a box at the frame, stands in this direction from the robot."""
+        load, off = self.rules.load, abs((self.angle(track, frame) - AXES[word] + 180) % 360 - 180)
+        if off <= load.sector_true_deg + SLACK:
+            return TRUE
+        return UNKNOWN if off <= load.sector_false_deg + SLACK else FALSE
 
     def distance_words(self, track: int, frame: int) -> list[str]:
         """The distance words that could be right of the person: two near a bound, all where nothing is known."""
@@ -279,11 +282,22 @@ class RelationFacts(SocialFacts):
         """Everybody who is or could be the first met: one person for certain, or several perhaps."""
         margin, reach = self.rules.load.neighbor_margin_deg, self.rules.load.neighbor_max_deg
         turns = {other: self.turn(track, other, frame, left) for other in self.people(frame) if other != track}
-        settling = [turn for other, turn in turns.items() if margin <= turn <= reach and self.clear(other, frame)]
+        settling = [other for other, turn in turns.items() if margin <= turn <= reach and self.clear(other, frame)]
         if not settling:
             return {other: UNKNOWN for other, turn in turns.items() if turn <= reach}
-        met = [other for other, turn in turns.items() if turn < min(settling) + margin]
-        return {other: TRUE if len(met) == 1 else UNKNOWN for other in met}
+        nearest = min(turns[other] for other in settling)
+        edge = min(turns[other] - self._half(other, frame) for other in settling if turns[other] == nearest)
+        met = [
+            other
+            for other, turn in turns.items()
+            if turn < nearest + margin or (turn <= reach + margin and turn - self._half(other, frame) < edge)
+        ]
+        certain = len(met) == 1 and nearest >= self._half(track, frame)
+        return dict.fromkeys(met, TRUE if certain else UNKNOWN)
+
+    def _half(self, track: int, frame: int) -> float:
+        """Half of the angle that a person's box covers, degrees."""
+        return self._people[frame][track].box.w * (180.0 / WIDTH)
 
     def within(self, track: int, other: int, degrees: int, frame: int, left: bool) -> int:
         """Whether another person is at most so far to one side of a person."""

@@ -27,6 +27,7 @@ from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, FrameViewpoint, Span, decode_answer
 from jrdb_avr.schema.errors import AvrError, DecodeError, StoreError
+from jrdb_avr.schema.labels import answer_of_choice, overlapping
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan, canonical, parse_plan
 from jrdb_avr.schema.questions import QuestionRecord
@@ -38,7 +39,7 @@ from jrdb_avr.schema.wording.text import parse, question_id, question_key, rende
 CHECKS: Final = {
     "files": "the schema and the canary are right; public files hold nothing private",
     "ids": "each question appears once in each file; its id is the hash of its public columns",
-    "choices": "a choice question has four different choices; other questions have none",
+    "choices": "a choice question has four different choices, none of which overlaps the true one; others have none",
     "answers": "the stored answer is readable and lies within the sequence",
     "plans": "the plan is valid and belongs to the question's template",
     "text": "the text states the plan and nothing else; stated seconds are frame / fps",
@@ -270,6 +271,8 @@ class _QuestionCheck:
         self.check("rules", record.rules == rules_hash(self.rules), f"generated under rules {record.rules}")
         fine = count == len(set(record.choices)) == (CHOICE_COUNT if mode == "multiple_choice" else 0)
         self.check("choices", fine, f"choices {list(record.choices)} for an answer of mode {mode}")
+        both = overlapping(record.answer_text) & set(map(answer_of_choice, record.choices))
+        self.check("choices", not both, f"{sorted(both)} may be true beside {record.answer_text!r}")
         answer = decode_answer(mode, record.answer)
         inside = _inside(answer, count, self.info["frame_count"])
         self.check("answers", inside, f"{record.answer} is outside the sequence or the choices")

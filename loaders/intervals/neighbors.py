@@ -14,15 +14,15 @@ import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.loaders.intervals.people import Boxes, Facts, Located, wrap
-from jrdb_avr.loaders.intervals.sightings import SLACK, distance_word, person_sector
+from jrdb_avr.loaders.intervals.sightings import distance_word, person_sector
 from jrdb_avr.loaders.intervals.spans import find_runs
 from jrdb_avr.loaders.intervals.timeline import Timeline
 from jrdb_avr.loaders.labelfiles.columns import paired, ragged, texts, unpaired
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS, PERSON_SECTORS
-from jrdb_avr.schema.panorama import clockwise
+from jrdb_avr.schema.panorama import WIDTH, clockwise
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, RELATIONS
-from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules
+from jrdb_avr.schema.rules import KEYFRAME_STEP, SLACK, LoadRules
 
 _BLOCK: Final = 1_000_000
 """Pairs of people looked at in one go."""
@@ -67,11 +67,12 @@ def _joined(blocks: Iterator[_Facts]) -> list[Ints]:
 def robot_view(line: Timeline, boxes: Boxes, rules: LoadRules) -> Iterator[_Facts]:
     """First to the left and right of everybody at every keyframe, block by block.
 
-    Turning from X, the first person at least a degree away and clearly seen settles the matter. Those met before, and
-    those met less than a degree later, could be it as well; the fact is certain where there is no such other. Where
-    nobody settles it within reach, everybody within reach could be it.
+    Turning from X, the first person at least a degree away and clearly seen settles the matter. Those met before, those
+    met less than a degree later, and those whose box begins sooner could be it as well; the fact is certain where there
+    is no such other, and where the person's centre lies outside X's own box. Where nobody settles it within reach,
+    everybody within reach could be it.
     """
-    clear, angle = boxes.clear, boxes.angle
+    clear, angle, half = boxes.clear, boxes.angle, boxes.box[:, 2] * (180.0 / WIDTH)
     rows = np.flatnonzero(np.isin(boxes.frame, line.keyframes))
     reach = rules.neighbor_max_deg + rules.neighbor_margin_deg
     for all_a, all_b in _pairs(boxes.frame, rows):
@@ -86,9 +87,12 @@ def robot_view(line: Timeline, boxes: Boxes, rules: LoadRules) -> Iterator[_Fact
             counts = np.diff(np.append(starts, len(a)))
             settled = np.minimum.reduceat(np.where(settles, turn, np.inf), starts)
             limit = np.repeat(settled, counts)
-            before = turn < limit + rules.neighbor_margin_deg
+            begin = turn - half[b]
+            first = np.repeat(np.minimum.reduceat(np.where(settles & (turn == limit), begin, np.inf), starts), counts)
+            before = (turn < limit + rules.neighbor_margin_deg) | (begin < first)
             could = np.where(np.isfinite(limit), before, turn <= rules.neighbor_max_deg)
             alone = np.repeat(np.add.reduceat(could.astype(np.int64), starts) == 1, counts) & np.isfinite(limit)
+            alone &= turn >= half[a]
             code = np.full(int(could.sum()), _LABELS.index(label))
             yield boxes.frame[a][could], boxes.track[a][could], boxes.track[b][could], alone[could], code
 

@@ -1,8 +1,8 @@
 """The interval table `sightings`: everything known of a person in one frame, one row per 2D box.
 
-Sectors and distance words with their margins: which word is meant, and which other it could be near an edge.
+Sectors and distance words with their margins: which word is true, and which other it could be near an edge.
 
-All margins are inclusive; a thousand-millionth of slack keeps decimals such as 0.55 on the edge they name.
+All margins are inclusive.
 """
 
 from __future__ import annotations
@@ -18,12 +18,8 @@ from jrdb_avr.loaders.intervals.timeline import Timeline
 from jrdb_avr.loaders.labelfiles.columns import begins, nullable, texts
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS, PERSON_SECTORS, ROBOT_SECTORS
-from jrdb_avr.schema.rules import LoadRules
-
-SLACK: Final = 1e-9
-
-_FROM_BEHIND: Final = tuple(ROBOT_SECTORS.index(word) for word in ("behind", "left", "ahead", "right"))
-"""Robot sectors by growing panorama angle, the first centred on 0."""
+from jrdb_avr.schema.panorama import angle_error
+from jrdb_avr.schema.rules import SLACK, LoadRules
 
 _PERSON_EDGES: Final = (30.0, 45.0, 135.0, 145.0)
 """Edges of the sectors front, front side, side, back side, back, in degrees off a person's heading; inclusive."""
@@ -33,14 +29,10 @@ _RIGHT_ROUND: Final = tuple(
 )
 
 
-def robot_sector(angle_deg: Floats, rules: LoadRules) -> tuple[Ints, Ints]:
-    """Of panorama angles: index into ROBOT_SECTORS, and of the other possible sector near an edge (else -1)."""
-    quarter = np.floor((angle_deg + 45.0) / 90.0).astype(np.int64)
-    offset = angle_deg - quarter * 90.0  # degrees past the sector's centre, [-45, 45)
-    near = 45.0 - np.abs(offset) <= rules.sector_margin_deg + SLACK
-    neighbor = quarter + np.where(offset < 0, -1, 1)
-    order = np.array(_FROM_BEHIND)
-    return order[quarter % 4], np.where(near, order[neighbor % 4], -1)
+def robot_sector(angle_deg: Floats, rules: LoadRules) -> Ints:
+    """Of panorama angles: index into ROBOT_SECTORS of the sector that is true, -1 where none is."""
+    off = angle_error(angle_deg[:, None], np.array(list(ROBOT_SECTORS.values())))
+    return np.where(off.min(axis=1) <= rules.sector_true_deg + SLACK, off.argmin(axis=1), -1)
 
 
 def person_sector(bearing_deg: Floats, rules: LoadRules) -> tuple[Ints, Ints]:
@@ -77,7 +69,6 @@ def sightings_table(line: Timeline, people: People, rules: LoadRules) -> pa.Tabl
     boxes, located = people.boxes, people.located
     member, place, face = (rows_of(other.keys, boxes.keys) for other in (people.groups, located, people.faces))
     sizes, size_known = group_sizes(line, boxes, people.groups, member)
-    sector, sector_other = robot_sector(boxes.angle, rules)
     distance = _take(located.distance, place)
     words = (np.where(place >= 0, word, -1) for word in distance_word(distance, rules))
     metric = {
@@ -96,8 +87,7 @@ def sightings_table(line: Timeline, people: People, rules: LoadRules) -> pa.Tabl
         "pose": texts(people.actions.names, certain_pose(boxes, people.actions)),
         "cluster": nullable(_take(people.groups.value, member), member < 0, pa.int64()),
         "group_size": nullable(sizes, ~size_known, pa.int32()),
-        "sector": texts(ROBOT_SECTORS, sector),
-        "sector_other": texts(ROBOT_SECTORS, sector_other),
+        "sector": texts(tuple(ROBOT_SECTORS), robot_sector(boxes.angle, rules)),
         "located": place >= 0,
         **{
             name: texts(DISTANCE_WORDS, w)

@@ -59,7 +59,7 @@ class KeptRecords(NamedTuple):
     frame: Ints
     track: Ints
     partial: set[int]
-    """Frames with a refused person."""
+    """Frames with a record that is not kept and may be a person's."""
 
     def frames_of(self, rows: Ints) -> tuple[Ints, Ints]:
         """The frames of some of the people (ascending rows), as a layer of the `frames` table."""
@@ -82,7 +82,7 @@ def keep_people(
     frame, labels, code = columns["frame"], list(codes["label_id"]), columns["label_id"]
     track = np.array([_track_or_code(label) for label in labels], np.int64)[code]
     other, refused = track == _OTHER, track == _BAD
-    for wrong, reason in ((other, "label_id is not of a tracked person"), (refused, "label_id is not pedestrian:N")):
+    for wrong, reason in ((other, "label_id is of a thing"), (refused, "label_id is not pedestrian:N")):
         refusals.count(wrong, "record", reason, "label_id", lambda row: labels[code[row]])
     good = track >= 0
     for fault, reason in faults:
@@ -96,7 +96,8 @@ def keep_people(
     reason = "same person twice in a frame, the first is kept"
     refusals.count(again, "record", reason, "label_id", lambda row: labels[code[row]])
     row = usable[order[first]]
-    return KeptRecords(row, frame[row], track[row], set(frame[refused].tolist()))
+    # The second of two may be somebody else under a wrong number.
+    return KeptRecords(row, frame[row], track[row], set(frame[refused | again].tolist()))
 
 
 def _track_or_code(label: str) -> int:

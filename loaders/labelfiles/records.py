@@ -15,6 +15,8 @@ from typing import Any, Final, NamedTuple
 
 from jrdb_avr.loaders.labelfiles.json import first_members, members, parse
 from jrdb_avr.loaders.problems import Problems, shorten
+from jrdb_avr.schema.labels import plain
+from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES
 
 MAX_TRACK: Final = 2**31 - 2
 MAX_PIXEL: Final = 1e5
@@ -26,22 +28,28 @@ TWICE: Final = "key twice, the first is kept"
 
 _PERSON: Final = re.compile(r"pedestrian:([0-9]{1,10})")
 _WHOLE: Final = re.compile(r"-?[0-9]{1,19}")
-_PREFIXED: Final = re.compile(r"([A-Za-z_ ]+):(-?[0-9]+)")
+_PREFIXED: Final = re.compile(r"([^:]+):-?[0-9]+")
+_THINGS: Final = frozenset(
+    plain(name) for category in set(OBJECTS) - PERSON_CATEGORIES for name in (category, *category.split("/"))
+)
 
 
 class NotAPersonError(ValueError):
-    """A well-formed label id of something that is no tracked person (another prefix, or -1)."""
+    """A well-formed label id of something that is certainly no person: its prefix names a category of things."""
 
 
 def track_of(label_id: object) -> int:
-    """The N of `pedestrian:N`. Raises NotAPersonError for other prefixes and -1, ValueError for anything else."""
+    """The N of `pedestrian:N`. Raises NotAPersonError for a known thing, ValueError for anything else.
+
+    Every other prefix or number may be a person's, badly written.
+    """
     if not isinstance(label_id, str):
         raise ValueError("label_id is no text" if label_id is not None else "label_id is missing")
     match = _PERSON.fullmatch(label_id)
     if match and int(match[1]) <= MAX_TRACK:
         return int(match[1])
-    if match is None and _PREFIXED.fullmatch(label_id):
-        raise NotAPersonError("label_id is not of a tracked person")
+    if (match := _PREFIXED.fullmatch(label_id)) and plain(match[1]) in _THINGS:
+        raise NotAPersonError("label_id is of a thing")
     raise ValueError("label_id is not pedestrian:N")
 
 

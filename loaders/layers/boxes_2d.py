@@ -124,6 +124,15 @@ def box_faults(box: npt.NDArray[np.float64]) -> list[tuple[Bools, str]]:
     ]
 
 
+def usable_boxes(box: npt.NDArray[np.float64], refusals: Refusals, field: str) -> Bools:
+    """Which of these boxes can be used; those that cannot are counted, but for missing ones (NaN)."""
+    usable = ~np.isnan(box[:, 0])
+    for fault, reason in box_faults(box):
+        refusals.count(usable & fault, "field", reason, field, lambda row: box[row].tolist())
+        usable &= ~fault
+    return usable
+
+
 def _box_table(
     columns: Columns, codes: dict[str, Distinct], people: KeptRecords, listed: Bools, refusals: Refusals
 ) -> pa.Table:

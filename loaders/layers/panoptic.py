@@ -37,6 +37,7 @@ from jrdb_avr.loaders.labelfiles.coco import (
 from jrdb_avr.loaders.labelfiles.columns import LayerTables, Refusals, known_frames, mask_of, nullable
 from jrdb_avr.loaders.labelfiles.json import ABSENT, BROKEN, NOTHING, first_members, parse
 from jrdb_avr.loaders.labelfiles.records import Rule, optional
+from jrdb_avr.loaders.layers.boxes_2d import usable_boxes
 from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.schema.arrays import Ints
 
@@ -118,13 +119,18 @@ def load_panoptic(path: Path, problems: Problems) -> LayerTables:
     wrong = ~np.isin(category, list(categories)) & ~full
     refusals.count(wrong, "field", "not in the list of categories", "category_id", _item(category))
     rows = rows[~same]
+    columns["box"][~usable_boxes(columns["box"], refusals, "bbox")] = np.nan
+    area = columns["area"]
+    odd = ~np.isnan(area) & ~((area >= 0) & (area <= records.MAX_PIXEL**2))
+    refusals.count(odd, "field", "number out of range", "area", lambda row: float(area[row]))
+    area[odd] = np.nan
     table = pa.table(
         {
             "frame": frame[rows],
             "object": nullable(track[rows], track[rows] == NO_TRACK, pa.int32()),
             "category_id": category[rows],
             **{name: _number_column(columns["box"][rows, i]) for i, name in enumerate("xywh")},
-            "area": _number_column(columns["area"][rows]),
+            "area": _number_column(area[rows]),
             "segmentation": texts.take(pa.array(rows)),
         }
     )

@@ -26,7 +26,7 @@ from jrdb_avr.loaders.labelfiles.facts import Decoded, KeptRecords, expand, fact
 from jrdb_avr.loaders.labelfiles.frames import RecordReader, gather
 from jrdb_avr.loaders.labelfiles.json import NOTHING, parse
 from jrdb_avr.loaders.labelfiles.records import TWICE
-from jrdb_avr.loaders.layers.boxes_2d import PERSON, SUFFIXES, box_faults, take_people
+from jrdb_avr.loaders.layers.boxes_2d import PERSON, SUFFIXES, take_people, usable_boxes
 from jrdb_avr.loaders.layers.relation_lists import (
     MAX_ENTRIES,
     Entry,
@@ -147,10 +147,7 @@ def _listed_table(whole: Bools, kind: RelationKind, people: KeptRecords) -> pa.T
 
 def _boxes(box: Any, people: KeptRecords, refusals: Refusals) -> pa.Table:
     """The usable boxes, as `LayerTables` has them. A box that could not be read was counted then."""
-    usable = ~np.isnan(box[:, 0])
-    for fault, reason in box_faults(box):
-        refusals.count(usable & fault, "field", reason, "box", lambda row: box[row].tolist())
-        usable &= ~fault
+    usable = usable_boxes(box, refusals, "box")
     columns = {"frame": people.frame, "track": people.track, **{name: box[:, i] for i, name in enumerate("xywh")}}
     return pa.table(columns).filter(pa.array(usable))
 

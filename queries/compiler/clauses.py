@@ -83,6 +83,13 @@ def within(here: str, there: str) -> Clause:
     )
 
 
+def towards(angle: str) -> Clause:
+    """A condition by the panorama angle of a person: it lies near the axis `v` of a sector."""
+    off = f"({angle} - {{v}} + 180.0)"
+    off = f"abs({off} - 360.0 * floor({off} / 360.0) - 180.0)"
+    return Clause(f"({off} <= $sector_true)", f"({off} <= $sector_false)")
+
+
 def to_anybody(edge: Clause, pattern: str) -> Clause:
     """A condition: an edge of this kind leads to anybody who matches `pattern`, a template over `n` and `s`."""
     match = pattern.replace("{n}", "other").replace("{s}", "seen")

@@ -16,10 +16,13 @@ from jrdb_avr.queries.compiler.clauses import (
     in_column,
     in_rows,
     to_anybody,
+    towards,
     unless_both_listed,
     unless_listed,
     within,
 )
+from jrdb_avr.schema.errors import PlanError
+from jrdb_avr.schema.labels import ROBOT_SECTORS
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import RELATIONS, SAME_GROUP
 
@@ -49,10 +52,14 @@ def read_text(folder: str, name: str) -> str:
     return resources.files("jrdb_avr.queries").joinpath("reads", folder, f"{name}.cypher").read_text("utf-8")
 
 
-def condition_values(condition: Condition) -> dict[str, str | int]:
-    """The values a condition's clause compares with, by variable."""
+def condition_values(condition: Condition) -> dict[str, str | float]:
+    """The values a condition's clause compares with, by variable. Raises PlanError for an unknown sector."""
+    if condition.attribute == "sector":
+        if condition.value not in ROBOT_SECTORS:
+            raise PlanError("conditions", f"{condition.value!r} is no sector")
+        return {"v": ROBOT_SECTORS[str(condition.value)]}
     wanted = (condition.value, condition.action, condition.object, condition.interaction)
-    values: dict[str, str | int] = {"v": next(value for value in wanted if value is not None)}
+    values: dict[str, str | float] = {"v": next(value for value in wanted if value is not None)}
     return values if condition.verb is None else values | {"w": condition.verb}
 
 
@@ -99,7 +106,7 @@ SCENE: Final = SchemaMapping(
         "object": unless_listed(_HANDLES, "{s}.handles_listed"),
         "interaction": to_anybody(_SOCIAL, f"{_PATTERN} WHERE {_THERE}"),
         "group_size": in_column("{s}.group_size"),
-        "sector": in_column("{s}.sector", "{s}.sector_other"),
+        "sector": towards("{s}.angle"),
         "distance": in_column("{s}.distance_word", "{s}.distance_word_other"),
     },
     edges={

@@ -20,7 +20,7 @@ from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.plan import Plan
-from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules, frames
+from jrdb_avr.schema.rules import KEYFRAME_STEP, SLACK, LoadRules, frames
 
 _TIMEOUT_S: Final = 60.0
 """For each statement."""
@@ -125,6 +125,8 @@ class SceneReader(Reader):
         self.graph, self.mapping, self.timeout_s = graph, mapping, timeout_s
         self.values = {
             "margin": rules.neighbor_margin_deg,
+            "sector_true": rules.sector_true_deg + SLACK,
+            "sector_false": rules.sector_false_deg + SLACK,
             "least": frames(rules.segment_min_s),
             "edge": frames(rules.segment_edge_s),
             "quiet": frames(rules.segment_quiet_s),
