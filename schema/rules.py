@@ -111,7 +111,12 @@ class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     visible_share: Share = 0.5
     """A view shows a box when at least this share of its width lies inside."""
     near_duplicate_s: Seconds = 2.0
+    """Of a person, one question of a template whose answer is read within this of every frame of another's."""
+    near_presence_s: Seconds = 5.0
+    """The same for the template presence."""
     max_per_person: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 12
+    """Questions of one person and template."""
+    max_per_person_in_all: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 24
     max_answer_share: Share = 0.34
 
     def __post_init__(self) -> None:

@@ -1,23 +1,21 @@
-"""Which proven candidates become questions: near-duplicates, balance, and how many of each family.
+"""Which proven candidates become questions: near-duplicates, caps and balance in one selection.
 
-The first step, `near_duplicates`, looks at one template in one sequence; `select` looks across all. Both depend on the
-rows alone, never on their order: `key` decides which rows stay (sha256 hex of sequence, target and plan).
+`thin_out` looks at one template in one sequence and drops what no selection can use; `select` looks across all. Both
+depend on the rows alone, never on their order: `key` decides among equals (sha256 hex of sequence, target and plan).
 
-Balance: no answer so common that it could be guessed, as far as the candidates allow. The candidates of one template
-and one kind of read are levelled by their answers (or the bins that hold them), within cells of questions that read
-alike, and put into an order of which every beginning is balanced like the whole.
+The candidates of one form of a template are taken in turns over their answers (or over the bins that hold them), the
+scarcest answer first. A candidate is refused where a near-duplicate or a cap forbids it. Among those of an answer the
+one is preferred whose words and waits go with that answer least often so far, so that the text gives nothing away.
 """
 
 from __future__ import annotations
 
 import hashlib
-from bisect import bisect_left
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final, TypeVar
+from dataclasses import dataclass, field
+from typing import Any, Final, NamedTuple, TypeVar
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
@@ -27,20 +25,24 @@ from jrdb_avr.engine.generate.bins import answer_bin, wait_bin
 from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.rules import Rules, frames
 from jrdb_avr.schema.tables import QUESTIONS
-from jrdb_avr.schema.templates import FAMILIES
+from jrdb_avr.schema.templates import FAMILIES, TEMPLATES
 
 POOL: Final = pa.schema(
     [
         *dict.fromkeys((*QUESTIONS["questions"], *QUESTIONS["answers"])),
         ("key", pa.string()),
+        ("form", pa.string()),
         ("answer_text", pa.string()),
         ("stated", pa.list_(pa.string())),
         ("times", pa.list_(pa.int32())),
+        ("read_frames", pa.list_(pa.int32())),
+        ("event", pa.string()),
     ]
 )
 """Columns of the records that selection chooses from: those of the tables `questions` and `answers`, and what it goes
-by. `answer_text` is a choice's text or another answer's stored JSON; `stated` the action words of the question; `times`
-its stated frames."""
+by. `form` is a name of TEMPLATES; `answer_text` a choice's answer or another answer's stored JSON; `stated` the action
+words of the question; `times` its stated frames; `read_frames` those where the answer is read; `event` the start or the
+count of the target that only one question may be about, null for none."""
 
 PROFILES: Final[dict[str, dict[str, int]]] = {
     "all": {},
@@ -59,7 +61,7 @@ PROFILES: Final[dict[str, dict[str, int]]] = {
 K = TypeVar("K", bound=Hashable)
 
 KEPT: Final = ""
-"""Verdict of `near_duplicates` on a row that stays."""
+"""Verdict of `thin_out` on a row that stays."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,25 +72,37 @@ class Selection:
     report: tuple[dict[str, Any], ...]
 
 
-def near_duplicates(table: pa.Table, rules: Rules) -> npt.NDArray[np.str_]:
+def near_s(template: str, rules: Rules) -> float:
+    """Seconds within which two questions of a template read the same."""
+    return rules.near_presence_s if template == "presence" else rules.near_duplicate_s
+
+
+def thin_out(table: pa.Table, rules: Rules) -> npt.NDArray[np.str_]:
     """Per row of one template in one sequence: KEPT, or the rule that drops it.
 
-    near_duplicate: every frame where the answer is read lies within `near_duplicate_s` of those of a row of the
-    same target that stays, with a smaller key; max_per_person: as many as that of the target stay already.
+    near_duplicate: every frame where the answer is read lies near those of a row of the same target and answer that
+    stays, with a smaller key; max_per_person: as many as that of the target and answer stay already.
     """
-    order = pc.sort_indices(table, sort_keys=[("target_track", "ascending"), ("key", "ascending")]).to_numpy()
-    track = table["target_track"].to_numpy()[order]
-    read = pc.list_flatten(table["read_frames"]).to_numpy().reshape(len(table), -1) if len(table) else np.zeros((0, 1))
+    if not len(table):
+        return np.full(0, KEPT)
+    near = frames(near_s(table["template"][0].as_py(), rules))
+    answer = table["answer"].combine_chunks().dictionary_encode().indices
+    order = pc.sort_indices(
+        table.append_column("code", answer),
+        sort_keys=[(name, "ascending") for name in ("target_track", "code", "key")],
+    ).to_numpy()
+    groups = np.stack([table["target_track"].to_numpy(), answer.to_numpy()])[:, order]
+    read = pc.list_flatten(table["read_frames"]).to_numpy().reshape(len(table), -1)
     verdicts = np.full(len(table), "max_per_person")
-    for rows in np.split(order, np.flatnonzero(np.diff(track)) + 1):
+    for rows in np.split(order, np.flatnonzero(np.diff(groups).any(axis=0)) + 1):
         alive = rows
         for _ in range(rules.max_per_person):
             if not len(alive):
                 break
-            near = np.all(np.abs(read[alive] - read[alive[0]]) <= frames(rules.near_duplicate_s), axis=1)
-            verdicts[alive[near]] = "near_duplicate"
+            close = np.all(np.abs(read[alive] - read[alive[0]]) <= near, axis=1)
+            verdicts[alive[close]] = "near_duplicate"
             verdicts[alive[0]] = KEPT
-            alive = alive[~near]
+            alive = alive[~close]
     return verdicts
 
 
@@ -96,74 +110,65 @@ def near_duplicates(table: pa.Table, rules: Rules) -> npt.NDArray[np.str_]:
 
 
 def select(table: pa.Table, rules: Rules, profile: str, seed: int) -> Selection:
-    """Balance the candidates of all sequences and, under a profile, keep its number per family.
+    """Choose among the candidates of all sequences; under a profile, its number per family.
 
-    Within cells of questions that read alike (stated action words, stated waits in doubling bins) answers are
-    levelled; event offsets are levelled by their bins, counts by themselves, gaps by pairs of bins. No answer takes
-    more than `max_answer_share` of a choice template. What one template of a family cannot give, the others give; what
-    one form of a template cannot give, its others give. `profile` is a name of PROFILES.
+    No answer takes more than `max_answer_share` of a choice template. What one template of a family cannot give, the
+    others give; what one form of a template cannot give, its others give. Families with few candidates for their number
+    choose first, as a person is in `max_per_person_in_all` questions at most. `profile` is a name of PROFILES.
 
-    The report has a row for every template: family, template, candidates (in all), balanced (could stay), aim (its
-    even part of the family's number, None where there is none) and kept (selected).
+    The report has a row for every template: family, template, candidates, aim (its even part of the family's number,
+    None where there is none) and kept (selected).
     """
-    orders = _orders(table, rules, seed)
-    parts: list[pa.Table] = []
+    taken = _Taken(rules)
+    rows: dict[str, list[int]] = defaultdict(list)
+    for row, name in enumerate(table["form"].to_pylist()):
+        rows[name].append(row)
+    forms: dict[str, list[_Form]] = defaultdict(list)
+    for name in sorted(rows):
+        forms[TEMPLATES[name].name].append(_Form(table, np.array(rows[name]), taken, seed))
+    wanted = PROFILES[profile]
+    families = list(dict.fromkeys(FAMILIES.values()))
+    sizes = Counter(table["family"].to_pylist())
+    for family in sorted(families, key=lambda name: (sizes[name] / wanted.get(name, 1), name)):
+        _choose({name: forms.get(name, []) for name in _templates_of(family)}, wanted.get(family))
     report: list[dict[str, Any]] = []
-    for family in dict.fromkeys(FAMILIES.values()):
-        names = [name for name in sorted(FAMILIES) if FAMILIES[name] == family]
-        forms = {name: orders.get(name, []) for name in names}
-        wanted = PROFILES[profile].get(family)
-        chosen = _chosen(forms, wanted)
-        aims = _share_out(dict.fromkeys(names, wanted), wanted) if wanted is not None else {}
+    for family in families:
+        names = _templates_of(family)
+        aims = _share_out(dict.fromkeys(names, wanted[family]), wanted[family]) if family in wanted else {}
         for name in names:
-            parts += [form.rows.take(pa.array(rows)) for form, rows in zip(forms[name], chosen[name], strict=True)]
-            report.append(
-                {
-                    "family": family,
-                    "template": name,
-                    "candidates": sum(form.rows.num_rows for form in forms[name]),
-                    "balanced": sum(len(form.give(None)) for form in forms[name]),
-                    "aim": aims.get(name),
-                    "kept": sum(map(len, chosen[name])),
-                }
-            )
-    result = pa.concat_tables(parts) if parts else table
+            own = forms.get(name, [])
+            counts = {"candidates": sum(len(form.rows) for form in own), "aim": aims.get(name)}
+            kept = sum(len(form.chosen) for form in own)
+            report.append({"family": family, "template": name, **counts, "kept": kept})
+    chosen = [int(form.rows[place]) for own in forms.values() for form in own for place in form.chosen]
     order = [(name, "ascending") for name in ("sequence", "template", "key", "plan")]
-    return Selection(result.sort_by(order), tuple(report))
+    return Selection(table.take(pa.array(chosen, pa.int64())).sort_by(order), tuple(report))
 
 
-def _orders(table: pa.Table, rules: Rules, seed: int) -> dict[str, list[_Order]]:
-    """The balanced candidates by template, one order for each thing that is read: a template may have several forms."""
-    rows: dict[tuple[str, str, str], list[int]] = defaultdict(list)
-    for row, (name, plan) in enumerate(zip(table["template"].to_pylist(), table["plan"].to_pylist(), strict=True)):
-        answer = msgspec.json.decode(plan)["answer"]
-        rows[name, answer["read"], answer["mode"]].append(row)
-    orders: dict[str, list[_Order]] = defaultdict(list)
-    for (name, read, mode), places in sorted(rows.items()):
-        orders[name].append(_ordered(table.take(pa.array(places)), mode, read, rules, seed))
-    return orders
+def _templates_of(family: str) -> list[str]:
+    return [name for name in sorted(FAMILIES) if FAMILIES[name] == family]
 
 
-def _chosen(forms: Mapping[str, Sequence[_Order]], wanted: int | None) -> dict[str, list[Ints]]:
-    """Rows of every form of every template of a family, `wanted` in all if they have so many."""
-    able = {name: [len(form.give(None)) for form in some] for name, some in forms.items()}
-    quotas = _share_out({name: sum(some) for name, some in able.items()}, wanted)
-    shares = {name: _share_out(dict(enumerate(able[name])), quotas[name]) for name in forms}
-    picked = {name: [form.give(shares[name][place]) for place, form in enumerate(some)] for name, some in forms.items()}
-    # Not every number is possible with no answer above its share: other templates fill what is missing.
-    left = sum(quotas.values()) - sum(len(rows) for some in picked.values() for rows in some)
-    for name, some in forms.items():
-        for place, form in enumerate(some):
-            more = form.give(len(picked[name][place]) + left)
-            left -= len(more) - len(picked[name][place])
-            picked[name][place] = more
-    return picked
-
-
-def _share_out(available: Mapping[K, int], wanted: int | None) -> dict[K, int]:
-    """Even shares of `wanted`, in the order of names; what one cannot give is shared among the others."""
+def _choose(forms: Mapping[str, Sequence[_Form]], wanted: int | None) -> None:
+    """Let every form of every template of a family choose, `wanted` in all if they have so many."""
     if wanted is None:
-        return dict(available)
+        for form in (form for own in forms.values() for form in own):
+            form.extend(len(form.rows))
+        return
+    left = wanted
+    # Nobody knows before how many a form can give: what one lacks is shared out among the others again.
+    while left > 0 and (open_names := [name for name, own in forms.items() if any(not form.spent for form in own)]):
+        before = left
+        for name, share in _share_out(dict.fromkeys(open_names, left), left).items():
+            own = [form for form in forms[name] if not form.spent]
+            for place, part in _share_out(dict.fromkeys(range(len(own)), share), share).items():
+                left -= own[place].extend(part)
+        if left == before:
+            break
+
+
+def _share_out(available: Mapping[K, int], wanted: int) -> dict[K, int]:
+    """Even shares of `wanted`, in the order of names; what one cannot give is shared among the others."""
     quotas = dict.fromkeys(available, 0)
     left = wanted
     while left > 0 and (open_names := [name for name in available if quotas[name] < available[name]]):
@@ -175,12 +180,65 @@ def _share_out(available: Mapping[K, int], wanted: int | None) -> dict[K, int]:
     return quotas
 
 
+# -- what may still be chosen -----------------------------------------------------------------------------------------
+
+Person = tuple[str, int]
+"""Sequence and track."""
+
+
+class _Place(NamedTuple):
+    """What forbids two questions beside each other: see POOL."""
+
+    person: Person
+    template: str
+    read: tuple[int, ...]
+    event: str | None
+
+
+@dataclass
+class _Taken:
+    """What is chosen so far, of all templates, and so what may not be chosen besides."""
+
+    rules: Rules
+    reads: dict[tuple[Person, str], list[tuple[int, ...]]] = field(default_factory=lambda: defaultdict(list))
+    events: set[tuple[Person, str]] = field(default_factory=set)
+    questions: Counter[Person] = field(default_factory=Counter)
+
+    def admits(self, one: _Place) -> bool:
+        """Whether no near-duplicate and no cap forbids a question."""
+        others = self.reads[one.person, one.template]
+        if len(others) >= self.rules.max_per_person or self.questions[one.person] >= self.rules.max_per_person_in_all:
+            return False
+        if one.event is not None and (one.person, one.event) in self.events:
+            return False
+        near = frames(near_s(one.template, self.rules))
+        return not any(_close(one.read, other, near) for other in others)
+
+    def add(self, one: _Place) -> None:
+        """Count a question as chosen."""
+        self.reads[one.person, one.template].append(one.read)
+        self.questions[one.person] += 1
+        if one.event is not None:
+            self.events.add((one.person, one.event))
+
+    def remove(self, one: _Place) -> None:
+        """Count a question as chosen no more."""
+        self.reads[one.person, one.template].remove(one.read)
+        self.questions[one.person] -= 1
+        self.events.discard((one.person, one.event or ""))
+
+
+def _close(one: tuple[int, ...], other: tuple[int, ...], near: int) -> bool:
+    """Whether all frames of two questions lie near each other; forms that read at more frames are not alike."""
+    return len(one) == len(other) and all(abs(a - b) <= near for a, b in zip(one, other, strict=True))
+
+
 # -- balance ------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class _Limit:
-    """The most that one answer should take of the questions of a template and read.
+    """The most that one answer should take of the questions of a form.
 
     strict: it is a rule; otherwise an aim, and where too few could stay under it, all do. neighbors: the limit is
     on any two bins next to each other.
@@ -189,6 +247,11 @@ class _Limit:
     share: float
     strict: bool = False
     neighbors: bool = False
+
+    def allows(self, counts: Ints) -> bool:
+        """Whether these numbers of questions by answer are within the limit."""
+        most = counts + np.append(counts[1:], 0) if self.neighbors else counts
+        return bool(most.max(initial=0) <= self.share * counts.sum() + 1e-9)
 
 
 _LIMITS: Final = {
@@ -200,136 +263,98 @@ _LIMITS: Final = {
 }
 """By read; all others are choices, under `max_answer_share`."""
 
-_WORTH: Final = 0.1
-"""Pairs of bins are limited where that keeps at least this share of the candidates."""
+_WORTH: Final = 0.5
+"""An aim is met where at least this share of what could be chosen stays."""
 
 
-@dataclass(frozen=True)
-class _Order:
-    """The candidates of one template and read, in an order of which every beginning is balanced like the whole.
+class _Form:
+    """The candidates of one form of a template, and those of them that are chosen, in the order of choice.
 
-    answers: of every row of `rows` the number of its answer, or of the bin that holds it. share: the most that one
-    answer may take, None where that is an aim and no rule.
+    A *cell* holds the questions that state the same action words, with waits in the same doubling bins.
     """
 
-    rows: pa.Table
-    order: Ints
-    answers: Ints
-    share: float | None
-
-    def give(self, wanted: int | None) -> Ints:
-        """The first `wanted` rows (None: all), or as many fewer as it takes for no answer to exceed its share."""
-        size = len(self.order) if wanted is None else min(wanted, len(self.order))
-        if self.share is None:
-            return self.order[:size]
-        place = _ranks(self.answers[self.order], np.arange(len(self.order)))
-        while True:
-            stays = np.flatnonzero(place < int(self.share * size + 1e-9))
-            if len(stays) >= size:
-                return self.order[stays[:size]]
-            # Fewer rows leave each answer less room, so there are no more than these.
-            size = len(stays)
-
-
-def _ordered(rows: pa.Table, mode: str, read: str, rules: Rules, seed: int) -> _Order:
-    """The candidates of one template and read, which are answered in one mode, as an order.
-
-    Selection balances the answer's text, or the bin of an event's offset or of a gap, or how many are counted.
-    """
-    texts, times = rows["answer_text"].to_pylist(), rows["times"].to_pylist()
-    if mode == "multiple_choice":
-        answers = _dense(texts)
-    else:
-        answers = np.array([answer_bin(mode, *pair, read) for pair in zip(texts, times, strict=True)], np.int64)
-    limit = _LIMITS.get(read) or _Limit(rules.max_answer_share, strict=True)
-    return _Order(rows, _balance(rows, answers, limit, seed), answers, limit.share if limit.strict else None)
-
-
-def _balance(rows: pa.Table, answers: Ints, limit: _Limit, seed: int) -> Ints:
-    """Row numbers that can stay, in an order of which every beginning is balanced nearly as well as the whole."""
-    stated = _dense([" | ".join(words) for words in rows["stated"].to_pylist()])
-    # Stated times after the first, as waits in bins that double.
-    waits = _dense([" ".join(str(wait_bin(t - first)) for t in more) for first, *more in rows["times"].to_pylist()])
-    hashes = [hashlib.sha256(f"{seed} {key}".encode()).hexdigest() for key in rows["key"].to_pylist()]
-    shuffle = _dense(hashes)
-    left = np.ones(rows.num_rows, bool)
-    chosen: list[Ints] = []
-    places: list[npt.NDArray[np.float64]] = []
-    # Features that the text alone reveals, finest first: a cell with too few different answers to be balanced by
-    # itself is joined with others that look alike in less. Lengths are levelled as a whole: of few candidates small
-    # cells would keep next to none.
-    whole = np.zeros(rows.num_rows, np.int64)
-    for cells in [whole] if limit.neighbors else [_dense(list(zip(stated, waits, strict=True))), stated, waits, whole]:
-        for cell in np.unique(cells[left]):
-            members = np.flatnonzero(left & (cells == cell))
-            counts = np.bincount(answers[members])
-            heights = _level(counts, limit)
-            if not heights.any() and cells is whole and not limit.strict:
-                heights = counts
-            if not heights.any():
-                continue
-            left[members] = False
-            # Within an answer, questions of all waits and all words take turns.
-            answer, mix = answers[members], shuffle[members]
-            turn = np.zeros(len(members), np.int64)
-            for feature in (waits[members], stated[members], None):
-                alike = answer if feature is None else answer * len(left) + feature
-                turn = _ranks(alike, turn * len(left) + mix)
-            most = heights[answer]
-            stays = turn < most
-            chosen.append(members[stays])
-            places.append((turn[stays] + 0.5) / most[stays])
-    if not chosen:
-        return np.zeros(0, np.int64)
-    row, place = np.concatenate(chosen), np.concatenate(places)
-    return row[np.lexsort((shuffle[row], place))]
-
-
-def _level(counts: Ints, limit: _Limit) -> Ints:
-    """The most rows to keep of each answer under a limit; all 0 where there are too few answers."""
-    if limit.neighbors:
-        return _level_pairs(counts, limit.share)
-    for height in range(int(counts.max(initial=0)), 0, -1):
-        if height <= limit.share * np.minimum(counts, height).sum():
-            return np.full_like(counts, height)
-    return np.zeros_like(counts)
-
-
-def _level_pairs(counts: Ints, share: float) -> Ints:
-    """The most rows to keep of each bin so that no two bins next to each other hold more than `share`, as even as can
-    be; all 0 where that would keep too few."""
-    for total in range(int(counts.sum()), int(np.ceil(_WORTH * counts.sum())) - 1, -1):
-        most = int(share * total + 1e-9)
-        if _under_pairs(counts, most).sum() >= total:
-            heights = range(int(counts.max(initial=0)) + 1)
-            height = bisect_left(
-                heights, total, key=lambda height: _under_pairs(np.minimum(counts, height), most).sum()
+    def __init__(self, table: pa.Table, rows: Ints, taken: _Taken, seed: int) -> None:
+        own = table.take(pa.array(rows))
+        form = TEMPLATES[own["form"][0].as_py()]
+        texts, times = own["answer_text"].to_pylist(), own["times"].to_pylist()
+        mode, read = form.spec.mode, form.spec.read
+        self.rows, self.taken = rows, taken
+        self.limit = _LIMITS.get(read) or _Limit(taken.rules.max_answer_share, strict=True)
+        self.answers = (
+            _dense(texts)
+            if mode == "multiple_choice"
+            else np.array([answer_bin(mode, *pair, read) for pair in zip(texts, times, strict=True)], np.int64)
+        )
+        self.places = [
+            _Place((sequence, track), form.name, tuple(frames), event)
+            for sequence, track, frames, event in zip(
+                *(own[name].to_pylist() for name in ("sequence", "target_track", "read_frames", "event")), strict=True
             )
-            return _under_pairs(np.minimum(counts, height), most)
-    return np.zeros_like(counts)
+        ]
+        waits = [tuple(wait_bin(time - first) for time in more) for first, *more in times]
+        self.cells = _dense(list(zip(map(" | ".join, own["stated"].to_pylist()), waits, strict=True)))
+        hashes = [hashlib.sha256(f"{seed} {key}".encode()).hexdigest() for key in own["key"].to_pylist()]
+        self.queues: dict[int, dict[int, list[int]]] = defaultdict(lambda: defaultdict(list))
+        """By answer and cell, the places still to be tried; the last one comes first."""
+        for place in np.argsort(hashes, kind="stable")[::-1].tolist():
+            self.queues[int(self.answers[place])][int(self.cells[place])].append(place)
+        self.together = np.zeros((int(self.cells.max()) + 1, int(self.answers.max()) + 1), np.int64)
+        """(cells, answers): how many are chosen."""
+        self.varieties = np.array(
+            [sum(cell in own for own in self.queues.values()) for cell in range(len(self.together))]
+        )
+        """Per cell, how many different answers its candidates have."""
+        self.chosen: list[int] = []
 
+    @property
+    def spent(self) -> bool:
+        """Whether no more can be chosen."""
+        return not self.queues
 
-def _under_pairs(counts: Ints, most: int) -> Ints:
-    """The most rows of each bin with no more than `most` in two bins next to each other.
+    def extend(self, more: int) -> int:
+        """Choose so many more, or fewer where candidates or the limit on answers end; returns how many."""
+        before = len(self.chosen)
+        while len(self.chosen) < before + more and self.queues:
+            # The scarcest answer first; in every turn each answer is chosen once.
+            for answer in sorted(self.queues, key=lambda one: (sum(map(len, self.queues[one].values())), one)):
+                if len(self.chosen) < before + more:
+                    self._choose_one(answer)
+        self._cut()
+        return len(self.chosen) - before
 
-    Whatever a bin leaves, only the next one could take, so every bin takes what it can.
-    """
-    most_of = np.zeros_like(counts)
-    before = 0
-    for number, count in enumerate(counts.tolist()):
-        before = most_of[number] = min(count, most - before)
-    return most_of
+    def _choose_one(self, answer: int) -> None:
+        """Choose a candidate with this answer, if any may still be chosen."""
+        queues = self.queues[answer]
+        while queues:
+            cells = np.array(sorted(queues))
+            # How much oftener the answer goes with the words and waits of a cell than the others that could.
+            excess = self.together[cells, answer] - self.together[cells].sum(axis=1) / self.varieties[cells]
+            cell = int(cells[np.lexsort((cells, -self.varieties[cells], excess))[0]])
+            place = queues[cell].pop()
+            if not queues[cell]:
+                del queues[cell]
+            if self.taken.admits(self.places[place]):
+                self.taken.add(self.places[place])
+                self.together[cell, answer] += 1
+                self.chosen.append(place)
+                break
+        if not queues:
+            del self.queues[answer]
 
-
-def _ranks(group: Ints, order: Ints) -> Ints:
-    """Place of each row within its group, from 0, by `order`."""
-    positions = np.lexsort((order, group))
-    sorted_group = group[positions]
-    starts = np.r_[True, sorted_group[1:] != sorted_group[:-1]]
-    first = np.maximum.accumulate(np.where(starts, np.arange(len(group)), 0))
-    ranks = np.empty(len(group), np.int64)
-    ranks[positions] = np.arange(len(group)) - first
-    return ranks
+    def _cut(self) -> None:
+        """Give back what was chosen last until the limit on answers is met."""
+        counts, size = np.bincount(self.answers[self.chosen]), len(self.chosen)
+        while not self.limit.allows(counts):
+            size -= 1
+            counts[self.answers[self.chosen[size]]] -= 1
+        if not self.limit.strict and size < _WORTH * len(self.chosen):
+            return
+        for place in reversed(self.chosen[size:]):
+            self.taken.remove(self.places[place])
+            answer, cell = int(self.answers[place]), int(self.cells[place])
+            self.together[cell, answer] -= 1
+            self.queues[answer][cell].append(place)
+        del self.chosen[size:]
 
 
 def _dense(values: Sequence[Hashable]) -> Ints:

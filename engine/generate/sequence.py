@@ -24,7 +24,7 @@ from jrdb_avr.engine.generate.diagnostics import refusal_row
 from jrdb_avr.engine.generate.records import make_record, needed_boxes
 from jrdb_avr.engine.generate.scene import Ints, Scene, load_scene
 from jrdb_avr.engine.generate.search import find_candidates
-from jrdb_avr.engine.generate.selection import KEPT, POOL, near_duplicates
+from jrdb_avr.engine.generate.selection import KEPT, POOL, thin_out
 from jrdb_avr.engine.rederive import Annotations, rederive
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import without_collector
@@ -126,7 +126,7 @@ class _Search:
         if not parts:
             return
         slim = pa.concat_tables(parts).combine_chunks()
-        verdicts = near_duplicates(slim, self.context.rules)
+        verdicts = thin_out(slim, self.context.rules)
         for rule in ("near_duplicate", "max_per_person"):
             dropped = slim.filter(pa.array(verdicts == rule))
             counts[name, rule] += len(dropped)
@@ -141,7 +141,9 @@ class _Search:
         table = to_table(self.context, candidates, rows)
         if self.writer is not None:
             self.writer.write_table(table.select(CANDIDATES.names).cast(CANDIDATES))
-        table = table.select(["target_track", "key", "row"]).append_column("form", pa.array(np.full(len(rows), form)))
+        table = table.select(["template", "target_track", "answer", "key", "row"]).append_column(
+            "form", pa.array(np.full(len(rows), form))
+        )
         return table.append_column("read_frames", frame_lists(candidates, candidates.template.read, rows))
 
     def _record(self, candidates: Candidates, rows: Ints) -> None:
@@ -156,9 +158,12 @@ class _Search:
             if record is None:
                 self._refuse(candidates, "choices", line, "fewer than three wrong answers")
                 continue
-            own = {"key": line["key"], "answer_text": line["answer"]}
+            row, template = line["row"], candidates.template
+            own: dict[str, Any] = {"key": line["key"], "form": template.query, "answer_text": line["answer"]}
             own["stated"] = list(stated_actions(parse_plan(line["plan"])))
-            own["times"] = [int(candidates.frames[name][line["row"]]) for name in candidates.template.stated]
+            own["times"] = [int(candidates.frames[name][row]) for name in template.stated]
+            own["read_frames"] = [int(candidates.frames[name][row]) for name in template.read]
+            own["event"] = _event(candidates, row)
             self.rows.append(record.columns() | own)
 
     def _disagreement(self, candidates: Candidates, line: Mapping[str, Any]) -> str | None:
@@ -209,6 +214,14 @@ class _Search:
             found = [result for result in candidates.perturbed if result.kind == rule]
             return ", ".join(f"{result.variant}: {OUTCOMES[result.outcome[row]]}" for result in found)
         return _DETAILS.get(rule)
+
+
+def _event(candidates: Candidates, row: int) -> str | None:
+    """The start of an action, or the count of people, that a candidate is about."""
+    template = candidates.template
+    if template.counts:
+        return f"count {candidates.relations['r1'][row]} {candidates.frames['t1'][row]}"
+    return f"start {candidates.segments[0][row]}" if template.spec.read in ("start", "span", "start_view") else None
 
 
 _DETAILS: Final = {

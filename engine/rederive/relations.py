@@ -292,8 +292,7 @@ class RelationFacts(SocialFacts):
             for other, turn in turns.items()
             if turn < nearest + margin or (turn <= reach + margin and turn - self._half(other, frame) < edge)
         ]
-        certain = len(met) == 1 and nearest >= self._half(track, frame)
-        return dict.fromkeys(met, TRUE if certain else UNKNOWN)
+        return dict.fromkeys(met, TRUE if len(met) == 1 else UNKNOWN)
 
     def _half(self, track: int, frame: int) -> float:
         """Half of the angle that a person's box covers, degrees."""

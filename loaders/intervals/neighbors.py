@@ -92,7 +92,6 @@ def robot_view(line: Timeline, boxes: Boxes, rules: LoadRules) -> Iterator[_Fact
             before = (turn < limit + rules.neighbor_margin_deg) | (begin < first)
             could = np.where(np.isfinite(limit), before, turn <= rules.neighbor_max_deg)
             alone = np.repeat(np.add.reduceat(could.astype(np.int64), starts) == 1, counts) & np.isfinite(limit)
-            alone &= turn >= half[a]
             code = np.full(int(could.sum()), _LABELS.index(label))
             yield boxes.frame[a][could], boxes.track[a][could], boxes.track[b][could], alone[could], code
 
