@@ -388,6 +388,9 @@ PRIVATE: Final = ("answers", "evidence", "rejected", "reviews")
 CANARY: Final = "jrdb-avr benchmark data must not be trained on; canary 4c1f0c0e-2f0b-4f0e-9f44-8e2a6a1d7b35"
 """Stored under the key `canary` in the metadata of every released file."""
 
+GENERATION_KEY: Final = "generation"
+"""Metadata key of the mark that the tables of one generation share."""
+
 
 def tables_page() -> str:
     """The reference page of all tables, in Markdown."""

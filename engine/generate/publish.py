@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 
 from jrdb_avr.queries.store import Store, write_atomic, write_table
 from jrdb_avr.schema.errors import StoreError
-from jrdb_avr.schema.tables import CANARY, QUESTIONS
+from jrdb_avr.schema.tables import CANARY, GENERATION_KEY, QUESTIONS
 
 PUBLISHED: Final = ("answers", "evidence", "rejected", "sequences", "questions")
 """The tables of a generation in the order in which they are moved in; `questions` last, it makes them valid."""
@@ -31,10 +31,6 @@ EVIDENCE_BLOCK: Final = 500
 """Questions whose evidence is held in memory at once."""
 
 _EVIDENCE: Final = ["frame", "x", "y", "w", "h"]
-
-
-GENERATION_KEY: Final = "generation"
-"""Metadata key of the mark that the tables of one generation share."""
 
 
 def evidence_blocks(store: Store, questions: pa.Table, answers: pa.Table) -> Iterator[pa.Table]:

@@ -20,7 +20,7 @@ from jrdb_avr.engine.generate.scene import box_count
 from jrdb_avr.engine.generate.selection import POOL, Selection, select
 from jrdb_avr.engine.generate.sequence import EXAMPLES, SequenceJob, SequenceResult, search_sequence
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
-from jrdb_avr.queries.store import Manifest, Store, write_atomic
+from jrdb_avr.queries.store import Manifest, Store, file_hash, write_atomic
 from jrdb_avr.queries.workers import map_shards
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.rules import Rules, rules_hash
@@ -84,7 +84,7 @@ def generate(
     sequences = sorted(check_load_rules(store, rules).sequences)
     # A first look reads the manifest only, so that a wrong store is refused before it is locked (and thereby made).
     with store.writing("generate"), tempfile.TemporaryDirectory(prefix="jrdb-avr-") as scratch:
-        check_load_rules(store, rules)
+        check_intervals(store, check_load_rules(store, rules))
         parts = [Path(scratch) / f"{sequence}.parquet" if candidates else None for sequence in sequences]
         jobs = [SequenceJob(store.path, name, rules, part) for name, part in zip(sequences, parts, strict=True)]
         advance = step_counter(progress, "searching", len(sequences))
@@ -103,6 +103,18 @@ def check_load_rules(store: Store, rules: Rules) -> Manifest:
             "the same --rule, or give them to generate as --rule load.NAME=VALUE"
         )
     return manifest
+
+
+def check_intervals(store: Store, manifest: Manifest) -> None:
+    """Raise StoreError where an interval file is not the one that was loaded."""
+    for entry in manifest.sequences.values():
+        for name, digest in entry.tables.items():
+            path = store.path / name
+            if name.startswith("intervals/") and (not path.is_file() or file_hash(path) != digest):
+                raise StoreError(
+                    f"{path} is not as it was loaded: run 'jrdb-avr load --verify --store {store.path}', which says "
+                    "what else is damaged, then 'jrdb-avr load --rebuild' with the same --store"
+                )
 
 
 def _search(store: Store, jobs: Sequence[SequenceJob], workers: int, advance: Advance) -> list[SequenceResult]:

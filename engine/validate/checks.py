@@ -20,7 +20,6 @@ import pyarrow.parquet as pq
 
 from jrdb_avr.engine.generate.distractors import CHOICE_COUNT
 from jrdb_avr.engine.generate.proofs import expected, failing
-from jrdb_avr.engine.generate.publish import GENERATION_KEY
 from jrdb_avr.engine.rederive import Annotations, rederive
 from jrdb_avr.engine.validate.replay import differences, replay, run_compiled
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
@@ -32,7 +31,7 @@ from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan, canonical, parse_plan
 from jrdb_avr.schema.questions import QuestionRecord
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, rules_hash
-from jrdb_avr.schema.tables import CANARY, QUESTIONS
+from jrdb_avr.schema.tables import CANARY, GENERATION_KEY, QUESTIONS
 from jrdb_avr.schema.templates import forms_of
 from jrdb_avr.schema.wording.text import parse, question_id, question_key, render
 
