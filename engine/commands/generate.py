@@ -16,6 +16,15 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 
+_blind_option = click.option(
+    "--blind",
+    type=click.Choice(["simple", "learned"]),
+    default="simple",
+    show_default=True,
+    help="Guessers of the blind check; 'learned' adds one that learns from the text (pip install 'jrdb-avr[learned]').",
+)
+
+
 @click.command(epilog="Example: jrdb-avr generate --store store --profile paper --workers 2")
 @store_option()
 @click.option(
@@ -32,9 +41,10 @@ if TYPE_CHECKING:
 )
 @click.option("--exclude-rejected", is_flag=True, help="Leave out what a reviewer rejected (see inspect --import).")
 @pairs_option("--rule", "overrides", "Override a rule; may be repeated.")
+@_blind_option
 @json_option
 def generate(
-    store: Store, exclude_rejected: bool, overrides: list[tuple[str, str]], as_json: bool, **options: Any
+    store: Store, exclude_rejected: bool, overrides: list[tuple[str, str]], blind: str, as_json: bool, **options: Any
 ) -> None:
     """Search every sequence of STORE for questions, keep those whose proofs hold, and write them to STORE/questions.
 
@@ -50,7 +60,7 @@ def generate(
     rules = override(Rules(), dict(overrides))
     excluded = rejected(store) if exclude_rejected else frozenset()
     with progress_bar() as progress:
-        made = run.generate(store, rules, excluded=excluded, progress=progress, **options)
+        made = run.generate(store, rules, excluded=excluded, learned=blind == "learned", progress=progress, **options)
     if as_json:
         print_json(made.rows())
     else:
@@ -72,17 +82,19 @@ def generate(
 @click.command(epilog="Example: jrdb-avr stats --store store --picture stats.svg")
 @store_option()
 @click.option("--picture", type=FILE, help="Also draw the distributions into this SVG file.")
+@_blind_option
 @json_option
-def stats(store: Store, picture: Path | None, as_json: bool) -> None:
+def stats(store: Store, picture: Path | None, blind: str, as_json: bool) -> None:
     """Count the questions of STORE by family, template, sequence, answer; score guessers that see no image.
 
     Says for each template what became of its candidates and, where there are few questions, why. With --json each row
     object names its table under "table".
     """
     from jrdb_avr.engine.generate.diagnostics import REFUSALS
+    from jrdb_avr.engine.generate.learned import learned_guesser
     from jrdb_avr.engine.validate.statistics import TITLES, statistics
 
-    tables = statistics(store)
+    tables = statistics(store, learned_guesser() if blind == "learned" else None)
     if picture is not None:
         from jrdb_avr.engine.pages.page import write_page
         from jrdb_avr.engine.pages.stats import stats_svg
@@ -126,4 +138,4 @@ def _print_reasons(rows: Iterable[Mapping[str, Any]]) -> None:
         if row.get("why"):
             click.echo(f"{row['template']}: {row['why']}")
         if row.get("reason"):
-            click.echo(f"{row['template']} ({row['asks']}): above the aim of {row['aim']:g}; {row['reason']}")
+            click.echo(f"{row['form']} ({row['asks']}): above the aim of {row['aim']:g}; {row['reason']}")

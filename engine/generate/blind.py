@@ -5,7 +5,9 @@ predictions are: a uniform choice; the most frequent answer; the best constant; 
 time; and a text-only guesser, which for a question of one sequence gives the commonest answer, in all other sequences,
 of questions whose text is alike (action words, choices, waits between stated times in doubling bins). Constants are
 chosen with hindsight, so the printed share is the most that such a guesser can score. For spans and viewpoints the
-constants tried are the template's own answers.
+constants tried are the template's own answers. A sixth guesser that learns from all words may join (`learned`).
+
+Forms of a template are checked apart: a guesser tells them apart by their text.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ import pyarrow as pa
 from jrdb_avr.engine.generate.bins import answer_bin, bin_name, wait_bin
 from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, Number, decode_answer, encode_answer, same_answer
 from jrdb_avr.schema.rules import FPS
-from jrdb_avr.schema.wording.text import parse, stated_actions, stated_frames
+from jrdb_avr.schema.wording.text import form_of, parse, stated_actions, stated_frames
 
 AIMS: Final = {"multiple_choice": 0.35, "frame": 0.25, "span": 0.25, "frame_viewpoint": 0.25, "number": 0.58}
 """The most that a blind guesser should score, by answer mode; counts have no aim."""
@@ -41,6 +43,14 @@ class QuestionText:
     words: tuple[str, ...]
     times: tuple[int, ...]
     answer: Answer
+    form: str = ""
+    text: str = ""
+
+    @property
+    def chosen(self) -> str:
+        """The text of the right choice."""
+        assert isinstance(self.answer, Choice)
+        return self.choices[self.answer.choice - 1]
 
     @property
     def waits(self) -> tuple[int, ...]:
@@ -66,7 +76,7 @@ def question_texts(questions: pa.Table, answers: pa.Table) -> list[QuestionText]
     stored = dict(zip(answers["question_id"].to_pylist(), answers["answer"].to_pylist(), strict=True))
     found = []
     for row in sorted(questions.to_pylist(), key=lambda row: row["question_id"]):
-        _, plan = parse(row["question"])
+        template, plan = parse(row["question"])
         found.append(
             QuestionText(
                 row["sequence"],
@@ -77,34 +87,45 @@ def question_texts(questions: pa.Table, answers: pa.Table) -> list[QuestionText]
                 stated_actions(plan),
                 stated_frames(plan),
                 decode_answer(row["answer_mode"], stored[row["question_id"]]),
+                form_of(template, plan)[0].query,
+                row["question"],
             )
         )
     return found
 
 
-def blind_check(questions: Sequence[QuestionText]) -> list[dict[str, Any]]:
-    """One row per template and kind of answer: n, each guesser's share of right answers, the aim, and why it is missed.
+Guesser = Callable[[Sequence[QuestionText]], float | None]
+"""Returns the share of right answers to questions of one form; None where it cannot answer them."""
 
-    A guesser that does not apply has None; so have counts as aim, and `reason` where nothing is above the aim.
+
+def blind_check(questions: Sequence[QuestionText], learned: Guesser | None = None) -> list[dict[str, Any]]:
+    """One row per form of a template: n, each guesser's share of right answers, the aim, and why it is missed.
+
+    A guesser that does not apply has None, and so has `learned` where none is named (`learned_guesser`). Counts
+    have None as aim, and `reason` is None where nothing is above the aim.
     """
-    groups: dict[tuple[str, str], list[QuestionText]] = defaultdict(list)
+    groups: dict[tuple[str, str, str], list[QuestionText]] = defaultdict(list)
     for question in questions:
-        groups[question.template, question.asks].append(question)
-    return [{"template": template, "asks": asks, **_check(group)} for (template, asks), group in sorted(groups.items())]
+        groups[question.template, question.form, question.asks].append(question)
+    return [
+        {"template": template, "form": form or template, "asks": asks, **_check(group, learned)}
+        for (template, form, asks), group in sorted(groups.items())
+    ]
 
 
-def _check(group: list[QuestionText]) -> dict[str, Any]:
+def _check(group: list[QuestionText], learned: Guesser | None) -> dict[str, Any]:
     mode, n = group[0].mode, len(group)
     scores: dict[str, float | None] = dict.fromkeys(("uniform", "most_frequent", "constant", "offset"))
     if mode == "multiple_choice":
         scores["uniform"] = sum(1 / len(q.choices) for q in group) / n
-        scores["most_frequent"] = max(Counter(map(_chosen, group)).values()) / n
+        scores["most_frequent"] = max(Counter(question.chosen for question in group).values()) / n
     else:
         scores["constant"] = _best(group, [0] * n)
     if mode not in ("multiple_choice", "number"):
         positions = range(min(len(q.times) for q in group))
         scores["offset"] = max(_best(group, [q.times[position] for q in group]) for position in positions)
     scores["text_only"] = _text_only(group)
+    scores["learned"] = None if learned is None else learned(group)
     aim = None if group[0].read == "count" else AIMS[mode]
     above = [name for name, score in scores.items() if score is not None and aim is not None and score > aim]
     within = None if aim is None else not above
@@ -119,21 +140,17 @@ def _reason(group: Sequence[QuestionText], above: Sequence[str]) -> str:
     """Explain why guessers score above the aim: which answers are too similar."""
     n = len(group)
     parts = [f"only {n} question{'s' * (n > 1)}, one is {100 / n:.0f} %"] if n < FEW else []
-    if above != ["text_only"]:
+    if set(above) - {"text_only", "learned"}:
         choice = group[0].mode == "multiple_choice"
-        commonest = Counter(_chosen(question) if choice else question.bin for question in group)
+        commonest = Counter(question.chosen if choice else question.bin for question in group)
         name, count = min(commonest.items(), key=lambda item: (-item[1], item[0]))
         what = f"are {name!r}" if choice else f"lie in {name} s"
         parts.append(f"{count} of {n} answers {what}, and too few others are left to level them")
     if "text_only" in above:
         parts.append("questions with the same words and waits have the same answers in other sequences")
+    if "learned" in above:
+        parts.append("words, choices and waits go with the same answers in other sequences")
     return "; ".join(parts)
-
-
-def _chosen(question: QuestionText) -> str:
-    """The text of the right choice."""
-    assert isinstance(question.answer, Choice)
-    return question.choices[question.answer.choice - 1]
 
 
 # -- constants ----------------------------------------------------------------------------------------------------
@@ -191,7 +208,7 @@ def _text_only(group: Sequence[QuestionText]) -> float:
     def learned(sequence: str, level: int, key: Hashable) -> Counter[str] | Answer | None:
         others = [question for question in pools[level, key] if question.sequence != sequence]
         if group[0].mode == "multiple_choice":
-            return Counter(map(_chosen, others))
+            return Counter(question.chosen for question in others)
         return best_guess([_moved(q.answer, -q.times[0]) for q in others]) if others else None
 
     def score(question: QuestionText) -> float:
@@ -199,7 +216,7 @@ def _text_only(group: Sequence[QuestionText]) -> float:
             guess = learned(question.sequence, level, alike(question))
             if isinstance(guess, Counter):
                 if offered := [text for text in question.choices if guess[text]]:
-                    return float(min(offered, key=lambda text: (-guess[text], text)) == _chosen(question))
+                    return float(min(offered, key=lambda text: (-guess[text], text)) == question.chosen)
             elif guess is not None:
                 return float(same_answer(_moved(guess, question.times[0]), question.answer))
         return 1 / len(question.choices) if question.choices else 0.0

@@ -13,8 +13,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from jrdb_avr.engine.generate.blind import blind_check, question_texts
+from jrdb_avr.engine.generate.blind import Guesser, blind_check, question_texts
 from jrdb_avr.engine.generate.diagnostics import REFUSALS, refusal_row, shortfalls, tallies
+from jrdb_avr.engine.generate.learned import learned_guesser
 from jrdb_avr.engine.generate.publish import publish
 from jrdb_avr.engine.generate.scene import box_count
 from jrdb_avr.engine.generate.selection import POOL, Selection, select
@@ -72,15 +73,18 @@ def generate(
     workers: int = 2,
     candidates: Path | None = None,
     excluded: frozenset[str] = frozenset(),
+    learned: bool = False,
     progress: Progress | None = None,
 ) -> Generation:
     """Generate the questions of a store; the result depends on its tables, the rules, the profile and the seed, and on
     the ids of `excluded` questions alone, whose places others take.
 
-    `candidates`: a Parquet file for every proven candidate before near-duplicates and selection. Raises StoreError
-    where nothing is loaded, or under other load rules, and LockedError where another process writes the store.
+    `candidates`: a Parquet file for every proven candidate before near-duplicates and selection. `learned`: whether
+    the guesser of scikit-learn joins the blind check. Raises StoreError where nothing is loaded, or under other load
+    rules, LockedError where another process writes the store, and InputError where scikit-learn is missing.
     """
     store, rules = Store.of(store), rules or Rules()
+    guesser = learned_guesser() if learned else None
     sequences = sorted(check_load_rules(store, rules).sequences)
     # A first look reads the manifest only, so that a wrong store is refused before it is locked (and thereby made).
     with store.writing("generate"), tempfile.TemporaryDirectory(prefix="jrdb-avr-") as scratch:
@@ -91,7 +95,7 @@ def generate(
         results = _search(store, jobs, workers, advance)
         if candidates is not None:
             _gather([part for part in parts if part], candidates)
-        return _publish(store, results, rules, profile, seed, excluded)
+        return _publish(store, results, rules, profile, seed, excluded, guesser)
 
 
 def check_load_rules(store: Store, rules: Rules) -> Manifest:
@@ -140,7 +144,13 @@ def _gather(parts: Sequence[Path], place: Path) -> None:
 
 
 def _publish(
-    store: Store, results: Sequence[SequenceResult], rules: Rules, profile: str, seed: int, excluded: frozenset[str]
+    store: Store,
+    results: Sequence[SequenceResult],
+    rules: Rules,
+    profile: str,
+    seed: int,
+    excluded: frozenset[str],
+    learned: Guesser | None,
 ) -> Generation:
     pool = pa.concat_tables([POOL.empty_table(), *(result.pool for result in results)])
     selection = _select(pool, rules, profile, seed, excluded)
@@ -159,7 +169,7 @@ def _publish(
         templates=tuple(rows),
         shortfalls=tuple(shortfalls(rows, lacking, len(results), aims)),
         selection=selection.report,
-        blind=tuple(blind_check(question_texts(public["questions"], public["answers"]))),
+        blind=tuple(blind_check(question_texts(public["questions"], public["answers"]), learned)),
         faults=tuple(fault for result in results for fault in result.faults),
     )
 

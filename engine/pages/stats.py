@@ -29,7 +29,7 @@ _TIMES: Final = {
     "seconds": ("Gaps", "seconds between the two events"),
 }
 _MISTAKES: Final = ("hop.stop", "hop.skip", "pose at t0", "time.shift", "look-alike", "none")
-_GUESSERS: Final = ("uniform", "most_frequent", "constant", "offset", "text_only")
+_GUESSERS: Final = ("uniform", "most_frequent", "constant", "offset", "text_only", "learned")
 
 
 class Bar(NamedTuple):
@@ -186,7 +186,7 @@ def _blind(tables: Tables) -> Panel:
     color = dict(zip(_GUESSERS, _PALETTE, strict=False))
     rows = [
         PanelRow(
-            row["template"] + (" (count)" if row["asks"] == "count" else ""),
+            row["form"],
             f"n {row['n']:,}",
             dots=[(row[name], color[name], f"{name}: {row[name]:.0%}") for name in _GUESSERS if row[name] is not None],
             aim=row["aim"],

@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from jrdb_avr.engine.generate.blind import QuestionText, blind_check, question_texts
+from jrdb_avr.engine.generate.blind import Guesser, QuestionText, blind_check, question_texts
 from jrdb_avr.engine.generate.diagnostics import REFUSALS, shortfalls, tallies
 from jrdb_avr.engine.generate.selection import PROFILES
 from jrdb_avr.engine.generate.views import min_crops
@@ -65,8 +65,8 @@ class MeasuredQuestion(NamedTuple):
     measures: Mapping[str, float]
 
 
-def statistics(store: Store) -> dict[str, list[_Row]]:
-    """Rows of every table in TITLES. Raises StoreError where there are no questions."""
+def statistics(store: Store, learned: Guesser | None = None) -> dict[str, list[_Row]]:
+    """Rows of every table in TITLES; `learned` joins the blind check. Raises StoreError without questions."""
     questions, answers, rejected = (store.questions(name) for name in ("questions", "answers", "rejected"))
     rows = zip(*(table.sort_by("question_id").to_pylist() for table in (questions, answers)), strict=True)
     measured = [
@@ -108,7 +108,9 @@ def statistics(store: Store) -> dict[str, list[_Row]]:
         "distractor": _distractors(measured),
         "distribution": _distributions(measured),
         "spread": _spread(measured),
-        "blind": [{"family": FAMILIES[row["template"]], **row} for row in blind_check([one.text for one in measured])],
+        "blind": [
+            {"family": FAMILIES[row["template"]], **row} for row in blind_check([one.text for one in measured], learned)
+        ],
     }
 
 

@@ -54,14 +54,20 @@ def render(template: str, plan: Plan, key: str, about: bool = False) -> str:
     Templates that ask for no event do not change with it. Raises PlanError for a plan that is not of the template,
     or for which there are no words.
     """
+    row, slots = form_of(template, plan)
+    _check(row, slots)
+    text = _fill(row, row.paraphrases[int(key[-8:], 16) % len(row.paraphrases)], slots, about)
+    if len(text) > LONGEST:
+        raise PlanError("nodes[0].conditions", f"make a text of {len(text)} characters; {LONGEST} are too many")
+    return text
+
+
+def form_of(template: str, plan: Plan) -> tuple[Template, Slots]:
+    """The form of a template that a plan is of, and its slots. Raises PlanError where it is of none."""
     for row in forms_of(template):
         slots = row.slots(plan)
         if slots is not None and canonical(row.build(slots)) == canonical(plan):
-            _check(row, slots)
-            text = _fill(row, row.paraphrases[int(key[-8:], 16) % len(row.paraphrases)], slots, about)
-            if len(text) > LONGEST:
-                raise PlanError("nodes[0].conditions", f"make a text of {len(text)} characters; {LONGEST} are too many")
-            return text
+            return row, slots
     raise PlanError("plan", f"is no plan of the template {template!r}")
 
 

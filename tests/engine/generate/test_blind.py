@@ -89,6 +89,20 @@ def test_seconds_and_counts_are_judged_apart():
     assert seconds["reason"].startswith("only 4 questions, one is 25 %; 2 of 4 answers lie in [20, 40) s")
 
 
+def test_forms_that_the_text_tells_apart_are_judged_apart():
+    rows = [
+        QuestionText("a", "gap", "seconds_between", "number", (), (), (0,), Number(value), form)
+        for form, value in [("gap_absence", 6.0)] * 3 + [("gap_starts", 60.0)] * 2
+    ]
+    absences, starts = blind_check(rows)
+    assert [(row["form"], row["asks"], row["n"]) for row in (absences, starts)] == [
+        ("gap_absence", "seconds", 3),
+        ("gap_starts", "seconds", 2),
+    ]
+    # Together one constant would be right for three of five.
+    assert absences["constant"] == starts["constant"] == 1.0
+
+
 def test_what_is_above_its_aim_says_why():
     rows = [start("a", 0, 60 + i % 20) for i in range(40)] + [start("b", 0, 200 + 100 * i) for i in range(40)]
     (row,) = blind_check(rows)
@@ -156,9 +170,11 @@ def test_posed_reads_the_public_text():
     )
     answers = pa.table({"question_id": ["0" * 16], "answer": [encode_answer(Choice(3))]})
     (question,) = question_texts(questions, answers)
+    text = questions["question"][0].as_py()
     assert question == QuestionText(
-        "s", "change", "action", "multiple_choice", POSES, ("reading",), (15, 90), Choice(3)
+        "s", "change", "action", "multiple_choice", POSES, ("reading",), (15, 90), Choice(3), "change", text
     )
+    assert question.chosen == "sitting"
     assert question.waits == (1,)
     assert blind_check([question])[0]["text_only"] == 0.25
 
