@@ -290,7 +290,7 @@ class RelationFacts(SocialFacts):
         met = [
             other
             for other, turn in turns.items()
-            if turn < nearest + margin or (turn <= reach + margin and turn - self._half(other, frame) < edge)
+            if turn < nearest + margin or (turn <= reach + margin and turn - self._half(other, frame) <= edge + SLACK)
         ]
         return dict.fromkeys(met, TRUE if len(met) == 1 else UNKNOWN)
 

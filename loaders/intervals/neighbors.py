@@ -68,7 +68,7 @@ def robot_view(line: Timeline, boxes: Boxes, rules: LoadRules) -> Iterator[_Fact
     """First to the left and right of everybody at every keyframe, block by block.
 
     Turning from X, the first person at least a degree away and clearly seen settles the matter. Those met before, those
-    met less than a degree later, and those whose box begins sooner could be it as well; the fact is certain where there
+    met less than a degree later, and those whose box begins as soon could be it as well; the fact is certain where there
     is no such other, and where the person's centre lies outside X's own box. Where nobody settles it within reach,
     everybody within reach could be it.
     """
@@ -89,7 +89,7 @@ def robot_view(line: Timeline, boxes: Boxes, rules: LoadRules) -> Iterator[_Fact
             limit = np.repeat(settled, counts)
             begin = turn - half[b]
             first = np.repeat(np.minimum.reduceat(np.where(settles & (turn == limit), begin, np.inf), starts), counts)
-            before = (turn < limit + rules.neighbor_margin_deg) | (begin < first)
+            before = (turn < limit + rules.neighbor_margin_deg) | (begin <= first + SLACK)
             could = np.where(np.isfinite(limit), before, turn <= rules.neighbor_max_deg)
             alone = np.repeat(np.add.reduceat(could.astype(np.int64), starts) == 1, counts) & np.isfinite(limit)
             code = np.full(int(could.sum()), _LABELS.index(label))

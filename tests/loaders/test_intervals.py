@@ -109,9 +109,9 @@ def test_a_group_has_a_size_where_everybody_certainly_is_in_or_out():
 
 
 @pytest.mark.parametrize(
-    ("degrees", "sector", "other"),
-    [(180, "ahead", None), (139, "ahead", "left"), (134, "left", "ahead"), (129, "left", None), (2, "behind", None)],
+    ("degrees", "sector"),
+    [(180, "ahead"), (141, "ahead"), (139, None), (131, None), (129, "left"), (2, "behind"), (358, "behind")],
 )
-def test_near_its_edge_a_sector_has_another(degrees, sector, other):
+def test_between_two_sectors_there_is_none(degrees, sector):
     (row,) = derived(World([0]).see(1, [0], x=toward(degrees)), "sightings")
-    assert (row["sector"], row["sector_other"]) == (sector, other)
+    assert row["sector"] == sector

@@ -113,14 +113,20 @@ def test_a_bad_label_id_costs_its_own_record(tmp_path, label):
     assert (kind, count, frame, field) == ("record", 1, "000015.jpg", "label_id")
 
 
-def test_ids_of_others_than_people_are_skipped_and_the_frame_stays_whole(tmp_path):
-    others = [variant(label_id=label) for label in ("person:-1", "robot:3", "person:7", "car:2")]
+def test_things_are_skipped_and_the_frame_stays_whole(tmp_path):
+    others = [variant(label_id=label) for label in ("car:-1", "Chair/Sofa:3", "sofa:7", "big_vehicle:2")]
     store, found = loaded(tmp_path, raw_2d(*others, json.dumps(GOOD)))
     assert boxes(store) == [(0, 1), (15, 1)]
-    assert [(p.reason, p.count, p.detail) for p in found.problems] == [
-        ("label_id is not of a tracked person", 4, "person:-1")
-    ]
+    assert [(p.reason, p.count, p.detail) for p in found.problems] == [("label_id is of a thing", 4, "car:-1")]
     assert store.interval("frames", NAME)["annotated"].to_pylist() == [True, True]
+
+
+@pytest.mark.parametrize("label", ["Pedestrian:1", "pedestrian:-1", "ped:1", "person:-1", "robot:3", "child:2"])
+def test_whoever_may_be_a_person_proves_nobodys_absence(tmp_path, label):
+    store, found = loaded(tmp_path, raw_2d(variant(label_id=label), json.dumps(GOOD)))
+    assert boxes(store) == [(0, 1), (15, 1)]
+    assert [(p.reason, p.count, p.detail) for p in found.problems] == [("label_id is not pedestrian:N", 1, label)]
+    assert store.interval("frames", NAME)["annotated"].to_pylist() == [True, False]
 
 
 def test_id_zero_is_a_person(tmp_path):

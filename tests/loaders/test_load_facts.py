@@ -151,7 +151,7 @@ def test_random_worlds_are_not_empty_of_facts():
         seen.update((row["label"].endswith("(robot view)"), row["certain"]) for row in expected["beside"])
         seen.update(("closed", row["closed"]) for row in expected["segments"])
         seen.update(("size", row["group_size"] is None) for row in expected["sightings"])
-        seen.update(("sector", row["sector_other"] is None) for row in expected["sightings"])
+        seen.update(("sector", row["sector"] is None) for row in expected["sightings"])
         seen.update(("face", row["face_visible"]) for row in expected["sightings"])
         seen.update(("interactions", row["interactions_listed"]) for row in expected["sightings"])
         seen.update(("handles", row["handles_listed"]) for row in expected["sightings"])

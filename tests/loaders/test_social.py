@@ -292,7 +292,7 @@ ENTRIES = {
     "huge": ({"pair": 10**400, "inter_labels": {"hugging": "1"}}, "pair: number too large"),
     "too large": ({"pair": 2**31 - 1, "inter_labels": {"hugging": "1"}}, "pair: number out of range"),
     "NaN": ({"pair": float("nan"), "inter_labels": {"hugging": "1"}}, "pair: not a finite number"),
-    "no person": ({"pair": "person:-1", "inter_labels": {"hugging": "1"}}, "pair: label_id is not of a tracked person"),
+    "no person": ({"pair": "person:-1", "inter_labels": {"hugging": "1"}}, "pair: label_id is not pedestrian:N"),
     "a name": ({"pair": "Ann", "inter_labels": {"hugging": "1"}}, "pair: label_id is not pedestrian:N"),
     "nested": ({"pair": [[2]], "inter_labels": {"hugging": "1"}}, "pair: not a number"),
     "oneself": ({"pair": 1, "inter_labels": {"hugging": "1"}}, "pair is the person itself"),

@@ -12,7 +12,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from oracle_facts import POSES, Oracle, distance_words, robot_sectors
+from oracle_facts import CENTERS, POSES, Oracle, distance_words, off_axis
 from oracle_reading import read
 
 LAYERS = {
@@ -113,7 +113,7 @@ class SequenceFacts:
     def _seen(self, frame, track, box, cut):
         people, key = self.people, (frame, track)
         located = people.located.get(key)
-        sector, other = robot_sectors(people.angle(frame, track))
+        angle = people.angle(frame, track)
         distance = word = place = heading = None
         if located is not None:
             row = self._place(located)
@@ -133,7 +133,7 @@ class SequenceFacts:
             handles=frozenset(self.handles.get(key, ())),
             group=cluster if code in (1, 2) else None,
             group_size=people.group_size(frame, track),
-            sector=sector if other is None else None,
+            sector=next((name for name in CENTERS if off_axis(angle, name) <= 40), None),
             distance=distance,
             distance_word=word,
             place=place,

@@ -350,7 +350,6 @@ class Oracle:
     def _sighting(self, frame, track):
         record = self.people[frame, track]
         angle = self.angle(frame, track)
-        sectors = robot_sectors(angle)
         keypoints = self.poses.get((frame, track))
         row = {
             "frame": frame,
@@ -368,8 +367,7 @@ class Oracle:
             "pose": self.pose(frame, track),
             "cluster": self.clusters.get((frame, track), (None,))[0],
             "group_size": self.group_size(frame, track),
-            "sector": sectors[0],
-            "sector_other": sectors[1],
+            "sector": next((name for name in CENTERS if off_axis(angle, name) <= 40 + 1e-9), None),
             "located": (frame, track) in self.located,
         }
         empty = dict.fromkeys(("distance", "distance_word", "distance_word_other", "cx", "cy", "cz", "heading"))
@@ -448,18 +446,15 @@ class Oracle:
         for other in others:
             there = self.angle(frame, other)
             turns[other] = (here - there) % 360 if side == "left" else (there - here) % 360
-        could = []
-        settled = None
-        for other in sorted(others, key=lambda t: turns[t]):
-            if settled is not None:
-                if turns[other] < turns[settled] + 1:
-                    could.append(other)
-            elif turns[other] <= 60:
-                could.append(other)
-                if turns[other] >= 1 and self.clear(frame, other):
-                    settled = other
-        # Sorting may put an equal turn before the one that settles it; it was added either way.
-        certain = settled is not None and len(could) == 1
+        begins = {other: turns[other] - self.people[frame, other]["w"] / 2 * 360 / 3760 for other in others}
+        seen = [other for other in others if 1 <= turns[other] <= 60 and self.clear(frame, other)]
+        if seen:
+            first = min(seen, key=lambda other: (turns[other], begins[other]))
+            sooner = [o for o in others if turns[o] <= 61 and begins[o] <= begins[first] + 1e-9]
+            could = [other for other in others if turns[other] < turns[first] + 1 or other in sooner]
+        else:
+            could = [other for other in others if turns[other] <= 60]
+        certain = bool(seen) and len(could) == 1
         label = f"first to the {side} of (robot view)"
         return [
             {"source": source, "target": t, "label": label, **self._span(frame, frame), "certain": certain}
@@ -559,16 +554,9 @@ def _chains(frames, step, kind):
     return [tuple(row) for row in rows]
 
 
-def robot_sectors(angle):
-    """The sector of a panorama angle and, within 5 degrees of an edge, the other one."""
-    turn = {name: abs((angle - center + 180) % 360 - 180) for name, center in CENTERS.items()}
-    near = sorted((t, name) for name, t in turn.items() if t <= 50 + 1e-9)
-    if len(near) == 1:
-        return near[0][1], None
-    if abs(near[0][0] - near[1][0]) < 1e-9:  # on the edge itself: the clockwise sector has it
-        first = next(n for _, n in near if (angle - CENTERS[n]) % 360 > 180)
-        return first, next(n for _, n in near if n != first)
-    return near[0][1], near[1][1]
+def off_axis(angle, sector):
+    """Degrees between a panorama angle and the axis of a sector of the robot's."""
+    return abs((angle - CENTERS[sector] + 180) % 360 - 180)
 
 
 CENTERS = {"behind": 0, "left": 90, "ahead": 180, "right": 270}

@@ -11,7 +11,7 @@ import itertools
 import json
 from functools import cache, cached_property
 
-from oracle_facts import POSES, Oracle, distance_words, robot_sectors
+from oracle_facts import POSES, Oracle, distance_words, off_axis
 from oracle_reading import read_root
 
 OTHERS = {
@@ -130,7 +130,8 @@ class People(Oracle):
         elif kind == "group_size":
             could = {sight["group_size"]}
         elif kind == "sector":
-            could = set(robot_sectors(self.angle(frame, track)))
+            off = off_axis(self.angle(frame, track), wanted)
+            return YES if off <= 40 + 1e-9 else MAYBE if off <= 90 + 1e-9 else NO
         else:
             could = set() if sight["distance"] is None else set(distance_words(sight["distance"]))
         could -= {None}

@@ -252,13 +252,14 @@ def plain(label):
 
 
 def track_of(value):
-    """(N, True) of `pedestrian:N`; (None, True) for something that is no tracked person; else (None, False)."""
+    """(N, True) of `pedestrian:N`; (None, True) for what is certainly a thing; else (None, False)."""
     if not isinstance(value, str):
         return None, False
     match = re.fullmatch(r"pedestrian:([0-9]{1,10})", value)
     if match and int(match[1]) <= TRACK_MAX:
         return int(match[1]), True
-    return None, match is None and re.fullmatch(r"[A-Za-z_ ]+:-?[0-9]+", value) is not None
+    kind, _, digits = value.partition(":")
+    return None, plain(kind) in THINGS and re.fullmatch(r"-?[0-9]+", digits) is not None
 
 
 def partner_of(value):
@@ -348,12 +349,14 @@ def read_2d(value, every=False):
     found = Found(every)
     known, people = {}, []
     for frame, records in label_frames(value, "jpg|jpeg|png"):
-        unread = False
+        unread, met = False, set()
         for record in records:
             track, told = track_of(record.get("label_id")) if isinstance(record, dict) else (None, False)
             box = box_of(record.get("box")) if track is not None else None
-            unread |= not told or (track is not None and box is None)
+            # The second of two boxes of a person may be somebody else's.
+            unread |= not told or (track is not None and box is None) or track in met
             if box is not None:
+                met.add(track)
                 people.append(((frame, track), record, box))
         if not unread:
             known[frame] = 0
@@ -633,6 +636,13 @@ chair/sofa pedestrian sign trolley pole/trafficcone bicyclist/rider table skateb
 door
 """
 STANDARD = {plain(name): name for name in CATEGORIES.split()}
+THINGS = {
+    plain(word)
+    for name in CATEGORIES.split()
+    if name not in ("pedestrian", "child", "bicyclist/rider")
+    for word in (name, *name.split("/"))
+}
+"""What the number of a record may be of that is no person."""
 
 
 def read_stamps(value, sensor, every=False):
