@@ -129,7 +129,7 @@ def select(table: pa.Table, rules: Rules, profile: str, seed: int) -> Selection:
     wanted = PROFILES[profile]
     families = list(dict.fromkeys(FAMILIES.values()))
     sizes = Counter(table["family"].to_pylist())
-    for family in sorted(families, key=lambda name: (sizes[name] / wanted.get(name, 1), name)):
+    for family in sorted(families, key=lambda name: (sizes[name] / max(wanted.get(name, 1), 1), name)):
         _choose({name: forms.get(name, []) for name in _templates_of(family)}, wanted.get(family))
     report: list[dict[str, Any]] = []
     for family in families:
@@ -164,6 +164,9 @@ def _choose(forms: Mapping[str, Sequence[_Form]], wanted: int | None) -> None:
             for place, part in _share_out(dict.fromkeys(range(len(own)), share), share).items():
                 left -= own[place].extend(part)
         if left == before:
+            # Some shares are too small for any number of answers: whoever can take all that is left.
+            for form in (form for own in forms.values() for form in own):
+                left -= form.extend(left)
             break
 
 
@@ -248,10 +251,36 @@ class _Limit:
     strict: bool = False
     neighbors: bool = False
 
-    def allows(self, counts: Ints) -> bool:
-        """Whether these numbers of questions by answer are within the limit."""
-        most = counts + np.append(counts[1:], 0) if self.neighbors else counts
-        return bool(most.max(initial=0) <= self.share * counts.sum() + 1e-9)
+    def stay(self, answers: Ints) -> Ints:
+        """The places of these answers, which stand in the order of choice, that stay so that the limit is met."""
+        size, rank = len(answers), _ranks(answers)
+        while True:
+            most = int(self.share * size + 1e-9)
+            stays = np.flatnonzero(rank < (_under_pairs(answers, most)[answers] if self.neighbors else most))
+            if len(stays) >= size:
+                return stays[:size]
+            # Fewer questions leave each answer less room, so there are no more than these.
+            size = len(stays)
+
+
+def _ranks(answers: Ints) -> Ints:
+    """How many equal answers stand before each."""
+    order = np.argsort(answers, kind="stable")
+    counts = np.bincount(answers)
+    ranks = np.empty(len(answers), np.int64)
+    ranks[order] = np.arange(len(answers)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return ranks
+
+
+def _under_pairs(answers: Ints, most: int) -> Ints:
+    """The most of each answer with no more than `most` of two that are next to each other.
+
+    Whatever an answer leaves, only the next one could take, so every answer takes what it can.
+    """
+    limits, before = np.bincount(answers), 0
+    for number, count in enumerate(limits.tolist()):
+        before = limits[number] = min(count, most - before)
+    return limits
 
 
 _LIMITS: Final = {
@@ -263,7 +292,10 @@ _LIMITS: Final = {
 }
 """By read; all others are choices, under `max_answer_share`."""
 
-_WORTH: Final = 0.5
+_FREE: Final = 2
+"""So many questions of a cell may have the same answer, whatever others have."""
+
+_WORTH: Final = 0.1
 """An aim is met where at least this share of what could be chosen stays."""
 
 
@@ -304,57 +336,67 @@ class _Form:
             [sum(cell in own for own in self.queues.values()) for cell in range(len(self.together))]
         )
         """Per cell, how many different answers its candidates have."""
+        self.sizes = np.bincount(self.answers)
         self.chosen: list[int] = []
+        self.ended = False
 
     @property
     def spent(self) -> bool:
         """Whether no more can be chosen."""
-        return not self.queues
+        return self.ended or not self.queues
 
     def extend(self, more: int) -> int:
         """Choose so many more, or fewer where candidates or the limit on answers end; returns how many."""
         before = len(self.chosen)
-        while len(self.chosen) < before + more and self.queues:
-            # The scarcest answer first; in every turn each answer is chosen once.
-            for answer in sorted(self.queues, key=lambda one: (sum(map(len, self.queues[one].values())), one)):
-                if len(self.chosen) < before + more:
-                    self._choose_one(answer)
+        while len(self.chosen) < before + more:
+            counts = self.together.sum(axis=0)
+            # Every answer in its turn, the scarcest first.
+            turns = sorted(self.queues, key=lambda one: (counts[one], self.sizes[one], one))
+            if not any(self._choose_one(answer) for answer in turns):
+                break
         self._cut()
         return len(self.chosen) - before
 
-    def _choose_one(self, answer: int) -> None:
-        """Choose a candidate with this answer, if any may still be chosen."""
+    def _choose_one(self, answer: int) -> bool:
+        """Choose a candidate with this answer, if any may still be chosen; returns whether one was."""
         queues = self.queues[answer]
         while queues:
             cells = np.array(sorted(queues))
+            own, total, variety = self.together[cells, answer], self.together[cells].sum(axis=1), self.varieties[cells]
             # How much oftener the answer goes with the words and waits of a cell than the others that could.
-            excess = self.together[cells, answer] - self.together[cells].sum(axis=1) / self.varieties[cells]
-            cell = int(cells[np.lexsort((cells, -self.varieties[cells], excess))[0]])
+            excess = own - (total - own) / np.maximum(variety - 1, 1)
+            telling = (variety > 1) & (own >= _FREE) & (excess > 0) & (own > self.limit.share * (total + 1))
+            best = np.lexsort((cells, -variety, excess, telling))[0]
+            if telling[best] and self.limit.strict:
+                return False
+            cell = int(cells[best])
             place = queues[cell].pop()
             if not queues[cell]:
                 del queues[cell]
+            if not queues:
+                del self.queues[answer]
             if self.taken.admits(self.places[place]):
                 self.taken.add(self.places[place])
                 self.together[cell, answer] += 1
                 self.chosen.append(place)
-                break
-        if not queues:
-            del self.queues[answer]
+                return True
+        return False
 
     def _cut(self) -> None:
-        """Give back what was chosen last until the limit on answers is met."""
-        counts, size = np.bincount(self.answers[self.chosen]), len(self.chosen)
-        while not self.limit.allows(counts):
-            size -= 1
-            counts[self.answers[self.chosen[size]]] -= 1
-        if not self.limit.strict and size < _WORTH * len(self.chosen):
-            return
-        for place in reversed(self.chosen[size:]):
+        """Give back what is too many for the limit on answers."""
+        stays = self.limit.stay(self.answers[self.chosen])
+        if not self.limit.strict:
+            # Turns are even as long as every answer has some left.
+            self.ended = not self.queues
+            if not self.ended or len(stays) < _WORTH * len(self.chosen):
+                return
+        kept = [self.chosen[number] for number in stays.tolist()]
+        for place in [place for place in reversed(self.chosen) if place not in set(kept)]:
             self.taken.remove(self.places[place])
             answer, cell = int(self.answers[place]), int(self.cells[place])
             self.together[cell, answer] -= 1
             self.queues[answer][cell].append(place)
-        del self.chosen[size:]
+        self.chosen = kept
 
 
 def _dense(values: Sequence[Hashable]) -> Ints:

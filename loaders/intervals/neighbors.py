@@ -68,9 +68,8 @@ def robot_view(line: Timeline, boxes: Boxes, rules: LoadRules) -> Iterator[_Fact
     """First to the left and right of everybody at every keyframe, block by block.
 
     Turning from X, the first person at least a degree away and clearly seen settles the matter. Those met before, those
-    met less than a degree later, and those whose box begins as soon could be it as well; the fact is certain where there
-    is no such other, and where the person's centre lies outside X's own box. Where nobody settles it within reach,
-    everybody within reach could be it.
+    met less than a degree later, and those whose box begins as soon could be it as well; the fact is certain where
+    there is no such other. Where nobody settles it within reach, everybody within reach could be it.
     """
     clear, angle, half = boxes.clear, boxes.angle, boxes.box[:, 2] * (180.0 / WIDTH)
     rows = np.flatnonzero(np.isin(boxes.frame, line.keyframes))
