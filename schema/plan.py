@@ -90,6 +90,15 @@ class Condition(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_
         return "object" if self.object is not None else "interaction"
 
     @property
+    def words(self) -> str:
+        """The condition in a few words, as in "action sitting", "sector left" or "object bag (carrying)"."""
+        if self.attribute is not None:
+            return f"{self.attribute} {self.value}"
+        if self.object is not None:
+            return f"object {self.object} ({self.verb})"
+        return f"interaction {self.interaction}" if self.action is None else f"action {self.action}"
+
+    @property
     def wanted(self) -> tuple[str, str]:
         """Name and value of the attribute that fulfils it, as an agent writes it."""
         if self.attribute is not None:

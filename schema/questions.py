@@ -12,11 +12,11 @@ from jrdb_avr.schema.labels import answer_of_choice
 
 
 class Proof(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One proof: whether it holds, how the program's answer compares, and what it answers where it does."""
+    """One proof: whether it holds (None: it is not run), how the program's answer compares, and that answer."""
 
     kind: str
     variant: str
-    holds: bool
+    holds: bool | None
     outcome: str
     answer: str | None = None
 

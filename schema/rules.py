@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
 
@@ -105,6 +105,8 @@ class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Fewest people that a question lets count."""
     shift_s: Wait = 3.0
     """How far time.shift moves the times of a question."""
+    time_shift: Literal["either", "both"] = "either"
+    """Which of the two shifts must change the answer: one is enough, or neither may leave it the same."""
     distance_changed_m: Metres = 1.5
     distance_same_m: Metres = 0.5
     """Closer or farther when it changes by 1.5 m or more, about the same below 0.5 m; in between no question."""

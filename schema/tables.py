@@ -142,7 +142,7 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "answer": (_S, "the answer, as JSON"),
     "target_track": (_I, "track of the question's target"),
     "plan": (_S, "the plan, as JSON"),
-    "proofs": (_S, "each proof with its result, as JSON"),
+    "proofs": (_S, "each proof with its result, as JSON; `holds` is null where it is not run"),
     "distractors": (_S, "why each wrong choice is there, as JSON"),
     "rules": (_S, "hash of the rules it was made under"),
     "hops": (_I, "relations in the question"),

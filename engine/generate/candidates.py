@@ -28,7 +28,7 @@ from jrdb_avr.engine.generate.scene import NOBODY, Ints, Scene, coded, ints, mas
 from jrdb_avr.engine.generate.templates import joined, plan_texts
 from jrdb_avr.schema.arrays import Bools, Floats
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
-from jrdb_avr.schema.rules import FPS
+from jrdb_avr.schema.rules import FPS, Rules
 from jrdb_avr.schema.templates import Template
 
 MEANINGS: Final = {
@@ -185,13 +185,18 @@ def first_refusing(holds: Mapping[str, Bools], count: int) -> Codes:
     return rule
 
 
-def proven_rules(perturbed: Sequence[PerturbationResult]) -> dict[str, Bools]:
-    """Per rule, where its perturbed programs prove what they must: all of them, of those marked so at least one."""
+def proven_rules(perturbed: Sequence[PerturbationResult], rules: Rules) -> dict[str, Bools]:
+    """Per rule, where its perturbed programs prove what they must: all of them, of those marked so at least one.
+
+    Where both shifts must change the answer, neither may leave it the same.
+    """
     holds: dict[str, Bools] = {}
     for kind in dict.fromkeys(result.kind for result in perturbed):
         of_kind = [result for result in perturbed if result.kind == kind]
         needed = [result.proves() for result in of_kind if not result.any_of]
         enough = [result.proves() for result in of_kind if result.any_of]
+        if kind == "time.shift" and rules.time_shift == "both":
+            needed = [result.outcome != Effect.SAME for result in of_kind]
         holds[kind] = np.logical_and.reduce([*needed, np.logical_or.reduce(enough)] if enough else needed)
     return holds
 

@@ -18,7 +18,6 @@ import numpy as np
 
 from jrdb_avr.engine.generate.candidates import VALUES, Candidates, stated_poses
 from jrdb_avr.engine.generate.context import SearchContext
-from jrdb_avr.engine.generate.proofs import condition_text
 from jrdb_avr.engine.generate.scene import NOBODY, Scene
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS, choice_text, overlapping
 
@@ -89,7 +88,7 @@ def _perturbed(context: SearchContext, candidates: Candidates, row: int) -> Iter
             end = _followed(context, candidates, row, moment)
             answer = read(context, scene.track(end), times) if end is not None else None
             if answer is not None:
-                yield answer, f"look-alike without {condition_text(condition)}"
+                yield answer, f"look-alike without {condition.words}"
 
 
 def _followed(context: SearchContext, candidates: Candidates, row: int, moment: int) -> int | None:

@@ -87,7 +87,7 @@ def find_presence(context: SearchContext, template: Template) -> Candidates:
         "evidence": alone["evidence"],
         "image": alone["image"] & pairs.image[pair],
         "view.ahead": ~np.where(pairs.away[pair], alone["ahead"], pairs.ahead[pair]),
-        **proven_rules(perturbed),
+        **proven_rules(perturbed, context.rules),
     }
     none = np.broadcast_to(np.int64(NOBODY), row.shape)
     return Candidates(

@@ -54,7 +54,7 @@ def find_candidates(context: SearchContext, template: Template) -> Candidates:
         perturbed += [result.at(rows, len(candidates)) for result in proofs]
     if template.time_proof == "times":
         perturbed += held_person_proofs(context, candidates)
-    rule = first_refusing(holds | proven_rules(perturbed), len(candidates))
+    rule = first_refusing(holds | proven_rules(perturbed, context.rules), len(candidates))
     return replace(candidates, rule=rule, perturbed=tuple(perturbed))
 
 

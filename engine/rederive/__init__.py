@@ -6,28 +6,29 @@ question is published only if both programs find the same answer.
 
 Each module adds facts to those of the one before: `people` (boxes), `actions` (what people do), `relations` (whom and
 what they are with, and where), `labels` (conditions and relations as three-valued facts). `plan` then finds the people
-of a plan, and `reads` reads the answer: `read_<read>` of each read of `schema.plan`.
+of a plan, and `reads` reads the answer: `read_<read>` of each read of `schema.plan`. `perturbations` evaluates every
+proof of the plan in the same way.
 """
 
 from __future__ import annotations
 
-from jrdb_avr.engine.rederive import reads
 from jrdb_avr.engine.rederive.labels import Annotations
+from jrdb_avr.engine.rederive.perturbations import prove_again
 from jrdb_avr.engine.rederive.plan import ResolvedPlan, find_people
-from jrdb_avr.engine.rederive.reads import Reading
+from jrdb_avr.engine.rederive.reads import Reading, read_answer
 from jrdb_avr.engine.rederive.truth import FALSE, TRUE, UNKNOWN, Outcome, Undefined
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.questions import NeededBox
 from jrdb_avr.schema.rules import Rules
 
-__all__ = ["FALSE", "TRUE", "UNKNOWN", "Annotations", "Outcome", "rederive"]
+__all__ = ["FALSE", "TRUE", "UNKNOWN", "Annotations", "Outcome", "prove_again", "rederive"]
 
 
 def rederive(annotations: Annotations, plan: Plan, template: str, rules: Rules) -> Outcome:
     """Return the plan's answer and the rules of its template that do not hold."""
     try:
         found = find_people(annotations, plan, template, rules)
-        reading: Reading = getattr(reads, f"read_{plan.answer.read}")(found)
+        reading = read_answer(found)
     except Undefined as reason:
         return Outcome(reason.outcome, faults=(str(reason),))
     needed = _needed(found, reading)

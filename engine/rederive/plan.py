@@ -70,8 +70,17 @@ def find_people(annotations: Annotations, plan: Plan, template: str, rules: Rule
         raise Undefined(result, f"the description fits no one person for certain at frame {t0}")
     found = ResolvedPlan(annotations, plan, template, {plan.root: person}, described, stated, rules, [])
     _check_description(found, root.conditions)
+    nobody: list[Undefined] = []
     for node, edges in _by_target(plan).items():
-        found.people[node] = _follow(found, edges) if len(edges) == 1 else _join(found, edges)
+        if any(edge.source not in found.people for edge in edges):
+            continue
+        try:
+            found.people[node] = _follow(found, edges) if len(edges) == 1 else join(found, edges)
+        except Undefined as reason:
+            nobody.append(reason)
+    if nobody:
+        # Branches have no order: where one certainly leads to nobody, what is unknown of another does not matter.
+        raise min(nobody, key=lambda reason: ("empty", "ambiguous", "unknown").index(reason.outcome))
     return found
 
 
@@ -99,7 +108,7 @@ def _follow(found: ResolvedPlan, edges: list[Edge]) -> int:
     return person
 
 
-def _join(found: ResolvedPlan, edges: list[Edge]) -> int:
+def join(found: ResolvedPlan, edges: list[Edge]) -> int:
     """The one person, people of the plan left out, who has all these relations."""
     annotations, frame = found.annotations, found.t0
     others = [track for track in annotations.people(frame) if track not in found.people.values()]

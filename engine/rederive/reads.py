@@ -34,6 +34,12 @@ class Reading:
     more: tuple[NeededBox, ...] = ()
 
 
+def read_answer(found: ResolvedPlan) -> Reading:
+    """Read the answer of a plan whose people are found. Raises Undefined where there is none."""
+    reading: Reading = globals()[f"read_{found.plan.answer.read}"](found)
+    return reading
+
+
 def read_action(found: ResolvedPlan) -> Reading:
     """The pose at one time; at a later one it differs from that at the description's."""
     frame, rules = found.frame(0), found.rules

@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 
 from jrdb_avr.engine.generate.distractors import CHOICE_COUNT
 from jrdb_avr.engine.generate.proofs import expected, failing
-from jrdb_avr.engine.rederive import Annotations, rederive
+from jrdb_avr.engine.rederive import Annotations, prove_again, rederive
 from jrdb_avr.engine.validate.replay import differences, replay, run_compiled
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.store import Store
@@ -46,7 +46,7 @@ CHECKS: Final = {
     "proofs": "every required proof is present and holds; distractors and bindings fit",
     "rules": "generation used the same rules",
     "selection": "shares of answers and questions per person obey the rules",
-    "rederive": "the second program finds the same person, answer and needed boxes",
+    "rederive": "the second program finds the same person, answer, needed boxes and outcome of every proof",
 }
 """Checks of stored questions: name and the statement that is tested, in the order of the report."""
 
@@ -286,12 +286,14 @@ class _QuestionCheck:
         self._check_text(plan)
         self._check_proofs(plan, answer)
         found = rederive(self.annotations, plan, record.template, self.rules)
-        again = {
+        again: dict[str, Any] = {
             "answer": found.answer,
             "target_track": found.target,
             "needed": frozenset(found.needed),
             "bindings": dict(found.people) | dict(found.times),
         }
+        if found.outcome == "defined":
+            again["proofs"] = prove_again(self.annotations, plan, record.template, self.rules, found)
         faults = [f"{record.question_id}: {fault}" for fault in found.faults]
         self.report.add("rederive", len(again), [*faults, *differences(record, again)])
 
@@ -318,7 +320,7 @@ class _QuestionCheck:
         odd = sorted(wanted.symmetric_difference(named)) or sorted(named)
         complete = sorted(named) == sorted(wanted)
         self.check("proofs", complete, f"proofs missing, or not expected: {', '.join(map(' '.join, odd))}")
-        broken = failing(record.template, {(proof.kind, proof.variant): proof.holds for proof in record.proofs})
+        broken = failing(record.template, record.proofs, self.rules)
         self.check("proofs", not broken, f"{', '.join(broken)} do not hold")
         fitting = len(record.distractors) == len(record.choices)
         if fitting and isinstance(answer, Choice) and answer.choice <= len(record.distractors):

@@ -95,7 +95,8 @@ def _outcome(proof: Proof | None) -> str:
     if proof is None:
         return "nothing"
     answer = f" ({_short(proof.answer)})" if proof.answer is not None else ""
-    return f"{proof.outcome}{answer}, {'holds' if proof.holds else 'does not hold'}"
+    holds = "" if proof.holds is None else ", holds" if proof.holds else ", does not hold"
+    return f"{proof.outcome}{answer}{holds}"
 
 
 def _short(value: Any) -> str:
