@@ -141,6 +141,8 @@ def _distance_change(context: SearchContext, track: int, times: list[int]) -> st
         return None
     if scene.absent_at(track, times[1]):
         return DISTANCE_ANSWERS[3]
+    if lines[1] == NOBODY or not scene.clear[lines[1]]:
+        return None
     nearer = before - after
     if abs(nearer) >= rules.distance_changed_m:
         return DISTANCE_ANSWERS[0 if nearer > 0 else 1]

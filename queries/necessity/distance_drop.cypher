@@ -1,6 +1,6 @@
 // time.drop of distance: every keyframe at which t1 could be, and how many different answers are known there.
 MATCH (:Description)-[n:Names]->(m0:Moment)<-[:`Is`]-(:Person)-[:`Is`]->(m:Moment)
-WHERE n.general AND m.t >= m0.t + $wait AND m0.distance IS NOT NULL
+WHERE n.general AND m.t >= m0.t + $wait AND m0.distance IS NOT NULL AND m.seen IS NOT NULL
 WITH m0.id AS at0,
      CASE WHEN m.seen = 0 THEN 'not in view'
           WHEN m0.distance - m.distance >= $changed THEN 'closer to the robot'

@@ -1,6 +1,6 @@
 // time.shift of distance: the change of the same person's distance since t0 when t1 moves by $by frames.
 MATCH (:Description)-[n:Names]->(m0:Moment)<-[:`Is`]-(:Person)-[:`Is`]->(m1:Moment)-[s:Shift]->(moved:Moment)
-WHERE n.general AND s.by = $by AND m1.t >= m0.t + $wait AND m0.distance IS NOT NULL
+WHERE n.general AND s.by = $by AND m1.t >= m0.t + $wait AND m0.distance IS NOT NULL AND moved.seen IS NOT NULL
 WITH m0, m1,
      CASE WHEN moved.seen = 0 THEN 'not in view'
           WHEN m0.distance - moved.distance >= $changed THEN 'closer to the robot'

@@ -89,7 +89,7 @@ class Alone(Asked):
                 return None
             if self.seen(times[0], track) is False:
                 return "not in view"
-            if there is None:
+            if there is None or self.seen(times[0], track) is None:
                 return None
             if abs(here - there) >= 1.5:
                 return "closer to the robot" if there < here else "farther from the robot"

@@ -12,6 +12,7 @@ from jrdb_avr.engine.generate.proofs import expected, failing
 from jrdb_avr.engine.generate.relations import find_facts
 from jrdb_avr.engine.generate.scene import NO_MATCH, NOBODY, SEVERAL, UNDECIDED, load_scene
 from jrdb_avr.schema.plan import Condition
+from jrdb_avr.schema.questions import Proof
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import TEMPLATES, Slots
@@ -42,12 +43,23 @@ def test_every_hop_must_prove_and_one_of_two_shifts():
             result("hop.skip", "2", other, other, same),
             result("time.shift", "-3 s", other, same, same, any_of=True),
             result("time.shift", "+3 s", same, same, other, any_of=True),
-        ]
+        ],
+        Rules(),
     )
     assert {rule: holds.tolist() for rule, holds in found.items()} == {
         "hop.skip": [True, False, False],
         "time.shift": [True, False, True],
     }
+
+
+def test_where_both_shifts_must_change_the_answer_neither_leaves_it_the_same():
+    same, other, unknown, outside = Effect.SAME, Effect.DIFFERENT, Effect.UNKNOWN, Effect.OUTSIDE
+    shifts = [
+        result("time.shift", "-3 s", other, other, other, unknown, any_of=True),
+        result("time.shift", "+3 s", same, other, outside, outside, any_of=True),
+    ]
+    assert proven_rules(shifts, Rules())["time.shift"].tolist() == [True, True, True, False]
+    assert proven_rules(shifts, Rules(time_shift="both"))["time.shift"].tolist() == [False, True, True, False]
 
 
 def test_a_shift_out_of_the_sequence_proves_nothing():
@@ -91,7 +103,8 @@ def test_a_condition_fits_one_person_where_it_is_false_of_everybody_else(tmp_pat
 def needed(form, relations):
     template = TEMPLATES[form]
     times = {name: 15 * number for number, name in enumerate(template.stated, 1)}
-    plan = template.build(Slots((Condition(action="sitting", at="t0"),), times, (), relations))
+    actions = ("reading", "typing")[: template.actions]
+    plan = template.build(Slots((Condition(action="sitting", at="t0"),), times, actions, relations))
     return template.name, {(kind, variant) for kind, variant in expected(template.name, plan, Rules())}
 
 
@@ -128,4 +141,20 @@ def test_a_proof_that_does_not_hold_is_reported_unless_another_one_is_enough(for
     relations = {"two_hop": (FIRST_LEFT, SAME_GROUP), "fork_join": (FIRST_LEFT, FIRST_RIGHT, SAME_GROUP, SAME_GROUP)}
     name, proofs = needed(form, relations[form])
     assert wrong <= proofs
-    assert failing(name, {proof: proof not in wrong for proof in sorted(proofs)}) == reported
+    stored = [Proof(*proof, proof not in wrong, "same" if proof in wrong else "empty") for proof in sorted(proofs)]
+    assert failing(name, stored, Rules()) == reported
+    shifts = [f"{kind} {variant}" for kind, variant in sorted(wrong) if kind == "time.shift"]
+    assert set(failing(name, stored, Rules(time_shift="both"))) == {*reported, *shifts}
+
+
+@pytest.mark.parametrize("form", ["start", "span", "action_search", "consequence", "gap"])
+def test_a_time_that_is_the_answer_is_not_moved(form):
+    relations = (FIRST_LEFT, FIRST_RIGHT) if form == "action_search" else ()
+    name, proofs = needed(form if form != "gap" else "gap_absence", relations)
+    assert {proof for proof in proofs if proof[0].startswith("time")} == {
+        ("time.shift", "by construction"),
+        ("time.drop", "by construction"),
+    }
+    not_run = [Proof(kind, variant, None, "not_run") for kind, variant in proofs if kind.startswith("time")]
+    assert failing(name, not_run, Rules()) == []
+    assert failing(name, [Proof("anchor", "match", None, "not_run")], Rules()) == ["anchor match"]

@@ -1,6 +1,7 @@
 """The second path against the first: the same facts, relations, conditions and people in random worlds."""
 
 import random
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -9,16 +10,19 @@ from lively_worlds import lively_world
 from quick_store import memory_store
 from random_worlds import random_world
 
-from jrdb_avr.engine.generate.candidates import PASSED, to_table
+from jrdb_avr.engine.generate.candidates import OUTCOMES, PASSED, VALUES, to_table
+from jrdb_avr.engine.generate.candidates import RULES as RULE_NAMES
 from jrdb_avr.engine.generate.conditions import find_conditions
 from jrdb_avr.engine.generate.context import SearchContext
+from jrdb_avr.engine.generate.proofs import stored_proofs
 from jrdb_avr.engine.generate.records import bindings, needed_boxes
 from jrdb_avr.engine.generate.relations import RELATIONS, find_facts, find_steps
-from jrdb_avr.engine.generate.scene import NO_MATCH, SEVERAL, UNDECIDED, load_scene
+from jrdb_avr.engine.generate.scene import NO_MATCH, NOBODY, SEVERAL, UNDECIDED, load_scene
 from jrdb_avr.engine.generate.search import find_candidates
-from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN, Annotations, rederive
+from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN, Annotations, prove_again, rederive
 from jrdb_avr.schema.labels import DISTANCE_WORDS, POSES, ROBOT_SECTORS
 from jrdb_avr.schema.plan import Condition, parse_plan
+from jrdb_avr.schema.questions import Proof
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import TEMPLATES
 
@@ -150,9 +154,50 @@ def compare(store, sequence, most=60):
                 told = (second.outcome, second.answer, second.target, second.faults)
                 assert told == ("defined", line["answer"], line["target_track"], ()), line["plan"]
                 assert dict(second.people) | dict(second.times) == bindings(context, found, line["row"]), line["plan"]
-                assert set(second.needed) == set(needed_boxes(context, found, line["row"])), line["plan"]
+                needed = needed_boxes(context, found, line["row"])
+                assert set(second.needed) == set(needed), line["plan"]
+                proofs = stored_proofs(context, found, line["row"], line["answer"], needed)
+                again = prove_again(annotations, parse_plan(line["plan"]), template.name, RULES, second)
+                assert set(again) - set(proofs) == {Proof("rederive", "annotations", True, "same", line["answer"])}, (
+                    line["plan"]
+                )
+                assert set(proofs) < set(again), line["plan"]
                 counts[template.query] = counts.get(template.query, 0) + 1
     return counts
+
+
+def compare_refused(store, sequence, most=30):
+    """Compare the outcomes of perturbations of candidates that they refuse; how many were compared, by rule."""
+    scene = load_scene(store, sequence)
+    annotations = Annotations.read(store, sequence, RULES)
+    counts = Counter()
+    with SearchContext.of(scene, RULES) as context:
+        for template in TEMPLATES.values():
+            found = find_candidates(context, template) if set(template.layers) <= scene.layers else None
+            for rule in ("hop.stop", "hop.skip", "time.shift", "time.drop") if found and found.perturbed else ():
+                rows = np.flatnonzero(found.rule == RULE_NAMES.index(rule))
+                rows = rows[:: max(1, len(rows) // most)]
+                for line in to_table(context, found, rows, keyed=False).to_pylist():
+                    plan = parse_plan(line["plan"])
+                    own = rederive(annotations, plan, template.name, RULES)
+                    again = prove_again(annotations, plan, template.name, RULES, own)
+                    again = {(proof.kind, proof.variant): (proof.outcome, proof.answer) for proof in again}
+                    for result in found.perturbed:
+                        answer = result.answer[line["row"]]
+                        first = OUTCOMES[result.outcome[line["row"]]], VALUES[answer] if answer != NOBODY else None
+                        assert again[result.kind, result.variant] == first, (result.kind, line["plan"])
+                    counts[rule] += 1
+    return counts
+
+
+def test_both_paths_perturb_alike_where_a_candidate_is_refused(tmp_path):
+    counts = Counter()
+    for seed in range(8 if DEEP else 4):
+        sequence = f"yard-{seed:02d}"
+        counts += compare_refused(
+            memory_store(tmp_path / sequence, lively_world(random.Random(seed), sequence)), sequence
+        )
+    assert set(counts) == {"hop.stop", "hop.skip", "time.shift", "time.drop"}
 
 
 def test_the_second_path_confirms_all_that_is_proven(tmp_path):

@@ -169,6 +169,26 @@ def test_a_spoiled_answer_is_found(few, change, check):
     assert check in faulty(few)
 
 
+def test_a_proof_stored_otherwise_than_found_again_is_named(few):
+    """Without --replay: kind, variant and both outcomes; the question by its id."""
+    changed = {}
+
+    def spoil(rows):
+        for row in rows:
+            proofs = json.loads(row["proofs"])
+            proof = proofs[len(changed) % len(proofs)]
+            proof["outcome"] = "same" if proof["outcome"] == "empty" else "empty"
+            changed[row["question_id"]] = f"{proof['kind']} {proof['variant']}: stored {proof['outcome']}"
+            row["proofs"] = json.dumps(proofs)
+
+    rewrite(few, "answers", spoil)
+    found = validate(few).faults["rederive"]
+    assert len(found) == len(changed)
+    for fault in found:
+        assert fault[fault.index(": ") + 2 :].startswith(changed[fault.partition(":")[0]]), fault
+        assert ", now " in fault
+
+
 def test_a_spoiled_time_is_found(few):
     def change(rows):
         row = next(row for row in rows if row["answer"].startswith('{"frame"') and "angle" not in row["answer"])
