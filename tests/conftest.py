@@ -47,6 +47,7 @@ DEAREST = (
     "test_world_model",
     "test_live_scores",
     "test_search_graph",
+    "test_text_reader",
     "test_belief_reads",
     "test_preflight",
     "test_wording",

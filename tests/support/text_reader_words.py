@@ -1,0 +1,230 @@
+"""The text of a question taken apart: whom it describes, who follows from whom, and what is to be read.
+
+Written from the texts alone; it shares no code with the wording.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from text_reader_vocabulary import ACTIONS, AGES, AXES, FPS, PARTNERS
+
+TIME = r"\d+\.\d s \(frame (\d+)\)"
+CLOCK = r"(\d+\.\d) s \(frame (\d+)\)"
+SIZES = {"two": 2, "three": 3, "four": 4, "five": 5, "six": 6, "seven": 7, "eight": 8, "nine": 9, "ten": 10}
+NOUNS = {"man or boy": ("male", ""), "woman or girl": ("female", ""), "person": ("", "")}
+NOUNS |= {"boy": ("male", "childhood"), "girl": ("female", "childhood")}
+NOUNS |= {"teenage boy": ("male", "adolescence"), "teenage girl": ("female", "adolescence")}
+for _word, _age in (("young", "young"), ("middle-aged", "middle"), ("elderly", "late")):
+    NOUNS |= {f"{_word} man": ("male", f"{_age} adulthood"), f"{_word} woman": ("female", f"{_age} adulthood")}
+NOUNS |= {noun.replace("middle aged", "middle-aged"): ("", age) for noun, age in AGES.items()}
+THINGS = {"television": "television", "statue": "statues", "display stand": "standee", "water bottle": "waterbottle"}
+THINGS |= {"computer accessory": "peripheral", "skateboard or segway or hoverboard": "skateboard/segway/hoverboard"}
+THINGS |= {"bicycle or scooter": "bicycle/scooter"}
+VERBS = {"handling": "handling/manipulating", "talking on": "talking on", "looking at": "looking at"}
+VIEW = r" as seen from the robot"
+METRES = r"\((?:([\d.]+) to ([\d.]+)|over ([\d.]+)) m\)"
+FACING = r"(?:(in front of|behind) [A-D]|to [A-D]'s ((?:front |back )?(?:left|right)))"
+
+
+class UnreadableError(Exception):
+    """The text has words that the reader does not know."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What is true of one person: a method of `Facts`, its arguments, and the words."""
+
+    fact: str
+    values: tuple
+    words: str
+
+
+@dataclass(frozen=True)
+class Link:
+    """What leads from a person by name to another."""
+
+    fact: str
+    start: str
+    values: tuple
+
+
+@dataclass(frozen=True)
+class Step:
+    """A person by name, found by the links from earlier ones; `aside` are people left out."""
+
+    name: str
+    links: tuple[Link, ...]
+    aside: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Question:
+    """A question as it is understood: whom it is about, and what is to be read of the last person."""
+
+    frame: int
+    conditions: tuple[Condition, ...]
+    steps: tuple[Step, ...]
+    read: str
+    values: tuple
+
+
+# Descriptions.
+
+
+def bounds(found: tuple[str | None, ...]) -> tuple[float, float]:
+    low, high, over = found
+    return (float(over), float("inf")) if over else (float(low or 0), float(high or 0))
+
+
+def described(text: str) -> tuple[Condition, ...]:
+    """Conditions of "the only teenager ahead of the robot who is sitting and in a group of two"."""
+    text = text.removeprefix("the only ")
+    noun = max((noun for noun in NOUNS if re.match(noun + r"\b", text)), key=len, default="")
+    if not noun:
+        raise UnreadableError(text)
+    gender, age = NOUNS[noun]
+    conditions = [Condition("attribute", ("gender", gender), gender)] if gender else []
+    conditions += [Condition("attribute", ("age", age), age)] if age else []
+    rest = text.removeprefix(noun)
+    while rest:
+        for form, make in PHRASES:
+            if found := re.match(rf"(?: who is|, | and|,)? ?(?:{form})(?=$|,| and | who is )", rest):
+                conditions.append(make(found))
+                rest = rest[found.end() :]
+                break
+        else:
+            raise UnreadableError(rest)
+    return tuple(conditions)
+
+
+def thing_of(words: str) -> str:
+    name = re.sub(r"^(?:an?|some) ", "", words)
+    return THINGS.get(name, name)
+
+
+PHRASES: list[tuple[str, Callable[[re.Match], Condition]]] = [
+    (f"({'|'.join(AXES)})", lambda found: Condition("in_sector", (AXES[found[1]],), found[1])),
+    (
+        rf"(?:very far from|far from|close to|very close to|at a moderate distance from) (?:the robot|it) {METRES}",
+        lambda found: Condition("at_metres", bounds(found.groups()), "metres"),
+    ),
+    (
+        r"in a group of (\w+)",
+        lambda found: Condition("group_size", (SIZES.get(found[1]) or int(found[1]),), "in a group of N"),
+    ),
+    (r"(not in any group)", lambda found: Condition("group_size", (1,), "not in any group")),
+    (
+        rf"({'|'.join(PARTNERS)}) someone(?: who comes the other way)?",
+        lambda found: Condition("with_someone", (PARTNERS[found[1]],), found[1] + " someone"),
+    ),
+    (rf"({'|'.join(ACTIONS)})", lambda found: Condition("doing", (found[1],), found[1])),
+    (
+        r"(\w+ing(?: at| into| on| out)?) ((?:an?|some) (?:(?!,| and | who ).)+)",
+        lambda found: Condition("handling", (VERBS.get(found[1], found[1]), thing_of(found[2])), found[0].strip()),
+    ),
+]
+
+
+# Hops.
+
+
+def linked(text: str) -> list[Link]:
+    """Links of "the first person to the left of A as seen from the robot", "in the same group as B" and the like."""
+    text = re.sub(r",? ?\(?from [A-D]'s own point of view\)?|, who comes the other way", "", text).strip()
+    if found := re.fullmatch(rf"the first person to the (left|right) of ([A-D]){VIEW}", text):
+        return [Link("first_aside", found[2], (found[1],))]
+    if found := re.fullmatch(r"the only other member of ([A-D])'s group", text):
+        return [Link("mates", found[1], ())]
+    text = text.removeprefix("the only person who is ")
+    if found := re.fullmatch(rf"within (\d+) degrees to the (left|right) of ([A-D]){VIEW}", text):
+        return [Link("within", found[3], (found[2], float(found[1])))]
+    if found := re.fullmatch(r"in the same group as ([A-D])", text):
+        return [Link("same_group", found[1], ())]
+    if found := re.fullmatch(rf"({'|'.join(PARTNERS)}) ([A-D])", text):
+        return [Link("together", found[2], (PARTNERS[found[1]],))]
+    place = rf"(?:very close to|close to|at a moderate distance from) ([A-D]) {METRES} and {FACING}"
+    if found := re.fullmatch(place, text):
+        name = found[1]
+        return [Link("near", name, bounds(found.groups()[1:4])), Link("facing", name, (found[5] or found[6],))]
+    raise UnreadableError(text)
+
+
+def step(text: str) -> Step | None:
+    """A person from a clause, None where it is none of a person."""
+    if found := re.fullmatch(r"(?:and )?(?:then )?([B-D]),? (?:is )?(the (?:first|only) .+)", text):
+        return Step(found[1], tuple(linked(found[2])))
+    if found := re.fullmatch(r"([A-D]) and ([B-D]) are the only two members of their group", text):
+        return Step(found[2], (Link("mates", found[1], ()),))
+    if found := re.fullmatch(rf"([A-D]) is ({'|'.join(PARTNERS)}) exactly one person, ([B-D])", text):
+        return Step(found[3], (Link("together", found[1], (PARTNERS[found[2]],)),))
+    if found := re.fullmatch(r"([A-D]) and exactly one other person, ([B-D]), are walking towards each other", text):
+        return Step(found[2], (Link("together", found[1], (PARTNERS["walking towards"],)),))
+    joint = (
+        r"(?:Leaving A, B and C aside, D is the only person|Apart from A, B and C there is only one person, D,|"
+        r"Not counting these three, only one person) (?:who )?is (.+?) and (?:who is )?also (.+)"
+    )
+    if found := re.fullmatch(joint, text):
+        return Step("D", (*linked(found[1]), *linked(found[2])), ("A", "B", "C"))
+    return None
+
+
+# The whole text.
+
+OPENINGS = (
+    rf"(?:Find|Consider) (the only .+?) at {TIME}(?:; call that person A|, and only what begins after that moment)?",
+    rf"At {TIME}, find (?:A, )?(the only .+)",
+    rf"In the scene at {TIME}, A is (the only .+)",
+)
+PHRASE = rf"({'|'.join(sorted(ACTIONS, key=len, reverse=True))})"
+READS = (
+    ("span", rf"first spell of {PHRASE} begin"),
+    ("span", rf"start {PHRASE} for the first time after that, and at (?:about )?which frame does the person stop"),
+    ("span", rf"[Ff]rom (?:about )?which frame to (?:about )?which frame is that person {PHRASE} for the first time"),
+    ("starts", rf"starts {PHRASE}, and later starts {PHRASE}"),
+    ("starts", rf"start(?:s|ing)? {PHRASE} .* start(?:s|ing)? {PHRASE}"),
+    ("view", rf"start {PHRASE}\b.*panorama angle"),
+    ("start", rf"start {PHRASE}\b"),
+    ("absence", r"seconds.*(?:absence|seen again)"),
+    ("count", rf"Count all the other people who are (.+?) that person at any moment from then until {TIME}"),
+    ("next_pose", r"posture or movement.*(?:follows it|comes next|change to)\?"),
+    ("distance", rf"{TIME}.*not in view"),
+    ("presence", rf"{TIME}.*{TIME}.*(?:if at either|at neither)"),
+    ("pose", r"posture or movement"),
+)
+
+
+def parse(text: str) -> Question:
+    """What a question says, or `UnreadableError` naming the words that are not known."""
+    for second, frame in re.findall(CLOCK, text):
+        if abs(float(second) * FPS - int(frame)) > FPS / 20:
+            raise UnreadableError(f"{second} s is not frame {frame}")
+    sentences = [sentence.strip().rstrip(".") for sentence in re.split(r"(?<=[.])\s+(?=[A-Z])", text)]
+    clauses = sentences[0].split("; ")
+    if len(clauses) > 1 and clauses[1] == "call that person A":
+        clauses = clauses[:1]
+    for form in OPENINGS:
+        if found := re.fullmatch(form, clauses[0]):
+            break
+    else:
+        raise UnreadableError(clauses[0])
+    times, words = sorted(found.groups(), key=lambda group: not group.isdigit())
+    steps, rest = [], []
+    for clause in [*clauses[1:], *sentences[1:]]:
+        clause = clause.removeprefix("At that moment, ")
+        made = None if rest else step(clause)
+        if made:
+            steps.append(made)
+        else:
+            rest.append(clause)
+    tail = ". ".join(rest)
+    matches = ((read, match) for read, form in READS if (match := re.search(form, tail)))
+    read, match = next(matches, ("", None))
+    if match is None:
+        raise UnreadableError(tail)
+    values = tuple(int(group) if group.isdigit() else group for group in match.groups() if group)
+    if read == "pose" and (later := re.search(TIME, tail)):
+        values = (int(later[1]),)
+    return Question(int(times), described(words), tuple(steps), read, values)
