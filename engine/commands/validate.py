@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @pairs_option("--rule", "overrides", "As in the call of generate.")
 @json_option
 def command(store: Store, replay: bool, workers: int, overrides: list[tuple[str, str]], as_json: bool) -> None:
-    """Check the questions of STORE: files, ids, choices, answers, texts, evidence, proofs; derive each answer again.
+    """Check the questions of STORE: files, ids, choices, answers, texts, evidence; derive answers and proofs again.
 
     The second derivation reads the annotation tables and nothing that generation made. With --replay all proofs of
     all questions are run again from the stored plans (by --workers processes), and each plan, compiled to Cypher, has

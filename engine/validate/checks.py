@@ -1,7 +1,7 @@
 """Check a benchmark: its files, every question by itself, and all of them together.
 
-A question is checked against the annotation tables, and its answer is derived again by the second program. On request
-every proof and the compiled plan run again too (`replay`).
+A question is checked against the annotation tables, and its answer and proofs are derived again by the second program.
+On request generation's own proofs and the compiled plan run again too (`replay`).
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def validate(
     workers: int = 2,
     progress: Progress | None = None,
 ) -> Validation:
-    """Check a store's questions, and derive each answer again from the annotations.
+    """Check a store's questions, and derive each answer and proof again from the annotations.
 
     `replay_proofs`: also run every proof again, in `workers` processes, and every plan as Cypher on the graph. Raises
     StoreError for a missing file, and LockedError while another process writes the graph.
