@@ -59,7 +59,13 @@ def test_only_what_pyproject_names_is_imported():
 def test_the_agents_edge_never_opens_the_private_tables():
     for path in (ROOT / "agent").rglob("*.py"):
         text = path.read_text("utf-8")
-        for private in ("answers.parquet", "evidence.parquet", 'questions("answers")', 'questions("evidence")'):
+        for private in (
+            "opaque.key",
+            "answers.parquet",
+            "evidence.parquet",
+            'questions("answers")',
+            'questions("evidence")',
+        ):
             assert private not in text, path
 
 

@@ -62,6 +62,11 @@ panoramas:
     help="Graph file for the agent's world model, in place of the store's: for runs in parallel, or without labels.",
 )
 @click.option(
+    "--opaque",
+    is_flag=True,
+    help="Give the method names of sequences that say nothing of the place; they are the same in every run.",
+)
+@click.option(
     "--marker",
     "noise",
     multiple=True,

@@ -13,7 +13,7 @@ import math
 import operator
 import os
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -42,14 +42,21 @@ _SIZE_MARKERS: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 class Observer:
     """Serves observations of `sequences`, whose panoramas lie in `image_root/<sequence>/<six digits>.jpg`.
 
+    `folders`: sequence -> name of its folder where that is another; no message then says where the folder is.
     May be called from several threads. Memory stays bounded: at most `cached` decoded panoramas and `CACHED_FILES`
     files stay in memory; the least recently used is dropped first.
     """
 
     def __init__(
-        self, image_root: str | Path | None, sequences: Iterable[SequenceInfo], *, cached: int = CACHED_PANORAMAS
+        self,
+        image_root: str | Path | None,
+        sequences: Iterable[SequenceInfo],
+        *,
+        cached: int = CACHED_PANORAMAS,
+        folders: Mapping[str, str] | None = None,
     ) -> None:
         self._root = None if image_root is None else Path(image_root)
+        self._folders = {name: safe_sequence(folder) for name, folder in (folders or {}).items()}
         self._sequences = {safe_sequence(info.sequence): info for info in sequences}
         self._frames = {name: frozenset(info.frames) for name, info in self._sequences.items()}
         self._lock = threading.Lock()
@@ -128,13 +135,14 @@ class Observer:
         """The bytes of a panorama's file, and its name for messages."""
         if self._root is None:
             raise ObserveError("there are no images: load a root that holds images/image_stitched")
-        path = self._root / sequence / f"{frame:06d}.jpg"
+        path = self._root / self._folders.get(sequence, sequence) / f"{frame:06d}.jpg"
+        name = f"{sequence}/{path.name}" if sequence in self._folders else str(path)
         try:
             # Reading a pipe or a device might never end.
             data = path.read_bytes() if path.is_file() or not path.exists() else b""
         except OSError as error:
-            raise ObserveError(f"cannot read {path}: {os.strerror(error.errno or 0)}") from None
-        return data, str(path)
+            raise ObserveError(f"cannot read {name}: {os.strerror(error.errno or 0)}") from None
+        return data, name
 
 
 class _Strip:

@@ -16,7 +16,7 @@ import datetime
 import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -42,6 +42,7 @@ from jrdb_avr.engine.run.methods import (
     make_method,
     open_world,
 )
+from jrdb_avr.engine.run.opaque import opaque_names
 from jrdb_avr.engine.run.resume import check_manifest, has_manifest, run_questions
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.questions import read_sequences
@@ -97,6 +98,7 @@ def evaluate(
     resume: bool = False,
     images: str | Path | None = None,
     world_db: Path | None = None,
+    opaque: bool = False,
     progress: Progress | None = None,
     live_scores: Callable[[LiveScore], None] | None = None,
 ) -> RunResult:
@@ -104,8 +106,9 @@ def evaluate(
 
     `method`: a name of `METHODS`, a custom one as "FILE.py:NAME" or "MODULE:NAME", or a method itself. `model`: the
     server's id for it, at `base_url`; "marker" is the built-in reader of marks, whose noise `marker` sets. `questions`:
-    ids; all without. `images` and `world_db` stand in for the store's panoramas and graph. `live_scores` is called from
-    another thread with the scores so far. Problems that do not end the run are AvrWarnings.
+    ids; all without. `images` and `world_db` stand in for the store's panoramas and graph. `opaque`: whether the method
+    gets opaque names of sequences (`run.opaque`). `live_scores` is called from another thread with the scores so far.
+    Problems that do not end the run are AvrWarnings.
 
     Raises InputError, StoreError or EndpointError before the first question where something does not fit.
 
@@ -119,7 +122,14 @@ def evaluate(
     image_root = _image_root(store) if images is None else str(images)
     chosen = run_questions(store, run_id, questions, limit, resume, image_root)
     sequences = read_sequences(store)
-    observer = Observer(image_root, [sequences[sequence] for sequence in {question.sequence for question in chosen}])
+    names = opaque_names(store, sequences) if opaque else {name: name for name in sequences}
+    infos = {names[name]: replace(info, sequence=names[name]) for name, info in sequences.items()}
+    public = [replace(question, sequence=names[question.sequence]) for question in chosen]
+    observer = Observer(
+        image_root,
+        [infos[sequence] for sequence in {question.sequence for question in public}],
+        folders={names[name]: name for name in sequences} if opaque else None,
+    )
     with contextlib.ExitStack() as stack:
         journal = stack.enter_context(Journal(folder / "journal.jsonl"))
         if journal.finished and not has_manifest(store, run_id):
@@ -145,6 +155,7 @@ def evaluate(
                 "method": runner.settings(),
                 **({} if endpoint is None else endpoint.settings),
                 **({"marker": noise} if noise else {}),
+                **({"opaque": True} if opaque else {}),
             },
             created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         )
@@ -152,7 +163,7 @@ def evaluate(
         if live_scores is not None:
             stack.enter_context(report_scores(store, run_id, live_scores))
         advance = step_counter(progress, f"{name}, {model}", len(chosen))
-        answer_all(runner, chosen, sequences, observer, observer.stored, journal, concurrency, advance)
+        answer_all(runner, public, infos, observer, observer.stored, journal, concurrency, advance)
         entries = [journal.finished[question.question_id] for question in chosen]
         predictions = write_tables(store, run_id, entries)
         if endpoint is not None and (changed := endpoint.changed()):

@@ -18,10 +18,12 @@ import pyarrow.parquet as pq
 import pytest
 from asked_world import QUESTIONS_ASKED
 from click.testing import CliRunner
+from painted_world import SEQUENCE
 
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.engine.commands.evaluate import command
 from jrdb_avr.engine.run.methods import METHODS, WORLD_METHODS
+from jrdb_avr.engine.run.opaque import opaque_names
 from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.graph.handle import build_graph
 from jrdb_avr.queries.store import Store
@@ -146,6 +148,34 @@ def test_nothing_private_is_sent(full, marker):
     sent = [text for body in marker[1] for text in said(body)]
     assert len(sent) > 25
     assert not [secret for secret in SECRETS if any(secret in text for text in sent)]
+
+
+def test_no_request_names_a_sequence(full, marker):
+    assert not [text for body in marker[1] for text in said(body) if SEQUENCE in text]
+
+
+@pytest.fixture(scope="module")
+def opaque(asked_world, tmp_path_factory, marker):
+    """A store without labels after an opaque run of every method, and the requests that they sent."""
+    store = Store(tmp_path_factory.mktemp("opaque") / "store")
+    (store.path / "questions").mkdir(parents=True)
+    for name in ("questions", "sequences"):
+        shutil.copy(asked_world / "store" / "questions" / f"{name}.parquet", store.question_path(name))
+    before = len(marker[1])
+    evaluate_all(store, marker[0], METHODS, "--images", str(asked_world / "images"), "--opaque")
+    return store, marker[1][before:]
+
+
+def test_opaque_runs_answer_and_never_hold_the_real_name(opaque, full):
+    store, sent = opaque
+    own = opaque_names(store, [SEQUENCE])[SEQUENCE]
+    assert len(sent) > 25 and not [text for body in sent for text in said(body) if SEQUENCE in text]
+    for method in METHODS:
+        text = kept(store, method)
+        assert SEQUENCE not in text and own in text, method
+        here, there = (pq.read_table(s.run_path(method) / "predictions.parquet") for s in (store, full[0]))
+        # What is predicted, and under which id, does not change.
+        assert here.drop_columns(["seconds"]).equals(there.drop_columns(["seconds"])), method
 
 
 def test_what_is_said_of_a_picture_is_what_its_observation_says(full, marker):

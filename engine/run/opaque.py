@@ -1,0 +1,52 @@
+"""Opaque names of sequences for methods, which a real name would tell the place of a recording.
+
+The name is the HMAC-SHA256 of the real one under a key that is made once per store and stays in `opaque.key`: equal in
+every run of the store, and not to be guessed without the file, which nothing of `agent` opens.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hmac
+import os
+import secrets
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Final
+
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import StoreError
+
+_KEY_BYTES: Final = 32
+
+
+def key_path(store: Store) -> Path:
+    """Where a store's key lies."""
+    return store.path / "opaque.key"
+
+
+def opaque_names(store: Store, sequences: Iterable[str]) -> dict[str, str]:
+    """The opaque name of each sequence. Raises StoreError where the key cannot be written or is damaged."""
+    key = _key(key_path(store))
+    return {name: "sequence-" + hmac.digest(key, name.encode(), "sha256").hex()[:16] for name in sequences}
+
+
+def _key(path: Path) -> bytes:
+    """The key, made where there is none yet; nobody but the owner may read it."""
+    try:
+        temporary = path.with_name(f".{path.name}-{os.getpid()}")
+        if not path.exists():
+            try:
+                with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
+                    file.write(secrets.token_hex(_KEY_BYTES))
+                # Of two processes that make a key at once, both take that of the first.
+                with contextlib.suppress(FileExistsError):
+                    os.link(temporary, path)
+            finally:
+                temporary.unlink(missing_ok=True)
+        key = bytes.fromhex(path.read_text(encoding="ascii"))
+    except (OSError, ValueError) as error:
+        raise StoreError(f"{path} cannot be used: {error}; delete it, and runs get new opaque names") from None
+    if len(key) != _KEY_BYTES:
+        raise StoreError(f"{path} is damaged: delete it, and runs get new opaque names")
+    return key

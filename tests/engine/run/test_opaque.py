@@ -1,0 +1,81 @@
+"""Opaque names of sequences: stable, not to be guessed, and all that a method and its errors hold."""
+
+import dataclasses
+import hashlib
+import hmac
+import stat
+
+import pytest
+from asked_world import FRAMES, QUESTIONS_ASKED
+from painted_world import SEQUENCE
+
+from jrdb_avr.engine.run.evaluate import evaluate
+from jrdb_avr.engine.run.opaque import key_path, opaque_names
+from jrdb_avr.schema.answers import Choice
+from jrdb_avr.schema.errors import ObserveError, StoreError
+from jrdb_avr.schema.method import Prediction
+
+
+class Notes:
+    """Answers 1, and notes what it was handed and what the errors said."""
+
+    name = "notes"
+
+    def __init__(self):
+        self.texts, self.sequences, self.errors = [], set(), []
+
+    def answer(self, task):
+        names = {task.question.sequence, task.sequence.sequence}
+        names.add(task.observe(task.question.sequence, FRAMES[0], 180.0).sequence)
+        names.add(task.panorama(task.question.sequence, FRAMES[0]).sequence)
+        self.sequences |= names
+        self.texts.append(repr(dataclasses.astuple(task.question)))
+        for place in ((SEQUENCE, 0), (task.question.sequence, 1), ("../x", 0)):
+            try:
+                task.observe(*place, 180.0)
+            except ObserveError as error:
+                self.errors.append(str(error))
+        return Prediction("answered", Choice(1))
+
+
+def test_a_method_sees_the_opaque_name_alone(store):
+    method = Notes()
+    run = evaluate(store, method, opaque=True, limit=3)
+    assert method.sequences == {opaque_names(store, [SEQUENCE])[SEQUENCE]}
+    # The name that the method itself gives comes back once.
+    assert len(method.errors) == 9
+    texts = [text.replace(f"no sequence {SEQUENCE!r}", "") for text in (*method.texts, *method.errors)]
+    assert not [text for text in texts if SEQUENCE in text]
+    assert run.predictions["question_id"].to_pylist() == sorted(q.question_id for q in QUESTIONS_ASKED[:3])
+
+
+def test_the_name_is_a_keyed_hash_that_stays(store):
+    first = opaque_names(store, [SEQUENCE, "other"])
+    key = bytes.fromhex(key_path(store).read_text())
+    assert first[SEQUENCE] == "sequence-" + hmac.new(key, SEQUENCE.encode(), hashlib.sha256).hexdigest()[:16]
+    assert len(set(first.values())) == 2 and opaque_names(store, [SEQUENCE, "other"]) == first
+    assert stat.S_IMODE(key_path(store).stat().st_mode) == 0o600
+    key_path(store).unlink()
+    assert opaque_names(store, [SEQUENCE]) != first
+
+
+def test_a_damaged_key_is_one_line(store):
+    for text in ("", "xyz", "00"):
+        key_path(store).write_text(text)
+        with pytest.raises(StoreError, match="delete it"):
+            opaque_names(store, [SEQUENCE])
+
+
+def test_a_run_stays_opaque_or_not(store):
+    evaluate(store, Notes(), opaque=True, limit=1, run_id="one")
+    with pytest.raises(StoreError, match="another opaque"):
+        evaluate(store, Notes(), run_id="one", resume=True)
+
+
+def test_a_broken_picture_does_not_tell_the_folder(store, tmp_path):
+    (tmp_path / "images" / SEQUENCE).mkdir(parents=True)
+    for frame in FRAMES:
+        (tmp_path / "images" / SEQUENCE / f"{frame:06d}.jpg").write_bytes(b"no picture")
+    run = evaluate(store, Notes(), opaque=True, limit=1, images=tmp_path / "images")
+    (reason,) = run.predictions["reason"].to_pylist()
+    assert "is no whole JPEG" in reason and SEQUENCE not in reason
