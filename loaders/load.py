@@ -83,6 +83,8 @@ def load(
     `layer_dirs`: folders with a layer's files, in the root or absolute; a layer with an empty list is left out.
     `workers`: processes that share the sequences; the result does not depend on it.
 
+    An AvrWarning says how many sequences have no occlusion attributes.
+
     Raises InputError where nothing can be loaded, StoreError where the store cannot be written, LockedError where
     another process writes it. The store is then unchanged.
     """
@@ -102,6 +104,13 @@ def load(
             raise InputError(_nothing(root, reports))
         image_root = str(root.image_root.resolve()) if root.image_root else None
         left_out = _finish(store, staging, image_root, rules, entries, PARTS)
+        if unclear := store.without_occlusion():
+            warnings.warn(
+                f"{len(unclear)} of {len(entries)} sequences have no occlusion attributes: there every box of legal "
+                "size counts as a clear view, also one of somebody hidden; generate --require-occlusion skips them",
+                AvrWarning,
+                stacklevel=2,
+            )
     return LoadResult([*reports, SequenceReport("", [], warnings=left_out)] if left_out else reports)
 
 

@@ -194,6 +194,11 @@ class Store(Displayed):
             raise StoreError(f"{path} has version {manifest.version}, not {MANIFEST_VERSION}: load again")
         return manifest
 
+    def without_occlusion(self) -> list[str]:
+        """The sequences whose 2D boxes come without attributes, so that every box of legal size is a clear view."""
+        known = {name for name, entry in self.manifest().sequences.items() if "2d" in entry.layers}
+        return [name for name in sorted(known) if not self.interval("sequence", name)["has_attributes"][0].as_py()]
+
     def write_manifest(self, manifest: Manifest) -> None:
         """Write the manifest, which makes the folder a store. Raises StoreError if the disk refuses."""
         write_json(self.path / "store.json", manifest)

@@ -39,6 +39,7 @@ _blind_option = click.option(
 @click.option(
     "--candidates", type=FILE, help="Also write every proven candidate before selection to this Parquet file."
 )
+@click.option("--require-occlusion", is_flag=True, help="Skip sequences whose boxes have no occlusion attributes.")
 @click.option("--exclude-rejected", is_flag=True, help="Leave out what a reviewer rejected (see inspect --import).")
 @pairs_option("--rule", "overrides", "Override a rule; may be repeated.")
 @_blind_option

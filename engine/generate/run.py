@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -23,7 +24,7 @@ from jrdb_avr.engine.generate.sequence import EXAMPLES, SequenceJob, SequenceRes
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.store import Manifest, Store, file_hash, write_atomic
 from jrdb_avr.queries.workers import map_shards
-from jrdb_avr.schema.errors import StoreError
+from jrdb_avr.schema.errors import AvrWarning, StoreError
 from jrdb_avr.schema.rules import Rules, rules_hash
 from jrdb_avr.schema.tables import CANDIDATES, QUESTIONS
 
@@ -73,22 +74,26 @@ def generate(
     workers: int = 2,
     candidates: Path | None = None,
     excluded: frozenset[str] = frozenset(),
+    require_occlusion: bool = False,
     learned: bool = False,
     progress: Progress | None = None,
 ) -> Generation:
     """Generate the questions of a store; the result depends on its tables, the rules, the profile and the seed, and on
     the ids of `excluded` questions alone, whose places others take.
 
-    `candidates`: a Parquet file for every proven candidate before near-duplicates and selection. `learned`: whether
-    the guesser of scikit-learn joins the blind check. Raises StoreError where nothing is loaded, or under other load
-    rules, LockedError where another process writes the store, and InputError where scikit-learn is missing.
+    `candidates`: a Parquet file for every proven candidate before near-duplicates and selection. `require_occlusion`:
+    whether to skip sequences without occlusion attributes; either way an AvrWarning says how many they are. `learned`:
+    whether the guesser of scikit-learn joins the blind check. Raises StoreError where nothing is loaded, or under
+    other load rules, LockedError where another process writes the store, InputError where scikit-learn is missing.
     """
     store, rules = Store.of(store), rules or Rules()
     guesser = learned_guesser() if learned else None
-    sequences = sorted(check_load_rules(store, rules).sequences)
+    check_load_rules(store, rules)
     # A first look reads the manifest only, so that a wrong store is refused before it is locked (and thereby made).
     with store.writing("generate"), tempfile.TemporaryDirectory(prefix="jrdb-avr-") as scratch:
-        check_intervals(store, check_load_rules(store, rules))
+        manifest = check_load_rules(store, rules)
+        check_intervals(store, manifest)
+        sequences = _sequences(store, manifest, require_occlusion)
         parts = [Path(scratch) / f"{sequence}.parquet" if candidates else None for sequence in sequences]
         jobs = [SequenceJob(store.path, name, rules, part) for name, part in zip(sequences, parts, strict=True)]
         advance = step_counter(progress, "searching", len(sequences))
@@ -96,6 +101,21 @@ def generate(
         if candidates is not None:
             _gather([part for part in parts if part], candidates)
         return _publish(store, results, rules, profile, seed, excluded, guesser)
+
+
+def _sequences(store: Store, manifest: Manifest, require_occlusion: bool) -> list[str]:
+    """The sequences to search. Raises StoreError where occlusion attributes are required and no sequence has them."""
+    every, unclear = sorted(manifest.sequences), store.without_occlusion()
+    if unclear:
+        what = f"{len(unclear)} of {len(every)} sequences have no occlusion attributes"
+        how = "there every box of legal size counts as a clear view, also one of somebody hidden"
+        line = f"{what} and are skipped" if require_occlusion else f"{what}: {how}; --require-occlusion skips them"
+        warnings.warn(line, AvrWarning, stacklevel=3)
+    if not require_occlusion:
+        return every
+    if not (kept := [name for name in every if name not in unclear]):
+        raise StoreError("no sequence has occlusion attributes: generate without --require-occlusion")
+    return kept
 
 
 def check_load_rules(store: Store, rules: Rules) -> Manifest:

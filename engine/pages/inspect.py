@@ -73,7 +73,8 @@ class Inspected:
 
     people: the plan's nodes as (role, track); counted: further people whom the answer counts, as (role, track);
     moments: named times as frames; annotated: the annotated frame of each named time; boxes: per frame to display, the
-    boxes of all these people by role; decisive: the needed box that answers the question.
+    boxes of all these people by role; decisive: the needed box that answers the question; occlusion: whether boxes of
+    the sequence have occlusion attributes.
     """
 
     record: QuestionRecord
@@ -87,6 +88,7 @@ class Inspected:
     decisive: NeededBox
     fps: float
     frame_count: int
+    occlusion: bool
 
 
 def choose_questions(store: Store, ids: Sequence[str], sample: int | None, seed: int) -> list[str]:
@@ -128,6 +130,7 @@ class _Sequence:
         tables = ("sightings", "actions", "interactions", "memberships", "beside", "handles")
         self._tables = {table: store.interval(table, name) for table in tables}
         self.frames = sorted(set(self._tables["sightings"]["frame"].to_pylist()))
+        self.occlusion = bool(store.interval("sequence", name)["has_attributes"][0].as_py())
         self.step = min((b - a for a, b in pairwise(self.frames)), default=1)
 
     def rows(self, table: str, column: str, value: int) -> list[dict[str, Any]]:
@@ -164,6 +167,7 @@ def _inspected(record: QuestionRecord, info: Record, sequence: _Sequence) -> Ins
         decisive=decisive,
         fps=info["fps"],
         frame_count=info["frame_count"],
+        occlusion=sequence.occlusion,
     )
 
 

@@ -81,7 +81,7 @@ def stats_svg(tables: Tables) -> str:
                 _counts("Families", "stroke: in the paper", tables["family"], ("family", "n", "paper"), color),
                 _counts("Templates", "colored by family", tables["shortfall"], ("template", "questions"), color),
                 _funnel(tables, color),
-                _counts("Sequences", "questions", tables["sequence"], ("sequence", "n"), color),
+                _counts("Sequences", _without_occlusion(tables), _marked(tables), ("sequence", "n"), color),
             ],
             [
                 _bins(title, note, [row for row in tables["distribution"] if row["what"] == what], "bin", weight)
@@ -91,6 +91,16 @@ def stats_svg(tables: Tables) -> str:
             [_positions(tables), *(_times(tables, asks, color) for asks in _TIMES)],
         ],
     )
+
+
+def _marked(tables: Tables) -> Rows:
+    """The rows of sequences, with an asterisk where boxes have no occlusion attributes."""
+    return [{**row, "sequence": row["sequence"] + " *" * (not row["occlusion"])} for row in tables["sequence"]]
+
+
+def _without_occlusion(tables: Tables) -> str:
+    some = any(not row["occlusion"] for row in tables["sequence"])
+    return "questions; *: no occlusion attributes, every box counts as a clear view" if some else "questions"
 
 
 def _counts(title: str, note: str, rows: Rows, columns: Sequence[str], color: Mapping[str, str]) -> Panel:

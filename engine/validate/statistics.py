@@ -76,6 +76,7 @@ def statistics(store: Store, learned: Guesser | None = None) -> dict[str, list[_
     layers = {name: entry.layers for name, entry in store.manifest().sequences.items()}
     lacking, refused = _lacking(layers), tallies(rejected, questions)
     counts = {(row["template"], row["layer"]): row["sequences_without"] for row in lacking}
+    unclear = store.without_occlusion()
     records, total = [one.record for one in measured], max(1, len(measured))
     families, sequences = (Counter(getattr(record, name) for record in records) for name in ("family", "sequence"))
     people = Counter(sequence for sequence, _ in {(record.sequence, record.target_track) for record in records})
@@ -91,7 +92,13 @@ def statistics(store: Store, learned: Guesser | None = None) -> dict[str, list[_
         ),
         "mode": _counted({"mode": record.answer_mode} for record in records),
         "sequence": [
-            {"sequence": name, "n": sequences[name], "share": sequences[name] / total, "people": people[name]}
+            {
+                "sequence": name,
+                "n": sequences[name],
+                "share": sequences[name] / total,
+                "people": people[name],
+                "occlusion": name not in unclear,
+            }
             for name in sorted(layers)
         ],
         "shortfall": shortfalls(refused, counts, len(layers)),
