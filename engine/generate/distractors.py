@@ -2,15 +2,18 @@
 
 A distractor is first the answer of a perturbed program: at the description's time instead of the stated one, at a
 shifted time, of a look-alike who could match when a condition is dropped. Only then follow other poses known to be
-false for the target at the stated time. Nothing unknown is ever a distractor, no pose that the question states, and
-none that overlaps the true one.
+false for the target at the stated time. Nothing unknown is ever a distractor, and no pose that the question states.
+
+No two choices overlap each other. If only the true one were compared with the others, it would stand out as the pose
+that overlaps none of them. For the same reason a pose question has several sets of choices, among which selection
+picks one whose other members are true as often.
 """
 
 from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -23,8 +26,18 @@ from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS, ch
 
 CHOICE_COUNT: Final = 4
 
+SETS: Final = 16
+"""Sets of choices of one candidate that selection may pick from; those of the commonest poses."""
 
-@dataclass(frozen=True)
+APART: Final = tuple(
+    one
+    for one in itertools.combinations(POSES, CHOICE_COUNT)
+    if not any(other in overlapping(pose) for pose, other in itertools.combinations(one, 2))
+)
+"""Every set of poses of which no two overlap; the first hold the poses that are annotated most."""
+
+
+@dataclass(frozen=True, slots=True)
 class Choices:
     """The texts in their order, the number of the true one from 1, and per choice the perturbation that yields it."""
 
@@ -33,28 +46,28 @@ class Choices:
     perturbations: tuple[str | None, ...]
 
 
-def make_choices(context: SearchContext, candidates: Candidates, row: int, key: str) -> Choices | None:
-    """The choices of one candidate; None where there are not enough wrong answers."""
+def make_choices(context: SearchContext, candidates: Candidates, row: int, key: str) -> tuple[Choices, ...]:
+    """The sets of choices that one candidate may have, those that reveal most first."""
     truth = VALUES[candidates.answer[row]]
-    barred = {truth}
-    fill: tuple[str, ...] = PRESENCE_ANSWERS if truth in PRESENCE_ANSWERS else DISTANCE_ANSWERS
+    sets: tuple[tuple[str, ...], ...] = (PRESENCE_ANSWERS if truth in PRESENCE_ANSWERS else DISTANCE_ANSWERS,)
     if candidates.template.pose_answer:
         (stated,) = stated_poses(context, candidates.take(np.array([row])))
-        barred |= {POSES[code] for code in np.flatnonzero(stated).tolist()} | overlapping(truth)
+        barred = {POSES[code] for code in np.flatnonzero(stated).tolist()}
         frame = int(candidates.frames[candidates.template.decisive[-1]][row])
-        barred |= context.onsets.possible_poses(_target(context.scene, candidates, row), frame)
-        fill = _common_poses(context.scene, key)
-    found = itertools.chain(_perturbed(context, candidates, row), ((text, None) for text in fill))
-    wrong: dict[str, str | None] = {}
-    for text, perturbation in found:
-        wrong.setdefault(text, perturbation)
-    wrong = {text: perturbation for text, perturbation in wrong.items() if text not in barred}
-    if len(wrong) < CHOICE_COUNT - 1:
-        return None
-    chosen = {truth: None, **dict(list(wrong.items())[: CHOICE_COUNT - 1])}
-    order = sorted(chosen, key=lambda text: hashlib.sha256(f"{key}\n{text}".encode()).hexdigest())
-    perturbations = tuple(chosen[text] for text in order)
-    return Choices(tuple(map(choice_text, order)), order.index(truth) + 1, perturbations)
+        barred |= context.onsets.possible_poses(_target(context.scene, candidates, row), frame) - {truth}
+        sets = tuple(one for one in APART if truth in one and not barred.intersection(one))[:SETS]
+    mistakes: dict[str, str] = {}
+    for text, perturbation in _perturbed(context, candidates, row):
+        mistakes.setdefault(text, perturbation)
+    mistakes.pop(truth, None)
+    found = [_ordered(one, truth, mistakes, key) for one in sets]
+    return tuple(sorted(found, key=lambda choices: choices.perturbations.count(None)))
+
+
+def _ordered(texts: tuple[str, ...], truth: str, mistakes: Mapping[str, str], key: str) -> Choices:
+    """A set of choices in an order that says nothing."""
+    order = sorted(texts, key=lambda text: hashlib.sha256(f"{key}\n{text}".encode()).hexdigest())
+    return Choices(tuple(map(choice_text, order)), order.index(truth) + 1, tuple(map(mistakes.get, order)))
 
 
 def _target(scene: Scene, candidates: Candidates, row: int) -> int:
@@ -155,10 +168,3 @@ _READERS: Final[dict[str, Callable[[SearchContext, int, list[int]], str | None]]
     "presence": _presence,
     "distance_change": _distance_change,
 }
-
-
-def _common_poses(scene: Scene, key: str) -> tuple[str, ...]:
-    """All poses, the commonest of the scene first; equally common ones by hash."""
-    counts = np.bincount(scene.poses[scene.poses != NOBODY], minlength=len(POSES))
-    ranks = {pose: hashlib.sha256(f"{key}\n{pose}\nfill".encode()).hexdigest() for pose in POSES}
-    return tuple(sorted(POSES, key=lambda pose: (-int(counts[POSES.index(pose)]), ranks[pose])))

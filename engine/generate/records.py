@@ -23,18 +23,20 @@ from jrdb_avr.schema.rules import KEYFRAME_STEP, rules_hash
 from jrdb_avr.schema.wording.text import question_id, render
 
 
+def choice_sets(context: SearchContext, candidates: Candidates, line: Mapping[str, Any]) -> tuple[Choices, ...]:
+    """The sets of choices that a candidate may have, by its row of `to_table`: one without choices where its answer is
+    none."""
+    if candidates.template.answer is not None:
+        return (Choices((), 0, ()),)
+    return make_choices(context, candidates, line["row"], line["key"])
+
+
 def make_record(
-    context: SearchContext, candidates: Candidates, line: Mapping[str, Any], rederived: Proof
-) -> QuestionRecord | None:
-    """The record of one candidate that all set-wise rules passed, by its row of `to_table`; None where there are too
-    few wrong answers. `rederived` is the proof by the second program."""
+    context: SearchContext, candidates: Candidates, line: Mapping[str, Any], rederived: Proof, choices: Choices
+) -> QuestionRecord:
+    """The record of one candidate that all set-wise rules passed, by its row of `to_table`. `rederived` is the proof by
+    the second program."""
     scene, template, row = context.scene, candidates.template, line["row"]
-    choices = Choices((), 0, ())
-    if template.answer is None:
-        found = make_choices(context, candidates, row, line["key"])
-        if found is None:
-            return None
-        choices = found
     plan = parse_plan(line["plan"])
     text = render(line["template"], plan, line["key"], scene.action_step == KEYFRAME_STEP)
     public: dict[str, Any] = {name: line[name] for name in ("sequence", "family", "template")}

@@ -6,6 +6,9 @@ depend on the rows alone, never on their order: `key` decides among equals (sha2
 The candidates of one form of a template are taken in turns over their answers (or over the bins that hold them), the
 scarcest answer first. A candidate is refused where a near-duplicate or a cap forbids it. Among those of an answer the
 one is preferred whose words and waits go with that answer least often so far, so that the text gives nothing away.
+
+A pose question takes one of several sets of choices: the one that goes with its answer least often, so that whoever
+knows which answer of each set is true most often is right no oftener than the share of one answer allows.
 """
 
 from __future__ import annotations
@@ -14,18 +17,24 @@ import hashlib
 from collections import Counter, defaultdict
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any, Final, NamedTuple, TypeVar
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.engine.generate.bins import answer_bin, wait_bin
+from jrdb_avr.engine.generate.distractors import Choices
+from jrdb_avr.schema.answers import Choice, encode_answer
 from jrdb_avr.schema.arrays import Ints
+from jrdb_avr.schema.labels import choice_text
 from jrdb_avr.schema.rules import Rules, frames
 from jrdb_avr.schema.tables import QUESTIONS
 from jrdb_avr.schema.templates import FAMILIES, TEMPLATES
+from jrdb_avr.schema.wording.text import question_id
 
 POOL: Final = pa.schema(
     [
@@ -37,12 +46,14 @@ POOL: Final = pa.schema(
         ("times", pa.list_(pa.int32())),
         ("read_frames", pa.list_(pa.int32())),
         ("event", pa.string()),
+        ("sets", pa.list_(pa.string())),
     ]
 )
 """Columns of the records that selection chooses from: those of the tables `questions` and `answers`, and what it goes
 by. `form` is a name of TEMPLATES; `answer_text` a choice's answer or another answer's stored JSON; `stated` the action
 words of the question; `times` its stated frames; `read_frames` those where the answer is read; `event` the start or the
-count of the target that only one question may be about, null for none."""
+count of the target that only one question may be about, null for none; `sets` the sets of choices that it may have, as
+JSON of `distractors.Choices`."""
 
 PROFILES: Final[dict[str, dict[str, int]]] = {
     "all": {},
@@ -57,6 +68,10 @@ PROFILES: Final[dict[str, dict[str, int]]] = {
     },
 }
 """Questions per family, in the order of the paper's table; a family not named keeps all that balance leaves."""
+
+_READ: Final = ["form", "answer_text", "times", "sequence", "target_track", "read_frames", "event", "stated", "key"]
+_PUBLIC: Final = ("sequence", "family", "template", "question", "choices", "answer_mode")
+_CHOICES: Final = msgspec.json.Decoder(Choices)
 
 K = TypeVar("K", bound=Hashable)
 
@@ -137,12 +152,27 @@ def select(table: pa.Table, rules: Rules, profile: str, seed: int) -> Selection:
         aims = _share_out(dict.fromkeys(names, wanted[family]), wanted[family]) if family in wanted else {}
         for name in names:
             own = forms.get(name, [])
-            counts = {"candidates": sum(len(form.rows) for form in own), "aim": aims.get(name)}
+            counts = {"candidates": sum(len(set(form.rows.tolist())) for form in own), "aim": aims.get(name)}
             kept = sum(len(form.chosen) for form in own)
             report.append({"family": family, "template": name, **counts, "kept": kept})
-    chosen = [int(form.rows[place]) for own in forms.values() for form in own for place in form.chosen]
+    picked = [(form, place) for form in chain(*forms.values()) for place in form.chosen]
+    places = pa.array([int(form.rows[place]) for form, place in picked], pa.int64())
+    chosen = with_choices(table.take(places), [form.sets[place] for form, place in picked])
     order = [(name, "ascending") for name in ("sequence", "template", "key", "plan")]
-    return Selection(table.take(pa.array(chosen, pa.int64())).sort_by(order), tuple(report))
+    return Selection(chosen.sort_by(order), tuple(report))
+
+
+def with_choices(table: pa.Table, sets: Sequence[str]) -> pa.Table:
+    """The rows with these sets of choices, and so with other ids; an empty text leaves a row as it is."""
+    rows = table.to_pylist()
+    for row, text in zip(rows, sets, strict=True):
+        if text:
+            choices = _CHOICES.decode(text)
+            row["choices"] = list(choices.texts)
+            row["question_id"] = question_id(**{name: row[name] for name in _PUBLIC})
+            row["answer"] = encode_answer(Choice(choices.true))
+            row["distractors"] = msgspec.json.encode(choices.perturbations).decode()
+    return pa.Table.from_pylist(rows, schema=table.schema)
 
 
 def _templates_of(family: str) -> list[str]:
@@ -155,6 +185,18 @@ def _choose(forms: Mapping[str, Sequence[_Form]], wanted: int | None) -> None:
         for form in (form for own in forms.values() for form in own):
             form.extend(len(form.rows))
         return
+    left = wanted - _deal(forms, wanted)
+    # What they lack with answers that are level in each set of choices and with the same words, they give with answers
+    # that are level in all.
+    loose = [form for form in chain(*forms.values()) if form.within_sets]
+    for form in loose:
+        form.within_sets, form.loose = False, True
+    if left > 0 and loose:
+        _deal(forms, left)
+
+
+def _deal(forms: Mapping[str, Sequence[_Form]], wanted: int) -> int:
+    """Let the forms choose so many more, shared out evenly; returns how many they choose."""
     left = wanted
     # Nobody knows before how many a form can give: what one lacks is shared out among the others again.
     while left > 0 and (open_names := [name for name, own in forms.items() if any(not form.spent for form in own)]):
@@ -165,9 +207,10 @@ def _choose(forms: Mapping[str, Sequence[_Form]], wanted: int | None) -> None:
                 left -= own[place].extend(part)
         if left == before:
             # Some shares are too small for any number of answers: whoever can take all that is left.
-            for form in (form for own in forms.values() for form in own):
+            for form in chain(*forms.values()):
                 left -= form.extend(left)
             break
+    return wanted - left
 
 
 def _share_out(available: Mapping[K, int], wanted: int) -> dict[K, int]:
@@ -295,6 +338,9 @@ _LIMITS: Final = {
 _FREE: Final = 2
 """So many questions of a cell may have the same answer, whatever others have."""
 
+_PRIOR: Final = 5.0
+"""So many questions of a set of choices are expected to have the answers that all questions have."""
+
 _WORTH: Final = 0.1
 """An aim is met where at least this share of what could be chosen stays."""
 
@@ -302,11 +348,15 @@ _WORTH: Final = 0.1
 class _Form:
     """The candidates of one form of a template, and those of them that are chosen, in the order of choice.
 
-    A *cell* holds the questions that state the same action words, with waits in the same doubling bins.
+    A *place* is a candidate with one of its sets of choices, which are those of its *slot*. A *cell* holds the places
+    whose questions state the same action words, with waits in the same doubling bins; it has a slot for each set.
     """
 
     def __init__(self, table: pa.Table, rows: Ints, taken: _Taken, seed: int) -> None:
-        own = table.take(pa.array(rows))
+        offered = [one or [""] for one in table["sets"].take(pa.array(rows)).to_pylist()]
+        self.sets = [text for one in offered for text in one]
+        rows = np.repeat(rows, [len(one) for one in offered])
+        own = table.select(_READ).take(pa.array(rows))
         form = TEMPLATES[own["form"][0].as_py()]
         texts, times = own["answer_text"].to_pylist(), own["times"].to_pylist()
         mode, read = form.spec.mode, form.spec.read
@@ -325,20 +375,53 @@ class _Form:
         ]
         waits = [tuple(wait_bin(time - first) for time in more) for first, *more in times]
         self.cells = _dense(list(zip(map(" | ".join, own["stated"].to_pylist()), waits, strict=True)))
-        hashes = [hashlib.sha256(f"{seed} {key}".encode()).hexdigest() for key in own["key"].to_pylist()]
-        self.queues: dict[int, dict[int, list[int]]] = defaultdict(lambda: defaultdict(list))
-        """By answer and cell, the places still to be tried; the last one comes first."""
-        for place in np.argsort(hashes, kind="stable")[::-1].tolist():
-            self.queues[int(self.answers[place])][int(self.cells[place])].append(place)
-        self.together = np.zeros((int(self.cells.max()) + 1, int(self.answers.max()) + 1), np.int64)
-        """(cells, answers): how many are chosen."""
-        self.varieties = np.array(
-            [sum(cell in own for own in self.queues.values()) for cell in range(len(self.together))]
-        )
-        """Per cell, how many different answers its candidates have."""
+        choices = [tuple(sorted(_CHOICES.decode(text).texts)) if text else () for text in self.sets]
+        sets = _dense(choices)
+        self.slots = _dense(list(zip(self.cells.tolist(), sets.tolist(), strict=True)))
+        self.slot_cells, self.slot_sets = (np.zeros(int(self.slots.max()) + 1, np.int64) for _ in range(2))
+        self.slot_cells[self.slots], self.slot_sets[self.slots] = self.cells, sets
+        hashes = _dense([hashlib.sha256(f"{seed} {key}".encode()).hexdigest() for key in own["key"].to_pylist()])
+        sets_before = np.concatenate([np.arange(len(one)) for one in offered])
         self.sizes = np.bincount(self.answers)
+        self.blocks = self._blocks(frames(near_s(form.name, taken.rules)))
+        order = np.lexsort((hashes, sets_before, self.blocks))
+        self.queues: dict[int, dict[int, list[int]]] = defaultdict(lambda: defaultdict(list))
+        """By answer and slot, the places still to be tried; the last one comes first."""
+        for place in order[::-1].tolist():
+            self.queues[int(self.answers[place])][int(self.slots[place])].append(place)
+        answers = int(self.answers.max()) + 1
+        self.together = np.zeros((int(self.cells.max()) + 1, answers), np.int64)
+        """(cells, answers): how many are chosen."""
+        possible = np.zeros_like(self.together, bool)
+        possible[self.cells, self.answers] = True
+        self.varieties = possible.sum(axis=1)
+        """Per cell, how many different answers its candidates have."""
+        self.by_set = np.zeros((int(sets.max()) + 1, answers), np.int64)
+        """(sets, answers): how many are chosen."""
+        self.offers = np.ones_like(self.by_set, bool)
+        """(sets, answers): whether an answer is among the choices."""
+        for number, one in set(zip(sets.tolist(), choices, strict=True)):
+            if one:
+                self.offers[number] = [choice_text(text) in one for text in sorted(set(texts))]
+        self.within_sets = len(self.by_set) > 1
+        """Whether the limit holds for the answers of each set of choices."""
+        self.loose = False
+        """Whether the answer may go with the words more often than others do."""
         self.chosen: list[int] = []
         self.ended = False
+
+    def _blocks(self, near: int) -> Ints:
+        """Per place, how many of scarcer answers could not be chosen beside it, as they are near-duplicates."""
+        of_person: dict[Person, list[int]] = defaultdict(list)
+        for number, place in enumerate(self.places):
+            of_person[place.person].append(number)
+        counts = np.zeros(len(self.places), np.int64)
+        for numbers in of_person.values():
+            read, answers = np.array([self.places[number].read for number in numbers]), self.answers[numbers]
+            scarcer = self.sizes[answers] < self.sizes[answers][:, None]
+            close = scarcer & (np.abs(read[:, None] - read) <= near).all(axis=2)
+            counts[numbers] = close.sum(axis=1)
+        return counts
 
     @property
     def spent(self) -> bool:
@@ -361,42 +444,66 @@ class _Form:
         """Choose a candidate with this answer, if any may still be chosen; returns whether one was."""
         queues = self.queues[answer]
         while queues:
-            cells = np.array(sorted(queues))
+            slots = np.array(sorted(queues))
+            if self.within_sets:
+                # One more than its share is let in, or nothing could be the first of its set.
+                counts = self.by_set[self.slot_sets[slots]]
+                slots = slots[counts[:, answer] <= self.limit.share * (counts.sum(axis=1) + 1)]
+            if not len(slots):
+                return False
+            cells, sets = self.slot_cells[slots], self.slot_sets[slots]
             own, total, variety = self.together[cells, answer], self.together[cells].sum(axis=1), self.varieties[cells]
             # How much oftener the answer goes with the words and waits of a cell than the others that could.
             excess = own - (total - own) / np.maximum(variety - 1, 1)
             telling = (variety > 1) & (own >= _FREE) & (excess > 0) & (own > self.limit.share * (total + 1))
-            best = np.lexsort((cells, -variety, excess, telling))[0]
-            if telling[best] and self.limit.strict:
+            # How often the answer goes with a set of choices, smoothed by how often it goes with any.
+            prior = _PRIOR * (self.by_set.sum(axis=0) + 1) / (len(self.chosen) + 1)
+            with_set = self.by_set[sets].sum(axis=1) + self.offers[sets] @ prior
+            likely = (self.by_set[sets, answer] + prior[answer]) / with_set
+            blocks = [self.blocks[queues[slot][-1]] for slot in slots.tolist()]
+            best = np.lexsort((slots, -variety, excess, likely, blocks, telling))[0]
+            if telling[best] and self.limit.strict and not self.loose:
                 return False
-            cell = int(cells[best])
-            place = queues[cell].pop()
-            if not queues[cell]:
-                del queues[cell]
+            slot = int(slots[best])
+            place = queues[slot].pop()
+            if not queues[slot]:
+                del queues[slot]
             if not queues:
                 del self.queues[answer]
             if self.taken.admits(self.places[place]):
                 self.taken.add(self.places[place])
-                self.together[cell, answer] += 1
+                self._count(place, 1)
                 self.chosen.append(place)
                 return True
         return False
 
+    def _count(self, place: int, step: int) -> None:
+        slot, answer = self.slots[place], self.answers[place]
+        self.together[self.slot_cells[slot], answer] += step
+        self.by_set[self.slot_sets[slot], answer] += step
+
+    def _give_back(self, place: int) -> None:
+        self.chosen.remove(place)
+        self.taken.remove(self.places[place])
+        self._count(place, -1)
+        self.queues[int(self.answers[place])][int(self.slots[place])].append(place)
+
     def _cut(self) -> None:
         """Give back what is too many for the limit on answers."""
+        while self.within_sets and self.by_set.max(axis=1).sum() > self.limit.share * len(self.chosen) + 1e-9:
+            worst = int((self.by_set.max(axis=1) - self.limit.share * self.by_set.sum(axis=1)).argmax())
+            pair = worst, int(self.by_set[worst].argmax())
+            held = ((self.slot_sets[self.slots[place]], self.answers[place]) for place in reversed(self.chosen))
+            self._give_back(next(place for place, own in zip(reversed(self.chosen), held, strict=True) if own == pair))
         stays = self.limit.stay(self.answers[self.chosen])
         if not self.limit.strict:
             # Turns are even as long as every answer has some left.
             self.ended = not self.queues
             if not self.ended or len(stays) < _WORTH * len(self.chosen):
                 return
-        kept = [self.chosen[number] for number in stays.tolist()]
-        for place in [place for place in reversed(self.chosen) if place not in set(kept)]:
-            self.taken.remove(self.places[place])
-            answer, cell = int(self.answers[place]), int(self.cells[place])
-            self.together[cell, answer] -= 1
-            self.queues[answer][cell].append(place)
-        self.chosen = kept
+        kept = {self.chosen[number] for number in stays.tolist()}
+        for place in [place for place in reversed(self.chosen) if place not in kept]:
+            self._give_back(place)
 
 
 def _dense(values: Sequence[Hashable]) -> Ints:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
@@ -21,7 +22,7 @@ import pyarrow.parquet as pq
 from jrdb_avr.engine.generate.candidates import OUTCOMES, PASSED, RULES, Candidates, frame_lists, to_table
 from jrdb_avr.engine.generate.context import SearchContext
 from jrdb_avr.engine.generate.diagnostics import refusal_row
-from jrdb_avr.engine.generate.records import make_record, needed_boxes
+from jrdb_avr.engine.generate.records import choice_sets, make_record, needed_boxes
 from jrdb_avr.engine.generate.scene import Ints, Scene, load_scene
 from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.engine.generate.selection import KEPT, POOL, thin_out
@@ -154,16 +155,18 @@ class _Search:
                 self.result.faults.append(f"{self.result.sequence} {line['plan']}: {fault}")
                 continue
             confirmed = Proof("rederive", "annotations", True, "same", line["answer"])
-            record = make_record(self.context, candidates, line, confirmed)
-            if record is None:
+            sets = choice_sets(self.context, candidates, line)
+            if not sets:
                 self._refuse(candidates, "choices", line, "fewer than three wrong answers")
                 continue
+            record = make_record(self.context, candidates, line, confirmed, sets[0])
             row, template = line["row"], candidates.template
             own: dict[str, Any] = {"key": line["key"], "form": template.query, "answer_text": line["answer"]}
             own["stated"] = list(stated_actions(parse_plan(line["plan"])))
             own["times"] = [int(candidates.frames[name][row]) for name in template.stated]
             own["read_frames"] = [int(candidates.frames[name][row]) for name in template.read]
             own["event"] = _event(candidates, row)
+            own["sets"] = [msgspec.json.encode(choices).decode() for choices in sets if choices.texts]
             self.rows.append(record.columns() | own)
 
     def _disagreement(self, candidates: Candidates, line: Mapping[str, Any]) -> str | None:

@@ -38,7 +38,7 @@ from jrdb_avr.schema.wording.text import parse, question_id, question_key, rende
 CHECKS: Final = {
     "files": "the schema and the canary are right; public files hold nothing private",
     "ids": "each question appears once in each file; its id is the hash of its public columns",
-    "choices": "a choice question has four different choices, none of which overlaps the true one; others have none",
+    "choices": "a choice question has four different choices, of which no two overlap; others have none",
     "answers": "the stored answer is readable and lies within the sequence",
     "plans": "the plan is valid and belongs to the question's template",
     "text": "the text states the plan and nothing else; stated seconds are frame / fps",
@@ -270,8 +270,9 @@ class _QuestionCheck:
         self.check("rules", record.rules == rules_hash(self.rules), f"generated under rules {record.rules}")
         fine = count == len(set(record.choices)) == (CHOICE_COUNT if mode == "multiple_choice" else 0)
         self.check("choices", fine, f"choices {list(record.choices)} for an answer of mode {mode}")
-        both = overlapping(record.answer_text) & set(map(answer_of_choice, record.choices))
-        self.check("choices", not both, f"{sorted(both)} may be true beside {record.answer_text!r}")
+        poses = set(map(answer_of_choice, record.choices))
+        both = sorted(pose for pose in poses if overlapping(pose) & poses)
+        self.check("choices", not both, f"{both} may be true beside each other")
         answer = decode_answer(mode, record.answer)
         inside = _inside(answer, count, self.info["frame_count"])
         self.check("answers", inside, f"{record.answer} is outside the sequence or the choices")

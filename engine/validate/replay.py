@@ -19,7 +19,7 @@ from jrdb_avr.engine.generate.candidates import PASSED, RULES, Candidates, to_ta
 from jrdb_avr.engine.generate.conditions import find_conditions
 from jrdb_avr.engine.generate.context import SearchContext
 from jrdb_avr.engine.generate.descriptions import resolve
-from jrdb_avr.engine.generate.records import make_record
+from jrdb_avr.engine.generate.records import choice_sets, make_record
 from jrdb_avr.engine.generate.relations import RELATIONS, find_facts
 from jrdb_avr.engine.generate.scene import NOBODY, Ints, box_count, load_scene
 from jrdb_avr.engine.generate.search import find_candidates
@@ -233,10 +233,13 @@ def _compare(
         return
     agrees = second.outcome == "defined" and second.answer == line["answer"] and not second.faults
     outcome = "same" if agrees else "different" if second.outcome == "defined" else second.outcome
-    record = make_record(context, candidates, line, Proof("rederive", "annotations", agrees, outcome, second.answer))
-    if record is None:
+    sets = choice_sets(context, candidates, line)
+    if not sets:
         yield Difference(name, "choices", "now there are fewer than three wrong answers")
         return
+    choices = next((choices for choices in sets if choices.texts == stored.choices), sets[0])
+    rederived = Proof("rederive", "annotations", agrees, outcome, second.answer)
+    record = make_record(context, candidates, line, rederived, choices)
     again = msgspec.structs.asdict(record) | {"answer": record.answer_text}
     # The id is a hash of columns that are compared themselves.
     del again["question_id"]

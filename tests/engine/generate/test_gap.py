@@ -20,7 +20,7 @@ from worlds import member, person, person_3d
 from jrdb_avr.engine.generate.candidates import PASSED, to_table
 from jrdb_avr.engine.generate.candidates import RULES as RULES_OF_CANDIDATES
 from jrdb_avr.engine.generate.context import SearchContext
-from jrdb_avr.engine.generate.records import make_record
+from jrdb_avr.engine.generate.records import choice_sets, make_record
 from jrdb_avr.engine.generate.scene import load_scene
 from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.engine.generate.sequence import SequenceJob, search_sequence
@@ -95,7 +95,8 @@ def searched(scene):
             proven = np.flatnonzero(rows.rule == PASSED)
             found[form.form] = set()
             for line in to_table(context, rows, proven).to_pylist():
-                record = make_record(context, rows, line, Proof("rederive", "annotations", True, "same"))
+                confirmed = Proof("rederive", "annotations", True, "same")
+                record = make_record(context, rows, line, confirmed, *choice_sets(context, rows, line))
                 needed = frozenset((box.node, box.track, box.frame, box.decisive) for box in record.needed)
                 found[form.form].add((line["plan"], line["answer"], needed, tuple(sorted(record.bindings.items()))))
     return context.descriptions, found

@@ -30,6 +30,7 @@ SCHEMA = pa.schema(
         ("read_frames", pa.list_(pa.int32())),
         ("stated", pa.list_(pa.string())),
         ("times", pa.list_(pa.int32())),
+        ("sets", pa.list_(pa.string())),
         ("carried", pa.string()),
     ]
 )
