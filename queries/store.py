@@ -196,8 +196,12 @@ class Store(Displayed):
 
     def without_occlusion(self) -> list[str]:
         """The sequences whose 2D boxes come without attributes, so that every box of legal size is a clear view."""
-        known = {name for name, entry in self.manifest().sequences.items() if "2d" in entry.layers}
-        return [name for name in sorted(known) if not self.interval("sequence", name)["has_attributes"][0].as_py()]
+        return [
+            name
+            for name in sorted(self.manifest().sequences)
+            if not self.interval("sequence", name)["has_attributes"][0].as_py()
+            and len(self.interval("sightings", name, ["frame"]))
+        ]
 
     def write_manifest(self, manifest: Manifest) -> None:
         """Write the manifest, which makes the folder a store. Raises StoreError if the disk refuses."""

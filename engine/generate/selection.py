@@ -27,6 +27,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.engine.generate.bins import answer_bin, wait_bin
+from jrdb_avr.engine.generate.blind import FEW
 from jrdb_avr.engine.generate.distractors import Choices
 from jrdb_avr.schema.answers import Choice, encode_answer
 from jrdb_avr.schema.arrays import Ints
@@ -182,15 +183,19 @@ def _templates_of(family: str) -> list[str]:
 def _choose(forms: Mapping[str, Sequence[_Form]], wanted: int | None) -> None:
     """Let every form of every template of a family choose, `wanted` in all if they have so many."""
     if wanted is None:
-        for form in (form for own in forms.values() for form in own):
+        for form in chain(*forms.values()):
             form.extend(len(form.rows))
+            # Of fewer no guesser's share is reliable.
+            if form.within_sets and len(form.chosen) < FEW:
+                form.loosen()
+                form.extend(FEW - len(form.chosen))
         return
     left = wanted - _deal(forms, wanted)
     # What they lack with answers that are level in each set of choices and with the same words, they give with answers
     # that are level in all.
     loose = [form for form in chain(*forms.values()) if form.within_sets]
     for form in loose:
-        form.within_sets, form.loose = False, True
+        form.loosen()
     if left > 0 and loose:
         _deal(forms, left)
 
@@ -409,6 +414,10 @@ class _Form:
         """Whether the answer may go with the words more often than others do."""
         self.chosen: list[int] = []
         self.ended = False
+
+    def loosen(self) -> None:
+        """Level the answers over all questions from now on, and no more in each set of choices and with each word."""
+        self.within_sets, self.loose = False, True
 
     def _blocks(self, near: int) -> Ints:
         """Per place, how many of scarcer answers could not be chosen beside it, as they are near-duplicates."""

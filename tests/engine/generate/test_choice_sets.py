@@ -9,6 +9,7 @@ import pyarrow as pa
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from jrdb_avr.engine.generate.blind import FEW
 from jrdb_avr.engine.generate.distractors import APART
 from jrdb_avr.engine.generate.selection import POOL, select
 from jrdb_avr.schema.labels import POSES, answer_of_choice, choice_text, overlapping
@@ -68,7 +69,8 @@ def test_no_two_poses_of_a_set_overlap_and_each_pose_has_sets():
 @settings(deadline=None, max_examples=30)
 def test_the_set_does_not_tell_the_answer(counts):
     rows = chosen(counts)
-    assert guessed(rows) <= Rules().max_answer_share * len(rows) + 1e-9
+    # Of few questions no guesser's share is reliable.
+    assert len(rows) <= FEW or guessed(rows) <= Rules().max_answer_share * len(rows) + 1e-9
 
 
 def test_level_answers_all_stay():
@@ -90,7 +92,7 @@ def test_a_family_that_lacks_its_number_takes_what_level_answers_allow():
         for n in range(40)
     ]
     table = pa.Table.from_pylist([row | {"times": [0], "read_frames": [0]} for row in rows], schema=POOL)
-    assert not select(table, Rules(), "all", 0).table.num_rows
+    assert select(table, Rules(), "all", 0).table.num_rows == FEW
     assert Counter(select(table, Rules(), "paper", 0).table["answer_text"].to_pylist()) == dict.fromkeys(sets, 40)
 
 
