@@ -109,7 +109,7 @@ class _Search:
 
     def found(self) -> Found:
         frame, conditions = self.question.frame, self.question.conditions
-        fits = {one: all_of(*(self.holds(each, one) for each in conditions)) for one in self.facts.people(frame)}
+        fits = {one: all_of(self.holds(each, one) for each in conditions) for one in self.facts.people(frame)}
         named = {"A": only(fits, "A")}
         for step in self.question.steps:
             named[step.name] = self.follow(step, named)
@@ -123,7 +123,7 @@ class _Search:
     def follow(self, step: Step, named: dict[str, int]) -> int:
         out = {named[name] for name in step.aside} | {named[link.start] for link in step.links}
         others = self.facts.people(self.question.frame).keys() - out
-        fits = {one: all_of(*(self.leads(link, named[link.start], one) for link in step.links)) for one in others}
+        fits = {one: all_of(self.leads(link, named[link.start], one) for link in step.links) for one in others}
         return only(fits, step.name)
 
     def leads(self, link: Link, start: int, other: int) -> bool | None:
@@ -179,9 +179,11 @@ class _Search:
         return first, last
 
     def does(self, seen: Seen, phrase: str, frame: int) -> bool:
+        if not self.facts.labels(phrase) & seen.actions.keys():
+            return False
         fact = self.facts.doing(self.person, frame, phrase)
         if fact is None and self.facts.reading.spell == "possible":
-            return bool(seen.actions) and (phrase not in POSES or POSES[phrase] in seen.actions)
+            return True
         return fact is True
 
     @property
@@ -224,7 +226,7 @@ class _Search:
 
     def read_count(self) -> dict:
         words, end = self.question.values
-        label = next((label for phrase, label in PARTNERS.items() if words.startswith(phrase)), "")
+        label = PARTNERS.get(words, "")
         frames = [self.question.frame, *(frame for frame in self.later() if frame <= end)]
         met = {other for frame in frames for other in self.facts.people(frame) if self.meets(other, frame, label)}
         return {"value": float(len(met - {self.person}))}

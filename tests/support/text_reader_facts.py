@@ -31,8 +31,13 @@ def either(*facts: bool | None) -> bool | None:
     return True if True in facts else None if None in facts else False
 
 
-def all_of(*facts: bool | None) -> bool | None:
-    return False if False in facts else None if None in facts else True
+def all_of(facts: Iterable[bool | None]) -> bool | None:
+    unknown = False
+    for fact in facts:
+        if fact is False:
+            return False
+        unknown = unknown or fact is None
+    return None if unknown else True
 
 
 def best(levels: Iterable[int]) -> bool | None:
@@ -71,17 +76,18 @@ class Facts:
         """None in a short break of a label, False outside."""
         if self.recording.step != 1:
             return False
-        sides = []
         for way in (-1, 1):
             near = (self.seen(person, frame + way * away) for away in range(1, 8))
-            sides.append(any(seen is not None and labels & seen.actions.keys() for seen in near))
-        return None if all(sides) else False
+            if not any(seen is not None and labels & seen.actions.keys() for seen in near):
+                return False
+        return None
+
+    def labels(self, phrase: str) -> set[str]:
+        """What a phrase stands for among the actions."""
+        return ACTIONS[phrase] | (WIDER.get(phrase, set()) if self.reading.words == "wide" else set())
 
     def doing(self, person: int, frame: int, phrase: str) -> bool | None:
-        labels = ACTIONS[phrase]
-        if self.reading.words == "wide":
-            labels = labels | WIDER.get(phrase, set())
-        return self.labelled(person, frame, labels, phrase in POSES)
+        return self.labelled(person, frame, self.labels(phrase), phrase in POSES)
 
     def handling(self, person: int, frame: int, verb: str, kind: str) -> bool | None:
         seen = self.seen(person, frame)
@@ -177,12 +183,19 @@ class Facts:
 
     def parted(self, person: int, other: int, frame: int, label: str) -> bool | None:
         """None in a short break of a relation, False outside."""
-        sides = []
+        if self.recording.step != 1:
+            return False
         for way in (-1, 1):
-            near = [(self.seen(person, frame + way * away), other) for away in range(1, 8)]
-            near += [(self.seen(other, frame + way * away), person) for away in range(1, 8)]
-            sides.append(any(seen and seen.partners and (label, whom) in seen.partners for seen, whom in near))
-        return None if self.recording.step == 1 and all(sides) else False
+            near = range(frame + way, frame + way * 8, way)
+            if not any(
+                self.lists(one, label, two, at) for at in near for one, two in ((person, other), (other, person))
+            ):
+                return False
+        return None
+
+    def lists(self, person: int, label: str, other: int, frame: int) -> bool:
+        seen = self.seen(person, frame)
+        return seen is not None and bool(seen.partners) and (label, other) in seen.partners
 
     def with_someone(self, person: int, frame: int, label: str) -> bool | None:
         facts = [self.together(person, other, frame, label) for other in self.people(frame) if other != person]

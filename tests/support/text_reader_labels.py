@@ -11,7 +11,7 @@ import math
 import re
 from collections import Counter, defaultdict
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 
 WIDTH = 3760
@@ -58,6 +58,7 @@ def code(value) -> int:
     return int(number) if number in (1, 2, 3) else 3
 
 
+@cache
 def plain(label: str) -> str:
     """One spelling of a label."""
     text = re.sub(r"[_\-\s]+", " ", str(label)).strip().lower().replace("something", "sth")

@@ -5,7 +5,7 @@ The phrases are those seen in published texts; nothing here comes from the wordi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 FPS = 15
 
@@ -118,6 +118,10 @@ class Reading:
     partner: str = "in frame"
     age: str = "band"
     moment: str = "label"
+
+    def __str__(self) -> str:
+        own = [f"{word}={value}" for word, value in asdict(self).items() if value != asdict(Reading())[word]]
+        return ", ".join(own) or "as defined"
 
 
 HELD: dict[str, tuple] = {

@@ -5,6 +5,7 @@ Written from the texts alone; it shares no code with the wording.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ THINGS |= {"computer accessory": "peripheral", "skateboard or segway or hoverboa
 THINGS |= {"bicycle or scooter": "bicycle/scooter"}
 VERBS = {"handling": "handling/manipulating", "talking on": "talking on", "looking at": "looking at"}
 VIEW = r" as seen from the robot"
-METRES = r"\((?:([\d.]+) to ([\d.]+)|over ([\d.]+)) m\)"
+METRES = r"\((?:([\d.]+) to ([\d.]+)|over ([\d.]+)|under ([\d.]+)) m\)"
 FACING = r"(?:(in front of|behind) [A-D]|to [A-D]'s ((?:front |back )?(?:left|right)))"
 
 
@@ -75,13 +76,12 @@ class Question:
 
 
 def bounds(found: tuple[str | None, ...]) -> tuple[float, float]:
-    low, high, over = found
-    return (float(over), float("inf")) if over else (float(low or 0), float(high or 0))
+    low, high, over, under = (float(value) if value else 0.0 for value in found)
+    return (over, math.inf) if over else (low, high or under)
 
 
 def described(text: str) -> tuple[Condition, ...]:
-    """Conditions of "the only teenager ahead of the robot who is sitting and in a group of two"."""
-    text = text.removeprefix("the only ")
+    """Conditions of "teenager ahead of the robot who is sitting and in a group of two"."""
     noun = max((noun for noun in NOUNS if re.match(noun + r"\b", text)), key=len, default="")
     if not noun:
         raise UnreadableError(text)
@@ -133,12 +133,14 @@ PHRASES: list[tuple[str, Callable[[re.Match], Condition]]] = [
 
 def linked(text: str) -> list[Link]:
     """Links of "the first person to the left of A as seen from the robot", "in the same group as B" and the like."""
-    text = re.sub(r",? ?\(?from [A-D]'s own point of view\)?|, who comes the other way", "", text).strip()
+    text = re.sub(
+        r",? ?\(?from [A-D]'s own point of view\)?|, who comes the other way| while [A-D] walks towards them", "", text
+    ).strip()
     if found := re.fullmatch(rf"the first person to the (left|right) of ([A-D]){VIEW}", text):
         return [Link("first_aside", found[2], (found[1],))]
     if found := re.fullmatch(r"the only other member of ([A-D])'s group", text):
         return [Link("mates", found[1], ())]
-    text = text.removeprefix("the only person who is ")
+    text = re.sub("^the only person (?:who is )?", "", text)
     if found := re.fullmatch(rf"within (\d+) degrees to the (left|right) of ([A-D]){VIEW}", text):
         return [Link("within", found[3], (found[2], float(found[1])))]
     if found := re.fullmatch(r"in the same group as ([A-D])", text):
@@ -148,7 +150,7 @@ def linked(text: str) -> list[Link]:
     place = rf"(?:very close to|close to|at a moderate distance from) ([A-D]) {METRES} and {FACING}"
     if found := re.fullmatch(place, text):
         name = found[1]
-        return [Link("near", name, bounds(found.groups()[1:4])), Link("facing", name, (found[5] or found[6],))]
+        return [Link("near", name, bounds(found.groups()[1:5])), Link("facing", name, (found[6] or found[7],))]
     raise UnreadableError(text)
 
 
@@ -173,12 +175,15 @@ def step(text: str) -> Step | None:
 
 # The whole text.
 
+AT = r"\d+\.\d s \(frame (?P<frame>\d+)\)"
+AFTER = rf"; call that person A|, and only what begins after that moment|, and all the time from then until {TIME}"
 OPENINGS = (
-    rf"(?:Find|Consider) (the only .+?) at {TIME}(?:; call that person A|, and only what begins after that moment)?",
-    rf"At {TIME}, find (?:A, )?(the only .+)",
-    rf"In the scene at {TIME}, A is (the only .+)",
+    rf"(?:Find|Consider) the only (?P<words>.+?) at {AT}(?:{AFTER})?",
+    rf"At {AT}, find (?:A, )?the only (?P<words>.+)",
+    rf"In the scene at {AT}, A is the only (?P<words>.+)",
 )
 PHRASE = rf"({'|'.join(sorted(ACTIONS, key=len, reverse=True))})"
+GROUP = "in the same group as"
 READS = (
     ("span", rf"first spell of {PHRASE} begin"),
     ("span", rf"start {PHRASE} for the first time after that, and at (?:about )?which frame does the person stop"),
@@ -188,7 +193,7 @@ READS = (
     ("view", rf"start {PHRASE}\b.*panorama angle"),
     ("start", rf"start {PHRASE}\b"),
     ("absence", r"seconds.*(?:absence|seen again)"),
-    ("count", rf"Count all the other people who are (.+?) that person at any moment from then until {TIME}"),
+    ("count", rf"(?:Count all|[Hh]ow many) .*people.* ({GROUP}|{'|'.join(PARTNERS)}) that person"),
     ("next_pose", r"posture or movement.*(?:follows it|comes next|change to)\?"),
     ("distance", rf"{TIME}.*not in view"),
     ("presence", rf"{TIME}.*{TIME}.*(?:if at either|at neither)"),
@@ -205,12 +210,9 @@ def parse(text: str) -> Question:
     clauses = sentences[0].split("; ")
     if len(clauses) > 1 and clauses[1] == "call that person A":
         clauses = clauses[:1]
-    for form in OPENINGS:
-        if found := re.fullmatch(form, clauses[0]):
-            break
-    else:
+    opening = next((found for form in OPENINGS if (found := re.fullmatch(form, clauses[0]))), None)
+    if opening is None:
         raise UnreadableError(clauses[0])
-    times, words = sorted(found.groups(), key=lambda group: not group.isdigit())
     steps, rest = [], []
     for clause in [*clauses[1:], *sentences[1:]]:
         clause = clause.removeprefix("At that moment, ")
@@ -227,4 +229,6 @@ def parse(text: str) -> Question:
     values = tuple(int(group) if group.isdigit() else group for group in match.groups() if group)
     if read == "pose" and (later := re.search(TIME, tail)):
         values = (int(later[1]),)
-    return Question(int(times), described(words), tuple(steps), read, values)
+    if read == "count":
+        values = (*values, int(re.findall(TIME, text)[-1]))
+    return Question(int(opening["frame"]), described(opening["words"]), tuple(steps), read, values)

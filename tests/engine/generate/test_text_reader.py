@@ -15,6 +15,8 @@ from text_reader_vocabulary import Reading
 from text_reader_words import UnreadableError, parse
 
 from jrdb_avr.schema.answers import decode_answer, same_answer
+from jrdb_avr.schema.plan import parse_plan
+from jrdb_avr.schema.wording.text import render
 
 
 class Benchmark:
@@ -70,6 +72,14 @@ def test_reader_finds_every_answer_of_the_sample(sample_benchmark):
     benchmark = Benchmark(sample_benchmark, sample_benchmark.path.parent / "root")
     assert len({row["template"] for row in benchmark.rows}) == 12
     check(benchmark)
+
+
+def test_every_paraphrase_of_a_question_is_read_alike(sample_benchmark):
+    plans = {row["question_id"]: parse_plan(row["plan"]) for row in sample_benchmark.questions("answers").to_pylist()}
+    for row in sample_benchmark.questions("questions").to_pylist():
+        plan = plans[row["question_id"]]
+        for key in range(6):
+            assert parse(render(row["template"], plan, f"{key:064x}")) == parse(row["question"])
 
 
 def real_benchmark(folder, sequences):
