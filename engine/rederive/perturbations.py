@@ -85,7 +85,7 @@ class _Perturbed:
             yield from (Proof(kind, "by construction", None, "not_run") for kind in ("time.shift", "time.drop"))
             return
         later = [frame for name, frame in stated.items() if name != found.described]
-        keyframes = sorted(found.annotations.keyframes)
+        keyframes = sorted(found.annotations.keyframes) or [found.t0]
         moved, earliest = (later, found.t0 + 1) if later else ([found.t0], keyframes[0])
         step = frames(found.rules.shift_s)
         for by in (-step, step):
