@@ -30,7 +30,7 @@ from jrdb_avr.engine.generate.templates import plan_texts
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Span, decode_answer
 from jrdb_avr.schema.errors import LockedError, StoreError
-from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
+from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS, answer_of_choice
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Condition, canonical, parse_plan
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
@@ -124,18 +124,20 @@ def test_sequences_lists_all_loaded_ones(made):
 
 
 def test_choices_are_distinct_and_one_is_true(made, rows):
-    candidates = {(row["template"], row["plan"]): row["answer"] for row in pq.read_table(made[2]).to_pylist()}
+    found = pq.read_table(made[2]).to_pylist()
+    candidates = {(row["sequence"], row["template"], row["plan"]): row["answer"] for row in found}
     places = []
     for row in rows:
         if row["answer_mode"] != "multiple_choice":
             assert row["choices"] == []
-            assert row["stored"] == candidates[row["template"], row["plan"]]
+            assert row["stored"] == candidates[row["sequence"], row["template"], row["plan"]]
             continue
         assert len(set(row["choices"])) == 4
         choice = json.loads(row["stored"])["choice"]
-        assert row["choices"][choice - 1] == candidates[row["template"], row["plan"]]
+        answers = [answer_of_choice(text) for text in row["choices"]]
+        assert answers[choice - 1] == candidates[row["sequence"], row["template"], row["plan"]]
         words = {"presence": PRESENCE_ANSWERS, "distance": DISTANCE_ANSWERS}.get(row["template"], POSES)
-        assert set(row["choices"]) <= set(words)
+        assert set(answers) <= set(words)
         perturbations = json.loads(row["distractors"])
         assert len(perturbations) == 4
         assert perturbations[choice - 1] is None
