@@ -15,7 +15,7 @@ from __future__ import annotations
 from jrdb_avr.engine.rederive.labels import Annotations
 from jrdb_avr.engine.rederive.perturbations import prove_again
 from jrdb_avr.engine.rederive.plan import ResolvedPlan, find_people
-from jrdb_avr.engine.rederive.reads import Reading, read_answer
+from jrdb_avr.engine.rederive.reads import Reading, reading_of
 from jrdb_avr.engine.rederive.truth import FALSE, TRUE, UNKNOWN, Outcome, Undefined
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.questions import NeededBox
@@ -28,7 +28,7 @@ def rederive(annotations: Annotations, plan: Plan, template: str, rules: Rules) 
     """Return the plan's answer and the rules of its template that do not hold."""
     try:
         found = find_people(annotations, plan, template, rules)
-        reading = read_answer(found)
+        reading = reading_of(found)
     except Undefined as reason:
         return Outcome(reason.outcome, faults=(str(reason),))
     needed = _needed(found, reading)

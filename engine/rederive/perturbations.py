@@ -17,7 +17,7 @@ from msgspec.structs import replace as changed
 
 from jrdb_avr.engine.rederive.labels import Annotations
 from jrdb_avr.engine.rederive.plan import ResolvedPlan, find_people, join
-from jrdb_avr.engine.rederive.reads import read_answer
+from jrdb_avr.engine.rederive.reads import reading_of
 from jrdb_avr.engine.rederive.truth import FALSE, SLACK, TRUE, Outcome, Undefined
 from jrdb_avr.schema.answers import FrameViewpoint, decode_answer, same_answer
 from jrdb_avr.schema.arrays import Bools
@@ -118,7 +118,7 @@ class _Perturbed:
             if perturbed.plan.answer.read == "start_view":
                 outcome = self._compare_starts(perturbed)
             else:
-                answer = read_answer(perturbed).answer
+                answer = reading_of(perturbed).answer
                 outcome = "same" if answer == self.own.answer else "different"
         except Undefined as reason:
             outcome = reason.outcome
@@ -128,7 +128,7 @@ class _Perturbed:
         """Where no start is certain, the outcome is unknown only if a start could be near enough to score."""
         stored = decode_answer("frame_viewpoint", self.own.answer or "")
         try:
-            again = decode_answer("frame_viewpoint", read_answer(perturbed).answer)
+            again = decode_answer("frame_viewpoint", reading_of(perturbed).answer)
         except Undefined:
             could = isinstance(stored, FrameViewpoint) and _could_start(perturbed, stored)
             return "unknown" if could else "empty"

@@ -34,7 +34,7 @@ class Reading:
     more: tuple[NeededBox, ...] = ()
 
 
-def read_answer(found: ResolvedPlan) -> Reading:
+def reading_of(found: ResolvedPlan) -> Reading:
     """Read the answer of a plan whose people are found. Raises Undefined where there is none."""
     reading: Reading = globals()[f"read_{found.plan.answer.read}"](found)
     return reading
