@@ -5,6 +5,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from built_worlds import SEQUENCE, build
 from effort import DEEP
 from lively_worlds import lively_world
 from quick_store import memory_store
@@ -167,7 +168,10 @@ def compare(store, sequence, most=60):
 
 
 def compare_refused(store, sequence, most=30):
-    """Compare the outcomes of perturbations of candidates that they refuse; how many were compared, by rule."""
+    """Compare the outcomes of perturbations of candidates that they refuse, at most so many of each form and rule.
+
+    Returns how often each proof of a form had each outcome.
+    """
     scene = load_scene(store, sequence)
     annotations = Annotations.read(store, sequence, RULES)
     counts = Counter()
@@ -186,7 +190,7 @@ def compare_refused(store, sequence, most=30):
                         answer = result.answer[line["row"]]
                         first = OUTCOMES[result.outcome[line["row"]]], VALUES[answer] if answer != NOBODY else None
                         assert again[result.kind, result.variant] == first, (result.kind, line["plan"])
-                    counts[rule] += 1
+                        counts[template.query, result.kind, result.variant, first[0]] += 1
     return counts
 
 
@@ -197,7 +201,34 @@ def test_both_paths_perturb_alike_where_a_candidate_is_refused(tmp_path):
         counts += compare_refused(
             memory_store(tmp_path / sequence, lively_world(random.Random(seed), sequence)), sequence
         )
-    assert {"hop.stop", "time.shift", "time.drop"} <= set(counts)
+    assert {"hop.stop", "hop.skip", "time.shift", "time.drop"} == {kind for _, kind, _, _ in counts}
+
+
+def test_both_paths_find_the_start_that_may_score_at_the_keyframe_after_the_targets(tmp_path):
+    """The target starts at second 6; the person before it, in the same place by then, may at second 7."""
+    world = build(
+        [
+            "1 | ssssssssssssssss | column 1000",
+            "2 | tttttttttttttttt | column 1200 1200 1200 1200 2650 | reading 7",
+            "3 | tttttttttttttttt | column 1400 1400 1400 1400 2600 | reading 6-9",
+        ]
+    )
+    counts = compare_refused(memory_store(tmp_path, world), SEQUENCE)
+    assert counts["action_search", "hop.stop", "1", "unknown"] and not counts["action_search", "hop.stop", "1", "empty"]
+
+
+def test_both_paths_know_no_distance_of_whoever_is_not_in_clear_view(tmp_path):
+    world = build(
+        [
+            "1 | ssssssssssssssss | column 400 | tiny 7-15 | metres 9 9 9 9 6 6 6 12 12 12 12 12 12 12 12 12",
+            "2 | tttttttttttttttt | column 900",
+        ]
+    )
+    counts = compare_refused(memory_store(tmp_path, world), SEQUENCE)
+    assert (
+        counts["distance", "time.shift", "+3 s", "unknown"]
+        and not counts["distance", "time.shift", "+3 s", "different"]
+    )
 
 
 def test_the_second_path_confirms_all_that_is_proven(tmp_path):
