@@ -218,6 +218,22 @@ def test_both_paths_find_the_start_that_may_score_at_the_keyframe_after_the_targ
     assert {found for *proof, found in counts if proof == ["action_search", "hop.stop", "1"]} == {outcome}
 
 
+def test_both_paths_know_that_one_branch_without_anybody_empties_a_fork(tmp_path):
+    """From second 8 on the first person talks to two others and hugs nobody."""
+    world = build(
+        [
+            "1 | ssssssssssss | column 3100 | conversation with 2 0-11 | conversation with 5 8-11 | hugging with 3 0-7",
+            "2 | tttttttttttt | column 1044",
+            "3 | tttttttttttt | column 1880",
+            "4 | wwwwwwwwwwww | column 1462",
+            "5 | tttttttttttt | column 1149",
+            "6 | tttttttttttt | column 1775",
+        ]
+    )
+    counts = compare_refused(memory_store(tmp_path, world), SEQUENCE)
+    assert counts["fork_join", "time.shift", "+3 s", "empty"]
+
+
 def test_both_paths_know_no_distance_of_whoever_is_not_in_clear_view(tmp_path):
     world = build(
         [
