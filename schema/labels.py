@@ -13,7 +13,8 @@ interactions, genders and ages gives the codes of the marks in sample pictures: 
 from __future__ import annotations
 
 import functools
-from typing import Final
+import itertools
+from typing import Final, Literal, NamedTuple
 
 POSES: Final = (
     *("walking", "standing", "sitting", "cycling", "going upstairs", "going downstairs", "bending", "skating"),
@@ -71,18 +72,57 @@ INTERACTION_PHRASES: Final = {label: phrase.format(someone="someone") for label,
 POSES_OF_INTERACTIONS: Final = {label: pose for label in INTERACTIONS for pose in POSES if label.startswith(pose)}
 """The pose that an interaction implies."""
 
-_OVERLAPS: Final = {
-    ("walking", "going upstairs"): "people walk up stairs",
-    ("walking", "going downstairs"): "people walk down stairs",
+GENDERS: Final = ("male", "female")
+AGES: Final = ("childhood", "adolescence", "young adulthood", "middle adulthood", "late adulthood")
+
+_NEIGHBORING_AGES: Final = [pair for one in itertools.pairwise(AGES) for pair in (one, one[::-1])]
+
+ALSO: Final = {
+    ("going upstairs", "walking"): "people walk up stairs",
+    ("going downstairs", "walking"): "people walk down stairs",
+    ("running", "walking"): "there is no bound between the two",
     ("walking", "running"): "there is no bound between the two",
+    ("bending", "walking"): "people bend down while they walk",
     ("bending", "standing"): "people bend down while they stand",
     ("bending", "sitting"): "people bend down while they sit",
-    ("bending", "walking"): "people bend down while they walk",
-    ("sitting", "cycling"): "people sit on a bicycle",
-    ("standing", "scootering"): "people stand on a scooter",
-    ("standing", "skating"): "people stand on a skateboard",
+    ("cycling", "sitting"): "people sit on a bicycle",
+    ("scootering", "standing"): "people stand on a scooter",
+    ("skating", "standing"): "people stand on a skateboard",
+    ("looking at robot", "looking at sth"): "the robot is something",
+    ("looking into sth", "looking at sth"): "one looks at what one looks into",
+    ("reading", "looking at sth"): "one looks at what one reads",
+    ("reading", "holding sth"): "people hold what they read",
+    ("eating sth", "holding sth"): "people hold what they eat",
+    ("talking on the phone", "holding sth"): "people hold a telephone",
+    ("talking on the phone", "talking to someone"): "somebody listens at the other end",
+    ("walking together", "moving together"): "walking is moving",
+    ("cycling together", "moving together"): "cycling is moving",
+    ("going upstairs together", "moving together"): "people on stairs move",
+    ("going downstairs together", "moving together"): "people on stairs move",
+    ("going upstairs together", "walking together"): "people walk up stairs",
+    ("going downstairs together", "walking together"): "people walk down stairs",
+    ("looking at robot together", "looking at sth together"): "the robot is something",
+    ("looking into sth together", "looking at sth together"): "one looks at what one looks into",
+    ("carrying", "holding"): "people hold what they carry",
+    ("holding", "carrying"): "there is no bound between the two",
+    ("holding", "handling/manipulating"): "there is no bound between the two",
+    ("carrying", "handling/manipulating"): "there is no bound between the two",
+    ("using", "handling/manipulating"): "there is no bound between the two",
+    ("handling/manipulating", "using"): "there is no bound between the two",
+    ("holding", "using"): "people hold what they use",
+    ("looking into", "looking at"): "one looks at what one looks into",
+    **dict.fromkeys(_NEIGHBORING_AGES, "ages have no bounds that can be seen"),
 }
-"""Poses that one person may have at once in ordinary words, and why."""
+"""(label, other): why the words of `other` may be said of somebody with the label in ordinary words."""
+
+
+def sayable(label: str) -> frozenset[str]:
+    """Labels of people of whom the words of a label may be said too: to them, the words are never certainly false.
+
+    >>> sorted(sayable("sitting"))
+    ['bending', 'cycling']
+    """
+    return frozenset(own for own, other in ALSO if other == label)
 
 
 def overlapping(pose: str) -> frozenset[str]:
@@ -91,7 +131,7 @@ def overlapping(pose: str) -> frozenset[str]:
     >>> sorted(overlapping("cycling"))
     ['sitting']
     """
-    return frozenset(other for pair in _OVERLAPS if pose in pair for other in pair if other != pose)
+    return sayable(pose) | {other for own, other in ALSO if own == pose}
 
 
 def choice_text(answer: str) -> str:
@@ -124,15 +164,38 @@ CLEAR_OCCLUSIONS: Final = frozenset(OCCLUSIONS[:2])
 ROBOT_SECTORS: Final = {"ahead": 180.0, "right": 270.0, "behind": 0.0, "left": 90.0}
 """Directions as the robot sees them, with the panorama angle of each one's axis."""
 
-PERSON_SECTORS: Final = ("front", "front left", "left", "back left", "back", "back right", "right", "front right")
-"""Sectors in a person's own heading frame; left is the person's own."""
+
+class PersonSector(NamedTuple):
+    """A sector in a person's own heading frame, in degrees turned from straight ahead to its side, or to either.
+
+    It is true of whoever is turned from `low` to `high`, false of whoever is not turned from `least` to `most`, and
+    unknown in between, where some would say that it is true.
+    """
+
+    side: Literal["left", "right", "either"]
+    low: float
+    high: float
+    least: float
+    most: float
+
+
+# The annotations draw the bounds 0-30-45-135-145-180; where a sector is true, eighths of a circle agree with them.
+_FRONT, _BACK = PersonSector("either", 0, 20, 0, 90), PersonSector("either", 160, 180, 90, 180)
+PERSON_SECTORS: Final = {
+    "front": _FRONT,
+    "front left": PersonSector("left", 32, 43, 0, 90),
+    "left": PersonSector("left", 70, 110, 0, 180),
+    "back left": PersonSector("left", 137, 143, 90, 180),
+    "back": _BACK,
+    "back right": PersonSector("right", 137, 143, 90, 180),
+    "right": PersonSector("right", 70, 110, 0, 180),
+    "front right": PersonSector("right", 32, 43, 0, 90),
+}
+"""Sectors of a person by word; left is the person's own."""
 
 DISTANCE_WORDS: Final = ("very close", "close", "moderate", "far", "very far")
 DISTANCE_BOUNDS_M: Final = (0.5, 1.5, 5.0, 10.0)
 """Upper bounds, inclusive, of all distance words but the last."""
-
-GENDERS: Final = ("male", "female")
-AGES: Final = ("childhood", "adolescence", "young adulthood", "middle adulthood", "late adulthood")
 
 ETHNICITIES: Final = ("caucasian/white", "negroid/black", "mongoloid/asian", "others")
 """The annotators' guesses, in the annotation's own terms."""

@@ -53,7 +53,7 @@ CONDITION_KINDS: Final = (
 class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What makes a fact true, false or unknown.
 
-    Margins stay so small that at most two person-frame sectors, or two distance words, meet anywhere.
+    Margins stay so small that at most two distance words meet anywhere.
     """
 
     gap_frames: Annotated[int, msgspec.Meta(ge=0, le=900)] = 7
@@ -65,8 +65,6 @@ class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A robot sector is true of whoever is at most this far off its axis."""
     sector_false_deg: Annotated[float, msgspec.Meta(ge=45, lt=180)] = 90.0
     """A robot sector is false farther off its axis than this; in between some would say that it is true."""
-    narrow_sector_margin_deg: Annotated[float, msgspec.Meta(ge=0, lt=5)] = 2.0
-    """Margin at the edges of the front-side and back-side sectors, which are only 15 and 10 degrees wide."""
     distance_margin: Annotated[float, msgspec.Meta(ge=0, le=0.33)] = 0.10
     """Relative margin round each bound of the distance words."""
     pair_max_m: Metres = 5.0

@@ -92,7 +92,7 @@ def _seen_from(source: Sighting, target: Sighting) -> str | None:
     bearing = (bearing + 180.0) % 360.0 - 180.0
     ring = sum(abs(bearing) > edge for edge in _SECTOR_EDGES)
     # PERSON_SECTORS go round from the front over the left.
-    sector = PERSON_SECTORS[ring if bearing >= 0 else -ring % len(PERSON_SECTORS)]
+    sector = [*PERSON_SECTORS][ring if bearing >= 0 else -ring % len(PERSON_SECTORS)]
     return person_frame_label(sector, distance_word(metres))
 
 

@@ -8,7 +8,7 @@ certainly false; those of whom it is not sure could match. Sets of a keyframe's 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, NamedTuple
@@ -38,6 +38,7 @@ from jrdb_avr.schema.labels import (
     OTHER_ACTIONS,
     POSES,
     ROBOT_SECTORS,
+    sayable,
 )
 from jrdb_avr.schema.panorama import angle_error
 from jrdb_avr.schema.plan import Attribute, Condition
@@ -240,7 +241,7 @@ def _state(true: Bools, false: Bools) -> States:
 
 def _valued(
     name: Attribute,
-    words: Iterable[tuple[int, str | int]],
+    words: Sequence[tuple[int, str | int]],
     value: Ints,
     other: Ints | int = NOBODY,
     at: str | None = ANCHOR_TIME,
@@ -248,11 +249,13 @@ def _valued(
 ) -> Iterator[_Column]:
     """Conditions on an attribute, a word each with its number in `value`; NOBODY is unknown.
 
-    other: a second number that is possible too, NOBODY for none.
+    other: a second number that is possible too, NOBODY for none. Whoever has another value may have the word said of
+    them as well (`sayable`).
     """
     for code, word in words:
         true = (value == code) & (other == NOBODY)
-        state = _state(true, (value != NOBODY) & (value != code) & (other != code))
+        near = [number for number, text in words if text in sayable(str(word))]
+        state = _state(true, (value != NOBODY) & (value != code) & (other != code) & ~np.isin(value, near))
         yield _Column(Condition(attribute=name, value=word, at=at), state, usable)
 
 
@@ -263,7 +266,7 @@ def _persons(scene: Scene, facts: Facts, rules: Rules, moments: Ints, rows: Ints
     for name, words in attributes:
         codes = np.full(len(scene.tracks), NOBODY)
         codes[scene.person_of(scene.persons["track"].to_numpy())] = coded(scene.persons[name], words)
-        yield from _valued(name, enumerate(words), codes[scene.people(moments)], at=None, usable=seen)
+        yield from _valued(name, [*enumerate(words)], codes[scene.people(moments)], at=None, usable=seen)
 
 
 def _actions(scene: Scene, facts: Facts, rules: Rules, moments: Ints, rows: Ints) -> Iterator[_Column]:
@@ -325,11 +328,11 @@ def _places(scene: Scene, facts: Facts, rules: Rules, moments: Ints, rows: Ints)
         yield _Column(Condition(attribute="sector", value=word, at=ANCHOR_TIME), state)
     sizes = scene.column("group_size")[rows]
     size = np.where(np.isnan(sizes), NOBODY, sizes).astype(np.int64)
-    yield from _valued("group_size", ((number, number) for number in np.unique(size[size != NOBODY]).tolist()), size)
+    yield from _valued("group_size", [(number, number) for number in np.unique(size[size != NOBODY]).tolist()], size)
     metres, other = (
         coded(scene.boxes[name], DISTANCE_WORDS)[rows] for name in ("distance_word", "distance_word_other")
     )
-    yield from _valued("distance", enumerate(DISTANCE_WORDS), metres, other)
+    yield from _valued("distance", [*enumerate(DISTANCE_WORDS)], metres, other)
 
 
 def _marked(scene: Scene, moments: Ints) -> Bools:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from jrdb_avr.engine.rederive.people import PersonBoxes
-from jrdb_avr.engine.rederive.truth import FALSE, TRUE, UNKNOWN, in_closed_gap, rows, step_of
+from jrdb_avr.engine.rederive.truth import FALSE, TRUE, UNKNOWN, also_said, in_closed_gap, rows, step_of
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, frames
 
@@ -36,12 +36,18 @@ class ActionFacts(PersonBoxes):
     def __init__(self, tables: Mapping[str, pa.Table], rules: Rules) -> None:
         super().__init__(tables, rules)
         self._actions: dict[tuple[int, int], dict[str, int]] = defaultdict(dict)
+        self._poses: dict[tuple[int, int], dict[str, int]] = defaultdict(dict)
         self._performed: set[tuple[int, str]] = set()
         for frame, track, action, difficulty in rows(tables["actions"], "frame", "track", "action", "difficulty"):
             # An action written twice, as under two spellings, counts by its easier code; an unreadable code is hard.
             code, listed_actions = 3 if difficulty is None else difficulty, self._actions[frame, track]
             listed_actions[action] = min(code, listed_actions.get(action, code))
+            if action in POSES:
+                self._poses[frame, track][action] = listed_actions[action]
             self._performed.add((track, action))
+            for other in also_said(action):
+                listed_actions.setdefault(other, 3)
+                self._performed.add((track, other))
         annotated = sorted(self.layers.get("actions", []))
         self.step = step_of(annotated)
         self.grid = range(annotated[0], annotated[-1] + 1, self.step) if annotated else range(0)
@@ -50,10 +56,10 @@ class ActionFacts(PersonBoxes):
 
     def pose(self, track: int, frame: int) -> str | None:
         """The one certain pose, None where it is unknown."""
-        poses = [(action, code) for action, code in self._actions.get((frame, track), {}).items() if action in POSES]
-        if self.box(track, frame) is None or len(poses) != 1 or poses[0][1] > 2:
+        poses = self._poses.get((frame, track), {})
+        if self.box(track, frame) is None or len(poses) != 1 or min(poses.values()) > 2:
             return None
-        return poses[0][0]
+        return next(iter(poses))
 
     def _raw(self, track: int, frame: int, action: str) -> int:
         person = self._people.get(frame, {}).get(track)
@@ -62,7 +68,7 @@ class ActionFacts(PersonBoxes):
         codes = self._actions.get((frame, track), {})
         if action in POSES:
             pose = self.pose(track, frame)
-            return UNKNOWN if pose is None else TRUE if pose == action else FALSE
+            return UNKNOWN if pose is None else TRUE if pose == action else UNKNOWN if action in codes else FALSE
         return FALSE if action not in codes else TRUE if codes[action] <= 2 else UNKNOWN
 
     def states(self, track: int, action: str) -> tuple[GridFacts, GridFacts]:

@@ -6,15 +6,15 @@ Left of a person, and from the robot's view, is counter-clockwise seen from abov
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import pyarrow as pa
 
 from jrdb_avr.engine.rederive.actions import ActionFacts
-from jrdb_avr.engine.rederive.truth import FALSE, SLACK, TRUE, UNKNOWN, in_closed_gap, rows, step_of
+from jrdb_avr.engine.rederive.truth import FALSE, SLACK, TRUE, UNKNOWN, also_said, in_closed_gap, rows, step_of
 from jrdb_avr.schema.labels import AGES, DISTANCE_BOUNDS_M, DISTANCE_WORDS, GENDERS, POSES
 from jrdb_avr.schema.panorama import WIDTH
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules
@@ -44,13 +44,21 @@ class SocialFacts(ActionFacts):
         for frame, track, partner, label, difficulty in rows(tables["interactions"], *columns):
             # A label of one of two people holds for both; a partner without a box in the frame gives no fact.
             if self.box(track, frame) is not None and self.box(partner, frame) is not None:
-                _add_label(self._together[min(track, partner), max(track, partner), label], frame, difficulty)
+                pair = min(track, partner), max(track, partner)
+                _add_label(self._together[*pair, label], frame, difficulty)
+                for other in also_said(label):
+                    _add_label(self._together[*pair, other], frame, None)
+            elif self.box(partner, frame) is None:
+                # With somebody unseen, so that nothing is known of whom else it could be said.
+                self._listed.discard(("interactions", frame, track))
         names = dict(rows(tables["categories"], "category_id", "category"))
         self._handled: dict[int, dict[tuple[str, int, int], _Labels]] = defaultdict(lambda: defaultdict(dict))
         things = rows(tables["handles"], "frame", "track", "object", "category_id", "verb", "difficulty")
         for frame, track, thing, category, verb, difficulty in things:
             if self.box(track, frame) is not None and names.get(category) not in PERSON_CATEGORIES:
                 _add_label(self._handled[track][verb, category, thing], frame, difficulty)
+                for other in also_said(verb):
+                    _add_label(self._handled[track][other, category, thing], frame, None)
         self._categories = {number: name for number, name in names.items() if name in OBJECTS}
         layers = ("groups", "interactions", "handles")
         self._steps = {layer: step_of(sorted(self.layers.get(layer, []))) for layer in layers}
@@ -76,9 +84,11 @@ class SocialFacts(ActionFacts):
     # -- what a person is ---------------------------------------------------------------------------------------
 
     def attribute(self, track: int, name: str, wanted: str) -> int:
-        """Gender or age: what more than half of the frames that tell it say."""
+        """Gender or age: what all frames that tell it say."""
         value = self._chosen.get((track, name))
-        return UNKNOWN if value not in _WORDS[name] else int(value == wanted)
+        if value not in _WORDS[name] or wanted in also_said(value):
+            return UNKNOWN
+        return int(value == wanted)
 
     def face_visible(self, track: int, frame: int) -> bool:
         """Whether head or eyes are visible; true where the sequence has no poses."""
@@ -95,7 +105,15 @@ class SocialFacts(ActionFacts):
         if None in members:
             return None
         same = [member for member in members if member is not None and member[0] == own[0]]
-        return len(same) if all(certain for _, certain in same) else None
+        return len(same) if all(certain for _, certain in same) and not self._somebody_away(own[0], frame) else None
+
+    def _somebody_away(self, cluster: int, frame: int) -> bool:
+        """Whether a member of a group has no box at the frame, but is in the group within a second of it."""
+        near = range(frame - KEYFRAME_STEP, frame + KEYFRAME_STEP + 1)
+        return any(
+            cluster in groups and self.box(track, frame) is None and any(one in groups[cluster] for one in near)
+            for track, groups in self._clusters.items()
+        )
 
     def same_group(self, track: int, other: int, frame: int) -> int:
         """Whether two people belong to one group."""
@@ -153,18 +171,12 @@ def _add_label(labels: _Labels, frame: int, difficulty: int | None) -> None:
 
 
 def _chosen(table: pa.Table) -> dict[tuple[int, str], str]:
-    """(track, attribute) -> the value of more than half of the votes, one per frame and value that is easy to tell."""
-    votes: set[Any] = set()
-    for frame, track, attribute, value, difficulty in rows(table, "frame", "track", "attribute", "value", "difficulty"):
+    """(track, attribute) -> the one value of all frames where it is easy to tell."""
+    votes: dict[tuple[int, str], set[str]] = defaultdict(set)
+    for track, attribute, value, difficulty in rows(table, "track", "attribute", "value", "difficulty"):
         if value is not None and difficulty in (1, 2):
-            votes.add((track, attribute, value, frame))
-    counts = Counter((track, attribute, value) for track, attribute, value, _ in votes)
-    cast = Counter((track, attribute) for track, attribute, _, _ in votes)
-    return {
-        (track, attribute): value
-        for (track, attribute, value), count in counts.items()
-        if 2 * count > cast[track, attribute]
-    }
+            votes[track, attribute].add(value)
+    return {topic: min(values) for topic, values in votes.items() if len(values) == 1}
 
 
 def _faces(table: pa.Table) -> dict[tuple[int, int], bool]:
@@ -180,8 +192,26 @@ AXES: Final = {"ahead": 180.0, "left": 90.0, "behind": 0.0, "right": 270.0}
 _BEGINS_M: Final = dict(zip(DISTANCE_WORDS, (0.0, *DISTANCE_BOUNDS_M), strict=True))
 """Metres at which each distance word begins."""
 
-_SIDES: Final = ((0.0, "front"), (30.0, "front {}"), (45.0, "{}"), (135.0, "back {}"), (145.0, "back"))
-"""Sectors of a person by the turn, in degrees to either side, at which each begins."""
+_SIDES: Final = {
+    "front": (-20, 20, -90, 90),
+    "front left": (32, 43, 0, 90),
+    "left": (70, 110, 0, 180),
+    "back left": (137, 143, 90, 180),
+    "back": (160, 200, 90, 270),
+    "back right": (217, 223, 180, 270),
+    "right": (250, 290, 180, 360),
+    "front right": (317, 328, 270, 360),
+}
+"""Sectors of a person, in degrees turned to the left: where each is true from and to, and where it may be."""
+
+
+def _stands(sector: str, turn_deg: float) -> int:
+    """Whether somebody in this direction, degrees to the left of straight ahead, is in a sector."""
+    low, high, least, most = _SIDES[sector]
+    turns = [turn_deg % 360 + 360 * lap for lap in (-1, 0, 1)]
+    if any(low - SLACK <= turn <= high + SLACK for turn in turns):
+        return TRUE
+    return UNKNOWN if any(least - SLACK <= turn <= most + SLACK for turn in turns) else FALSE
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,20 +279,12 @@ class RelationFacts(SocialFacts):
         if metres > load.pair_max_m + load.pair_margin_m + SLACK:
             return FALSE
         words = [word for word in self._words(metres) if _BEGINS_M[word] < load.pair_max_m]
-        sectors = self._person_sectors(math.degrees(math.atan2(left, ahead) - here.heading))
-        if word not in words or sector not in sectors:
+        towards = _stands(sector, math.degrees(math.atan2(left, ahead) - here.heading))
+        if word not in words or towards == FALSE:
             return FALSE
         level = abs(up) <= load.pair_vertical_m
         near = metres < load.pair_max_m - load.pair_margin_m - SLACK
-        return TRUE if len(words) == len(sectors) == 1 and level and near else UNKNOWN
-
-    def _person_sectors(self, bearing_deg: float) -> list[str]:
-        """The sectors that somebody in this direction, degrees to the left of straight ahead, could be in."""
-        turn = (bearing_deg + 180) % 360 - 180
-        side, margin = "left" if turn >= 0 else "right", self.rules.load.narrow_sector_margin_deg + SLACK
-        ends = (*(begin for begin, _ in _SIDES[1:]), 180.0)
-        within = zip(_SIDES, ends, strict=True)
-        return [name.format(side) for (begin, name), end in within if begin - margin <= abs(turn) <= end + margin]
+        return TRUE if len(words) == 1 and towards == TRUE and level and near else UNKNOWN
 
     # -- from a person, as the robot sees it --------------------------------------------------------------------
 

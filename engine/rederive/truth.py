@@ -10,6 +10,7 @@ from typing import Any, Final, Literal
 
 import pyarrow as pa
 
+from jrdb_avr.schema.labels import ALSO
 from jrdb_avr.schema.questions import NeededBox
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
@@ -46,6 +47,11 @@ class Undefined(Exception):  # noqa: N818 - not an error: the plan's answer is o
     def __init__(self, outcome: OutcomeKind, reason: str) -> None:
         super().__init__(reason)
         self.outcome: OutcomeKind = outcome
+
+
+def also_said(label: str) -> list[str]:
+    """Other labels whose words may be said of somebody with a label: of that person they are unknown, not false."""
+    return [other for own, other in ALSO if own == label]
 
 
 def rows(table: pa.Table, *names: str) -> Iterator[tuple[Any, ...]]:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Final
 
 import pyarrow as pa
 
 from jrdb_avr.loaders.intervals.neighbors import beside_table
-from jrdb_avr.loaders.intervals.people import read_people, track_spans
+from jrdb_avr.loaders.intervals.people import read_people, track_spans, with_sayable
 from jrdb_avr.loaders.intervals.persons import chosen_values, demographics_table, group_info_table, objects_table
 from jrdb_avr.loaders.intervals.segments import segments_table
 from jrdb_avr.loaders.intervals.sightings import sightings_table
@@ -17,10 +18,14 @@ from jrdb_avr.loaders.labelfiles.columns import distinct_of
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS
 
+_LABELS: Final = {"actions": "action", "interactions": "label", "handles": "verb"}
+"""Layers of which the words of one label may be said of people with another, and the column that holds it."""
+
 
 def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules) -> dict[str, pa.Table]:
     """Interval tables by kind. Layers that `annotations` lacks count as empty."""
     tables = {layer: annotations.get(layer, schema.empty_table()) for layer, schema in ANNOTATIONS.items()}
+    tables |= {layer: with_sayable(tables[layer], column) for layer, column in _LABELS.items()}
     people = read_people(tables, rules)
     boxes = people.boxes
     line = timeline(sequence, tables["frames"], distinct_of(boxes.frame), tables["timestamps"])

@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.loaders.intervals.people import Boxes, Facts, Located, wrap
-from jrdb_avr.loaders.intervals.sightings import distance_word, person_sector
+from jrdb_avr.loaders.intervals.sightings import distance_word, in_person_sector
 from jrdb_avr.loaders.intervals.spans import find_runs
 from jrdb_avr.loaders.intervals.timeline import Timeline
 from jrdb_avr.loaders.labelfiles.columns import paired, ragged, texts, unpaired
@@ -111,19 +111,19 @@ def person_frame(line: Timeline, located: Located, rules: LoadRules) -> Iterator
         near = metres <= reach
         a, b, offset, metres = a[near], b[near], offset[near], metres[near]
         bearing = np.degrees(wrap(np.arctan2(offset[:, 1], offset[:, 0]) - located.heading[a]))
-        sector, sector_other = person_sector(bearing, rules)
         word, word_other = distance_word(metres, rules)
         word_other = np.where(word_other < words_within, word_other, -1)
         beyond = word >= words_within
         word, word_other = np.where(beyond, word_other, word), np.where(beyond, -1, word_other)
         edge = metres >= rules.pair_max_m - rules.pair_margin_m - SLACK
         apart = np.abs(offset[:, 2]) > rules.pair_vertical_m
-        certain = (sector_other < 0) & (word_other < 0) & ~edge & ~apart
-        for s in (sector, sector_other):
+        certain = (word_other < 0) & ~edge & ~apart
+        for rank, sector in zip(_RANK, PERSON_SECTORS.values(), strict=True):
+            true, possible = in_person_sector(bearing, sector)
             for d in (word, word_other):
-                could = (s >= 0) & (d >= 0)
+                could = possible & (d >= 0)
                 x, y = a[could], b[could]
-                yield located.frame[x], located.track[x], located.track[y], certain[could], _RANK[s[could], d[could]]
+                yield located.frame[x], located.track[x], located.track[y], (certain & true)[could], rank[d[could]]
 
 
 def _pairs(frame: Ints, rows: Ints) -> Iterator[tuple[Ints, Ints]]:

@@ -17,13 +17,15 @@ import pyarrow.compute as pc
 
 from jrdb_avr.loaders.labelfiles.columns import Rows, begins, paired, ranked, whole_numbers
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
-from jrdb_avr.schema.labels import CLEAR_OCCLUSIONS, POSES
+from jrdb_avr.schema.labels import ALSO, CLEAR_OCCLUSIONS, POSES
 from jrdb_avr.schema.panorama import HEIGHT, center_angle
 from jrdb_avr.schema.rules import LoadRules
 
 HARD = 3
 UNREADABLE = 9
 """Stands for a missing difficulty in arrays: harder than hard."""
+_SAYABLE = 10
+"""Stands for the difficulty of a label that nobody wrote."""
 
 
 @dataclass(frozen=True)
@@ -126,15 +128,29 @@ class People:
     """Per layer, ascending keys of (frame, track) whose list was read."""
 
 
+def with_sayable(table: pa.Table, column: str) -> pa.Table:
+    """An annotation table of labels, with a doubtful row of every other label whose words may be said as well."""
+    tables = [table]
+    for label, other in ALSO:
+        rows = table.filter(pc.equal(table[column], label))
+        for name, value in ((column, other), ("difficulty", _SAYABLE)):
+            field = rows.schema.field(name)
+            column_of = pa.repeat(pa.scalar(value), len(rows)).cast(field.type)
+            rows = rows.set_column(rows.schema.get_field_index(name), field, column_of)
+        tables.append(rows)
+    return pa.concat_tables(tables)
+
+
 def read_people(tables: Mapping[str, pa.Table], rules: LoadRules) -> People:
     """Read the annotation tables, whose rows are sorted by (frame, track)."""
+    boxes = _read_boxes(tables["boxes_2d"], rules)
     return People(
-        _read_boxes(tables["boxes_2d"], rules),
+        boxes,
         _read_actions(tables["actions"]),
         read_groups(tables["groups"]),
         read_located(tables["boxes_3d"]),
         _read_faces(tables["poses"]),
-        _listed_keys(tables["listed"]),
+        _listed_keys(tables["listed"], tables["interactions"], boxes.keys),
     )
 
 
@@ -166,8 +182,9 @@ def _read_actions(table: pa.Table) -> Facts:
     facts = facts.at(begins(facts.keys, facts.value))
     pose = np.append(facts.is_pose, False)[facts.value]
     _, person = np.unique(facts.keys, return_inverse=True)
-    poses = np.bincount(person, weights=pose)[person]
-    return replace(facts, certain=facts.certain & (~pose | (poses == 1)))
+    poses = np.bincount(person, weights=pose & (facts.difficulty < _SAYABLE))[person]
+    certain = facts.certain & (~pose | (poses == 1))
+    return replace(facts, certain=certain, difficulty=np.minimum(facts.difficulty, UNREADABLE))
 
 
 def read_groups(table: pa.Table) -> Facts:
@@ -186,10 +203,15 @@ def read_located(table: pa.Table) -> Located:
     return Located(frame, track, center, wrap(math.pi - table["rot_z"].to_numpy()), distance)
 
 
-def _listed_keys(table: pa.Table) -> dict[str, Ints]:
+def _listed_keys(table: pa.Table, interactions: pa.Table, boxed: Ints) -> dict[str, Ints]:
+    """Interactions with somebody without a box are facts that no table holds: such a list tells only what it names."""
     keys = paired(*_person_columns(table))
     layers = ("interactions", "handles")
-    return {layer: np.sort(keys[pc.equal(table["layer"], layer).to_numpy()]) for layer in layers}
+    listed = {layer: np.sort(keys[pc.equal(table["layer"], layer).to_numpy()]) for layer in layers}
+    frame = whole_numbers(interactions, "frame")
+    alone = rows_of(boxed, paired(frame, whole_numbers(interactions, "partner"))) < 0
+    listed["interactions"] = np.setdiff1d(listed["interactions"], paired(*_person_columns(interactions))[alone])
+    return listed
 
 
 def _read_faces(table: pa.Table) -> Faces:

@@ -55,8 +55,10 @@ def group_info_table(line: Timeline, table: pa.Table, groups: Facts) -> pa.Table
 
 
 def chosen_values(demographics: pa.Table, attribute: str, tracks: Ints) -> pa.Array:
-    """The chosen value of each person, null where there is none. `demographics` is the interval table."""
-    rows = demographics.filter(pc.and_(demographics["chosen"], pc.equal(demographics["attribute"], attribute)))
+    """The value that all votes on a person state, null where there is none. `demographics` is the interval table."""
+    rows = demographics.filter(pc.equal(demographics["attribute"], attribute))
+    votes = rows.group_by("track").aggregate([("value", "count")])
+    rows = rows.filter(pc.is_in(rows["track"], votes["track"].filter(pc.equal(votes["value_count"], 1))))
     values = rows["value"].to_pylist()
     return texts(values, rows_of(whole_numbers(rows, "track"), tracks))
 

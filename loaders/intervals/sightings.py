@@ -7,7 +7,7 @@ All margins are inclusive.
 
 from __future__ import annotations
 
-from typing import Final, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -15,18 +15,11 @@ import pyarrow as pa
 
 from jrdb_avr.loaders.intervals.people import Boxes, Facts, People, rows_of
 from jrdb_avr.loaders.intervals.timeline import Timeline
-from jrdb_avr.loaders.labelfiles.columns import begins, nullable, texts
+from jrdb_avr.loaders.labelfiles.columns import begins, distinct_of, nullable, paired, texts
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
-from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS, PERSON_SECTORS, ROBOT_SECTORS
+from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS, ROBOT_SECTORS, PersonSector
 from jrdb_avr.schema.panorama import angle_error
-from jrdb_avr.schema.rules import SLACK, LoadRules
-
-_PERSON_EDGES: Final = (30.0, 45.0, 135.0, 145.0)
-"""Edges of the sectors front, front side, side, back side, back, in degrees off a person's heading; inclusive."""
-_LEFT_ROUND: Final = tuple(PERSON_SECTORS.index(word) for word in ("front", "front left", "left", "back left", "back"))
-_RIGHT_ROUND: Final = tuple(
-    PERSON_SECTORS.index(word) for word in ("front", "front right", "right", "back right", "back")
-)
+from jrdb_avr.schema.rules import KEYFRAME_STEP, SLACK, LoadRules
 
 
 def robot_sector(angle_deg: Floats, rules: LoadRules) -> Ints:
@@ -35,19 +28,19 @@ def robot_sector(angle_deg: Floats, rules: LoadRules) -> Ints:
     return np.where(off.min(axis=1) <= rules.sector_true_deg + SLACK, off.argmin(axis=1), -1)
 
 
-def person_sector(bearing_deg: Floats, rules: LoadRules) -> tuple[Ints, Ints]:
-    """Of bearings off a person's heading, [-180, 180], left positive: index into PERSON_SECTORS, the other or -1."""
+def in_person_sector(bearing_deg: Floats, sector: PersonSector) -> tuple[Bools, Bools]:
+    """Of bearings off a person's heading, [-180, 180], left positive: whether the sector is true, and may be."""
     size = np.abs(bearing_deg)
-    edges = np.array(_PERSON_EDGES)
-    ring = np.searchsorted(edges, size, "left")
-    away = np.abs(size[:, None] - edges)
-    edge = away.argmin(axis=1)
-    near = away.min(axis=1) <= rules.narrow_sector_margin_deg + SLACK
-    # An edge has ring `edge` before it and ring `edge + 1` behind it.
-    other = np.where(ring == edge, edge + 1, edge)
-    names = np.where((bearing_deg >= 0)[:, None], np.array(_LEFT_ROUND), np.array(_RIGHT_ROUND))
-    row = np.arange(len(size))
-    return names[row, ring], np.where(near, names[row, other], -1)
+    here = np.full(len(size), True)
+    if sector.side != "either":
+        towards = bearing_deg if sector.side == "left" else -bearing_deg
+        # Straight ahead and straight behind lie on both sides.
+        here = (towards >= -SLACK) | (size >= 180.0 - SLACK)
+    within = [
+        here & (size >= low - SLACK) & (size <= high + SLACK)
+        for low, high in ((sector.low, sector.high), (sector.least, sector.most))
+    ]
+    return within[0], within[1]
 
 
 def distance_word(metres: Floats, rules: LoadRules) -> tuple[Ints, Ints]:
@@ -110,8 +103,8 @@ def certain_pose(boxes: Boxes, actions: Facts) -> Ints:
 def group_sizes(line: Timeline, boxes: Boxes, groups: Facts, cluster_row: Ints) -> tuple[Ints, Bools]:
     """Per box: people of the frame in the same cluster, oneself included, and whether that is known.
 
-    It is known where every person of the frame could be read and has a cluster row, and no row of the cluster is hard:
-    somebody without a row might belong to any group.
+    It is known where every person of the frame could be read and has a cluster row, no row of the cluster is hard, and
+    nobody of the cluster is out of the picture for a moment: somebody without a row might belong to any group.
     """
     has_row = cluster_row >= 0
     cluster, certain = _take(groups.value, cluster_row), _take(groups.certain, cluster_row)
@@ -124,8 +117,19 @@ def group_sizes(line: Timeline, boxes: Boxes, groups: Facts, cluster_row: Ints) 
     complete = np.isin(frame, line.frames_of("2d")) & ~np.isin(frame, frame[~has_row])
     sizes, known = np.empty(len(frame), np.int64), np.empty(len(frame), np.bool_)
     sizes[order] = members[group]
-    known[order] = complete & has_row & ~hard[group]
+    known[order] = complete & has_row & ~hard[group] & ~np.isin(paired(frame, cluster), _away(line, boxes, groups))
     return sizes, known
+
+
+def _away(line: Timeline, boxes: Boxes, groups: Facts) -> Ints:
+    """Keys of (frame, cluster) of which a member has no box in the frame, but has one within a second."""
+    annotated = line.frames_of("2d")
+    found = []
+    for away in range(-KEYFRAME_STEP, KEYFRAME_STEP + 1, line.action_step):
+        frame = groups.frame + away
+        gone = np.isin(frame, annotated) & (boxes.rows(frame, groups.track) < 0)
+        found.append(paired(frame[gone], groups.value[gone]))
+    return distinct_of(np.sort(np.concatenate(found)))
 
 
 def _take(values: npt.NDArray[N], row: Ints) -> npt.NDArray[N]:

@@ -46,14 +46,14 @@ def _social(label: str) -> Words:
 
 
 def _words(relation: Relation) -> Words:
-    side = f"to the {relation.side} of {{x}} as seen from the robot"
+    side = f"to the {relation.side} of {{x}} as seen from the robot (middle to middle)"
     match relation.kind:
         case "social":
             return _social(relation.label)
         case "group":
             return Words(
-                "{x} and {y} are the only two members of their group",
-                "the only other member of {x}'s group",
+                "{x} and {y} are the only two members of their group in the picture",
+                "the only other member of {x}'s group in the picture",
                 "in the same group as {x}",
             )
         case "first":
