@@ -267,9 +267,9 @@ _ROWS: Final = (
             "Find {who} at {t0}. At {t1}, is that person closer to the robot than at that first moment, farther from "
             "it, at about the same distance (within a metre), or not in view?",
             "At {t0}, find {who}. How far from the robot is this person at {t1}, compared with that first moment: "
-            "closer, farther, about the same to within a metre, or not in view?",
-            "Consider {who} at {t0}. At {t1}, is that person's distance from the robot smaller than then, larger or, "
-            "to within a metre, about the same, or is the person not in view?",
+            "closer, farther, about the same (within a metre), or not in view?",
+            "Consider {who} at {t0}. At {t1}, is that person's distance from the robot smaller than then, larger, "
+            "about the same (within a metre), or is the person not in view?",
         ),
         layers=("2d", "3d"),
         stated=("t0", "t1"),

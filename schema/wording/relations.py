@@ -46,7 +46,7 @@ def _social(label: str) -> Words:
 
 
 def _words(relation: Relation) -> Words:
-    side = f"to the {relation.side} of {{x}} as seen from the robot (middle to middle)"
+    side = f"to the {relation.side} of {{x}} as seen from the robot"
     match relation.kind:
         case "social":
             return _social(relation.label)

@@ -17,6 +17,7 @@ import msgspec
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.labels import ACTION_PHRASES, POSES_OF_INTERACTIONS
 from jrdb_avr.schema.plan import Condition, Plan, canonical
+from jrdb_avr.schema.relations import RELATIONS
 from jrdb_avr.schema.rules import FPS
 from jrdb_avr.schema.templates import TEMPLATES, Slots, Template, forms_of
 from jrdb_avr.schema.wording.people import ACTION_OF, describe, in_order, read_description
@@ -26,6 +27,9 @@ from jrdb_avr.schema.wording.relations import Style, read_relations, relate
 _EXACT: Final = {"At": "At", "at": "at", "When": "When", "How": "How", "about": ""}
 _ABOUT: Final = {"At": "At about", "at": "at about", "When": "About when", "How": "About how", "about": "about "}
 """Words for events: the second set where an action is annotated once a second."""
+
+_SIDES: Final = " For left and right, go by the middle of each person."
+"""Follows where people are sought on a side as the robot sees it: boxes that overlap could be read in two ways."""
 
 _COUNTED: Final = "that person"
 """What the described person is called where a relation is counted, and nobody has a letter."""
@@ -56,7 +60,7 @@ def render(template: str, plan: Plan, key: str, about: bool = False) -> str:
     """
     row, slots = form_of(template, plan)
     _check(row, slots)
-    text = _fill(row, row.paraphrases[int(key[-8:], 16) % len(row.paraphrases)], slots, about)
+    text = _fill(row, row.paraphrases[int(key[-8:], 16) % len(row.paraphrases)], slots, about) + _note(slots)
     if len(text) > LONGEST:
         raise PlanError("nodes[0].conditions", f"make a text of {len(text)} characters; {LONGEST} are too many")
     return text
@@ -121,6 +125,10 @@ def _names(row: Template, number: int) -> tuple[str, str]:
     return source.upper(), target.upper()
 
 
+def _note(slots: Slots) -> str:
+    return _SIDES if any(RELATIONS[label].side for label in slots.relations) else ""
+
+
 def _fill(row: Template, paraphrase: str, slots: Slots, about: bool) -> str:
     return "".join(text + _word(row, slots, slot) for text, slot in _pieces(paraphrase, about))
 
@@ -148,12 +156,13 @@ def _raised(phrase: str) -> str:
 
 def parse(text: str) -> tuple[str, Plan]:
     """The template and the plan of a question's text. Raises PlanError for a text that `render` cannot have written."""
+    body = text.removesuffix(_SIDES)
     for row in TEMPLATES.values() if len(text) <= LONGEST else ():
         for paraphrase in row.paraphrases:
             for about in (False, True):
-                if not text.endswith(_pieces(paraphrase, about)[-1][0]):
+                if not body.endswith(_pieces(paraphrase, about)[-1][0]):
                     continue
-                for found in _readings(row, _pieces(paraphrase, about), text):
+                for found in _readings(row, _pieces(paraphrase, about), body):
                     slots = _slots(row, found)
                     # What was read must be what would be written; a list in another order, for example, would not be.
                     if _written(row, paraphrase, slots, about) == text:
@@ -166,7 +175,7 @@ def _written(row: Template, paraphrase: str, slots: Slots, about: bool) -> str |
         _check(row, slots)
     except PlanError:
         return None
-    return _fill(row, paraphrase, slots, about)
+    return _fill(row, paraphrase, slots, about) + _note(slots)
 
 
 def _slots(row: Template, found: dict[str, Any]) -> Slots:
