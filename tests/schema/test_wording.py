@@ -470,8 +470,8 @@ READ = {
         "Find the only person who is sitting at 10.0 s (frame 150); call that person A. At that moment, A is hugging "
         "exactly one person, B. A and C are the only two members of their group in the picture. Leaving A, B and C "
         "aside, D is the only person who is within 45 degrees to the left of B as seen from the robot and who is "
-        "also at a moderate distance from C (1.5 to 5 m) and behind C (from C's own point of view). What is D's posture "
-        "or movement then? For left and right, go by the middle of each person."
+        "also at a moderate distance from C (1.5 to 5 m) and behind C (from C's own point of view). What is D's "
+        "posture or movement then? For left and right, go by the middle of each person."
     ),
     ("action_search", 1, (FIRST_RIGHT, "sitting together")): (
         "In the scene at 10.0 s (frame 150), A is the only person who is sitting. B is the first person to the right "
