@@ -8,12 +8,12 @@ behind somebody. Boxes end where the crop ends.
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from oracle_facts import CENTERS, POSES, Oracle, distance_words, off_axis
+from oracle_facts import CENTERS, Oracle, distance_words, off_axis
 from oracle_reading import read
+from oracle_words import POSES
 
 LAYERS = {
     "2d": "labels_2d_stitched",
@@ -86,17 +86,12 @@ class SequenceFacts:
 
     @staticmethod
     def _chosen(rows):
-        """{(track, attribute): value} of what more than half of the telling frames say."""
+        """{(track, attribute): value} of what all the telling frames say."""
         votes = {}
         for row in rows:
             if row["value"] is not None and row["difficulty"] in (1, 2):
-                votes.setdefault((row["track"], row["attribute"]), set()).add((row["frame"], row["value"]))
-        chosen = {}
-        for key, said in votes.items():
-            (value, count), *_ = Counter(value for _, value in said).most_common(1)
-            if 2 * count > len(said):
-                chosen[key] = value
-        return chosen
+                votes.setdefault((row["track"], row["attribute"]), set()).add(row["value"])
+        return {key: min(values) for key, values in votes.items() if len(values) == 1}
 
     def inside(self, frame, left):
         """Everybody with a clear view and at least half of the box in the 480 columns from `left` on."""

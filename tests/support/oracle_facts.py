@@ -16,6 +16,7 @@ import math
 from itertools import pairwise
 
 from oracle_reading import read_root
+from oracle_words import PERSON_CATEGORIES, POSES, said_too
 
 LAYERS = (
     "2d",
@@ -31,21 +32,6 @@ LAYERS = (
     "timestamps",
     "images",
 )
-
-POSES = {
-    "walking",
-    "standing",
-    "sitting",
-    "cycling",
-    "going upstairs",
-    "going downstairs",
-    "bending",
-    "skating",
-    "scootering",
-    "running",
-    "lying",
-}
-PERSON_CATEGORIES = {"pedestrian", "bicyclist/rider", "child"}
 
 
 def facts(root, sequence):
@@ -72,18 +58,26 @@ class Oracle:
         for frame, track in sorted(self.people):
             self.tracks.setdefault(frame, []).append(track)
         self.has_attributes = any(row["has_attributes"] for row in self.people.values())
-        self.actions = {key: {} for key in self.people}
+        self.written = {key: {} for key in self.people}
         for row in found.rows("actions"):
-            listed = self.actions[row["frame"], row["track"]]
+            listed = self.written[row["frame"], row["track"]]
             listed[row["action"]] = easier(listed.get(row["action"]), row["difficulty"])
+        self.actions = {key: said_too(listed) for key, listed in self.written.items()}
         self.clusters = {
             (row["frame"], row["track"]): (row["cluster"], row["difficulty"]) for row in found.rows("groups")
         }
+        self.members = {}
+        for (frame, track), (cluster, _) in self.clusters.items():
+            self.members.setdefault((frame, cluster), []).append(track)
         self.action_frames = self._known("actions")
         self.action_step = step_of(self.action_frames) if self.action_frames else None
         self.group_frames = self._known("groups")
         self.poses = {(row["frame"], row["track"]): row["keypoints"] for row in found.rows("poses")}
         self.listed = {(row["layer"], row["frame"], row["track"]) for row in found.rows("listed")}
+        # Who is named without a box stands in no table, so that such a list leaves something out.
+        for row in found.rows("interactions"):
+            if (row["frame"], row["partner"]) not in self.people:
+                self.listed.discard(("interactions", row["frame"], row["track"]))
         self.stamps = {row["frame"]: row["timestamp"] for row in found.rows("timestamps") if row["sensor"] == "images"}
         self._times = {}
         self.keyframes = self._keyframes()
@@ -129,7 +123,7 @@ class Oracle:
         listed = self.actions.get((frame, track), {})
         if listed.get(action) not in (1, 2):
             return False
-        return action not in POSES or len(POSES & set(listed)) == 1
+        return action not in POSES or len(POSES & set(self.written[frame, track])) == 1
 
     def gap(self, frame, track, action):
         """Inside a closed gap: listed at most seven frames apart on both sides, at one frame per step."""
@@ -159,7 +153,7 @@ class Oracle:
         return "false"
 
     def pose(self, frame, track):
-        poses = [a for a in self.actions.get((frame, track), {}) if a in POSES]
+        poses = [a for a in self.written.get((frame, track), {}) if a in POSES]
         return poses[0] if len(poses) == 1 and self.certain(frame, track, poses[0]) else None
 
     def clear(self, frame, track):
@@ -182,8 +176,11 @@ class Oracle:
         people = self.in_frame(frame)
         if frame not in self.known_2d or any((frame, t) not in self.clusters for t in people):
             return None
-        mine = [self.clusters[frame, t] for t in people if self.clusters[frame, t][0] == self.clusters[frame, track][0]]
-        return len(mine) if all(code in (1, 2) for _, code in mine) else None
+        cluster = self.clusters[frame, track][0]
+        mine = [self.clusters[frame, t] for t in people if self.clusters[frame, t][0] == cluster]
+        # Somebody may be hidden for a moment and belong to the group all the same.
+        near = {t for f in range(frame - 15, frame + 16) for t in self.members.get((f, cluster), ())}
+        return len(mine) if near <= set(people) and all(code in (1, 2) for _, code in mine) else None
 
     # -- tables --
 
@@ -239,8 +236,10 @@ class Oracle:
         rows = []
         for track in sorted({t for _, t in self.boxed}):
             frames = [f for f, t in self.boxed if t == track]
-            chosen = {row["attribute"]: row["value"] for row in demographics if row["track"] == track and row["chosen"]}
-            told = {name: chosen.get(name) for name in ("gender", "age", "ethnicity")}
+            told = {}
+            for name in ("gender", "age", "ethnicity"):
+                mine = [row["value"] for row in demographics if (row["track"], row["attribute"]) == (track, name)]
+                told[name] = mine[0] if len(mine) == 1 else None
             rows.append({"track": track, **told, "first_frame": min(frames), "last_frame": max(frames)})
         return rows
 
@@ -294,9 +293,10 @@ class Oracle:
         for row in self.found.rows("interactions"):
             frame, pair = row["frame"], (row["track"], row["partner"])
             if all((frame, track) in self.people for track in pair):
-                for key in ((*pair, row["label"]), (*reversed(pair), row["label"])):
-                    frames = said.setdefault(key, {})
-                    frames[frame] = easier(frames.get(frame), row["difficulty"])
+                for label, difficulty in said_too({row["label"]: row["difficulty"]}).items():
+                    for key in ((*pair, label), (*reversed(pair), label)):
+                        frames = said.setdefault(key, {})
+                        frames[frame] = easier(frames.get(frame), difficulty)
         return [
             {"source": source, "target": target, "label": label, **row}
             for (source, target, label), frames in sorted(said.items())
@@ -308,8 +308,9 @@ class Oracle:
         said = {}
         for row in self.found.rows("handles"):
             if (row["frame"], row["track"]) in self.people and row["category_id"] not in people:
-                frames = said.setdefault((row["track"], row["object"], row["category_id"], row["verb"]), {})
-                frames[row["frame"]] = easier(frames.get(row["frame"]), row["difficulty"])
+                for verb, difficulty in said_too({row["verb"]: row["difficulty"]}).items():
+                    frames = said.setdefault((row["track"], row["object"], row["category_id"], verb), {})
+                    frames[row["frame"]] = easier(frames.get(row["frame"]), difficulty)
         return [
             {"track": track, "object": thing, "category_id": category, "verb": verb, **row}
             for (track, thing, category, verb), frames in sorted(said.items())
@@ -469,8 +470,7 @@ class Oracle:
                 for target in people:
                     if source == target:
                         continue
-                    labels, certain = self._beside(frame, source, target)
-                    for label in labels:
+                    for label, certain in self._beside(frame, source, target):
                         seen.setdefault((source, target, label, certain), set()).add(frame)
         rows = []
         for (source, target, label, certain), frames in seen.items():
@@ -490,14 +490,14 @@ class Oracle:
         dx, dy, dz = (b[k] - a[k] for k in ("cx", "cy", "cz"))
         metres = math.sqrt(dx * dx + dy * dy + dz * dz)
         if metres > 5.5:
-            return [], False
+            return []
         heading = math.pi - a["rot_z"]
         ahead = dx * math.cos(heading) + dy * math.sin(heading)
         left = dy * math.cos(heading) - dx * math.sin(heading)
         sectors = person_sectors(math.degrees(math.atan2(left, ahead)))
         words = [w for w in distance_words(metres) if w in ("very close", "close", "moderate")]
-        certain = len(sectors) == 1 and len(words) == 1 and metres < 4.5 and abs(dz) <= 1.35
-        return [f"{sector}, {word}" for sector in sectors for word in words], certain
+        near = len(words) == 1 and metres < 4.5 and abs(dz) <= 1.35
+        return [(f"{sector}, {word}", near and sure) for sector, sure in sectors.items() for word in words]
 
     def _segments(self):
         if not self.action_frames:
@@ -562,13 +562,26 @@ def off_axis(angle, sector):
 CENTERS = {"behind": 0, "left": 90, "ahead": 180, "right": 270}
 
 
+# Degrees counter-clockwise from straight ahead: where a sector is true from and to, and where some would call it so.
+SECTORS = {
+    "front": (-20, 20, -90, 90),
+    "front left": (32, 43, 0, 90),
+    "left": (70, 110, 0, 180),
+    "back left": (137, 143, 90, 180),
+    "back": (160, 200, 90, 270),
+    "back right": (217, 223, 180, 270),
+    "right": (250, 290, 180, 360),
+    "front right": (317, 328, 270, 360),
+}
+
+
 def person_sectors(bearing):
-    """Every sector that a bearing could be in: those within 2 degrees of it."""
-    spans = {"front": (0, 30), "side front": (30, 45), "side": (45, 135), "side back": (135, 145), "back": (145, 180)}
-    hand = "left" if bearing >= 0 else "right"
-    names = {"side front": f"front {hand}", "side": hand, "side back": f"back {hand}"}
-    size = abs(bearing)
-    return [names.get(n, n) for n, (low, high) in spans.items() if low - 2 - 1e-9 <= size <= high + 2 + 1e-9]
+    """{every sector that somebody in this direction could be in: whether it is certain}."""
+
+    def within(low, high):
+        return any(low - 1e-9 <= bearing + turn <= high + 1e-9 for turn in (-360, 0, 360))
+
+    return {name: within(*span[:2]) for name, span in SECTORS.items() if within(*span[2:])}
 
 
 def distance_words(metres):

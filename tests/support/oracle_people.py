@@ -11,8 +11,9 @@ import itertools
 import json
 from functools import cache, cached_property
 
-from oracle_facts import POSES, Oracle, distance_words, off_axis
+from oracle_facts import Oracle, distance_words, off_axis
 from oracle_reading import read_root
+from oracle_words import AGES, POSES
 
 OTHERS = {
     "holding sth",
@@ -34,7 +35,6 @@ OTHERS = {
 }
 ACTIONS = POSES | OTHERS
 GENDERS = ("male", "female")
-AGES = ("childhood", "adolescence", "young adulthood", "middle adulthood", "late adulthood")
 TOGETHER = tuple(
     """walking together|standing together|conversation|sitting together|going upstairs together|moving together|
     looking at robot together|looking at sth together|walking toward each other|eating together|
@@ -127,6 +127,9 @@ class People(Oracle):
             return YES if YES in found else MAYBE if MAYBE in found else NO
         if kind in ("gender", "age"):
             could = {self.told[track][kind]} & {*GENDERS, *AGES}
+            # Nobody sees where an age ends: to its neighbours it is unknown.
+            if kind == "age" and could and abs(AGES.index(wanted) - AGES.index(min(could))) == 1:
+                return MAYBE
         elif kind == "group_size":
             could = {sight["group_size"]}
         elif kind == "sector":

@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 
 import pyarrow as pa
-from oracle_facts import POSES, distance_words, person_sectors
+from oracle_facts import distance_words, person_sectors
+from oracle_words import POSES
 
 from jrdb_avr.engine.report.scoring import read_truth, score_predictions
 from jrdb_avr.engine.run.answering import answer_one
@@ -344,9 +345,9 @@ def beside(source, target):
         return None
     dx, dy, dz = (b - a for a, b in zip(source.place, target.place, strict=True))
     bearing = math.degrees(math.atan2(dy, dx) - source.heading)
-    sectors = person_sectors((bearing + 180) % 360 - 180)
+    sectors = [name for name, sure in person_sectors((bearing + 180) % 360 - 180).items() if sure]
     word, other = distance_words(math.sqrt(dx * dx + dy * dy + dz * dz))
-    return f"{sectors[0]}, {word}" if len(sectors) == 1 and other is None else None
+    return f"{sectors[0]}, {word}" if sectors and other is None else None
 
 
 def no_panorama(sequence, frame):
