@@ -16,7 +16,6 @@ import pyarrow as pa
 from jrdb_avr.engine.rederive.actions import ActionFacts
 from jrdb_avr.engine.rederive.truth import FALSE, SLACK, TRUE, UNKNOWN, also_said, in_closed_gap, rows, step_of
 from jrdb_avr.schema.labels import AGES, DISTANCE_BOUNDS_M, DISTANCE_WORDS, GENDERS, POSES
-from jrdb_avr.schema.panorama import WIDTH
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules
 from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES
 
@@ -308,17 +307,8 @@ class RelationFacts(SocialFacts):
         if not settling:
             return {other: UNKNOWN for other, turn in turns.items() if turn <= reach}
         nearest = min(turns[other] for other in settling)
-        edge = min(turns[other] - self._half(other, frame) for other in settling if turns[other] == nearest)
-        met = [
-            other
-            for other, turn in turns.items()
-            if turn < nearest + margin or (turn <= reach + margin and turn - self._half(other, frame) <= edge + SLACK)
-        ]
+        met = [other for other, turn in turns.items() if turn < nearest + margin]
         return dict.fromkeys(met, TRUE if len(met) == 1 else UNKNOWN)
-
-    def _half(self, track: int, frame: int) -> float:
-        """Half of the angle that a person's box covers, degrees."""
-        return self._people[frame][track].box.w * (180.0 / WIDTH)
 
     def within(self, track: int, other: int, degrees: int, frame: int, left: bool) -> int:
         """Whether another person is at most so far to one side of a person."""

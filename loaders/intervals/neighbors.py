@@ -20,7 +20,7 @@ from jrdb_avr.loaders.intervals.timeline import Timeline
 from jrdb_avr.loaders.labelfiles.columns import paired, ragged, texts, unpaired
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS, PERSON_SECTORS
-from jrdb_avr.schema.panorama import WIDTH, clockwise
+from jrdb_avr.schema.panorama import clockwise
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, RELATIONS
 from jrdb_avr.schema.rules import KEYFRAME_STEP, SLACK, LoadRules
 
@@ -67,11 +67,11 @@ def _joined(blocks: Iterator[_Facts]) -> list[Ints]:
 def robot_view(line: Timeline, boxes: Boxes, rules: LoadRules) -> Iterator[_Facts]:
     """First to the left and right of everybody at every keyframe, block by block.
 
-    Turning from X, the first person at least a degree away and clearly seen settles the matter. Those met before, those
-    met less than a degree later, and those whose box begins as soon could be it as well; the fact is certain where
-    there is no such other. Where nobody settles it within reach, everybody within reach could be it.
+    Turning from X, the first person at least a degree away and clearly seen settles the matter. Those met before, and
+    those met less than a degree later, could be it as well; the fact is certain where there is no such other. Where
+    nobody settles it within reach, everybody within reach could be it.
     """
-    clear, angle, half = boxes.clear, boxes.angle, boxes.box[:, 2] * (180.0 / WIDTH)
+    clear, angle = boxes.clear, boxes.angle
     rows = np.flatnonzero(np.isin(boxes.frame, line.keyframes))
     reach = rules.neighbor_max_deg + rules.neighbor_margin_deg
     for all_a, all_b in _pairs(boxes.frame, rows):
@@ -86,9 +86,7 @@ def robot_view(line: Timeline, boxes: Boxes, rules: LoadRules) -> Iterator[_Fact
             counts = np.diff(np.append(starts, len(a)))
             settled = np.minimum.reduceat(np.where(settles, turn, np.inf), starts)
             limit = np.repeat(settled, counts)
-            begin = turn - half[b]
-            first = np.repeat(np.minimum.reduceat(np.where(settles & (turn == limit), begin, np.inf), starts), counts)
-            before = (turn < limit + rules.neighbor_margin_deg) | (begin <= first + SLACK)
+            before = turn < limit + rules.neighbor_margin_deg
             could = np.where(np.isfinite(limit), before, turn <= rules.neighbor_max_deg)
             alone = np.repeat(np.add.reduceat(could.astype(np.int64), starts) == 1, counts) & np.isfinite(limit)
             code = np.full(int(could.sum()), _LABELS.index(label))
