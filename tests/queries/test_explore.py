@@ -39,7 +39,7 @@ EXPECTED = {
         FROM step a LEFT JOIN step b ON b.source = a.target""",
     "passes_behind": """
         SELECT track, min(frame) AS first, max(frame) AS last, count(*) AS frames, round(min(distance), 1) AS nearest_m
-        FROM intervals_sightings WHERE sequence = $s AND sector = 'behind' AND sector_other IS NULL GROUP BY track""",
+        FROM intervals_sightings WHERE sequence = $s AND sector = 'behind' GROUP BY track""",
     "sequences": """
         SELECT sequence, frame_count AS frames,
                (SELECT count(*) FROM intervals_persons p WHERE p.sequence = s.sequence) AS people,

@@ -1,6 +1,7 @@
 """Rules: frozen, hashed, overridden by name."""
 
 import contextlib
+import json
 
 import msgspec
 import pytest
@@ -28,8 +29,8 @@ def test_every_load_rule_changes_both_hashes(name):
 @pytest.mark.parametrize("name", [name for name in Rules.__struct_fields__ if name not in ("load", "condition_order")])
 def test_every_rule_can_be_overridden(name):
     value = getattr(Rules(), name)
-    value = value - 1 if isinstance(value, int) else value * 0.9
-    changed = override(Rules(), {name: str(value)})
+    value = "both" if value == "either" else value - 1 if isinstance(value, int) else value * 0.9
+    changed = override(Rules(), {name: json.dumps(value)})
     assert getattr(changed, name) == value
     assert rules_hash(changed) != rules_hash(Rules())
     assert changed.load == Rules().load
@@ -86,9 +87,9 @@ def test_a_load_rule_out_of_its_range_is_refused(name, value):
 
 
 @pytest.mark.parametrize(
-    "change", [{"sector_margin_deg": "45"}, {"narrow_sector_margin_deg": "5"}, {"distance_margin": "0.34"}]
+    "change", [{"sector_true_deg": "45.1"}, {"sector_false_deg": "44.9"}, {"distance_margin": "0.34"}]
 )
-def test_margins_at_which_three_words_would_meet_are_refused(change):
+def test_margins_at_which_too_many_words_would_meet_are_refused(change):
     with pytest.raises(InputError):
         override(Rules(), {f"load.{name}": value for name, value in change.items()})
 

@@ -142,7 +142,8 @@ def _sightings(sequence, rng, tracks, spans):
     x, y, w, h = (rng.uniform(low, high, n) for low, high in ((0, 3700), (50, 200), (10, 300), (40, 250)))
     located = rng.random(n) < 0.7
     angle = (x + w / 2) / 3760 * 360 % 360
-    sector = np.array(ROBOT_SECTORS)[((angle + 45) // 90 % 4).astype(int) * 3 % 4 - 2]
+    off = np.abs(180 - np.abs(180 - np.abs(angle[:, None] - np.array([*ROBOT_SECTORS.values()]))))
+    sector = pa.array(np.array([*ROBOT_SECTORS])[off.argmin(axis=1)], mask=off.min(axis=1) > 40)
     words = np.array(("very close", "close", "moderate", "far", "very far"))
     distance = rng.uniform(0.3, 20, n)
     columns = {
@@ -162,7 +163,6 @@ def _sightings(sequence, rng, tracks, spans):
         "cluster": _masked(rng, rng.integers(1, 5, n)),
         "group_size": _masked(rng, rng.integers(1, 6, n)),
         "sector": sector,
-        "sector_other": _masked(rng, sector, 0.8),
         "located": located,
         **{
             k: pa.array(distance if k == "distance" else rng.uniform(-9, 9, n), mask=~located)

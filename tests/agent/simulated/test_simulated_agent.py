@@ -23,7 +23,7 @@ from jrdb_avr.schema.wording.people import in_order
 from jrdb_avr.schema.wording.text import render
 
 FRAMES = tuple(range(0, 601, 5))
-POSES = ("walking", "sitting", "standing", "lying")
+POSES = ("walking", "sitting", "standing", "lying down")
 FEMALE = Condition(attribute="gender", value="female")
 LEFT_90 = "within 90 degrees to the left of (robot view)"
 LEFT_60 = "within 60 degrees to the left of (robot view)"

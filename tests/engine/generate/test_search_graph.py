@@ -44,7 +44,7 @@ SQL = {
         LEFT JOIN (SELECT * FROM group_info WHERE chosen) USING (sequence, cluster) GROUP BY sequence, cluster""",
     "SeenIn": f"""
         SELECT {PERSON}, {FRAME}, sequence, frame, {{'x': x, 'y': y, 'w': w, 'h': h}}, angle, occlusion, no_eval, clear,
-               face_visible, listed, interactions_listed, handles_listed, pose, group_size, sector, sector_other,
+               face_visible, listed, interactions_listed, handles_listed, pose, group_size, sector,
                located, distance, distance_word, distance_word_other, cx, cy, cz, heading FROM sightings""",
     "Performs": f"SELECT {PERSON}, action, sequence, {SPAN}, difficulty, certain, gap FROM actions",
     "MemberOf": f"SELECT {PERSON}, sequence || '/' || cluster, sequence, {SURE} FROM memberships",

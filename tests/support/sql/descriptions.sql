@@ -1,6 +1,14 @@
 -- The descriptions of everybody at every keyframe: the fewest conditions that are true of the person while each other
 -- person with a box there is false on one of them.
 
+-- Ages that lie side by side have no bound that can be seen.
+CREATE MACRO years(word) AS list_position(
+    ['childhood', 'adolescence', 'young adulthood', 'middle adulthood', 'late adulthood'], word);
+
+-- Degrees between a box and the axis of a direction as the robot sees it; the panorama's middle is straight ahead.
+CREATE MACRO off_axis(angle, word) AS
+    180 - abs(abs(angle - CASE word WHEN 'ahead' THEN 180 WHEN 'right' THEN 270 WHEN 'left' THEN 90 ELSE 0 END) - 180);
+
 CREATE TABLE doing AS
     SELECT t, track, action, bool_or(certain) AS sure FROM actions JOIN keyframes ON t BETWEEN first AND last
     GROUP BY ALL;
@@ -23,7 +31,8 @@ CREATE TABLE said AS
     FROM people LEFT JOIN persons USING (track), vocabulary, sequence WHERE list = 'gender'
     UNION ALL
     SELECT t, track, 'age', format('{{"attribute":"age","value":"{}"}}', word), word,
-        age = word, NOT list_contains(layers, 'pose') OR coalesce(face_visible, false)
+        CASE WHEN age = word THEN true WHEN abs(years(age) - years(word)) > 1 THEN false END,
+        NOT list_contains(layers, 'pose') OR coalesce(face_visible, false)
     FROM people LEFT JOIN persons USING (track), vocabulary, sequence WHERE list = 'age'
     UNION ALL
     SELECT t, track, 'pose', format('{{"action":"{}","at":"t0"}}', word), word,
@@ -59,8 +68,7 @@ CREATE TABLE said AS
     FROM people, (SELECT DISTINCT group_size AS n FROM people WHERE group_size IS NOT NULL)
     UNION ALL
     SELECT t, track, 'sector', format('{{"at":"t0","attribute":"sector","value":"{}"}}', word), word,
-        CASE WHEN sector = word AND sector_other IS NULL THEN true
-             WHEN sector <> word AND sector_other IS DISTINCT FROM word THEN false END, true
+        CASE WHEN off_axis(angle, word) <= 40 THEN true WHEN off_axis(angle, word) > 90 THEN false END, true
     FROM people, vocabulary WHERE list = 'sector'
     UNION ALL
     SELECT t, track, 'distance', format('{{"at":"t0","attribute":"distance","value":"{}"}}', word), word,
