@@ -123,9 +123,9 @@ def group_sizes(line: Timeline, boxes: Boxes, groups: Facts, cluster_row: Ints) 
 
 def _away(line: Timeline, boxes: Boxes, groups: Facts) -> Ints:
     """Keys of (frame, cluster) of which a member has no box in the frame, but has one within a second."""
-    annotated = line.frames_of("2d")
-    found = []
-    for away in range(-KEYFRAME_STEP, KEYFRAME_STEP + 1, line.action_step):
+    annotated, grid = line.frames_of("2d"), line.grid("groups")
+    found = [np.empty(0, np.int64)]
+    for away in range(-KEYFRAME_STEP, KEYFRAME_STEP + 1, grid.step) if grid else ():
         frame = groups.frame + away
         gone = np.isin(frame, annotated) & (boxes.rows(frame, groups.track) < 0)
         found.append(paired(frame[gone], groups.value[gone]))
