@@ -13,10 +13,11 @@ from jrdb_avr.engine.generate.scene import NOBODY, find_sorted, ints
 def held_person_proofs(context: SearchContext, candidates: Candidates) -> list[PerturbationResult]:
     """Both shifts and the drop."""
     shifts = [_shift(context, candidates, by) for by in both_ways(context)]
-    # Every candidate is among the keyframes counted, so each has its row.
+    # A candidate without a row has no answer at any keyframe: where the person who is read is never in clear view.
     read = context.query("necessity", f"{candidates.template.time_queries}_drop")
     row = find_sorted(candidates.people[candidates.template.target], ints(read, "at0"))
-    return [*shifts, PerturbationResult.of_drop(ints(read, "defined")[row], ints(read, "answers")[row])]
+    defined, answers = (np.append(ints(read, name), 0)[row] for name in ("defined", "answers"))
+    return [*shifts, PerturbationResult.of_drop(defined, answers)]
 
 
 def _shift(context: SearchContext, candidates: Candidates, by: int) -> PerturbationResult:

@@ -447,12 +447,10 @@ class Oracle:
         for other in others:
             there = self.angle(frame, other)
             turns[other] = (here - there) % 360 if side == "left" else (there - here) % 360
-        begins = {other: turns[other] - self.people[frame, other]["w"] / 2 * 360 / 3760 for other in others}
         seen = [other for other in others if 1 <= turns[other] <= 60 and self.clear(frame, other)]
         if seen:
-            first = min(seen, key=lambda other: (turns[other], begins[other]))
-            sooner = [o for o in others if turns[o] <= 61 and begins[o] <= begins[first] + 1e-9]
-            could = [other for other in others if turns[other] < turns[first] + 1 or other in sooner]
+            nearest = min(turns[other] for other in seen)
+            could = [other for other in others if turns[other] < nearest + 1]
         else:
             could = [other for other in others if turns[other] <= 60]
         certain = bool(seen) and len(could) == 1

@@ -13,8 +13,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from lively_worlds import form, lively_world, sociable_world
 from oracle_questions import proven
+from other_words import in_other_words
 from quick_store import memory_store
 from random_worlds import random_world
+from worlds import person, person_3d
 
 from jrdb_avr.engine.generate.candidates import PASSED, to_table
 from jrdb_avr.engine.generate.context import SearchContext
@@ -33,6 +35,8 @@ pytestmark = pytest.mark.usefixtures("known_plans")
 SIMPLE = {"start", "span", "change", "presence", "distance"}
 CHAINED = {"consequence", "two_hop", "three_hop", "later_pose", "action_search", "fork_join", "gap"}
 FORMS = {"gap_count", "gap_absence"}
+MAKERS = [random_world, lively_world, sociable_world]
+MAKERS += [in_other_words(make) for make in MAKERS]
 
 
 def candidates(store, sequence):
@@ -74,9 +78,9 @@ def compare(seed, make=random_world):
 
 
 @settings(max_examples=examples(3), deadline=None, suppress_health_check=[HealthCheck.too_slow])
-@given(st.integers(0, 10**9))
-def test_awkward_worlds_give_exactly_the_proven_candidates(seed):
-    compare(seed)
+@given(st.integers(0, 10**9), st.sampled_from((random_world, in_other_words(random_world))))
+def test_awkward_worlds_give_exactly_the_proven_candidates(seed, make):
+    compare(seed, make)
 
 
 def test_lively_and_sociable_worlds_give_exactly_the_proven_candidates_of_every_template():
@@ -85,6 +89,18 @@ def test_lively_and_sociable_worlds_give_exactly_the_proven_candidates_of_every_
     assert set(lively) >= SIMPLE
     sociable = compare(7, sociable_world)
     assert min(sociable[chain] for chain in CHAINED | FORMS) >= 3, sociable
+    compare(2, in_other_words(sociable_world))
+
+
+def test_whose_distance_is_never_known_later_is_asked_nothing_of_it():
+    """Nobody has a clear view at a later keyframe, so that no distance is known at any time."""
+
+    def dim(_, name):
+        frames = range(0, 91, 15)
+        boxes = {f: [person(1, (900, 100, 50, 30 if f else 150), {"reading": 1})] for f in frames}
+        return {name: {"2d": boxes, "3d": {f: [person_3d(1, 3.0 + f / 10, 0.0)] for f in frames}}}
+
+    assert compare(0, dim) == Counter()
 
 
 @pytest.mark.slow
@@ -101,7 +117,7 @@ def test_a_sample_gives_exactly_the_proven_candidates(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("make", [random_world, lively_world, sociable_world])
+@pytest.mark.parametrize("make", MAKERS)
 @pytest.mark.parametrize("start", range(1000, 1400, 50))
 def test_many_worlds(start, make):
     assert sum((compare(seed, make) for seed in range(start, start + 50)), Counter()).total() > 0
