@@ -199,7 +199,8 @@ class Chains(Asked):
             if theirs and self.quiet(track, action, t0, row["first"]):
                 near = abs(row["start"] - start) <= 15 and turned(self.angle(row["first"], track), angle) <= 20
                 return answer if near else EMPTY
-        for frame in range(start - 15, start + 16):
+        # Whoever is first seen to do it at a frame began after the one before, as the labels count them.
+        for frame in range(start - 15, start + 15 + self.step_frames):
             if (frame, track) in self.people and turned(self.angle(frame, track), angle) <= 20:
                 before = self.state(frame - 15, track, action)
                 if self.state(frame, track, action) != NO and before != YES:

@@ -87,9 +87,9 @@ def test_lively_and_sociable_worlds_give_exactly_the_proven_candidates_of_every_
     # Worlds in which there is much to ask; `test_many_worlds` takes them as they come.
     lively = sum((compare(seed, lively_world) for seed in (0, 5)), Counter())
     assert set(lively) >= SIMPLE
-    sociable = compare(7, sociable_world)
+    sociable = sum((compare(seed, sociable_world) for seed in (7, 12)), Counter())
     assert min(sociable[chain] for chain in CHAINED | FORMS) >= 3, sociable
-    compare(2, in_other_words(sociable_world))
+    compare(1, in_other_words(sociable_world))
 
 
 def test_whose_distance_is_never_known_later_is_asked_nothing_of_it():
