@@ -15,7 +15,8 @@ from jrdb_avr.schema.templates import FORMS
 def kept(tmp_path, world, template):
     """The kept candidates of a template, by stated seconds."""
     store = quick_store(tmp_path, world)
-    job = sequence.SequenceJob(store.path, SEQUENCE, Rules(max_per_person=1000, near_duplicate_s=0.0))
+    rules = Rules(max_per_person=1000, near_duplicate_s=0.0, near_presence_s=0.0)
+    job = sequence.SequenceJob(store.path, SEQUENCE, rules)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sequence, "FORMS", {template: FORMS[template]})
         found = sequence.search_sequence(job)

@@ -93,7 +93,8 @@ def test_options_go_together(sample_benchmark, tmp_path):
 def test_generate_leaves_out_what_was_rejected(tmp_path, monkeypatch):
     # What is found does not depend on the reviews, so it is searched for once.
     monkeypatch.setattr(generating, "search_sequence", cache(generating.search_sequence))
-    store = graphless_store(tmp_path, lively_world(random.Random(8), "yard-2020-01-01_0"))
+    worlds = [lively_world(random.Random(seed), f"yard-2020-01-0{seed}_0") for seed in (5, 8)]
+    store = graphless_store(tmp_path, worlds[0] | worlds[1])
     assert run("generate", "--store", store.path, "--workers", 1)[0] == 0
     before = ids(store)
     assert len(before) > 30
