@@ -560,26 +560,23 @@ def off_axis(angle, sector):
 CENTERS = {"behind": 0, "left": 90, "ahead": 180, "right": 270}
 
 
-# Degrees counter-clockwise from straight ahead: where a sector is true from and to, and where some would call it so.
-SECTORS = {
-    "front": (-20, 20, -90, 90),
-    "front left": (32, 43, 0, 90),
-    "left": (70, 110, 0, 180),
-    "back left": (137, 143, 90, 180),
-    "back": (160, 200, 90, 270),
-    "back right": (217, 223, 180, 270),
-    "right": (250, 290, 180, 360),
-    "front right": (317, 328, 270, 360),
-}
-
-
 def person_sectors(bearing):
-    """{every sector that somebody in this direction could be in: whether it is certain}."""
+    """{every sector that somebody at a bearing, degrees to the left of straight ahead, could be in: if it is certain}.
 
-    def within(low, high):
-        return any(low - 1e-9 <= bearing + turn <= high + 1e-9 for turn in (-360, 0, 360))
+    Beside an axis of the person within 20 degrees, and anywhere in the half circle round it perhaps. Between two axes,
+    perhaps where either could be, and certainly where drawn sectors (30 to 45 degrees off the front, 35 to 45 off the
+    back) and eighths of a circle (22.5 to 67.5 degrees) agree, with 2 degrees to spare.
+    """
+    off = {axis: abs((bearing - turn + 180) % 360 - 180) for axis, turn in PERSON_AXES.items()}
+    found = {axis: away <= 20 + 1e-9 for axis, away in off.items() if away <= 90 + 1e-9}
+    for end, low in (("front", 32), ("back", 37)):
+        for side in ("left", "right"):
+            if end in found and side in found:
+                found[f"{end} {side}"] = low - 1e-9 <= off[end] <= 43 + 1e-9
+    return found
 
-    return {name: within(*span[:2]) for name, span in SECTORS.items() if within(*span[2:])}
+
+PERSON_AXES = {"front": 0, "left": 90, "back": 180, "right": 270}
 
 
 def distance_words(metres):

@@ -69,11 +69,11 @@ def test_without_any_attributes_occlusion_is_not_asked():
 
 @pytest.mark.parametrize(
     ("angle", "left", "ahead"),
-    [(90, TRUE, FALSE), (129.9, TRUE, FALSE), (130.1, UNKNOWN, UNKNOWN), (139.9, UNKNOWN, UNKNOWN),
-     (140.1, FALSE, TRUE), (0, FALSE, FALSE), (359, FALSE, FALSE), (50.1, TRUE, FALSE),
-     (49.9, UNKNOWN, FALSE), (39.9, FALSE, FALSE)],
+    [(91, TRUE, UNKNOWN), (129.9, TRUE, UNKNOWN), (130.1, UNKNOWN, UNKNOWN), (139.9, UNKNOWN, UNKNOWN),
+     (140.1, UNKNOWN, TRUE), (181, FALSE, TRUE), (240, FALSE, UNKNOWN), (271, FALSE, FALSE), (359, FALSE, FALSE),
+     (1, UNKNOWN, FALSE), (49.9, UNKNOWN, FALSE), (50.1, TRUE, FALSE), (89, TRUE, FALSE)],
 )  # fmt: skip
-def test_sectors_have_margins(angle, left, ahead):
+def test_a_sector_is_true_near_its_axis_and_unknown_in_the_half_circle_round_it(angle, left, ahead):
     annotations = World(SECONDS).see(1, [15], x=angle / 360 * 3760 - 25).read()
     assert annotations.holds(at_t0(attribute="sector", value="left"), 1, 15) == left
     assert annotations.holds(at_t0(attribute="sector", value="ahead"), 1, 15) == ahead
