@@ -146,61 +146,57 @@ class Facts:
             return False
         return True if max(one.grouping, two.grouping) <= CERTAIN else None
 
-    def members(self, person: int, frame: int) -> tuple[set[int], set[int]]:
-        """Others of the group: those who certainly are, and those who may be."""
-        facts = {other: self.same_group(person, other, frame) for other in self.people(frame) if other != person}
-        certain = {other for other, fact in facts.items() if fact}
-        possible = {other for other, fact in facts.items() if fact is not False}
-        own = self.seen(person, frame)
-        if self.reading.group == "around" and own is not None and own.group is not None:
-            for near in range(frame - 15, frame + 16):
-                for other, seen in self.people(near).items():
-                    if seen.group == own.group and other not in self.people(frame):
-                        possible.add(other)
-        return certain, possible
-
     def group_size(self, person: int, frame: int, size: int) -> bool | None:
         own = self.seen(person, frame)
-        certain, possible = self.members(person, frame)
         if own is None or own.group is None or own.grouping > CERTAIN:
             return None
-        if certain == possible:
-            return len(certain) + 1 == size
-        return None if len(certain) + 1 <= size <= len(possible) + 1 else False
+        facts = [self.same_group(person, other, frame) for other in self.people(frame) if other != person]
+        least, most = 1 + facts.count(True), 1 + facts.count(True) + facts.count(None)
+        if self.reading.group == "around":
+            most += len(self.away(own.group, frame))
+        return False if not least <= size <= most else True if least == most else None
+
+    def away(self, group: object, frame: int) -> set[int]:
+        """Who is not in the picture, but is in the group within a second of it."""
+        about = (self.people(near).items() for near in range(frame - 15, frame + 16))
+        return {one for people in about for one, seen in people if seen.group == group} - self.people(frame).keys()
 
     def together(self, person: int, other: int, frame: int, label: str) -> bool | None:
         one, two = self.seen(person, frame), self.seen(other, frame)
         if one is None or two is None:
             return None
-        labels = {label} | (WIDER_PARTNERS.get(label, set()) if self.reading.words == "wide" else set())
+        labels = self.partnerships(label)
         sides = [(one.partners or {}, other), (two.partners or {}, person)]
         levels = [partners[name, whom] for partners, whom in sides for name in labels if (name, whom) in partners]
         if levels:
             return best(levels)
         if one.partners is None and two.partners is None:
             return None
-        return self.parted(person, other, frame, label)
+        return self.parted(person, other, frame, labels)
 
-    def parted(self, person: int, other: int, frame: int, label: str) -> bool | None:
+    def partnerships(self, label: str) -> set[str]:
+        return {label} | (WIDER_PARTNERS.get(label, set()) if self.reading.words == "wide" else set())
+
+    def parted(self, person: int, other: int, frame: int, labels: set[str]) -> bool | None:
         """None in a short break of a relation, False outside."""
         if self.recording.step != 1:
             return False
         for way in (-1, 1):
             near = range(frame + way, frame + way * 8, way)
             if not any(
-                self.lists(one, label, two, at) for at in near for one, two in ((person, other), (other, person))
+                self.lists(one, labels, two, at) for at in near for one, two in ((person, other), (other, person))
             ):
                 return False
         return None
 
-    def lists(self, person: int, label: str, other: int, frame: int) -> bool:
+    def lists(self, person: int, labels: set[str], other: int, frame: int) -> bool:
         seen = self.seen(person, frame)
-        return seen is not None and bool(seen.partners) and (label, other) in seen.partners
+        return seen is not None and any((label, other) in (seen.partners or {}) for label in labels)
 
     def with_someone(self, person: int, frame: int, label: str) -> bool | None:
         facts = [self.together(person, other, frame, label) for other in self.people(frame) if other != person]
-        seen = self.seen(person, frame)
-        own = [level for (name, _), level in ((seen and seen.partners) or {}).items() if name == label]
+        seen, labels = self.seen(person, frame), self.partnerships(label)
+        own = [level for (name, _), level in ((seen and seen.partners) or {}).items() if name in labels]
         if own and self.reading.partner == "anybody":
             facts.append(True if min(own) <= CERTAIN else None)
         if seen is None or seen.partners is None:
@@ -216,17 +212,13 @@ class Facts:
         return away if 0 < away < 180 else None
 
     def first_aside(self, person: int, other: int, frame: int, side: str) -> bool | None:
-        """Whether the other is the nearest on a side; unknown where somebody's box is, or where two are as near."""
+        """Whether the other is the nearest on a side; unknown where a box is, or where two are as near."""
         people = self.people(frame)
-        own, ways = people[person], {}
-        for one, seen in people.items():
-            if seen.box is None:
-                return None
-            away = None if one == person else self.aside(person, one, frame, side)
-            inside = self.reading.beside == "outside" and away is not None and away < own.half
-            if away is None or inside or (self.reading.beside == "visible" and (seen.hidden or seen.doubtful)):
-                continue
-            ways[one] = away - seen.half if self.reading.beside == "near edge" else away
+        if any(seen.box is None for seen in people.values()):
+            return None
+        clear = [one for one, seen in people.items() if not (seen.hidden or seen.doubtful)]
+        among = clear if self.reading.beside == "visible" else [*people]
+        ways = {one: away for one in among if (away := self.aside(person, one, frame, side)) is not None}
         nearest = [one for one, away in ways.items() if away == min(ways.values())]
         return False if other not in nearest else True if len(nearest) == 1 else None
 
@@ -234,12 +226,7 @@ class Facts:
         one, two = self.seen(person, frame), self.seen(other, frame)
         if one is None or two is None or one.box is None or two.box is None:
             return None
-        away, half = turn(one.angle - two.angle) * SIDES[side], two.half
-        if self.reading.window == "any part":
-            return away + half > 0 and away - half <= width
-        if self.reading.window == "whole":
-            return away - half >= 0 and away + half <= width
-        return 0 < away <= width
+        return 0 < turn(one.angle - two.angle) * SIDES[side] <= width
 
     def near(self, person: int, other: int, frame: int, low: float, high: float) -> bool | None:
         one, two = self.seen(person, frame), self.seen(other, frame)

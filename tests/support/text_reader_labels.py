@@ -43,11 +43,6 @@ class Seen:
         x, _, width, _ = self.box
         return (x + width / 2) / WIDTH * 360 % 360
 
-    @property
-    def half(self) -> float:
-        """Half of the angle that the box covers."""
-        return self.box[2] / WIDTH * 180
-
 
 def code(value) -> int:
     """A difficulty from 1 to 3; what cannot be read is as doubtful as the hardest."""

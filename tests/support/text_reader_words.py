@@ -25,7 +25,8 @@ THINGS = {"television": "television", "statue": "statues", "display stand": "sta
 THINGS |= {"computer accessory": "peripheral", "skateboard or segway or hoverboard": "skateboard/segway/hoverboard"}
 THINGS |= {"bicycle or scooter": "bicycle/scooter"}
 VERBS = {"handling": "handling/manipulating", "talking on": "talking on", "looking at": "looking at"}
-VIEW = r" as seen from the robot"
+VIEW = " as seen from the robot"
+BY_MIDDLES = " For left and right, go by the middle of each person."
 METRES = r"\((?:([\d.]+) to ([\d.]+)|over ([\d.]+)|under ([\d.]+)) m\)"
 FACING = r"(?:(in front of|behind) [A-D]|to [A-D]'s ((?:front |back )?(?:left|right)))"
 
@@ -138,8 +139,8 @@ def linked(text: str) -> list[Link]:
     ).strip()
     if found := re.fullmatch(rf"the first person to the (left|right) of ([A-D]){VIEW}", text):
         return [Link("first_aside", found[2], (found[1],))]
-    if found := re.fullmatch(r"the only other member of ([A-D])'s group", text):
-        return [Link("mates", found[1], ())]
+    if found := re.fullmatch(r"the only other member of ([A-D])'s group in the picture", text):
+        return [Link("same_group", found[1], ())]
     text = re.sub("^the only person (?:who is )?", "", text)
     if found := re.fullmatch(rf"within (\d+) degrees to the (left|right) of ([A-D]){VIEW}", text):
         return [Link("within", found[3], (found[2], float(found[1])))]
@@ -158,8 +159,8 @@ def step(text: str) -> Step | None:
     """A person from a clause, None where it is none of a person."""
     if found := re.fullmatch(r"(?:and )?(?:then )?([B-D]),? (?:is )?(the (?:first|only) .+)", text):
         return Step(found[1], tuple(linked(found[2])))
-    if found := re.fullmatch(r"([A-D]) and ([B-D]) are the only two members of their group", text):
-        return Step(found[2], (Link("mates", found[1], ()),))
+    if found := re.fullmatch(r"([A-D]) and ([B-D]) are the only two members of their group in the picture", text):
+        return Step(found[2], (Link("same_group", found[1], ()),))
     if found := re.fullmatch(rf"([A-D]) is ({'|'.join(PARTNERS)}) exactly one person, ([B-D])", text):
         return Step(found[3], (Link("together", found[1], (PARTNERS[found[2]],)),))
     if found := re.fullmatch(r"([A-D]) and exactly one other person, ([B-D]), are walking towards each other", text):
@@ -195,7 +196,7 @@ READS = (
     ("absence", r"seconds.*(?:absence|seen again)"),
     ("count", rf"(?:Count all|[Hh]ow many) .*people.* ({GROUP}|{'|'.join(PARTNERS)}) that person"),
     ("next_pose", r"posture or movement.*(?:follows it|comes next|change to)\?"),
-    ("distance", rf"{TIME}.*not in view"),
+    ("distance", rf"{TIME}.*within a metre.*not in view"),
     ("presence", rf"{TIME}.*{TIME}.*(?:if at either|at neither)"),
     ("pose", r"posture or movement"),
 )
@@ -206,7 +207,10 @@ def parse(text: str) -> Question:
     for second, frame in re.findall(CLOCK, text):
         if abs(float(second) * FPS - int(frame)) > FPS / 20:
             raise UnreadableError(f"{second} s is not frame {frame}")
-    sentences = [sentence.strip().rstrip(".") for sentence in re.split(r"(?<=[.])\s+(?=[A-Z])", text)]
+    body = text.removesuffix(BY_MIDDLES)
+    if (body == text) == (VIEW in body):
+        raise UnreadableError(f"{BY_MIDDLES} or not")
+    sentences = [sentence.strip().rstrip(".") for sentence in re.split(r"(?<=[.])\s+(?=[A-Z])", body)]
     clauses = sentences[0].split("; ")
     if len(clauses) > 1 and clauses[1] == "call that person A":
         clauses = clauses[:1]

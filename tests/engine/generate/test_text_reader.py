@@ -6,13 +6,14 @@ way: a question passes when all of them single out the stored person and score a
 
 import ast
 import json
+import math
 import shutil
 
 import pytest
 from places import REAL, SUPPORT
 from text_reader import Found, Reader, differs, open_readings
-from text_reader_vocabulary import Reading
-from text_reader_words import UnreadableError, parse
+from text_reader_vocabulary import HELD, Reading
+from text_reader_words import BY_MIDDLES, UnreadableError, parse
 
 from jrdb_avr.schema.answers import decode_answer, same_answer
 from jrdb_avr.schema.plan import parse_plan
@@ -117,13 +118,13 @@ def test_reader_finds_every_answer_of_the_real_annotations(tmp_path):
 # The reader itself, on worlds of a few people.
 
 CHOICES = ["walking", "standing", "sitting", "lying down"]
-LEFT = "Find the only person to the robot's left who is holding something at 1.0 s (frame 15). "
-POSE = LEFT + "What is that person's posture or movement at 4.0 s (frame 60)?"
+ASKED = "What is that person's posture or movement at 4.0 s (frame 60)?"
+POSE = f"Find the only person to the robot's left who is holding something at 1.0 s (frame 15). {ASKED}"
 
 
-def person(number, degrees, *actions, width=40, prefix="pedestrian"):
+def person(number, degrees, *actions, width=40, prefix="pedestrian", group=None):
     box = [degrees / 360 * 3760 - width / 2, 100, width, 200]
-    group = {"cluster_ID": number, "cluster_stat": 1}
+    group = {"cluster_ID": group or number, "cluster_stat": 1}
     return {
         "label_id": f"{prefix}:{number}",
         "box": box,
@@ -132,18 +133,42 @@ def person(number, degrees, *actions, width=40, prefix="pedestrian"):
     }
 
 
+def told(number, partner=None, **demographics):
+    """A social record: values of gender and age, each with how many entries say so, and who a conversation is with."""
+    entries = [{kind: {value: 1}} for kind, votes in demographics.items() for value in votes]
+    talks = [{"pair": f"pedestrian:{partner}", "inter_labels": {"conversation": 1}}] if partner else []
+    return {"label_id": f"pedestrian:{number}", "demographics_info": entries, "H-interaction": talks}
+
+
+def placed(number, metres, degrees, recorded=None):
+    """A 3D record of a person who faces away from the robot's front at (5, 0), or of one so far and turned from it."""
+    way = math.radians(degrees)
+    box = {"cx": 5 + metres * math.cos(way), "cy": metres * math.sin(way), "cz": 0, "rot_z": math.pi}
+    marks = {"num_points": 9, "distance": recorded or math.hypot(box["cx"], box["cy"])}
+    return {"label_id": f"pedestrian:{number}", "box": box, "attributes": marks}
+
+
 @pytest.fixture
 def reader(tmp_path):
     """A reader of one sequence whose people are the same at every keyframe."""
 
-    def make(*people, later=None):
-        (tmp_path / "labels_2d_stitched").mkdir(exist_ok=True)
+    def make(*people, later=None, social=(), places=()):
         frames = range(0, 91, 15)
-        labels = {f"{frame:06}.jpg": people if later is None or frame < 60 else later for frame in frames}
-        (tmp_path / "labels_2d_stitched" / "place.json").write_text(json.dumps({"labels": labels}))
+        boxes = {frame: people if later is None or frame < 60 else later for frame in frames}
+        layers = {"2d_stitched": boxes, "2d_social": dict.fromkeys(frames, social), "3d": dict.fromkeys(frames, places)}
+        for layer, records in layers.items():
+            (tmp_path / f"labels_{layer}").mkdir(exist_ok=True)
+            labels = {f"{frame:06}.jpg": each for frame, each in records.items()}
+            (tmp_path / f"labels_{layer}" / "place.json").write_text(json.dumps({"labels": labels}))
         return Reader(tmp_path, "place")
 
     return make
+
+
+def alone(complaints):
+    """The readings of single words that are disputed."""
+    readings = [line[line.rindex("(") + 1 : -1] for line in complaints]
+    return {reading for reading in readings if "," not in reading}
 
 
 ALICE = person(1, 95, "standing", "holding sth")
@@ -162,9 +187,11 @@ def test_a_doubtful_label_may_fit_a_description(reader):
 
 
 def test_a_record_without_a_number_may_be_anybody(reader):
-    text = LEFT + "Look again at 5.0 s (frame 75) and at 6.0 s (frame 90): at which of these can that person be seen, "
     choices, away = ["neither time", "both times"], Found(1, {"choice": 1})
-    text += "if at either?"
+    text = POSE.removesuffix(ASKED) + (
+        "Look again at 5.0 s (frame 75) and at 6.0 s (frame 90): at which of these can that person be seen, if at "
+        "either?"
+    )
     assert not reader(ALICE, later=[]).disputes(text, choices, away)
     for prefix in ("Pedestrian", "pedestrian:x", "ped"):
         stranger = person(2, 300, "walking", prefix=prefix)
@@ -172,23 +199,96 @@ def test_a_record_without_a_number_may_be_anybody(reader):
     assert not reader(ALICE, later=[person(2, 300, prefix="car")]).disputes(text, choices, away)
 
 
-def test_first_to_the_left_is_the_nearest_by_centre_and_by_edge(reader):
+def test_first_to_the_left_is_the_nearest_by_its_middle(reader):
     text = (
         "In the scene at 1.0 s (frame 15), A is the only person who is holding something. B is the first person to the "
         "left of A as seen from the robot. C is the first person to the left of B as seen from the robot. "
-        "What is C's posture or movement?"
+        f"What is C's posture or movement?{BY_MIDDLES}"
     )
     others = [person(2, 80, "walking"), person(3, 70, "sitting"), person(4, 62, "walking", width=240)]
+    assert not reader(ALICE, *others).disputes(text, CHOICES, Found(3, {"choice": 3}))
+    others[1]["attributes"] = {"occlusion": "Severely_occluded"}
     complaints = reader(ALICE, *others).disputes(text, CHOICES, Found(3, {"choice": 3}))
-    assert len(complaints) == 1 and "near edge" in complaints[0] and "person 4" in complaints[0]
+    assert alone(complaints) == {"beside=visible"} and all("person 4" in line for line in complaints)
+    with pytest.raises(UnreadableError):
+        parse(text.removesuffix(BY_MIDDLES))
+
+
+def described(words, at="1.0 s (frame 15)"):
+    return f"Consider the only {words} at {at}. {ASKED}"
+
+
+SECOND_OPINIONS = {
+    "words=wide": (described("person who is standing"), [person(2, 250, "bending")], {}),
+    "votes=any": (
+        described("man or boy"),
+        [person(2, 250, "sitting")],
+        {"social": [told(1, gender=["male"]), told(2, gender=["male", "female", "female"])]},
+    ),
+    "age=wide": (
+        described("child"),
+        [person(2, 250, "sitting")],
+        {"social": [told(1, age=["childhood"]), told(2, age=["adolescence"])]},
+    ),
+    "partner=anybody": (
+        described("person to the robot's left who is having a conversation with someone"),
+        [person(2, 280, "sitting"), person(3, 70, "sitting")],
+        {"social": [told(1, partner=2), told(2), told(3, partner=9)]},
+    ),
+    "group=around": (
+        described("person who is not in any group", "3.0 s (frame 45)"),
+        [person(2, 250, "sitting", group=7), person(3, 270, "sitting", group=7)],
+        {"later": [ALICE, person(4, 150, "sitting", group=1)]},
+    ),
+    "metres=ground": (
+        described("person close to the robot (0.5 to 1.5 m)"),
+        [person(2, 250, "sitting")],
+        {"places": [placed(1, 4, 180), placed(2, 4, 180, recorded=2)]},
+    ),
+}
+
+
+@pytest.mark.parametrize("reading", SECOND_OPINIONS)
+def test_what_another_reader_could_say_is_a_dispute(reader, reading):
+    text, others, files = SECOND_OPINIONS[reading]
+    word, value = reading.split("=")
+    assert value in HELD[word]
+    complaints = reader(ALICE, *others, **files).disputes(text, CHOICES, Found(1, {"choice": 2}))
+    assert reading in alone(complaints) <= {reading, "metres=space"}
+    assert all("several fit" in line or "nobody" in line for line in complaints)
+
+
+@pytest.mark.parametrize(
+    ("words", "degrees", "disputed"),
+    [
+        ("to A's left", (90, 200), set()),
+        ("to A's left", (60, 200), {"eighths"}),
+        ("to A's left", (90, 20), {"halves"}),
+        ("in front of A", (10, 40), {"quarters", "halves"}),
+        ("behind A", (190, 140), {"quarters", "halves"}),
+    ],
+)
+def test_sectors_of_a_person_are_drawn_in_several_ways(reader, words, degrees, disputed):
+    text = (
+        f"In the scene at 1.0 s (frame 15), A is the only person who is holding something. B is the only person who is "
+        f"at a moderate distance from A (1.5 to 5 m) and {words}, from A's own point of view. What is B's posture or "
+        "movement?"
+    )
+    places = [placed(1, 0, 0), *(placed(number, 3, way) for number, way in enumerate(degrees, 2))]
+    one = reader(ALICE, person(2, 250, "walking"), person(3, 280, "sitting"), places=places)
+    complaints = one.disputes(text, CHOICES, Found(2, {"choice": 1}))
+    assert alone(complaints) == {f"facing={way}" for way in disputed}
 
 
 def test_open_readings_name_what_the_rules_do_not_hold(reader):
-    text = "Find the only person who is walking at 1.0 s (frame 15). " + POSE.removeprefix(LEFT)
-    one = reader(person(1, 95, "walking"), person(2, 250, "going upstairs"))
-    found = Found(1, {"choice": 1})
+    text = (
+        "Find the only person who is holding something at 3.0 s (frame 45). At which frame does that person start "
+        "walking, and at which panorama angle is the person then?"
+    )
+    one = reader(ALICE, later=[person(1, 195, "walking", "holding sth")])
+    found = Found(1, {"frame": 53, "angle_deg": 195.0})
     assert not one.disputes(text, CHOICES, found)
-    assert "several fit" in str(one.disputes(text, CHOICES, found, open_readings))
+    assert alone(one.disputes(text, CHOICES, found, open_readings)) == {"moment=between"}
 
 
 @pytest.mark.parametrize(
