@@ -178,7 +178,7 @@ def test_the_questions_are_sound(made):
     _, store, questions, _ = made
     report = validate(store, RULES)
     assert report.sound, report.faults
-    assert sum(len(rows) for rows in questions.values()) > 50
+    assert sum(len(rows) for rows in questions.values()) > 30
 
 
 def rounded(answer):
@@ -270,7 +270,8 @@ def test_once_a_second_starts_are_about(made):
         assert (1, f'{{"frame":{starts[scene]}}}') in found["start"]
         assert (1, f'{{"start_frame":{first},"end_frame":{last}}}') in found["span"]
         events = [row["question"] for row in made[2][scene] if row["template"] in ("start", "span", "gap")]
-        assert len(events) >= 3
+        # One about the start, and one about the time away.
+        assert len(events) == 2
         assert all(bool(about.search(text)) == (scene == "once") for text in events)
 
 
