@@ -203,7 +203,7 @@ def make_benchmark(folder):
     with pytest.MonkeyPatch.context() as patch:
         # Things are named by the file's categories; no question hangs on the segments, which take longest to draw.
         patch.setattr(coco_files, "_segments", lambda world: iter(()))
-        list(write(plan(folder / "root", [(450, 15)] * 2, 4, "none"), 1))
+        list(write(plan(folder / "root", [(450, 15)] * 2, 42, "none"), 1))
     store = Store(folder / "store")
     load(find_root(folder / "root"), store, LoadRules(), 1)
     with remembered_plans():

@@ -36,6 +36,8 @@ SMALLER, LARGER, SAME, AWAY = (
     "about the same distance",
     "not in view",
 )
+SPOKEN = {"bending": "bending down", "lying": "lying down", "scootering": "riding a scooter"}
+"""Postures that choices say in other words."""
 PRESENCE = {
     (True, True): "both times",
     (True, False): "only at the first time",
@@ -169,7 +171,8 @@ class Solver:
                 raise LostError(f"{len(fits)} people could be {node.id}")
             self.people[node.id] = fits[0]
 
-    def _choice(self, text):
+    def _choice(self, answer):
+        text = SPOKEN.get(answer, answer)
         if text not in self.question.choices:
             raise LostError(f"{text!r} is none of the choices")
         return Choice(self.question.choices.index(text) + 1)

@@ -17,7 +17,7 @@ from jrdb_avr.engine.validate.statistics import TITLES, statistics
 from jrdb_avr.schema.templates import FAMILIES, TEMPLATES
 
 JOINED = "questions JOIN answers USING (question_id)"
-SAID = "{'lying down': 'lying', 'bending down': 'bending', 'riding a scooter': 'scootering'}"
+SAID = "MAP {'lying down': 'lying', 'bending down': 'bending', 'riding a scooter': 'scootering'}"
 """Poses that a choice says in other words."""
 ASKS = """CASE answer_mode WHEN 'multiple_choice' THEN 'choice' WHEN 'frame_viewpoint' THEN 'frame and angle'
     WHEN 'number' THEN if(json_extract_string(plan, '$.answer.read') = 'count', 'count', 'seconds')
