@@ -108,6 +108,17 @@ def test_a_group_has_a_size_where_everybody_certainly_is_in_or_out():
     assert sizes == [2, 2, 1] + [3, 3, 3] + [None] * 3 + [None] * 3
 
 
+def test_a_member_without_a_box_for_a_second_leaves_the_size_of_the_group_open():
+    """Actions once a second, groups in every frame; the third member has a box from frame 8 to 14 only."""
+    world = World(range(31))
+    world.action_frames = {0, 15, 30}
+    for frame in range(31):
+        for track in (1, 2, 3) if 8 <= frame <= 14 else (1, 2):
+            world.see(track, [frame], None if frame % 15 else ["standing"], group=7)
+    sizes = {row["frame"]: row["group_size"] for row in derived(world, "sightings")}
+    assert [sizes[frame] for frame in (0, 7, 8, 14, 15, 29, 30)] == [None, None, 3, 3, None, None, 2]
+
+
 @pytest.mark.parametrize(
     ("degrees", "sector"),
     [(180, "ahead"), (141, "ahead"), (139, None), (131, None), (129, "left"), (2, "behind"), (358, "behind")],

@@ -8,6 +8,7 @@ SEQUENCE = "yard-2020-01-01_0"
 
 
 POSES = {"w": {"walking": 1}, "t": {"standing": 1}, "s": {"sitting": 1}, "?": {"standing": 3}}
+POSES |= {"u": {"going upstairs": 1}, "b": {"bending": 1}}
 
 
 def seconds(text):
@@ -18,7 +19,7 @@ def seconds(text):
 def build(lines):
     """The JRDB world of a fixture's lines about people, images and lost seconds."""
     layers = {"2d": {}}
-    lost, met, lists = (), {}, {}
+    lost, met, told, lists = (), {}, {}, {}
     for line in lines:
         if line.startswith("images "):
             layers["images"] = [15 * second for second in seconds(line.split()[1])]
@@ -36,6 +37,9 @@ def build(lines):
                 group = (int(rest), 1)
             elif word == "metres":
                 metres = rest.split()
+            elif word in ("gender", "age"):
+                value, when = rest.split()
+                told |= {(int(track), second): {word: {value: 1}} for second in seconds(when)}
             elif word == "tiny":
                 tiny = seconds(rest)
             else:
@@ -55,14 +59,13 @@ def build(lines):
             column = columns[min(second, len(columns) - 1)]
             box = (column - 25, 100, 50, 20 if second in tiny else 150)
             rows.append(person(int(track), box, actions, group))
-            lists.setdefault(15 * second, []).append(
-                member(int(track), box, interactions=met.get((int(track), second), []))
-            )
+            here = int(track), second
+            lists.setdefault(15 * second, []).append(member(here[0], box, told.get(here), met.get(here, [])))
             if metres is not None and metres[second] != "x":
                 away = float(metres[second])
                 solid = layers.setdefault("3d", {}).setdefault(15 * second, [])
                 solid.append(person_3d(int(track), away, 0.0, distance=away))
-    if met:
+    if met or told:
         layers["social"] = lists
     for layer in {"2d", "3d", "social"} & layers.keys():
         layers[layer] = {frame: rows for frame, rows in layers[layer].items() if frame // 15 not in lost}

@@ -309,6 +309,14 @@ def test_a_store_of_other_load_rules_is_refused(made):
         generate(made[0], override(Rules(), {"load.gap_frames": "3"}), **HOW)
 
 
+def test_intervals_that_are_not_as_they_were_loaded_are_refused(another):
+    (sequence,) = another.manifest().sequences
+    path = another.interval_path("sightings", sequence)
+    pq.write_table(pq.read_table(path).slice(1), path)
+    with pytest.raises(StoreError, match=f"{path.name} is not as it was loaded: run 'jrdb-avr load --verify"):
+        generate(another, Rules(), **HOW)
+
+
 def test_nothing_loaded_is_refused_and_leaves_nothing(tmp_path):
     with pytest.raises(StoreError, match="run 'jrdb-avr load"):
         generate(Store(tmp_path / "none"), Rules(), **HOW)

@@ -7,8 +7,10 @@ from collections import Counter
 import numpy as np
 import pytest
 from built_worlds import SEQUENCE, build
+from oracle_people import People
 from places import TESTS
 from quick_store import memory_store
+from worlds import write_root
 
 from jrdb_avr.engine.generate.candidates import OUTCOMES, PASSED, RULES, VALUES
 from jrdb_avr.engine.generate.context import SearchContext
@@ -30,10 +32,10 @@ LETTERS |= {
 }
 
 
-def read_worlds():
-    """{title: lines} of the fixture file."""
+def read_worlds(file):
+    """{title: lines} of a fixture file."""
     worlds, title = {}, None
-    for line in (TESTS / "fixtures" / "questions.txt").read_text().splitlines():
+    for line in (TESTS / "fixtures" / file).read_text().splitlines():
         if line.startswith("== "):
             title = line[3:]
             assert title not in worlds
@@ -72,7 +74,8 @@ def judge(store, claimed):
         if names.general[name]:
             track = int(scene.tracks[names.moment[name] // people])
             second = int(scene.frames(names.moment[[name]])[0]) // 15
-            described[track, second] = ", ".join(str(c.action or c.value) for c in names.of(name))
+            words = (c.action or c.interaction or c.value for c in names.of(name))
+            described[track, second] = ", ".join(map(str, words))
     return found, described
 
 
@@ -131,9 +134,21 @@ CLAIM = re.compile(
 )
 
 
-@pytest.mark.parametrize("title", read_worlds())
+WORLDS, WORDS = read_worlds("questions.txt"), read_worlds("words.txt")
+
+
+@pytest.mark.parametrize("title", WORDS)
+def test_the_oracle_describes_as_the_worlds_of_words_say(title, tmp_path):
+    oracle = People(write_root(tmp_path, build(WORDS[title])), SEQUENCE)
+    for line in WORDS[title]:
+        if match := re.fullmatch(r"describes (\d+) at (\d+): (.+)", line):
+            conditions = oracle.description(15 * int(match[2]), int(match[1])) or [(None, "nothing")]
+            assert ", ".join(str(value) for _, value in conditions) == match[3], line
+
+
+@pytest.mark.parametrize("title", WORLDS | WORDS)
 def test_world(title, tmp_path):
-    lines = read_worlds()[title]
+    lines = (WORLDS | WORDS)[title]
     store = memory_store(tmp_path, build(lines))
     claimed = {}
     for match in filter(None, map(CLAIM.fullmatch, lines)):
@@ -202,7 +217,7 @@ def cells(form, rule):
 def claimed_refusals():
     """{(form, rule, proof)} of all worlds; shifts that leave the sequence refuse nothing."""
     found = set()
-    for line in itertools.chain.from_iterable(read_worlds().values()):
+    for line in itertools.chain.from_iterable(WORLDS.values()):
         match = CLAIM.fullmatch(line)
         if match and match[1] == "refuses":
             rule, _, proofs = match[7].partition(" ")
@@ -227,8 +242,8 @@ def test_every_rule_is_seen_to_refuse_in_every_form_by_every_proof():
 
 
 def test_every_form_is_seen_given_refused_and_lacking():
-    claims = [line.split(" ")[:2] for lines in read_worlds().values() for line in lines]
+    claims = [line.split(" ")[:2] for lines in WORLDS.values() for line in lines]
     for verb in ("gives", "refuses", "lacks"):
         assert sorted({form for word, form in claims if word == verb}) == sorted(FORMS)
-    said = {line.partition(": ")[2] for lines in read_worlds().values() for line in lines if line.startswith("desc")}
+    said = {line.partition(": ")[2] for lines in WORLDS.values() for line in lines if line.startswith("desc")}
     assert "nothing" in said and any(", " in words for words in said)

@@ -136,6 +136,17 @@ def test_exactly_two_seconds_is_near_and_a_frame_more_is_not():
     assert dropped == {"near_duplicate": 2}
 
 
+def test_of_presence_five_seconds_at_both_times_are_near():
+    times = {"first": (0, 100), "near at both": (75, 25), "a frame more at one": (0, 176)}
+    rows = [
+        candidate(i, "presence", "x", track=1, read=read, key=f"{i:064}") | {"carried": name}
+        for i, (name, read) in enumerate(times.items())
+    ]
+    result, dropped = thinned(rows, RULES)
+    assert [row["carried"] for row in result] == ["first", "a frame more at one"]
+    assert dropped == {"near_duplicate": 1}
+
+
 def test_what_no_selection_can_use_is_dropped_by_person_and_template():
     rows = [
         candidate(f"{template} {track} {i}", template, "x", track=track, read=(i * 100,))

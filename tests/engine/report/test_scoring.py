@@ -645,6 +645,19 @@ def test_predictions_of_another_form_are_one_line(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["questions", "sequences", "answers", "evidence"])
+def test_tables_of_different_generations_are_not_scored(tmp_path, name):
+    from jrdb_avr.queries.store import Store
+
+    store = Store(tmp_path)
+    for table in ("questions", "sequences", "answers", "evidence"):
+        store.write_questions(table, QUESTIONS[table].empty_table(), {"generation": "first"})
+    assert len(scoring.read_truth(store).ids) == 0
+    store.write_questions(name, QUESTIONS[name].empty_table(), {"generation": "second"})
+    with pytest.raises(StoreError, match="of different generations: run 'jrdb-avr generate"):
+        scoring.read_truth(store)
+
+
+@pytest.mark.parametrize("name", ["questions", "sequences", "answers", "evidence"])
 def test_questions_of_another_form_are_one_line(tmp_path, name):
     from jrdb_avr.queries.store import Store
 
