@@ -22,10 +22,11 @@ import pyarrow.parquet as pq
 from jrdb_avr.engine.generate.candidates import OUTCOMES, PASSED, RULES, Candidates, frame_lists, to_table
 from jrdb_avr.engine.generate.context import SearchContext
 from jrdb_avr.engine.generate.diagnostics import refusal_row
+from jrdb_avr.engine.generate.near_duplicates import KEPT, thin_out
 from jrdb_avr.engine.generate.records import choice_sets, make_record, needed_boxes
 from jrdb_avr.engine.generate.scene import Ints, Scene, load_scene
 from jrdb_avr.engine.generate.search import find_candidates
-from jrdb_avr.engine.generate.selection import KEPT, POOL, thin_out
+from jrdb_avr.engine.generate.selection import POOL
 from jrdb_avr.engine.rederive import Annotations, rederive
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import without_collector

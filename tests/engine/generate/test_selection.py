@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jrdb_avr.engine.generate.bins import answer_bin, wait_bin
-from jrdb_avr.engine.generate.selection import KEPT, PROFILES, select, thin_out
+from jrdb_avr.engine.generate.near_duplicates import KEPT, thin_out
+from jrdb_avr.engine.generate.selection import PROFILES, select
 from jrdb_avr.schema.plan import Condition, canonical
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.tables import CANDIDATES

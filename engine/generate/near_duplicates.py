@@ -1,0 +1,106 @@
+"""Near-duplicates and caps: which questions may stand beside each other.
+
+`thin_out` looks at one template in one sequence and drops what no selection can use; `Taken` keeps account of what is
+chosen in all. Both depend on the rows alone, never on their order.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from jrdb_avr.schema.rules import Rules, frames
+
+KEPT: Final = ""
+"""Verdict of `thin_out` on a row that stays."""
+
+
+Person = tuple[str, int]
+"""Sequence and track."""
+
+
+def near_frames(template: str, rules: Rules) -> int:
+    """Frames within which two questions of a template read the same."""
+    return frames(rules.near_presence_s if template == "presence" else rules.near_duplicate_s)
+
+
+def thin_out(table: pa.Table, rules: Rules) -> npt.NDArray[np.str_]:
+    """Per row of one template in one sequence: KEPT, or the rule that drops it.
+
+    near_duplicate: every frame where the answer is read lies near those of a row of the same target and answer that
+    stays, with a smaller key; max_per_person: as many as that of the target and answer stay already.
+    """
+    if not len(table):
+        return np.full(0, KEPT)
+    near = near_frames(table["template"][0].as_py(), rules)
+    answer = table["answer"].combine_chunks().dictionary_encode().indices
+    order = pc.sort_indices(
+        table.append_column("code", answer),
+        sort_keys=[(name, "ascending") for name in ("target_track", "code", "key")],
+    ).to_numpy()
+    groups = np.stack([table["target_track"].to_numpy(), answer.to_numpy()])[:, order]
+    read = pc.list_flatten(table["read_frames"]).to_numpy().reshape(len(table), -1)
+    verdicts = np.full(len(table), "max_per_person")
+    for rows in np.split(order, np.flatnonzero(np.diff(groups).any(axis=0)) + 1):
+        alive = rows
+        for _ in range(rules.max_per_person):
+            if not len(alive):
+                break
+            close = np.all(np.abs(read[alive] - read[alive[0]]) <= near, axis=1)
+            verdicts[alive[close]] = "near_duplicate"
+            verdicts[alive[0]] = KEPT
+            alive = alive[~close]
+    return verdicts
+
+
+class Subject(NamedTuple):
+    """What a question is about; the columns are those of `selection.POOL`."""
+
+    person: Person
+    template: str
+    read: tuple[int, ...]
+    event: str | None
+
+
+@dataclass
+class Taken:
+    """The questions chosen so far, of all templates, and so which may not be chosen besides."""
+
+    rules: Rules
+    reads: dict[tuple[Person, str], list[tuple[int, ...]]] = field(default_factory=lambda: defaultdict(list))
+    events: set[tuple[Person, str]] = field(default_factory=set)
+    questions: Counter[Person] = field(default_factory=Counter)
+
+    def admits(self, one: Subject) -> bool:
+        """Whether no near-duplicate and no cap forbids a question."""
+        others = self.reads[one.person, one.template]
+        if len(others) >= self.rules.max_per_person or self.questions[one.person] >= self.rules.max_per_person_in_all:
+            return False
+        if one.event is not None and (one.person, one.event) in self.events:
+            return False
+        near = near_frames(one.template, self.rules)
+        return not any(_close(one.read, other, near) for other in others)
+
+    def add(self, one: Subject) -> None:
+        """Count a question as chosen."""
+        self.reads[one.person, one.template].append(one.read)
+        self.questions[one.person] += 1
+        if one.event is not None:
+            self.events.add((one.person, one.event))
+
+    def remove(self, one: Subject) -> None:
+        """Count a question as chosen no more."""
+        self.reads[one.person, one.template].remove(one.read)
+        self.questions[one.person] -= 1
+        self.events.discard((one.person, one.event or ""))
+
+
+def _close(one: tuple[int, ...], other: tuple[int, ...], near: int) -> bool:
+    """Whether all frames of two questions lie near each other; forms that read at more frames are not alike."""
+    return len(one) == len(other) and all(abs(a - b) <= near for a, b in zip(one, other, strict=True))
