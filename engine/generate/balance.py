@@ -133,9 +133,9 @@ class Form:
     """The candidates of one form of a template, and the options that are chosen of them, in the order of choice."""
 
     def __init__(self, table: pa.Table, rows: Sequence[int], name: str, taken: Taken, seed: int) -> None:
-        read, rules = TEMPLATES[name].spec.read, taken.rules
+        self.spec, rules = TEMPLATES[name].spec, taken.rules
         self.taken = taken
-        self.limit = LIMITS.get(read) or Limit(rules.max_answer_share, strict=True)
+        self.limit = LIMITS.get(self.spec.read) or Limit(rules.max_answer_share, strict=True)
         self.options = sorted(
             _options(table, rows, name, seed), key=lambda option: (option.cell, option.set, option.order)
         )
@@ -174,8 +174,12 @@ class Form:
         return len({option.row for option in self.options})
 
     def loosen(self) -> None:
-        """Level the answers over all questions from now on, and no more in each set of choices and with each word."""
-        self.within_sets, self.loose = False, True
+        """Level the answers over all questions from now on, and no more in each set of choices and with each word.
+
+        Nothing changes for a form without several sets of choices.
+        """
+        if self.within_sets:
+            self.within_sets, self.loose = False, True
 
     def _blocks(self, near: int) -> Ints:
         """Per option, how many of scarcer answers could not be chosen beside it, as they are near-duplicates."""
@@ -222,8 +226,10 @@ class Form:
         telling = (variety > 1) & (own >= _FREE) & (excess > 0) & (own > share * (total + 1))
         # How often the answer goes with a set of choices, smoothed by how often it goes with any.
         prior = _PRIOR * (self.by_set.sum(axis=0) + 1) / (len(self.chosen) + 1)
-        likely = ((self.by_set[:, answer] + prior[answer]) / (self.by_set.sum(axis=1) + self.offers @ prior))[sets]
-        for place in np.lexsort((-variety, excess, likely, self.blocks[options], telling)).tolist():
+        likely = (self.by_set[:, answer] + prior[answer]) / (self.by_set.sum(axis=1) + self.offers @ prior)
+        # Processors sum a product in different orders, so that what is equal may not look so: hence the rounding.
+        ranks = np.lexsort((-variety, excess, likely.round(9)[sets], self.blocks[options], telling))
+        for place in ranks.tolist():
             if telling[place] and self.limit.strict and not self.loose:
                 return False
             option = int(options[place])

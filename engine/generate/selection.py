@@ -8,10 +8,10 @@ candidates of a form come first and how many of an answer stay.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Collection, Hashable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import msgspec
 import pyarrow as pa
@@ -60,8 +60,6 @@ PROFILES: Final[dict[str, dict[str, int]]] = {
 
 _PUBLIC: Final = ("sequence", "family", "template", "question", "choices", "answer_mode")
 
-K = TypeVar("K", bound=Hashable)
-
 
 @dataclass(frozen=True, slots=True)
 class Selection:
@@ -89,22 +87,25 @@ def select(table: pa.Table, rules: Rules, profile: str, seed: int) -> Selection:
     for name in sorted(rows):
         forms[TEMPLATES[name].name].append(Form(table, rows[name], name, taken, seed))
     wanted = PROFILES[profile]
-    families = list(dict.fromkeys(FAMILIES.values()))
+    families: dict[str, list[str]] = defaultdict(list)
+    for name, family in FAMILIES.items():
+        families[family].append(name)
     sizes = Counter(table["family"].to_pylist())
+    aims: dict[str, int] = {}
     for family in sorted(families, key=lambda name: (sizes[name] / max(wanted.get(name, 1), 1), name)):
-        _choose({name: forms.get(name, []) for name in _templates_of(family)}, wanted.get(family))
-    report: list[dict[str, Any]] = []
-    for family in families:
-        names = _templates_of(family)
-        aims = _even_shares(names, wanted[family]) if family in wanted else {}
-        for name in names:
-            own = forms.get(name, [])
-            counts = {"candidates": sum(form.candidates for form in own), "aim": aims.get(name)}
-            kept = sum(len(form.chosen) for form in own)
-            report.append({"family": family, "template": name, **counts, "kept": kept})
+        names = sorted(families[family])
+        if family in wanted:
+            aims |= zip(names, _even_shares(len(names), wanted[family]), strict=True)
+        _choose([forms[name] for name in names], [aims.get(name) for name in names])
+    report = tuple(
+        {"family": family, "template": name, "candidates": sum(form.candidates for form in forms[name])}
+        | {"aim": aims.get(name), "kept": _kept(forms[name])}
+        for family, names in families.items()
+        for name in sorted(names)
+    )
     chosen = [form.options[number] for form in chain(*forms.values()) for number in form.chosen]
     order = [(name, "ascending") for name in ("sequence", "template", "key", "plan")]
-    return Selection(_with_choices(table, chosen).sort_by(order), tuple(report))
+    return Selection(_with_choices(table, chosen).sort_by(order), report)
 
 
 def _with_choices(table: pa.Table, options: Sequence[Option]) -> pa.Table:
@@ -119,49 +120,50 @@ def _with_choices(table: pa.Table, options: Sequence[Option]) -> pa.Table:
     return pa.Table.from_pylist(rows, schema=table.schema)
 
 
-def _templates_of(family: str) -> list[str]:
-    return [name for name in sorted(FAMILIES) if FAMILIES[name] == family]
+def _kept(forms: Iterable[Form]) -> int:
+    return sum(len(form.chosen) for form in forms)
 
 
-def _choose(forms: Mapping[str, Sequence[Form]], wanted: int | None) -> None:
-    """Let every form of every template of a family choose, `wanted` in all if they have so many."""
-    if wanted is None:
-        for form in chain(*forms.values()):
-            form.extend(form.candidates)
-            # Of fewer no guesser's share is reliable.
-            if form.within_sets and len(form.chosen) < FEW:
-                form.loosen()
-                form.extend(FEW - len(form.chosen))
-        return
-    left = wanted - _deal(forms, wanted)
-    # What they lack with answers that are level in each set of choices and with the same words, they give with answers
-    # that are level in all.
-    loose = [form for form in chain(*forms.values()) if form.within_sets]
-    for form in loose:
+def _choose(templates: Sequence[Sequence[Form]], aims: Sequence[int | None]) -> None:
+    """Let the forms of a family's templates choose what each aims at, or all that they can where it has no aim."""
+    for forms, aim in zip(templates, aims, strict=True):
+        _deal([forms], sum(form.candidates for form in forms) if aim is None else aim)
+        # Of fewer no guesser's share is reliable.
+        lacking = (FEW if aim is None else min(FEW, aim)) - _kept(forms)
+        if lacking > 0:
+            _loosen(forms)
+            _deal([forms], lacking)
+    # What some cannot give, the others give: first as level as before, then level in each template as a whole.
+    left = sum(aim or 0 for aim in aims) - _kept(chain(*templates))
+    left -= _deal([[form for form in forms if not form.loose] for forms in templates], left)
+    if left > 0:
+        _loosen(chain(*templates))
+        _deal(templates, left)
+
+
+def _loosen(forms: Iterable[Form]) -> None:
+    for form in forms:
         form.loosen()
-    if left > 0 and loose:
-        _deal(forms, left)
 
 
-def _deal(forms: Mapping[str, Sequence[Form]], wanted: int) -> int:
+def _deal(templates: Sequence[Sequence[Form]], wanted: int) -> int:
     """Let the forms choose so many more, shared out evenly; returns how many they choose."""
     left = wanted
     # Nobody knows before how many a form can give: what one lacks is shared out among the others again.
-    while left > 0 and (open_names := [name for name, own in forms.items() if any(not form.spent for form in own)]):
+    while left > 0 and (able := [some for forms in templates if (some := [one for one in forms if not one.spent])]):
         before = left
-        for name, share in _even_shares(open_names, left).items():
-            own = [form for form in forms[name] if not form.spent]
-            for form, part in _even_shares(own, share).items():
+        for forms, share in zip(able, _even_shares(len(able), left), strict=True):
+            for form, part in zip(forms, _even_shares(len(forms), share), strict=True):
                 left -= form.extend(part)
         if left == before:
             # Some shares are too small for any number of answers: whoever can take all that is left.
-            for form in chain(*forms.values()):
+            for form in chain(*templates):
                 left -= form.extend(left)
             break
     return wanted - left
 
 
-def _even_shares(names: Collection[K], wanted: int) -> dict[K, int]:
-    """Even shares of `wanted`, the first ones larger by one where they must be."""
-    share, extra = divmod(wanted, len(names))
-    return {name: share + (place < extra) for place, name in enumerate(names)}
+def _even_shares(parts: int, whole: int) -> list[int]:
+    """Even shares of a whole, the first ones larger by one where they must be."""
+    share, extra = divmod(whole, parts)
+    return [share + (place < extra) for place in range(parts)]

@@ -84,16 +84,35 @@ def test_two_answers_that_only_exclude_each_other_are_left_out():
     assert chosen({"walking": 50, "standing": 50}) == []
 
 
+TELLING_SETS = {
+    "walking": APART[:1],
+    "standing": APART[:1],
+    "bending": [one for one in APART if "bending" in one],
+}
+"""Sets that tell the answer: in the first only walking and standing are ever true."""
+
+
 def test_a_family_that_lacks_its_number_takes_what_level_answers_allow():
-    sets = {"walking": APART[:1], "standing": APART[:1], "bending": [one for one in APART if "bending" in one]}
     rows = [
-        candidate(100 * i + n, pose, sets[pose], "three_hop", "chain_3hop")
-        for i, pose in enumerate(sets)
+        candidate(100 * i + n, pose, sets, "three_hop", "chain_3hop")
+        for i, (pose, sets) in enumerate(TELLING_SETS.items())
         for n in range(40)
     ]
     table = pa.Table.from_pylist([row | {"times": [0], "read_frames": [0]} for row in rows], schema=POOL)
     assert select(table, Rules(), "all", 0).table.num_rows == FEW
-    assert Counter(select(table, Rules(), "paper", 0).table["answer_text"].to_pylist()) == dict.fromkeys(sets, 40)
+    assert Counter(select(table, Rules(), "paper", 0).table["answer_text"].to_pylist()) == dict.fromkeys(
+        TELLING_SETS, 40
+    )
+
+
+def test_a_template_has_its_even_share_before_another_fills_for_it():
+    poses = [(pose, sets, "later_pose") for pose, sets in TELLING_SETS.items() for _ in range(40)]
+    poses += [(pose, APART[:1], "consequence") for pose in APART[0] for _ in range(40)]
+    rows = [candidate(n, pose, sets, name, "long_range") for n, (pose, sets, name) in enumerate(poses)]
+    table = pa.Table.from_pylist(rows, schema=POOL)
+    # Of 30 questions each of three templates has ten, of which three answers with 34 % each make nine; gap has none.
+    chosen = Counter(select(table, Rules(), "paper", 0).table["template"].to_pylist())
+    assert chosen == {"later_pose": 9, "consequence": 21}
 
 
 def test_the_record_follows_the_chosen_set():
