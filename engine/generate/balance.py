@@ -9,8 +9,9 @@ knows which answer of each set is true most often is right no oftener than the s
 
 from __future__ import annotations
 
+import copy
 import hashlib
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -19,7 +20,7 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.engine.generate.bins import answer_bin, wait_bin
+from jrdb_avr.engine.generate.bins import answer_bin, bin_name, wait_bin
 from jrdb_avr.engine.generate.distractors import Choices
 from jrdb_avr.engine.generate.near_duplicates import Person, Subject, Taken, near_frames
 from jrdb_avr.schema.arrays import Ints
@@ -180,6 +181,28 @@ class Form:
         """
         if self.within_sets:
             self.within_sets, self.loose = False, True
+
+    def shortage(self) -> str | None:
+        """Why candidates that no near-duplicate and no cap forbids are left out; None where none are."""
+        left = {self.options[number].row: number for number in self.chosen}
+        beside = copy.deepcopy(self.taken)
+        for number, option in enumerate(self.options):
+            if option.row not in left and beside.admits(option.subject):
+                beside.add(option.subject)
+                left[option.row] = number
+        if len(left) == len(self.chosen):
+            return None
+        names = Counter(self._answer_name(number) for number in left.values())
+        counts = ", ".join(f"{name} {count}" for name, count in sorted(names.items(), key=lambda one: -one[1]))
+        room = len(self.limit.stay(self.answers[list(left.values())]))
+        whose = "two answers side by side" if self.limit.neighbors else "one answer"
+        allowed = f"which allow {room} questions with at most {100 * self.limit.share:.0f} % for {whose}"
+        fewer = ", and fewer where words and choices may not tell the answer" if room > len(self.chosen) else ""
+        return f"{len(left)} candidates are left ({counts}), {allowed}{fewer}"
+
+    def _answer_name(self, number: int) -> str:
+        answer = self.options[number].answer
+        return answer if isinstance(answer, str) else bin_name(self.spec.mode, self.spec.read, answer)
 
     def _blocks(self, near: int) -> Ints:
         """Per option, how many of scarcer answers could not be chosen beside it, as they are near-duplicates."""

@@ -64,40 +64,42 @@ def shortfalls(
     rows: Sequence[Mapping[str, Any]],
     lacking: Mapping[tuple[str, str], int],
     sequences: int,
-    aims: Mapping[str, int | None] | None = None,
+    selection: Sequence[Mapping[str, Any]] = (),
 ) -> list[dict[str, Any]]:
     """A row per template: how far its candidates came, the rules that refused most of them, and why they are few.
 
-    `rows` are those of `tallies`; `lacking`: (template, layer) -> how many of `sequences` are without it; `aims`:
-    requested questions per template. `why` is a sentence where there are fewer than FEW questions and fewer than
-    requested, or where sequences lack a layer, else None.
+    `rows` are those of `tallies`; `lacking`: (template, layer) -> how many of `sequences` are without it; `selection`:
+    the report of `select`. `why` is a sentence where there are fewer than FEW questions and fewer than requested, where
+    balance leaves fewer than requested, or where sequences lack a layer, else None.
     """
     found = []
+    selected = {row["template"]: row for row in selection}
     for row in rows:
-        name, wanted = row["template"], (aims or {}).get(row["template"])
+        name = row["template"]
+        wanted, shortage = (selected.get(name, {}).get(column) for column in ("aim", "shortage"))
         ranked = sorted((rule for rule in REFUSALS if row[rule]), key=lambda rule: -row[rule])
-        # The rules that refused most, and balance where it refused most of the proven candidates.
+        # The rules that refused most, and balance where it refused most of the proven candidates, or too many.
         most = ranked[:_NAMED] + [
-            rule for rule in ranked[_NAMED:] if rule == "balance" and row[rule] > row["questions"]
+            rule for rule in ranked[_NAMED:] if rule == "balance" and (shortage or row[rule] > row["questions"])
         ]
         shares = [f"{rule} {_percent(row[rule], row['candidates'])}" for rule in most]
         missing = {layer: count for (template, layer), count in sorted(lacking.items()) if template == name}
         skipped = [_without(layer, count, sequences) for layer, count in missing.items()]
         why = [f"skipped, {text}" for text in skipped]
         few = row["questions"] < (FEW if wanted is None else min(FEW, wanted))
-        if few and all(count < sequences for count in missing.values()):
-            why += _why_few(row, most)
+        if (few or shortage) and all(count < sequences for count in missing.values()):
+            why += _why_few(row, most, REASONS | ({"balance": shortage} if shortage else {}))
         known = {column: row[column] for column in ("family", "template", "candidates", "proven", "questions")}
         texts = {"refused_most": ", ".join(shares), "skipped": "; ".join(skipped), "why": "; ".join(why)}
         found.append(known | {column: text or None for column, text in texts.items()})
     return found
 
 
-def _why_few(row: Mapping[str, Any], most: Sequence[str]) -> list[str]:
+def _why_few(row: Mapping[str, Any], most: Sequence[str], reasons: Mapping[str, str]) -> list[str]:
     if not row["candidates"]:
         return [f"no candidate, nowhere is it certain that {forms_of(row['template'])[0].seeks}"]
     numbers = f"{_number(row['questions'], 'question')} of {_number(row['candidates'], 'candidate')}"
-    refused = [f"{rule} refused {_percent(row[rule], row['candidates'])}: {REASONS[rule]}" for rule in most]
+    refused = [f"{rule} refused {_percent(row[rule], row['candidates'])}: {reasons[rule]}" for rule in most]
     return [f"{numbers}, {row['proven']:,} proven", *refused]
 
 

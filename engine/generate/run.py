@@ -184,10 +184,9 @@ def _publish(
     lacking = Counter(
         (name, layer) for result in results for name, layers in result.lacking.items() for layer in layers
     )
-    aims = {row["template"]: row["aim"] for row in selection.report}
     return Generation(
         templates=tuple(rows),
-        shortfalls=tuple(shortfalls(rows, lacking, len(results), aims)),
+        shortfalls=tuple(shortfalls(rows, lacking, len(results), selection.report)),
         selection=selection.report,
         blind=tuple(blind_check(question_texts(public["questions"], public["answers"]), learned)),
         faults=tuple(fault for result in results for fault in result.faults),

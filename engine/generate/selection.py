@@ -77,7 +77,8 @@ def select(table: pa.Table, rules: Rules, profile: str, seed: int) -> Selection:
     choose first, as a person is in `max_per_person_in_all` questions at most. `profile` is a name of PROFILES.
 
     The report has a row for every template: family, template, candidates, aim (its even part of the family's number,
-    None where there is none) and kept (selected).
+    None where there is none), kept (selected) and shortage (why balance keeps it from its aim or, without one, from
+    FEW; else None).
     """
     taken = Taken(rules)
     rows: dict[str, list[int]] = defaultdict(list)
@@ -99,7 +100,7 @@ def select(table: pa.Table, rules: Rules, profile: str, seed: int) -> Selection:
         _choose([forms[name] for name in names], [aims.get(name) for name in names])
     report = tuple(
         {"family": family, "template": name, "candidates": sum(form.candidates for form in forms[name])}
-        | {"aim": aims.get(name), "kept": _kept(forms[name])}
+        | {"aim": aims.get(name), "kept": _kept(forms[name]), "shortage": _shortage(forms[name], aims.get(name, FEW))}
         for family, names in families.items()
         for name in sorted(names)
     )
@@ -122,6 +123,10 @@ def _with_choices(table: pa.Table, options: Sequence[Option]) -> pa.Table:
 
 def _kept(forms: Iterable[Form]) -> int:
     return sum(len(form.chosen) for form in forms)
+
+
+def _shortage(forms: Sequence[Form], enough: int) -> str | None:
+    return "; ".join(filter(None, (form.shortage() for form in forms if _kept(forms) < enough))) or None
 
 
 def _choose(templates: Sequence[Sequence[Form]], aims: Sequence[int | None]) -> None:

@@ -24,8 +24,9 @@ def asked(**counts):
     return pa.Table.from_pylist(rows, schema=QUESTIONS["questions"])
 
 
-def told(counts, questions, lacking=None, sequences=3, aims=None):
-    rows = shortfalls(tallies(rejected(counts), questions), lacking or {}, sequences, aims)
+def told(counts, questions, lacking=None, sequences=3, **selected):
+    selection = [{"template": "two_hop", "aim": None, "shortage": None} | selected]
+    rows = shortfalls(tallies(rejected(counts), questions), lacking or {}, sequences, selection)
     assert [row["template"] for row in rows] == list(FAMILIES)
     return {row["template"]: row for row in rows}
 
@@ -68,8 +69,14 @@ def test_shares_too_small_for_a_percent_are_not_called_none():
 def test_enough_questions_or_as_many_as_were_asked_for_need_no_reason():
     assert told(COUNTS, asked(two_hop=30))["two_hop"]["why"] is None
     assert told(COUNTS, asked(two_hop=29))["two_hop"]["why"] is not None
-    assert told(COUNTS, asked(two_hop=10), aims={"two_hop": 10})["two_hop"]["why"] is None
-    assert told(COUNTS, asked(two_hop=9), aims={"two_hop": 10})["two_hop"]["why"] is not None
+    assert told(COUNTS, asked(two_hop=10), aim=10)["two_hop"]["why"] is None
+    assert told(COUNTS, asked(two_hop=9), aim=10)["two_hop"]["why"] is not None
+
+
+def test_the_answers_that_are_left_explain_what_balance_refused():
+    row = told(COUNTS, asked(two_hop=40), aim=50, shortage="only sitting is left")["two_hop"]
+    assert row["why"].startswith("40 questions of 235 candidates, 45 proven; evidence refused 43 %")
+    assert row["why"].endswith("; balance refused 2 %: only sitting is left")
 
 
 def test_no_candidate_says_what_the_scenes_do_not_hold():

@@ -251,6 +251,17 @@ def test_two_answers_only_cannot_be_balanced():
     assert reported(selection)["change"] == (100, None, 0)
 
 
+def test_a_template_short_of_its_aim_says_which_answers_are_left():
+    near = {"track": 7, "read": (0,)}
+    rows = choices({"w": 11, "x": 10, "y": 7}) + [candidate(f"near {i}", "change", "x", **near) for i in range(2)]
+    (row,) = (row for row in select(table(rows), RULES, "paper", 0).report if row["template"] == "change")
+    # Of two near-duplicates only one is left.
+    left = "29 candidates are left (w 11, x 11, y 7), which allow 21 questions with at most 34 % for one answer"
+    assert (row["candidates"], row["aim"], row["kept"], row["shortage"]) == (30, 540, 21, left)
+    level = select(table(choices({"w": 9, "x": 9, "y": 9})), RULES, "paper", 0).report
+    assert {row["shortage"] for row in level} == {None}
+
+
 def reported(selection):
     return {row["template"]: (row["candidates"], row["aim"], row["kept"]) for row in selection.report}
 
