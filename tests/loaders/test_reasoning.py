@@ -196,42 +196,42 @@ def test_handling_becomes_intervals_with_gaps_and_doubts(tmp_path):
         if 4 <= frame <= 6:
             return []
         code = "3" if frame >= 15 else "1"
-        return [((12, 40), {"holding": code}), ((12, 40), {"holding": "3"}), ((12, 57), {"using": "2"})]
+        return [((12, 40), {"touching": code}), ((12, 40), {"touching": "3"}), ((12, 57), {"opening": "2"})]
 
     told = {f: [member(1, placed(1), handles=entries(f))] for f in range(20)}
     store, _ = loaded(tmp_path, boxes=people(range(20), 1), reasoning=told)
     assert spans(store, "handles") == [
-        (1, 12, 40, "holding", 0, 3, True, False),
-        (1, 12, 40, "holding", 4, 6, False, True),
-        (1, 12, 40, "holding", 7, 14, True, False),
-        (1, 12, 40, "holding", 15, 19, False, False),
-        (1, 12, 57, "using", 0, 3, True, False),
-        (1, 12, 57, "using", 4, 6, False, True),
-        (1, 12, 57, "using", 7, 19, True, False),
+        (1, 12, 40, "touching", 0, 3, True, False),
+        (1, 12, 40, "touching", 4, 6, False, True),
+        (1, 12, 40, "touching", 7, 14, True, False),
+        (1, 12, 40, "touching", 15, 19, False, False),
+        (1, 12, 57, "opening", 0, 3, True, False),
+        (1, 12, 57, "opening", 4, 6, False, True),
+        (1, 12, 57, "opening", 7, 19, True, False),
     ]
 
 
 def test_people_are_no_things_and_the_absent_handle_nothing(tmp_path):
     told = {
-        0: [member(t, placed(t), handles=[((5, 63), {"holding": "1"}), ((5, 40), {"holding": "1"})]) for t in (1, 2)]
+        0: [member(t, placed(t), handles=[((5, 63), {"touching": "1"}), ((5, 40), {"touching": "1"})]) for t in (1, 2)]
     }
     store, _ = loaded(tmp_path, boxes=people([0], 1), reasoning=told, panoptic={0: [thing(5, 40), thing(5, 63)]})
     # Category 63 is the pedestrian; person 2 has no box.
-    assert spans(store, "handles") == [(1, 5, 40, "holding", 0, 0, True, False)]
+    assert spans(store, "handles") == [(1, 5, 40, "touching", 0, 0, True, False)]
 
 
 def test_the_social_file_goes_first(tmp_path):
     social = {0: [member(1, placed(1), {"gender": {"Male": "1"}}, [(2, {"hugging": "1"})])]}
     reasoning = {
         0: [
-            member(1, placed(1), {"gender": {"female": "1"}}, [], None, [((5, 40), {"holding": "1"})], alias="HHI"),
+            member(1, placed(1), {"gender": {"female": "1"}}, [], None, [((5, 40), {"touching": "1"})], alias="HHI"),
             member(2, placed(2)),
         ]
     }
     store, report = loaded(tmp_path, boxes=people([0], 1, 2), social=social, reasoning=reasoning)
     assert store.interval("persons", NAME)["gender"].to_pylist() == ["male", None]
     assert [row[:3] for row in spans(store, "interactions")] == [(1, 2, "hugging"), (2, 1, "hugging")]
-    assert [row[:4] for row in spans(store, "handles")] == [(1, 5, 40, "holding")]
+    assert [row[:4] for row in spans(store, "handles")] == [(1, 5, 40, "touching")]
     sightings = store.interval("sightings", NAME)
     # Person 2 has no list in the social file, whatever the other file leaves out.
     assert sightings["interactions_listed"].to_pylist() == [True, False]
