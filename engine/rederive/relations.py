@@ -47,9 +47,9 @@ class SocialFacts(ActionFacts):
                 _add_label(self._together[*pair, label], frame, difficulty)
                 for other in also_said(label):
                     _add_label(self._together[*pair, other], frame, None)
-            elif self.box(partner, frame) is None:
+            else:
                 # With somebody unseen, so that nothing is known of whom else it could be said.
-                self._listed.discard(("interactions", frame, track))
+                self._listed -= {("interactions", frame, one) for one in (track, partner)}
         names = dict(rows(tables["categories"], "category_id", "category"))
         self._handled: dict[int, dict[tuple[str, int, int], _Labels]] = defaultdict(lambda: defaultdict(dict))
         things = rows(tables["handles"], "frame", "track", "object", "category_id", "verb", "difficulty")

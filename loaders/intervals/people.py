@@ -204,13 +204,14 @@ def read_located(table: pa.Table) -> Located:
 
 
 def _listed_keys(table: pa.Table, interactions: pa.Table, boxed: Ints) -> dict[str, Ints]:
-    """Interactions with somebody without a box are facts that no table holds: such a list tells only what it names."""
+    """Interactions with somebody without a box are facts that no table holds, so that no list tells all of either."""
     keys = paired(*_person_columns(table))
     layers = ("interactions", "handles")
     listed = {layer: np.sort(keys[pc.equal(table["layer"], layer).to_numpy()]) for layer in layers}
     frame = whole_numbers(interactions, "frame")
-    alone = rows_of(boxed, paired(frame, whole_numbers(interactions, "partner"))) < 0
-    listed["interactions"] = np.setdiff1d(listed["interactions"], paired(*_person_columns(interactions))[alone])
+    pair = np.stack([paired(frame, whole_numbers(interactions, name)) for name in ("track", "partner")])
+    unseen = (rows_of(boxed, pair.ravel()).reshape(pair.shape) < 0).any(axis=0)
+    listed["interactions"] = np.setdiff1d(listed["interactions"], pair[:, unseen])
     return listed
 
 

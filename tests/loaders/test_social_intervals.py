@@ -87,6 +87,13 @@ def test_whose_lists_were_read_stands_with_the_sightings(tmp_path):
     assert spans(store)[0] == (1, 2, "hugging", 0, 0, True, False)
 
 
+@pytest.mark.parametrize("said", [([(3, {"hugging": "1"})], [], None), ([], [], [(1, {"hugging": "1"})])])
+def test_whoever_is_with_somebody_without_a_box_may_be_with_others(tmp_path, said):
+    """Person 3 has no box; person 1 names it, or it names person 1."""
+    store, _ = loaded(tmp_path, {0: scene(*said)}, {0: [person(t, placed(t)) for t in (1, 2)]})
+    assert store.interval("sightings", NAME)["interactions_listed"].to_pylist() == [False, True]
+
+
 def test_case_37_a_vote_that_differs_makes_the_attribute_unknown(tmp_path):
     said = {
         1: ["Male"] * 3 + ["Female"] * 2,

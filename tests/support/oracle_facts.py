@@ -74,10 +74,11 @@ class Oracle:
         self.group_frames = self._known("groups")
         self.poses = {(row["frame"], row["track"]): row["keypoints"] for row in found.rows("poses")}
         self.listed = {(row["layer"], row["frame"], row["track"]) for row in found.rows("listed")}
-        # Who is named without a box stands in no table, so that such a list leaves something out.
+        # What somebody does with a person without a box stands in no table: other people's words may leave it out too.
         for row in found.rows("interactions"):
-            if (row["frame"], row["partner"]) not in self.people:
-                self.listed.discard(("interactions", row["frame"], row["track"]))
+            for one, other in (("track", "partner"), ("partner", "track")):
+                if (row["frame"], row[one]) not in self.people:
+                    self.listed.discard(("interactions", row["frame"], row[other]))
         self.stamps = {row["frame"]: row["timestamp"] for row in found.rows("timestamps") if row["sensor"] == "images"}
         self._times = {}
         self.keyframes = self._keyframes()
