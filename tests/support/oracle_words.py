@@ -29,8 +29,9 @@ scootering: standing
 skating: standing
 looking at robot: looking at sth
 looking into sth: looking at sth
-reading: looking at sth, holding sth
+reading: looking at sth, looking into sth, holding sth
 eating sth: holding sth
+pushing: holding sth
 talking on the phone: holding sth, talking to someone
 walking together: moving together
 cycling together: moving together

@@ -45,7 +45,8 @@ WIDER = {
     "standing": {"bending", "scootering", "skating"},
     "sitting": {"cycling", "bending"},
     "looking at something": {"looking at robot", "looking into sth", "reading"},
-    "holding something": {"eating sth", "talking on the phone", "reading"},
+    "looking into something": {"reading"},
+    "holding something": {"eating sth", "talking on the phone", "reading", "pushing"},
     "talking to someone": {"talking on the phone"},
 }
 """Labels that a reader may call by a phrase too, beside the phrase's own."""
