@@ -131,7 +131,8 @@ class People:
 def with_sayable(table: pa.Table, column: str) -> pa.Table:
     """An annotation table of labels, with a doubtful row of every other label whose words may be said as well."""
     tables = [table]
-    for label, other in ALSO:
+    there = set(pc.unique(table[column]).to_pylist())
+    for label, other in ((label, other) for label, other in ALSO if label in there):
         rows = table.filter(pc.equal(table[column], label))
         for name, value in ((column, other), ("difficulty", _SAYABLE)):
             field = rows.schema.field(name)

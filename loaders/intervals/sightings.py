@@ -125,6 +125,17 @@ def _away(line: Timeline, boxes: Boxes, groups: Facts) -> Ints:
     """Keys of (frame, cluster) of which a member has no box in the frame, but has one within a second."""
     annotated, grid = line.frames_of("2d"), line.grid("groups")
     found = [np.empty(0, np.int64)]
+    # Most people are there all the time: they are left out first.
+    around = np.maximum(groups.frame - KEYFRAME_STEP, 0), groups.frame + KEYFRAME_STEP
+    by_person = np.sort(paired(boxes.track, boxes.frame))
+    seen, frames = (
+        np.searchsorted(known, high, "right") - np.searchsorted(known, low, "left")
+        for known, low, high in (
+            (by_person, *(paired(groups.track, frame) for frame in around)),
+            (annotated, *around),
+        )
+    )
+    groups = groups.at(seen < frames)
     for away in range(-KEYFRAME_STEP, KEYFRAME_STEP + 1, grid.step) if grid else ():
         frame = groups.frame + away
         gone = np.isin(frame, annotated) & (boxes.rows(frame, groups.track) < 0)
