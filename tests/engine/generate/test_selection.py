@@ -1,6 +1,7 @@
 """Selection against plain Python: greedy pair by pair, counted answers, any order of the rows."""
 
 import hashlib
+import itertools
 import random
 from collections import Counter
 from itertools import pairwise, product
@@ -160,6 +161,55 @@ def test_what_no_selection_can_use_is_dropped_by_person_and_template():
         (template, track): 12 for template in ("change", "start") for track in (0, 1)
     }
     assert dropped == {"max_per_person": 32}
+
+
+CROWD = st.lists(
+    st.tuples(
+        st.sampled_from(["start", "span", "change", "presence"]),
+        st.integers(0, 2),
+        st.integers(0, 300),
+        st.sampled_from("wxyz"),
+        st.sampled_from(["start 1", "start 2"]),
+    ),
+    max_size=150,
+)
+
+
+@given(CROWD, st.integers(1, 4), st.integers(1, 6), st.sampled_from(["all", "paper"]))
+@settings(deadline=None)
+def test_no_person_has_too_many_questions_nor_two_that_are_alike(drawn, cap, cap_in_all, profile):
+    rules = Rules(max_per_person=cap, max_per_person_in_all=cap_in_all)
+    rows = []
+    for i, (template, track, read, answer, event) in enumerate(drawn):
+        timed = template in ("start", "span")
+        text = {"start": f'{{"frame":{read}}}', "span": f'{{"start_frame":{read},"end_frame":{read + 60}}}'}
+        more = {"event": event} if timed else {}
+        frames = (read, read + 90) if template in ("span", "presence") else (read,)
+        rows.append(candidate(i, template, text.get(template, answer), track=track, read=frames, **more))
+    kept = select(table(rows), rules, profile, 0).table.to_pylist()
+    people = Counter(row["target_track"] for row in kept)
+    assert max(people.values(), default=0) <= cap_in_all
+    assert max(Counter((row["target_track"], row["template"]) for row in kept).values(), default=0) <= cap
+    events = [(row["target_track"], row["event"]) for row in kept if row["event"]]
+    assert len(events) == len(set(events))
+    for one, other in itertools.combinations(kept, 2):
+        if (one["target_track"], one["template"]) == (other["target_track"], other["template"]):
+            apart = [abs(x - y) for x, y in zip(one["read_frames"], other["read_frames"], strict=True)]
+            assert max(apart) > (75 if one["template"] == "presence" else 30)
+
+
+def test_questions_that_are_near_at_one_time_only_are_both_chosen():
+    reads = {"neither time": (100, 300), "both times": (100, 600), "only at the first time": (400, 600)}
+    rows = [candidate(answer, "presence", answer, track=1, read=read) for answer, read in reads.items()]
+    assert select(table(rows), RULES, "all", 0).table.num_rows == 3
+
+
+def test_a_start_and_a_span_of_one_segment_are_not_both_chosen():
+    texts = {"start": '{"frame":100}', "span": '{"start_frame":100,"end_frame":160}'}
+    rows = [candidate(name, name, text, track=1, event="start 7") for name, text in texts.items()]
+    assert select(table(rows), RULES, "all", 0).table.num_rows == 1
+    rows[0]["event"] = "start 8"
+    assert select(table(rows), RULES, "all", 0).table.num_rows == 2
 
 
 def test_no_rows():
