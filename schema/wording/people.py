@@ -50,8 +50,11 @@ _SECTORS: Final = {
 _DISTANCES: Final = {word: phrase.replace("{x}", "{robot}") for word, phrase in FAR_AWAY.items()}
 
 _NUMBERS: Final = ("two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
-_ALONE: Final = "not in any group"
+# Sizes count who has a box in that frame: a member who is out of sight does not make the words wrong.
+_SEEN: Final = " in the picture"
+_ALONE: Final = "in no group" + _SEEN
 _GROUP: Final = "in a group of "
+_SIZE: Final = re.compile(rf"{_GROUP}({'|'.join(_NUMBERS)}|[1-9][0-9]{{0,5}}){_SEEN}")
 
 
 def in_order(conditions: Sequence[Condition]) -> tuple[Condition, ...]:
@@ -102,7 +105,7 @@ def _group(size: str | int) -> str:
         raise PlanError("conditions", f"{size!r} is no size of a group")
     if size == 1:
         return _ALONE
-    return _GROUP + (_NUMBERS[size - 2] if size - 2 < len(_NUMBERS) else str(size))
+    return _GROUP + (_NUMBERS[size - 2] if size - 2 < len(_NUMBERS) else str(size)) + _SEEN
 
 
 def _place(sector: str | None, distance: str | None) -> str:
@@ -163,9 +166,7 @@ def _read_state(phrase: str, at: str) -> Condition:
         return Condition(object=thing, verb=verb, at=at)
     if phrase == _ALONE:
         return Condition(attribute="group_size", value=1, at=at)
-    size = phrase.removeprefix(_GROUP)
-    if size in _NUMBERS:
-        return Condition(attribute="group_size", value=_NUMBERS.index(size) + 2, at=at)
-    if phrase.startswith(_GROUP) and re.fullmatch("[1-9][0-9]{0,5}", size):
-        return Condition(attribute="group_size", value=int(size), at=at)
+    if found := _SIZE.fullmatch(phrase):
+        size = _NUMBERS.index(found[1]) + 2 if found[1] in _NUMBERS else int(found[1])
+        return Condition(attribute="group_size", value=size, at=at)
     raise PlanError("question", f"{phrase[:80]!r} is nothing a person is in a question")

@@ -422,12 +422,12 @@ DESCRIPTIONS = {
         {"action": "sitting"},
         {"attribute": "distance", "value": "far"},
     ],
-    "the only person to the robot's left and close to it (0.5 to 1.5 m) who is in a group of three": [
+    "the only person to the robot's left and close to it (0.5 to 1.5 m) who is in a group of three in the picture": [
         {"attribute": "group_size", "value": 3},
         {"attribute": "sector", "value": "left"},
         {"attribute": "distance", "value": "close"},
     ],
-    "the only person behind the robot who is walking, holding something and not in any group": [
+    "the only person behind the robot who is walking, holding something and in no group in the picture": [
         {"action": "walking"},
         {"action": "holding sth"},
         {"attribute": "group_size", "value": 1},

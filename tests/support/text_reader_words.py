@@ -82,7 +82,7 @@ def bounds(found: tuple[str | None, ...]) -> tuple[float, float]:
 
 
 def described(text: str) -> tuple[Condition, ...]:
-    """Conditions of "teenager ahead of the robot who is sitting and in a group of two"."""
+    """Conditions of "teenager ahead of the robot who is sitting and in a group of two in the picture"."""
     noun = max((noun for noun in NOUNS if re.match(noun + r"\b", text)), key=len, default="")
     if not noun:
         raise UnreadableError(text)
@@ -113,10 +113,10 @@ PHRASES: list[tuple[str, Callable[[re.Match], Condition]]] = [
         lambda found: Condition("at_metres", bounds(found.groups()), "metres"),
     ),
     (
-        r"in a group of (\w+)",
+        r"in a group of (\w+) in the picture",
         lambda found: Condition("group_size", (SIZES.get(found[1]) or int(found[1]),), "in a group of N"),
     ),
-    (r"(not in any group)", lambda found: Condition("group_size", (1,), "not in any group")),
+    (r"in no group in the picture", lambda found: Condition("group_size", (1,), "in no group")),
     (
         rf"({'|'.join(PARTNERS)}) someone(?: who comes the other way)?",
         lambda found: Condition("with_someone", (PARTNERS[found[1]],), found[1] + " someone"),

@@ -236,7 +236,7 @@ SECOND_OPINIONS = {
         {"social": [told(1, partner=2), told(2), told(3, partner=9)]},
     ),
     "group=around": (
-        described("person who is not in any group", "3.0 s (frame 45)"),
+        described("person who is in no group in the picture", "3.0 s (frame 45)"),
         [person(2, 250, "sitting", group=7), person(3, 270, "sitting", group=7)],
         {"later": [ALICE, person(4, 150, "sitting", group=1)]},
     ),
