@@ -36,7 +36,7 @@ from jrdb_avr.queries.named import find_query
 from jrdb_avr.queries.sql import query_tables
 from jrdb_avr.schema.errors import InputError, LockedError, QueryError, StoreError
 from jrdb_avr.schema.rules import LoadRules
-from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, QUESTIONS, RUNS
+from jrdb_avr.schema.tables import ANNOTATIONS, GENERATION_KEY, INTERVALS, QUESTIONS, RUNS
 
 MANIFEST_VERSION: Final = 1
 ROW_GROUP: Final = 1 << 18
@@ -178,6 +178,16 @@ class Store(Displayed):
             self.manifest()  # A folder that is no store lacks more than questions.
             raise StoreError(f"{self.path} has no questions yet: run 'jrdb-avr generate --store {self.path}'")
         return read_table(path, columns)
+
+    def question_tables(self, *names: str) -> list[pa.Table]:
+        """Question files of one generation. Raises StoreError as `questions` does, and where they are of several."""
+        tables = [self.questions(name) for name in names]
+        if len({(table.schema.metadata or {}).get(GENERATION_KEY.encode()) for table in tables}) > 1:
+            raise StoreError(
+                f"{self.path / 'questions'}: {', '.join(names)} are of different generations: "
+                f"run 'jrdb-avr generate --store {self.path}'"
+            )
+        return tables
 
     # -- the manifest -----------------------------------------------------------------------------------------
 

@@ -104,8 +104,9 @@ def choose_questions(store: Store, ids: Sequence[str], sample: int | None, seed:
 
 def inspect_questions(store: Store, ids: Sequence[str]) -> list[Inspected]:
     """Collect what the page displays of each question. Raises StoreError where a table is missing."""
-    questions, answers = (_by_id(store.questions(name), ids) for name in ("questions", "answers"))
-    sequences = {row["sequence"]: row for row in store.questions("sequences").to_pylist()}
+    *tables, infos = store.question_tables("questions", "answers", "sequences")
+    questions, answers = (_by_id(table, ids) for table in tables)
+    sequences = {row["sequence"]: row for row in infos.to_pylist()}
     # One sequence at a time: consecutive questions mostly share one, and its tables may be large.
     read: _Sequence | None = None
     found = []

@@ -23,7 +23,7 @@ from jrdb_avr.schema.answers import ANSWER_TYPES, TIE, Answer, decode_answer, sa
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.errors import DecodeError, InputError, StoreError
 from jrdb_avr.schema.panorama import WIDTH
-from jrdb_avr.schema.tables import GENERATION_KEY, QUESTIONS, RUNS
+from jrdb_avr.schema.tables import QUESTIONS, RUNS
 
 DEFAULT_IOU: Final = 0.5
 MOST_FRAMES: Final = 1 << 24
@@ -50,14 +50,9 @@ def read_truth(store: Store) -> Truth:
 
     Raises StoreError where a table is missing or unfit, or of another generation than the others.
     """
-    tables = {name: store.questions(name) for name in ("questions", "sequences", "answers", "evidence")}
-    if len({(table.schema.metadata or {}).get(GENERATION_KEY.encode()) for table in tables.values()}) > 1:
-        raise StoreError(
-            f"{store.question_path('questions').parent}: questions, answers and evidence are of different generations: "
-            f"run 'jrdb-avr generate --store {store.path}'"
-        )
-    fitted = (_fitted(table, QUESTIONS[name], store.question_path(name), "generate") for name, table in tables.items())
-    return make_truth(*fitted)
+    names = ("questions", "sequences", "answers", "evidence")
+    tables = zip(names, store.question_tables(*names), strict=True)
+    return make_truth(*(_fitted(own, QUESTIONS[name], store.question_path(name), "generate") for name, own in tables))
 
 
 def make_truth(questions: pa.Table, sequences: pa.Table, answers: pa.Table, evidence: pa.Table) -> Truth:

@@ -86,11 +86,12 @@ def read_trace(store: Store, run_id: str, question_id: str) -> Trace:
     predictions = _own(read_table(path / "predictions.parquet"), question_id)
     if not predictions.num_rows:
         raise InputError(f"run {run_id} does not have question {question_id[:40]!r}", field="question_id")
-    own = {name: _own(store.questions(name), question_id) for name in ("questions", "answers", "evidence")}
+    names = ("questions", "answers", "evidence")
+    *tables, sequences = store.question_tables(*names, "sequences")
+    own = {name: _own(table, question_id) for name, table in zip(names, tables, strict=True)}
     if not own["questions"].num_rows:
         raise InputError(f"no question {question_id[:40]!r} in {store.path}", field="question_id")
     question = own["questions"].to_pylist()[0]
-    sequences = store.questions("sequences")
     truth = make_truth(own["questions"], sequences, own["answers"], own["evidence"])
     scores = score_predictions(truth, run_id, [question_id], predictions).to_pylist()[0]
     fps = {row["sequence"]: row["fps"] for row in sequences.to_pylist()}

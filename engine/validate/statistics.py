@@ -67,7 +67,7 @@ class MeasuredQuestion(NamedTuple):
 
 def statistics(store: Store, learned: Guesser | None = None) -> dict[str, list[_Row]]:
     """Rows of every table in TITLES; `learned` joins the blind check. Raises StoreError without questions."""
-    questions, answers, rejected = (store.questions(name) for name in ("questions", "answers", "rejected"))
+    questions, answers, rejected = store.question_tables("questions", "answers", "rejected")
     rows = zip(*(table.sort_by("question_id").to_pylist() for table in (questions, answers)), strict=True)
     measured = [
         _measured(QuestionRecord.read(*row), text)

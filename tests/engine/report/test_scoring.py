@@ -672,3 +672,22 @@ def test_questions_of_another_form_are_one_line(tmp_path, name):
     pq.write_table(row, store.question_path(name))
     with pytest.raises(StoreError, match="of another form"):
         scoring.read_truth(store)
+
+
+def test_answers_of_another_generation_are_refused_by_every_reader(tmp_path):
+    from jrdb_avr.engine.pages.inspect import inspect_questions
+    from jrdb_avr.engine.report.traces import read_trace
+    from jrdb_avr.engine.validate.statistics import statistics
+    from jrdb_avr.queries.runs import questions_hash, write_run_manifest
+    from jrdb_avr.queries.store import Store
+
+    store = Store(tmp_path)
+    for table in ("questions", "sequences", "answers", "evidence", "rejected"):
+        generation = "second" if table == "answers" else "first"
+        store.write_questions(table, QUESTIONS[table].empty_table(), {"generation": generation})
+    write_run_manifest(store, RunManifest("r", "m", "x", questions_hash(store), (), True, {}, "now"))
+    store.write_run("r", "predictions", predictions_of([prediction("q")]))
+    readers = (lambda: statistics(store), lambda: inspect_questions(store, []), lambda: read_trace(store, "r", "q"))
+    for read in readers:
+        with pytest.raises(StoreError, match=r"answers.* of different generations: run 'jrdb-avr generate"):
+            read()
