@@ -134,7 +134,7 @@ def rules_hash(rules: Rules | LoadRules) -> str:
 def override(rules: Rules, changes: Mapping[str, str]) -> Rules:
     """Rules with `name=value` overrides applied; names of load rules are written `load.name`.
 
-    Raises InputError for an unknown name or a value of the wrong type.
+    A value is JSON; a word needs no quotes. Raises InputError for an unknown name or a value of the wrong type.
     """
     plain: dict[str, Any] = msgspec.to_builtins(rules)
     for name, text in changes.items():
@@ -144,8 +144,11 @@ def override(rules: Rules, changes: Mapping[str, str]) -> Rules:
             raise InputError(f"there is no rule {name!r}; see Rules in jrdb_avr.schema.rules", field=name)
         try:
             target[key] = msgspec.json.decode(text.encode())
-        except (msgspec.DecodeError, UnicodeError):
-            raise InputError(f"rule {name}: {text!r} is not a JSON value", field=name) from None
+        except UnicodeError:
+            raise InputError(f"rule {name}: {text!r} is not Unicode", field=name) from None
+        except msgspec.DecodeError:
+            # A word needs no quotes; one in the place of a number fails by its type below.
+            target[key] = text
     try:
         return msgspec.convert(plain, Rules)
     except msgspec.ValidationError as error:

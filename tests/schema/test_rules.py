@@ -42,6 +42,13 @@ def test_load_rules_are_overridden_by_their_path():
     assert override(Rules(), {}) == Rules()
 
 
+def test_a_word_needs_no_quotes():
+    assert override(Rules(), {"time_shift": "both"}) == override(Rules(), {"time_shift": '"both"'})
+    for name, value in (("time_shift", "neither"), ("max_per_person", "many"), ("time_shift", "\udcff")):
+        with pytest.raises(InputError, match=name):
+            override(Rules(), {name: value})
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
