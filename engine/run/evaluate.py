@@ -42,7 +42,7 @@ from jrdb_avr.engine.run.methods import (
     make_method,
     open_world,
 )
-from jrdb_avr.engine.run.opaque import opaque_names
+from jrdb_avr.engine.run.opaque import key_fingerprint, opaque_names
 from jrdb_avr.engine.run.resume import check_manifest, has_manifest, run_questions
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.questions import read_sequences
@@ -155,7 +155,7 @@ def evaluate(
                 "method": runner.settings(),
                 **({} if endpoint is None else endpoint.settings),
                 **({"marker": noise} if noise else {}),
-                **({"opaque": True} if opaque else {}),
+                **({"opaque": key_fingerprint(store)} if opaque else {}),
             },
             created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         )

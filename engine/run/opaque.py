@@ -31,6 +31,12 @@ def opaque_names(store: Store, sequences: Iterable[str]) -> dict[str, str]:
     return {name: "sequence-" + hmac.digest(key, name.encode(), "sha256").hex()[:16] for name in sequences}
 
 
+def key_fingerprint(store: Store) -> str:
+    """A text that changes with the key and does not reveal it. Raises StoreError as `opaque_names` does."""
+    # No sequence has an empty name.
+    return opaque_names(store, [""])[""].removeprefix("sequence-")
+
+
 def _key(path: Path) -> bytes:
     """The key, made where there is none yet; nobody but the owner may read it."""
     try:

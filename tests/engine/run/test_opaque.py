@@ -72,6 +72,14 @@ def test_a_run_stays_opaque_or_not(store):
         evaluate(store, Notes(), run_id="one", resume=True)
 
 
+def test_a_run_is_not_resumed_under_another_key(store):
+    evaluate(store, Notes(), opaque=True, limit=1, run_id="one")
+    evaluate(store, Notes(), opaque=True, run_id="one", resume=True)
+    key_path(store).unlink()
+    with pytest.raises(StoreError, match="another opaque"):
+        evaluate(store, Notes(), opaque=True, run_id="one", resume=True)
+
+
 def test_a_broken_picture_does_not_tell_the_folder(store, tmp_path):
     (tmp_path / "images" / SEQUENCE).mkdir(parents=True)
     for frame in FRAMES:
