@@ -95,11 +95,11 @@ def stats_svg(tables: Tables) -> str:
 
 def _marked(tables: Tables) -> Rows:
     """The rows of sequences, with an asterisk where boxes have no occlusion attributes."""
-    return [{**row, "sequence": row["sequence"] + " *" * (not row["occlusion"])} for row in tables["sequence"]]
+    return [{**row, "sequence": row["sequence"] + " *" * (row["occlusion"] is False)} for row in tables["sequence"]]
 
 
 def _without_occlusion(tables: Tables) -> str:
-    some = any(not row["occlusion"] for row in tables["sequence"])
+    some = any(row["occlusion"] is False for row in tables["sequence"])
     return "questions; *: no occlusion attributes, every box counts as a clear view" if some else "questions"
 
 

@@ -15,6 +15,7 @@ from jrdb_avr.engine.generate.selection import PROFILES
 from jrdb_avr.engine.generate.views import min_crops
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice
+from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.panorama import angle_error, center_angle
 from jrdb_avr.schema.questions import QuestionRecord
 from jrdb_avr.schema.tables import LAYERS
@@ -76,7 +77,7 @@ def statistics(store: Store, learned: Guesser | None = None) -> dict[str, list[_
     layers = {name: entry.layers for name, entry in store.manifest().sequences.items()}
     lacking, refused = _lacking(layers), tallies(rejected, questions)
     counts = {(row["template"], row["layer"]): row["sequences_without"] for row in lacking}
-    unclear = store.without_occlusion()
+    unclear = _without_occlusion(store)
     records, total = [one.record for one in measured], max(1, len(measured))
     families, sequences = (Counter(getattr(record, name) for record in records) for name in ("family", "sequence"))
     people = Counter(sequence for sequence, _ in {(record.sequence, record.target_track) for record in records})
@@ -97,7 +98,7 @@ def statistics(store: Store, learned: Guesser | None = None) -> dict[str, list[_
                 "n": sequences[name],
                 "share": sequences[name] / total,
                 "people": people[name],
-                "occlusion": name not in unclear,
+                "occlusion": None if unclear is None else name not in unclear,
             }
             for name in sorted(layers)
         ],
@@ -119,6 +120,15 @@ def statistics(store: Store, learned: Guesser | None = None) -> dict[str, list[_
             {"family": FAMILIES[row["template"]], **row} for row in blind_check([one.text for one in measured], learned)
         ],
     }
+
+
+def _without_occlusion(store: Store) -> list[str] | None:
+    """The sequences without occlusion attributes; None where the intervals that tell are gone: questions do not need
+    them."""
+    try:
+        return store.without_occlusion()
+    except StoreError:
+        return None
 
 
 def _measured(record: QuestionRecord, text: QuestionText) -> MeasuredQuestion:

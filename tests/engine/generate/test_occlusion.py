@@ -1,5 +1,6 @@
 """Sequences without occlusion attributes: said at load and generation, listed in statistics, skipped on demand."""
 
+import shutil
 import warnings
 
 import pytest
@@ -63,6 +64,12 @@ def test_the_statistics_name_them(store):
     assert {row["sequence"]: row["occlusion"] for row in tables["sequence"]} == {SEEN: True, UNSEEN: False}
     picture = stats_svg(tables)
     assert f"{UNSEEN} *" in picture and f"{SEEN} *" not in picture and "no occlusion attributes" in picture
+    shutil.rmtree(store.path / "intervals")
+    tables = statistics(store)
+    assert [row["occlusion"] for row in tables["sequence"]] == [None, None]
+    assert "no occlusion attributes" not in stats_svg(tables)
+    result = CliRunner().invoke(group, ["stats", "--store", str(store.path)])
+    assert result.exit_code == 0, result.output
 
 
 def test_a_store_without_any_is_refused_on_demand(tmp_path):
