@@ -253,8 +253,6 @@ class Form:
         # Processors sum a product in different orders, so that what is equal may not look so: hence the rounding.
         ranks = np.lexsort((-variety, excess, likely.round(9)[sets], self.blocks[options], telling))
         for place in ranks.tolist():
-            if telling[place] and self.limit.strict and not self.loose:
-                return False
             option = int(options[place])
             self.open[option] = False
             if self.taken.admits(self.options[option].subject):

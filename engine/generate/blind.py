@@ -1,11 +1,12 @@
 """How well the questions can be answered without looking.
 
-A question that its own text answers is a defect. Five guessers that see no image are scored on each template, as
-predictions are: a uniform choice; the most frequent answer; the best constant; the best constant offset from a stated
-time; and a text-only guesser, which for a question of one sequence gives the commonest answer, in all other sequences,
-of questions whose text is alike (action words, choices, waits between stated times in doubling bins). Constants are
-chosen with hindsight, so the printed share is the most that such a guesser can score. For spans and viewpoints the
-constants tried are the template's own answers. A sixth guesser that learns from all words may join (`learned`).
+A question that its own text answers is a defect. Six guessers that see no image are scored on each template, as
+predictions are: a uniform choice; the most frequent answer; the choice that is true most often where it is offered, by
+other sequences; the best constant; the best constant offset from a stated time; and a text-only guesser, which for a
+question of one sequence gives the commonest answer, in all other sequences, of questions whose text is alike (action
+words, choices, waits between stated times in doubling bins). Constants are chosen with hindsight, so the printed share
+is the most that such a guesser can score. For spans and viewpoints the constants tried are the template's own answers.
+A seventh guesser that learns from all words may join (`learned`).
 
 Forms of a template are checked apart: a guesser tells them apart by their text.
 """
@@ -115,10 +116,11 @@ def blind_check(questions: Sequence[QuestionText], learned: Guesser | None = Non
 
 def _check(group: list[QuestionText], learned: Guesser | None) -> dict[str, Any]:
     mode, n = group[0].mode, len(group)
-    scores: dict[str, float | None] = dict.fromkeys(("uniform", "most_frequent", "constant", "offset"))
+    scores: dict[str, float | None] = dict.fromkeys(("uniform", "most_frequent", "by_choice", "constant", "offset"))
     if mode == "multiple_choice":
         scores["uniform"] = sum(1 / len(q.choices) for q in group) / n
         scores["most_frequent"] = max(Counter(question.chosen for question in group).values()) / n
+        scores["by_choice"] = _by_choice(group)
     else:
         scores["constant"] = _best(group, [0] * n)
     if mode not in ("multiple_choice", "number"):
@@ -140,17 +142,40 @@ def _reason(group: Sequence[QuestionText], above: Sequence[str]) -> str:
     """Explain why guessers score above the aim: which answers are too similar."""
     n = len(group)
     parts = [f"only {n} question{'s' * (n > 1)}, one is {100 / n:.0f} %"] if n < FEW else []
-    if set(above) - {"text_only", "learned"}:
+    if set(above) - {"by_choice", "text_only", "learned"}:
         choice = group[0].mode == "multiple_choice"
         commonest = Counter(question.chosen if choice else question.bin for question in group)
         name, count = min(commonest.items(), key=lambda item: (-item[1], item[0]))
         what = f"are {name!r}" if choice else f"lie in {name} s"
         parts.append(f"{count} of {n} answers {what}, and too few others are left to level them")
+    if "by_choice" in above:
+        parts.append("too few poses are ever true that do not overlap the others, so some choices are true oftener")
     if "text_only" in above:
         parts.append("questions with the same words and waits have the same answers in other sequences")
     if "learned" in above:
         parts.append("words, choices and waits go with the same answers in other sequences")
     return "; ".join(parts)
+
+
+def _by_choice(group: Sequence[QuestionText]) -> float | None:
+    """The share of right answers of whoever takes the choice that is true most often where it is offered.
+
+    How often that is, the guesser knows from other sequences; None where there are none.
+    """
+    offered, true = (Counter[tuple[str, str]]() for _ in range(2))
+    for question in group:
+        for place in ("", question.sequence):
+            offered.update((place, choice) for choice in question.choices)
+            true[place, question.chosen] += 1
+    if len({question.sequence for question in group}) < 2:
+        return None
+
+    def rate(question: QuestionText, choice: str) -> float:
+        counts = [count["", choice] - count[question.sequence, choice] for count in (true, offered)]
+        return (counts[0] + 1) / (counts[1] + len(question.choices))
+
+    guesses = (max(q.choices, key=lambda choice: (rate(q, choice), choice)) for q in group)
+    return sum(guess == question.chosen for guess, question in zip(guesses, group, strict=True)) / len(group)
 
 
 # -- constants ----------------------------------------------------------------------------------------------------

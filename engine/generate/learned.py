@@ -1,9 +1,9 @@
-"""Score a guesser that learns from the text of questions, by a linear model of scikit-learn.
+"""Score a guesser that learns from the text of questions, by models of scikit-learn.
 
 It reads all that the public text states: every word, the choices beside each other, the stated times and the waits
 between them. The questions of a sequence are guessed by what was learned on other sequences, in at most ten folds. For
-choices it ranks those that are offered; for times and numbers it predicts the logarithm of the seconds from the first
-stated time. scikit-learn is optional, and imported only here.
+choices a linear model ranks those that are offered; for times and numbers it takes those of the most similar text.
+scikit-learn is optional, and imported only here.
 """
 
 from __future__ import annotations
@@ -68,13 +68,16 @@ def _ranked(group: Sequence[QuestionText], sequences: Sequence[str]) -> float:
 
 
 def _predicted(group: Sequence[QuestionText], sequences: Sequence[str]) -> float:
-    """For each question the answer whose times and numbers a regression on its text predicts."""
-    from sklearn.linear_model import Ridge
+    """For each question the answer, counted from its own first time, of the question whose text is most like its text.
+
+    A mean of answers would often be an answer that no question has.
+    """
+    from sklearn.neighbors import KNeighborsRegressor
 
     features, values = _matrix([dict(_of_text(question)) for question in group]), np.array(list(map(_values, group)))
     right = 0
     for learn, guess in _folds(sequences):
-        found = Ridge().fit(features[learn], values[learn]).predict(features[guess])
+        found = KNeighborsRegressor(1).fit(features[learn], values[learn]).predict(features[guess])
         for row, numbers in zip(guess.tolist(), found.reshape(len(guess), -1).tolist(), strict=True):
             right += same_answer(_answer(group[row], numbers), group[row].answer)
     return right / len(group)

@@ -32,7 +32,10 @@ looking into sth: looking at sth
 reading: looking at sth, looking into sth, holding sth
 eating sth: holding sth
 pushing: holding sth
-talking on the phone: holding sth, talking to someone
+pulling: holding sth
+interaction with door: holding sth
+pointing at sth: looking at sth
+talking on the phone: holding sth, talking to someone, listening to someone
 walking together: moving together
 cycling together: moving together
 going upstairs together: moving together, walking together
@@ -41,7 +44,11 @@ looking at robot together: looking at sth together
 looking into sth together: looking at sth together
 carrying: holding, handling/manipulating
 holding: carrying, using, handling/manipulating
-using: handling/manipulating
+using: handling/manipulating, utilizing
+utilizing: using
+transporting: carrying
+observing: looking at
+looking at: observing
 handling/manipulating: using
 looking into: looking at
 """

@@ -44,10 +44,14 @@ WIDER = {
     "walking": {"going upstairs", "going downstairs", "running", "bending"},
     "standing": {"bending", "scootering", "skating"},
     "sitting": {"cycling", "bending"},
-    "looking at something": {"looking at robot", "looking into sth", "reading"},
+    "looking at something": {"looking at robot", "looking into sth", "reading", "pointing at sth"},
     "looking into something": {"reading"},
-    "holding something": {"eating sth", "talking on the phone", "reading", "pushing"},
+    "holding something": {
+        *("eating sth", "talking on the phone", "reading", "pushing", "pulling"),
+        *("interaction with door", "opening the door", "pushing the door", "holding the door"),
+    },
     "talking to someone": {"talking on the phone"},
+    "listening to someone": {"talking on the phone"},
 }
 """Labels that a reader may call by a phrase too, beside the phrase's own."""
 

@@ -39,6 +39,19 @@ def test_choice_guessers_by_hand():
     assert row["within_aim"] is False
 
 
+def test_choices_that_are_never_true_give_the_true_one_away():
+    rows = [
+        choice(sequence, answer, (answer,), choices=(answer, "cycling", "skating", "lying down"))
+        for sequence in "ab"
+        for answer in ("walking", "standing", "sitting")
+    ]
+    (row,) = blind_check(rows)
+    assert row["by_choice"] == 1.0 and row["most_frequent"] == pytest.approx(1 / 3)
+    assert "some choices are true oftener" in row["reason"]
+    # Of one sequence alone nothing is known from others.
+    assert blind_check(rows[:3])[0]["by_choice"] is None
+
+
 def test_the_text_only_guesser_goes_by_words_then_waits():
     rows = [
         choice("a", "sitting", ("typing",)),
