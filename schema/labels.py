@@ -127,10 +127,10 @@ ALSO: Final = {
 """(label, other): why the words of `other` may be said of somebody with the label in ordinary words."""
 
 
-def sayable(label: str) -> frozenset[str]:
+def may_be_called(label: str) -> frozenset[str]:
     """Labels of people of whom the words of a label may be said too: to them, the words are never certainly false.
 
-    >>> sorted(sayable("sitting"))
+    >>> sorted(may_be_called("sitting"))
     ['bending', 'cycling']
     """
     return frozenset(own for own, other in ALSO if other == label)
@@ -142,7 +142,7 @@ def overlapping(pose: str) -> frozenset[str]:
     >>> sorted(overlapping("cycling"))
     ['sitting']
     """
-    return sayable(pose) | {other for own, other in ALSO if own == pose}
+    return may_be_called(pose) | {other for own, other in ALSO if own == pose}
 
 
 def choice_text(answer: str) -> str:

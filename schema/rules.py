@@ -117,7 +117,9 @@ class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     max_per_person: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 12
     """Questions of one person and template."""
     max_per_person_in_all: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 24
+    """Questions of one person."""
     max_answer_share: Share = 0.34
+    """The most of one answer among the questions of a template with choices."""
 
     def __post_init__(self) -> None:
         if sorted(self.condition_order) != sorted(CONDITION_KINDS):

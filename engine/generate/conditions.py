@@ -38,7 +38,7 @@ from jrdb_avr.schema.labels import (
     OTHER_ACTIONS,
     POSES,
     ROBOT_SECTORS,
-    sayable,
+    may_be_called,
 )
 from jrdb_avr.schema.panorama import angle_error
 from jrdb_avr.schema.plan import Attribute, Condition
@@ -250,11 +250,11 @@ def _valued(
     """Conditions on an attribute, a word each with its number in `value`; NOBODY is unknown.
 
     other: a second number that is possible too, NOBODY for none. Whoever has another value may have the word said of
-    them as well (`sayable`).
+    them as well (`may_be_called`).
     """
     for code, word in words:
         true = (value == code) & (other == NOBODY)
-        near = [number for number, text in words if text in sayable(str(word))]
+        near = [number for number, text in words if text in may_be_called(str(word))]
         state = _state(true, (value != NOBODY) & (value != code) & (other != code) & ~np.isin(value, near))
         yield _Column(Condition(attribute=name, value=word, at=at), state, usable)
 

@@ -20,9 +20,9 @@ REASONS: Final = {
     **MEANINGS,
     "rederive": "the second program disagrees, which is a defect of the software",
     "choices": "fewer than three answers are certainly wrong",
-    "near_duplicate": "another question about the same person and nearly the same moment is selected already",
-    "max_per_person": "the person has the maximum number of questions of this template",
-    "balance": "selecting more would make one answer too common or exceed the requested number",
+    "near_duplicate": "another candidate about the same person and nearly the same moment stays",
+    "max_per_person": "the person has the maximum number of candidates of this template and answer",
+    "balance": "more would make one answer too common, pass a cap or the requested number, or resemble others",
 }
 """Every rule that refuses a candidate, in the order in which they are tried, with why each refuses."""
 

@@ -1,8 +1,9 @@
 """The four choices of a question: one is true, the others are wrong in ways that reveal how a method fails.
 
-A distractor is first the answer of a perturbed program: at the description's time instead of the stated one, at a
-shifted time, of a look-alike who could match when a condition is dropped. Only then follow other poses known to be
-false for the target at the stated time. Nothing unknown is ever a distractor, and no pose that the question states.
+A distractor may be the answer of a perturbed program: at the description's time instead of the stated one, at a
+shifted time, of a look-alike who could match when a condition is dropped; of sets that level the answers alike,
+selection takes the one with the most of them. The others are poses known to be false for the target at the stated time.
+Nothing unknown is ever a distractor, and no pose that the question states.
 
 No two choices overlap each other. If only the true one were compared with the others, it would stand out as the pose
 that overlaps none of them. For the same reason a pose question has several sets of choices, among which selection

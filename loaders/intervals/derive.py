@@ -8,7 +8,7 @@ from typing import Final
 import pyarrow as pa
 
 from jrdb_avr.loaders.intervals.neighbors import beside_table
-from jrdb_avr.loaders.intervals.people import read_people, track_spans, with_sayable
+from jrdb_avr.loaders.intervals.people import read_people, track_spans, with_other_words
 from jrdb_avr.loaders.intervals.persons import chosen_values, demographics_table, group_info_table, objects_table
 from jrdb_avr.loaders.intervals.segments import segments_table
 from jrdb_avr.loaders.intervals.sightings import sightings_table
@@ -25,7 +25,7 @@ _LABELS: Final = {"actions": "action", "interactions": "label", "handles": "verb
 def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules) -> dict[str, pa.Table]:
     """Interval tables by kind. Layers that `annotations` lacks count as empty."""
     tables = {layer: annotations.get(layer, schema.empty_table()) for layer, schema in ANNOTATIONS.items()}
-    tables |= {layer: with_sayable(tables[layer], column) for layer, column in _LABELS.items()}
+    tables |= {layer: with_other_words(tables[layer], column) for layer, column in _LABELS.items()}
     people = read_people(tables, rules)
     boxes = people.boxes
     line = timeline(sequence, tables["frames"], distinct_of(boxes.frame), tables["timestamps"])

@@ -24,7 +24,7 @@ from jrdb_avr.schema.rules import LoadRules
 HARD = 3
 UNREADABLE = 9
 """Stands for a missing difficulty in arrays: harder than hard."""
-_SAYABLE = 10
+_UNWRITTEN = 10
 """Stands for the difficulty of a label that nobody wrote."""
 
 
@@ -128,13 +128,13 @@ class People:
     """Per layer, ascending keys of (frame, track) whose list was read."""
 
 
-def with_sayable(table: pa.Table, column: str) -> pa.Table:
+def with_other_words(table: pa.Table, column: str) -> pa.Table:
     """An annotation table of labels, with a doubtful row of every other label whose words may be said as well."""
     tables = [table]
     there = set(pc.unique(table[column]).to_pylist())
     for label, other in ((label, other) for label, other in ALSO if label in there):
         rows = table.filter(pc.equal(table[column], label))
-        for name, value in ((column, other), ("difficulty", _SAYABLE)):
+        for name, value in ((column, other), ("difficulty", _UNWRITTEN)):
             field = rows.schema.field(name)
             column_of = pa.repeat(pa.scalar(value), len(rows)).cast(field.type)
             rows = rows.set_column(rows.schema.get_field_index(name), field, column_of)
@@ -183,7 +183,7 @@ def _read_actions(table: pa.Table) -> Facts:
     facts = facts.at(begins(facts.keys, facts.value))
     pose = np.append(facts.is_pose, False)[facts.value]
     _, person = np.unique(facts.keys, return_inverse=True)
-    poses = np.bincount(person, weights=pose & (facts.difficulty < _SAYABLE))[person]
+    poses = np.bincount(person, weights=pose & (facts.difficulty < _UNWRITTEN))[person]
     certain = facts.certain & (~pose | (poses == 1))
     return replace(facts, certain=certain, difficulty=np.minimum(facts.difficulty, UNREADABLE))
 

@@ -48,16 +48,16 @@ def in_rows(
     return Clause(*(f"EXISTS {{{{ MATCH {pattern} WHERE {' AND '.join(parts)} }}}}" for parts in (sure, could)))
 
 
-def in_column(value: str, other: str = "", rows: Clause | None = None, sayable: str = "") -> Clause:
+def in_column(value: str, other: str = "", rows: Clause | None = None, near: str = "") -> Clause:
     """A fact stored as one value, null where it is unknown.
 
     value: the column; other: one with a second possible value, or ""; rows: a clause that makes another value possible;
-    sayable: a test that does so, or "".
+    near: a test that does so, or "".
     """
     alone, second = (f" AND {other} IS NULL", f" OR {other} = {{v}}") if other else ("", "")
     listed = f" OR {rows.could}" if rows else ""
-    near = f" OR {sayable}" if sayable else ""
-    could = f"({value} IS NULL OR {value} = {{v}}{second}{listed}{near})"
+    also = f" OR {near}" if near else ""
+    could = f"({value} IS NULL OR {value} = {{v}}{second}{listed}{also})"
     return Clause(f"coalesce({value} = {{v}}{alone}, false)", could)
 
 

@@ -22,7 +22,7 @@ from jrdb_avr.queries.compiler.clauses import (
     within,
 )
 from jrdb_avr.schema.errors import PlanError
-from jrdb_avr.schema.labels import ROBOT_SECTORS, sayable
+from jrdb_avr.schema.labels import ROBOT_SECTORS, may_be_called
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import RELATIONS, SAME_GROUP
 
@@ -61,7 +61,7 @@ def condition_values(condition: Condition) -> dict[str, str | float | list[str]]
     wanted = (condition.value, condition.action, condition.object, condition.interaction)
     values: dict[str, str | float | list[str]] = {"v": next(value for value in wanted if value is not None)}
     if condition.attribute == "age":
-        values["w"] = sorted(sayable(str(condition.value)))
+        values["w"] = sorted(may_be_called(str(condition.value)))
     return values if condition.verb is None else values | {"w": condition.verb}
 
 
@@ -101,7 +101,7 @@ SCENE: Final = SchemaMapping(
     who="{n}.track",
     conditions={
         "gender": in_column("{n}.gender"),
-        "age": in_column("{n}.age", sayable="list_contains({w}, {n}.age)"),
+        "age": in_column("{n}.age", near="list_contains({w}, {n}.age)"),
         # A closed gap of a pose leaves it possible beside the pose that is listed.
         "pose": in_column("{s}.pose", rows=_PERFORMS),
         "action": unless_listed(_PERFORMS, "{s}.listed"),
