@@ -19,6 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from jrdb_avr.engine.generate.distractors import CHOICE_COUNT
+from jrdb_avr.engine.generate.near_duplicates import near_frames
 from jrdb_avr.engine.generate.proofs import expected, failing
 from jrdb_avr.engine.rederive import Annotations, prove_again, rederive
 from jrdb_avr.engine.validate.replay import differences, replay, run_compiled
@@ -45,7 +46,7 @@ CHECKS: Final = {
     "evidence": "the evidence is every box of the target and nothing else",
     "proofs": "every required proof is present and holds; distractors and bindings fit",
     "rules": "generation used the same rules",
-    "selection": "shares of answers and questions per person obey the rules",
+    "selection": "shares of answers and questions per person obey the rules; no two questions are alike",
     "rederive": "the second program finds the same person, answer, needed boxes and outcome of every proof",
 }
 """Checks of stored questions: name and the statement that is tested, in the order of the report."""
@@ -351,6 +352,11 @@ def _check_selection(report: Validation, records: Sequence[QuestionRecord], rule
     for (sequence, track, template), count in sorted(persons.items()):
         few = count <= rules.max_per_person
         report.check("selection", few, f"{count} questions {template} of person {track} in {sequence}")
+    in_all = Counter((record.sequence, record.target_track) for record in records)
+    for (sequence, track), count in sorted(in_all.items()):
+        few = count <= rules.max_per_person_in_all
+        report.check("selection", few, f"{count} questions of person {track} in {sequence}")
+    _check_alike(report, records, rules)
     chosen: dict[str, Counter[str]] = defaultdict(Counter)
     for record in records:
         if record.answer_mode == "multiple_choice":
@@ -359,3 +365,29 @@ def _check_selection(report: Validation, records: Sequence[QuestionRecord], rule
         ((commonest, count),) = counts.most_common(1)
         share = count / counts.total()
         report.check("selection", share <= rules.max_answer_share, f"{template}: {commonest!r} takes {share:.1%}")
+
+
+def _check_alike(report: Validation, records: Sequence[QuestionRecord], rules: Rules) -> None:
+    """Check that no two questions are about one start of a person, or of one template and read at near stated times."""
+    starts: dict[tuple[str, int, str | None, int], list[str]] = defaultdict(list)
+    reads: dict[tuple[str, int, str], list[tuple[str, tuple[int, ...]]]] = defaultdict(list)
+    for record in records:
+        try:
+            plan = parse_plan(record.plan)
+        except AvrError:
+            continue  # A fault of `plans`.
+        times = [plan.times[name] for name in plan.answer.times]
+        match decode_answer(record.answer_mode, record.answer):
+            case FrameAnswer(frame) | FrameViewpoint(frame) | Span(frame):
+                start = record.sequence, record.target_track, times[0].action, frame
+                starts[start].append(record.question_id)
+        stated = tuple(time.frame for time in times if time.frame is not None)
+        if len(stated) == len(times):
+            reads[record.sequence, record.target_track, record.template].append((record.question_id, stated))
+    for names in starts.values():
+        report.check("selection", len(names) == 1, f"{', '.join(names)} are about one start")
+    for (_, _, template), own in reads.items():
+        near = near_frames(template, rules)
+        for (name, one), (other_name, other) in itertools.combinations(own, 2):
+            far = any(abs(a - b) > near for a, b in zip(one, other, strict=False))
+            report.check("selection", far, f"{name} and {other_name} read at nearly the same times")

@@ -231,6 +231,20 @@ def test_too_many_of_one_answer_are_found(benchmark_copy):
     assert faulty(benchmark_copy) == {"selection"}
 
 
+@pytest.mark.parametrize(
+    ("template", "copies", "fault"),
+    [
+        ("start", [{"template": "span"}], "about one start"),
+        ("action_search", [{"template": "start"}], "about one start"),
+        ("presence", [{}], "read at nearly the same times"),
+        ("gap", [{"template": name} for name in TEMPLATES] * 2, f"{1 + 2 * len(TEMPLATES)} questions of person"),
+    ],
+)
+def test_too_much_about_a_person_is_found(few, template, copies, fault):
+    rewrite(few, "questions", lambda rows: rows.extend(first(rows, template) | copy for copy in copies))
+    assert any(fault in text for text in validate(few, RULES).faults["selection"])
+
+
 def test_a_private_column_in_a_public_file_is_found(few):
     path = few.question_path("questions")
     table = pq.read_table(path)
