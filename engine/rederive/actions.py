@@ -56,20 +56,22 @@ class ActionFacts(PersonBoxes):
 
     def pose(self, track: int, frame: int) -> str | None:
         """The one certain pose, None where it is unknown."""
-        poses = self._poses.get((frame, track), {})
-        if self.box(track, frame) is None or len(poses) != 1 or min(poses.values()) > 2:
+        person, poses = self._people.get(frame, {}).get(track), self._poses.get((frame, track), {})
+        if person is None or not person.listed or len(poses) != 1 or min(poses.values()) > 2:
             return None
         return next(iter(poses))
 
     def _raw(self, track: int, frame: int, action: str) -> int:
         person = self._people.get(frame, {}).get(track)
-        if person is None or not person.listed:
+        if person is None:
             return UNKNOWN
         codes = self._actions.get((frame, track), {})
         if action in POSES:
             pose = self.pose(track, frame)
             return UNKNOWN if pose is None else TRUE if pose == action else UNKNOWN if action in codes else FALSE
-        return FALSE if action not in codes else TRUE if codes[action] <= 2 else UNKNOWN
+        if action in codes:
+            return TRUE if codes[action] <= 2 else UNKNOWN
+        return FALSE if person.listed else UNKNOWN
 
     def states(self, track: int, action: str) -> tuple[GridFacts, GridFacts]:
         """Per frame of the action layer's grid: the fact, and 1 inside a closed gap (where the fact is unknown)."""

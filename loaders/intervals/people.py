@@ -82,7 +82,7 @@ class Facts(Sighted):
 
     value: Ints
     certain: Bools
-    """True of the person: easy or middle, and of poses the only one in the list."""
+    """True of the person: easy or middle, and of poses the only one in a list that tells all."""
     difficulty: Ints
     names: tuple[str, ...] = ()
     """Ascending, so that values sort as names do."""
@@ -147,7 +147,7 @@ def read_people(tables: Mapping[str, pa.Table], rules: LoadRules) -> People:
     boxes = _read_boxes(tables["boxes_2d"], rules)
     return People(
         boxes,
-        _read_actions(tables["actions"]),
+        _read_actions(tables["actions"], boxes),
         read_groups(tables["groups"]),
         read_located(tables["boxes_3d"]),
         _read_faces(tables["poses"]),
@@ -175,7 +175,7 @@ def _read_boxes(table: pa.Table, rules: LoadRules) -> Boxes:
     )
 
 
-def _read_actions(table: pa.Table) -> Facts:
+def _read_actions(table: pa.Table, boxes: Boxes) -> Facts:
     names, action = ranked(table["action"])
     difficulty = table["difficulty"].fill_null(UNREADABLE).to_numpy().astype(np.int64)
     facts = Facts(*_person_columns(table), action, difficulty < HARD, difficulty, tuple(names))
@@ -184,7 +184,8 @@ def _read_actions(table: pa.Table) -> Facts:
     pose = np.append(facts.is_pose, False)[facts.value]
     _, person = np.unique(facts.keys, return_inverse=True)
     poses = np.bincount(person, weights=pose & (facts.difficulty < _UNWRITTEN))[person]
-    certain = facts.certain & (~pose | (poses == 1))
+    whole = np.append(boxes.listed, False)[boxes.rows(facts.frame, facts.track)]
+    certain = facts.certain & (~pose | ((poses == 1) & whole))
     return replace(facts, certain=certain, difficulty=np.minimum(facts.difficulty, UNREADABLE))
 
 

@@ -61,6 +61,10 @@ class KeptRecords(NamedTuple):
     partial: set[int]
     """Frames with a record that is not kept and may be a person's."""
 
+    def told(self, complete: Iterable[int]) -> Ints:
+        """Of frames whose records all decoded, those without a record that is not kept and may be a person's."""
+        return np.array(sorted(set(complete) - self.partial), np.int64)
+
     def frames_of(self, rows: Ints) -> tuple[Ints, Ints]:
         """The frames of some of the people (ascending rows), as a layer of the `frames` table."""
         frame = self.frame[distinct_of(rows)]
@@ -93,7 +97,7 @@ def keep_people(
     usable = np.flatnonzero(good)
     order, first = first_of_equal(paired(frame[usable], track[usable]))
     again = mask_of(usable[order[~first]], len(frame))
-    reason = "same person twice in a frame, the first is kept"
+    reason = "same person twice in a frame"
     refusals.count(again, "record", reason, "label_id", lambda row: labels[code[row]])
     row = usable[order[first]]
     # The second of two may be somebody else under a wrong number.

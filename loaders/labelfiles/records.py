@@ -29,8 +29,11 @@ TWICE: Final = "key twice, the first is kept"
 _PERSON: Final = re.compile(r"pedestrian:([0-9]{1,10})")
 _WHOLE: Final = re.compile(r"-?[0-9]{1,19}")
 _PREFIXED: Final = re.compile(r"([^:]+):-?[0-9]+")
+# "Other" may be anything, a person too.
 _THINGS: Final = frozenset(
-    plain(name) for category in set(OBJECTS) - PERSON_CATEGORIES for name in (category, *category.split("/"))
+    plain(name)
+    for category in set(OBJECTS) - PERSON_CATEGORIES - {"other"}
+    for name in (category, *category.split("/"))
 )
 
 

@@ -91,8 +91,6 @@ def load_2d(path: Path, problems: Problems) -> LayerTables:
     actions, groups = expanded("action_label", _actions), expanded("social_group", _group)
     activities = expanded("social_activity", _activities)
     labelled = mask_of(actions.row, len(people.row))
-    # Of frames whose records all decoded, those of which nobody is refused.
-    whole = np.array(sorted(set(complete) - people.partial), np.int64)
     return LayerTables(
         {
             "boxes_2d": _box_table(columns, codes, people, labelled & actions.whole, refusals),
@@ -101,7 +99,7 @@ def load_2d(path: Path, problems: Problems) -> LayerTables:
             "social_activities": facts_table("social_activities", people, activities, ("activity", "value")),
         },
         {
-            "2d": known_frames(whole, people.frame),
+            "2d": known_frames(people.told(complete), people.frame),
             "actions": people.frames_of(actions.row),
             "groups": people.frames_of(groups.row),
         },
@@ -193,6 +191,7 @@ def _occlusion(value: str) -> str:
 def _actions(raw: bytes, found: Decoded) -> None:
     for label, code in found.labels(raw, "action_label"):
         action = normal_action(label)
+        found.whole &= action in ACTIONS
         if action != IMPOSSIBLE:
             found.values.append((action, label, found.difficulty(code, "action_label")))
 

@@ -1,7 +1,8 @@
 """The 3D layer: `labels_3d/<sequence>.json` -> the annotation table `boxes_3d`.
 
 Metres in the robot frame: x forward, y left, z up, the box's centre. `rot_z` is stored as written; the heading that
-follows from it is `wrap(pi - rot_z)`, which `heading_check` compares with how people move.
+follows from it is `wrap(pi - rot_z)`, which `heading_check` compares with how people move. A frame with a record that
+is lost and may be a person's has no rows: any of its boxes could be somebody else's.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ _READER: Final = RecordReader(
 def load_3d(path: Path, problems: Problems) -> LayerTables:
     """Read a 3D label file. Raises InputError if the file as a whole cannot be used."""
     codes: dict[str, Distinct] = defaultdict(Distinct)
-    columns, listed, _ = gather(path, ("pcd", "pcb"), _READER, lambda found: _take(found, codes), problems)
+    columns, listed, complete = gather(path, ("pcd", "pcb"), _READER, lambda found: _take(found, codes), problems)
     numbers = columns["numbers"]
     faults = [
         (np.asarray(~(np.abs(numbers) <= records.MAX_METRE).all(axis=1)), "box: not finite or kilometres away"),
@@ -89,6 +90,8 @@ def load_3d(path: Path, problems: Problems) -> LayerTables:
     people = keep_people(
         columns, codes, refusals, faults, lambda row: dict(zip(NUMBERS, numbers[row].tolist(), strict=True))
     )
+    told = np.isin(people.frame, people.told(complete))
+    people = people._replace(row=people.row[told], frame=people.frame[told], track=people.track[told])
     columns = {name: column[people.row] for name, column in columns.items()}
     refusals = Refusals(people.frame, problems, "pcd")
     distance, points = columns["distance"], columns["points"]

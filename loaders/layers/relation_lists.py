@@ -6,7 +6,8 @@ and each distinct one is decoded once.
 
 A list is *whole* when nothing of it was refused: then what it does not hold is false. An entry is refused where it is
 no object, its pair cannot be read or is the person itself, or its labels are no object. A label "impossible" gives no
-fact, and its list is then not whole. Where a difficulty cannot be read, the label is kept as an unknown fact.
+fact, and its list is then not whole; nor is one with a label outside the vocabulary, which may be any of the others in
+another word. Where a difficulty cannot be read, the label is kept as an unknown fact.
 """
 
 from __future__ import annotations
@@ -98,10 +99,10 @@ class RelationKind:
     def decode(self, raw: bytes, found: Decoded) -> None:
         """Decode the labels of an entry to (label, label as written, difficulty)."""
         for label, code in found.labels(raw, self.key):
-            if plain(label) == IMPOSSIBLE:
-                found.whole = False
-            else:
-                found.values.append((self.normal(label), label, found.difficulty(code, self.key)))
+            name = self.normal(label)
+            found.whole &= name in self.vocabulary
+            if plain(label) != IMPOSSIBLE:
+                found.values.append((name, label, found.difficulty(code, self.key)))
 
     def unknown(self, fact: tuple[Any, ...]) -> tuple[str, str] | None:
         """Field and label of a fact whose label is outside the vocabulary."""

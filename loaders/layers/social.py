@@ -3,8 +3,9 @@
 `labels_2d_activity_social_stitched/<sequence>.json` and its successors are 2D files with more in every record:
 demographics and group information (lists of no or one object of label objects), interactions with people, and in
 reasoning files also with things. The first record of a person in a frame counts; its box is not needed for its facts,
-and only tells whether the frame numbers are those of the 2D layer. Demographics and group information repeat from frame
-to frame; each distinct object is decoded once.
+and only tells whether the frame numbers are those of the 2D layer. Where a record of the frame is lost that may be a
+person's, nobody's list is all, and nothing there says what people are. Demographics and group information repeat from
+frame to frame; each distinct object is decoded once.
 """
 
 from __future__ import annotations
@@ -115,8 +116,9 @@ def _load(path: Path, problems: Problems, kinds: tuple[RelationKind, ...], absen
             columns |= take_lists(_lists(found, kind), kind, codes)
         return columns
 
-    columns = gather(path, SUFFIXES, reader, take, problems).columns
+    columns, _, complete = gather(path, SUFFIXES, reader, take, problems)
     people = keep_people(columns, codes, Refusals(columns["frame"], problems))
+    told = np.isin(people.frame, people.told(complete))
     refusals = Refusals(people.frame, problems)
     tables: dict[str, pa.Table] = {}
     frames = {}
@@ -124,15 +126,16 @@ def _load(path: Path, problems: Problems, kinds: tuple[RelationKind, ...], absen
     for layer, name, keys in layers:
         decode = _AttributeDecoder(name, keys)
         facts = expand(columns[name][people.row], codes[name], decode, refusals)
+        unknown += facts.tally(decode.unknown)
+        facts = facts._replace(row=facts.row[told[facts.row]], code=facts.code[told[facts.row]])
         tables[layer] = facts_table(layer, people, facts, ("attribute", "value", "raw", "difficulty"))
         frames[layer] = people.frames_of(facts.row)
-        unknown += facts.tally(decode.unknown)
     listed = []
     for kind in kinds:
         found = read_lists(columns, kind, codes, people, problems)
         names = (kind.label, "raw", "difficulty")
         tables[kind.layer] = facts_table(kind.layer, people, found.facts, names, found.ends)
-        whole = ~found.refused if absent_is_empty else found.there & ~found.refused
+        whole = told & ~found.refused & (found.there | absent_is_empty)
         listed.append(_listed_table(whole, kind, people))
         frames[kind.layer] = people.frames_of(np.flatnonzero(whole | mask_of(found.facts.row, len(people.row))))
         unknown += found.facts.tally(kind.unknown)

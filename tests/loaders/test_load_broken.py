@@ -15,6 +15,8 @@ import pytest
 from quick_store import NAME, read_store, without_graph
 from worlds import load_reported, person, person_3d, write_root
 
+from jrdb_avr.engine.rederive.labels import Annotations
+from jrdb_avr.engine.rederive.truth import TRUE, UNKNOWN
 from jrdb_avr.loaders.labelfiles import frames as labelfile
 from jrdb_avr.loaders.layers.boxes_2d import Record2D, load_2d
 from jrdb_avr.loaders.problems import Problems
@@ -22,6 +24,7 @@ from jrdb_avr.loaders.report import as_row
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError, InputError
+from jrdb_avr.schema.rules import Rules
 
 READER = labelfile.RecordReader(Record2D, {}, once=())
 GOOD = person(1, (100, 60, 50, 200), {"walking": 1}, (5, 1))
@@ -121,7 +124,9 @@ def test_things_are_skipped_and_the_frame_stays_whole(tmp_path):
     assert store.interval("frames", NAME)["annotated"].to_pylist() == [True, True]
 
 
-@pytest.mark.parametrize("label", ["Pedestrian:1", "pedestrian:-1", "ped:1", "person:-1", "robot:3", "child:2"])
+@pytest.mark.parametrize(
+    "label", ["Pedestrian:1", "pedestrian:-1", "ped:1", "person:-1", "robot:3", "child:2", "other:3"]
+)
 def test_whoever_may_be_a_person_proves_nobodys_absence(tmp_path, label):
     store, found = loaded(tmp_path, raw_2d(variant(label_id=label), json.dumps(GOOD)))
     assert boxes(store) == [(0, 1), (15, 1)]
@@ -140,7 +145,7 @@ def test_the_first_of_a_repeated_person_is_kept(tmp_path):
     store, found = loaded(tmp_path, raw_2d(variant(box=[1, 2, 3, 4]), variant(box=[5, 6, 7, 8])))
     assert [tuple(row[k] for k in "xywh") for row in store.annotation("boxes_2d", NAME).to_pylist()][1] == (1, 2, 3, 4)
     assert problems_of(found) == [
-        ("record", "same person twice in a frame, the first is kept", 1, f"{NAME}.json", "000015.jpg", "label_id")
+        ("record", "same person twice in a frame", 1, f"{NAME}.json", "000015.jpg", "label_id")
     ]
 
 
@@ -248,6 +253,17 @@ def test_an_unreadable_difficulty_makes_the_action_unknown(tmp_path, code):
     assert (problem.kind, problem.field, problem.frame) == ("field", "action_label", "000015.jpg")
     sitting = [row for row in store.interval("actions", NAME).to_pylist() if row["action"] == "sitting"]
     assert [row["certain"] for row in sitting] == [False]
+    assert store.interval("sightings", NAME)["pose"].to_pylist() == ["walking", None]
+
+
+@pytest.mark.parametrize("label", ["impossible", "waiting for sth"])
+def test_a_list_with_a_label_that_may_be_any_tells_only_what_it_names(tmp_path, label):
+    record = variant(action_label={"sitting": 1, "reading": 1, label: 1})
+    store, _ = loaded(tmp_path, raw_2d(record))
+    assert store.interval("sightings", NAME)["listed"].to_pylist() == [True, False]
+    facts = Annotations.read(store, NAME, Rules())
+    told = {action: facts.state(2, action, 15) for action in ("reading", "typing", "sitting", "walking")}
+    assert told == {"reading": TRUE, "typing": UNKNOWN, "sitting": UNKNOWN, "walking": UNKNOWN}
     assert store.interval("sightings", NAME)["pose"].to_pylist() == ["walking", None]
 
 
@@ -375,9 +391,9 @@ def with_3d(**changes):
         {"cx": 1e9},
     ],
 )
-def test_a_bad_3d_box_costs_its_own_record(tmp_path, changes):
-    store, found = loaded(tmp_path, with_3d(**changes), "3d")
-    assert boxes(store, "boxes_3d") == [(0, 1)]
+def test_a_bad_3d_box_costs_its_frame(tmp_path, changes):
+    store, found = loaded(tmp_path, with_3d(**changes) | {15: [person_3d(1, 3.0, 0.0)]}, "3d")
+    assert boxes(store, "boxes_3d") == [(15, 1)]
     ((kind, _, count, _, frame, field),) = problems_of(found)
     assert (kind, count, frame, field) == ("record", 1, "000000.pcd", "box")
 

@@ -44,6 +44,13 @@ def test_a_record_with_everything(tmp_path):
     assert problems == []
 
 
+def test_where_a_record_of_a_person_is_lost_no_list_of_things_is_whole(tmp_path):
+    people = [member(1, BOX, handles=[((12, 17), {"holding": "1"})]), member(1, BOX, handles=[]), member(2, BOX)]
+    reading, _ = read(tmp_path, people, things_alone)
+    assert rows(reading, "handles") == [(0, 1, 12, 17, "holding", 1)]
+    assert rows(reading, "listed") == []
+
+
 def test_beside_a_social_file_only_things_are_read(tmp_path):
     content = [member(1, BOX, {"gender": {"Male": "x"}}, [(1, {"hugging": "1"})], None, [((0, 0), {"holding": "1"})])]
     reading, problems = read(tmp_path, content, things_alone)

@@ -413,11 +413,28 @@ def test_a_record_without_a_box_has_its_facts(tmp_path):
     assert {(p.kind, p.field) for p in problems} == {("field", "box")}
 
 
-def test_the_first_record_of_a_person_in_a_frame_counts(tmp_path):
-    female = {"gender": {"Female": "1"}}
-    reading, problems = read(tmp_path, [member(1, BOX, GOOD), member(1, BOX, female), member(2, BOX, female)])
-    assert rows(reading, "demographics") == [(0, 1, "gender", "male", 1), (0, 2, "gender", "female", 1)]
-    assert [p.reason for p in problems] == ["same person twice in a frame, the first is kept"]
+@pytest.mark.parametrize(
+    ("label_id", "reason"),
+    [
+        ("pedestrian:1", "same person twice in a frame"),
+        ("Pedestrian:1", "label_id is not pedestrian:N"),
+        ("other:3", "label_id is not pedestrian:N"),
+    ],
+)
+def test_a_lost_record_of_a_person_leaves_nobody_a_list_and_no_votes(tmp_path, label_id, reason):
+    lost = member(1, BOX, {"gender": {"Female": "1"}}, [(3, {"hugging": "1"})]) | {"label_id": label_id}
+    frame = [member(1, BOX, GOOD, [(2, {"hugging": "1"})]), member(2, BOX, GOOD, []), lost]
+    reading, problems = read(tmp_path, {0: frame, 1: frame[:2]})
+    assert rows(reading, "interactions") == [(f, 1, 2, "hugging", 1) for f in (0, 1)]
+    assert rows(reading, "listed") == [("interactions", 1, 1), ("interactions", 1, 2)]
+    assert {row[0] for row in rows(reading, "demographics")} == {1}
+    assert [p.reason for p in problems] == [reason]
+
+
+def test_a_list_with_a_label_of_no_vocabulary_is_not_whole(tmp_path):
+    people = [member(1, BOX, interactions=[(2, {"chatting": "1"})]), member(2, BOX, interactions=[])]
+    reading, _ = read(tmp_path, people)
+    assert rows(reading, "listed") == [("interactions", 0, 2)]
 
 
 def test_a_list_beyond_reason_is_refused_whole(tmp_path):

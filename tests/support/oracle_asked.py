@@ -8,7 +8,8 @@ from __future__ import annotations
 import itertools
 import math
 
-from oracle_people import ACTIONS, EMPTY, NO, People, condition_poses, poses_in, text
+from oracle_people import EMPTY, NO, People, condition_poses, poses_in, text
+from oracle_words import ACTIONS
 
 WAIT = SHIFT = 45
 LONG = 150

@@ -124,7 +124,8 @@ class Oracle:
         listed = self.actions.get((frame, track), {})
         if listed.get(action) not in (1, 2):
             return False
-        return action not in POSES or len(POSES & set(self.written[frame, track])) == 1
+        whole = self.people[frame, track]["has_actions"]
+        return action not in POSES or (whole and len(POSES & set(self.written[frame, track])) == 1)
 
     def gap(self, frame, track, action):
         """Inside a closed gap: listed at most seven frames apart on both sides, at one frame per step."""

@@ -13,46 +13,9 @@ from functools import cache, cached_property
 
 from oracle_facts import Oracle, distance_words, off_axis
 from oracle_reading import read_root
-from oracle_words import AGES, POSES
+from oracle_words import AGES, OTHERS, POSES, TOGETHER, VERBS
 
-OTHERS = {
-    "holding sth",
-    "listening to someone",
-    "talking to someone",
-    "looking at robot",
-    "looking into sth",
-    "looking at sth",
-    "typing",
-    "interaction with door",
-    "eating sth",
-    "talking on the phone",
-    "pointing at sth",
-    "reading",
-    "pushing",
-    "greeting gestures",
-    "writing",
-    "pulling",
-}
-ACTIONS = POSES | OTHERS
 GENDERS = ("male", "female")
-TOGETHER = tuple(
-    """walking together|standing together|conversation|sitting together|going upstairs together|moving together|
-    looking at robot together|looking at sth together|walking toward each other|eating together|
-    going downstairs together|bending together|holding sth together|cycling together|interaction with door together|
-    hugging|looking into sth together|shaking hand|waving hand together|pointing at sth together""".replace(
-        "\n    ", ""
-    ).split("|")
-)
-VERBS = set(
-    """working|opening|closing|entering|exiting|touching|cleaning|watering|pruning|planting|pushing|pulling|carrying|
-    holding|looking at|looking into|looking out|presenting|organizing|leaning|painting|installing|removing|repairing|
-    riding|parking|mounting|depositing|placing|warning|blocking|adjusting|constructing|maintaining|
-    handling/manipulating|accessing|inspecting|storing|pressing|switching|drinking|refilling|moving|operating|
-    displaying|arranging|talking on|browsing/engaging|loading|unloading|transporting|connecting|using|configuring|
-    disconnecting|printing/copying|identifying|locating|promoting|advertising|finding_something|putting_something|
-    directing|attracting|investigating|exploring|utilizing|understanding|observing|turning|wearing|adorning|replacing|
-    matching|collecting|folding|servicing|feeding|climbing|going down|going up""".replace("\n    ", "").split("|")
-)
 GROUP = "in the same group as"
 FIRST = ("first to the left of (robot view)", "first to the right of (robot view)")
 PLACES = tuple(

@@ -11,6 +11,8 @@ as usable:
 
 - Of equal persons in a frame (poses and things alike) the first usable one holds. `every=True` keeps them all: what
   anybody sees who judges the records one by one.
+- A record that is lost and may be a person's makes its frame doubtful: nobody's list is then all, what people are is
+  not told there, and no 3D box is.
 
 `read(layer, data)` gives a `Found` for one file; `read_root(root, sequence)` brings a sequence's files together.
 """
@@ -22,6 +24,8 @@ import math
 import re
 from functools import lru_cache, partial
 from pathlib import Path
+
+from oracle_words import ACTIONS, POSTURES, TOGETHER, VERBS
 
 BROKEN = type("Broken", (), {"__repr__": lambda self: "BROKEN"})()
 TRACK_MAX = 2**31 - 2
@@ -317,9 +321,13 @@ def interaction_name(label):
     return "standing together" if label == "standing together together" else label
 
 
-def all_told(labels):
-    """Whether every label of a label object is one: then what it lacks is not so."""
-    return len(labels_of(labels)) == len(labels) and "impossible" not in [plain(name) for name, _ in labels_of(labels)]
+def verb_name(label):
+    return {plain(v): v for v in ("finding_something", "putting_something")}.get(plain(label), plain(label))
+
+
+def all_told(labels, spelled, words):
+    """Whether every label of a label object is one of the words: then what it lacks is not so."""
+    return isinstance(labels, dict) and all(clean(key) is not None and spelled(clean(key)) in words for key in labels)
 
 
 def labels_of(value):
@@ -389,7 +397,7 @@ def _read_person(found, frame, track, record, box):
         truncated=flag(attributes.get("truncated")),
         interpolated=flag(attributes.get("interpolated")),
         no_eval=flag(attributes.get("no_eval")),
-        has_actions=bool(actions) and len(labels_of(record["action_label"])) == len(record["action_label"]),
+        has_actions=bool(actions) and all_told(record["action_label"], action_name, ACTIONS),
         file_id=clean(record.get("file_id")),
     )
     for name, difficulty in actions:
@@ -408,9 +416,9 @@ def read_3d(value, every=False):
     found = Found(every)
     known, people = {}, []
     for frame, records in label_frames(value, "pcd|pcb"):
-        known[frame] = 0
+        known[frame], unread, here = 0, False, {}
         for record in records:
-            track = track_of(record.get("label_id"))[0] if isinstance(record, dict) else None
+            track, told = track_of(record.get("label_id")) if isinstance(record, dict) else (None, False)
             box = record.get("box") if track is not None else None
             sides = (
                 [number(box.get(k)) for k in ("cx", "cy", "cz", "l", "w", "h", "rot_z")]
@@ -418,8 +426,12 @@ def read_3d(value, every=False):
                 else []
             )
             usable = sides and all(v is not None and abs(v) <= METRE_MAX for v in sides) and min(sides[3:6]) > 0
+            unread |= not told or (track is not None and not usable) or track in here
             if usable:
-                people.append(((frame, track), record, sides))
+                here.setdefault(track, []).append(((frame, track), record, sides))
+        # Any box may be that of somebody whose record is lost.
+        if every or not unread:
+            people += [one for records in here.values() for one in records]
     for (frame, track), record, sides in found.keep(people):
         known[frame] += 1
         attributes = record.get("attributes")
@@ -446,26 +458,32 @@ def read_social(value, every=False, reasoning=False):
     Each list is judged alone: a person-frame is listed for interactions (handles) where its list could be read to the
     last entry. A key that is not there means an empty list in a reasoning file, and unknown in a social file.
     """
-    found, people = Found(every), []
+    found, people, unread = Found(every), [], set()
     for frame, records in label_frames(value, "jpg|jpeg|png"):
+        met = set()
         for record in records:
-            track = track_of(record.get("label_id"))[0] if isinstance(record, dict) else None
+            track, told = track_of(record.get("label_id")) if isinstance(record, dict) else (None, False)
+            # The second of two records of a person may be somebody else's.
+            if not every and (not told or track in met):
+                unread.add(frame)
             if track is not None:
+                met.add(track)
                 people.append(((frame, track), record))
     for (frame, track), record in found.keep(people):
         here = {"frame": frame, "track": track}
         box = box_of(record.get("box"))
         if box is not None:
             found.boxes[frame, track] = box
-        for told in _objects(record.get("demographics_info"), every):
+        for told in _objects(record.get("demographics_info"), every) if frame not in unread else ():
             for key, attribute in TOLD.items():
                 _read_told(found, "demographics", here, attribute, told.get(key))
-        for told in _objects(record.get("group_info"), every):
+        for told in _objects(record.get("group_info"), every) if frame not in unread else ():
             for key, attribute in INFO.items():
                 _read_told(found, "group_info", here, attribute, told.get(key))
         _read_interactions(found, here, record, reasoning)
         if reasoning:
             _read_handles(found, here, record)
+    found.tables["listed"] = [row for row in found.rows("listed") if row["frame"] not in unread]
     for layer in ("demographics", "interactions", "group_info") + (("handles",) if reasoning else ()):
         listed = [row for row in found.rows("listed") if row["layer"] == layer]
         keys = {(row["frame"], row["track"]) for row in [*found.rows(layer), *listed]}
@@ -522,7 +540,7 @@ def _read_interactions(found, here, record, reasoning):
             partner = partner_of(entry.get("pair")) if isinstance(entry, dict) else None
             labels = entry.get("inter_labels") if isinstance(entry, dict) else None
             usable = partner is not None and partner != here["track"] and isinstance(labels, dict)
-            whole_list &= usable and all_told(labels)
+            whole_list &= usable and all_told(labels, interaction_name, TOGETHER)
             for name, difficulty in labels_of(labels) if usable else ():
                 label = interaction_name(name)
                 if label != "impossible":
@@ -539,14 +557,12 @@ def _read_handles(found, here, record):
         pair = [partner_of(v) for v in pair] if isinstance(pair, list) and len(pair) == 2 else [None]
         labels = entry.get("inter_labels") if isinstance(entry, dict) else None
         usable = None not in pair and isinstance(labels, dict)
-        whole_list &= usable and all_told(labels)
+        whole_list &= usable and all_told(labels, verb_name, VERBS | POSTURES)
         for name, difficulty in labels_of(labels) if usable else ():
             if plain(name) == "impossible":
                 continue
-            verb = {plain(v): v for v in ("finding_something", "putting_something")}.get(plain(name), plain(name))
-            found.add(
-                "handles", **here, object=pair[0], category_id=pair[1], verb=verb, raw=name, difficulty=difficulty
-            )
+            here_too = {"object": pair[0], "category_id": pair[1], "verb": verb_name(name)}
+            found.add("handles", **here, **here_too, raw=name, difficulty=difficulty)
     if whole_list:
         found.add("listed", layer="handles", **here)
 
@@ -639,7 +655,7 @@ STANDARD = {plain(name): name for name in CATEGORIES.split()}
 THINGS = {
     plain(word)
     for name in CATEGORIES.split()
-    if name not in ("pedestrian", "child", "bicyclist/rider")
+    if name not in ("pedestrian", "child", "bicyclist/rider", "other")
     for word in (name, *name.split("/"))
 }
 """What the number of a record may be of that is no person."""

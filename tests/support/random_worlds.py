@@ -135,7 +135,7 @@ def _frame_reasoning(rng, frame, people, lives, alias):
             told = None if rng.random() < 0.5 else said["told"]
             talk = _entries(here["track"], said["talk"])
             rows.append(member(here["track"], here["box"], told, talk, said["info"], said["hold"], alias=alias))
-    return rows
+    return rows + rows[:1] if frame % 50 == 3 else rows
 
 
 def _frame_pose(rng, frame, people):
@@ -169,7 +169,7 @@ def _life(rng, track, frames):
         "blink": _pieces(rng, frames, (True,) * (200 if calm else 20) + (False,), (1, 9), scale),
         "pose": _pieces(rng, frames, POSES[: rng.randrange(2, 4)], (25, 80), scale),
         "code": _pieces(rng, frames, (1, 1, 2, "1", 2.0) + (() if calm else (3, "x")), (4, 60), scale),
-        "extra": _pieces(rng, frames, (None, *rng.sample(EXTRA, 2)), (5, 60), scale),
+        "extra": _pieces(rng, frames, (None, *rng.sample(EXTRA[:3] if calm else EXTRA, 2)), (5, 60), scale),
         "slip": _pieces(rng, frames, (None,) * (200 if calm else 12) + ("no pose", "two", "none"), (1, 10), scale),
         "cluster": _pieces(rng, frames, (5, 6, rng.randrange(7, 9), None) if not calm else (5,), (10, 80), scale),
         "stat": _pieces(rng, frames, (1, 1, 2, 3), (10, 80), scale),
@@ -236,4 +236,4 @@ def _frame_3d(rng, frame, people):
             distance = None if rng.random() < 0.3 else round(math.hypot(*here["spot"][:2]), 2)
             x, y, z = here["spot"]
             rows.append(person_3d(here["track"], x, y, z, here["heading"], here["points"], distance))
-    return rows
+    return [*rows, rows[0] | {"label_id": "Pedestrian:1"}] if rows and frame % 50 == 7 else rows

@@ -21,6 +21,9 @@ from text_reader_vocabulary import (
     Reading,
 )
 
+KNOWN = set().union(*ACTIONS.values())
+"""All labels of actions: a list with another label tells only what it names."""
+
 
 def turn(angle: float) -> float:
     """An angle between -180 and 180 degrees."""
@@ -64,13 +67,14 @@ class Facts:
         seen = self.seen(person, frame)
         if seen is None or not seen.actions:
             return None
+        whole = seen.actions.keys() <= KNOWN
         certain = {label for label, level in seen.actions.items() if level <= CERTAIN}
         listed = seen.actions.keys() & set(POSES.values())
-        if poses and (len(listed) != 1 or not listed <= certain):
+        if poses and (len(listed) != 1 or not listed <= certain or not whole):
             return None
         if labels & certain:
             return True
-        return None if labels & seen.actions.keys() else self.between(person, frame, labels)
+        return None if labels & seen.actions.keys() or not whole else self.between(person, frame, labels)
 
     def between(self, person: int, frame: int, labels: set[str]) -> bool | None:
         """None in a short break of a label, False outside."""

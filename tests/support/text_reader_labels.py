@@ -69,7 +69,7 @@ def track_of(label) -> int | None:
     text = str(label).strip()
     if found := re.fullmatch(r"pedestrian:(\d+)", text):
         return int(found[1]) + 1
-    return 0 if re.match(r"(ped|person|people|human|rider|bicyclist)", text, re.IGNORECASE) else None
+    return 0 if re.match(r"(ped|person|people|human|rider|bicyclist|other)", text, re.IGNORECASE) else None
 
 
 def listed(record: dict, *keys: str) -> list | None:
@@ -117,9 +117,11 @@ class Recording:
         people: dict[int, Seen] = {}
         for record in records:
             number = track_of(record.get("label_id"))
-            if number is None or number - 1 in people:
+            if number is None:
                 continue
-            people[number - 1 if number else -1 - len(people)] = self.seen(record)
+            # The second of two records of a number may be somebody else's.
+            unnumbered = not number or number - 1 in people
+            people[-1 - len(people) if unnumbered else number - 1] = self.seen(record)
         return people
 
     def seen(self, record: dict) -> Seen:
