@@ -54,7 +54,7 @@ class Site:
 @pytest.fixture(scope="module")
 def sites(tmp_path_factory):
     worlds = ((sociable_world, 7), (sociable_world, 12), (random_world, 26), (random_world, 48))
-    worlds += ((in_other_words(lively_world), 5),)
+    worlds += ((in_other_words(lively_world), 5), (sociable_world, 3))
     made = [Site(tmp_path_factory.mktemp("site"), make, seed) for make, seed in worlds]
     yield made
     for site in made:
