@@ -198,6 +198,16 @@ def test_no_person_has_too_many_questions_nor_two_that_are_alike(drawn, cap, cap
             assert max(apart) > (75 if one["template"] == "presence" else 30)
 
 
+def test_a_person_is_in_no_more_questions_of_all_templates_than_the_cap():
+    rows = [
+        candidate(f"{template} {answer}", template, answer, track=1, read=(place * 200,))
+        for template in ("change", "distance")
+        for place, answer in enumerate("wxy")
+    ]
+    for cap, most in ((24, 6), (3, 3)):
+        assert select(table(rows), Rules(max_per_person_in_all=cap), "all", 0).table.num_rows == most
+
+
 def test_questions_that_are_near_at_one_time_only_are_both_chosen():
     reads = {"neither time": (100, 300), "both times": (100, 600), "only at the first time": (400, 600)}
     rows = [candidate(answer, "presence", answer, track=1, read=read) for answer, read in reads.items()]
