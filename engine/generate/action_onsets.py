@@ -65,7 +65,7 @@ class ActionOnsets:
         return UNSURE if covering or not self.scene.listed[line] else FALSE
 
     def possible_poses(self, track: int, frame: int) -> set[str]:
-        """Poses that a person may or may not have at a frame: hard labels, what may be said too, and closed gaps."""
+        """The poses that labels leave open at a frame: doubtful labels, words that others may use, and closed gaps."""
         spans = {pose: self._spans.get((track, pose), []) for pose in POSES}
         return {pose for pose in POSES if any(a <= frame <= b and not certain for a, b, certain in spans[pose])}
 

@@ -273,7 +273,7 @@ class Form:
         self.open[option] = True
 
     def _cut(self) -> None:
-        """Give back what is too many for the limit on answers."""
+        """Drop the chosen questions that exceed the limit on one answer; they may be chosen again."""
         while self.within_sets and self.by_set.max(axis=1).sum() > self.limit.share * len(self.chosen) + 1e-9:
             worst = (self.by_set.max(axis=1) - self.limit.share * self.by_set.sum(axis=1)).argmax()
             answer = self.by_set[worst].argmax()

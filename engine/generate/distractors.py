@@ -35,7 +35,7 @@ APART: Final = tuple(
     for one in itertools.combinations(POSES, CHOICE_COUNT)
     if not any(other in overlapping(pose) for pose, other in itertools.combinations(one, 2))
 )
-"""Every set of poses of which no two overlap; the first hold the poses that are annotated most."""
+"""Every four poses of which no two may be said of one person; the first hold the poses annotated most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class Choices:
 
 
 def make_choices(context: SearchContext, candidates: Candidates, row: int, key: str) -> tuple[Choices, ...]:
-    """The sets of choices that one candidate may have, those that reveal most first."""
+    """The sets of four choices that a candidate may have; first those with most answers of perturbed programs."""
     truth = VALUES[candidates.answer[row]]
     sets: tuple[tuple[str, ...], ...] = (PRESENCE_ANSWERS if truth in PRESENCE_ANSWERS else DISTANCE_ANSWERS,)
     if candidates.template.pose_answer:

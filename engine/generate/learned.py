@@ -68,7 +68,7 @@ def _ranked(group: Sequence[QuestionText], sequences: Sequence[str]) -> float:
 
 
 def _predicted(group: Sequence[QuestionText], sequences: Sequence[str]) -> float:
-    """For each question the answer, counted from its own first time, of the question whose text is most like its text.
+    """The share of right answers where each question is answered like the one whose text is most similar.
 
     A mean of answers would often be an answer that no question has.
     """

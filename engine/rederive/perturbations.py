@@ -33,7 +33,7 @@ _AHEAD_DEG: Final = 180.0
 
 
 def prove_again(annotations: Annotations, plan: Plan, template: str, rules: Rules, own: Outcome) -> tuple[Proof, ...]:
-    """Return every proof of a question whose plan has an answer; `own` is what `rederive` returns for it."""
+    """Compute every proof of a question a second time; `own` is what `rederive` returns for its plan."""
     perturbed = _Perturbed(find_people(annotations, plan, template, rules), own)
     clear = all(annotations.clear(box.track, box.frame) for box in own.needed)
     return (

@@ -50,7 +50,7 @@ class Undefined(Exception):  # noqa: N818 - not an error: the plan's answer is o
 
 
 def also_said(label: str) -> list[str]:
-    """Other labels whose words may be said of somebody with a label: of that person they are unknown, not false."""
+    """Labels whose words may also be said of somebody with this one: unknown of that person, not false."""
     return [other for own, other in ALSO if own == label]
 
 

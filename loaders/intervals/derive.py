@@ -19,7 +19,7 @@ from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS
 
 _LABELS: Final = {"actions": "action", "interactions": "label", "handles": "verb"}
-"""Layers of which the words of one label may be said of people with another, and the column that holds it."""
+"""Layers with labels of people to which the words of other labels may apply, and the column of the label."""
 
 
 def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules) -> dict[str, pa.Table]:

@@ -129,7 +129,7 @@ class People:
 
 
 def with_other_words(table: pa.Table, column: str) -> pa.Table:
-    """An annotation table of labels, with a doubtful row of every other label whose words may be said as well."""
+    """A table of labels with doubtful rows added: labels whose words may also be said of the same person."""
     tables = [table]
     there = set(pc.unique(table[column]).to_pylist())
     for label, other in ((label, other) for label, other in ALSO if label in there):

@@ -122,7 +122,7 @@ def group_sizes(line: Timeline, boxes: Boxes, groups: Facts, cluster_row: Ints) 
 
 
 def _away(line: Timeline, boxes: Boxes, groups: Facts) -> Ints:
-    """Keys of (frame, cluster) of which a member has no box in the frame, but has one within a second."""
+    """Groups with a member out of the picture who is seen within a second, as keys of (frame, cluster)."""
     annotated, grid = line.frames_of("2d"), line.grid("groups")
     found = [np.empty(0, np.int64)]
     # Most people are there all the time: they are left out first.

@@ -61,8 +61,8 @@ class KeptRecords(NamedTuple):
     partial: set[int]
     """Frames with a record that is not kept and may be a person's."""
 
-    def told(self, complete: Iterable[int]) -> Ints:
-        """Of frames whose records all decoded, those without a record that is not kept and may be a person's."""
+    def whole_frames(self, complete: Iterable[int]) -> Ints:
+        """The frames of which every record of a person was decoded and kept; `complete`: those that decoded."""
         return np.array(sorted(set(complete) - self.partial), np.int64)
 
     def frames_of(self, rows: Ints) -> tuple[Ints, Ints]:

@@ -99,7 +99,7 @@ def load_2d(path: Path, problems: Problems) -> LayerTables:
             "social_activities": facts_table("social_activities", people, activities, ("activity", "value")),
         },
         {
-            "2d": known_frames(people.told(complete), people.frame),
+            "2d": known_frames(people.whole_frames(complete), people.frame),
             "actions": people.frames_of(actions.row),
             "groups": people.frames_of(groups.row),
         },
@@ -123,7 +123,7 @@ def box_faults(box: npt.NDArray[np.float64]) -> list[tuple[Bools, str]]:
 
 
 def usable_boxes(box: npt.NDArray[np.float64], refusals: Refusals, field: str) -> Bools:
-    """Which of these boxes can be used; those that cannot are counted, but for missing ones (NaN)."""
+    """Which boxes can be used; the others are reported, except missing ones (NaN)."""
     usable = ~np.isnan(box[:, 0])
     for fault, reason in box_faults(box):
         refusals.count(usable & fault, "field", reason, field, lambda row: box[row].tolist())

@@ -90,8 +90,8 @@ def load_3d(path: Path, problems: Problems) -> LayerTables:
     people = keep_people(
         columns, codes, refusals, faults, lambda row: dict(zip(NUMBERS, numbers[row].tolist(), strict=True))
     )
-    told = np.isin(people.frame, people.told(complete))
-    people = people._replace(row=people.row[told], frame=people.frame[told], track=people.track[told])
+    in_whole = np.isin(people.frame, people.whole_frames(complete))
+    people = people._replace(row=people.row[in_whole], frame=people.frame[in_whole], track=people.track[in_whole])
     columns = {name: column[people.row] for name, column in columns.items()}
     refusals = Refusals(people.frame, problems, "pcd")
     distance, points = columns["distance"], columns["points"]

@@ -118,7 +118,7 @@ def _load(path: Path, problems: Problems, kinds: tuple[RelationKind, ...], absen
 
     columns, _, complete = gather(path, SUFFIXES, reader, take, problems)
     people = keep_people(columns, codes, Refusals(columns["frame"], problems))
-    told = np.isin(people.frame, people.told(complete))
+    in_whole = np.isin(people.frame, people.whole_frames(complete))
     refusals = Refusals(people.frame, problems)
     tables: dict[str, pa.Table] = {}
     frames = {}
@@ -127,7 +127,7 @@ def _load(path: Path, problems: Problems, kinds: tuple[RelationKind, ...], absen
         decode = _AttributeDecoder(name, keys)
         facts = expand(columns[name][people.row], codes[name], decode, refusals)
         unknown += facts.tally(decode.unknown)
-        facts = facts._replace(row=facts.row[told[facts.row]], code=facts.code[told[facts.row]])
+        facts = facts._replace(row=facts.row[in_whole[facts.row]], code=facts.code[in_whole[facts.row]])
         tables[layer] = facts_table(layer, people, facts, ("attribute", "value", "raw", "difficulty"))
         frames[layer] = people.frames_of(facts.row)
     listed = []
@@ -135,7 +135,7 @@ def _load(path: Path, problems: Problems, kinds: tuple[RelationKind, ...], absen
         found = read_lists(columns, kind, codes, people, problems)
         names = (kind.label, "raw", "difficulty")
         tables[kind.layer] = facts_table(kind.layer, people, found.facts, names, found.ends)
-        whole = told & ~found.refused & (found.there | absent_is_empty)
+        whole = in_whole & ~found.refused & (found.there | absent_is_empty)
         listed.append(_listed_table(whole, kind, people))
         frames[kind.layer] = people.frames_of(np.flatnonzero(whole | mask_of(found.facts.row, len(people.row))))
         unknown += found.facts.tally(kind.unknown)
