@@ -64,7 +64,7 @@ panoramas:
 @click.option(
     "--opaque",
     is_flag=True,
-    help="Give the method names of sequences that say nothing of the place; they are the same in every run.",
+    help="Give the method names of sequences that say nothing of the place; they are the same in every run of a store.",
 )
 @click.option(
     "--marker",

@@ -29,7 +29,7 @@ _TIMES: Final = {
     "seconds": ("Gaps", "seconds between the two events"),
 }
 _MISTAKES: Final = ("hop.stop", "hop.skip", "pose at t0", "time.shift", "look-alike", "none")
-_GUESSERS: Final = ("uniform", "most_frequent", "constant", "offset", "text_only", "learned")
+_GUESSERS: Final = ("uniform", "most_frequent", "by_choice", "constant", "offset", "text_only", "learned")
 
 
 class Bar(NamedTuple):

@@ -1,4 +1,4 @@
-"""Opaque names of sequences for methods, which a real name would tell the place of a recording.
+"""Opaque names of sequences for methods: a real name tells the place of a recording.
 
 The name is the HMAC-SHA256 of the real one under a key that is made once per store and stays in `opaque.key`: equal in
 every run of the store, and not to be guessed without the file, which nothing of `agent` opens.
