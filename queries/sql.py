@@ -1,14 +1,14 @@
 """SQL over a store's Parquet files, by DuckDB: one view per table, reading only.
 
-Views: `annotations_<layer>`, `intervals_<kind>`, the tables of `questions/`, `predictions`, `steps` and `scores` of all
-runs, and what joins them (`JOINED`). A table that has not been written yet is an empty view. Nothing but the views' own
+Views: `annotations_<layer>`, `intervals_<kind>`, the tables of `questions/`, `runs` and the tables of all runs, and
+what joins them (`JOINED`). A table that has not been written yet is an empty view. Nothing but the views' own
 files can be opened.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,8 +30,11 @@ JOINED: Final[dict[str, str]] = {
 once; beside every sighting of the graph they would be two thirds of its file."""
 
 
-def views(folder: Path) -> Iterator[tuple[str, pa.Schema, list[Path]]]:
-    """Each view's name, its schema and the files behind it, sorted."""
+_RUN_COLUMNS: Final = ", ".join(f"{name}: '{'BOOL' if name == 'synthetic' else 'TEXT'}'" for name in RUNS["runs"].names)
+
+
+def views(folder: Path, runs: Collection[str] | None = None) -> Iterator[tuple[str, pa.Schema, list[Path]]]:
+    """Each view's name, its schema and the files behind it, sorted; where `runs` are named, of these only."""
     for part, tables in (("annotations", ANNOTATIONS), ("intervals", INTERVALS)):
         for name, schema in tables.items():
             yield f"{part}_{name}", schema, sorted((folder / part / name).glob("*.parquet"))
@@ -39,13 +42,21 @@ def views(folder: Path) -> Iterator[tuple[str, pa.Schema, list[Path]]]:
         path = folder / "questions" / f"{name}.parquet"
         yield name, schema, [path] if path.exists() else []
     for name, schema in RUNS.items():
-        yield name, schema, sorted((folder / "runs").glob(f"*/{name}.parquet"))
+        files = sorted((folder / "runs").glob("*/run.json" if name == "runs" else f"*/{name}.parquet"))
+        yield name, schema, [path for path in files if runs is None or path.parent.name in runs]
 
 
 def query_tables(
-    folder: Path, sql: str, params: Mapping[str, Any] | None = None, *, timeout_s: float = _TIMEOUT_S
+    folder: Path,
+    sql: str,
+    params: Mapping[str, Any] | None = None,
+    *,
+    timeout_s: float = _TIMEOUT_S,
+    scores: pa.Table | None = None,
 ) -> pa.Table:
     """Run one SELECT over the views of a store's folder; `$name` in it are bound to `params`.
+
+    `scores` takes the place of the stored table, and views of runs hold only its runs.
 
     Raises StoreError where the folder is no store, QueryError where the statement is refused, fails or takes too long.
     """
@@ -54,7 +65,7 @@ def query_tables(
     if not folder.is_dir():
         raise StoreError(f"{folder} is no store: run 'jrdb-avr load ROOT --store {folder}' first")
     with duckdb.connect(":memory:") as connection:
-        broken = _make_views(connection, folder)
+        broken = _make_views(connection, folder, scores)
         _lock_down(connection)
         timer = threading.Timer(timeout_s, connection.interrupt)
         timer.daemon = True
@@ -78,7 +89,7 @@ def query_tables(
             timer.cancel()
 
 
-def _make_views(connection: Any, folder: Path) -> dict[str, str]:
+def _make_views(connection: Any, folder: Path, scores: pa.Table | None) -> dict[str, str]:
     """Make all views; returns the reason for each that cannot be made, so that the others stay usable."""
     import duckdb
 
@@ -91,11 +102,15 @@ def _make_views(connection: Any, folder: Path) -> dict[str, str]:
         except duckdb.Error as error:
             broken[name] = f"{fault}: {' '.join(str(error).split())}"
 
-    for name, schema, files in views(folder):
-        if files:
+    for name, schema, files in views(folder, None if scores is None else scores["run_id"].unique().to_pylist()):
+        if name == "scores" and scores is not None:
+            connection.register(name, scores)
+        elif files:
             paths = [_quoted(str(path.resolve())) for path in files]
             allowed += paths
-            make(name, f"SELECT * FROM read_parquet([{', '.join(paths)}])", f"cannot read the files of {name}")  # noqa: S608
+            listed = f"[{', '.join(paths)}]"
+            read = f"read_json({listed}, columns={{{_RUN_COLUMNS}}})" if name == "runs" else f"read_parquet({listed})"
+            make(name, f"SELECT * FROM {read}", f"cannot read the files of {name}")  # noqa: S608
         else:
             connection.register(name, schema.empty_table())
     for name, query in JOINED.items():

@@ -158,6 +158,11 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "reviewer": (_S, "the reviewer"),
     "decision": (_S, "the decision"),
     "reason": (_S, "the reason"),
+    "method": (_S, "the method"),
+    "model": (_S, "the model"),
+    "synthetic": (_B, "of the simulated model or of the sample world: no result about JRDB"),
+    "created": (_S, "when the run began, ISO 8601"),
+    "settings": (_S, "what else shaped the run, as JSON"),
     "status": (_S, "answered, invalid or error"),
     "evidence_frame": (_I, "frame of the evidence box"),
     "evidence_x": (_F, "left edge of the evidence box, stitched pixels"),
@@ -365,6 +370,7 @@ _QUESTIONS: Final = {
 QUESTIONS: Final = _schemas("", _QUESTIONS)
 
 _RUNS: Final = {
+    "runs": ("Each run, from its `run.json`.", "run_id method model synthetic created settings"),
     "predictions": (
         "Answers of each run.",
         "run_id question_id status answer? evidence_frame? evidence_x? evidence_y? evidence_w? evidence_h? raw "

@@ -12,7 +12,6 @@ import msgspec
 from jrdb_avr.engine.pages.page import render
 from jrdb_avr.engine.pages.svg import SQUARE, scatter
 from jrdb_avr.engine.report.comparison import Comparison
-from jrdb_avr.engine.report.failures import CAUSES
 from jrdb_avr.engine.report.formats import filled
 from jrdb_avr.engine.report.scored_runs import DIMENSIONS, SCORES, distinguishing_settings
 from jrdb_avr.engine.report.tables import TABLES, Row
@@ -59,7 +58,7 @@ def report_page(comparison: Comparison) -> str:
         square=SQUARE,
         breakdowns=[(name, crossed(tables[name], name, names)) for name in DIMENSIONS],
         ablation=filled(tables["ablation"]),
-        causes=CAUSES,
+        causes=list(dict.fromkeys(row["cause"] for row in tables["evidence_failures"])),
         titles=_TITLES,
         wrong=pivot(tables["wrong_choices"], "run", "perturbation"),
         perturbations=sorted(perturbations, key=lambda name: (-perturbations[name], name)),

@@ -11,15 +11,13 @@ from typing import Final
 import pyarrow as pa
 
 from jrdb_avr.engine.report import formats
-from jrdb_avr.engine.report.failures import evidence_failure_rows, wrong_choice_rows
 from jrdb_avr.engine.report.scored_runs import QuestionIndex, ScoredRun, read_index, scored_run
-from jrdb_avr.engine.report.scoring import Truth, read_truth, score_run, write_scores
+from jrdb_avr.engine.report.scoring import read_truth, score_run, write_scores
 from jrdb_avr.engine.report.tables import (
     TABLES,
     Row,
     ablation_rows,
     breakdown_rows,
-    cost_rows,
     main_rows,
     pair_rows,
     published_groups,
@@ -27,7 +25,9 @@ from jrdb_avr.engine.report.tables import (
     score_row,
 )
 from jrdb_avr.queries.display import Displayed, Tables
+from jrdb_avr.queries.named import named_queries
 from jrdb_avr.queries.runs import run_ids
+from jrdb_avr.queries.sql import query_tables
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
 
@@ -49,12 +49,15 @@ class Scores(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Displayed):
-    """Scored runs side by side. `paper` adds the paper's figures to the tables that have some."""
+    """Scored runs side by side. `paper` adds the paper's figures to the tables that have some.
+
+    scores: the rows of all runs, as `score` would write them.
+    """
 
     store: Store
-    truth: Truth
     index: QuestionIndex
     runs: list[ScoredRun]
+    scores: pa.Table
     iou: float
     paper: bool
 
@@ -75,13 +78,16 @@ class Comparison(Displayed):
                 return ablation_rows(runs, published=self.paper)
             case "pairs":
                 return pair_rows(index, runs)
-            case "wrong_choices":
-                return wrong_choice_rows(self.store, index, runs)
-            case "evidence_failures":
-                return evidence_failure_rows(self.store, self.truth, index, runs)
-            case "cost":
-                return cost_rows(runs)
+            case "wrong_choices" | "evidence_failures" | "cost":
+                return self._query(name)
         return breakdown_rows(index, runs, name) + (published_groups() if self.paper and name == "group" else [])
+
+    def _query(self, name: str) -> list[Row]:
+        """The rows of a query of `queries/results/` over these runs, in their order."""
+        ids = [run.manifest.run_id for run in self.runs]
+        found = query_tables(self.store.path, named_queries("sql")[name].text, scores=self.scores)
+        rows = found.rename_columns({"run_id": "run"}).to_pylist()
+        return sorted(rows, key=lambda row: ids.index(row["run"]))
 
     def markdown(self, name: str = "main") -> str:
         """A table in Markdown, in the columns of a paper."""
@@ -118,7 +124,7 @@ def score(store: Store | str | Path, runs: Sequence[str] = (), iou: float = 0.5)
     """
     store = Store.of(store)
     rows = []
-    for run, scores in _scored(store, read_truth(store), read_index(store), runs, iou):
+    for run, scores in _scored(store, read_index(store), runs, iou):
         write_scores(store, run.manifest.run_id, scores, iou)
         rows.append(score_row(run, iou))
     return Scores(rows)
@@ -130,16 +136,14 @@ def report(store: Store | str | Path, runs: Sequence[str] = (), *, iou: float = 
     Raises StoreError for a named run that cannot be scored; of all runs, such a one is left out with an AvrWarning.
     """
     store = Store.of(store)
-    truth, index = read_truth(store), read_index(store)
-    found = [run for run, _ in _scored(store, truth, index, runs, iou)]
-    return Comparison(store, truth, index, found, iou, paper)
+    index = read_index(store)
+    found, scores = zip(*_scored(store, index, runs, iou), strict=True)
+    return Comparison(store, index, list(found), pa.concat_tables(scores), iou, paper)
 
 
-def _scored(
-    store: Store, truth: Truth, index: QuestionIndex, names: Sequence[str], iou: float
-) -> list[tuple[ScoredRun, pa.Table]]:
+def _scored(store: Store, index: QuestionIndex, names: Sequence[str], iou: float) -> list[tuple[ScoredRun, pa.Table]]:
     """Each run with its scores table, by method, model and id."""
-    known = run_ids(store)
+    truth, known = read_truth(store), run_ids(store)
     if not known:
         raise StoreError(f"{store.path} has no runs yet: run 'jrdb-avr evaluate --store {store.path} ...'")
     done = []

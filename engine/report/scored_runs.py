@@ -58,7 +58,6 @@ class ScoredRun:
     scores: Ints
     invalid: Ints
     errors: int
-    predictions: pa.Table
 
     @property
     def n(self) -> int:
@@ -95,7 +94,6 @@ def scored_run(index: QuestionIndex, manifest: RunManifest, predictions: pa.Tabl
         np.stack(columns, axis=1),
         scores["invalid"].to_numpy(zero_copy_only=False).astype(np.int64),
         scores.num_rows - int(np.count_nonzero(is_judged(predictions["status"]))),
-        predictions,
     )
 
 

@@ -102,7 +102,10 @@ def score_predictions(
     if len(np.unique(answered_by)) < len(answered_by):
         raise StoreError(f"run {run_id} has two predictions of one question: evaluate under a new run id")
 
-    table, judged = align_predictions(question_ids, predictions)
+    # A question without a prediction counts as an error too: its row is null.
+    places = pc.index_in(questions, value_set=predictions["question_id"].combine_chunks())
+    table = predictions.take(places)
+    judged = is_judged(table["status"])
     invalid = judged & _flags(pc.equal(table["status"], "invalid"))
 
     numbers, texts = row.tolist(), table["answer"].to_pylist()
@@ -124,16 +127,6 @@ def score_predictions(
         },
         schema=RUNS["scores"],
     )
-
-
-def align_predictions(question_ids: Sequence[str], predictions: pa.Table) -> tuple[pa.Table, Bools]:
-    """The predictions in the order of the questions, and which of them count: not those that ended in an error.
-
-    A question without a prediction counts as an error too: its row is null.
-    """
-    places = pc.index_in(pa.array(question_ids, pa.string()), value_set=predictions["question_id"].combine_chunks())
-    table = predictions.take(places)
-    return table, is_judged(table["status"])
 
 
 def is_judged(status: pa.ChunkedArray) -> Bools:

@@ -11,7 +11,6 @@ from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
-import pyarrow.compute as pc
 
 from jrdb_avr.engine.report.bootstrap import Interval, compare, intervals, mean_ratio, numbered_sums
 from jrdb_avr.engine.report.paper import ABLATION, GROUPS, MAIN, Published
@@ -33,9 +32,6 @@ _CELLS: Final[dict[str, Row]] = {
     "agent": {"active": "on", "world_model": "on"},
 }
 """Cells of the ablation, active observation by world model, by method."""
-
-_COSTS: Final = ("n_observations", "n_model_calls", "prompt_tokens", "completion_tokens", "seconds")
-
 
 # -- the main table ---------------------------------------------------------------------------------------------------
 
@@ -188,27 +184,6 @@ def pair_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[Row]:
     ]
 
 
-# -- cost -------------------------------------------------------------------------------------------------------------
-
-
-def cost_rows(runs: Sequence[ScoredRun]) -> list[Row]:
-    """The cost of each run: means per question, and tokens per question that scores combined."""
-    rows = []
-    for run in runs:
-        totals = {name: _total(run, name) for name in _COSTS}
-        tokens, right = totals["prompt_tokens"] + totals["completion_tokens"], int(run.scores[:, 2].sum())
-        rows.append(
-            _head(run)
-            | {"n": run.n}
-            | {name.removeprefix("n_"): round(total / run.n, 3) if run.n else None for name, total in totals.items()}
-            | {"tokens_per_combined": round(tokens / right) if right else None}
-        )
-    return rows
-
-
-def _total(run: ScoredRun, name: str) -> float:
-    return float(pc.sum(run.predictions[name]).as_py() or 0)
-
-
 TABLES: Final = ("main", *DIMENSIONS, "ablation", "pairs", "wrong_choices", "evidence_failures", "cost")
-"""`main`: shares with intervals and macro averages; a dimension's name: a breakdown by it."""
+"""`main`: shares with intervals and macro averages; a dimension's name: a breakdown by it; the last three: queries of
+`queries/results/`."""

@@ -127,24 +127,18 @@ _SHOWN = msgspec.json.Decoder(_Shown)
 
 
 def look_of(step: StoredRow) -> Look | None:
-    """The look of a step of the transcript; None for other steps, and for a refused look."""
-    shown = look_shown(step["response"]) if step["kind"] == "observe" else None
-    return None if shown is None else Look(step["step"], *shown)
-
-
-def look_shown(response: str) -> tuple[int, float | None, int] | None:
-    """Frame, angle and left column of a look, no angle and 0 for a whole panorama; None for a response without a look.
-
-    A custom method may report its looks in another form, which cannot be read.
-    """
+    """The look of a step of the transcript; None for other steps, for a refused look, and for one in a form of a custom
+    method's own."""
+    if step["kind"] != "observe":
+        return None
     try:
-        shown = _SHOWN.decode(response)
+        shown = _SHOWN.decode(step["response"])
     except (msgspec.DecodeError, UnicodeEncodeError):
         return None
     plain = shown.frame_id.isascii() and shown.frame_id.isdecimal() and len(shown.frame_id) < _DIGITS
     if not plain or (shown.left is None) != (shown.angle_deg is None):
         return None
-    return int(shown.frame_id), shown.angle_deg, (shown.left or 0) % WIDTH
+    return Look(step["step"], int(shown.frame_id), shown.angle_deg, (shown.left or 0) % WIDTH)
 
 
 def _own(table: pa.Table, question_id: str) -> pa.Table:

@@ -1,10 +1,11 @@
--- Answer, evidence and combined score of every run, per family, in percent of the questions asked.
+-- Scores of every run per family, in percent of the n questions.
 SELECT run_id, family, count(*) AS n,
-       round(100 * avg(answer_score), 2) AS answer,
-       round(100 * avg(evidence_score), 2) AS evidence,
-       round(100 * avg(combined_score), 2) AS combined,
-       round(100 * avg(invalid::INT), 2) AS invalid
+       round_even(100 * sum(answer_score) / n, 2) AS answer,
+       round_even(100 * sum(evidence_score) / n, 2) AS evidence,
+       round_even(100 * sum(combined_score) / n, 2) AS combined,
+       round_even(100 * sum(answer_score - combined_score) / nullif(sum(answer_score), 0), 2) AS hallucination,
+       round_even(100 * sum(invalid::INT) / n, 2) AS invalid
 FROM scores
 JOIN questions USING (question_id)
-GROUP BY run_id, family
+GROUP BY ALL
 ORDER BY run_id, family;

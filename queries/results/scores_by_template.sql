@@ -1,10 +1,11 @@
--- Answer, evidence and combined score of every run, per template, in percent of the questions asked.
-SELECT s.run_id, q.template, count(*) AS n,
-       round(100 * avg(s.answer_score), 2) AS answer,
-       round(100 * avg(s.evidence_score), 2) AS evidence,
-       round(100 * avg(s.combined_score), 2) AS combined,
-       round(100 * avg(s.invalid::INT), 2) AS invalid
-FROM scores s
-JOIN questions q USING (question_id)
-GROUP BY s.run_id, q.template
-ORDER BY s.run_id, q.template;
+-- Scores of every run per template, in percent of the n questions.
+SELECT run_id, template, count(*) AS n,
+       round_even(100 * sum(answer_score) / n, 2) AS answer,
+       round_even(100 * sum(evidence_score) / n, 2) AS evidence,
+       round_even(100 * sum(combined_score) / n, 2) AS combined,
+       round_even(100 * sum(answer_score - combined_score) / nullif(sum(answer_score), 0), 2) AS hallucination,
+       round_even(100 * sum(invalid::INT) / n, 2) AS invalid
+FROM scores
+JOIN questions USING (question_id)
+GROUP BY ALL
+ORDER BY run_id, template;

@@ -1,18 +1,19 @@
--- How a run fails at multiple choice: the perturbation behind each wrong choice, where one is recorded.
+-- How runs fail at multiple choice: the perturbation that yields a wrong choice, in percent of a run's wrong choices.
 WITH chosen AS (
-    SELECT run_id, question_id, CAST(json_extract(answer, '$.choice') AS INT) AS choice
+    SELECT run_id, question_id, TRY_CAST(TRY_CAST(answer AS JSON) ->> 'choice' AS INT) AS choice
     FROM predictions
-    WHERE answer IS NOT NULL AND json_extract(answer, '$.choice') IS NOT NULL
+    WHERE status <> 'error'
 )
-SELECT chosen.run_id, q.family, q.template,
+SELECT run_id,
        coalesce(
-           regexp_replace(json_extract_string(a.distractors, '$[' || (choice - 1) || ']'), ' without .*', ''),
+           regexp_replace(json_extract_string(distractors, '$[' || (choice - 1) || ']'), ' without .*', ''),
            'none recorded'
        ) AS perturbation,
-       count(*) AS times
+       sum(count(*)) OVER (PARTITION BY run_id)::BIGINT AS wrong_choices, count(*) AS times,
+       round_even(100 * times / wrong_choices, 2) AS percent
 FROM chosen
-JOIN questions q USING (question_id)
+JOIN questions USING (question_id)
 JOIN answers a USING (question_id)
-WHERE choice <> CAST(json_extract(a.answer, '$.choice') AS INT)
-GROUP BY ALL
-ORDER BY ALL;
+WHERE answer_mode = 'multiple_choice' AND choice <> (a.answer ->> 'choice')::INT
+GROUP BY run_id, perturbation
+ORDER BY run_id, times DESC, perturbation;

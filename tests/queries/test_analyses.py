@@ -4,22 +4,27 @@ import json
 import random
 from collections import Counter, defaultdict
 
+import msgspec
 import pytest
 from known_runs import BOX, ELSEWHERE, Benchmark, table
 
+from jrdb_avr.engine.report.comparison import report
+from jrdb_avr.engine.report.scoring import score_predictions
 from jrdb_avr.queries.named import named_queries
+from jrdb_avr.queries.runs import questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.tables import INTERVALS, RUNS
 
-FAMILIES = ("chain_2hop", "long_range", "unique_anchor")
-RUN_IDS = ("one", "two", "three")
+FAMILIES = ("chain_2hop", "chain_fork_join", "chain_hybrid", "long_range", "unique_anchor")
+RUN_IDS = {"one": "agent", "two": "agent-passive", "three": "react"}
+"""Runs with their methods; the third lacks two predictions and has one that ended in an error."""
 
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory):
-    """A store with forty questions and three runs; and its predictions, scores and questions as dicts."""
+    """A store with sixty-four questions and three runs; and its predictions, scores and questions as dicts."""
     generator = random.Random(3)
-    asked = [(f"q{i:02}", f"s{i % 3}", FAMILIES[i % 7 % 3]) for i in range(40)]
+    asked = [(f"q{i:02}", f"s{i % 3}", FAMILIES[i % 7 % 5]) for i in range(64)]
     benchmark, store = Benchmark(asked), Store(tmp_path_factory.mktemp("analyses"))
     questions = benchmark.tables["questions"].to_pylist()
     for row in questions:
@@ -37,24 +42,30 @@ def world(tmp_path_factory):
         own = [row for row in sightings if row["sequence"] == f"s{s}"]
         store.write_interval("sightings", f"s{s}", table(own, INTERVALS["sightings"]))
     predictions, scores = [], []
-    for run_id in RUN_IDS:
+    for run_id, method in RUN_IDS.items():
         # The first ten are guessed by all, and boxed by none.
         given = [
             (1, ELSEWHERE, 7)
             if i < 10
             else (generator.choice([1, 1, 2, 3, None]), generator.choice([BOX, BOX, ELSEWHERE, None]), 7)
-            for i in range(40)
+            for i in range(64)
         ]
-        benchmark.run(given, run_id)
+        run = benchmark.run(given, run_id, method)
+        write_run_manifest(store, msgspec.structs.replace(run.manifest, questions_sha256=questions_hash(store)))
         rows = benchmark.written["predictions"].to_pylist()
         for row in rows:
             row["n_observations"] = generator.randrange(4)
             row["seconds"] = generator.random()
             row["reason"] = "" if row["status"] == "answered" else f"frame {generator.randrange(9)} is wrong"
-        store.write_run(run_id, "predictions", table(rows, RUNS["predictions"]))
-        store.write_run(run_id, "scores", benchmark.written["scores"])
+        if run_id == "three":
+            rows[20] |= {"status": "error", "reason": "frame 3 is wrong"}
+            del rows[30:32]
+        written = table(rows, RUNS["predictions"])
+        scored = score_predictions(benchmark.truth, run_id, benchmark.ids, written)
+        store.write_run(run_id, "predictions", written)
+        store.write_run(run_id, "scores", scored)
         predictions += rows
-        scores += benchmark.written["scores"].to_pylist()
+        scores += scored.to_pylist()
     writes = [
         {"run_id": "one", "question_id": f"q{i:02}", "number": 0, "tool": tool, "accepted": ok, "reason": why}
         for i, (tool, ok, why) in enumerate(
@@ -100,7 +111,7 @@ def test_hardest_questions(world):
 
 def test_right_without_evidence(world):
     assert [row["question_id"] for row in ask(world, "right_without_evidence")] == sorted(
-        (f"q{i:02}" for i in range(10)), key=lambda name: (FAMILIES[int(name[1:]) % 7 % 3], name)
+        (f"q{i:02}" for i in range(10)), key=lambda name: (FAMILIES[int(name[1:]) % 7 % 5], name)
     )
 
 
@@ -133,7 +144,9 @@ def test_positions_chosen(world):
     )
     found = {(row["run_id"], row["place"]): row for row in ask(world, "positions_chosen")}
     assert {key: row["chosen"] for key, row in found.items()} == dict(chosen)
-    assert all(row["true_there"] == (40 if place == 1 else 0) for (_, place), row in found.items())
+    assert all(
+        row["true_there"] == (len(by_run(predictions)[run]) if place == 1 else 0) for (run, place), row in found.items()
+    )
 
 
 def test_cost_per_correct(world):
@@ -142,34 +155,115 @@ def test_cost_per_correct(world):
     for row in ask(world, "cost_per_correct"):
         own = by_run(predictions)[row["run_id"]]
         assert row["correct"] == right[row["run_id"]] > 0
-        assert row["looks"] == pytest.approx(sum(r["n_observations"] for r in own) / row["correct"], abs=0.005)
-        assert row["tokens"] == pytest.approx(40 * 110 / row["correct"], abs=0.5)
+        assert row["looks"] == pytest.approx(sum(r["n_observations"] for r in own) / row["correct"], abs=0.0051)
+        assert row["tokens"] == pytest.approx(len(own) * 110 / row["correct"], abs=0.5)
 
 
 def test_invalid_reasons(world):
     _, _, predictions, _, _ = world
-    expected = Counter(row["run_id"] for row in predictions if row["status"] == "invalid")
+    expected = Counter((row["run_id"], row["status"]) for row in predictions if row["status"] != "answered")
     found = ask(world, "invalid_reasons")
-    assert {row["run_id"]: row["times"] for row in found} == dict(expected)
+    assert {(row["run_id"], row["status"]): row["times"] for row in found} == dict(expected)
     assert {row["reason"] for row in found} == {"frame # is wrong"}
 
 
-@pytest.mark.parametrize("dimension", ["template", "family"])
+def shares(rows):
+    """The figures of some scores; a question without a prediction has a row of zeros."""
+    right = sum(row["answer_score"] for row in rows)
+    unfounded = right - combined(rows)
+    return {
+        "n": len(rows),
+        **{name: percent(rows, name) for name in ("answer", "evidence", "combined")},
+        "hallucination": round(100 * unfounded / right, 2) if right else None,
+        "invalid": round(100 * sum(row["invalid"] for row in rows) / len(rows), 2),
+    }
+
+
+GROUPS = {"chain_2hop": "chain", "chain_fork_join": "chain", "chain_hybrid": "hybrid"}
+
+
+@pytest.mark.parametrize("dimension", ["template", "family", "group"])
 def test_scores_by(world, dimension):
     _, questions, _, scores, _ = world
-    value = {row["question_id"]: row[dimension] for row in questions}
+    family = {row["question_id"]: row["family"] for row in questions}
+    value = {q: GROUPS.get(f, f.replace("_", " ")) if dimension == "group" else f for q, f in family.items()}
     own = by_run(scores, lambda row: (row["run_id"], value[row["question_id"]]))
-    found = {(row["run_id"], row[dimension]): row for row in ask(world, f"scores_by_{dimension}")}
-    assert found.keys() == own.keys()
-    for key, rows in own.items():
-        assert found[key]["n"] == len(rows)
-        assert [found[key][n] for n in ("answer", "combined")] == [percent(rows, n) for n in ("answer", "combined")]
+    found = ask(world, f"scores_by_{dimension}")
+    assert {(row.pop("run_id"), row.pop(dimension)): row for row in found} == {
+        key: shares(rows) for key, rows in own.items()
+    }
+
+
+def test_hallucination(world):
+    _, _, predictions, scores, _ = world
+    sound = Counter(row["run_id"] for row in predictions if row["status"] != "error")
+    found = {row.pop("run_id"): row for row in ask(world, "hallucination")}
+    assert found == {
+        run: shares(rows) | {"errors": round(100 * (64 - sound[run]) / 64, 2)} for run, rows in by_run(scores).items()
+    }
+    assert found["three"]["errors"] == round(100 * 3 / 64, 2)
+
+
+def test_ablation(world):
+    own = by_run(world[3])
+    heads = {"one": {"active": "on", "world_model": "on"}, "two": {"active": "off", "world_model": "on"}}
+    assert ask(world, "ablation") == [
+        heads[run] | {"run_id": run, "method": RUN_IDS[run], "model": "m", "label": ""} | shares(own[run])
+        for run in ("two", "one")
+    ]
+
+
+def test_cost(world):
+    _, _, predictions, scores, _ = world
+    own, spent = by_run(scores), by_run(predictions)
+    for row in ask(world, "cost"):
+        rows = spent[row["run_id"]]
+        assert (row["method"], row["n"]) == (RUN_IDS[row["run_id"]], 64)
+        for name in ("n_observations", "n_model_calls", "prompt_tokens", "completion_tokens", "seconds"):
+            total = sum(one[name] for one in rows)
+            assert row[name.removeprefix("n_")] == pytest.approx(total / 64, abs=0.0006), name
+        assert row["tokens_per_combined"] == pytest.approx(110 * len(rows) / combined(own[row["run_id"]]), abs=0.51)
+
+
+def test_wrong_choices(world):
+    _, _, predictions, _, _ = world
+    named = {2: "time.shift +3 s", 3: "x", 4: "none recorded"}
+    chosen = [(row["run_id"], json.loads(row["answer"] or "{}").get("choice", 1), row["status"]) for row in predictions]
+    wrong = Counter((run, named[choice]) for run, choice, status in chosen if choice != 1 and status != "error")
+    in_all = Counter()
+    for (run, _), times in wrong.items():
+        in_all[run] += times
+    assert {(row.pop("run_id"), row.pop("perturbation")): row for row in ask(world, "wrong_choices")} == {
+        key: {"wrong_choices": in_all[key[0]], "times": n, "percent": round(100 * n / in_all[key[0]], 2)}
+        for key, n in wrong.items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("query", "name"),
+    [
+        ("hallucination", "main"),
+        ("ablation", "ablation"),
+        ("scores_by_group", "group"),
+        ("scores_by_family", "family"),
+        ("scores_by_template", "template"),
+        ("cost", "cost"),
+        ("wrong_choices", "wrong_choices"),
+        ("evidence_failures", "evidence_failures"),
+    ],
+)
+def test_figures_are_those_of_report(world, query, name):
+    rows = [{"run": row.pop("run_id"), **row} for row in ask(world, query)]
+    printed = [{column: row[column] for column in rows[0]} for row in report(world[0]).table(name)]
+    in_order = sorted(map(msgspec.json.encode, rows))
+    assert in_order == sorted(map(msgspec.json.encode, printed)) and len(rows) > 1
 
 
 def test_looks_and_scores(world):
     _, _, predictions, scores, _ = world
     looks = {(row["run_id"], row["question_id"]): row["n_observations"] for row in predictions}
-    own = by_run(scores, lambda row: (row["run_id"], looks[row["run_id"], row["question_id"]]))
+    predicted = [row for row in scores if (row["run_id"], row["question_id"]) in looks]
+    own = by_run(predicted, lambda row: (row["run_id"], looks[row["run_id"], row["question_id"]]))
     found = {(row["run_id"], row["looks"]): row for row in ask(world, "looks_and_scores")}
     assert {key: (row["n"], row["evidence"]) for key, row in found.items()} == {
         key: (len(rows), percent(rows, "evidence")) for key, rows in own.items()

@@ -384,10 +384,10 @@ def test_views_hold_the_files(store):
 def one_connection(monkeypatch, store):
     """Statements of SQL run on one connection with its views made: they are dearer than the statements."""
     with duckdb.connect(":memory:") as connection:
-        broken = sql_tables._make_views(connection, store.path)
+        broken = sql_tables._make_views(connection, store.path, None)
         sql_tables._lock_down(connection)
         monkeypatch.setattr(duckdb, "connect", lambda place: contextlib.nullcontext(connection))
-        monkeypatch.setattr(sql_tables, "_make_views", lambda connection, folder: broken)
+        monkeypatch.setattr(sql_tables, "_make_views", lambda *arguments: broken)
         monkeypatch.setattr(sql_tables, "_lock_down", lambda connection: None)
         yield
 

@@ -17,14 +17,7 @@ from failing_runs import CASES, stored_failures
 from known_runs import BOX, ELSEWHERE, Benchmark, table
 from places import SUPPORT
 
-from jrdb_avr.engine.report.failures import (
-    CAUSES,
-    SCORES_AT,
-    evidence_causes,
-    evidence_failure_rows,
-    people_boxes,
-    wrong_choice_rows,
-)
+from jrdb_avr.engine.report.comparison import report, score
 from jrdb_avr.engine.report.formats import cell, csv_text, latex, markdown, with_intervals
 from jrdb_avr.engine.report.paper import ABLATION, GROUPS
 from jrdb_avr.engine.report.scored_runs import distinguishing_settings
@@ -32,7 +25,6 @@ from jrdb_avr.engine.report.tables import (
     TABLES,
     ablation_rows,
     breakdown_rows,
-    cost_rows,
     main_rows,
     pair_rows,
     published_groups,
@@ -155,36 +147,65 @@ def test_pairs_are_of_the_questions_both_were_asked():
     assert (rows["evidence"]["only_first"], rows["evidence"]["p"]) == (0, 1.0)
 
 
-def test_cost_is_per_question_and_per_right_one():
-    benchmark = Benchmark(FOUR)
-    row = cost_rows([benchmark.run([(1, BOX, 7), (2, BOX, 7), (1, BOX, 7), (1, None, 0)])])[0]
+def stored_run(path, given):
+    """A store with a run of the four questions."""
+    benchmark, store = Benchmark(FOUR), Store(path)
+    for name, rows in benchmark.tables.items():
+        store.write_questions(name, rows, {})
+    run = benchmark.run(given)
+    store.write_run("r", "predictions", benchmark.written["predictions"])
+    write_run_manifest(store, msgspec.structs.replace(run.manifest, questions_sha256=questions_hash(store)))
+    return store
+
+
+def test_cost_is_per_question_and_per_right_one(tmp_path):
+    given = [(1, BOX, 7), (2, BOX, 7), (1, BOX, 7), (1, None, 0)]
+    (row,) = report(stored_run(tmp_path / "a", given)).table("cost")
     assert (row["model_calls"], row["prompt_tokens"], row["tokens_per_combined"]) == (3.0, 100.0, 220)
-    assert cost_rows([benchmark.run([(2, BOX, 7)] * 4)])[0]["tokens_per_combined"] is None
+    (row,) = report(stored_run(tmp_path / "b", [(2, BOX, 7)] * 4)).table("cost")
+    assert row["tokens_per_combined"] is None
 
 
 # -- failures ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def failing(tmp_path):
-    return stored_failures(tmp_path)
-
-
-def test_each_box_that_does_not_score_has_its_cause(failing):
-    benchmark, run, store = failing
-    found = evidence_causes(store, benchmark.truth, benchmark.index, run, people_boxes(store, benchmark.index))
-    causes = ["" if cause == SCORES_AT else CAUSES[cause] for cause in found.tolist()]
-    assert dict(zip(CASES, causes, strict=True)) == {name: cause for name, (_, _, cause) in CASES.items()}
-    rows = evidence_failure_rows(store, benchmark.truth, benchmark.index, [run])
-    assert [row["cause"] for row in rows] == list(CAUSES)
+def test_each_box_that_does_not_score_has_its_cause(tmp_path):
+    benchmark, run, store = stored_failures(tmp_path)
+    rows = report(store).table("evidence_failures")
     assert sum(row["times"] for row in rows) == len(CASES) - 1
+    # A run of each question alone has the cause of that question.
+    steps = store.sql("SELECT * FROM steps").to_pylist()
+    predictions = benchmark.written["predictions"].to_pylist()
+    for number, name in enumerate(CASES):
+        for kind, all_rows in (("steps", steps), ("predictions", predictions)):
+            own = [row | {"run_id": f"case-{number}"} for row in all_rows if row["question_id"] == name]
+            store.write_run(f"case-{number}", kind, table(own, RUNS[kind]))
+        manifest = msgspec.structs.replace(run.manifest, run_id=f"case-{number}", question_ids=(name,))
+        write_run_manifest(store, msgspec.structs.replace(manifest, questions_sha256=questions_hash(store)))
+    found = {row["run"]: row["cause"] for row in report(store).table("evidence_failures") if row["times"]}
+    assert {name: found.get(f"case-{number}", "") for number, name in enumerate(CASES)} == {
+        name: cause for name, (_, _, cause) in CASES.items()
+    }
+
+
+def test_tables_hold_only_the_named_runs_under_the_threshold_at_hand(tmp_path):
+    *_, store = stored_failures(tmp_path)
+    # The other run cannot be scored, and the stored scores are of another threshold.
+    score(store, iou=0.4)
+    other = store.run_path("broken") / "predictions.parquet"
+    other.parent.mkdir()
+    other.write_bytes(b"no parquet")
+    (other.parent / "run.json").write_bytes(b"{")
+    loose, strict = (
+        {row["cause"]: row["times"] for row in report(store, ["r"], iou=iou).table("evidence_failures")}
+        for iou in (0.4, 0.5)
+    )
+    assert strict == loose | {"right person, loose box": loose["right person, loose box"] + 1}
 
 
 def test_a_wrong_choice_tells_the_perturbation_it_is_true_of(tmp_path):
-    benchmark = Benchmark(FOUR)
-    Store(tmp_path).write_questions("answers", benchmark.tables["answers"], {})
-    run = benchmark.run([(1, BOX, 7), (2, BOX, 7), (3, BOX, 7), (4, BOX, 7)])
-    rows = {row["perturbation"]: row for row in wrong_choice_rows(Store(tmp_path), benchmark.index, [run])}
+    store = stored_run(tmp_path, [(1, BOX, 7), (2, BOX, 7), (3, BOX, 7), (4, BOX, 7)])
+    rows = {row["perturbation"]: row for row in report(store).table("wrong_choices")}
     assert {name: row["times"] for name, row in rows.items()} == {"time.shift +3 s": 1, "x": 1, "none recorded": 1}
     assert rows["x"]["percent"] == 33.33
 
@@ -285,14 +306,15 @@ def write_every_format(path, folder):
 
 
 def test_a_report_is_the_same_under_any_hash_seed(tmp_path):
-    _, run, store = stored_failures(tmp_path / "S")
-    right = run.predictions.slice(0, 1).to_pylist()[0]
+    benchmark, run, store = stored_failures(tmp_path / "S")
+    predictions = benchmark.written["predictions"].to_pylist()
+    right = predictions[0]
     for number, method in enumerate(("agent", "react")):
         name = f"{method}-run"
         # One answers wrongly, and differently from question to question, so that every table has rows.
         rows = [
             row | {"run_id": name, "answer": json.dumps({"choice": 2 + (place + number) % 3})}
-            for place, row in enumerate(run.predictions.to_pylist())
+            for place, row in enumerate(predictions)
         ]
         rows[0] |= {"answer": right["answer"]}
         store.write_run(name, "predictions", table(rows, RUNS["predictions"]))
