@@ -145,7 +145,7 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "proofs": (_S, "each proof with its result, as JSON; `holds` is null where it is not run"),
     "distractors": (_S, "why each wrong choice is there, as JSON"),
     "rules": (_S, "hash of the rules it was made under"),
-    "hops": (_I, "relations in the question"),
+    "hops": (_I, "relations of the plan, four of a fork-join; `stats` and `report` count two, one after another"),
     "time_gap_s": (_F, "seconds from the description to the last time that it takes"),
     "separation_deg": (_F, "turn of the target from the description to the decisive frame, degrees"),
     "people_in_scene": (_I, "people with a box at the time of the description"),

@@ -105,8 +105,13 @@ class Template:
 
     @property
     def joins(self) -> bool:
-        """Whether two relations together lead to the target."""
+        """Whether two branches of relations meet in the target."""
         return len(self.edges) >= len(self.people)
+
+    @property
+    def hops(self) -> int:
+        """Number of relations one after another to the target: two in a fork-join, whose branches are parallel."""
+        return len(self.edges) // (2 if self.joins else 1)
 
     @property
     def counts(self) -> bool:
@@ -144,8 +149,7 @@ class Template:
         """The plan of a text with these slots."""
         named = {f"{{{number}}}": action for number, action in enumerate(slots.actions, 1)}
         events = {
-            name: replace(time, action=named[time.action]) if time.action else time
-            for name, time in self.events.items()
+            t: replace(time, action=named[time.action]) if time.action else time for t, time in self.events.items()
         }
         return Plan(
             root="a",

@@ -85,15 +85,22 @@ def generate(
 @click.option("--picture", type=FILE, help="Also draw the distributions into this SVG file.")
 @_blind_option
 @json_option
-def stats(store: Store, picture: Path | None, blind: str, as_json: bool) -> None:
+@click.option(
+    "--latex", "as_latex", is_flag=True, help="Print the paper's table of generators, for the package booktabs."
+)
+def stats(store: Store, picture: Path | None, blind: str, as_json: bool, as_latex: bool) -> None:
     """Count the questions of STORE by family, template, sequence, answer; score guessers that see no image.
 
     Says for each template what became of its candidates and, where there are few questions, why. With --json each row
     object names its table under "table".
     """
+    if as_json and as_latex:
+        raise click.UsageError("choose one of --json and --latex")
+
     from jrdb_avr.engine.generate.diagnostics import REFUSALS
     from jrdb_avr.engine.generate.learned import learned_guesser
-    from jrdb_avr.engine.validate.statistics import TITLES, statistics
+    from jrdb_avr.engine.report.formats import latex
+    from jrdb_avr.engine.validate.statistics import TITLES, generator_rows, statistics
 
     tables = statistics(store, learned_guesser() if blind == "learned" else None)
     if picture is not None:
@@ -104,6 +111,9 @@ def stats(store: Store, picture: Path | None, blind: str, as_json: bool) -> None
         note(f"picture: {picture}")
     if as_json:
         print_json({"table": name, **row} for name, rows in tables.items() for row in rows)
+        return
+    if as_latex:
+        click.echo(latex(generator_rows(tables)), nl=False)
         return
     for name, rows in tables.items():
         if rows:

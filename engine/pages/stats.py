@@ -18,7 +18,7 @@ _PALETTE: Final = [f"c{number}" for number in range(12)]
 _MEASURES: Final = {
     "time_gap_s": ("Time", "seconds from description to answer", 1.0),
     "apart_deg": ("Turn", "largest angle between needed boxes, degrees", 1.1),
-    "hops": ("Hops", "relations to follow", 0.6),
+    "hops": ("Hops", "relations in a row", 0.6),
     "people_in_scene": ("People", "in the scene that is described", 1.0),
     "crops": ("Looks", "fewest crops that show all needed boxes", 1.0),
 }

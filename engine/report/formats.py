@@ -68,7 +68,7 @@ def markdown(rows: Rows) -> str:
 
 
 def latex(rows: Rows) -> str:
-    """A LaTeX table for the package booktabs; a rule where the first column's value changes.
+    """A LaTeX table for the package booktabs; rules between the values of the first column where some repeat.
 
     A column of settings, which are long, has numbers, and lines below the table explain them.
     """
@@ -76,12 +76,11 @@ def latex(rows: Rows) -> str:
     columns = columns_of(rows)
     layout = "".join("r" if _is_number(rows, name) else "l" for name in columns)
     lines = [rf"\begin{{tabular}}{{{layout}}}", r"\toprule", _latex_row([name.replace("_", " ") for name in columns])]
-    before: object = None
-    for row in rows:
-        first = row.get(columns[0])
-        lines += [r"\midrule"] if first != before else []
+    first = [row.get(columns[0]) for row in rows]
+    grouped = len(set(first)) < len(first)
+    for place, row in enumerate(rows):
+        lines += [r"\midrule"] if not place or (grouped and first[place] != first[place - 1]) else []
         lines.append(_latex_row([cell(row.get(name), name) for name in columns]))
-        before = first
     lines += [r"\bottomrule", r"\end{tabular}"]
     lines += [rf"\par{{\footnotesize {number}: {_escaped(note, _LATEX)}}}" for number, note in enumerate(notes, 1)]
     return "\n".join([*lines, ""])

@@ -19,6 +19,7 @@ from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.tables import QUESTIONS
+from jrdb_avr.schema.templates import forms_of
 
 SCORES: Final = ("answer", "evidence", "combined")
 
@@ -67,7 +68,7 @@ class ScoredRun:
 def read_index(store: Store) -> QuestionIndex:
     """The index of a store's questions. Raises StoreError where there are none."""
     questions = store.questions("questions")
-    answers = store.questions("answers", ["question_id", "hops", "time_gap_s", "separation_deg"])
+    answers = store.questions("answers", ["question_id", "time_gap_s", "separation_deg"])
     return make_index(questions.select(QUESTIONS["questions"].names), answers)
 
 
@@ -77,7 +78,7 @@ def make_index(questions: pa.Table, answers: pa.Table) -> QuestionIndex:
     known = answers.take(pc.index_in(ids, value_set=answers["question_id"].combine_chunks()))
     texts = {name: questions[name].to_pylist() for name in ("family", "template", "answer_mode", "sequence")}
     texts["group"] = [_GROUP_OF[family] for family in texts["family"]]
-    texts["hops"] = [str(hops) for hops in known["hops"].to_pylist()]
+    texts["hops"] = [str(forms_of(template)[0].hops) for template in texts["template"]]
     for name, edges in (("time_gap_s", _GAP_EDGES_S), ("separation_deg", _SEPARATION_EDGES_DEG)):
         bins = [f"[{low:g}, {high:g})" for low, high in pairwise((0.0, *edges, math.inf))]
         places = np.searchsorted(edges, known[name].to_numpy(zero_copy_only=False).astype(np.float64), side="right")

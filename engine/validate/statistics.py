@@ -19,7 +19,7 @@ from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.panorama import angle_error, center_angle
 from jrdb_avr.schema.questions import QuestionRecord
 from jrdb_avr.schema.tables import LAYERS
-from jrdb_avr.schema.templates import FAMILIES, FORMS
+from jrdb_avr.schema.templates import FAMILIES, FORMS, forms_of
 
 TITLES: Final = {
     "family": "Questions per family, beside the paper's",
@@ -33,7 +33,7 @@ TITLES: Final = {
     "answer": "Answers per template (of times: offset from the description, or length, in seconds)",
     "position": "Position of the true choice",
     "distractor": "What yields the wrong choices",
-    "distribution": "Waits, turns, steps, people and looks",
+    "distribution": "Waits, turns, hops, words, people and looks",
     "spread": "The same per template (smallest, median, mean, largest)",
     "blind": "Answering without looking: shares of right answers",
 }
@@ -43,7 +43,8 @@ MEASURES: Final = {
     "time_gap_s": (0.0, 0.001, 5.0, 10.0, 20.0, 40.0, 80.0),
     "separation_deg": (0.0, 10.0, 20.0, 45.0, 90.0, 135.0),
     "apart_deg": (0.0, 10.0, 20.0, 45.0, 90.0, 135.0),
-    "hops": tuple(float(edge) for edge in range(5)),
+    "hops": tuple(float(edge) for edge in range(4)),
+    "words": (0.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 120.0),
     "people_in_scene": (0.0, 10.0, 20.0, 30.0, 40.0, 60.0, 80.0),
     "crops": (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 12.0),
 }
@@ -51,8 +52,9 @@ MEASURES: Final = {
 
 time_gap_s: seconds from the description to the last time that the question is about; separation_deg: the angle at the
 robot between the target at the description and at its decisive boxes; apart_deg: the largest angle between any two
-needed boxes, at whatever times; hops: relations to follow; people_in_scene: people with a box at that time;
-crops: the fewest looks that show every needed box (`views.min_crops`)."""
+needed boxes, at whatever times; hops: relations that lead one after another to the target (`Template.hops`); words: of
+the question's text; people_in_scene: people with a box at that time; crops: the fewest looks that show every needed box
+(`views.min_crops`)."""
 
 
 _Row = dict[str, Any]
@@ -84,7 +86,13 @@ def statistics(store: Store, learned: Guesser | None = None) -> dict[str, list[_
     having = Counter(layer for own in layers.values() for layer in own)
     return {
         "family": [
-            {"family": name, "n": families[name], "share": families[name] / total, "paper": paper}
+            {
+                "family": name,
+                "n": families[name],
+                "share": families[name] / total,
+                "paper": paper,
+                **_length(measured, name),
+            }
             for name, paper in PROFILES["paper"].items()
         ],
         "template": _counted(
@@ -122,6 +130,33 @@ def statistics(store: Store, learned: Guesser | None = None) -> dict[str, list[_
     }
 
 
+def generator_rows(tables: Mapping[str, Sequence[_Row]]) -> list[_Row]:
+    """The paper's table of generators, from the tables of `statistics`: one row per family."""
+
+    def named(family: str, column: str) -> str:
+        names = dict.fromkeys(row[column] for row in tables["template"] if row["family"] == family)
+        return ", ".join(names).replace("_", " ")
+
+    return [
+        {
+            "generator": row["family"].replace("_", " ").replace("hop", "-hop"),
+            "questions": row["n"],
+            "templates": named(row["family"], "template"),
+            "answer mode": named(row["family"], "mode"),
+            "hops": row["hops"],
+            "words": row["words"],
+        }
+        for row in tables["family"]
+    ]
+
+
+def _length(measured: Sequence[MeasuredQuestion], family: str) -> _Row:
+    """The hops that occur in a family, and the mean number of words."""
+    own = [one.measures for one in measured if one.record.family == family]
+    hops = ", ".join(f"{number:g}" for number in sorted({measures["hops"] for measures in own}))
+    return {"hops": hops or None, "words": sum(measures["words"] for measures in own) / len(own) if own else None}
+
+
 def _without_occlusion(store: Store) -> list[str] | None:
     """The sequences without occlusion attributes; None where the intervals that tell are gone: questions do not need
     them."""
@@ -133,6 +168,7 @@ def _without_occlusion(store: Store) -> list[str] | None:
 
 def _measured(record: QuestionRecord, text: QuestionText) -> MeasuredQuestion:
     measures = {name: float(getattr(record, name)) for name in MEASURES if hasattr(record, name)}
+    measures |= {"hops": float(forms_of(record.template)[0].hops), "words": float(len(record.question.split()))}
     angles = np.array([center_angle(box.x, box.w) for box in record.needed])
     measures["apart_deg"] = float(angle_error(angles[:, None], angles).max())
     measures["crops"] = float(min_crops((box.frame, box.x, box.w) for box in record.needed))

@@ -3,7 +3,7 @@ WITH cells (method, active, world_model) AS (
     VALUES ('agent-passive-no-world', 'off', 'off'), ('agent-passive', 'off', 'on'),
            ('agent-no-world', 'on', 'off'), ('agent', 'on', 'on')
 )
-SELECT active, world_model, run_id, method, model, if(synthetic, 'synthetic', '') AS label, count(*) AS n,
+SELECT active, world_model, run_id, model, if(synthetic, 'synthetic', '') AS label, count(*) AS n,
        round_even(100 * sum(answer_score) / n, 2) AS answer,
        round_even(100 * sum(evidence_score) / n, 2) AS evidence,
        round_even(100 * sum(combined_score) / n, 2) AS combined,

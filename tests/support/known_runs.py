@@ -8,9 +8,12 @@ from jrdb_avr.engine.report.scored_runs import make_index, scored_run
 from jrdb_avr.engine.report.scoring import make_truth, score_predictions
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
+from jrdb_avr.schema.templates import FAMILIES
 
 BOX = (100.0, 100.0, 50.0, 120.0)
 ELSEWHERE = (900.0, 100.0, 50.0, 120.0)
+TEMPLATE_OF = {family: template for template, family in FAMILIES.items()}
+"""A template of each family."""
 
 
 def table(rows, schema):
@@ -29,7 +32,13 @@ class Benchmark:
         self.ids = [name for name, _, _ in asked]
         questions = table(
             [
-                {"question_id": q, "sequence": s, "family": f, "template": f, "answer_mode": "multiple_choice"}
+                {
+                    "question_id": q,
+                    "sequence": s,
+                    "family": f,
+                    "template": TEMPLATE_OF[f],
+                    "answer_mode": "multiple_choice",
+                }
                 for q, s, f in asked
             ],
             QUESTIONS["questions"],

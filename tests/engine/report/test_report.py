@@ -81,6 +81,16 @@ def test_a_breakdown_by_group_is_the_papers(paper):
     assert sum(row["n"] for row in breakdown_rows(benchmark.index, [run], "family")) == 2098
 
 
+def test_a_fork_join_counts_as_two_hops(paper):
+    benchmark, run = paper
+    families = {row["family"]: row["n"] for row in breakdown_rows(benchmark.index, [run], "family")}
+    assert {row["hops"]: row["n"] for row in breakdown_rows(benchmark.index, [run], "hops")} == {
+        "0": sum(families[name] for name in ("action_boundary", "long_range", "unique_anchor")),
+        "2": sum(families[name] for name in ("chain_2hop", "chain_fork_join", "chain_hybrid")),
+        "3": families["chain_3hop"],
+    }
+
+
 def test_the_ablation_is_active_by_world(paper):
     benchmark, run = paper
     rows = ablation_rows([run], published=True)

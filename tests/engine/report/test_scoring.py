@@ -467,11 +467,12 @@ def row_of(rows, predicted, synthetic=False):
     truth, names = truth_of(rows), [row[0] for row in rows]
     manifest = RunManifest("r", "react", "marker", "0", tuple(names), synthetic, {}, "2020-01-01T00:00:00Z")
     table = predictions_of(predicted)
-    texts = {name: pa.array(names, pa.string()) for name in ("question_id", "sequence", "template", "answer_mode")}
-    family = pa.array(["chain_2hop"] * len(names), pa.string())
-    numbers = {name: pa.array([0.0] * len(names)) for name in ("hops", "time_gap_s", "separation_deg")}
+    texts = {name: pa.array(names, pa.string()) for name in ("question_id", "sequence", "answer_mode")}
+    kinds = {"family": ["chain_2hop"] * len(names), "template": ["two_hop"] * len(names)}
+    numbers = {name: pa.array([0.0] * len(names)) for name in ("time_gap_s", "separation_deg")}
     index = make_index(
-        pa.table({**texts, "family": family}), pa.table({"question_id": texts["question_id"], **numbers})
+        pa.table({**texts, **{name: pa.array(values, pa.string()) for name, values in kinds.items()}}),
+        pa.table({"question_id": texts["question_id"], **numbers}),
     )
     return score_row(scored_run(index, manifest, table, score_predictions(truth, "r", names, table)), 0.5)
 

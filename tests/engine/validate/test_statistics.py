@@ -131,14 +131,27 @@ EDGES = {
     "[1 + (v > 0)::int + (v >= 5)::int + (v >= 10)::int + (v >= 20)::int + (v >= 40)::int + (v >= 80)::int]",
     "separation_deg": "['[0, 10)', '[10, 20)', '[20, 45)', '[45, 90)', '[90, 135)', '135+']"
     "[1 + (v >= 10)::int + (v >= 20)::int + (v >= 45)::int + (v >= 90)::int + (v >= 135)::int]",
-    "hops": "if(v >= 4, '4+', v::int::varchar)",
+    "hops": "if(v >= 3, '3+', v::int::varchar)",
+    "words": "['0-29', '30-39', '40-49', '50-59', '60-79', '80-99', '100-119', '120+']"
+    "[1 + (v >= 30)::int + (v >= 40)::int + (v >= 50)::int + (v >= 60)::int + (v >= 80)::int + (v >= 100)::int"
+    " + (v >= 120)::int]",
     "people_in_scene": "['0-9', '10-19', '20-29', '30-39', '40-59', '60-79', '80+']"
     "[1 + (v >= 10)::int + (v >= 20)::int + (v >= 30)::int + (v >= 40)::int + (v >= 60)::int + (v >= 80)::int]",
 }
 
+VALUES = {
+    "hops": "CASE WHEN family = 'chain_3hop' THEN 3 WHEN starts_with(family, 'chain') OR template = 'later_pose' THEN 2"
+    " ELSE 0 END",
+    "words": "length(question) - length(replace(question, ' ', '')) + 1",
+}
+"""Measures that no column holds; a fork-join counts as two hops."""
+
 
 def test_measures(tables, ask, looks):
-    measured = {name: ask(f"SELECT template, question_id, {name}::double FROM {JOINED} ORDER BY ALL") for name in EDGES}
+    measured = {
+        name: ask(f"SELECT template, question_id, ({VALUES.get(name, name)})::double FROM {JOINED} ORDER BY ALL")
+        for name in EDGES
+    }
     # The largest of all angles between two needed boxes, by the cosine of their difference.
     measured["apart_deg"] = ask(
         f"""WITH boxes AS (
@@ -163,7 +176,11 @@ def test_measures(tables, ask, looks):
             assert [row[key] for key in ("n", "min", "median", "mean", "max")] == pytest.approx(expected, abs=1e-5)
     for name, bins in EDGES.items():
         printed = {row["bin"]: row["n"] for row in tables["distribution"] if row["what"] == name}
-        counted = dict(ask(f"SELECT {bins} AS bin, count(*) FROM (SELECT {name} AS v FROM answers) GROUP BY ALL"))
+        counted = dict(
+            ask(
+                f"SELECT {bins} AS bin, count(*) FROM (SELECT {VALUES.get(name, name)} AS v FROM {JOINED}) GROUP BY ALL"
+            )
+        )
         assert printed == dict.fromkeys(printed, 0) | counted
     printed = [row["n"] for row in tables["distribution"] if row["what"] == "apart_deg"]
     turns = [turn for _, _, turn in measured["apart_deg"]]
@@ -240,6 +257,25 @@ def test_json_is_one_array_of_rows(sample_benchmark, tables):
     assert len(rows) == sum(map(len, tables.values())) and {row["table"] for row in rows} == {
         k for k, v in tables.items() if v
     }
+
+
+def test_the_papers_table_of_generators(sample_benchmark, ask):
+    """A line per family, equal to what DuckDB counts."""
+    result = CliRunner().invoke(stats, ["--store", str(sample_benchmark.path), "--latex"])
+    assert result.exit_code == 0, result.output
+    head, *lines = [line.removesuffix(r" \\").split(" & ") for line in result.output.splitlines() if "&" in line]
+    assert head == ["generator", "questions", "templates", "answer mode", "hops", "words"]
+    joined = "string_agg(DISTINCT replace({0}, '_', ' '), ', ' ORDER BY replace({0}, '_', ' '))"
+    counted = ask(
+        f"SELECT replace(replace(family, '_', ' '), 'hop', '-hop'), count(*)::varchar, {joined.format('template')}, "
+        f"string_agg(DISTINCT {VALUES['hops']}, ', ' ORDER BY {VALUES['hops']}), avg({VALUES['words']}) "
+        "FROM questions GROUP BY family ORDER BY family"
+    )
+    assert [(*line[:3], line[4]) for line in lines if line[1] != "0"] == [row[:4] for row in counted]
+    assert [float(line[5]) for line in lines if line[1] != "0"] == pytest.approx([row[4] for row in counted], abs=0.005)
+    assert {line[0]: line[3] for line in lines if line[1] != "0"}["chain hybrid"] == "frame viewpoint"
+    assert len(lines) == 7 and result.output.count(r"\midrule") == 1
+    assert CliRunner().invoke(stats, ["--store", "S", "--latex", "--json"]).exit_code == 2
 
 
 def test_tables_for_people(sample_benchmark):
