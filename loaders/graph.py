@@ -67,12 +67,14 @@ def stage_scene(store: Store, sequence: str, intervals: Mapping[str, pa.Table]) 
     """
     path = store.path
     try:
-        for table in _SOURCES:
-            rows = _shape(table, intervals)
+        for source in _SOURCES:
+            rows = _shape(source, intervals)
             if rows.num_rows:
-                path = store.path / STAGE / table / f"{safe_sequence(sequence)}.parquet"
+                path = store.path / STAGE / source / f"{safe_sequence(sequence)}.parquet"
                 path.parent.mkdir(parents=True, exist_ok=True)
-                pq.write_table(rows, path, compression="snappy")
+                # For every null the engine goes through all that it reads together: groups of 256 take a third.
+                at_once = 256 if source == "Object SeenIn" else None
+                pq.write_table(rows, path, compression="snappy", row_group_size=at_once)
     except OSError as error:
         raise StoreError(f"cannot write {path}: {str(error).splitlines()[0]}; free some space") from None
 
@@ -87,29 +89,31 @@ def scene_rows(store: Store, sequences: Sequence[str]) -> Iterator[tuple[str, pa
     for sequence in sequences:
         names |= set(store.interval("actions", sequence)["action"].unique().to_pylist())
     yield "Action", _actions(names)
-    for table in _SOURCES:
+    for source in _SOURCES:
+        table = source.split()[-1]
         for sequence in sequences:
-            kinds = _GROUP_KINDS if table == "SocialGroup" else (_SOURCES[table][0],)
-            yield table, _shape(table, {kind: store.interval(kind, sequence) for kind in kinds})
+            kinds = _GROUP_KINDS if table == "SocialGroup" else (_SOURCES[source][0],)
+            yield table, _shape(source, {kind: store.interval(kind, sequence) for kind in kinds})
 
 
 def _copy_staged(graph: Graph, stage: Path, sequences: Sequence[str]) -> dict[str, int]:
     """COPY every table; returns its rows."""
     copied = dict.fromkeys((*SCENE_NODES, *SCENE_RELS), 0)
     names: set[str] = set()
-    for path in (stage / "Performs").glob("*.parquet"):
+    for path in (stage / "Person Performs").glob("*.parquet"):
         names |= set(pq.read_table(path, columns=["to"])["to"].unique().to_pylist())
     actions = _actions(names)
     graph.copy("Action", actions)
     copied["Action"] = actions.num_rows
-    for table in _SOURCES:
-        paths = [path for sequence in sequences if (path := stage / table / f"{sequence}.parquet").exists()]
+    for source in _SOURCES:
+        *start, table = source.split()
+        paths = [path for sequence in sequences if (path := stage / source / f"{sequence}.parquet").exists()]
         for files, rows in batches(((path.name, pq.read_metadata(path).num_rows) for path in paths), BATCH_ROWS):
             if table in SCENE_NODES:
                 # Files are read side by side, and nodes are numbered as they come.
-                graph.copy(table, pa.concat_tables(pq.read_table(stage / table / name) for name in files))
+                graph.copy(table, pa.concat_tables(pq.read_table(stage / source / name) for name in files))
             else:
-                graph.copy_files(table, stage / table, files)
+                graph.copy_files(table, stage / source, files, (*start, SCENE_RELS[table][1]))
             copied[table] += rows
     return copied
 
@@ -178,23 +182,29 @@ _SOURCES: Final[dict[str, tuple[str, dict[str, Column]]]] = {
     "Person": ("persons", {"id": _number_key("track")}),
     "Object": ("objects", {"id": _object_key, "track": _renamed("object")}),
     "SocialGroup": ("memberships", {"id": _number_key("cluster")}),
-    "SeenIn": ("sightings", {"from": _number_key("track"), "to": _frame_key, "box": _box}),
-    "Performs": ("actions", {"from": _number_key("track"), "to": _renamed("action")}),
-    "MemberOf": ("memberships", {"from": _number_key("track"), "to": _number_key("cluster")}),
-    "Interacts": ("interactions", {"from": _number_key("source"), "to": _number_key("target")}),
-    "Beside": ("beside", {"from": _number_key("source"), "to": _number_key("target")}),
-    "Handles": ("handles", {"from": _number_key("track"), "to": _object_key}),
+    "Person SeenIn": ("sightings", {"from": _number_key("track"), "to": _frame_key, "box": _box}),
+    "Object SeenIn": ("object_sightings", {"from": _object_key, "to": _frame_key, "box": _box}),
+    "Person Present": ("presences", {"from": _number_key("track"), "to": _renamed("sequence")}),
+    "Person Absent": ("absences", {"from": _number_key("track"), "to": _renamed("sequence")}),
+    "Person Performs": ("actions", {"from": _number_key("track"), "to": _renamed("action")}),
+    "Person MemberOf": ("memberships", {"from": _number_key("track"), "to": _number_key("cluster")}),
+    "Person Interacts": ("interactions", {"from": _number_key("source"), "to": _number_key("target")}),
+    "Person Beside": ("beside", {"from": _number_key("source"), "to": _number_key("target")}),
+    "Person Handles": ("handles", {"from": _number_key("track"), "to": _object_key}),
 }
-"""Per table of the graph but `Action`, nodes first: its kind of intervals, and the columns that these lack."""
+"""Per table of the graph but `Action`, nodes first: its kind of intervals, and the columns that these lack. Edges are
+named by the table that they start at and their own.
+"""
 
 
-def _shape(table: str, intervals: Mapping[str, pa.Table]) -> pa.Table:
-    """One sequence's rows of a table of the graph."""
-    kind, made = _SOURCES[table]
-    rows = _groups(*(intervals[kind] for kind in _GROUP_KINDS)) if table == "SocialGroup" else intervals[kind]
-    return with_wide_integers(
-        pa.table({name: made[name](rows) if name in made else rows[name] for name in column_names(table)})
-    )
+def _shape(source: str, intervals: Mapping[str, pa.Table]) -> pa.Table:
+    """One sequence's rows from a source; of things, null in the columns that only people have."""
+    kind, made = _SOURCES[source]
+    rows = _groups(*(intervals[kind] for kind in _GROUP_KINDS)) if source == "SocialGroup" else intervals[kind]
+    if source == "Object SeenIn":
+        rows = pa.concat_tables([rows, INTERVALS["sightings"].empty_table()], promote_options="permissive")
+    columns = column_names(source.split()[-1])
+    return with_wide_integers(pa.table({name: made[name](rows) if name in made else rows[name] for name in columns}))
 
 
 def _actions(names: set[str]) -> pa.Table:

@@ -238,6 +238,7 @@ def _readings(graph: Graph, table: str, by_key: bool, go_on: Callable[[], None])
     columns = column_names(table)
     if table in SCENE_RELS:
         source, target, _ = SCENE_RELS[table]
+        head, tail = (column_names(label)[0] for label in (source.split(":")[0], target))
         listed = ", ".join(f"r.{name} AS {name}" for name in columns[2:])
         groups = _groups(graph, table)
         for order in ("(a JOIN r) JOIN b", "(b JOIN r) JOIN a"):
@@ -245,7 +246,7 @@ def _readings(graph: Graph, table: str, by_key: bool, go_on: Callable[[], None])
             for sequences in groups:
                 rows = graph.query(
                     f"MATCH (a:{source})-[r:{table}]->(b:{target}) WHERE r.sequence IN $sequences HINT {order} "
-                    f"RETURN a.{column_names(source)[0]} AS `from`, b.{column_names(target)[0]} AS `to`, {listed}",
+                    f"RETURN a.{head} AS `from`, b.{tail} AS `to`, {listed}",
                     {"sequences": sequences},
                     ordered=False,
                     timeout_s=TIMEOUT_S,

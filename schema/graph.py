@@ -2,9 +2,10 @@
 
 Names of tables and the properties written here are public. Node keys: `Person` and `SocialGroup` are
 `<sequence>/<number>`, `Frame` is `<sequence>/<six digits>`, `Object` is `<sequence>/<category id>:<track>` (tracks
-restart per category). Every relationship carries `sequence`, by which queries filter (ten times faster than by a
-property of the node). Relations are intervals of frames, inclusive, with seconds beside them; `certain` is false where
-the fact is unknown, that is, where it may or may not hold.
+restart per category). `SeenIn` begins at a person or at a thing, which has the box and its angle only. Every
+relationship carries `sequence`, by which queries filter (ten times faster than by a property of the node). Relations
+are intervals of frames, inclusive, with seconds beside them; `certain` is false where the fact is unknown, that is,
+where it may or may not hold.
 """
 
 from __future__ import annotations
@@ -42,16 +43,18 @@ def _sighting_columns() -> tuple[str, ...]:
 _SPAN: Final = ("first INT64", "last INT64", "first_s DOUBLE", "last_s DOUBLE")
 
 SCENE_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
-    "SeenIn": ("Person", "Frame", _sighting_columns()),
+    "SeenIn": ("Person:Object", "Frame", _sighting_columns()),
+    "Present": ("Person", "Sequence", ("sequence STRING", *_SPAN, "certain BOOLEAN")),
+    "Absent": ("Person", "Sequence", ("sequence STRING", *_SPAN, "certain BOOLEAN")),
     "Performs": ("Person", "Action", ("sequence STRING", *_SPAN, "difficulty INT64", "certain BOOLEAN", "gap BOOLEAN")),
     "MemberOf": ("Person", "SocialGroup", ("sequence STRING", *_SPAN, "certain BOOLEAN", "gap BOOLEAN")),
     "Interacts": ("Person", "Person", ("label STRING", "sequence STRING", *_SPAN, "certain BOOLEAN", "gap BOOLEAN")),
     "Beside": ("Person", "Person", ("label STRING", "sequence STRING", *_SPAN, "certain BOOLEAN")),
     "Handles": ("Person", "Object", ("verb STRING", "sequence STRING", *_SPAN, "certain BOOLEAN", "gap BOOLEAN")),
 }
-"""Per relationship table: from, to, and its columns as name and type."""
+"""Per relationship table: from (several tables with a colon between them), to, and its columns as name and type."""
 
-STORAGE_VERSION: Final = 3
+STORAGE_VERSION: Final = 4
 """Raised when the tables above change, or the world namespace's: a graph of another version is rebuilt."""
 
 
@@ -64,5 +67,6 @@ def table_ddl(nodes: Mapping[str, str], rels: Mapping[str, tuple[str, str, tuple
     """CREATE statements of tables, nodes first."""
     statements = [f"CREATE NODE TABLE {name}({columns})" for name, columns in nodes.items()]
     for name, (source, target, columns) in rels.items():
-        statements.append(f"CREATE REL TABLE {name}({', '.join([f'FROM {source} TO {target}', *columns])})")
+        ends = [f"FROM {start} TO {target}" for start in source.split(":")]
+        statements.append(f"CREATE REL TABLE {name}({', '.join([*ends, *columns])})")
     return statements

@@ -307,6 +307,21 @@ _INTERVALS: Final = {
         "handles_listed pose? cluster? group_size? sector? located distance? distance_word? "
         "distance_word_other? cx? cy? cz? heading?",
     ),
+    # A thing of `objects` at a frame of the panoptic layer, where that gives it a box.
+    "object_sightings": (
+        "One row per box of a thing: its direction at that frame.",
+        "sequence frame object category_id x y w h angle",
+    ),
+    # certain = false: a box without a clear view.
+    "presences": (
+        "Frames in a row in which a person has a box.",
+        "sequence track first last first_s last_s certain",
+    ),
+    # Between the first and the last box, annotated frames only. certain = false: a box one second before or after.
+    "absences": (
+        "Frames in a row in which a person has no box, between two of them.",
+        "sequence track first last first_s last_s certain",
+    ),
     # certain = false: hard or unreadable label, one of two poses, or (gap = true) a closed gap.
     "actions": (
         "Actions of people, from frame to frame.",

@@ -9,7 +9,14 @@ import pyarrow as pa
 
 from jrdb_avr.loaders.intervals.neighbors import beside_table
 from jrdb_avr.loaders.intervals.people import read_people, track_spans, with_other_words
-from jrdb_avr.loaders.intervals.persons import chosen_values, demographics_table, group_info_table, objects_table
+from jrdb_avr.loaders.intervals.persons import (
+    chosen_values,
+    demographics_table,
+    group_info_table,
+    object_sightings_table,
+    objects_table,
+)
+from jrdb_avr.loaders.intervals.presence import absences_table, presences_table
 from jrdb_avr.loaders.intervals.segments import segments_table
 from jrdb_avr.loaders.intervals.sightings import sightings_table
 from jrdb_avr.loaders.intervals.spans import handles_table, interactions_table, layer_runs, runs_table
@@ -43,6 +50,9 @@ def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules)
             line, "actions", actions, {"track": actions.track, "action": actions.value}, people.actions.names
         ),
         "memberships": runs_table(line, "memberships", groups, {"track": groups.track, "cluster": groups.value}),
+        "presences": presences_table(line, boxes),
+        "absences": absences_table(line, boxes),
+        "object_sightings": object_sightings_table(line, tables["panoptic"], tables["categories"]),
         "objects": objects_table(line, tables["panoptic"], tables["categories"], tables["handles"]),
         "demographics": demographics,
         "group_info": group_info_table(line, tables["group_info"], people.groups),

@@ -4,8 +4,9 @@ A frame votes where it states the attribute with difficulty 1 or 2 and a value t
 person, a value is chosen that has more than half of all votes; of a group, every value that more than half of the
 records with the attribute state, but a venue only if it is the only such one.
 
-The interval table `objects`: things with a track, which the panoptic layer shows or the reasoning layer names. A thing
-is known by its track and its category together. People are left out: the box layers count them.
+The interval tables `objects`, things with a track, which the panoptic layer shows or the reasoning layer names, and
+`object_sightings`, their boxes. A thing is known by its track and its category together. People are left out: the box
+layers count them.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from jrdb_avr.loaders.labelfiles.columns import (
 )
 from jrdb_avr.loaders.report import Disagreement
 from jrdb_avr.schema.arrays import Bools, Ints
+from jrdb_avr.schema.panorama import center_angle
 from jrdb_avr.schema.things import PERSON_CATEGORIES
 
 _TOPIC: Final = ["subject", "attribute"]
@@ -131,15 +133,14 @@ def _columns(votes: pa.Table, subject: str, chosen: pa.ChunkedArray) -> dict[str
 
 def objects_table(line: Timeline, panoptic: pa.Table, categories: pa.Table, handles: pa.Table) -> pa.Table:
     """From the annotation tables: one row per (category, thing), in this order."""
-    seen = panoptic.filter(pc.is_valid(panoptic["object"]))
+    seen = panoptic.select(["frame", "object", "category_id"]).drop_null()
     keys, frame = _keys(seen), whole_numbers(seen, "frame")
     order = np.lexsort((frame, keys))
     keys, frame = keys[order], frame[order]
     things = distinct_of(np.sort(np.concatenate([keys, _keys(handles)])))
-    names = dict(zip(*(categories[name].to_pylist() for name in ("category_id", "category")), strict=True))
-    people = [number for number, name in names.items() if name in PERSON_CATEGORIES]
-    things = things[~np.isin(unpaired(things)[0], people)]
+    things = things[~of_people(unpaired(things)[0], categories)]
     category, track = unpaired(things)
+    names = dict(zip(*(categories[name].to_pylist() for name in ("category_id", "category")), strict=True))
     begin, end = np.searchsorted(keys, things), np.searchsorted(keys, things, "right")
     unseen: Bools = begin == end
     columns = {
@@ -150,6 +151,20 @@ def objects_table(line: Timeline, panoptic: pa.Table, categories: pa.Table, hand
         "last_frame": nullable(_at(frame, end - 1), unseen, pa.int32()),
     }
     return line.table("objects", columns)
+
+
+def object_sightings_table(line: Timeline, panoptic: pa.Table, categories: pa.Table) -> pa.Table:
+    """From the annotation tables: one row per box of a thing, by frame, category and thing."""
+    seen = panoptic.drop_columns(["area", "segmentation"]).drop_null()
+    seen = seen.filter(pa.array(~of_people(whole_numbers(seen, "category_id"), categories)))
+    columns = {name: seen[name] for name in seen.column_names}
+    return line.table("object_sightings", columns | {"angle": center_angle(seen["x"].to_numpy(), seen["w"].to_numpy())})
+
+
+def of_people(category_id: Ints, categories: pa.Table) -> Bools:
+    """Which numbers of categories are of people; `categories` is the annotation table."""
+    people = pc.is_in(categories["category"], pa.array(sorted(PERSON_CATEGORIES)))
+    return np.isin(category_id, categories["category_id"].filter(people).to_numpy())
 
 
 def _keys(table: pa.Table) -> Ints:

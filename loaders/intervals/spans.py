@@ -16,14 +16,13 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from jrdb_avr.loaders.intervals.people import HARD, UNREADABLE, Boxes, Facts, rows_of
+from jrdb_avr.loaders.intervals.persons import of_people
 from jrdb_avr.loaders.intervals.timeline import Timeline
 from jrdb_avr.loaders.labelfiles.columns import Rows, begins, nullable, paired, ranked, texts, whole_numbers
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.rules import LoadRules
-from jrdb_avr.schema.things import PERSON_CATEGORIES
 
 
 @dataclass(frozen=True)
@@ -106,10 +105,8 @@ def handles_table(line: Timeline, table: pa.Table, categories: pa.Table, boxes: 
 
     What is done with people is not among them: they are no things.
     """
-    people = pc.is_in(categories["category"], pa.array(sorted(PERSON_CATEGORIES)))
-    person_ids = categories["category_id"].filter(people).to_numpy()
     boxed = boxes.rows(whole_numbers(table, "frame"), whole_numbers(table, "track")) >= 0
-    table = table.filter(pa.array(boxed & ~np.isin(whole_numbers(table, "category_id"), person_ids)))
+    table = table.filter(pa.array(boxed & ~of_people(whole_numbers(table, "category_id"), categories)))
     names, verb = ranked(table["verb"])
     columns = ("track", "object", "category_id")
     runs, facts = _relation_runs(line, "handles", table, rules, (*(whole_numbers(table, c) for c in columns), verb))

@@ -169,8 +169,8 @@ class Graph:
         # Of a column in chunks the engine reads the rows of small ones only in part, silently.
         self._copy(table, "$rows", {"rows": rows.combine_chunks()})
 
-    def copy_files(self, table: str, folder: Path, names: Sequence[str]) -> None:
-        """As `copy`, from Parquet files of a folder.
+    def copy_files(self, table: str, folder: Path, names: Sequence[str], ends: Sequence[str] = ()) -> None:
+        """As `copy`, from Parquet files of a folder. `ends`: the tables of nodes that edges start and end at.
 
         The engine reads a path as a pattern, so the names must be plain and the process changes to the folder
         meanwhile, whose own name is then no matter.
@@ -179,7 +179,8 @@ class Graph:
             raise QueryError("a file to copy from needs a plain name")
         files = ", ".join(f"'{name}'" for name in names)
         with self._writing(), contextlib.chdir(folder):
-            self._copy(table, f"[{files}]", {})
+            pair = f" (from='{ends[0]}', to='{ends[1]}')" if ends else ""
+            self._copy(table, f"[{files}]{pair}", {})
 
     def _copy(self, table: str, source: str, values: Mapping[str, Any]) -> None:
         if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", table):

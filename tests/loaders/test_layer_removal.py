@@ -48,7 +48,7 @@ KINDS = {
 
 FOLLOWS = {
     # Without 2D boxes nobody is seen, no keyframe is led by actions, and no relation has its people in view.
-    "2d": set(INTERVALS) - {"demographics", "objects"},
+    "2d": set(INTERVALS) - {"demographics", "objects", "object_sightings"},
     # People whom only lidar saw go, and with them the first and last frames; relations in a person's own frame too.
     "3d": {"persons", "beside", "sightings"},
     "social": {"demographics", "interactions", "group_info", "persons", "sightings"},
@@ -56,9 +56,9 @@ FOLLOWS = {
     "reasoning": {"handles", "objects", "sightings"},
     "pose": {"sightings"},
     # What is handled has lost its name, and people among the things cannot be told from things.
-    "panoptic": {"objects", "handles"},
+    "panoptic": {"objects", "object_sightings", "handles"},
     # Seconds stand beside the frames of every interval.
-    "timestamps": {"frames", "actions", "memberships", "interactions", "handles", "beside"},
+    "timestamps": {"frames", "presences", "absences", "actions", "memberships", "interactions", "handles", "beside"},
     "calibration": set(),
     "images": {"frames"},
 }
@@ -160,7 +160,7 @@ def check_intervals(whole, part, gone):
     for row in part["sightings"]:
         assert all(row[name] in (None, False) for name in lost)
     if "timestamps" in gone:
-        for kind in ("actions", "memberships"):
+        for kind in ("presences", "absences", "actions", "memberships"):
             assert plain(part[kind], SECONDS) == plain(whole[kind], SECONDS), kind
     # What stays of relations stays as it was.
     robot = [[row for row in tables["beside"] if row["label"].endswith("(robot view)")] for tables in (whole, part)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import random
 import tempfile
 from collections import Counter
@@ -12,14 +13,16 @@ from compared_tables import compare_tables, rows_of
 from effort import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from lively_worlds import lively_world
 from oracle_facts import Oracle, facts
 from oracle_reading import read_root
 from other_words import in_other_words
 from places import REAL
-from quick_store import NAME, reported_store
+from quick_store import NAME, memory_store, reported_store
 from random_worlds import random_world
 from worlds import load_world, person
 
+from jrdb_avr.engine.generate.scene import load_scene
 from jrdb_avr.loaders.load import Shard, load, load_shard
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.queries.graph.handle import Graph
@@ -27,15 +30,18 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS
 
-RELATIONS = {
-    "SeenIn": ("sightings", "track", "frame"),
-    "Performs": ("actions", "track", "action"),
-    "MemberOf": ("memberships", "track", "cluster"),
-    "Beside": ("beside", "source", "target"),
-    "Interacts": ("interactions", "source", "target"),
-    "Handles": ("handles", "track", "object"),
-}
-"""Per relationship its interval table, and the columns that name its ends."""
+RELATIONS = (
+    ("Person", "SeenIn", "sightings", "track", "frame", "b.frame"),
+    ("Object", "SeenIn", "object_sightings", "object", "frame", "b.frame"),
+    ("Person", "Present", "presences", "track", "sequence", "b.sequence"),
+    ("Person", "Absent", "absences", "track", "sequence", "b.sequence"),
+    ("Person", "Performs", "actions", "track", "action", "b.name"),
+    ("Person", "MemberOf", "memberships", "track", "cluster", "b.cluster"),
+    ("Person", "Beside", "beside", "source", "target", "b.track"),
+    ("Person", "Interacts", "interactions", "source", "target", "b.track"),
+    ("Person", "Handles", "handles", "track", "object", "b.track"),
+)
+"""Where a relationship starts, its name and interval table, the columns that name its ends, and what the end says."""
 GROUP_LISTS = ("aim", "bpc", "ssc", "location", "inter")
 
 
@@ -79,15 +85,14 @@ def compare_graph(graph, expected, sequence):
         (f"{sequence}/{row['frame']:06d}", row["frame"], row["keyframe"], row["annotated"], row["image"])
         for row in expected["frames"]
     ]
-    ends = {"SeenIn": "b.frame", "Performs": "b.name", "MemberOf": "b.cluster", "Handles": "b.track"}
-    for relation, (kind, source, target) in RELATIONS.items():
+    for start, relation, kind, source, target, end in RELATIONS:
         names = [n for n in INTERVALS[kind].names if n not in ("sequence", source, target, "action", "cluster")]
         stored = {name: f"r.box.{name}" if name in "xywh" else f"r.{name}" for name in names}
-        stored["category_id"] = "b.category_id"
+        stored["category_id"] = "a.category_id" if start == "Object" else "b.category_id"
         columns = "".join(f", {stored[name]} AS {name}" for name in names if name != "frame")
         query = (
-            f"MATCH (a:Person)-[r:{relation}]->(b) WHERE r.sequence = $s "
-            f"RETURN a.track AS {source}, {ends.get(relation, 'b.track')} AS {target}{columns}"
+            f"MATCH (a:{start})-[r:{relation}]->(b) WHERE r.sequence = $s "
+            f"RETURN a.track AS {source}, {end} AS {target}{columns}"
         )
         found = graph.query(query, {"s": sequence}, ordered=False).to_pylist()
         keys = [source, target, *(name for name in names if name != "frame")]
@@ -161,9 +166,30 @@ def test_random_worlds_are_not_empty_of_facts():
         for kind in ("demographics", "group_info"):
             seen.update((kind, "chosen", row["chosen"]) for row in expected[kind])
         seen.update(("object", row["category"] is None) for row in expected["objects"])
+        for kind in ("presences", "absences"):
+            seen.update((kind, row["certain"]) for row in expected[kind])
+        seen.update(("angle", row["angle"]) for row in expected["object_sightings"])
         seen.update(("gender", row["gender"]) for row in expected["persons"])
         seen.update(("clock", row["seconds"] == row["frame"] / 15) for row in expected["frames"])
-    assert len(seen) == 3 + 3 + 4 + 2 + 2 + 2 + 3 + 2 + 2 + 3 + 3 + 2 + 2 + 2 + 3 + 2, seen
+    assert len(seen) == 3 + 3 + 4 + 2 + 2 + 2 + 3 + 2 + 2 + 3 + 3 + 2 + 2 + 2 + 2 + 2 + 3 + 3 + 2, seen
+
+
+def test_presence_is_that_of_questions(tmp_path):
+    """At every keyframe from a person's first box to the last."""
+    seen = Counter()
+    for seed in range(6):
+        store = memory_store(tmp_path / str(seed), lively_world(random.Random(seed), NAME))
+        scene = load_scene(store, NAME)
+        stated = [(kind, row) for kind in ("presences", "absences") for row in store.interval(kind, NAME).to_pylist()]
+        for moment, (track, frame) in enumerate(itertools.product(scene.tracks.tolist(), scene.keyframes.tolist())):
+            mine = [(kind, row) for kind, row in stated if row["track"] == track]
+            if min(row["first"] for _, row in mine) <= frame <= max(row["last"] for _, row in mine):
+                now = [(kind, row["certain"]) for kind, row in mine if row["first"] <= frame <= row["last"]]
+                assert len(now) == 1
+                seen.update(now)
+                assert scene.present.flat[moment] == (now == [("presences", True)])
+                assert scene.absent[moment] == (now == [("absences", True)])
+    assert len(seen) == 4
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
@@ -177,8 +203,9 @@ def test_the_graph_has_the_facts_of_the_oracle(seed, tmp_path):
             expected = facts(tmp_path / "root", sequence)
             compare_tables(store, expected, sequence)
             compare_graph(graph, expected, sequence)
-        for relation, (kind, _, _) in RELATIONS.items():
-            total = sum(store.interval(kind, sequence).num_rows for sequence in world)
+        for relation in dict.fromkeys(row[1] for row in RELATIONS):
+            kinds = [row[2] for row in RELATIONS if row[1] == relation]
+            total = sum(store.interval(kind, sequence).num_rows for kind in kinds for sequence in world)
             found = graph.query(f"MATCH ()-[r:{relation}]->() RETURN count(*) AS n")["n"][0].as_py()
             assert found == total == store.manifest().graph[relation]
 

@@ -101,6 +101,16 @@ EXPECTED = {
                gender, age, count(DISTINCT track) AS people
         FROM intervals_memberships m JOIN intervals_persons USING (sequence, track)
         WHERE sequence = $s AND certain GROUP BY ALL""",
+    "things_in_view": """
+        SELECT category, object AS thing, round(angle, 1) AS angle, round(x, 1) AS x, round(y, 1) AS y,
+               round(w, 1) AS w, round(h, 1) AS h
+        FROM intervals_object_sightings JOIN intervals_objects USING (sequence, object, category_id)
+        WHERE sequence = $s AND frame = $f""",
+    "present_when": """
+        SELECT first, last, round(last_s - first_s, 1) AS seconds, 'present' AS what, certain
+        FROM intervals_presences WHERE sequence = $s AND track = $t
+        UNION ALL SELECT first, last, round(last_s - first_s, 1), 'absent', certain
+        FROM intervals_absences WHERE sequence = $s AND track = $t""",
     "objects": """
         SELECT category, count(*) AS things, count(*) FILTER (WHERE told) AS handled,
                count(*) FILTER (WHERE NOT told) AS perhaps

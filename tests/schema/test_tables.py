@@ -72,9 +72,9 @@ def test_equal_tables_give_equal_bytes_whatever_their_metadata(tmp_path):
 
 def test_the_scene_names_its_ends():
     for name, (source, target, columns) in SCENE_RELS.items():
-        assert {source, target} <= SCENE_NODES.keys(), name
+        assert {*source.split(":"), target} <= SCENE_NODES.keys(), name
         assert "sequence STRING" in columns, name
-    for name in ("Performs", "MemberOf", "Interacts", "Beside", "Handles"):
+    for name in SCENE_RELS.keys() - {"SeenIn"}:
         assert "certain BOOLEAN" in SCENE_RELS[name][2]
     statements = scene_ddl()
     assert len(statements) == len(SCENE_NODES) + len(SCENE_RELS)

@@ -197,6 +197,9 @@ class Oracle:
             "interactions": self._interactions(),
             "handles": self._handles(),
             "objects": self._objects(),
+            "object_sightings": self._object_sightings(),
+            "presences": self._presences(),
+            "absences": self._absences(),
             "group_info": self._group_info(),
             "beside": self._robot_view() + self._person_frame(),
             "segments": self._segments(),
@@ -349,6 +352,40 @@ class Oracle:
             for (thing, category), frames in sorted(seen.items())
             if names.get(category) not in PERSON_CATEGORIES
         ]
+
+    def _object_sightings(self):
+        things = {(row["object"], row["category_id"]) for row in self._objects()}
+        return [
+            {name: row[name] for name in ("frame", "object", "category_id", *"xywh")}
+            | {"angle": (row["x"] + row["w"] / 2) / 3760 * 360 % 360}
+            for row in self.found.rows("panoptic")
+            if (row["object"], row["category_id"]) in things and row["x"] is not None
+        ]
+
+    def _presences(self):
+        """Frames of a person with a box, for certain in clear view."""
+        return self._stretches(lambda track, mine: {f: self.clear(f, track) for f in mine})
+
+    def _absences(self):
+        """Frames between two boxes without one, for certain where there is none a second before and after."""
+
+        def away(track, mine):
+            frames = {f for f in self.known_2d if f not in mine}
+            return {f: {f - 15, f + 15} <= frames for f in frames if min(mine) < f < max(mine)}
+
+        return self._stretches(away)
+
+    def _stretches(self, find):
+        step = step_of(self._known("2d"))
+        rows = []
+        for track in sorted({t for _, t in self.people}):
+            last = None
+            for frame, certain in sorted(find(track, {f for f, t in self.people if t == track}).items()):
+                if last != (frame - step, certain):
+                    rows.append({"track": track, "first": frame, "certain": certain})
+                rows[-1] |= self._span(rows[-1]["first"], frame)
+                last = frame, certain
+        return rows
 
     def _sighting(self, frame, track):
         record = self.people[frame, track]

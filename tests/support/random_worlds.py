@@ -153,7 +153,8 @@ def _frame_panoptic(rng):
     for track in range(3):
         where = rng.choice(("tracking_id", "attributes.tracking_id", "attributes.floor_id"))
         for category in rng.sample((40, 57, 63, 71, 900), rng.randrange(0, 3)):
-            rows.append(thing(track, category, where=where))
+            box = {} if category != 71 or track else {"bbox": None}
+            rows.append(thing(track, category, (1900 * track - 20, 20, 30, 40), where, **box))
     return rows
 
 

@@ -52,6 +52,7 @@ def table_store(folder, seed=0, sequences=("yard-1_0", "hall-2_0"), frames=121, 
 
 def scene_tables(sequence, rng, frames, people):
     """Interval tables by kind."""
+    (other,) = rng.spawn(1)
     tracks = np.sort(rng.choice(people * 3, people, replace=False))
     clusters = list(range(1, max(2, people // 3) + 1))
     keyframes = list(range(0, frames, 15))
@@ -96,6 +97,15 @@ def scene_tables(sequence, rng, frames, people):
             | {"last_frame": frames - 1 if thing else None}
             for thing, category in things
         ],
+        "object_sightings": [
+            {"frame": f, "object": thing, "category_id": category, "angle": float(other.uniform(0, 360))}
+            | {side: float(other.uniform(1, 400)) for side in "xywh"}
+            for f in keyframes
+            for thing, category in things
+            if other.random() < 0.5
+        ],
+        "presences": [],
+        "absences": [],
         "group_info": [
             {"cluster": c, "attribute": attribute, "value": value, "votes": int(rng.integers(1, 9))}
             | {"chosen": bool(rng.random() < 0.7) and (attribute != "venue" or value == values[0])}
@@ -107,6 +117,10 @@ def scene_tables(sequence, rng, frames, people):
         "beside": [],
         "segments": [],
     }
+    for t, (first, last) in zip(tracks, spans, strict=True):
+        cuts = np.unique([first, last + 1, *other.integers(first, last + 1, 3)])
+        for kind, (a, b) in zip(itertools.cycle(("presences", "absences")), itertools.pairwise(cuts), strict=False):
+            rows[kind].append({"track": t, **_span((a, b - 1)), "certain": bool(other.random() < 0.7)})
     for a, b in pairs:
         for label in rng.choice(labels, 2, replace=False):
             for s in _runs(rng, 0, frames - 1):

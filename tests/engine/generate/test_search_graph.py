@@ -45,7 +45,12 @@ SQL = {
     "SeenIn": f"""
         SELECT {PERSON}, {FRAME}, sequence, frame, {{'x': x, 'y': y, 'w': w, 'h': h}}, angle, occlusion, no_eval, clear,
                face_visible, listed, interactions_listed, handles_listed, pose, group_size, sector,
-               located, distance, distance_word, distance_word_other, cx, cy, cz, heading FROM sightings""",
+               located, distance, distance_word, distance_word_other, cx, cy, cz, heading FROM sightings
+        UNION ALL
+        SELECT {THING}, {FRAME}, sequence, frame, {{'x': x, 'y': y, 'w': w, 'h': h}}, angle{", NULL" * 18}
+        FROM object_sightings""",
+    "Present": f"SELECT {PERSON}, sequence, sequence, {SPAN}, certain FROM presences",
+    "Absent": f"SELECT {PERSON}, sequence, sequence, {SPAN}, certain FROM absences",
     "Performs": f"SELECT {PERSON}, action, sequence, {SPAN}, difficulty, certain, gap FROM actions",
     "MemberOf": f"SELECT {PERSON}, sequence || '/' || cluster, sequence, {SURE} FROM memberships",
     "Interacts": f"SELECT {PAIR}, label, sequence, {SURE} FROM interactions",
@@ -67,9 +72,9 @@ def in_graph(graph, table):
         columns = [column.split()[0] for column in SCENE_NODES[table].split(", ")]
         text = f"MATCH (n:{table}) RETURN {', '.join(f'n.{c}' for c in columns)}"
     else:
-        source, target, columns = SCENE_RELS[table]
-        keys = {"Person": "id", "Frame": "id", "Object": "id", "SocialGroup": "id", "Action": "name"}
-        columns = [f"a.{keys[source]}", f"b.{keys[target]}", *(f"r.{c.split()[0]}" for c in columns)]
+        _, target, columns = SCENE_RELS[table]
+        keys = {"Sequence": "sequence", "Action": "name"}
+        columns = ["a.id", f"b.{keys.get(target, 'id')}", *(f"r.{c.split()[0]}" for c in columns)]
         text = f"MATCH (a)-[r:{table}]->(b) RETURN {', '.join(columns)}"
     rows = graph.query(text, ordered=False)
     return Counter(repr(tuple(column[i].as_py() for column in rows.columns)) for i in range(rows.num_rows))
@@ -129,7 +134,7 @@ def test_a_relative_store_is_built_where_it_is(tmp_path, monkeypatch):
     for kind, table in tables.items():
         store.write_interval(kind, "yard-1_0", table)
     rows = build(store, ["yard-1_0"])
-    assert rows["SeenIn"] == tables["sightings"].num_rows
+    assert rows["SeenIn"] == tables["sightings"].num_rows + tables["object_sightings"].num_rows
     assert (tmp_path / "here" / "graph.kuzu").exists()
 
 

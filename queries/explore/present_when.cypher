@@ -1,0 +1,8 @@
+// When one person is present and when absent (certain: in clear view, or no box a second before and after either).
+// param sequence: text
+// param track: integer
+MATCH (p:Person)-[r:Present|:Absent]->(:Sequence)
+WHERE r.sequence = $sequence AND p.track = $track
+RETURN r.first AS first, r.last AS last, round(r.last_s - r.first_s, 1) AS seconds,
+       CASE label(r) WHEN 'Present' THEN 'present' ELSE 'absent' END AS what, r.certain AS certain
+ORDER BY first;
