@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
-from importlib import resources
 from typing import Any, Final
 
 import msgspec
@@ -17,6 +16,7 @@ import pyarrow as pa
 
 from jrdb_avr.queries.beliefs.graph import Statement
 from jrdb_avr.queries.graph.parameters import parameters
+from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.beliefs import (
     ALWAYS,
     WORLD_NODES,
@@ -154,9 +154,9 @@ class EpisodeRows:
         assert self.begun is not None
         first, facts = made[0][0].number, [fact for _, fact in made]
         if first == 0:
-            yield _text("begin"), msgspec.structs.asdict(self.begun)
+            yield read_statement("world/begin.cypher"), msgspec.structs.asdict(self.begun)
         elif any(fact.episode for fact in facts):
-            yield _text("plan"), {"id": self.key, "plan": self.begun.plan}
+            yield read_statement("world/plan.cypher"), {"id": self.key, "plan": self.begun.plan}
         new = dict.fromkeys(fact.entity.id for fact in facts if fact.entity is not None)
         older = [fact.changed.id for fact in facts if fact.changed is not None]
         older += [key for fact in facts for key in fact.freed]
@@ -166,13 +166,14 @@ class EpisodeRows:
         yield from self._rows("entity", [msgspec.structs.asdict(self.entities[key]) for key in new])
         for key in dict.fromkeys(older):
             if key not in new:
-                yield _text("changed"), {"id": key, "kind": self.entities[key].kind, "node": self.entities[key].node}
+                changed = {"id": key, "kind": self.entities[key].kind, "node": self.entities[key].node}
+                yield read_statement("world/changed.cypher"), changed
         for write, fact in made:
             for number in fact.replaced:
                 if number < first:
                     edge = self.edges[number]
                     ended = {"source": edge.source, "write": number, "until": write.step}
-                    yield _text(f"{_TABLES[type(edge)].lower()}_before"), ended
+                    yield read_statement(f"world/{_TABLES[type(edge)].lower()}_before.cypher"), ended
         for kind, table in _TABLES.items():
             edges = [number for number in range(first, self.written) if isinstance(self.edges.get(number), kind)]
             yield from self._rows(table.lower(), [self._edge_columns(table, number) for number in edges])
@@ -188,7 +189,7 @@ class EpisodeRows:
 
     def _rows(self, name: str, rows: Sequence[Mapping[str, Any]]) -> Iterator[Statement]:
         """Statements that make rows, `MANY` at a time, of the columns that they name: each costs the engine time."""
-        text = _text(name)
+        text = read_statement(f"world/{name}.cypher")
         columns = set(_COLUMN.findall(text))
         known = {"episode": self.key, "hash": episode_hash(self.key)}
         for at in range(0, len(rows), MANY):
@@ -205,9 +206,3 @@ def world_schema(table: str) -> pa.Schema:
         columns = WORLD_NODES[table].replace(" PRIMARY KEY", "").split(", ")
     parts = (column.split(" ", 1) for column in columns)
     return pa.schema([(name, _TYPES[kind]) for name, kind in parts])
-
-
-@cache
-def _text(name: str) -> str:
-    """The text of `queries/world/<name>.cypher`."""
-    return resources.files("jrdb_avr.queries").joinpath("world", f"{name}.cypher").read_text("utf-8")

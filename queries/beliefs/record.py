@@ -8,7 +8,6 @@ ended, which are then copied in: the same tables as the run itself wrote, write 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from importlib import resources
 from typing import Any, Final
 
 import msgspec
@@ -17,6 +16,7 @@ import pyarrow.compute as pc
 
 from jrdb_avr.queries.beliefs.episode import EpisodeRows, world_schema
 from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS, Fact
 from jrdb_avr.schema.errors import StoreError
@@ -155,7 +155,7 @@ def restore_world(graph: Graph, run_id: str, record: pa.Table) -> int:
 
 def writes_held(graph: Graph, run_id: str) -> dict[str, int]:
     """The number of writes that a graph holds of each of a run's episodes, by question id."""
-    rows = graph.query(_statement("writes_held"), {"run": run_id}).to_pylist()
+    rows = graph.query(read_statement("record/writes_held.cypher"), {"run": run_id}).to_pylist()
     return {row["question"]: row["writes"] for row in rows}
 
 
@@ -164,15 +164,10 @@ def drop_world(graph: Graph, run_id: str, questions: Sequence[str] | None = None
     # An empty list is no parameter that the engine can bind.
     values = {"run": run_id, "whole": questions is None, "questions": list(questions or ("",))}
     for what in ("writes", "entities", "observations", "slots", "episodes"):
-        graph.execute(_statement(f"drop_{what}"), values)
+        graph.execute(read_statement(f"record/drop_{what}.cypher"), values)
 
 
 def _copy(graph: Graph, runs: Sequence[Mapping[str, pa.Table]]) -> None:
     for name in (*WORLD_NODES, *WORLD_RELS):
         if rows := [tables[name] for tables in runs if tables[name].num_rows]:
             graph.copy(name, pa.concat_tables(rows))
-
-
-def _statement(name: str) -> str:
-    """The text of `queries/record/<name>.cypher`."""
-    return resources.files("jrdb_avr.queries").joinpath("record", f"{name}.cypher").read_text("utf-8")

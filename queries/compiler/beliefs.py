@@ -31,17 +31,15 @@ from jrdb_avr.queries.compiler.find import (
     stated_frame,
     times_of,
 )
-from jrdb_avr.queries.compiler.mapping import PersonId, read_text
+from jrdb_avr.queries.compiler.mapping import PersonId
 from jrdb_avr.queries.compiler.reads import Looks, Person, Queryable, Reader, Rows, Seen, Segment
 from jrdb_avr.queries.graph.parameters import parameters
+from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.beliefs import TIMELESS, episode_hash
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.panorama import WIDTH, Box
 from jrdb_avr.schema.plan import Edge, Plan, validate
 from jrdb_avr.schema.relations import SYMMETRIC
-
-READS: Final = "world"
-"""The folder of the world namespace's statements."""
 
 _TEXTS: Final = 4
 """A statement compares this many texts of each person, or the next multiple of it."""
@@ -129,7 +127,7 @@ def _orders(plan: Plan, known: Sequence[str]) -> Iterator[Sequence[str]]:
 @lru_cache(256)
 def statement(shape: Shape) -> str:
     """The statement of a shape. Names in it are the compiler's own."""
-    lines = read_text(READS, "beliefs").rstrip().splitlines()
+    lines = read_statement("reads/world/beliefs.cypher").rstrip().splitlines()
     text = "concat(r.whom, '/', said, '/', r.who)"
     if shape.anybody:
         # A relation stands for an attribute of both ends.
@@ -255,7 +253,7 @@ class BeliefReader(Reader):
     def all(self, name: str) -> Rows:
         """Rows of a statement over the whole episode, without replaced ones."""
         if name not in self._rows:
-            rows = self.query(read_text(READS, name), {})
+            rows = self.query(read_statement(f"reads/world/{name}.cypher"), {})
             self._rows[name] = [row for row in rows if row.get("current", True)]
         return self._rows[name]
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import resources
 from typing import Final
 
 from jrdb_avr.queries.compiler.clauses import (
@@ -45,11 +44,6 @@ class SchemaMapping:
     conditions: Mapping[str, Clause]
     edges: Mapping[str, Clause]
     reads: str
-
-
-def read_text(folder: str, name: str) -> str:
-    """The text of the packaged statement `queries/reads/<folder>/<name>.cypher`."""
-    return resources.files("jrdb_avr.queries").joinpath("reads", folder, f"{name}.cypher").read_text("utf-8")
 
 
 def condition_values(condition: Condition) -> dict[str, str | float | list[str]]:
@@ -119,6 +113,6 @@ SCENE: Final = SchemaMapping(
         "left": within("{s}.angle", "{z}.angle"),
         "right": within("{z}.angle", "{s}.angle"),
     },
-    reads="scene",
+    reads="reads/scene",
 )
 """The scene namespace: the annotations. `scope` is the sequence, `who` the track."""

@@ -15,9 +15,10 @@ from typing import Any, Final, Protocol
 
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.compiler.find import Agreed, Find, compile_find, outcome_of_people
-from jrdb_avr.queries.compiler.mapping import PersonId, SchemaMapping, edge_kind, edge_values, read_text
+from jrdb_avr.queries.compiler.mapping import PersonId, SchemaMapping, edge_kind, edge_values
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
+from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import KEYFRAME_STEP, SLACK, LoadRules, frames
@@ -186,7 +187,7 @@ class SceneReader(Reader):
         return {i: len(does[i]) for i in known if could[i] <= does[i]}
 
     def _read(self, name: str, rows: Rows) -> list[dict[str, Any]]:
-        return self.run(read_text(self.mapping.reads, name), rows)
+        return self.run(read_statement(f"{self.mapping.reads}/{name}.cypher"), rows)
 
     def _on_grid(self, rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
         """The rows, each with the frames of its sequence that have action labels; without sequences that have none."""
@@ -194,7 +195,7 @@ class SceneReader(Reader):
 
     @cached_property
     def _grids(self) -> dict[str, dict[str, int]]:
-        return {row.pop("scope"): row for row in self.query(read_text(self.mapping.reads, "grid"), {})}
+        return {row.pop("scope"): row for row in self.query(read_statement(f"{self.mapping.reads}/grid.cypher"), {})}
 
 
 _NEIGHBOURS: Final = (-KEYFRAME_STEP, 0, KEYFRAME_STEP)

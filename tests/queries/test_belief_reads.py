@@ -10,8 +10,8 @@ from believed import CIRCLE, Story, parsed, planned, write
 from jrdb_avr.agent.beliefs.solver import BeliefSolver
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.compiler.beliefs import find_believed
-from jrdb_avr.queries.compiler.mapping import read_text
 from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS
 from jrdb_avr.schema.errors import PlanError
@@ -206,7 +206,7 @@ def test_every_statement_passes_the_world_models_door():
         belief = BeliefSolver(world, "none").solve(parsed(plan))
         assert belief.outcome == "empty" and BeliefSolver(world, "none").guess(parsed(plan)) is None
         for name in ("sighted", "attributes", "relations", "looks", "entities"):
-            assert world.query(read_text("world", name), {"scope": "none"}).num_rows == 0
+            assert world.query(read_statement(f"reads/world/{name}.cypher"), {"scope": "none"}).num_rows == 0
 
 
 # -- what is read -----------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from world_play import PLAN, add, begin, belongs, look, replay, rows_of, say, ta
 
 from jrdb_avr.agent.beliefs.world_model import MOST_WAITING
 from jrdb_avr.queries.beliefs.graph import WorldGraph
-from jrdb_avr.queries.compiler.mapping import read_text
+from jrdb_avr.queries.statements import read_statement
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def test_an_episode_believes_what_its_tables_say(graph, seed):
         with episode.together():
             play(episode, turn)
     for name, rows in episode.rows().items():
-        found = graph.query(read_text("world", name), {"scope": episode.key}).to_pylist()
+        found = graph.query(read_statement(f"reads/world/{name}.cypher"), {"scope": episode.key}).to_pylist()
         held = [{key: row[key] for key in row if key != "current"} for row in found if row.get("current", True)]
         assert sorted(map(repr, held)) == sorted(map(repr, ({k: row[k] for k in held[0]} for row in rows)))
     assert tables_of(graph, belongs(episode.key)) == replay(writes, episode.key)
