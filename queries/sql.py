@@ -52,11 +52,11 @@ def query_tables(
     params: Mapping[str, Any] | None = None,
     *,
     timeout_s: float = _TIMEOUT_S,
-    scores: pa.Table | None = None,
+    tables: Mapping[str, pa.Table] | None = None,
 ) -> pa.Table:
     """Run one SELECT over the views of a store's folder; `$name` in it are bound to `params`.
 
-    `scores` takes the place of the stored table, and views of runs hold only its runs.
+    `tables` stand beside the views, or in their place; where `scores` is among them, views of runs hold only its runs.
 
     Raises StoreError where the folder is no store, QueryError where the statement is refused, fails or takes too long.
     """
@@ -65,7 +65,7 @@ def query_tables(
     if not folder.is_dir():
         raise StoreError(f"{folder} is no store: run 'jrdb-avr load ROOT --store {folder}' first")
     with duckdb.connect(":memory:") as connection:
-        broken = _make_views(connection, folder, scores)
+        broken = _make_views(connection, folder, tables or {})
         _lock_down(connection)
         timer = threading.Timer(timeout_s, connection.interrupt)
         timer.daemon = True
@@ -89,7 +89,7 @@ def query_tables(
             timer.cancel()
 
 
-def _make_views(connection: Any, folder: Path, scores: pa.Table | None) -> dict[str, str]:
+def _make_views(connection: Any, folder: Path, tables: Mapping[str, pa.Table]) -> dict[str, str]:
     """Make all views; returns the reason for each that cannot be made, so that the others stay usable."""
     import duckdb
 
@@ -102,10 +102,13 @@ def _make_views(connection: Any, folder: Path, scores: pa.Table | None) -> dict[
         except duckdb.Error as error:
             broken[name] = f"{fault}: {' '.join(str(error).split())}"
 
-    for name, schema, files in views(folder, None if scores is None else scores["run_id"].unique().to_pylist()):
-        if name == "scores" and scores is not None:
-            connection.register(name, scores)
-        elif files:
+    for name, table in tables.items():
+        connection.register(name, table)
+    runs = tables["scores"]["run_id"].unique().to_pylist() if "scores" in tables else None
+    for name, schema, files in views(folder, runs):
+        if name in tables:
+            continue
+        if files:
             paths = [_quoted(str(path.resolve())) for path in files]
             allowed += paths
             listed = f"[{', '.join(paths)}]"

@@ -85,7 +85,7 @@ class Comparison(Displayed):
     def _query(self, name: str) -> list[Row]:
         """The rows of a query of `queries/results/` over these runs, in their order."""
         ids = [run.manifest.run_id for run in self.runs]
-        found = query_tables(self.store.path, named_queries("sql")[name].text, scores=self.scores)
+        found = query_tables(self.store.path, named_queries("sql")[name].text, tables={"scores": self.scores})
         rows = found.rename_columns({"run_id": "run"}).to_pylist()
         return sorted(rows, key=lambda row: ids.index(row["run"]))
 

@@ -1,0 +1,6 @@
+-- Where the true choice stands.
+SELECT template, position, count(*) AS n, n / sum(count(*)) OVER (PARTITION BY template) AS share
+FROM measured
+WHERE position IS NOT NULL
+GROUP BY template, position
+ORDER BY ALL;

@@ -1,0 +1,5 @@
+-- Questions of each template by kind of answer.
+SELECT family, template, asks, answer_mode AS mode, count(*) AS n, n / sum(count(*)) OVER () AS share
+FROM measured
+GROUP BY ALL
+ORDER BY ALL;
