@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,7 +68,7 @@ def _import(store: Store, decisions: Path, reviewer: str, as_json: bool) -> None
         raise click.UsageError("--reviewer is a name of 1 to 80 printable characters")
     read = read_decisions(decisions, store)
     reviews = import_decisions(store, reviewer, read.decisions)
-    rows = [dataclasses.asdict(agreement) for agreement in agreements(reviews.to_pylist())]
+    rows = agreements(store)
     if as_json:
         print_json(rows)
     elif rows:

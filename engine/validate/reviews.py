@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from itertools import combinations
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import pyarrow as pa
 
 from jrdb_avr.queries.runs import questions_hash
+from jrdb_avr.queries.sql import query_tables
+from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import CANARY, QUESTIONS
@@ -33,17 +33,6 @@ class Decisions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     questions_sha256: str
     decisions: list[Decision]
-
-
-@dataclass(frozen=True)
-class Agreement:
-    """Two reviewers on the questions that both decided; `kappa` is None where chance alone would agree fully."""
-
-    first: str
-    second: str
-    n: int
-    agree: int
-    kappa: float | None
 
 
 def read_decisions(path: Path, store: Store) -> Decisions:
@@ -94,24 +83,8 @@ def rejected(store: Store) -> frozenset[str]:
     return frozenset(row["question_id"] for row in read_reviews(store) if row["decision"] == "reject")
 
 
-def agreements(reviews: Sequence[Mapping[str, str]]) -> list[Agreement]:
-    """Every two reviewers who decided the same questions, with Cohen's kappa: agreement beyond that of chance."""
-    by_reviewer: dict[str, dict[str, str]] = {}
-    for row in reviews:
-        by_reviewer.setdefault(row["reviewer"], {})[row["question_id"]] = row["decision"]
-    found = []
-    for first, second in combinations(sorted(by_reviewer), 2):
-        common = sorted(by_reviewer[first].keys() & by_reviewer[second].keys())
-        if common:
-            pairs = [(by_reviewer[first][name], by_reviewer[second][name]) for name in common]
-            found.append(Agreement(first, second, len(pairs), sum(a == b for a, b in pairs), kappa(pairs)))
-    return found
-
-
-def kappa(pairs: Sequence[tuple[str, str]]) -> float | None:
-    """Cohen's kappa of two raters' decisions; None where both always decide the same."""
-    n = len(pairs)
-    observed = sum(a == b for a, b in pairs) / n
-    first, second = Counter(a for a, _ in pairs), Counter(b for _, b in pairs)
-    expected = sum(first[name] * second[name] for name in first) / n**2
-    return None if expected == 1 else (observed - expected) / (1 - expected)
+def agreements(store: Store) -> list[dict[str, Any]]:
+    """Every two reviewers who decided the same questions: n, on how many they agree, and Cohen's kappa, which is None
+    where both always decide the same."""
+    rows: list[dict[str, Any]] = query_tables(store.path, read_statement("stats/agreements.sql")).to_pylist()
+    return rows

@@ -4,6 +4,7 @@ import json
 import random
 from functools import cache
 
+import duckdb
 import pyarrow as pa
 import pytest
 from entry import run
@@ -13,8 +14,9 @@ from lively_worlds import lively_world
 from quick_store import graphless_store
 
 from jrdb_avr.engine.generate import run as generating
-from jrdb_avr.engine.validate.reviews import Agreement, agreements, kappa, read_reviews, rejected
+from jrdb_avr.engine.validate.reviews import read_reviews, rejected
 from jrdb_avr.queries.runs import questions_hash
+from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.queries.store import Store
 
 pytestmark = pytest.mark.usefixtures("known_plans")
@@ -111,6 +113,18 @@ def test_generate_leaves_out_what_was_rejected(tmp_path, monkeypatch):
 
 # -- agreement --------------------------------------------------------------------------------------------------------
 
+
+def agreements(reviews):
+    """The rows of the statement over (reviewer, question, decision)."""
+    columns = zip(*reviews, strict=True) if reviews else ((), (), ())
+    with duckdb.connect() as connection:
+        names = ("reviewer", "question_id", "decision")
+        connection.register(
+            "reviews", pa.table({n: pa.array(c, pa.string()) for n, c in zip(names, columns, strict=True)})
+        )
+        return connection.sql(read_statement("stats/agreements.sql")).fetchall()
+
+
 PAIRS = st.lists(st.tuples(st.sampled_from(["accept", "reject"]), st.sampled_from(["accept", "reject"])), min_size=1)
 
 
@@ -121,7 +135,9 @@ def test_kappa_is_that_of_statsmodels(pairs):
 
     names = ["accept", "reject"]
     table = [[sum(pair == (a, b) for pair in pairs) for b in names] for a in names]
-    ours = kappa(pairs)
+    rows = [(who, str(number), pair[i]) for number, pair in enumerate(pairs) for i, who in enumerate("ab")]
+    ((*counts, ours),) = agreements(rows)
+    assert counts == ["a", "b", len(pairs), sum(a == b for a, b in pairs)]
     if ours is None:
         assert len({name for pair in pairs for name in pair}) == 1
     else:
@@ -130,18 +146,15 @@ def test_kappa_is_that_of_statsmodels(pairs):
 
 def test_only_questions_that_both_decided_are_compared():
     reviews = [
-        {"question_id": question, "reviewer": who, "decision": what}
-        for who, question, what in [
-            ("a", "1", "accept"),
-            ("a", "2", "reject"),
-            ("a", "3", "reject"),
-            ("b", "2", "reject"),
-            ("b", "3", "accept"),
-            ("b", "4", "accept"),
-            ("c", "9", "accept"),
-        ]
+        ("a", "1", "accept"),
+        ("a", "2", "reject"),
+        ("a", "3", "reject"),
+        ("b", "2", "reject"),
+        ("b", "3", "accept"),
+        ("b", "4", "accept"),
+        ("c", "9", "accept"),
     ]
-    assert agreements(reviews) == [Agreement("a", "b", 2, 1, 0.0)]
+    assert agreements(reviews) == [("a", "b", 2, 1, 0.0)]
     assert agreements([]) == []
 
 
