@@ -27,8 +27,8 @@ def command(run: str, question: str, store: Store, out: Path) -> None:
     from jrdb_avr.engine.observe.observer import Observer
     from jrdb_avr.engine.pages.page import write_page
     from jrdb_avr.engine.pages.trace import trace_page
-    from jrdb_avr.engine.report.traces import read_trace
+    from jrdb_avr.engine.report.traces import Trace
 
-    trace = read_trace(store, run, question)
+    trace = Trace(store, run, question)
     write_page(out, trace_page(trace, Observer.of(store)))
     note(f"wrote {out}: {len(trace.steps)} steps")

@@ -6,7 +6,6 @@ import functools
 import random
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
@@ -24,7 +23,7 @@ from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.method import Image
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, center_angle, to_crop
 from jrdb_avr.schema.plan import Plan, parse_plan
-from jrdb_avr.schema.questions import NeededBox, QuestionRecord
+from jrdb_avr.schema.questions import QuestionRecord
 from jrdb_avr.schema.relations import SAME_GROUP
 from jrdb_avr.schema.rules import frames as frames_in
 
@@ -67,30 +66,6 @@ class TimelineRow(NamedTuple):
     in_plan: bool = False
 
 
-@dataclass(frozen=True)
-class Inspected:
-    """A question with its plan, people and views.
-
-    people: the plan's nodes as (role, track); counted: further people whom the answer counts, as (role, track);
-    moments: named times as frames; annotated: the annotated frame of each named time; boxes: per frame to display, the
-    boxes of all these people by role; decisive: the needed box that answers the question; occlusion: whether boxes of
-    the sequence have occlusion attributes.
-    """
-
-    record: QuestionRecord
-    plan: Plan
-    people: Mapping[str, int]
-    counted: Mapping[str, int]
-    moments: Mapping[str, int]
-    annotated: Mapping[str, int]
-    timeline: tuple[TimelineRow, ...]
-    boxes: Mapping[int, Sequence[tuple[str, Box]]]
-    decisive: NeededBox
-    fps: float
-    frame_count: int
-    occlusion: bool
-
-
 def choose_questions(store: Store, ids: Sequence[str], sample: int | None, seed: int) -> list[str]:
     """These ids, or a seeded sample of all. Raises InputError for an unknown id."""
     known = store.questions("questions")["question_id"].to_pylist()
@@ -114,7 +89,7 @@ def inspect_questions(store: Store, ids: Sequence[str]) -> list[Inspected]:
         record = QuestionRecord.read(questions[name], answers[name])
         if read is None or read.name != record.sequence:
             read = _Sequence(store, record.sequence)
-        found.append(_inspected(record, sequences[record.sequence], read))
+        found.append(Inspected(record, sequences[record.sequence], read))
     return found
 
 
@@ -139,37 +114,34 @@ class _Sequence:
         return rows
 
 
-def _inspected(record: QuestionRecord, info: Record, sequence: _Sequence) -> Inspected:
-    plan = parse_plan(record.plan)
-    people = {node.id: record.bindings[node.id] for node in plan.nodes}
-    moments = {name: frame for name, frame in record.bindings.items() if name not in people}
-    # A count has no decisive box: its first needed one is the target at the first of its two times.
-    decisive = next((box for box in record.needed if box.decisive), record.needed[0])
-    at = {name: nearest_annotated(frame, sequence.frames, sequence.step) for name, frame in moments.items()}
-    counted = [box for box in record.needed if box.node not in people]
-    sightings = {role: sequence.rows("sightings", "track", track) for role, track in people.items()}
-    boxes: dict[int, list[tuple[str, Box]]] = {
-        frame: [(role, _box(row)) for role, rows in sightings.items() for row in rows if row["frame"] == frame]
-        for frame in sorted({*at.values(), decisive.frame, *(box.frame for box in counted)})
-    }
-    for box in counted:
-        boxes[box.frame].append((box.node, Box(box.x, box.y, box.w, box.h)))
-    return Inspected(
-        record=record,
-        plan=plan,
-        people=people,
-        counted={box.node: box.track for box in counted},
-        moments=moments,
-        annotated=at,
-        timeline=tuple(
-            row for role in people for row in _timeline(role, plan, people, moments, sightings[role], sequence)
-        ),
-        boxes=boxes,
-        decisive=decisive,
-        fps=info["fps"],
-        frame_count=info["frame_count"],
-        occlusion=sequence.occlusion,
-    )
+class Inspected:
+    """A question with its plan, people and views.
+
+    people: the plan's nodes as (role, track); counted: further people whom the answer counts, as (role, track);
+    moments: named times as frames; annotated: the annotated frame of each named time; boxes: per frame to display, the
+    boxes of all these people by role; decisive: the needed box that answers the question; occlusion: whether boxes of
+    the sequence have occlusion attributes.
+    """
+
+    def __init__(self, record: QuestionRecord, info: Record, sequence: _Sequence) -> None:
+        self.record, self.plan = record, parse_plan(record.plan)
+        self.fps, self.frame_count, self.occlusion = info["fps"], info["frame_count"], sequence.occlusion
+        self.people = {node.id: record.bindings[node.id] for node in self.plan.nodes}
+        self.moments = {name: frame for name, frame in record.bindings.items() if name not in self.people}
+        at = {name: nearest_annotated(frame, sequence.frames, sequence.step) for name, frame in self.moments.items()}
+        self.annotated = at
+        # A count has no decisive box: its first needed one is the target at the first of its two times.
+        self.decisive = next((box for box in record.needed if box.decisive), record.needed[0])
+        counted = [box for box in record.needed if box.node not in self.people]
+        self.counted = {box.node: box.track for box in counted}
+        sightings = {role: sequence.rows("sightings", "track", track) for role, track in self.people.items()}
+        self.boxes: dict[int, list[tuple[str, Box]]] = {
+            frame: [(role, _box(row)) for role, rows in sightings.items() for row in rows if row["frame"] == frame]
+            for frame in sorted({*at.values(), self.decisive.frame, *(box.frame for box in counted)})
+        }
+        for box in counted:
+            self.boxes[box.frame].append((box.node, Box(box.x, box.y, box.w, box.h)))
+        self.timeline = [row for role in self.people for row in _timeline(role, self, sightings[role], sequence)]
 
 
 def _box(row: Record) -> Box:
@@ -185,15 +157,9 @@ def nearest_annotated(frame: int, frames: Sequence[int], step: int) -> int:
 # -- the timeline -----------------------------------------------------------------------------------------------------
 
 
-def _timeline(
-    role: str,
-    plan: Plan,
-    people: Mapping[str, int],
-    moments: Mapping[str, int],
-    sightings: Sequence[Record],
-    sequence: _Sequence,
-) -> list[TimelineRow]:
+def _timeline(role: str, one: Inspected, sightings: Sequence[Record], sequence: _Sequence) -> list[TimelineRow]:
     """The rows of one person: in view, actions near the named times, and whatever else the plan speaks of."""
+    plan, people, moments = one.plan, one.people, one.moments
     track, tracks = people[role], {number: name for name, number in people.items()}
     conditions = [condition for node in plan.nodes if node.id == role for condition in node.conditions]
     # The relation that an answer counts may hold of anybody, as may one that describes; an edge names its target.

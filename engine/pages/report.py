@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import msgspec
@@ -21,19 +20,6 @@ _TITLES: Final = {name: name.replace("_", " ") for name in DIMENSIONS} | {
     "time_gap_s": "time gap, seconds",
     "separation_deg": "angular separation, degrees",
 }
-
-
-@dataclass(frozen=True)
-class Crossed:
-    """A breakdown by run and value of a dimension, the fewer of the two across: each cell a row or None.
-
-    counts: the questions of each value in most runs; cells with another `n` state it.
-    """
-
-    across: Sequence[str]
-    rows: Sequence[tuple[str, Sequence[Row | None]]]
-    counts: dict[str, int]
-    values_across: bool
 
 
 def report_page(comparison: Comparison) -> str:
@@ -56,7 +42,7 @@ def report_page(comparison: Comparison) -> str:
         dots=dots,
         tags=tags,
         square=SQUARE,
-        breakdowns=[(name, crossed(tables[name], name, names)) for name in DIMENSIONS],
+        breakdowns=[(name, Crossed(tables[name], name, names)) for name in DIMENSIONS],
         ablation=filled(tables["ablation"]),
         causes=list(dict.fromkeys(row["cause"] for row in tables["evidence_failures"])),
         titles=_TITLES,
@@ -78,18 +64,24 @@ def pivot(rows: Sequence[Row], down: str, across: str) -> dict[str, dict[str, Ro
     return found
 
 
-def crossed(rows: Sequence[Row], dimension: str, runs: Sequence[str]) -> Crossed:
-    """Cross the rows of a breakdown by value and run; the paper's are a run named by their label."""
-    cells = pivot([row | {"run": row["run"] or row["label"]} for row in rows], dimension, "run")
-    questions = {value: Counter(row["n"] for run, row in own.items() if run in runs) for value, own in cells.items()}
-    counts = {value: times.most_common(1)[0][0] for value, times in questions.items() if times}
-    names = [*runs, *(["paper"] if any(not row["run"] for row in rows) else [])]
-    values_across = len(names) > len(cells)
-    if values_across:
-        lines = [(run, [own.get(run) for own in cells.values()]) for run in names]
-    else:
-        lines = [(value, [own.get(run) for run in names]) for value, own in cells.items()]
-    return Crossed(list(cells) if values_across else names, lines, counts, values_across)
+class Crossed:
+    """A breakdown by run and value of a dimension, the fewer of the two across: each cell a row or None.
+
+    counts: the questions of each value in most runs; cells with another `n` state it.
+    """
+
+    def __init__(self, rows: Sequence[Row], dimension: str, runs: Sequence[str]) -> None:
+        """Cross the rows of a breakdown by value and run; the paper's are a run named by their label."""
+        cells = pivot([row | {"run": row["run"] or row["label"]} for row in rows], dimension, "run")
+        questions = {value: Counter(r["n"] for run, r in own.items() if run in runs) for value, own in cells.items()}
+        self.counts = {value: times.most_common(1)[0][0] for value, times in questions.items() if times}
+        names = [*runs, *(["paper"] if any(not row["run"] for row in rows) else [])]
+        self.values_across = len(names) > len(cells)
+        self.across = list(cells) if self.values_across else names
+        if self.values_across:
+            self.rows = [(run, [own.get(run) for own in cells.values()]) for run in names]
+        else:
+            self.rows = [(value, [own.get(run) for run in names]) for value, own in cells.items()]
 
 
 def _pretty(settings: Row) -> str:

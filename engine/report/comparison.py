@@ -11,7 +11,7 @@ from typing import Final
 import pyarrow as pa
 
 from jrdb_avr.engine.report import formats
-from jrdb_avr.engine.report.scored_runs import QuestionIndex, ScoredRun, read_index, scored_run
+from jrdb_avr.engine.report.scored_runs import QuestionIndex, ScoredRun, read_index
 from jrdb_avr.engine.report.scoring import read_truth, score_run, write_scores
 from jrdb_avr.engine.report.tables import (
     TABLES,
@@ -156,7 +156,7 @@ def _scored(store: Store, index: QuestionIndex, names: Sequence[str], iou: float
                 raise
             warnings.warn(f"left out: {error}", AvrWarning, stacklevel=3)
             continue
-        done.append((scored_run(index, manifest, predictions, scores), scores))
+        done.append((ScoredRun(index, manifest, predictions, scores), scores))
     if not done:
         raise StoreError(f"no run of {store.path} can be scored: evaluate on the store's present questions")
     return sorted(done, key=lambda pair: (pair[0].manifest.method, pair[0].manifest.model, pair[0].manifest.run_id))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
@@ -46,7 +45,6 @@ class QuestionIndex(NamedTuple):
     labels: dict[str, Labels]
 
 
-@dataclass(frozen=True)
 class ScoredRun:
     """A run with its scores: one row per question of the run, in the run's order.
 
@@ -54,15 +52,13 @@ class ScoredRun:
     number of questions that ended in an error or have no prediction.
     """
 
-    manifest: RunManifest
-    rows: Ints
-    scores: Ints
-    invalid: Ints
-    errors: int
-
-    @property
-    def n(self) -> int:
-        return len(self.rows)
+    def __init__(self, index: QuestionIndex, manifest: RunManifest, predictions: pa.Table, scores: pa.Table) -> None:
+        """Join a run's predictions with its scores, which hold every question of the run."""
+        self.manifest, self.n = manifest, scores.num_rows
+        self.rows = row_numbers(scores["question_id"].combine_chunks(), index.ids)
+        self.scores = np.stack([scores[f"{name}_score"].to_numpy().astype(np.int64) for name in SCORES], axis=1)
+        self.invalid: Ints = scores["invalid"].to_numpy(zero_copy_only=False).astype(np.int64)
+        self.errors = self.n - int(np.count_nonzero(is_judged(predictions["status"])))
 
 
 def read_index(store: Store) -> QuestionIndex:
@@ -84,18 +80,6 @@ def make_index(questions: pa.Table, answers: pa.Table) -> QuestionIndex:
         places = np.searchsorted(edges, known[name].to_numpy(zero_copy_only=False).astype(np.float64), side="right")
         texts[name] = [bins[place] for place in places.tolist()]
     return QuestionIndex(ids, {name: _labels(own) for name, own in texts.items()})
-
-
-def scored_run(index: QuestionIndex, manifest: RunManifest, predictions: pa.Table, scores: pa.Table) -> ScoredRun:
-    """Join a run's predictions with its scores, which hold every question of the run."""
-    columns = [scores[f"{name}_score"].to_numpy().astype(np.int64) for name in SCORES]
-    return ScoredRun(
-        manifest,
-        row_numbers(scores["question_id"].combine_chunks(), index.ids),
-        np.stack(columns, axis=1),
-        scores["invalid"].to_numpy(zero_copy_only=False).astype(np.int64),
-        scores.num_rows - int(np.count_nonzero(is_judged(predictions["status"]))),
-    )
 
 
 def percent_of(part: float, n: float) -> float | None:

@@ -9,7 +9,6 @@ arrays. 25 runs of 2,098 questions take well under two seconds.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,19 +29,31 @@ MOST_FRAMES: Final = 1 << 24
 """Above every frame number."""
 
 
-@dataclass(frozen=True)
 class Truth:
     """The right answers, one row per question, and the target's boxes sorted by key (row, frame).
 
     modes, seconds: per question its answer mode, and a second in frames.
     """
 
-    ids: pa.Array
-    modes: list[str]
-    seconds: list[int]
-    answers: list[Answer]
-    keys: Ints
-    boxes: Floats
+    def __init__(self, questions: pa.Table, sequences: pa.Table, answers: pa.Table, evidence: pa.Table) -> None:
+        """From the four tables of `questions/`. Raises StoreError where they do not fit together."""
+        self.ids = questions["question_id"].combine_chunks()
+        answer_row = _find(answers["question_id"], self.ids, "answers")
+        sequence_row = _find(sequences["sequence"], questions["sequence"], "sequences")
+        self.modes: list[str] = questions["answer_mode"].to_pylist()
+        if not ANSWER_TYPES.keys() >= set(self.modes):
+            raise StoreError("the questions name an unknown answer mode: generate again")
+        texts = answers["answer"].take(pa.array(answer_row)).to_pylist()
+        self.answers = [answer for answer in map(read_answer, self.modes, texts) if answer is not None]
+        if len(self.answers) < len(texts):
+            raise StoreError("an answer of the store cannot be read under its mode: generate again")
+        row = _find(self.ids, evidence["question_id"], "questions")
+        self.keys = frame_key(row, evidence["frame"].to_numpy().astype(np.int64))
+        self.boxes = np.stack([evidence[name].to_numpy() for name in "xywh"], axis=1)
+        if (self.keys[1:] < self.keys[:-1]).any():  # `generate` writes them sorted; copying a million is expensive.
+            order = np.argsort(self.keys, kind="stable")
+            self.keys, self.boxes = self.keys[order], self.boxes[order]
+        self.seconds: list[int] = np.round(sequences["fps"].to_numpy()[sequence_row]).astype(np.int64).tolist()
 
 
 def read_truth(store: Store) -> Truth:
@@ -52,29 +63,7 @@ def read_truth(store: Store) -> Truth:
     """
     names = ("questions", "sequences", "answers", "evidence")
     tables = zip(names, store.question_tables(*names), strict=True)
-    return make_truth(*(_fitted(own, QUESTIONS[name], store.question_path(name), "generate") for name, own in tables))
-
-
-def make_truth(questions: pa.Table, sequences: pa.Table, answers: pa.Table, evidence: pa.Table) -> Truth:
-    """Truth from the four tables of `questions/`. Raises StoreError where they do not fit together."""
-    ids = questions["question_id"].combine_chunks()
-    answer_row = _find(answers["question_id"], ids, "answers")
-    sequence_row = _find(sequences["sequence"], questions["sequence"], "sequences")
-    modes = questions["answer_mode"].to_pylist()
-    if not ANSWER_TYPES.keys() >= set(modes):
-        raise StoreError("the questions name an unknown answer mode: generate again")
-    texts = answers["answer"].take(pa.array(answer_row)).to_pylist()
-    right = [answer for answer in map(read_answer, modes, texts) if answer is not None]
-    if len(right) < len(texts):
-        raise StoreError("an answer of the store cannot be read under its mode: generate again")
-    row = _find(ids, evidence["question_id"], "questions")
-    keys = frame_key(row, evidence["frame"].to_numpy().astype(np.int64))
-    boxes = np.stack([evidence[name].to_numpy() for name in "xywh"], axis=1)
-    if (keys[1:] < keys[:-1]).any():  # `generate` writes them sorted; copying a million is expensive.
-        order = np.argsort(keys, kind="stable")
-        keys, boxes = keys[order], boxes[order]
-    seconds = np.round(sequences["fps"].to_numpy()[sequence_row]).astype(np.int64).tolist()
-    return Truth(ids, modes, seconds, right, keys, boxes)
+    return Truth(*(_fitted(own, QUESTIONS[name], store.question_path(name), "generate") for name, own in tables))
 
 
 def score_predictions(
@@ -184,11 +173,17 @@ def score_run(
     manifest = read_run_manifest(store, run_id)
     if manifest.questions_sha256 != questions_hash(store):
         raise StoreError(f"run {run_id} is of another questions file than this store's: score it in its own store")
+    path, table = read_predictions(store, run_id)
+    predictions = _fitted(table, RUNS["predictions"], path, "evaluate")
+    return manifest, predictions, score_predictions(truth, run_id, manifest.question_ids, predictions, iou)
+
+
+def read_predictions(store: Store, run_id: str) -> tuple[Path, pa.Table]:
+    """The file of a run's predictions and its table. Raises StoreError where the run has none yet."""
     path = store.run_path(run_id) / "predictions.parquet"
     if not path.exists():
         raise StoreError(f"run {run_id} has no predictions yet: evaluate it to the end (the same call with --resume)")
-    predictions = _fitted(read_table(path), RUNS["predictions"], path, "evaluate")
-    return manifest, predictions, score_predictions(truth, run_id, manifest.question_ids, predictions, iou)
+    return path, read_table(path)
 
 
 def _fitted(table: pa.Table, schema: pa.Schema, path: Path, command: str) -> pa.Table:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -11,8 +11,8 @@ import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.engine.report.scoring import make_truth, score_predictions
-from jrdb_avr.queries.runs import RunManifest, read_run_manifest
+from jrdb_avr.engine.report.scoring import Truth, read_predictions, score_predictions
+from jrdb_avr.queries.runs import read_run_manifest
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.beliefs import ALWAYS, Fact
 from jrdb_avr.schema.errors import InputError, StoreError
@@ -52,69 +52,43 @@ class Written:
     fact: Fact
 
 
-@dataclass(frozen=True)
 class Trace:
     """One question of a run.
 
-    target: the boxes of the target by frame, (x, y, w, h); scores: its row of the `scores` table.
+    target: the boxes of the target by frame, (x, y, w, h); scores: its row of the `scores` table; refused: the writes
+    that the world model refused.
     """
 
-    manifest: RunManifest
-    question: StoredRow
-    answer: StoredRow
-    prediction: StoredRow
-    steps: Sequence[StoredRow]
-    looks: Sequence[Look]
-    writes: Sequence[Written]
-    target: Mapping[int, tuple[float, float, float, float]]
-    scores: StoredRow
-    fps: float
-
-    @property
-    def refused(self) -> list[Written]:
-        """The writes that the world model refused."""
-        return [write for write in self.writes if not write.row["accepted"]]
-
-
-def read_trace(store: Store, run_id: str, question_id: str) -> Trace:
-    """Gather a question of a run. Raises StoreError where the run is missing or unfinished, InputError for a question
-    that is not one of the run."""
-    manifest = read_run_manifest(store, run_id)
-    path = store.run_path(run_id)
-    if not (path / "predictions.parquet").exists():
-        raise StoreError(f"run {run_id} has no predictions yet: evaluate it to the end (the same call with --resume)")
-    predictions = _own(read_table(path / "predictions.parquet"), question_id)
-    if not predictions.num_rows:
-        raise InputError(f"run {run_id} does not have question {question_id[:40]!r}", field="question_id")
-    names = ("questions", "answers", "evidence")
-    *tables, sequences = store.question_tables(*names, "sequences")
-    own = {name: _own(table, question_id) for name, table in zip(names, tables, strict=True)}
-    if not own["questions"].num_rows:
-        raise InputError(f"no question {question_id[:40]!r} in {store.path}", field="question_id")
-    question = own["questions"].to_pylist()[0]
-    truth = make_truth(own["questions"], sequences, own["answers"], own["evidence"])
-    scores = score_predictions(truth, run_id, [question_id], predictions).to_pylist()[0]
-    fps = {row["sequence"]: row["fps"] for row in sequences.to_pylist()}
-    steps = sorted(_own(read_table(path / "steps.parquet"), question_id).to_pylist(), key=lambda row: row["step"])
-    world = path / "world.parquet"
-    written = _own(read_table(world), question_id).sort_by("number").to_pylist() if world.exists() else []
-    facts = [_fact(row["fact"], world) for row in written]
-    until = {number: row["step"] for row, fact in zip(written, facts, strict=True) for number in fact.replaced}
-    return Trace(
-        manifest,
-        question,
-        own["answers"].to_pylist()[0],
-        predictions.to_pylist()[0],
-        steps,
-        tuple(look for step in steps if (look := look_of(step)) is not None),
-        tuple(
+    def __init__(self, store: Store, run_id: str, question_id: str) -> None:
+        """Gather a question of a run. Raises StoreError where the run is missing or unfinished, InputError for a
+        question that is not one of the run."""
+        self.manifest = read_run_manifest(store, run_id)
+        predictions = _own(read_predictions(store, run_id)[1], question_id)
+        if not predictions.num_rows:
+            raise InputError(f"run {run_id} does not have question {question_id[:40]!r}", field="question_id")
+        *tables, sequences = store.question_tables("questions", "answers", "evidence", "sequences")
+        questions, answers, evidence = (_own(table, question_id) for table in tables)
+        if not questions.num_rows:
+            raise InputError(f"no question {question_id[:40]!r} in {store.path}", field="question_id")
+        (self.question,), (self.answer,), (self.prediction,) = (
+            table.to_pylist() for table in (questions, answers, predictions)
+        )
+        truth = Truth(questions, sequences, answers, evidence)
+        self.scores = score_predictions(truth, run_id, [question_id], predictions).to_pylist()[0]
+        self.fps = {row["sequence"]: row["fps"] for row in sequences.to_pylist()}[self.question["sequence"]]
+        self.target = {row["frame"]: (row["x"], row["y"], row["w"], row["h"]) for row in evidence.to_pylist()}
+        path = store.run_path(run_id)
+        self.steps = _own(read_table(path / "steps.parquet"), question_id).sort_by("step").to_pylist()
+        self.looks = [look for step in self.steps if (look := look_of(step)) is not None]
+        world = path / "world.parquet"
+        written = _own(read_table(world), question_id).sort_by("number").to_pylist() if world.exists() else []
+        facts = [_fact(row["fact"], world) for row in written]
+        until = {number: row["step"] for row, fact in zip(written, facts, strict=True) for number in fact.replaced}
+        self.writes = [
             Written(row, row["step"], until.get(row["number"], ALWAYS), fact)
             for row, fact in zip(written, facts, strict=True)
-        ),
-        {row["frame"]: (row["x"], row["y"], row["w"], row["h"]) for row in own["evidence"].to_pylist()},
-        scores,
-        fps[question["sequence"]],
-    )
+        ]
+        self.refused = [write for write in self.writes if not write.row["accepted"]]
 
 
 class _Shown(msgspec.Struct):

@@ -9,7 +9,7 @@ import time
 import numpy as np
 from many_runs import QUESTION_COUNT, RUN_COUNT, made_up_predictions, made_up_questions
 
-from jrdb_avr.engine.report.scoring import make_truth, score_predictions
+from jrdb_avr.engine.report.scoring import Truth, score_predictions
 
 
 def main() -> None:
@@ -18,7 +18,7 @@ def main() -> None:
     runs = [made_up_predictions(tables["questions"], rng) for _ in range(RUN_COUNT)]
     ids = tables["questions"]["question_id"].to_pylist()
     start, started = time.perf_counter(), time.process_time()
-    truth = make_truth(*tables.values())
+    truth = Truth(*tables.values())
     prepared = time.perf_counter()
     for number, predictions in enumerate(runs):
         score_predictions(truth, f"r{number}", ids, predictions)

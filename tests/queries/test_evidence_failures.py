@@ -8,7 +8,7 @@ import msgspec
 from known_runs import Benchmark, table
 
 from jrdb_avr.engine.report.comparison import report
-from jrdb_avr.engine.report.scoring import make_truth
+from jrdb_avr.engine.report.scoring import Truth
 from jrdb_avr.queries.runs import questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.tables import INTERVALS, RUNS
@@ -67,7 +67,7 @@ def test_causes_are_those_of_pixels(tmp_path):
         for frame, box in boxes.items()
     ]
     benchmark.tables["evidence"] = table(rows, benchmark.tables["evidence"].schema)
-    benchmark.truth = make_truth(*benchmark.tables.values())
+    benchmark.truth = Truth(*benchmark.tables.values())
     for name, rows in benchmark.tables.items():
         store.write_questions(name, rows, {})
     for sequence, frames in people.items():

@@ -4,8 +4,8 @@ import json
 
 import pyarrow as pa
 
-from jrdb_avr.engine.report.scored_runs import make_index, scored_run
-from jrdb_avr.engine.report.scoring import make_truth, score_predictions
+from jrdb_avr.engine.report.scored_runs import ScoredRun, make_index
+from jrdb_avr.engine.report.scoring import Truth, score_predictions
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
 from jrdb_avr.schema.templates import FAMILIES
@@ -59,7 +59,7 @@ class Benchmark:
             "answers": table(answers, QUESTIONS["answers"]),
             "evidence": table(evidence, QUESTIONS["evidence"]),
         }
-        self.truth = make_truth(*self.tables.values())
+        self.truth = Truth(*self.tables.values())
         self.index = make_index(questions, self.tables["answers"])
 
     def run(self, given, run_id="r", method="react", model="m"):
@@ -84,4 +84,4 @@ class Benchmark:
         manifest = RunManifest(run_id, method, model, "0", tuple(self.ids), False, {}, "2020-01-01T00:00:00Z")
         scores = score_predictions(self.truth, run_id, self.ids, predictions)
         self.written = {"predictions": predictions, "scores": scores}
-        return scored_run(self.index, manifest, predictions, scores)
+        return ScoredRun(self.index, manifest, predictions, scores)

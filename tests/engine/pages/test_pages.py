@@ -2,7 +2,6 @@
 
 import base64
 import contextlib
-import dataclasses
 import json
 import re
 import time
@@ -29,7 +28,7 @@ from jrdb_avr.engine.pages.inspect import (
     runs_of,
 )
 from jrdb_avr.engine.pages.page import environment, readable, render, write_page
-from jrdb_avr.engine.pages.report import crossed, pivot
+from jrdb_avr.engine.pages.report import Crossed, pivot
 from jrdb_avr.engine.pages.svg import plan_graph, scatter, wrapped
 from jrdb_avr.engine.validate.reviews import read_reviews
 from jrdb_avr.queries.questions import read_sequences
@@ -185,14 +184,11 @@ def test_no_text_of_a_question_runs_or_breaks_the_page(opened, sample_benchmark,
     multiple = next(r for r in sample_benchmark.questions("questions").to_pylist() if r["choices"])
     (one,) = inspect_questions(sample_benchmark, [multiple["question_id"]])
     proofs = tuple(msgspec.structs.replace(proof, variant=text, answer=text) for proof in one.record.proofs)
-    spoiled = dataclasses.replace(
-        one,
-        record=msgspec.structs.replace(
-            one.record, question=text, choices=(text,) * 4, distractors=(text,) * 4, proofs=proofs
-        ),
-        timeline=tuple(row._replace(label=text) for row in one.timeline),
+    one.record = msgspec.structs.replace(
+        one.record, question=text, choices=(text,) * 4, distractors=(text,) * 4, proofs=proofs
     )
-    html = inspect_page([spoiled], Observer(None, read_sequences(sample_benchmark).values()), "0", lambda _: None)
+    one.timeline = [row._replace(label=text) for row in one.timeline]
+    html = inspect_page([one], Observer(None, read_sequences(sample_benchmark).values()), "0", lambda _: None)
     write_page(tmp_path / "h.html", html)
     with narrow(driver):
         visit(driver, tmp_path / "h.html")
@@ -459,14 +455,14 @@ def test_a_breakdown_says_how_many_were_asked():
         return {"family": value, "run": run, "label": "", "n": n}
 
     rows = [row("r", "a", 8), row("s", "a", 8), row("t", "a", 1), row("r", "b", 3)]
-    table = crossed(rows, "family", ["r", "s", "t"])
+    table = Crossed(rows, "family", ["r", "s", "t"])
     assert (table.across, table.values_across, table.counts) == (["a", "b"], True, {"a": 8, "b": 3})
     assert [(run, [cell and cell["n"] for cell in cells]) for run, cells in table.rows] == [
         ("r", [8, 3]),
         ("s", [8, None]),
         ("t", [1, None]),
     ]
-    turned = crossed(rows[:1] + rows[3:], "family", ["r"])
+    turned = Crossed(rows[:1] + rows[3:], "family", ["r"])
     assert (turned.across, turned.values_across) == (["r"], False)
 
 

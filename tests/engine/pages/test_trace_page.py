@@ -11,7 +11,7 @@ from entry import run
 from traced_runs import stored_run, trace_runs
 
 from jrdb_avr.engine.pages import trace as trace_page
-from jrdb_avr.engine.report.traces import look_of, read_trace
+from jrdb_avr.engine.report.traces import Trace, look_of
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.tables import RUNS
 
@@ -52,6 +52,6 @@ def test_what_cannot_be_traced_is_refused_in_a_line(traced, tmp_path):
 
 def test_looks_are_those_that_were_shown(traced):
     store, name = traced
-    trace = read_trace(store, "full", name)
+    trace = Trace(store, "full", name)
     assert [(look.step, look.left, look.angle) for look in trace.looks] == [(1, 3520, 0.0)]
     assert look_of({"kind": "tool", "request": "{}", "response": "{}", "step": 0}) is None

@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import entry
@@ -113,7 +112,8 @@ def test_settings_of_one_model_are_told_apart():
     for name, settings in (("noisy", noise), ("plain", plain)):
         for method in ("agent", "agent-passive"):
             run = benchmark.run([(1, BOX, 7)], f"{name}-{method}", method)
-            runs.append(replace(run, manifest=msgspec.structs.replace(run.manifest, settings=settings)))
+            run.manifest = msgspec.structs.replace(run.manifest, settings=settings)
+            runs.append(run)
     assert [row["setting"] for row in main_rows(benchmark.index, runs, 0.5)] == ["marker: wrong_box 0.1"] * 2 + [""] * 2
     # The cells of one setting stand together.
     assert [(row["setting"], row["world_model"], row["active"]) for row in ablation_rows(runs)] == [
@@ -134,7 +134,8 @@ def test_settings_stand_together_behind_their_parts_name():
         "noisier": {"endpoint": {"base_url": "http://c", "retries": 0}, "marker": noise, "thinking": "on"},
     }
     runs = [benchmark.run([(1, BOX, 7)], name) for name in told]
-    runs = [replace(r, manifest=msgspec.structs.replace(r.manifest, settings=told[r.manifest.run_id])) for r in runs]
+    for run in runs:
+        run.manifest = msgspec.structs.replace(run.manifest, settings=told[run.manifest.run_id])
     assert distinguishing_settings(runs) == {
         "plain": "endpoint: retries 4; thinking off",
         "noisy": "endpoint: retries 4; marker: seed 3, wrong_box 0.1; thinking off",

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from pycocotools import mask as coco
 
 from jrdb_avr.engine.report import scoring
-from jrdb_avr.engine.report.scored_runs import make_index, scored_run
-from jrdb_avr.engine.report.scoring import box_ious, make_truth, score_predictions
+from jrdb_avr.engine.report.scored_runs import ScoredRun, make_index
+from jrdb_avr.engine.report.scoring import Truth, box_ious, score_predictions
 from jrdb_avr.engine.report.tables import score_row
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.schema import answers
@@ -31,7 +31,7 @@ WIDTH = 3760
 MODES = ("multiple_choice", "frame", "span", "frame_viewpoint", "number")
 
 
-def truth_of(rows, fps=15.0, make=make_truth):
+def truth_of(rows, fps=15.0, make=Truth):
     """rows: (question_id, mode, answer as a dict, {frame: box})."""
     questions = [
         {
@@ -474,7 +474,7 @@ def row_of(rows, predicted, synthetic=False):
         pa.table({**texts, **{name: pa.array(values, pa.string()) for name, values in kinds.items()}}),
         pa.table({"question_id": texts["question_id"], **numbers}),
     )
-    return score_row(scored_run(index, manifest, table, score_predictions(truth, "r", names, table)), 0.5)
+    return score_row(ScoredRun(index, manifest, table, score_predictions(truth, "r", names, table)), 0.5)
 
 
 def test_a_run_in_short():
@@ -548,7 +548,7 @@ def scores_as_specified(module):
     """Whether a scorer passes a fixed battery on the bounds; the real one does, every mutant must not."""
 
     def run(rows, predicted, threshold=0.5, fps=15.0):
-        truth = truth_of(rows, fps, module.make_truth)
+        truth = truth_of(rows, fps, module.Truth)
         table = module.score_predictions(truth, "r", [row[0] for row in rows], predictions_of(predicted), threshold)
         return [tuple(row.values())[2:] for row in table.to_pylist()]
 
@@ -630,7 +630,7 @@ def test_predictions_of_another_form_are_one_line(tmp_path):
     store.write_questions("questions", QUESTIONS["questions"].empty_table(), {})
     write_run_manifest(store, RunManifest("r", "m", "x", questions_hash(store), (), True, {}, "now"))
     empty = {name: pa.array([], pa.string()) for name in ("question_id", "answer")}
-    truth = make_truth(
+    truth = Truth(
         QUESTIONS["questions"].empty_table(),
         QUESTIONS["sequences"].empty_table(),
         pa.table(empty),
@@ -677,7 +677,7 @@ def test_questions_of_another_form_are_one_line(tmp_path, name):
 
 def test_answers_of_another_generation_are_refused_by_every_reader(tmp_path):
     from jrdb_avr.engine.pages.inspect import inspect_questions
-    from jrdb_avr.engine.report.traces import read_trace
+    from jrdb_avr.engine.report.traces import Trace
     from jrdb_avr.engine.validate.statistics import statistics
     from jrdb_avr.queries.runs import questions_hash, write_run_manifest
     from jrdb_avr.queries.store import Store
@@ -688,7 +688,7 @@ def test_answers_of_another_generation_are_refused_by_every_reader(tmp_path):
         store.write_questions(table, QUESTIONS[table].empty_table(), {"generation": generation})
     write_run_manifest(store, RunManifest("r", "m", "x", questions_hash(store), (), True, {}, "now"))
     store.write_run("r", "predictions", predictions_of([prediction("q")]))
-    readers = (lambda: statistics(store), lambda: inspect_questions(store, []), lambda: read_trace(store, "r", "q"))
+    readers = (lambda: statistics(store), lambda: inspect_questions(store, []), lambda: Trace(store, "r", "q"))
     for read in readers:
         with pytest.raises(StoreError, match=r"answers.* of different generations: run 'jrdb-avr generate"):
             read()
