@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -25,8 +24,8 @@ from jrdb_avr.loaders.layers.panoptic import load_panoptic
 from jrdb_avr.loaders.layers.pose import load_pose
 from jrdb_avr.loaders.layers.social import load_reasoning, load_social
 from jrdb_avr.loaders.layers.timestamps import frame_rate, load_timestamps
-from jrdb_avr.loaders.problems import Problem, Problems, shorten
-from jrdb_avr.loaders.report import Heading, ShiftCheck, Stamps, UnknownLabel
+from jrdb_avr.loaders.problems import Problems, shorten
+from jrdb_avr.loaders.report import ShiftCheck, Stamps, UnknownLabel
 from jrdb_avr.loaders.root import LAYER_FILES, SequenceFiles, image_frames
 from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.errors import InputError
@@ -48,18 +47,43 @@ NOT_LABELS: Final = ("timestamps", "images")
 """Layers that hold no labels: that they know a frame does not make it annotated."""
 
 
-@dataclass(frozen=True)
 class Annotated:
-    """All annotation tables of a sequence, and the findings for the load report."""
+    """All annotation tables of a sequence, and the findings for the load report.
 
-    tables: dict[str, pa.Table]
-    """Every table of `ANNOTATIONS`; empty where nothing could be read."""
-    frames: dict[str, tuple[Ints, Ints]]
-    """Per layer found: its frames and the records in each; empty where no label file could be used."""
-    unknown: list[UnknownLabel]
-    problems: list[Problem]
-    heading: Heading | None
-    shifts: list[ShiftCheck]
+    tables: every table of `ANNOTATIONS`, empty where nothing could be read; frames: per layer found, its frames and the
+    records in each, empty where no label file could be used.
+    """
+
+    def __init__(
+        self, files: SequenceFiles, readings: dict[str, LayerTables], problems: list[Problems], shifts: list[ShiftCheck]
+    ) -> None:
+        tables: dict[str, pa.Table] = {}
+        frames: dict[str, tuple[Ints, Ints]] = {}
+        unknown: Counter[tuple[str, str]] = Counter()
+        for reading in readings.values():
+            # Two files may list which lists could be read: one those of interactions, another those of things.
+            both = [part["listed"] for part in (tables, reading.tables) if "listed" in part]
+            tables |= reading.tables
+            if both:
+                tables["listed"] = pa.concat_tables(both)
+            frames |= reading.frames
+            unknown += reading.unknown
+        if any(len(known) for layer, (known, _) in frames.items() if layer not in NOT_LABELS):
+            pictures: list[int] = []
+            try:
+                pictures = image_frames(files.images)
+            except InputError as error:
+                problems.append(Problems(error.file, "images"))
+                problems[-1].add("file", str(error))
+            frames["images"] = np.array(pictures, np.int64), np.ones(len(pictures), np.int64)
+        else:
+            frames = {}
+        self.heading = heading_check(tables["boxes_3d"]) if "boxes_3d" in tables else None
+        tables["frames"] = _frames_table(files.sequence, frames)
+        self.tables = {layer: tables.get(layer, schema.empty_table()) for layer, schema in ANNOTATIONS.items()}
+        self.frames, self.shifts = frames, shifts
+        self.unknown = [UnknownLabel(*key, count) for key, count in sorted(unknown.items())]
+        self.problems = [problem for layer in _once(files, problems) for problem in layer.listed()]
 
     @property
     def label_frames(self) -> Ints:
@@ -99,7 +123,7 @@ def annotate(files: SequenceFiles) -> Annotated:
                 problems[-1].add("file", check.reason, value=shorten(path.name))
                 continue
         readings[layer] = reading
-    return _together(files, readings, problems, shifts)
+    return Annotated(files, readings, problems, shifts)
 
 
 def _read(layer: str, path: Path, readings: dict[str, LayerTables], problems: Problems) -> LayerTables:
@@ -117,42 +141,6 @@ def _check(layer: str, reading: LayerTables, readings: dict[str, LayerTables]) -
         return None
     reference = tracks_of("2d", readings["2d"]) if "2d" in readings else None
     return check_shift(layer, boxes, reference)
-
-
-def _together(
-    files: SequenceFiles, readings: dict[str, LayerTables], problems: list[Problems], shifts: list[ShiftCheck]
-) -> Annotated:
-    tables: dict[str, pa.Table] = {}
-    frames: dict[str, tuple[Ints, Ints]] = {}
-    unknown: Counter[tuple[str, str]] = Counter()
-    for reading in readings.values():
-        # Two files may list which lists could be read: one those of interactions, another those of things.
-        both = [part["listed"] for part in (tables, reading.tables) if "listed" in part]
-        tables |= reading.tables
-        if both:
-            tables["listed"] = pa.concat_tables(both)
-        frames |= reading.frames
-        unknown += reading.unknown
-    if any(len(known) for layer, (known, _) in frames.items() if layer not in NOT_LABELS):
-        pictures: list[int] = []
-        try:
-            pictures = image_frames(files.images)
-        except InputError as error:
-            problems.append(Problems(error.file, "images"))
-            problems[-1].add("file", str(error))
-        frames["images"] = np.array(pictures, np.int64), np.ones(len(pictures), np.int64)
-    else:
-        frames = {}
-    heading = heading_check(tables["boxes_3d"]) if "boxes_3d" in tables else None
-    tables["frames"] = _frames_table(files.sequence, frames)
-    return Annotated(
-        {layer: tables.get(layer, schema.empty_table()) for layer, schema in ANNOTATIONS.items()},
-        frames,
-        [UnknownLabel(*key, count) for key, count in sorted(unknown.items())],
-        [problem for layer in _once(files, problems) for problem in layer.listed()],
-        heading,
-        shifts,
-    )
 
 
 def _once(files: SequenceFiles, problems: list[Problems]) -> list[Problems]:

@@ -166,7 +166,7 @@ class BeliefSolver:
 
     def _match(self, plan: Plan, rows: BeliefRows | None) -> tuple[BeliefReader, PlanMatch]:
         reader = BeliefReader(self.graph, self.key, TIMEOUT_S, rows)
-        return reader, match_plan(reader, plan)
+        return reader, PlanMatch(reader, plan)
 
 
 def beliefs_of(world: WorldModel, question: Question) -> BeliefSolver:
@@ -234,7 +234,6 @@ class _Part(NamedTuple):
         return tuple(map(bound.get, self.nodes)) in self.fits
 
 
-@dataclass(frozen=True)
 class PlanMatch:
     """Entities that satisfy each part of a plan, by an episode's rows alone: what the compiled plan finds.
 
@@ -242,11 +241,49 @@ class PlanMatch:
     two. texts: how many texts the compiled plan gathers.
     """
 
-    plan: Plan
-    people: tuple[str, ...]
-    own: Mapping[str, Sequence[_Part]]
-    edges: Sequence[_Part]
-    texts: int
+    def __init__(self, reader: BeliefReader, plan: Plan) -> None:
+        """Match the parts of a plan with an episode's rows. Raises PlanError where a part holds at no stated frame."""
+        seen = reader.all("sighted")
+        self.plan = plan
+        self.own: dict[str, list[_Part]] = {}
+        texts: dict[Hashable, int] = {}
+        pairs: dict[tuple[str, int], frozenset[tuple[str, str]]] = {}
+
+        def held(kind: str, frame: int, **wanted: Any) -> list[Mapping[str, Any]]:
+            rows = [row for row in reader.all(kind) if row["first"] <= frame <= row["last"]]
+            return [row for row in rows if all(row[name] == value for name, value in wanted.items())]
+
+        def joined(relation: str, frame: int) -> frozenset[tuple[str, str]]:
+            found = frozenset((row["source"], row["target"]) for row in held("relations", frame, name=relation))
+            return pairs.setdefault((relation, frame), found)
+
+        for node in plan.nodes:
+            times, parts = times_of(plan, node.id), self.own.setdefault(node.id, [])
+            for time in times:
+                frame = stated_frame(plan, time)
+                there = frozenset((row["who"],) for row in seen if row["frame"] == frame)
+                texts[frame] = len(there)
+                parts.append(_Part((node.id,), there, f"not seen at frame {frame:06d}", counts=False))
+            for condition in node.conditions:
+                frame = stated_frame(plan, condition.at or times[0])
+                name, value = condition.wanted
+                who = {(row["who"],) for row in held("attributes", frame, name=name, value=value)}
+                texts[name, value, frame] = len(who)
+                if condition.interaction is not None:
+                    who.update((end,) for pair in joined(value, frame) for end in pair)
+                when = "" if condition.at is None else f" at frame {frame:06d}"
+                parts.append(_Part((node.id,), frozenset(who), f"{name} {value} is not known{when}"))
+        self.edges = []
+        for edge in plan.edges:
+            frame = stated_frame(plan, edge.at)
+            found = joined(edge.relation, frame)
+            fits = found | {(b, a) for a, b in found} if edge.relation in SYMMETRIC else found
+            self.edges.append(
+                _Part((edge.source, edge.target), fits, f"{edge.relation} is not known at frame {frame:06d}")
+            )
+        ends = any(one.interaction is not None for node in plan.nodes for one in node.conditions)
+        self.texts = sum(texts.values()) + (3 if ends else 1) * sum(map(len, pairs.values()))
+        self.people = tuple(sorted({row["who"] for row in seen}))
 
     @cached_property
     def bindings(self) -> list[dict[str, str]] | None:
@@ -341,46 +378,3 @@ class PlanMatch:
             if not edge.holds(bound):
                 lines.append(f"edge {' -> '.join(named[node] for node in edge.nodes)}: {edge.lack}")
         return lines
-
-
-def match_plan(reader: BeliefReader, plan: Plan) -> PlanMatch:
-    """Match the parts of a plan with an episode's rows. Raises PlanError where a part holds at no stated frame."""
-    seen = reader.all("sighted")
-    own: dict[str, list[_Part]] = {}
-    texts: dict[Hashable, int] = {}
-    pairs: dict[tuple[str, int], frozenset[tuple[str, str]]] = {}
-
-    def held(kind: str, frame: int, **wanted: Any) -> list[Mapping[str, Any]]:
-        rows = [row for row in reader.all(kind) if row["first"] <= frame <= row["last"]]
-        return [row for row in rows if all(row[name] == value for name, value in wanted.items())]
-
-    def joined(relation: str, frame: int) -> frozenset[tuple[str, str]]:
-        found = frozenset((row["source"], row["target"]) for row in held("relations", frame, name=relation))
-        return pairs.setdefault((relation, frame), found)
-
-    for node in plan.nodes:
-        times, parts = times_of(plan, node.id), own.setdefault(node.id, [])
-        for time in times:
-            frame = stated_frame(plan, time)
-            there = frozenset((row["who"],) for row in seen if row["frame"] == frame)
-            texts[frame] = len(there)
-            parts.append(_Part((node.id,), there, f"not seen at frame {frame:06d}", counts=False))
-        for condition in node.conditions:
-            frame = stated_frame(plan, condition.at or times[0])
-            name, value = condition.wanted
-            who = {(row["who"],) for row in held("attributes", frame, name=name, value=value)}
-            texts[name, value, frame] = len(who)
-            if condition.interaction is not None:
-                who.update((end,) for pair in joined(value, frame) for end in pair)
-            when = "" if condition.at is None else f" at frame {frame:06d}"
-            parts.append(_Part((node.id,), frozenset(who), f"{name} {value} is not known{when}"))
-    edges = []
-    for edge in plan.edges:
-        frame = stated_frame(plan, edge.at)
-        found = joined(edge.relation, frame)
-        fits = found | {(b, a) for a, b in found} if edge.relation in SYMMETRIC else found
-        edges.append(_Part((edge.source, edge.target), fits, f"{edge.relation} is not known at frame {frame:06d}"))
-    ends = any(one.interaction is not None for node in plan.nodes for one in node.conditions)
-    gathered = sum(texts.values()) + (3 if ends else 1) * sum(map(len, pairs.values()))
-    people = tuple(sorted({row["who"] for row in seen}))
-    return PlanMatch(plan, people, own, edges, gathered)

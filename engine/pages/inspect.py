@@ -15,7 +15,7 @@ import pyarrow.compute as pc
 
 from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.pages.page import jpeg_uri, on_strip, readable, render, unit_of
-from jrdb_avr.engine.pages.svg import plan_graph
+from jrdb_avr.engine.pages.svg import PlanGraph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice, decode_answer
 from jrdb_avr.schema.errors import InputError, ObserveError
@@ -268,7 +268,7 @@ def _question(one: Inspected, observer: Observer) -> dict[str, Any]:
             for place, (text, perturbation) in enumerate(zip(record.choices, perturbations, strict=True), 1)
         ],
         "answer": "" if record.choices else words(record.answer),
-        "graph": plan_graph(one.plan),
+        "graph": PlanGraph(one.plan),
         "times": _times(one.plan),
         "reads": _reads(one.plan),
         "roles": {role: place for place, role in enumerate(one.people)} | dict.fromkeys(one.counted, len(one.people)),

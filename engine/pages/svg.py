@@ -58,51 +58,41 @@ class PlanEdge(NamedTuple):
     words: tuple[str, ...]
 
 
-class PlanGraph(NamedTuple):
-    """A plan as drawn: nodes of one size, in columns by their distance from the root; `top`: room for words above."""
+class PlanGraph:
+    """A plan as drawn from left to right: nodes of one size, in columns by their distance from the root.
 
-    node_height: float
-    top: float
-    width: float
-    height: float
-    nodes: tuple[PlanNode, ...]
-    edges: tuple[PlanEdge, ...]
+    top: room for words above.
+    """
 
-
-def plan_graph(plan: Plan) -> PlanGraph:
-    """Lay a plan out from left to right."""
-    distance = {plan.root: 0}
-    for _ in plan.nodes:
+    def __init__(self, plan: Plan) -> None:
+        distance = {plan.root: 0}
+        for _ in plan.nodes:
+            for edge in plan.edges:
+                if edge.source in distance:
+                    distance.setdefault(edge.target, distance[edge.source] + 1)
+        columns: dict[int, list[str]] = {}
+        for node in plan.nodes:
+            columns.setdefault(distance[node.id], []).append(node.id)
+        several = len(plan.times) > 1
+        lines = {node.id: _node_lines(node.conditions, several) for node in plan.nodes}
+        tall = self.node_height = _NODE_HEAD + _NODE_LINE * max(len(own) for own in lines.values()) + 4
+        lanes, lane_height = max(len(own) for own in columns.values()), tall + _LANE_GAP
+        # Edges between nodes in several lanes are slanted, and the words of a slanted line stand in it.
+        stride = NODE_WIDTH + (_GAP if lanes == 1 else _WIDE_GAP)
+        places = {
+            role: (1 + column * stride, (lane + (lanes - len(own)) / 2) * lane_height)
+            for column, own in columns.items()
+            for lane, role in enumerate(own)
+        }
+        self.nodes = [PlanNode(role, x, y, lines[role]) for role, (x, y) in places.items()]
+        self.edges = []
         for edge in plan.edges:
-            if edge.source in distance:
-                distance.setdefault(edge.target, distance[edge.source] + 1)
-    columns: dict[int, list[str]] = {}
-    for node in plan.nodes:
-        columns.setdefault(distance[node.id], []).append(node.id)
-    several = len(plan.times) > 1
-    lines = {node.id: _node_lines(node.conditions, several) for node in plan.nodes}
-    tall = _NODE_HEAD + _NODE_LINE * max(len(own) for own in lines.values()) + 4
-    lanes, lane_height = max(len(own) for own in columns.values()), tall + _LANE_GAP
-    # Edges between nodes in several lanes are slanted, and the words of a slanted line stand in it.
-    stride = NODE_WIDTH + (_GAP if lanes == 1 else _WIDE_GAP)
-    places = {
-        role: (1 + column * stride, (lane + (lanes - len(own)) / 2) * lane_height)
-        for column, own in columns.items()
-        for lane, role in enumerate(own)
-    }
-    edges = []
-    for edge in plan.edges:
-        (x1, y1), (x2, y2) = places[edge.source], places[edge.target]
-        words = wrapped(_timed(edge.relation, edge.at, several), _GAP_CHARACTERS)
-        edges.append(PlanEdge(x1 + NODE_WIDTH, y1 + tall / 2, x2, y2 + tall / 2, words))
-    return PlanGraph(
-        tall,
-        max([0.0, *(_NODE_LINE * len(edge.words) + 10 - tall / 2 for edge in edges)]),
-        max(columns) * stride + NODE_WIDTH + 3,
-        lanes * lane_height - _LANE_GAP,
-        tuple(PlanNode(role, x, y, lines[role]) for role, (x, y) in places.items()),
-        tuple(edges),
-    )
+            (x1, y1), (x2, y2) = places[edge.source], places[edge.target]
+            words = wrapped(_timed(edge.relation, edge.at, several), _GAP_CHARACTERS)
+            self.edges.append(PlanEdge(x1 + NODE_WIDTH, y1 + tall / 2, x2, y2 + tall / 2, words))
+        self.top = max([0.0, *(_NODE_LINE * len(edge.words) + 10 - tall / 2 for edge in self.edges)])
+        self.width = max(columns) * stride + NODE_WIDTH + 3
+        self.height = lanes * lane_height - _LANE_GAP
 
 
 def _node_lines(conditions: Sequence[Condition], several: bool) -> tuple[str, ...]:

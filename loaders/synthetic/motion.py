@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from jrdb_avr.loaders.synthetic.script import GAITS, Rng, Script
@@ -17,18 +15,6 @@ STEP_RISE = 0.2
 """Metres per second that stairs lead up."""
 
 
-@dataclass(frozen=True)
-class Motion:
-    """Per frame: the robot (frames, 3) as x, y, yaw in the world; people (frames, people) in the robot's frame, metres
-    and radians; `z` is the height of the feet above the floor."""
-
-    robot: Floats
-    x: Floats
-    y: Floats
-    z: Floats
-    heading: Floats
-
-
 def to_robot(robot: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """World points in the robot's frame; `robot` (..., 3) must broadcast with the points."""
     dx, dy = x - robot[..., 0], y - robot[..., 1]
@@ -36,21 +22,25 @@ def to_robot(robot: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     return c * dx + s * dy, -s * dx + c * dy
 
 
-def move(rng: Rng, script: Script, ticks: Ints) -> Motion:
-    """Paths of a sequence; `ticks` gives the tick of each frame."""
-    robot = _robot(rng, len(ticks))
-    speed_of = np.array([GAITS.get(name, (0.0, 0.0))[1] for name in POSES])
-    lead = [party.members[0] for party in script.parties]
-    speed = np.where(script.moving, speed_of[script.pose[:, lead]], 0.0)[ticks]
-    base_x, base_y, course = _party_paths(rng, script, speed, robot)
-    party = np.array([person.party for person in script.people])
-    offset_x, offset_y = _offsets(rng, script, ticks)
-    x, y = to_robot(robot[:, None, :], base_x[:, party] + offset_x, base_y[:, party] + offset_y)
-    push = _push(x, y)
-    x, y = x * push, y * push
-    course = course[:, party] - robot[:, 2:3]
-    heading = np.where(speed[:, party] > 0, course, _facing(rng, script, ticks, x, y, robot))
-    return Motion(robot, x, y, _heights(script, ticks), np.arctan2(np.sin(heading), np.cos(heading)))
+class Motion:
+    """Per frame: the robot (frames, 3) as x, y, yaw in the world; people (frames, people) in the robot's frame, metres
+    and radians; `z` is the height of the feet above the floor."""
+
+    def __init__(self, rng: Rng, script: Script, ticks: Ints) -> None:
+        """Paths of a sequence; `ticks` gives the tick of each frame."""
+        robot = self.robot = _robot(rng, len(ticks))
+        speed_of = np.array([GAITS.get(name, (0.0, 0.0))[1] for name in POSES])
+        lead = [party.members[0] for party in script.parties]
+        speed = np.where(script.moving, speed_of[script.pose[:, lead]], 0.0)[ticks]
+        base_x, base_y, course = _party_paths(rng, script, speed, robot)
+        party = np.array([person.party for person in script.people])
+        offset_x, offset_y = _offsets(rng, script, ticks)
+        x, y = to_robot(robot[:, None, :], base_x[:, party] + offset_x, base_y[:, party] + offset_y)
+        push = _push(x, y)
+        self.x, self.y = x * push, y * push
+        course = course[:, party] - robot[:, 2:3]
+        heading = np.where(speed[:, party] > 0, course, _facing(rng, script, ticks, self.x, self.y, robot))
+        self.z, self.heading = _heights(script, ticks), np.arctan2(np.sin(heading), np.cos(heading))
 
 
 def _robot(rng: Rng, frames: int) -> Floats:

@@ -57,19 +57,6 @@ class Thing:
     place: tuple[float, float] = (0.0, 0.0)
 
 
-@dataclass(frozen=True)
-class Things:
-    """The things of a sequence. For those that stand or roll (`stands`, their places in `things`), by column:
-    position in the world (frames, columns), and whether they are there."""
-
-    things: list[Thing]
-    handling: RelationRuns
-    stands: list[int]
-    x: Floats
-    y: Floats
-    there: Bools
-
-
 class _Maker:
     """Makes things, numbered per category, and decides who handles which."""
 
@@ -125,36 +112,39 @@ class _Maker:
         return self._new(category, None, True, (radius * float(np.cos(angle)), radius * float(np.sin(angle))))
 
 
-def things_of(rng: Rng, script: Script, motion: Motion, tick: Ints) -> Things:
-    """The things that a script needs, and some more that only stand about."""
-    maker = _Maker(rng, script)
-    rows: list[tuple[int, ...]] = []
-    for i, person in enumerate(script.people):
-        for hand in (RIGHT_HAND, LEFT_HAND):
-            for name, action in ACTION.items():
-                for first, stop in runs_of(script.actions[:, i, hand] == action):
-                    found = maker.handled(name, i, person.party)
-                    if found is not None:
-                        rows.append((first, stop - 1, i, found[0], VERBS.index(found[1]), hand))
-        for pose, (category, verb) in _RIDDEN.items():
-            for first, stop in runs_of(script.pose[:, i] == POSE[pose]):
-                rows.append((first, stop - 1, i, maker.own(i, category), VERBS.index(verb), BELOW))
-    things, handling = maker.things, RelationRuns.of(rng, sorted(rows))
-    stands = [k for k, thing in enumerate(things) if thing.standing]
-    x, y = np.zeros((2, len(tick), len(stands)))
-    there = np.ones(x.shape, bool)
-    for column, k in enumerate(stands):
-        owner = things[k].owner
-        if owner is None:
-            x[:, column], y[:, column] = things[k].place
-            continue
-        ahead, there[:, column] = _pushed(handling, k, tick)
-        # In the world: where the owner is, some way before or behind.
-        yaw, heading = motion.robot[:, 2], motion.heading[:, owner]
-        px, py = motion.x[:, owner] + ahead * np.cos(heading), motion.y[:, owner] + ahead * np.sin(heading)
-        x[:, column] = motion.robot[:, 0] + np.cos(yaw) * px - np.sin(yaw) * py
-        y[:, column] = motion.robot[:, 1] + np.sin(yaw) * px + np.cos(yaw) * py
-    return Things(things, handling, stands, x, y, there)
+class Things:
+    """The things of a sequence: those that a script needs, and some more that only stand about. For those that stand or
+    roll (`stands`, their places in `things`), by column: position in the world (frames, columns), and whether they are
+    there."""
+
+    def __init__(self, rng: Rng, script: Script, motion: Motion, tick: Ints) -> None:
+        maker = _Maker(rng, script)
+        rows: list[tuple[int, ...]] = []
+        for i, person in enumerate(script.people):
+            for hand in (RIGHT_HAND, LEFT_HAND):
+                for name, action in ACTION.items():
+                    for first, stop in runs_of(script.actions[:, i, hand] == action):
+                        found = maker.handled(name, i, person.party)
+                        if found is not None:
+                            rows.append((first, stop - 1, i, found[0], VERBS.index(found[1]), hand))
+            for pose, (category, verb) in _RIDDEN.items():
+                for first, stop in runs_of(script.pose[:, i] == POSE[pose]):
+                    rows.append((first, stop - 1, i, maker.own(i, category), VERBS.index(verb), BELOW))
+        self.things, self.handling = maker.things, RelationRuns.of(rng, sorted(rows))
+        self.stands = [k for k, thing in enumerate(self.things) if thing.standing]
+        self.x, self.y = np.zeros((2, len(tick), len(self.stands)))
+        self.there = np.ones(self.x.shape, bool)
+        for column, k in enumerate(self.stands):
+            owner = self.things[k].owner
+            if owner is None:
+                self.x[:, column], self.y[:, column] = self.things[k].place
+                continue
+            ahead, self.there[:, column] = _pushed(self.handling, k, tick)
+            # In the world: where the owner is, some way before or behind.
+            yaw, heading = motion.robot[:, 2], motion.heading[:, owner]
+            px, py = motion.x[:, owner] + ahead * np.cos(heading), motion.y[:, owner] + ahead * np.sin(heading)
+            self.x[:, column] = motion.robot[:, 0] + np.cos(yaw) * px - np.sin(yaw) * py
+            self.y[:, column] = motion.robot[:, 1] + np.sin(yaw) * px + np.cos(yaw) * py
 
 
 def _pushed(handling: RelationRuns, thing: int, tick: Ints) -> tuple[Floats, Bools]:

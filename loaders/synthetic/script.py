@@ -97,47 +97,36 @@ class Party:
     spread: float
 
 
-@dataclass(frozen=True)
 class Script:
     """States per tick: pose and up to two actions as places in the vocabularies (NONE for no action), whether the
     person is there, whether it stands apart from its party, and per party whether it moves."""
 
-    people: tuple[Person, ...]
-    parties: tuple[Party, ...]
-    present: Bools
-    apart: Bools
-    pose: Ints
-    actions: Ints
-    moving: Bools
-
-
-def write_script(rng: Rng, ticks: int, people: int) -> Script:
-    """The script of a sequence with about `people` people in view at a time."""
-    parties = _parties(rng, people)
-    persons = _persons(rng, parties)
-    count = len(persons)
-    present = np.ones((ticks, count), bool)
-    apart = np.zeros((ticks, count), bool)
-    pose = np.zeros((ticks, count), np.int64)
-    actions = np.full((ticks, count, 2), NONE, np.int64)
-    moving = np.zeros((ticks, len(parties)), bool)
-    for index, party in enumerate(parties):
-        move, shared = _party_moves(rng, ticks, party)
-        moving[:, index] = move
-        here = _party_presence(rng, ticks, party)
-        for member in party.members:
-            present[:, member] = here
-            own = _member_poses(rng, move, shared, party.patient)
-            # Some do as the first of their party does: they sit and stand together.
-            follows = member != party.members[0] and rng.random() < 0.4
-            pose[:, member] = pose[:, party.members[0]] if follows else own
-            actions[:, member, 0] = _member_actions(rng, move)
-            actions[:, member, 1] = _long_action(rng, move, actions[:, member, 0])
-        if len(party.members) > 1:
-            _conversations(rng, party, move, actions)
-            _separations(rng, party, ticks, apart)
-    _passers_by(rng, parties, present)
-    return Script(persons, parties, present, apart, pose, actions, moving)
+    def __init__(self, rng: Rng, ticks: int, people: int) -> None:
+        """The script of a sequence with about `people` people in view at a time."""
+        self.parties = _parties(rng, people)
+        self.people = _persons(rng, self.parties)
+        count = len(self.people)
+        self.present = np.ones((ticks, count), bool)
+        self.apart = np.zeros((ticks, count), bool)
+        self.pose = np.zeros((ticks, count), np.int64)
+        self.actions = np.full((ticks, count, 2), NONE, np.int64)
+        self.moving = np.zeros((ticks, len(self.parties)), bool)
+        for index, party in enumerate(self.parties):
+            move, shared = _party_moves(rng, ticks, party)
+            self.moving[:, index] = move
+            here = _party_presence(rng, ticks, party)
+            for member in party.members:
+                self.present[:, member] = here
+                own = _member_poses(rng, move, shared, party.patient)
+                # Some do as the first of their party does: they sit and stand together.
+                follows = member != party.members[0] and rng.random() < 0.4
+                self.pose[:, member] = self.pose[:, party.members[0]] if follows else own
+                self.actions[:, member, 0] = _member_actions(rng, move)
+                self.actions[:, member, 1] = _long_action(rng, move, self.actions[:, member, 0])
+            if len(party.members) > 1:
+                _conversations(rng, party, move, self.actions)
+                _separations(rng, party, ticks, self.apart)
+        _passers_by(rng, self.parties, self.present)
 
 
 def _passers_by(rng: Rng, parties: tuple[Party, ...], present: Bools) -> None:

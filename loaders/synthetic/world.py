@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from jrdb_avr.loaders.synthetic.interactions import interactions_of
-from jrdb_avr.loaders.synthetic.motion import move, to_robot
-from jrdb_avr.loaders.synthetic.objects import things_of
-from jrdb_avr.loaders.synthetic.script import Rng, Script, write_script
+from jrdb_avr.loaders.synthetic.motion import Motion, to_robot
+from jrdb_avr.loaders.synthetic.objects import Things
+from jrdb_avr.loaders.synthetic.script import Rng, Script
 from jrdb_avr.loaders.synthetic.shapes import STANDING
 from jrdb_avr.loaders.synthetic.skeleton import JOINTS, joints
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
@@ -58,13 +58,13 @@ class World:
         self.name, self.seed, self.frames = name, seed, frames
         self.starts = _starts(self.rng("starts"), frames)
         tick = self.tick = np.repeat(np.arange(len(self.starts) - 1), np.diff(self.starts))
-        script = write_script(self.rng("script"), int(tick[-1]) + 1, size)
+        script = Script(self.rng("script"), int(tick[-1]) + 1, size)
         self.people, self.parties = script.people, script.parties
-        motion = self.motion = move(self.rng("motion"), script, tick)
+        motion = self.motion = Motion(self.rng("motion"), script, tick)
         self.pose, self.actions, self.apart = script.pose[tick], script.actions[tick], script.apart[tick]
         self.cluster = _clusters(script)[tick]
         self.interactions = interactions_of(self.rng("bonds"), script)
-        self.things = things_of(self.rng("things"), script, motion, tick)
+        self.things = Things(self.rng("things"), script, motion, tick)
         tall = np.array([person.height for person in self.people])
         self.height, self.width = tall * BODY_HEIGHT[self.pose], BODY_WIDTH[self.pose] * (tall / 1.72)
         self.distance = np.hypot(motion.x, motion.y)

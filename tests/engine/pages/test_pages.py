@@ -29,7 +29,7 @@ from jrdb_avr.engine.pages.inspect import (
 )
 from jrdb_avr.engine.pages.page import environment, readable, render, write_page
 from jrdb_avr.engine.pages.report import Crossed, pivot
-from jrdb_avr.engine.pages.svg import plan_graph, scatter, wrapped
+from jrdb_avr.engine.pages.svg import PlanGraph, scatter, wrapped
 from jrdb_avr.engine.validate.reviews import read_reviews
 from jrdb_avr.queries.questions import read_sequences
 from jrdb_avr.schema.panorama import Box
@@ -362,7 +362,7 @@ PLAN = parse_plan(
 
 
 def test_a_plan_goes_from_left_to_right():
-    graph = plan_graph(PLAN)
+    graph = PlanGraph(PLAN)
     places = {node.role: (node.x, node.y) for node in graph.nodes}
     assert places["a"][0] < places["b"][0] == places["c"][0] < places["d"][0]
     assert places["b"][1] < places["a"][1] == places["d"][1] < places["c"][1]
@@ -407,7 +407,7 @@ def test_a_plan_shows_every_condition_whole():
         "edges": [],
         "answer": {"mode": "multiple_choice", "read": "action", "of": "a", "at": "t0"},
     }
-    graph = plan_graph(parse_plan(json.dumps(plan)))
+    graph = PlanGraph(parse_plan(json.dumps(plan)))
     (node,) = graph.nodes
     said = "".join(node.lines).replace(" ", "")
     for text in ("gender:male", "age:middleadulthood", "talkingonthephone", "sector:behind", "riding", "hoverboard"):
