@@ -38,11 +38,20 @@ class Labels(NamedTuple):
     numbers: Ints
 
 
-class QuestionIndex(NamedTuple):
+class QuestionIndex:
     """The questions of a store: their ids, and their labels by dimension."""
 
-    ids: pa.Array
-    labels: dict[str, Labels]
+    def __init__(self, questions: pa.Table, answers: pa.Table) -> None:
+        self.ids = questions["question_id"].combine_chunks()
+        known = answers.take(pc.index_in(self.ids, value_set=answers["question_id"].combine_chunks()))
+        texts = {name: questions[name].to_pylist() for name in ("family", "template", "answer_mode", "sequence")}
+        texts["group"] = [_GROUP_OF[family] for family in texts["family"]]
+        texts["hops"] = [str(forms_of(template)[0].hops) for template in texts["template"]]
+        for name, edges in (("time_gap_s", _GAP_EDGES_S), ("separation_deg", _SEPARATION_EDGES_DEG)):
+            bins = [f"[{low:g}, {high:g})" for low, high in pairwise((0.0, *edges, math.inf))]
+            places = np.searchsorted(edges, known[name].to_numpy(zero_copy_only=False).astype(np.float64), side="right")
+            texts[name] = [bins[place] for place in places.tolist()]
+        self.labels = {name: _labels(own) for name, own in texts.items()}
 
 
 class ScoredRun:
@@ -65,21 +74,7 @@ def read_index(store: Store) -> QuestionIndex:
     """The index of a store's questions. Raises StoreError where there are none."""
     questions = store.questions("questions")
     answers = store.questions("answers", ["question_id", "time_gap_s", "separation_deg"])
-    return make_index(questions.select(QUESTIONS["questions"].names), answers)
-
-
-def make_index(questions: pa.Table, answers: pa.Table) -> QuestionIndex:
-    """The index from the two tables."""
-    ids = questions["question_id"].combine_chunks()
-    known = answers.take(pc.index_in(ids, value_set=answers["question_id"].combine_chunks()))
-    texts = {name: questions[name].to_pylist() for name in ("family", "template", "answer_mode", "sequence")}
-    texts["group"] = [_GROUP_OF[family] for family in texts["family"]]
-    texts["hops"] = [str(forms_of(template)[0].hops) for template in texts["template"]]
-    for name, edges in (("time_gap_s", _GAP_EDGES_S), ("separation_deg", _SEPARATION_EDGES_DEG)):
-        bins = [f"[{low:g}, {high:g})" for low, high in pairwise((0.0, *edges, math.inf))]
-        places = np.searchsorted(edges, known[name].to_numpy(zero_copy_only=False).astype(np.float64), side="right")
-        texts[name] = [bins[place] for place in places.tolist()]
-    return QuestionIndex(ids, {name: _labels(own) for name, own in texts.items()})
+    return QuestionIndex(questions.select(QUESTIONS["questions"].names), answers)
 
 
 def percent_of(part: float, n: float) -> float | None:

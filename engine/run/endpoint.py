@@ -9,16 +9,14 @@ import contextlib
 import hashlib
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.calibrate import Calibration
 from jrdb_avr.agent.model.client import Client
-from jrdb_avr.agent.model.conventions import DEFAULTS, Convention, Options, convention_of
+from jrdb_avr.agent.model.conventions import DEFAULTS, Options, convention_of
 from jrdb_avr.agent.preflight import preflight, require
 from jrdb_avr.agent.simulated.noise import PERFECT, Knobs
 from jrdb_avr.engine.run.methods import MARKER
@@ -26,63 +24,55 @@ from jrdb_avr.queries.store import Store, is_plain_name, write_json
 from jrdb_avr.schema.errors import EndpointError, StoreError
 
 
-@dataclass(frozen=True)
 class Endpoint:
     """A server that passed its preflight. `warnings`: lines on faults that do not prevent a run.
 
     `settings` are plain JSON for a run's manifest: a resumed run needs equal ones but for address, timeout and retries.
     """
 
-    client: Client
-    convention: Convention
-    served: str
-    settings: dict[str, Any]
-    warnings: tuple[str, ...]
+    def __init__(
+        self,
+        store: Store | None,
+        model: str,
+        base_url: str,
+        options: Options = DEFAULTS,
+        cache: Path | None = None,
+        method: str | None = None,
+    ) -> None:
+        """Check a server. `cache`: the file for finished calls. `method`: a check that it does not need may fail;
+        without, all must pass.
+
+        The convention is the model's declared one, with the store's calibration if there is one. Raises EndpointError
+        where a check fails, or where the calibration was made with other options.
+        """
+        declared = convention_of(model)
+        found = None if store is None else read_calibration(store, model)
+        self.convention = declared if found is None else found.convention(declared)
+        self.client = Client(base_url, model, options, convention=self.convention, cache=cache)
+        self.warnings = require(preflight(self.client), method)
+        self.served = self.client.served[0]
+        if store is not None and found is not None:
+            wanted = (options.response_format, options.thinking, self.served)
+            before = (found.response_format, found.thinking, found.served_model)
+            for what, now, then in zip(("response format", "thinking", "served model"), wanted, before, strict=True):
+                if now != then:
+                    raise EndpointError(
+                        f"{model} was calibrated with {what} {then!a}, not {now!a}: calibrate again with these "
+                        f"options, or delete {convention_path(store, model)}"
+                    )
+        calibrated = {} if found is None else {"asked_sha256": found.asked_sha256}
+        self.settings = {
+            "endpoint": self.client.settings(),
+            "served_model": self.served,
+            "server_version": self.client.server_version(),
+            "convention": self.convention.settings() | calibrated,
+            "decoder": decode.VERSION,
+        }
 
     def changed(self) -> str:
         """A line about replies that named another model than the first one; empty without any."""
         others = ", ".join(ascii(name) for name in self.client.served if name != self.served)
         return f"the server changed its model during the run: {self.served!a}, then {others}" if others else ""
-
-
-def connect(
-    store: Store | None,
-    model: str,
-    base_url: str,
-    options: Options = DEFAULTS,
-    cache: Path | None = None,
-    method: str | None = None,
-) -> Endpoint:
-    """Check a server and return how to call it. `cache`: the file for finished calls. `method`: a check that it does
-    not need may fail; without, all must pass.
-
-    The convention is the model's declared one, with the store's calibration if there is one. Raises EndpointError
-    where a check fails, or where the calibration was made with other options.
-    """
-    declared = convention_of(model)
-    found = None if store is None else read_calibration(store, model)
-    convention = declared if found is None else found.convention(declared)
-    client = Client(base_url, model, options, convention=convention, cache=cache)
-    warnings = require(preflight(client), method)
-    served = client.served[0]
-    if store is not None and found is not None:
-        wanted = (options.response_format, options.thinking, served)
-        before = (found.response_format, found.thinking, found.served_model)
-        for what, now, then in zip(("response format", "thinking", "served model"), wanted, before, strict=True):
-            if now != then:
-                raise EndpointError(
-                    f"{model} was calibrated with {what} {then!a}, not {now!a}: calibrate again with these options, "
-                    f"or delete {convention_path(store, model)}"
-                )
-    convention_settings = convention.settings() | ({} if found is None else {"asked_sha256": found.asked_sha256})
-    settings = {
-        "endpoint": client.settings(),
-        "served_model": served,
-        "server_version": client.server_version(),
-        "convention": convention_settings,
-        "decoder": decode.VERSION,
-    }
-    return Endpoint(client, convention, served, settings, tuple(warnings))
 
 
 @contextlib.contextmanager

@@ -28,7 +28,7 @@ from jrdb_avr.agent.model.conventions import DEFAULTS, Options
 from jrdb_avr.agent.simulated.noise import PERFECT, Knobs, turned
 from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.run.answering import answer_all
-from jrdb_avr.engine.run.endpoint import Endpoint, connect, serving
+from jrdb_avr.engine.run.endpoint import Endpoint, serving
 from jrdb_avr.engine.run.journal import Journal, world_rows, write_tables
 from jrdb_avr.engine.run.live_scores import LiveScore, report_scores
 from jrdb_avr.engine.run.methods import (
@@ -139,7 +139,7 @@ def evaluate(
         endpoint = None
         if model != NO_MODEL:
             url = stack.enter_context(serving(model, base_url, folder / "marker.jsonl", marker))
-            endpoint = connect(store, model, url, options, folder / "calls.jsonl", name)
+            endpoint = Endpoint(store, model, url, options, folder / "calls.jsonl", name)
             for line in endpoint.warnings:
                 warnings.warn(f"preflight: {line}", AvrWarning, stacklevel=2)
         runner = _runner(method, endpoint, world)

@@ -14,7 +14,6 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import islice
 from operator import attrgetter
 from pathlib import Path
@@ -170,14 +169,42 @@ _IMAGES: Final = RecordReader(
 )
 
 
-@dataclass(frozen=True)
 class Images:
-    """Which frame each image number stands for."""
+    """Which frame each image number stands for: the images of the file that are frames of its sequence.
 
-    ids: Ints
-    """Ascending."""
-    frame: Ints
-    """Per id; all different."""
+    ids: ascending; frame: per id, all different.
+    """
+
+    def __init__(self, file: CocoFile, problems: Problems) -> None:
+        """Refuses what else is listed. Raises InputError."""
+        listed: list[tuple[Image, int | None]] = []
+
+        def refuse(image: Image, reason: str, field: str) -> None:
+            value = getattr(image, field)
+            problems.add("frame", reason, frame=shorten(image.file_name), field=f"images.{field}", value=value)
+
+        for images in read_list(file, "images", _IMAGES, problems):
+            for image in images:
+                try:
+                    listed.append((image, _frame_of(image.file_name, file.sequence)))
+                except ValueError as error:
+                    listed.append((image, None))
+                    refuse(image, str(error), "file_name")
+        first: dict[int, int | None] = {}
+        # Nobody can tell to which of two images with one number its annotations belong.
+        ambiguous = {image.id for image, frame in listed if first.setdefault(image.id, frame) != frame}
+        number_of: dict[int, int] = {}
+        for image, frame in listed:
+            if frame is None:
+                continue
+            if image.id in ambiguous:
+                refuse(image, "image number of two files, neither is kept", "id")
+            elif frame in number_of:
+                refuse(image, "frame listed twice, the first is kept", "file_name")
+            else:
+                number_of[frame] = image.id
+        pairs = np.array(sorted((number, frame) for frame, number in number_of.items()), np.int64).reshape(-1, 2)
+        self.ids, self.frame = np.ascontiguousarray(pairs.T)
 
     def rows(self, image_id: Ints) -> Ints:
         """Frame of each image number, -1 where the file has no usable image of it."""
@@ -185,38 +212,6 @@ class Images:
             return np.full(len(image_id), -1, np.int64)
         place = np.minimum(np.searchsorted(self.ids, image_id), len(self.ids) - 1)
         return np.where(self.ids[place] == image_id, self.frame[place], -1)
-
-
-def read_images(file: CocoFile, problems: Problems) -> Images:
-    """The images of the file that are frames of its sequence; what else is listed is refused. Raises InputError."""
-    listed: list[tuple[Image, int | None]] = []
-
-    def refuse(image: Image, reason: str, field: str) -> None:
-        value = getattr(image, field)
-        problems.add("frame", reason, frame=shorten(image.file_name), field=f"images.{field}", value=value)
-
-    for images in read_list(file, "images", _IMAGES, problems):
-        for image in images:
-            try:
-                listed.append((image, _frame_of(image.file_name, file.sequence)))
-            except ValueError as error:
-                listed.append((image, None))
-                refuse(image, str(error), "file_name")
-    first: dict[int, int | None] = {}
-    # Nobody can tell to which of two images with one number its annotations belong.
-    ambiguous = {image.id for image, frame in listed if first.setdefault(image.id, frame) != frame}
-    number_of: dict[int, int] = {}
-    for image, frame in listed:
-        if frame is None:
-            continue
-        if image.id in ambiguous:
-            refuse(image, "image number of two files, neither is kept", "id")
-        elif frame in number_of:
-            refuse(image, "frame listed twice, the first is kept", "file_name")
-        else:
-            number_of[frame] = image.id
-    pairs = np.array(sorted((number, frame) for frame, number in number_of.items()), np.int64).reshape(-1, 2)
-    return Images(np.ascontiguousarray(pairs[:, 0]), np.ascontiguousarray(pairs[:, 1]))
 
 
 def _frame_of(file_name: str, sequence: str) -> int:

@@ -24,6 +24,7 @@ from jrdb_avr.loaders.labelfiles import records
 from jrdb_avr.loaders.labelfiles.coco import (
     MAX_CATEGORY,
     NUMBER,
+    Images,
     Number,
     annotation_frames,
     annotation_reader,
@@ -31,7 +32,6 @@ from jrdb_avr.loaders.labelfiles.coco import (
     crowded,
     open_coco,
     read_categories,
-    read_images,
     read_list,
 )
 from jrdb_avr.loaders.labelfiles.columns import LayerTables, Refusals, known_frames, mask_of, nullable
@@ -96,7 +96,7 @@ _READER: Final = annotation_reader(
 def load_panoptic(path: Path, problems: Problems) -> LayerTables:
     """Read a panoptic file. Raises InputError if the file as a whole cannot be used."""
     file = open_coco(path, problems)
-    images = read_images(file, problems)
+    images = Images(file, problems)
     categories, unknown = read_categories(file, problems)
     parts: dict[str, list[Any]] = defaultdict(list)
     for chunk in read_list(file, "annotations", _READER, problems):

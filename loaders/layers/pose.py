@@ -20,12 +20,12 @@ import pyarrow as pa
 from jrdb_avr.loaders.labelfiles import records
 from jrdb_avr.loaders.labelfiles.coco import (
     NUMBER,
+    Images,
     Number,
     annotation_frames,
     annotation_reader,
     crowded,
     open_coco,
-    read_images,
     read_list,
 )
 from jrdb_avr.loaders.labelfiles.columns import LayerTables, Refusals, first_of_equal, known_frames, mask_of, paired
@@ -57,7 +57,7 @@ _ROWS: Final = msgspec.json.Decoder(list[_SEVENTEEN])  # type: ignore[valid-type
 def load_pose(path: Path, problems: Problems) -> LayerTables:
     """Read a pose file. Raises InputError if the file as a whole cannot be used."""
     file = open_coco(path, problems)
-    images = read_images(file, problems)
+    images = Images(file, problems)
     parts: list[tuple[Ints, Ints, Floats]] = []
     for chunk in read_list(file, "annotations", _READER, problems):
         track = np.fromiter(map(attrgetter("track_id"), chunk), np.int64, len(chunk))

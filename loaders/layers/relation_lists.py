@@ -17,14 +17,14 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from itertools import chain
 from operator import attrgetter
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import msgspec
 import numpy as np
 
 from jrdb_avr.loaders.labelfiles import records
 from jrdb_avr.loaders.labelfiles.columns import Columns, Distinct, Refusals, mask_of, numbered, ragged
-from jrdb_avr.loaders.labelfiles.facts import ColumnFacts, Decoded, Issue, KeptRecords, check_size, count_issues, expand
+from jrdb_avr.loaders.labelfiles.facts import Decoded, Issue, KeptRecords, check_size, count_issues, expand
 from jrdb_avr.loaders.labelfiles.json import ABSENT, NOTHING, MalformedError, elements, parse
 from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.schema.arrays import Bools, Ints
@@ -153,53 +153,44 @@ def take_lists(lists: list[list[Any] | None], kind: RelationKind, codes: dict[st
     }
 
 
-class Relations(NamedTuple):
-    """Facts of lists of one kind, and of which people's lists they are all."""
+class Relations:
+    """The relations in the lists of the kept people; what is refused is counted.
 
-    facts: ColumnFacts
-    """For each the person, a row of `People`, and (label, label as written, difficulty)."""
-    ends: dict[str, Ints]
-    """Per fact: what the pair holds, by column."""
-    there: Bools
-    """Per person: the record has the list."""
-    refused: Bools
-    """Per person: something of the list was refused or cannot be known."""
+    facts: for each the person, a row of `People`, and (label, label as written, difficulty); ends: per fact what the
+    pair holds, by column; there: per person whether the record has the list; refused: per person whether something of
+    the list was refused or cannot be known.
+    """
 
-
-def read_lists(
-    columns: Columns, kind: RelationKind, codes: dict[str, Distinct], people: KeptRecords, problems: Problems
-) -> Relations:
-    """The relations in the lists of the kept people; what is refused is counted."""
-    size = np.maximum(columns[f"{kind.layer}.size"], 0)
-    check_size(int(size.sum()))
-    start = np.cumsum(size) - size
-    person, place = ragged(size[people.row])
-    entry = start[people.row][person] + place
-    pair = columns[f"{kind.layer}.pair"][entry]
-    ends, issues = _read_pairs(list(codes[f"{kind.layer}.pair"]), kind)
-    refusals = Refusals(people.frame[person], problems)
-    count_issues(pair, issues, refusals)
-    good = ~mask_of(np.array(list(issues), np.int64), len(ends))[pair]
-    if len(kind.ends) == 1:
-        oneself = good & (ends[pair, 0] == people.track[person])
-        refusals.count(oneself, "field", "pair is the person itself", kind.key, lambda row: int(ends[pair[row], 0]))
-        good &= ~oneself
-    refused = mask_of(person[~good], len(people.row))
-    person, pair, entry = person[good], pair[good], entry[good]
-    facts = expand(
-        columns[f"{kind.layer}.labels"][entry],
-        codes[f"{kind.layer}.labels"],
-        kind.decode,
-        Refusals(people.frame[person], problems),
-        [("inter_labels is missing", kind.key, "")],
-    )
-    refused[person[~facts.whole]] = True
-    return Relations(
-        facts._replace(row=person[facts.row]),
-        dict(zip(kind.ends, ends[pair[facts.row]].T, strict=True)),
-        columns[f"{kind.layer}.size"][people.row] >= 0,
-        refused,
-    )
+    def __init__(
+        self, columns: Columns, kind: RelationKind, codes: dict[str, Distinct], people: KeptRecords, problems: Problems
+    ) -> None:
+        size = np.maximum(columns[f"{kind.layer}.size"], 0)
+        check_size(int(size.sum()))
+        start = np.cumsum(size) - size
+        person, place = ragged(size[people.row])
+        entry = start[people.row][person] + place
+        pair = columns[f"{kind.layer}.pair"][entry]
+        ends, issues = _read_pairs(list(codes[f"{kind.layer}.pair"]), kind)
+        refusals = Refusals(people.frame[person], problems)
+        count_issues(pair, issues, refusals)
+        good = ~mask_of(np.array(list(issues), np.int64), len(ends))[pair]
+        if len(kind.ends) == 1:
+            oneself = good & (ends[pair, 0] == people.track[person])
+            refusals.count(oneself, "field", "pair is the person itself", kind.key, lambda row: int(ends[pair[row], 0]))
+            good &= ~oneself
+        self.refused = mask_of(person[~good], len(people.row))
+        person, pair, entry = person[good], pair[good], entry[good]
+        facts = expand(
+            columns[f"{kind.layer}.labels"][entry],
+            codes[f"{kind.layer}.labels"],
+            kind.decode,
+            Refusals(people.frame[person], problems),
+            [("inter_labels is missing", kind.key, "")],
+        )
+        self.refused[person[~facts.whole]] = True
+        self.facts = facts._replace(row=person[facts.row])
+        self.ends = dict(zip(kind.ends, ends[pair[facts.row]].T, strict=True))
+        self.there: Bools = columns[f"{kind.layer}.size"][people.row] >= 0
 
 
 def _read_pairs(pairs: list[object], kind: RelationKind) -> tuple[Ints, dict[int, list[Issue]]]:

@@ -32,10 +32,10 @@ from jrdb_avr.loaders.layers.relation_lists import (
     MAX_ENTRIES,
     Entry,
     RelationKind,
+    Relations,
     ThingEntry,
     UnreadEntry,
     person_of,
-    read_lists,
     repaired_list,
     take_lists,
     thing_of,
@@ -132,7 +132,7 @@ def _load(path: Path, problems: Problems, kinds: tuple[RelationKind, ...], absen
         frames[layer] = people.frames_of(facts.row)
     listed = []
     for kind in kinds:
-        found = read_lists(columns, kind, codes, people, problems)
+        found = Relations(columns, kind, codes, people, problems)
         names = (kind.label, "raw", "difficulty")
         tables[kind.layer] = facts_table(kind.layer, people, found.facts, names, found.ends)
         whole = in_whole & ~found.refused & (found.there | absent_is_empty)

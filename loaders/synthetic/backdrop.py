@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from jrdb_avr.loaders.synthetic.figures import OWNER, Canvas
 from jrdb_avr.loaders.synthetic.script import Rng, one_of
@@ -24,49 +22,42 @@ _SLOTS: Final = 16
 _KINDS: Final = ("window", "door", "column", "poster", "vegetation")
 
 
-@dataclass(frozen=True)
 class Backdrop:
-    """A panorama without people (480, 3760, 3), and the segment of each of its pixels: 1 + its place in
-    `categories`."""
+    """The surroundings of a sequence, with the robot turned to where it starts: a panorama without people
+    (480, 3760, 3), and the segment of each of its pixels: 1 + its place in `categories`."""
 
-    image: npt.NDArray[np.uint8]
-    ids: npt.NDArray[np.uint16]
-    categories: tuple[str, ...]
-
-
-def backdrop(rng: Rng) -> Backdrop:
-    """The surroundings of a sequence, with the robot turned to where it starts."""
-    wall, floor = one_of(rng, _WALLS), one_of(rng, _FLOORS)
-    image = np.empty((HEIGHT, WIDTH, 3), np.float32)
-    rows = np.arange(HEIGHT, dtype=np.float32)[:, None, None]
-    image[:_FOOT] = np.array(wall, np.float32) * (0.72 + 0.3 * rows[:_FOOT] / _FOOT)
-    image[_FOOT:] = np.array(floor, np.float32) * (0.86 + 0.3 * (rows[_FOOT:] - _FOOT) / (HEIGHT - _FOOT))
-    # Joints of the tiles: rings at equal distances, and spokes.
-    for meters in np.arange(1.0, 24.0, 1.0):
-        row = int(row_of_height(FLOOR, meters))
-        if _FOOT < row < HEIGHT:
-            image[row] *= 0.9
-    canvas = Canvas(np.clip(image, 0, 175).astype(np.uint8))
-    for column in range(0, WIDTH, 188):
-        canvas.lines([(column, _FOOT), (column, HEIGHT)], shade(floor, -14))
-    ids = np.empty((HEIGHT, WIDTH), np.uint16)
-    ids[:_FOOT], ids[_FOOT:] = 1, 2
-    categories = ["wall", "floor/walking_path"]
-    for slot in range(_SLOTS):
-        x = slot * (WIDTH // _SLOTS) + int(rng.integers(10, 60))
-        kind = one_of(rng, _KINDS)
-        red, green, blue = rng.integers(70, 150, 3).tolist()
-        categories.append(kind)
-        for surface in (canvas, Canvas(ids, {OWNER: len(categories)})):
-            _landmark(surface, kind, x, (red, green, blue), shade(wall, -45))
-        if kind == "poster":
-            cv2.putText(canvas.image, str(slot), (x + 20, 135), cv2.FONT_HERSHEY_SIMPLEX, 1.5, (40, 40, 40), 3)
-    noise = rng.normal(0, 1, (HEIGHT // 8, WIDTH // 8)).astype(np.float32)
-    # Joined at the seam before it is blown up, so that no edge shows there.
-    joined = np.hstack([noise[:, -1:], noise, noise[:, :1]])
-    grain = cv2.resize(joined, (WIDTH + 16, HEIGHT), interpolation=cv2.INTER_LINEAR)
-    grained = canvas.image + grain[:, 8:-8, None] * 1.5
-    return Backdrop(np.asarray(np.clip(grained, 0, 180), np.uint8), ids, tuple(categories))
+    def __init__(self, rng: Rng) -> None:
+        wall, floor = one_of(rng, _WALLS), one_of(rng, _FLOORS)
+        image = np.empty((HEIGHT, WIDTH, 3), np.float32)
+        rows = np.arange(HEIGHT, dtype=np.float32)[:, None, None]
+        image[:_FOOT] = np.array(wall, np.float32) * (0.72 + 0.3 * rows[:_FOOT] / _FOOT)
+        image[_FOOT:] = np.array(floor, np.float32) * (0.86 + 0.3 * (rows[_FOOT:] - _FOOT) / (HEIGHT - _FOOT))
+        # Joints of the tiles: rings at equal distances, and spokes.
+        for meters in np.arange(1.0, 24.0, 1.0):
+            row = int(row_of_height(FLOOR, meters))
+            if _FOOT < row < HEIGHT:
+                image[row] *= 0.9
+        canvas = Canvas(np.clip(image, 0, 175).astype(np.uint8))
+        for column in range(0, WIDTH, 188):
+            canvas.lines([(column, _FOOT), (column, HEIGHT)], shade(floor, -14))
+        self.ids = np.empty((HEIGHT, WIDTH), np.uint16)
+        self.ids[:_FOOT], self.ids[_FOOT:] = 1, 2
+        self.categories = ["wall", "floor/walking_path"]
+        for slot in range(_SLOTS):
+            x = slot * (WIDTH // _SLOTS) + int(rng.integers(10, 60))
+            kind = one_of(rng, _KINDS)
+            red, green, blue = rng.integers(70, 150, 3).tolist()
+            self.categories.append(kind)
+            for surface in (canvas, Canvas(self.ids, {OWNER: len(self.categories)})):
+                _landmark(surface, kind, x, (red, green, blue), shade(wall, -45))
+            if kind == "poster":
+                cv2.putText(canvas.image, str(slot), (x + 20, 135), cv2.FONT_HERSHEY_SIMPLEX, 1.5, (40, 40, 40), 3)
+        noise = rng.normal(0, 1, (HEIGHT // 8, WIDTH // 8)).astype(np.float32)
+        # Joined at the seam before it is blown up, so that no edge shows there.
+        joined = np.hstack([noise[:, -1:], noise, noise[:, :1]])
+        grain = cv2.resize(joined, (WIDTH + 16, HEIGHT), interpolation=cv2.INTER_LINEAR)
+        grained = canvas.image + grain[:, 8:-8, None] * 1.5
+        self.image = np.asarray(np.clip(grained, 0, 180), np.uint8)
 
 
 def _landmark(canvas: Canvas, kind: str, x: int, tint: Color, dark: Color) -> None:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from jrdb_avr.loaders.synthetic.backdrop import backdrop
+from jrdb_avr.loaders.synthetic.backdrop import Backdrop
 from jrdb_avr.loaders.synthetic.figures import OWNER, Canvas, Figure, Held, draw_figure, draw_thing
 from jrdb_avr.loaders.synthetic.interactions import partners_at
 from jrdb_avr.loaders.synthetic.objects import BELOW, handled_at
@@ -102,7 +102,7 @@ class Painter:
         rng = world.rng("colors")
         self._world = world
         self._panel_colors = [one_of(rng, _PANELS) for _ in range(world.panel_boxes.shape[1])]
-        self._backdrop = backdrop(rng)
+        self._backdrop = Backdrop(rng)
         self.surroundings = self._backdrop.categories
         steps = len(self.surroundings) + 1
         things = steps + 1 + len(self._panel_colors)

@@ -4,7 +4,7 @@ import json
 
 import pyarrow as pa
 
-from jrdb_avr.engine.report.scored_runs import ScoredRun, make_index
+from jrdb_avr.engine.report.scored_runs import QuestionIndex, ScoredRun
 from jrdb_avr.engine.report.scoring import Truth, score_predictions
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
@@ -60,7 +60,7 @@ class Benchmark:
             "evidence": table(evidence, QUESTIONS["evidence"]),
         }
         self.truth = Truth(*self.tables.values())
-        self.index = make_index(questions, self.tables["answers"])
+        self.index = QuestionIndex(questions, self.tables["answers"])
 
     def run(self, given, run_id="r", method="react", model="m"):
         """given: (choice or None, box or None, frame) per question."""

@@ -16,7 +16,7 @@ from jrdb_avr.agent.model.messages import wire
 from jrdb_avr.agent.model.probes import CORNERS, CROP_SIZE, drawn_picture, drawn_rectangles
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.engine.cli import group
-from jrdb_avr.engine.run.endpoint import connect, convention_path, read_calibration, write_calibration
+from jrdb_avr.engine.run.endpoint import Endpoint, convention_path, read_calibration, write_calibration
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import EndpointError, StoreError
 from jrdb_avr.schema.panorama import iou
@@ -200,23 +200,23 @@ def test_the_true_box_is_in_no_request():
 def test_what_was_found_is_taken_by_later_runs(tmp_path):
     store = Store(tmp_path)
     with FakeServer(sound(writer(order="yxyx"), model="fake-1")) as server:
-        before = connect(store, "fake", server.url)
+        before = Endpoint(store, "fake", server.url)
         assert before.convention == CONTRACT
         path = write_calibration(store, calibrate(before.client, N))
         assert path == tmp_path / "conventions" / "fake.json"
-        after = connect(store, "fake", server.url)
+        after = Endpoint(store, "fake", server.url)
         assert after.convention.boxes == {"bbox": "yxyx"}
         assert after.settings["convention"]["calibrated"]
         assert after.settings["convention"]["asked_sha256"] == read_calibration(store, "fake").asked_sha256
         assert json.loads(json.dumps(after.settings)) == after.settings
         for what, options in (("response format", {"response_format": "none"}), ("thinking", {"thinking": "template"})):
             with pytest.raises(EndpointError, match=f"calibrated with {what}"):
-                connect(store, "fake", server.url, Options(**options))
+                Endpoint(store, "fake", server.url, Options(**options))
     with (
         FakeServer(sound(writer(), model="fake-2")) as server,
         pytest.raises(EndpointError, match="served model 'fake-1', not 'fake-2'"),
     ):
-        connect(store, "fake", server.url)
+        Endpoint(store, "fake", server.url)
 
 
 @pytest.mark.parametrize("model", ["fake", "a/b", "a-b", "../../etc/passwd", "..", "", "x" * 300, "caf\u00e9", "a b"])

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from pycocotools import mask as coco
 
 from jrdb_avr.engine.report import scoring
-from jrdb_avr.engine.report.scored_runs import ScoredRun, make_index
+from jrdb_avr.engine.report.scored_runs import QuestionIndex, ScoredRun
 from jrdb_avr.engine.report.scoring import Truth, box_ious, score_predictions
 from jrdb_avr.engine.report.tables import score_row
 from jrdb_avr.queries.runs import RunManifest
@@ -470,7 +470,7 @@ def row_of(rows, predicted, synthetic=False):
     texts = {name: pa.array(names, pa.string()) for name in ("question_id", "sequence", "answer_mode")}
     kinds = {"family": ["chain_2hop"] * len(names), "template": ["two_hop"] * len(names)}
     numbers = {name: pa.array([0.0] * len(names)) for name in ("time_gap_s", "separation_deg")}
-    index = make_index(
+    index = QuestionIndex(
         pa.table({**texts, **{name: pa.array(values, pa.string()) for name, values in kinds.items()}}),
         pa.table({"question_id": texts["question_id"], **numbers}),
     )

@@ -7,7 +7,7 @@ from fake_server import FakeServer, completion, sound, texts
 
 from jrdb_avr.agent.model.conventions import CONTRACT, Options
 from jrdb_avr.agent.model.messages import Message
-from jrdb_avr.engine.run.endpoint import connect, serving
+from jrdb_avr.engine.run.endpoint import Endpoint, serving
 from jrdb_avr.engine.run.resume import check_manifest
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.queries.store import Store
@@ -18,13 +18,13 @@ ASK = [Message("user", ("hello",))]
 
 def test_what_a_run_is_told(tmp_path):
     with FakeServer(sound(lambda request, n: "hi"), version=b'{"version": "0.12.0"}') as server:
-        endpoint = connect(Store(tmp_path), "fake", server.url, Options(max_tokens=99), tmp_path / "calls.jsonl")
+        endpoint = Endpoint(Store(tmp_path), "fake", server.url, Options(max_tokens=99), tmp_path / "calls.jsonl")
         assert endpoint.client.complete(ASK).content == "hi"
         assert endpoint.client.complete(ASK).content == "hi"
         assert sum(texts(request) == "hello" for request in server.requests) == 1
     assert endpoint.convention == CONTRACT
     assert endpoint.served == "fake"
-    assert endpoint.warnings == ()
+    assert endpoint.warnings == []
     settings = endpoint.settings
     assert json.loads(json.dumps(settings)) == settings
     assert settings["served_model"] == "fake"
@@ -57,7 +57,7 @@ def test_a_run_is_resumed_with_a_server_that_once_did_not_tell_its_version(tmp_p
 
 def test_the_declared_convention_goes_with_the_model():
     with FakeServer(sound(lambda request, n: "hi", model="Qwen/Qwen3.5-9B")) as server:
-        endpoint = connect(None, "Qwen/Qwen3.5-9B", server.url)
+        endpoint = Endpoint(None, "Qwen/Qwen3.5-9B", server.url)
     assert endpoint.convention.name == "qwen3.5"
     assert endpoint.settings["endpoint"]["chat_template_kwargs"] == {"enable_thinking": False}
     assert all(request["chat_template_kwargs"] == {"enable_thinking": False} for request in server.requests)
@@ -65,7 +65,7 @@ def test_the_declared_convention_goes_with_the_model():
 
 def test_a_change_of_model_while_it_is_asked_is_said():
     with FakeServer(sound(lambda request, n: completion("hi", model=["fake", "other\x1b[2J"][n]))) as server:
-        endpoint = connect(None, "fake", server.url)
+        endpoint = Endpoint(None, "fake", server.url)
         assert endpoint.client.complete(ASK)
         assert endpoint.changed() == ""
         assert endpoint.client.complete(ASK)
@@ -76,7 +76,7 @@ def test_a_change_of_model_while_it_is_asked_is_said():
 
 def test_another_model_than_asked_is_a_warning():
     with FakeServer(sound(lambda request, n: "hi", model="fake-AWQ")) as server:
-        endpoint = connect(None, "fake", server.url)
+        endpoint = Endpoint(None, "fake", server.url)
     assert endpoint.served == "fake-AWQ"
     (warning,) = endpoint.warnings
     assert "fake-AWQ" in warning
@@ -84,7 +84,7 @@ def test_another_model_than_asked_is_a_warning():
 
 def test_a_server_that_fails_a_check_is_no_endpoint():
     with FakeServer(lambda request, n: "I would rather talk.") as server, pytest.raises(EndpointError) as caught:
-        connect(None, "fake", server.url)
+        Endpoint(None, "fake", server.url)
     assert str(caught.value).startswith("preflight: schema: json_schema is not followed")
 
 
