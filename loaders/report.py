@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 import numpy as np
@@ -150,12 +150,6 @@ def sequence_warnings(
             f"{cameras.horizon_row}, which rows of the panorama are computed with: is it another robot's calibration?"
         )
     return found
-
-
-def as_row(report: SequenceReport) -> dict[str, Any]:
-    """The report as a JSON object."""
-    row: dict[str, Any] = msgspec.to_builtins(report)
-    return row
 
 
 def totals(reports: list[SequenceReport]) -> str:

@@ -7,8 +7,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+import msgspec
+
 from jrdb_avr.loaders.problems import Problem
-from jrdb_avr.loaders.report import FrameRange, SequenceReport, as_row, totals
+from jrdb_avr.loaders.report import FrameRange, SequenceReport, totals
 from jrdb_avr.queries.display import Displayed, Tables
 
 _Row = dict[str, Any]
@@ -27,7 +29,8 @@ class LoadResult(Displayed):
 
     def rows(self) -> list[_Row]:
         """Each report as a JSON object."""
-        return [as_row(report) for report in self.reports]
+        rows: list[_Row] = msgspec.to_builtins(self.reports)
+        return rows
 
     def parts(self) -> Iterator[str | tuple[str, list[_Row]]]:
         """Lines, and tables with their titles: sequences, checks, what was refused, unknown labels and warnings."""

@@ -35,19 +35,9 @@ class Interval:
     high: float | None
 
 
-@dataclass(frozen=True)
-class Pair:
-    """Two runs on the same questions.
-
-    only_first, only_second: questions on which one scores and the other does not; p: of the exact McNemar test, two
-    sided; difference: of the shares, the second's less the first's.
-    """
-
-    n: int
-    only_first: int
-    only_second: int
-    p: float
-    difference: Interval
+Pair = tuple[int, int, float, Interval]
+"""Two runs on the same questions: on how many the first scores and the second does not, and the other way round; p of
+the exact McNemar test, two sided; the difference of the shares, the second's less the first's."""
 
 
 @functools.lru_cache(maxsize=8)
@@ -154,6 +144,6 @@ def compare(runs: Sequence[tuple[Ints, Ints, Ints]], n: int = DRAWS, seed: int =
 def _pairs(first: Ints, second: Ints, differences: Sequence[Interval]) -> list[Pair]:
     only_first, only_second = ((one > other).sum(axis=0).tolist() for one, other in ((first, second), (second, first)))
     return [
-        Pair(len(first), mine, yours, mcnemar(mine, yours), difference)
+        (mine, yours, mcnemar(mine, yours), difference)
         for mine, yours, difference in zip(only_first, only_second, differences, strict=True)
     ]

@@ -173,14 +173,14 @@ def pair_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[Row]:
     for first, second in combinations(runs, 2):
         common, mine, yours = np.intersect1d(first.rows, second.rows, assume_unique=True, return_indices=True)
         if len(common):
-            pairs.append((first, second))
+            pairs.append({"first": first.manifest.run_id, "second": second.manifest.run_id, "n": len(common)})
             shared.append((index.labels["sequence"].numbers[common], first.scores[mine], second.scores[yours]))
     return [
-        {"first": first.manifest.run_id, "second": second.manifest.run_id, "score": name, "n": pair.n}
-        | {"only_first": pair.only_first, "only_second": pair.only_second, "p": pair.p}
-        | _with_bounds("difference", pair.difference)
-        for (first, second), found in zip(pairs, compare(shared), strict=True)
-        for name, pair in zip(SCORES, found, strict=True)
+        {"first": pair["first"], "second": pair["second"], "score": name, "n": pair["n"]}
+        | {"only_first": only_first, "only_second": only_second, "p": p}
+        | _with_bounds("difference", difference)
+        for pair, found in zip(pairs, compare(shared), strict=True)
+        for name, (only_first, only_second, p, difference) in zip(SCORES, found, strict=True)
     ]
 
 

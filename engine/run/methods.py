@@ -77,13 +77,8 @@ def make_method(name: str, chat: Chat, convention: Convention, world: WorldModel
         raise ValueError(f"the method {name!r} needs a world model")
     if name.startswith("agent"):
         return ReferenceAgent(chat, convention, world, looks="passive" not in name)
-    kinds: dict[str, Callable[[Chat, Convention], ConfigurableMethod]] = {
-        "monolithic": Monolithic,
-        "chain-of-thought": ChainOfThought,
-        "search-recognize": SearchRecognize,
-        "react": ReAct,
-    }
-    return kinds[name](chat, convention)
+    kinds = (Monolithic, ChainOfThought, SearchRecognize, ReAct)
+    return next(kind for kind in kinds if kind.name == name)(chat, convention)
 
 
 # -- custom methods ---------------------------------------------------------------------------------------------------

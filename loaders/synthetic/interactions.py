@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
 
 import numpy as np
 
 from jrdb_avr.loaders.synthetic.script import ACTION, POSE, Rng, Script, one_of, runs_of
-from jrdb_avr.schema.arrays import Bools, Floats, Ints
+from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.labels import INTERACTIONS
 
 LABEL: Final = {name: i for i, name in enumerate(INTERACTIONS)}
@@ -31,24 +30,15 @@ _RARITY: Final = {"conversation": 1, "sitting together": 1, "walking together": 
 """The most common labels; all others are 0."""
 
 
-@dataclass(frozen=True)
 class RelationRuns:
     """Runs of relations, each an array of n: ticks [first, last], the places of the person, of the other (a person or a
     thing) and of the label or verb, the hand (of handling only), and a number in [0, 1) drawn once per run."""
 
-    first: Ints
-    last: Ints
-    person: Ints
-    other: Ints
-    label: Ints
-    hand: Ints
-    draw: Floats
-
-    @classmethod
-    def of(cls, rng: Rng, rows: Sequence[tuple[int, ...]]) -> RelationRuns:
+    def __init__(self, rng: Rng, rows: Sequence[tuple[int, ...]]) -> None:
         """Runs of rows (first, last, person, other, label, hand)."""
-        first, last, person, other, label, hand = np.array(rows, np.int64).reshape(-1, 6).T
-        return cls(first, last, person, other, label, hand, rng.random(len(rows)))
+        columns: Ints = np.array(rows, np.int64).reshape(-1, 6).T
+        self.first, self.last, self.person, self.other, self.label, self.hand = columns
+        self.draw = rng.random(len(rows))
 
     def at(self, tick: int) -> list[tuple[int, int, int, int]]:
         """(person, other, label, hand) of the runs at a tick."""
@@ -64,7 +54,7 @@ def interactions_of(rng: Rng, script: Script) -> RelationRuns:
         for a, b in combinations(party.members, 2):
             for label, where in _pair(rng, script, doing, a, b).items():
                 rows += [(first, stop - 1, a, b, LABEL[label], 0) for first, stop in runs_of(where)]
-    return RelationRuns.of(rng, rows)
+    return RelationRuns(rng, rows)
 
 
 def _pair(rng: Rng, script: Script, doing: dict[str, Bools], a: int, b: int) -> dict[str, Bools]:

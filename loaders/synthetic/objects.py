@@ -130,7 +130,7 @@ class Things:
             for pose, (category, verb) in _RIDDEN.items():
                 for first, stop in runs_of(script.pose[:, i] == POSE[pose]):
                     rows.append((first, stop - 1, i, maker.own(i, category), VERBS.index(verb), BELOW))
-        self.things, self.handling = maker.things, RelationRuns.of(rng, sorted(rows))
+        self.things, self.handling = maker.things, RelationRuns(rng, sorted(rows))
         self.stands = [k for k, thing in enumerate(self.things) if thing.standing]
         self.x, self.y = np.zeros((2, len(tick), len(self.stands)))
         self.there = np.ones(self.x.shape, bool)

@@ -7,7 +7,6 @@ text: most of them stay the same from frame to frame, and a sequence has up to a
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from dataclasses import dataclass
 from typing import Final
 
 import msgspec
@@ -52,19 +51,11 @@ Lists = dict[int, msgspec.Raw]
 """By a person's place, the text of one of its lists; who is not in it has an empty one."""
 
 
-@dataclass(frozen=True)
 class Entries:
     """Runs of relations as one entry per person and frame, sorted by frame and person: the person who has it, its
     run, its other end (a person or a thing) and its difficulty; `start` (frames + 1): where each frame's begin."""
 
-    person: Ints
-    run: Ints
-    other: Ints
-    level: Ints
-    start: Ints
-
-    @classmethod
-    def of(cls, world: World, runs: RelationRuns, directions: Ints | None = None) -> Entries:
+    def __init__(self, world: World, runs: RelationRuns, directions: Ints | None = None) -> None:
         """Entries of the people with a box.
 
         `directions` (runs) of relations between two people: 0 both, 1 or 2 only that of the first or the second.
@@ -90,8 +81,8 @@ class Entries:
         draw = runs.draw[run]
         level = np.where(draw < np.where(hidden, 0.5, 0.04), HARD_CODE, 1 + (draw * 64).astype(np.int64) % 2)
         order = np.lexsort((run, other, person, frame))
-        start = np.searchsorted(frame[order], np.arange(world.frames + 1))
-        return cls(person[order], run[order], other[order], level[order], start)
+        self.start = np.searchsorted(frame[order], np.arange(world.frames + 1))
+        self.person, self.run, self.other, self.level = person[order], run[order], other[order], level[order]
 
     def at(self, frame: int) -> list[tuple[int, int, int, int]]:
         """(person, run, other, level) of a frame."""
@@ -115,10 +106,10 @@ class SocialFiles:
         self._persons = [_person_texts(rng, world, i) for i in range(len(world.people))]
         self._groups = _group_texts(rng, world)
         count = len(world.interactions.first)
-        self._bonds = Entries.of(world, world.interactions, rng.choice(3, size=count, p=[0.93, 0.04, 0.03]))
+        self._bonds = Entries(world, world.interactions, rng.choice(3, size=count, p=[0.93, 0.04, 0.03]))
         self._twice = _some(rng, count, 0.02).tolist()
         self._labels = _written_labels(rng, world)
-        self._handled = Entries.of(world, world.things.handling)
+        self._handled = Entries(world, world.things.handling)
         self._pairs = _thing_texts(rng, world)
 
     @property

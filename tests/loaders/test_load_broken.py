@@ -20,7 +20,6 @@ from jrdb_avr.engine.rederive.truth import TRUE, UNKNOWN
 from jrdb_avr.loaders.labelfiles import frames as labelfile
 from jrdb_avr.loaders.layers.boxes_2d import Record2D, load_2d
 from jrdb_avr.loaders.problems import Problems
-from jrdb_avr.loaders.report import as_row
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError, InputError
@@ -553,8 +552,10 @@ def test_a_file_name_that_is_no_unicode_can_be_reported(tmp_path, graphless):
     folder = write_root(tmp_path / "root", world) / "labels" / "labels_2d_stitched"
     (folder / os.fsdecode(b"bad\xff.json")).write_text("{}")
     _, reports = load_reported(tmp_path, world)
-    assert [problem["file"] for report in reports for problem in as_row(report)["problems"]] == ["bad .json"]
-    assert json.loads(msgspec.json.encode([as_row(report) for report in reports]))
+    assert [problem["file"] for report in reports for problem in msgspec.to_builtins(report)["problems"]] == [
+        "bad .json"
+    ]
+    assert json.loads(msgspec.json.encode(reports))
 
 
 @pytest.mark.parametrize("text", [WHOLE + " " * 1000, WHOLE + "x" * 1000])

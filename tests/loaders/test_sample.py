@@ -18,7 +18,6 @@ from quick_store import MemoryStore, kept_in
 
 from jrdb_avr.engine.cli import group
 from jrdb_avr.loaders.load import Shard, load_shard
-from jrdb_avr.loaders.report import as_row
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.loaders.synthetic.write import plan, sequence_name, write
 from jrdb_avr.loaders.synthetic.write import rows as printed_rows
@@ -427,7 +426,7 @@ def test_a_load_refuses_what_is_awkward_and_nothing_else(root, refused, tmp_path
     # The report tells, which is made beside the tables: none of them is looked at.
     shards = [Shard(files, str(tmp_path), LoadRules()) for files in find_root(root).sequences]
     with kept_in(MemoryStore(tmp_path)):
-        reports = [as_row(load_shard(shard).report) for shard in shards]
+        reports = [msgspec.to_builtins(load_shard(shard).report) for shard in shards]
     words = ("label_id", "width or height", "keypoints", "twice")
     found = Counter()
     for report in reports:
