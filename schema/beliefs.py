@@ -16,10 +16,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from hashlib import sha256
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal
 from uuid import UUID
 
 import msgspec
+
+from jrdb_avr.schema.panorama import Box
 
 ALWAYS: Final = 10_000_000
 """`last` of a belief that holds at every frame, and `until` of a current one."""
@@ -109,15 +111,6 @@ class SlotRow(_NodeRow, frozen=True):
     frame: int
 
 
-class XYWH(NamedTuple):
-    """The box of a sighting, stitched pixels."""
-
-    x: float
-    y: float
-    w: float
-    h: float
-
-
 class _EdgeRow(_Row, frozen=True):
     """A row of an edge; source and target are keys of the nodes.
 
@@ -135,7 +128,7 @@ class SightingRow(_EdgeRow, frozen=True):
     """A row of `Sighted`. box: as the agent saw it; angle: that of the box's centre."""
 
     frame: int
-    box: XYWH
+    box: Box
     angle: float
 
 
@@ -178,7 +171,7 @@ class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_field
     replaced: tuple[int, ...] = ()
 
 
-_TYPES: Final = {str: "STRING", int: "INT64", float: "DOUBLE", XYWH: "STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)"}
+_TYPES: Final = {str: "STRING", int: "INT64", float: "DOUBLE", Box: "STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)"}
 
 
 def _columns(row: type[_Row], *more: str) -> tuple[str, ...]:

@@ -169,6 +169,14 @@ _ACTION_SPELLINGS: Final = {
     **{phrase: label for label, phrase in _SPELLED_OUT.items()},
 }
 
+SKELETON: Final = (
+    *((1, 2), (0, 4), (3, 4), (8, 10), (5, 7), (10, 13), (14, 16), (4, 5), (7, 12), (4, 8), (3, 6)),
+    *((13, 15), (11, 14), (6, 9), (8, 11)),
+)
+"""Pairs of keypoints that a line joins. The seventeen are: head, right and left eye, right shoulder, neck,
+left shoulder, right and left elbow, tailbone, right wrist, right hip, left hip, left wrist, right and left knee, right
+and left foot."""
+
 OCCLUSIONS: Final = ("Fully_visible", "Mostly_visible", "Severely_occluded", "Fully_occluded")
 CLEAR_OCCLUSIONS: Final = frozenset(OCCLUSIONS[:2])
 

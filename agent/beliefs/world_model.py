@@ -34,7 +34,6 @@ from jrdb_avr.queries.beliefs.record import drop_world, writes_held
 from jrdb_avr.schema.beliefs import (
     ALWAYS,
     TIMELESS,
-    XYWH,
     AttributeRow,
     EntityRow,
     EpisodeRow,
@@ -374,12 +373,12 @@ def _slots(plan: Plan, episode: str) -> tuple[SlotRow, ...]:
     )
 
 
-def _stitched(look: ObservationRow, box: Box) -> XYWH:
+def _stitched(look: ObservationRow, box: Box) -> Box:
     """Convert a box of an observation's image to stitched pixels. Raises DecodeError for a box outside the image."""
     right, lower = box.x + box.w, box.y + box.h
     if not (0 <= box.x < right <= look.width + _ROUNDING and 0 <= box.y < lower <= HEIGHT + _ROUNDING):
         raise DecodeError("the box must lie in the observation's image and have an area")
-    return XYWH(*map(float, from_crop(box, look.left)))
+    return Box(*map(float, from_crop(box, look.left)))
 
 
 def _read_row(edge: Edge) -> tuple[str, dict[str, Any]]:

@@ -4,20 +4,13 @@ from __future__ import annotations
 
 import colorsys
 from collections.abc import Iterable, Sequence
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
+from jrdb_avr.schema.labels import SKELETON
 from jrdb_avr.schema.method import Image
 from jrdb_avr.schema.panorama import WIDTH
-
-EDGES: Final = (
-    *((1, 2), (0, 4), (3, 4), (8, 10), (5, 7), (10, 13), (14, 16), (4, 5), (7, 12), (4, 8), (3, 6)),
-    *((13, 15), (11, 14), (6, 9), (8, 11)),
-)
-"""Pairs of keypoints that a line joins. The seventeen are: head, right and left eye, right shoulder, neck,
-left shoulder, right and left elbow, tailbone, right wrist, right hip, left hip, left wrist, right and left knee, right
-and left foot."""
 
 
 def draw_people(
@@ -80,7 +73,7 @@ def _draw_skeletons(
         color = _color(number.get(pose["track"], pose["track"]))
         for shift in (-WIDTH, 0, WIDTH):
             places = [(round(x + shift), round(y)) for x, y in zip(columns, points[:, 1], strict=True)]
-            for i, j in EDGES:
+            for i, j in SKELETON:
                 if code[i] and code[j]:
                     cv2.line(image, places[i], places[j], color, 2 if code[i] == code[j] == 2 else 1, cv2.LINE_AA)
             for place, seen in zip(places, code, strict=True):

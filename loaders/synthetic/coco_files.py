@@ -17,17 +17,14 @@ from jrdb_avr.loaders.synthetic.pictures import Painter
 from jrdb_avr.loaders.synthetic.skeleton import JOINTS, L_EYE, LEFT_SIDE, R_EYE, RIGHT_SIDE
 from jrdb_avr.loaders.synthetic.world import World, spans
 from jrdb_avr.schema.arrays import Ints
+from jrdb_avr.schema.labels import SKELETON
 from jrdb_avr.schema.panorama import HEIGHT, WIDTH
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 from jrdb_avr.schema.things import OBJECTS
 
 _CocoRecord = dict[str, Any]
 
-_EDGES: Final = (
-    *((1, 2), (0, 4), (3, 4), (8, 10), (5, 7), (10, 13), (14, 16), (4, 5)),
-    *((7, 12), (4, 8), (3, 6), (13, 15), (11, 14), (6, 9), (8, 11)),
-)
-_PERSON: Final = {"id": 1, "name": "person", "keypoints": JOINTS, "skeleton": [[a + 1, b + 1] for a, b in _EDGES]}
+_PERSON: Final = {"id": 1, "name": "person", "keypoints": JOINTS, "skeleton": [[a + 1, b + 1] for a, b in SKELETON]}
 _SIDEWAYS: Final = 0.8
 """Seen so far from the side, the limbs behind the body are covered by it."""
 _AWAY: Final = -0.25

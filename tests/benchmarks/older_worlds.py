@@ -4,7 +4,6 @@ import msgspec
 import pyarrow as pa
 
 from jrdb_avr.schema.beliefs import (
-    XYWH,
     AttributeRow,
     EntityRow,
     EpisodeRow,
@@ -14,6 +13,7 @@ from jrdb_avr.schema.beliefs import (
     SightingRow,
     episode_key,
 )
+from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.tables import RUNS
 
 PER_EPISODE = 10
@@ -38,7 +38,7 @@ def _facts(key, run, question):
     number, before = 2, ""
     for n in range(PER_EPISODE):
         entity = EntityRow(f"{key}/p{n}", key, f"p{n}", n + 1, "person", "", number)
-        sighted = SightingRow(entity.id, seen.id, key, number, number, 15, XYWH(1.0, 2.0, 3.0, 4.0), 180.0)
+        sighted = SightingRow(entity.id, seen.id, key, number, number, 15, Box(1.0, 2.0, 3.0, 4.0), 180.0)
         yield Fact(entity=entity, sighted=sighted)
         number += 1
         for name, value in (("gender", "female"), ("action", "sitting"), ("sector", "front")):
