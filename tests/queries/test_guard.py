@@ -384,7 +384,7 @@ def test_views_hold_the_files(store):
 def one_connection(monkeypatch, store):
     """Statements of SQL run on one connection with its views made: they are dearer than the statements."""
     with duckdb.connect(":memory:") as connection:
-        broken = sql_tables._make_views(connection, store.path, None)
+        broken = sql_tables._make_views(connection, store.path, {})
         sql_tables._lock_down(connection)
         monkeypatch.setattr(duckdb, "connect", lambda place: contextlib.nullcontext(connection))
         monkeypatch.setattr(sql_tables, "_make_views", lambda *arguments: broken)
