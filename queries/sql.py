@@ -87,6 +87,8 @@ def query_tables(
             raise QueryError(message if len(message) <= 300 else message[:297] + "...") from None
         finally:
             timer.cancel()
+            # A thread that holds the connection when the program ends makes the engine report a leak.
+            timer.join()
 
 
 def _make_views(connection: Any, folder: Path, tables: Mapping[str, pa.Table]) -> dict[str, str]:
