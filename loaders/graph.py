@@ -10,23 +10,32 @@ gigabyte more.) Key points of a pose stay in `annotations/poses`: in the graph t
 from __future__ import annotations
 
 import shutil
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from jrdb_avr.queries import workers as processes
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store, safe_sequence
 from jrdb_avr.schema.errors import StoreError
-from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS, STORAGE_VERSION, scene_ddl
+from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, SCENE_RELS, STORAGE_VERSION, scene_ddl
 from jrdb_avr.schema.labels import ACTIONS, POSES
 from jrdb_avr.schema.tables import INTERVALS
 
 STAGE: Final = "scene"
 """Folder of the staged files, inside the store that holds the interval tables; gone when the graph is built."""
+
+NODES: Final = SCENE_NODES | KEYFRAME_NODES
+RELS: Final = SCENE_RELS | KEYFRAME_RELS
+"""The tables of the scene and of the keyframe layer."""
+
+R = TypeVar("R")
 
 BATCH_ROWS: Final = 1_200_000
 """Rows per COPY at most, unless one sequence has more: they take about 700 bytes each of the engine's memory."""
@@ -47,16 +56,13 @@ def build_scene(graph: Graph, store: Store, sequences: Sequence[str]) -> dict[st
         with graph.transaction():
             for statement in scene_ddl():
                 graph.execute(statement)
-        copied = _copy_staged(graph, stage, sequences)
+        names: set[str] = set()
+        for path in (stage / "Person Performs").glob("*.parquet"):
+            names |= set(pq.read_table(path, columns=["to"])["to"].unique().to_pylist())
+        stage_rows(stage, "Action", sequences[0], _actions(names))
+        copied = copy_staged(graph, stage, ("Action", *_SOURCES), sequences)
     finally:
         shutil.rmtree(stage, ignore_errors=True)
-    # What was copied must be there: the engine has no page checksums.
-    graph.execute("CHECKPOINT")
-    for table, expected in copied.items():
-        pattern = f"(n:{table})" if table in SCENE_NODES else f"()-[r:{table}]->()"
-        found = graph.query(f"MATCH {pattern} RETURN count(*) AS n")["n"][0].as_py()
-        if found != expected:
-            raise StoreError(f"the graph holds {found} rows of {table} instead of {expected}: load again")
     return {**copied, "storage_version": STORAGE_VERSION}
 
 
@@ -65,16 +71,20 @@ def stage_scene(store: Store, sequence: str, intervals: Mapping[str, pa.Table]) 
 
     Raises StoreError where the disk refuses.
     """
-    path = store.path
+    for source in _SOURCES:
+        stage_rows(store.path / STAGE, source, sequence, _shape(source, intervals))
+
+
+def stage_rows(stage: Path, source: str, sequence: str, rows: pa.Table) -> None:
+    """Write one sequence's rows of a source into a stage, where there are any. Raises StoreError where the disk
+    refuses."""
+    path = stage / source / f"{safe_sequence(sequence)}.parquet"
     try:
-        for source in _SOURCES:
-            rows = _shape(source, intervals)
-            if rows.num_rows:
-                path = store.path / STAGE / source / f"{safe_sequence(sequence)}.parquet"
-                path.parent.mkdir(parents=True, exist_ok=True)
-                # For every null the engine goes through all that it reads together: groups of 256 take a third.
-                at_once = 256 if source == "Object SeenIn" else None
-                pq.write_table(rows, path, compression="snappy", row_group_size=at_once)
+        if rows.num_rows:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            # For every null the engine goes through all that it reads together: groups of 256 take a third.
+            at_once = 256 if source == "Object SeenIn" else None
+            pq.write_table(rows, path, compression="snappy", row_group_size=at_once)
     except OSError as error:
         raise StoreError(f"cannot write {path}: {str(error).splitlines()[0]}; free some space") from None
 
@@ -96,26 +106,43 @@ def scene_rows(store: Store, sequences: Sequence[str]) -> Iterator[tuple[str, pa
             yield table, _shape(source, {kind: store.interval(kind, sequence) for kind in kinds})
 
 
-def _copy_staged(graph: Graph, stage: Path, sequences: Sequence[str]) -> dict[str, int]:
-    """COPY every table; returns its rows."""
-    copied = dict.fromkeys((*SCENE_NODES, *SCENE_RELS), 0)
-    names: set[str] = set()
-    for path in (stage / "Person Performs").glob("*.parquet"):
-        names |= set(pq.read_table(path, columns=["to"])["to"].unique().to_pylist())
-    actions = _actions(names)
-    graph.copy("Action", actions)
-    copied["Action"] = actions.num_rows
-    for source in _SOURCES:
+def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Sequence[str]) -> dict[str, int]:
+    """COPY the staged rows of sources, nodes first; returns the rows of each table, after counting them in the graph.
+
+    Raises StoreError where the graph ends up with other row counts: the engine has no page checksums.
+    """
+    copied: Counter[str] = Counter()
+    for source in sources:
         *start, table = source.split()
         paths = [path for sequence in sequences if (path := stage / source / f"{sequence}.parquet").exists()]
+        copied[table] += 0
         for files, rows in batches(((path.name, pq.read_metadata(path).num_rows) for path in paths), BATCH_ROWS):
-            if table in SCENE_NODES:
+            if table in NODES:
                 # Files are read side by side, and nodes are numbered as they come.
                 graph.copy(table, pa.concat_tables(pq.read_table(stage / source / name) for name in files))
             else:
-                graph.copy_files(table, stage / source, files, (*start, SCENE_RELS[table][1]))
+                graph.copy_files(table, stage / source, files, (*start, RELS[table][1]))
             copied[table] += rows
+    graph.execute("CHECKPOINT")
+    for table, expected in copied.items():
+        pattern = f"(n:{table})" if table in NODES else f"()-[r:{table}]->()"
+        found = graph.query(f"MATCH {pattern} RETURN count(*) AS n")["n"][0].as_py()
+        if found != expected:
+            raise StoreError(f"the graph holds {found} rows of {table} instead of {expected}: load again")
     return copied
+
+
+def write_graph(store: Store, write: Callable[[], R]) -> R:
+    """Call a function that writes the store's graph in a process of its own, which the engine may end."""
+    try:
+        return processes.run_alone(write)
+    except BrokenProcessPool:
+        for left in store.path.glob(".graph.kuzu.building*"):
+            left.unlink(missing_ok=True)
+        raise StoreError(
+            f"the graph could not be written into {store.path}: is the disk full, or the memory? "
+            'Free some space and load again (and in a script call this under `if __name__ == "__main__":`)'
+        ) from None
 
 
 def batches(sizes: Iterable[tuple[str, int]], most: int) -> Iterator[tuple[list[str], int]]:

@@ -14,7 +14,6 @@ import contextlib
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,7 +22,7 @@ from typing import Final
 import msgspec
 import pyarrow as pa
 
-from jrdb_avr.loaders.graph import build_scene, stage_scene
+from jrdb_avr.loaders.graph import build_scene, stage_scene, write_graph
 from jrdb_avr.loaders.intervals.derive import derive
 from jrdb_avr.loaders.intervals.persons import disagreements
 from jrdb_avr.loaders.intervals.spans import absent_partners
@@ -34,7 +33,6 @@ from jrdb_avr.loaders.report import SequenceReport, frame_range, sequence_warnin
 from jrdb_avr.loaders.result import LoadResult
 from jrdb_avr.loaders.root import Root, SequenceFiles, find_root
 from jrdb_avr.loaders.sequence import NOT_LABELS, annotate, stamps_of
-from jrdb_avr.queries import workers as processes
 from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.beliefs.record import copy_all
 from jrdb_avr.queries.display import Progress, step_counter
@@ -271,15 +269,7 @@ def _finish(
 ) -> list[str]:
     """Build the graph, move what is staged in, and put the manifest back last. Returns why runs were left out of it."""
     manifest = Manifest(image_root, rules, rules_hash(rules), entries, {})
-    try:
-        left_out = processes.run_alone(partial(_build, store, staging, manifest))
-    except BrokenProcessPool:
-        for left in store.path.glob(".graph.kuzu.building*"):
-            left.unlink(missing_ok=True)
-        raise StoreError(
-            f"the graph could not be written into {store.path}: is the disk full, or the memory? "
-            'Free some space and load again (and in a script call this under `if __name__ == "__main__":`)'
-        ) from None
+    left_out = write_graph(store, partial(_build, store, staging, manifest))
     _move(store, staging, parts)
     return left_out
 

@@ -54,7 +54,45 @@ SCENE_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
 }
 """Per relationship table: from (several tables with a colon between them), to, and its columns as name and type."""
 
-STORAGE_VERSION: Final = 4
+KEYFRAME_NODES: Final[dict[str, str]] = {
+    "Moment": "id INT64 PRIMARY KEY, sequence STRING, track INT64, frame INT64, nowhere STRING, seen INT64, "
+    "clear BOOLEAN, image BOOLEAN, ahead BOOLEAN, pose STRING, distance DOUBLE, angle DOUBLE, open STRING",
+    "Condition": "id INT64 PRIMARY KEY, sequence STRING, frame INT64, kind STRING, words STRING",
+    "Description": "id INT64 PRIMARY KEY, sequence STRING, conditions STRING",
+    "Name": "id INT64 PRIMARY KEY, sequence STRING, size INT64, people INT64, general BOOLEAN, poseless BOOLEAN",
+    "Segment": "id INT64 PRIMARY KEY, sequence STRING, action STRING, first INT64, last INT64, start INT64, `end` INT64, "
+    "quiet_from INT64, closed BOOLEAN, first_clear BOOLEAN, first_image BOOLEAN, first_ahead BOOLEAN, "
+    "last_clear BOOLEAN, last_image BOOLEAN, last_ahead BOOLEAN, angle DOUBLE, held_from INT64, held_to INT64",
+    "Absence": "id INT64 PRIMARY KEY, sequence STRING, leaves INT64, returns INT64, present_from INT64, "
+    "clear BOOLEAN, image BOOLEAN, ahead BOOLEAN",
+    "Encounter": "id INT64 PRIMARY KEY, sequence STRING, relation STRING, until INT64",
+    "Keyframes": "sequence STRING PRIMARY KEY, low INT64, high INT64, rules_hash STRING, rules STRING",
+}
+
+KEYFRAME_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
+    "At": ("Person", "Moment", ()),
+    "Acts": ("Person", "Segment", ()),
+    "Leaves": ("Person", "Absence", ()),
+    "Shift": ("Moment", "Moment", ("by INT64",)),
+    "Fact": (
+        "Moment",
+        "Moment",
+        ("relation STRING", "certain BOOLEAN", "unread BOOLEAN", "unknown INT64"),
+    ),
+    "Satisfies": ("Moment", "Condition", ("certain BOOLEAN",)),
+    "Uses": ("Name", "Condition", ("place INT64",)),
+    "Of": ("Name", "Description", ()),
+    "Moved": ("Name", "Moment", ("by INT64",)),
+    "Fits": ("Description", "Moment", ()),
+    "Begins": ("Moment", "Encounter", ()),
+    "Meets": ("Encounter", "Person", ("met INT64", "seen INT64", "maybe INT64", "image BOOLEAN")),
+    "Step": ("Moment", "Moment", ("relation STRING", "layer STRING")),
+    "Leads": ("Moment", "Moment", ("relation STRING", "layer STRING")),
+    "Describes": ("Name", "Moment", ("anchor BOOLEAN",)),
+    "Joined": ("Moment", "Moment", ("a INT64", "c INT64", "r3 STRING", "r4 STRING")),
+}
+
+STORAGE_VERSION: Final = 5
 """Raised when the tables above change, or the world namespace's: a graph of another version is rebuilt."""
 
 
@@ -65,8 +103,8 @@ def scene_ddl() -> list[str]:
 
 def table_ddl(nodes: Mapping[str, str], rels: Mapping[str, tuple[str, str, tuple[str, ...]]]) -> list[str]:
     """CREATE statements of tables, nodes first."""
-    statements = [f"CREATE NODE TABLE {name}({columns})" for name, columns in nodes.items()]
+    statements = [f"CREATE NODE TABLE `{name}`({columns})" for name, columns in nodes.items()]
     for name, (source, target, columns) in rels.items():
         ends = [f"FROM {start} TO {target}" for start in source.split(":")]
-        statements.append(f"CREATE REL TABLE {name}({', '.join([*ends, *columns])})")
+        statements.append(f"CREATE REL TABLE `{name}`({', '.join([*ends, *columns])})")
     return statements

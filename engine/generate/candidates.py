@@ -86,6 +86,13 @@ class PerturbationResult:
     any_of: bool = False
 
     @classmethod
+    def of_texts(cls, kind: str, variant: str, texts: pa.ChunkedArray, stored: Codes, any_of: bool = False) -> Self:
+        """The perturbed program by its answers, or the outcome where there is none; null is unknown."""
+        answer, none = choice_codes(texts), coded(texts, OUTCOMES)
+        outcome = np.where(none == NOBODY, compared(answer, stored), none).astype(np.int8)
+        return cls(kind, variant, outcome, answer, any_of)
+
+    @classmethod
     def of_shift(cls, by: int, outcome: Codes, answer: Codes, outside: Bools) -> Self:
         """The program with its times moved `by` frames. Where that is `outside`, the two arrays are overwritten."""
         outcome[outside], answer[outside] = Effect.OUTSIDE, NOBODY
@@ -156,10 +163,10 @@ class Candidates:
         if not self.template.counts:
             return []
         met, window = context.people_met, int(self.window[row])
-        low, high = np.searchsorted(met["company"].to_numpy(), [window, window + 1])
+        low, high = np.searchsorted(met["encounter"].to_numpy(), [window, window + 1])
         rows = met.slice(low, high - low).to_pylist()
         until = int(self.frames["t2"][row])
-        return [(int(context.scene.tracks[one["person"]]), one["seen"]) for one in rows if one["met"] <= until]
+        return [(one["person"], one["seen"]) for one in rows if one["met"] <= until]
 
 
 def _taken(columns: Any, rows: Ints) -> Any:

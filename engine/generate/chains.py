@@ -1,122 +1,88 @@
 """Proofs about hops: the answer one hop early, with a hop left out, and at other times.
 
-Candidates are copied into the scene's graph as nodes, `(Path)-[:Of]->(Description)` and `(Path)-[:From]->(Moment)`, and
-the perturbed programs walk from there along `Step` and `Fits`, which lead somewhere from every moment: to the one
-person who can be meant, or to one of the nodes that stand for the reason why there is none.
+The statements give the answer of each perturbed program as a text: an answer, or the outcome where there is none.
 """
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
-from typing import Final
+import re
 
 import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.engine.generate.action_onsets import start_of
-from jrdb_avr.engine.generate.candidates import Candidates, Codes, Effect, PerturbationResult, compared
+from jrdb_avr.engine.generate.candidates import OUTCOMES, Candidates, Codes, Effect, PerturbationResult
 from jrdb_avr.engine.generate.context import SearchContext
+from jrdb_avr.engine.generate.keyframes import both_ways
 from jrdb_avr.engine.generate.relations import RELATIONS
-from jrdb_avr.engine.generate.scene import NO_MATCH, NOBODY, SEVERAL, UNDECIDED, Ints, ints, named
-from jrdb_avr.engine.generate.search_graph import add_table
+from jrdb_avr.engine.generate.scene import NOBODY, Ints, coded, ints, masked, match_rows
 from jrdb_avr.schema.answers import same_answer
 from jrdb_avr.schema.arrays import Bools
-from jrdb_avr.schema.rules import frames
-
-BLOCK: Final = 20_000
-"""Paths whose perturbed programs are run at once: at every keyframe of a crowded scene they are millions."""
-
-Read = tuple[Codes, Codes]
-"""Effect and answer of a perturbed program, per candidate."""
 
 
-@contextlib.contextmanager
-def paths_in_graph(context: SearchContext, paths: Candidates) -> Iterator[None]:
-    """The candidates as nodes of the scene's graph, for as long as the block lasts."""
-    number = np.arange(len(paths))
-    nowhere = np.full(len(paths), NOBODY)
-    relations = {name: named(paths.relations.get(name, nowhere), RELATIONS) for name in ("r1", "r2", "r3")}
-    tables = {
-        "Path": {"id": number, "t": paths.frames["t0"], **relations},
-        "From": {"from": number, "to": paths.people["a"]},
-        "Of": {"from": number, "to": context.descriptions.texts[1][paths.name]},
-    }
-    for name, columns in tables.items():
-        add_table(context.graph, name, pa.table(columns))
-    try:
-        yield
-    finally:
-        for name in reversed(tables):
-            context.graph.execute(f"DROP TABLE `{name}`")
+def text_proofs(kind: str, found: pa.Table, paths: Candidates) -> list[PerturbationResult]:
+    """The proofs of a kind that a statement answers in columns such as `stop_0`; `found` are the rows of the paths."""
+    columns = [name for name in found.column_names if re.fullmatch(rf"{kind.removeprefix('hop.')}_\d", name)]
+    return [PerturbationResult.of_texts(kind, name[-1], found[name], paths.answer) for name in columns]
 
 
-def in_blocks(
-    context: SearchContext, paths: Candidates, prove: Callable[[Candidates], Sequence[PerturbationResult]]
-) -> tuple[PerturbationResult, ...]:
-    """The proofs of all candidates, made block by block, with the candidates of the block in the graph."""
-    blocks = []
-    for start in range(0, len(paths), BLOCK):
-        block = paths.take(np.arange(start, min(start + BLOCK, len(paths))))
-        with paths_in_graph(context, block):
-            blocks.append(prove(block))
-    return tuple(
-        replace(
-            same[0],
-            outcome=np.concatenate([result.outcome for result in same]),
-            answer=np.concatenate([result.answer for result in same]),
-        )
-        for same in zip(*blocks, strict=True)
-    )
+def start_proofs(context: SearchContext, found: pa.Table, paths: Candidates) -> list[PerturbationResult]:
+    """hop.stop and hop.skip of candidates whose answer is a start: that of somebody else is looked for."""
+    a, b = (context.scene.tracks[context.scene.people(paths.people[node])] for node in "ab")
+    skipped, outcome = ints(found, "skip_1_person"), coded(found["skip_1"], OUTCOMES)
+    read = [("hop.stop", "0", a), ("hop.stop", "1", b), ("hop.skip", "1", skipped)]
+    none = np.full(len(paths), NOBODY, dtype=np.int8)
+    return [
+        PerturbationResult(kind, variant, _starts(context, paths, who, outcome), none) for kind, variant, who in read
+    ]
 
 
-def chain_proofs(context: SearchContext, paths: Candidates) -> list[PerturbationResult]:
-    """The proofs of candidates whose hops follow one another.
+def _starts(context: SearchContext, paths: Candidates, tracks: Ints, nobody: Ints) -> Codes:
+    """Effect of looking for the start of each candidate's action at somebody else; where that is nobody, `nobody`.
 
-    hop.stop for every earlier person, hop.skip for every hop but the last: to leave out the last one is to stop one
-    person early. time.shift and time.drop where the whole program moves.
+    Where no start of theirs is certain, it is unknown only if one could be near enough to score.
     """
-
-    def read(stages: Sequence[Ints]) -> Read:
-        return read_people(context, paths, last_person(stages))
-
-    nodes = paths.template.people
-    stops = [PerturbationResult("hop.stop", str(i), *read([paths.people[node]])) for i, node in enumerate(nodes[:-1])]
-    skips = []
-    for skipped in range(1, len(paths.template.edges)):
-        found = context.query("necessity", f"{_HOPS[len(nodes) - 1]}_skip", skipped=skipped)
-        stages = [paths.people["a"], *(scatter_by_id(found, node, len(paths)) for node in nodes[1:-1])]
-        skips.append(PerturbationResult("hop.skip", str(skipped), *read(stages)))
-    if paths.template.time_proof != "program":
-        return [*stops, *skips]
-    shifts = program_shifts(context, paths, nodes, read)
-    found = context.query("necessity", f"{paths.template.time_queries}_drop")
-    defined, answers = (scatter_by_id(found, name, len(paths), 0) for name in ("defined", "answers"))
-    return [*stops, *skips, *shifts, PerturbationResult.of_drop(defined, answers)]
+    effects = nobody.astype(np.int8)
+    for row in np.flatnonzero(tracks != NOBODY).tolist():
+        track, segment = int(tracks[row]), int(paths.segments[0][row])
+        stored = start_of(context.scene, segment)
+        action = context.scene.segments["action"][segment].as_py()
+        start = context.onsets.start(track, action, int(paths.frames["t0"][row]))
+        if start is not None:
+            effects[row] = Effect.SAME if same_answer(start, stored) else Effect.DIFFERENT
+        else:
+            could = context.onsets.could_start(track, action, stored)
+            effects[row] = Effect.UNKNOWN if could else Effect.EMPTY
+    return effects
 
 
-_HOPS: Final = {2: "two_hop", 3: "three_hop"}
-
-
-def program_shifts(
-    context: SearchContext, paths: Candidates, nodes: Sequence[str], read: Callable[[Sequence[Ints]], Read]
-) -> list[PerturbationResult]:
-    """time.shift of the whole program, both ways: description and hops are read anew at another keyframe, which gives
-    the people at these nodes."""
-    results = []
-    for by in both_ways(context):
-        found = context.query("necessity", f"{paths.template.time_queries}_shift", by=by)
-        outcome, answer = read([scatter_by_id(found, node, len(paths)) for node in nodes])
+def program_proofs(context: SearchContext, paths: Candidates) -> list[PerturbationResult]:
+    """time.shift both ways and time.drop of the whole program: description and hops are read anew at other keyframes."""
+    queries, results = paths.template.time_queries, []
+    for by in both_ways(context.rules):
+        found = context.query("necessity", f"{queries}_shift", by=by)
+        texts = found["answer"].take(masked(path_rows(paths, found)))
+        one = PerturbationResult.of_texts("time.shift", "", texts, paths.answer)
         outside = beyond(context, paths.frames["t0"] + by)
-        results.append(PerturbationResult.of_shift(by, outcome, answer, outside))
-    return results
+        results.append(PerturbationResult.of_shift(by, one.outcome, one.answer, outside))
+    found = context.query("necessity", f"{queries}_drop")
+    wanted = [context.descriptions.texts[1][paths.name], *paths.relations.values()]
+    among = [ints(found, "description"), *(coded(found[name], RELATIONS) for name in paths.relations)]
+    row = match_rows(wanted, among)
+    defined, answers = (np.append(ints(found, name), 0)[row] for name in ("defined", "answers"))
+    return [*results, PerturbationResult.of_drop(defined, answers)]
 
 
-def both_ways(context: SearchContext) -> tuple[int, int]:
-    """By how many frames time.shift moves: earlier and later."""
-    step = frames(context.rules.shift_s)
-    return -step, step
+def path_rows(paths: Candidates, found: pa.Table) -> Ints:
+    """Per candidate its row among those of a query, by its name and what else both have; NOBODY where there is none."""
+    wanted, among = [paths.name], [ints(found, "name")]
+    for name in [name for name in paths.relations if name in found.column_names]:
+        wanted.append(paths.relations[name])
+        among.append(coded(found[name], RELATIONS))
+    if "t1" in found.column_names:
+        wanted.append(paths.frames["t1"])
+        among.append(ints(found, "t1"))
+    return match_rows(wanted, among)
 
 
 def beyond(context: SearchContext, times: Ints) -> Bools:
@@ -124,55 +90,3 @@ def beyond(context: SearchContext, times: Ints) -> Bools:
     # As slices: a sequence without keyframes has none to compare with, and nothing to compare.
     keyframes = context.scene.keyframes
     return np.asarray((times < keyframes[:1]) | (times > keyframes[-1:]))
-
-
-def scatter_by_id(found: pa.Table, name: str, count: int, missing: int = UNDECIDED) -> Ints:
-    """A column of a query's rows by the path's id; of moments, at a time that is no keyframe nothing is known."""
-    numbers = np.full(count, missing)
-    numbers[ints(found, "id")] = ints(found, name)
-    return numbers
-
-
-def last_person(stages: Sequence[Ints]) -> Ints:
-    """Where programs that pass through these people end, by their moments; one that comes back to somebody is empty."""
-    reached = stages[0]
-    for place, moment in enumerate(stages[1:], 1):
-        back = np.any([moment == earlier for earlier in stages[:place]], axis=0)
-        reached = np.where(reached < 0, reached, np.where(back, NO_MATCH, moment))
-    return reached
-
-
-def read_people(context: SearchContext, paths: Candidates, moment: Ints) -> Read:
-    """Effect and answer of reading these people, by their moments at t0, in place of the candidates' targets."""
-    scene = context.scene
-    answer = np.full(len(paths), NOBODY, dtype=np.int8)
-    nobody = [moment == NO_MATCH, moment == SEVERAL]
-    outcome = np.select(nobody, [Effect.EMPTY, Effect.AMBIGUOUS], Effect.UNKNOWN).astype(np.int8)
-    there = np.flatnonzero(moment >= 0)
-    if paths.template.spec.read == "start_view":
-        for row in there.tolist():
-            outcome[row] = _read_start(context, paths, row, int(moment[row]))
-        return outcome, answer
-    at = moment[there]
-    if "t1" in paths.frames:
-        keyframe = np.searchsorted(scene.keyframes, paths.frames["t1"][there])
-        at = scene.people(at) * len(scene.keyframes) + keyframe
-    answer[there] = scene.moment_poses[at]
-    # Of somebody who is absent at t1 nothing is read.
-    outcome[there] = np.where(scene.absent[at], Effect.EMPTY, compared(answer[there], paths.answer[there]))
-    return outcome, answer
-
-
-def _read_start(context: SearchContext, paths: Candidates, row: int, moment: int) -> Effect:
-    """Effect of looking for the start of the candidate's action at somebody else, by the moment at t0.
-
-    Where no start of theirs is certain, it is unknown only if one could be near enough to score.
-    """
-    segment = int(paths.segments[0][row])
-    stored = start_of(context.scene, segment)
-    action = context.scene.segments["action"][segment].as_py()
-    track = context.scene.track(moment)
-    start = context.onsets.start(track, action, int(paths.frames["t0"][row]))
-    if start is not None:
-        return Effect.SAME if same_answer(start, stored) else Effect.DIFFERENT
-    return Effect.UNKNOWN if context.onsets.could_start(track, action, stored) else Effect.EMPTY

@@ -1,8 +1,7 @@
-"""One sequence prepared for search: its facts, its descriptions, and the graph in which the generators run."""
+"""One sequence prepared for search: its facts, its descriptions, and its part of the stored graph."""
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -11,62 +10,59 @@ import pyarrow as pa
 
 from jrdb_avr.engine.generate.action_onsets import ActionOnsets
 from jrdb_avr.engine.generate.descriptions import Descriptions, describe_people
-from jrdb_avr.engine.generate.encounters import encounter_tables
-from jrdb_avr.engine.generate.relations import Facts, Steps, find_facts, find_steps
-from jrdb_avr.engine.generate.scene import Scene, absence_tables
-from jrdb_avr.engine.generate.search_graph import scene_graph
-from jrdb_avr.engine.generate.templates import query_text, query_values
+from jrdb_avr.engine.generate.relations import RELATIONS, Facts, find_facts
+from jrdb_avr.engine.generate.scene import Scene, coded, ints
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
+from jrdb_avr.queries.keyframes import keyframe_values, query_text
+from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.rules import Rules
 
 
 @dataclass(frozen=True)
-class SearchContext(contextlib.AbstractContextManager["SearchContext"]):
-    """Shared inputs of every search in one scene; a context manager, which closes the graph.
+class SearchContext:
+    """Shared inputs of every search in one scene.
 
-    facts: the scene's relations. Whatever else follows from these four is worked out when it is first used.
+    facts: the scene's relations. graph: the stored graph with its keyframe layer, in which the sequence's ids begin at
+    `low`; None while the layer is made.
     """
 
     scene: Scene
     rules: Rules
     facts: Facts
     descriptions: Descriptions
+    graph: Graph | None
+    low: int
 
     @classmethod
-    def of(cls, scene: Scene, rules: Rules) -> Self:
+    def of(cls, scene: Scene, rules: Rules, graph: Graph | None = None, low: int = 0) -> Self:
         """The context with the descriptions that generation chooses."""
         facts = find_facts(scene)
-        return cls(scene, rules, facts, describe_people(scene, facts, rules))
-
-    @cached_property
-    def steps(self) -> Steps:
-        """Whom each relation leads to from each moment."""
-        return find_steps(self.scene, self.facts)
+        return cls(scene, rules, facts, describe_people(scene, facts, rules), graph, low)
 
     @cached_property
     def onsets(self) -> ActionOnsets:
         """Starts and states of the scene's actions."""
         return ActionOnsets(self.scene)
 
-    @cached_property
-    def graph(self) -> Graph:
-        """The scene's graph with everything that the generators and the proofs walk along."""
-        tables = self.descriptions.tables() | self.steps.tables()
-        tables |= absence_tables(self.scene, self.rules) | encounter_tables(self.scene, self.facts, self.rules)
-        return scene_graph(self.scene, tables, self.rules)
-
     def query(self, folder: str, name: str, **values: int) -> pa.Table:
-        """Rows of a packaged query over the graph; besides `values` it may use those of the rules."""
+        """Rows of a packaged query over the sequence's part of the graph; besides `values` it may use those of the
+        rules."""
+        if self.graph is None:
+            raise StoreError("the graph has no keyframe layer yet")
         text = query_text(folder, name)
-        known = query_values(self.rules) | values
+        known = keyframe_values(self.rules, self.low) | values
         return self.graph.query(text, {key: known[key] for key in parameters(text)})
 
     @cached_property
-    def people_met(self) -> pa.Table:
-        """Everybody whom an encounter window meets: company, person, met, seen; sorted by the first two."""
-        return self.query("generators", "gap_count_people")
+    def leads(self) -> dict[tuple[int, int], int]:
+        """The moment of whom a relation, as an index into RELATIONS, leads to from a moment."""
+        found = self.query("search", "leads")
+        frame, relation = ints(found, "frame"), coded(found["relation"], RELATIONS)
+        source, target = (self.scene.moments(ints(found, end), frame) for end in ("source", "target"))
+        return dict(zip(zip(source.tolist(), relation.tolist(), strict=True), target.tolist(), strict=True))
 
-    def __exit__(self, *error: object) -> None:
-        if "graph" in self.__dict__:
-            self.graph.close()
+    @cached_property
+    def people_met(self) -> pa.Table:
+        """Everybody whom an encounter meets: encounter, person, met, seen; sorted by the first two."""
+        return self.query("generators", "gap_count_people")

@@ -9,17 +9,17 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
 import msgspec
 import numpy as np
-import pyarrow as pa
+from msgspec.structs import replace
 
 from jrdb_avr.engine.generate.conditions import ANCHOR_TIME, Conditions, count, find_conditions
 from jrdb_avr.engine.generate.relations import Facts
-from jrdb_avr.engine.generate.scene import NOBODY, Ints, Scene, find_sorted
+from jrdb_avr.engine.generate.scene import NOBODY, Ints, Scene
 from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.plan import Condition
@@ -55,10 +55,6 @@ class Descriptions:
         left = np.stack([count(self.conditions.could_match(keyframe, uses)) for uses in others], axis=1)
         return np.where(self.uses == NOBODY, 0, left)
 
-    def anchor(self) -> Bools:
-        """The second half of the anchor proof: every condition is needed, as two people could match without it."""
-        return np.asarray(np.all((self.left >= 2) | (self.uses == NOBODY), axis=1))
-
     def of(self, name: int) -> tuple[Condition, ...]:
         """The conditions of a name, in the order in which they were chosen."""
         return self.conditions.used(self.uses[name])
@@ -93,25 +89,18 @@ class Descriptions:
         number = {text: i for i, text in enumerate(distinct)}
         return distinct, np.array([number[text] for text in texts], dtype=np.int64)
 
-    def tables(self) -> dict[str, pa.Table]:
-        """The graph's tables `Description`, `Names` and `Fits`."""
-        distinct, number = self.texts
-        keyframes = self.conditions.scene.keyframes
-        names = {
-            "from": number,
-            "to": self.moment,
-            "id": np.arange(len(number)),
-            "anchor": self.anchor(),
-            "general": self.general,
-            "poseless": self.poseless,
-        }
-        nodes = {"id": np.arange(len(distinct)), "conditions": pa.array(distinct, pa.string())}
-        fits = {
-            "from": np.repeat(np.arange(len(distinct)), len(keyframes)),
-            "to": self.fits.ravel(),
-            "t": np.tile(keyframes, len(distinct)),
-        }
-        return {"Description": pa.table(nodes), "Names": pa.table(names), "Fits": pa.table(fits)}
+    def numbers(self, stated: Iterable[tuple[tuple[Condition, ...], int]]) -> list[int]:
+        """Per set of conditions and frame, the number of the name that has them; NOBODY where there is none."""
+        texts, place = self.texts
+        frames = self.conditions.scene.frames(self.moment)
+        known = {(texts[text], frame): i for i, (text, frame) in enumerate(zip(place, frames.tolist(), strict=True))}
+        # The layer has one name for the time of a description, whatever the plan calls it.
+        return [
+            known.get(
+                (conditions_json(tuple(c if c.at is None else replace(c, at=ANCHOR_TIME) for c in own)), at), NOBODY
+            )
+            for own, at in stated
+        ]
 
     @cached_property
     def fits(self) -> Ints:
@@ -139,37 +128,6 @@ def describe_people(scene: Scene, facts: Facts, rules: Rules) -> Descriptions:
     chosen = np.union1d(best, best_poseless)
     general, unposed = np.isin(chosen, best), np.isin(chosen, best_poseless)
     return Descriptions(conditions, sighting[chosen], uses[chosen], general, unposed)
-
-
-def resolve(
-    conditions: Conditions, stated: Sequence[tuple[tuple[Condition, ...], int]], rules: Rules
-) -> tuple[Descriptions, list[int]]:
-    """Resolve stored descriptions to people, whether generation would choose them or not.
-
-    `stated`: the conditions and the frame of each. Returns the descriptions that single somebody out, and for each
-    stated one its number among them, NOBODY where it does not.
-    """
-    code = {condition: place for place, condition in enumerate(conditions.vocabulary)}
-    keyframes = find_sorted(np.array([frame for _, frame in stated], dtype=np.int64), conditions.scene.keyframes)
-    found: dict[tuple[int, ...], int] = {}
-    numbers = []
-    for (wanted, _), keyframe in zip(stated, keyframes, strict=True):
-        # The vocabulary has one name for the time of a description, whatever the plan calls it.
-        codes = [code.get(c if c.at is None else msgspec.structs.replace(c, at=ANCHOR_TIME), NOBODY) for c in wanted]
-        person = NOBODY
-        # A condition that holds of nobody in the scene describes nobody.
-        if keyframe != NOBODY and NOBODY not in codes and len(codes) <= rules.max_conditions:
-            codes.sort(key=lambda one: (int(conditions.rank[one]), one))
-            uses = int(keyframe) * len(conditions.vocabulary) + np.array(codes, dtype=np.int64)
-            person = int(conditions.matches(keyframe[None], uses[None])[0])
-        if person < 0:
-            numbers.append(NOBODY)
-            continue
-        padded = (*uses.tolist(), *(NOBODY,) * (rules.max_conditions - len(codes)))
-        numbers.append(found.setdefault((int(conditions.sighting_of[person]), *padded), len(found)))
-    table = np.array(list(found), dtype=np.int64).reshape(-1, 1 + rules.max_conditions)
-    poseless = ~conditions.any_of(conditions.states_pose, table[:, 1:])
-    return Descriptions(conditions, table[:, 0], table[:, 1:], np.ones(len(table), dtype=bool), poseless), numbers
 
 
 # -- choosing -----------------------------------------------------------------------------------------------------

@@ -107,13 +107,12 @@ def _perturbed(context: SearchContext, candidates: Candidates, row: int) -> Iter
 
 def _followed(context: SearchContext, candidates: Candidates, row: int, moment: int) -> int | None:
     """Where a candidate's relations lead from somebody else's moment; None where that is not certain."""
-    steps, path = context.steps, [moment]
+    path = [moment]
     for name in candidates.template.relations:
-        low, high = np.searchsorted(steps.source, [path[-1], path[-1] + 1])
-        place = low + np.flatnonzero(steps.relation[low:high] == candidates.relations[name][row])
-        if not len(place) or steps.target[place[0]] < 0 or steps.target[place[0]] in path:
+        reached = context.leads.get((path[-1], int(candidates.relations[name][row])))
+        if reached is None or reached in path:
             return None
-        path.append(int(steps.target[place[0]]))
+        path.append(reached)
     return path[-1]
 
 

@@ -20,10 +20,10 @@ from jrdb_avr.schema.rules import Rules, frames
 
 
 def encounter_tables(scene: Scene, facts: Facts, rules: Rules) -> dict[str, pa.Table]:
-    """The graph's tables `Company`, `Keeps` and `Meets`: the encounter windows that begin at any moment, reach over
+    """The graph's tables `Encounter`, `Begins` and `Meets`: the encounter windows that begin at any moment, reach over
     `long_wait_s` and meet `count_min` people or more.
 
-    Company: the relation, and `until`, the last keyframe's frame. Meets, sorted by window and person: the first
+    Encounter: the relation, and `until`, the last keyframe's frame. Meets, sorted by window and person: the first
     keyframe at which the meeting is certain (met), at which besides both are in clear view (seen), and by which it
     could have been between two keyframes (maybe); null for none.
     """
@@ -69,8 +69,8 @@ def encounter_tables(scene: Scene, facts: Facts, rules: Rules) -> dict[str, pa.T
         "image": scene.has_image(times["seen"]),
     }
     moment = lines[line] // len(RELATIONS) * count + start
-    keeps = {"from": moment, "to": windows["id"]}
-    return {"Company": pa.table(windows), "Keeps": pa.table(keeps), "Meets": pa.table(meets)}
+    edges = {"from": moment, "to": windows["id"]}
+    return {"Encounter": pa.table(windows), "Begins": pa.table(edges), "Meets": pa.table(meets)}
 
 
 @dataclass(frozen=True)

@@ -6,26 +6,38 @@ who could have it, and who certainly does. They hold the facts of `relations`, e
 the windows, which are worked out here from the centres of all boxes, clear views or not. Whom two relations single out
 is then found set-wise, with the people of the plan left out.
 
-The walks run in the scene's graph, along `Step` and `Fits`; the joins at their ends are read from the masks. The hops
+The walks run in the stored graph, along `Step` and `Fits`; the joins at their ends are read from the masks. The hops
 of a fork are numbered as its edges are: 1 and 2 lead to b and c, 3 and 4 join d to them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.engine.generate.candidates import Candidates, Effect, PerturbationResult
-from jrdb_avr.engine.generate.chains import Read, program_shifts, read_people
+from jrdb_avr.engine.generate.candidates import Candidates, Codes, Effect, PerturbationResult, compared
+from jrdb_avr.engine.generate.chains import beyond, path_rows
 from jrdb_avr.engine.generate.conditions import Conditions, Masks, count, packed
 from jrdb_avr.engine.generate.context import SearchContext
+from jrdb_avr.engine.generate.keyframes import OUTCOMES_NOWHERE, both_ways
 from jrdb_avr.engine.generate.relations import KIND, RELATIONS, ROBOT_VIEW, Facts
-from jrdb_avr.engine.generate.scene import NO_MATCH, NOBODY, SEVERAL, UNDECIDED, Ints, ints, named
-from jrdb_avr.engine.generate.search_graph import add_table
+from jrdb_avr.engine.generate.scene import (
+    NO_MATCH,
+    NOBODY,
+    NOWHERE,
+    SEVERAL,
+    UNDECIDED,
+    Ints,
+    Scene,
+    coded,
+    ints,
+    masked,
+    named,
+)
 from jrdb_avr.schema.panorama import clockwise
 from jrdb_avr.schema.relations import RELATIONS as ROWS
 from jrdb_avr.schema.relations import RELATIONS_OF
@@ -169,44 +181,71 @@ def _add_windows(joins: Joins, margin: float) -> None:
 # -- candidates and proofs ----------------------------------------------------------------------------------------
 
 
-def find_forks(context: SearchContext, joins: Joins) -> pa.Table:
-    """The rows of fork_join, for whose query the scene's graph has the table `Joined` for a while."""
-    forks = context.query("generators", "fork")
-    add_table(context.graph, "Joined", joins.table(*(ints(forks, node) for node in "abc")))
-    found = context.query("generators", "fork_join")
-    context.graph.execute("DROP TABLE Joined")
-    return found
-
-
-def fork_proofs(context: SearchContext, joins: Joins, paths: Candidates) -> list[PerturbationResult]:
-    """hop.stop at a, b and c, hop.skip of every hop, and time.shift and time.drop of the program of paths in the graph.
-
-    It is enough that one of b and c has another pose: the two branches have no order.
-    """
+def fork_proofs(context: SearchContext, paths: Candidates) -> list[PerturbationResult]:
+    """hop.skip of every hop, and time.shift and time.drop of the whole program."""
+    joins = find_joins(context)
 
     def read(people: Sequence[Ints], apart: Sequence[Ints] | None = None, rows: Candidates = paths) -> Read:
-        return read_people(context, rows, _joined(joins, rows, people, people if apart is None else apart))
+        return _poses(context, rows, _joined(joins, rows, people, people if apart is None else apart))
 
     a, b, c = (paths.people[node] for node in "abc")
     proofs = [
-        PerturbationResult("hop.stop", str(place), *read_people(context, paths, moment), any_of=place > 0)
-        for place, moment in enumerate((a, b, c))
+        PerturbationResult("hop.skip", "1", *read((a, a, c), (a, c))),
+        PerturbationResult("hop.skip", "2", *read((a, b, a), (a, b))),
     ]
-    proofs.append(PerturbationResult("hop.skip", "1", *read((a, a, c), (a, c))))
-    proofs.append(PerturbationResult("hop.skip", "2", *read((a, b, a), (a, b))))
     for skipped, source, relation in (("3", c, "r4"), ("4", b, "r3")):
         # What is left holds of the target, so nobody else for certain means that it cannot be decided.
         _, sure = joins.others(source, paths.relations[relation], (a, b, c))
         reached = np.where(count(sure) >= 2, SEVERAL, UNDECIDED)
-        proofs.append(PerturbationResult("hop.skip", skipped, *read_people(context, paths, reached)))
-    proofs += program_shifts(context, paths, "abc", read)
+        proofs.append(PerturbationResult("hop.skip", skipped, *_poses(context, paths, reached)))
+    for by in both_ways(context.rules):
+        found = context.query("necessity", "fork_join_shift", by=by)
+        found = found.take(masked(path_rows(paths, found)))
+        moved = paths.frames["t0"] + by
+        outcome, answer = read([_reached(context.scene, found, node, moved) for node in "abc"])
+        proofs.append(PerturbationResult.of_shift(by, outcome, answer, beyond(context, moved)))
+    return [*proofs, _drop(context, paths, read)]
+
+
+Read = tuple[Codes, Codes]
+"""Effect and answer of a perturbed program, per candidate."""
+
+
+def _poses(context: SearchContext, paths: Candidates, moment: Ints) -> Read:
+    """Effect and answer of reading the poses of these people, by their moments, in place of the candidates' targets."""
+    answer = np.where(moment < 0, NOBODY, context.scene.moment_poses[moment]).astype(np.int8)
+    nobody = [moment == NO_MATCH, moment == SEVERAL]
+    return np.select(nobody, [Effect.EMPTY, Effect.AMBIGUOUS], compared(answer, paths.answer)).astype(np.int8), answer
+
+
+def _reached(scene: Scene, found: pa.Table, node: str, frames: Ints) -> Ints:
+    """The moment at these frames of whom a query's rows reach, or the number of the outcome."""
+    track, outcome = ints(found, node), coded(found[f"{node}_outcome"], OUTCOMES_NOWHERE)
+    nowhere = np.array([*NOWHERE, UNDECIDED])[outcome]
+    return np.where(track == NOBODY, nowhere, scene.moments(track, np.minimum(frames, scene.keyframes[-1])))
+
+
+def _drop(context: SearchContext, paths: Candidates, read: Callable[..., Read]) -> PerturbationResult:
+    """The answers at every keyframe at which description and first steps lead to two people."""
     found = context.query("necessity", "fork_join_drop")
-    number = ints(found, "id")
-    outcome, _ = read([ints(found, node) for node in "abc"], rows=paths.take(number))
+    codes = [coded(found[name], RELATIONS) for name in ("r1", "r2")]
+    key, keys = (
+        (description * len(RELATIONS) + r1) * len(RELATIONS) + r2
+        for description, r1, r2 in (
+            (context.descriptions.texts[1][paths.name], paths.relations["r1"], paths.relations["r2"]),
+            (ints(found, "description"), *codes),
+        )
+    )
+    order = np.argsort(keys, kind="stable")
+    low, high = (np.searchsorted(keys[order], key, side=side) for side in ("left", "right"))
+    number = np.repeat(np.arange(len(paths)), high - low)
+    row = order[np.arange(len(number)) - np.repeat(np.cumsum(high - low) - high, high - low)]
+    people = [context.scene.moments(ints(found, node), ints(found, "frame"))[row] for node in "abc"]
+    outcome, _ = read(people, rows=paths.take(number))
     different = outcome == Effect.DIFFERENT
     known = different | (outcome == Effect.SAME)
     defined, others = (np.bincount(number[which], minlength=len(paths)) for which in (known, different))
-    return [*proofs, PerturbationResult.of_drop(defined, 1 + (others > 0))]
+    return PerturbationResult.of_drop(defined, 1 + (others > 0))
 
 
 def _joined(joins: Joins, paths: Candidates, people: Sequence[Ints], apart: Sequence[Ints]) -> Ints:

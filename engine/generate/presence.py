@@ -23,8 +23,9 @@ from jrdb_avr.engine.generate.candidates import (
     first_refusing,
     proven_rules,
 )
-from jrdb_avr.engine.generate.chains import beyond, both_ways
+from jrdb_avr.engine.generate.chains import beyond
 from jrdb_avr.engine.generate.context import SearchContext
+from jrdb_avr.engine.generate.keyframes import both_ways
 from jrdb_avr.engine.generate.scene import NOBODY, Ints, Scene, flags, ints
 from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.labels import PRESENCE_ANSWERS
@@ -51,7 +52,7 @@ class _Pairs:
 
     @classmethod
     def of(cls, scene: Scene, found: pa.Table) -> _Pairs:
-        at1, at2 = ints(found, "at1"), ints(found, "at2")
+        at1, at2 = (scene.moments(ints(found, "a"), ints(found, time)) for time in ("t1", "t2"))
         spacings, spacing = np.unique(scene.frames(at2) - scene.frames(at1), return_inverse=True)
         away = np.asarray(pc.is_null(found["ahead"]).to_numpy(), dtype=bool)
         answer = choice_codes(found["answer"])
@@ -63,7 +64,7 @@ def find_presence(context: SearchContext, template: Template) -> Candidates:
     scene = context.scene
     described = context.query("generators", "described")
     pairs = _Pairs.of(scene, context.query("generators", "presence"))
-    at0 = ints(described, "at0")
+    at0 = scene.moments(ints(described, "a"), ints(described, "t0"))
     # Pairs lie by person and first time: those of a description are the last ones of the person.
     after = np.searchsorted(scene.keyframes, scene.frames(at0) + frames(context.rules.min_wait_s))
     person = scene.people(at0)
@@ -78,7 +79,7 @@ def find_presence(context: SearchContext, template: Template) -> Candidates:
         "t2": scene.frames(pairs.at2).astype(np.int32)[pair],
     }
     perturbed = (
-        *(_shift(context, pairs, pair, times, by) for by in both_ways(context)),
+        *(_shift(context, pairs, pair, times, by) for by in both_ways(context.rules)),
         _drop(scene, pairs, person, after, row, pair),
     )
     alone = {rule: flags(described, rule)[row] for rule in ("anchor", "evidence", "image", "ahead")}
@@ -110,7 +111,7 @@ def _shift(context: SearchContext, pairs: _Pairs, pair: Ints, times: dict[str, I
     scene = context.scene
     found = context.query("necessity", "presence_shift", by=by)
     seen = np.full(scene.moment_count, NOBODY)
-    seen[ints(found, "at")] = ints(found, "seen")
+    seen[scene.moments(ints(found, "a"), ints(found, "frame"))] = ints(found, "seen")
     first, second = seen[pairs.at1], seen[pairs.at2]
     known = (first != NOBODY) & (second != NOBODY)
     answer = np.where(known, _READ[2 * first + second], NOBODY).astype(np.int8)

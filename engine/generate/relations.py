@@ -1,9 +1,8 @@
-"""Relations between people at keyframes, as facts of three values and as steps from one person to the next.
+"""Relations between people at keyframes, as facts of three values.
 
 A *fact* joins two moments of one keyframe: certain, or possible (a hard label, a closed gap, an edge of a sector).
 Where a person's list was not read, or a 3D box has no lidar points, every relation of that kind with anybody is
-possible. A *step* leads from a moment by a relation to the one person who certainly has it while nobody else
-could, or the reason why there is none. Every moment has a step for every relation.
+possible.
 """
 
 from __future__ import annotations
@@ -13,21 +12,8 @@ from typing import Final
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
-from jrdb_avr.engine.generate.scene import (
-    NO_MATCH,
-    NOBODY,
-    NOWHERE,
-    SEVERAL,
-    UNDECIDED,
-    Ints,
-    Scene,
-    coded,
-    find_sorted,
-    flags,
-    named,
-)
+from jrdb_avr.engine.generate.scene import NOBODY, Ints, Scene, coded, flags
 from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.relations import LAYER_OF_KIND, QUESTION_RELATIONS, SAME_GROUP
@@ -37,13 +23,14 @@ from jrdb_avr.schema.wording.text import poses_of
 SOCIAL, GROUP, ROBOT_VIEW, PERSON_VIEW = range(4)
 """Layers with relations: where a layer is unknown of a person, all its relations are."""
 
-_LAYERS: Final = ("interactions", "groups", "2d", "3d")
+RELATION_LAYERS: Final = ("interactions", "groups", "2d", "3d")
+"""The layer that tells of each kind of relation."""
 
 RELATIONS: Final = QUESTION_RELATIONS
 """Relations that a question may name; coded columns are indices into it. Of windows, which hold of several people,
 there are no facts here and no steps: see `fork_join`."""
 
-KIND: Final = np.array([_LAYERS.index(LAYER_OF_KIND[ROWS[label].kind]) for label in RELATIONS], np.int64)
+KIND: Final = np.array([RELATION_LAYERS.index(LAYER_OF_KIND[ROWS[label].kind]) for label in RELATIONS], np.int64)
 
 STATED_POSES: Final = np.array([[pose in poses_of(relation) for pose in POSES] for relation in RELATIONS])
 """(relations, poses): the poses that a relation's words name."""
@@ -70,27 +57,6 @@ class Facts:
         return np.asarray(~(self.known[kind, self.source] & self.known[kind, self.target]))
 
 
-@dataclass(frozen=True)
-class Steps:
-    """Target of every moment with a box by every relation that leads anywhere in the scene; or NO_MATCH, ..."""
-
-    source: Ints
-    relation: Ints
-    target: Ints
-
-    def tables(self) -> dict[str, pa.Table]:
-        """The graph's tables `Step` and, of those that lead to somebody, `Leads`.
-
-        Where a step leads to nobody, all further steps do.
-        """
-        leading = np.unique(self.relation)
-        ends = np.repeat(np.array(NOWHERE), len(leading))
-        relation = np.concatenate([self.relation, np.tile(leading, len(NOWHERE))])
-        source, target = (np.concatenate([moments, ends]) for moments in (self.source, self.target))
-        steps = pa.table({"from": source, "to": target, "relation": named(relation, RELATIONS)})
-        return {"Step": steps, "Leads": steps.filter(pc.greater_equal(steps["to"], 0))}
-
-
 def find_facts(scene: Scene) -> Facts:
     """All relations at the keyframes of a scene, between people with a box there."""
     parts = [_labelled_pairs(scene, scene.interactions), _labelled_pairs(scene, scene.beside), _groups(scene)]
@@ -100,25 +66,6 @@ def find_facts(scene: Scene) -> Facts:
     order = np.lexsort((~certain, key))
     first = order[np.unique(key[order], return_index=True)[1]]
     return Facts(source[first], relation[first], target[first], certain[first], _known(scene))
-
-
-def find_steps(scene: Scene, facts: Facts) -> Steps:
-    """The step of every moment with a box by every relation that leads to somebody anywhere."""
-    cell = facts.source * len(RELATIONS) + facts.relation
-    cells, first, place, rows = np.unique(cell, return_index=True, return_inverse=True, return_counts=True)
-    owner, relation = cells // len(RELATIONS), cells % len(RELATIONS)
-    # People of whom nothing is known count beside those who have a fact, and are not counted twice.
-    others = unknown_others(scene, facts.known)
-    could = rows + others[KIND[relation], owner] - np.bincount(place, weights=facts.unread, minlength=len(cells))
-    sure = np.bincount(place, weights=facts.certain, minlength=len(cells))
-    single = (could == 1) & (sure == 1)
-    target = np.where(single, facts.target[first], np.where(sure >= 2, SEVERAL, UNDECIDED))
-    leading = np.unique(relation[single])
-    source, by = np.repeat(scene.seen_moments, len(leading)), np.tile(leading, len(scene.seen_moments))
-    result = np.where(others[KIND[by], source] > 0, UNDECIDED, NO_MATCH)
-    at = find_sorted(source * len(RELATIONS) + by, cells)
-    result[at != NOBODY] = target[at[at != NOBODY]]
-    return Steps(source, by, result)
 
 
 def unknown_others(scene: Scene, known: Bools) -> Ints:
@@ -133,7 +80,7 @@ def unknown_others(scene: Scene, known: Bools) -> Ints:
 
 
 def _known(scene: Scene) -> Bools:
-    known = np.ones((len(_LAYERS), scene.moment_count), bool)
+    known = np.ones((len(RELATION_LAYERS), scene.moment_count), bool)
     there, rows = scene.seen_moments, scene.moment_rows[scene.seen_moments]
     known[SOCIAL, there] = scene.flag("interactions_listed")[rows]
     known[PERSON_VIEW, there] = scene.flag("located")[rows]

@@ -16,12 +16,14 @@ import pyarrow.parquet as pq
 
 from jrdb_avr.engine.generate.blind import Guesser, blind_check, question_texts
 from jrdb_avr.engine.generate.diagnostics import REFUSALS, refusal_row, shortfalls, tallies
+from jrdb_avr.engine.generate.keyframe_graph import ensure_layer
 from jrdb_avr.engine.generate.learned import learned_guesser
 from jrdb_avr.engine.generate.publish import publish
 from jrdb_avr.engine.generate.scene import box_count
 from jrdb_avr.engine.generate.selection import POOL, Selection, select
 from jrdb_avr.engine.generate.sequence import EXAMPLES, SequenceJob, SequenceResult, search_sequence
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
+from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Manifest, Store, file_hash, write_atomic
 from jrdb_avr.queries.workers import map_shards
 from jrdb_avr.schema.errors import AvrWarning, StoreError
@@ -95,9 +97,14 @@ def generate(
         check_intervals(store, manifest)
         sequences = _sequences(store, manifest, require_occlusion)
         parts = [Path(scratch) / f"{sequence}.parquet" if candidates else None for sequence in sequences]
-        jobs = [SequenceJob(store.path, name, rules, part) for name, part in zip(sequences, parts, strict=True)]
+        lows = ensure_layer(store, rules, workers)
+        jobs = [
+            SequenceJob(store.path, name, lows[name], rules, part) for name, part in zip(sequences, parts, strict=True)
+        ]
         advance = step_counter(progress, "searching", len(sequences))
-        results = _search(store, jobs, workers, advance)
+        # Held open, so that this process plans a statement once for all sequences.
+        with Graph.open(store.graph_path, read_only=True):
+            results = _search(store, jobs, workers, advance)
         if candidates is not None:
             _gather([part for part in parts if part], candidates)
         return _publish(store, results, rules, profile, seed, excluded, guesser)

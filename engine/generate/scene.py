@@ -8,6 +8,7 @@ An *absence* is a stretch without a box between two boxes of a person, in which 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
@@ -140,6 +141,10 @@ class Scene:
         """Number of each moment's person."""
         return moments // len(self.keyframes)
 
+    def moments(self, tracks: Ints, frames: Ints) -> Ints:
+        """Number of each track's moment at a keyframe."""
+        return self.person_of(tracks) * len(self.keyframes) + np.searchsorted(self.keyframes, frames)
+
     def frames(self, moments: Ints) -> Ints:
         """Frame of each moment."""
         return self.keyframes[moments % len(self.keyframes)]
@@ -209,6 +214,17 @@ def find_sorted(values: Ints, keys: Ints) -> Ints:
         return np.full(values.shape, NOBODY)
     at = np.minimum(np.searchsorted(keys, values), len(keys) - 1)
     return np.where(keys[at] == values, at, NOBODY)
+
+
+def match_rows(wanted: Sequence[Ints], among: Sequence[Ints]) -> Ints:
+    """Per row of some columns, the row of other columns that holds the same numbers from 0 on; NOBODY where none does."""
+    key, keys = np.zeros(len(wanted[0]), np.int64), np.zeros(len(among[0]), np.int64)
+    for one, other in zip(wanted, among, strict=True):
+        size = 1 + int(max(one.max(initial=0), other.max(initial=0)))
+        key, keys = key * size + one, keys * size + other
+    order = np.argsort(keys)
+    at = find_sorted(key, keys[order])
+    return np.where(at == NOBODY, NOBODY, np.append(order, NOBODY)[at])
 
 
 def ints(table: pa.Table, name: str) -> Ints:

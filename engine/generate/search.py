@@ -1,8 +1,9 @@
-"""The search for a template's candidates in a scene's graph, and their judgement by rule."""
+"""The search for a template's candidates in the stored graph, and their judgement by rule."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 import pyarrow as pa
@@ -17,12 +18,12 @@ from jrdb_avr.engine.generate.candidates import (
     proven_rules,
     stated_poses,
 )
-from jrdb_avr.engine.generate.chains import chain_proofs, in_blocks
+from jrdb_avr.engine.generate.chains import path_rows, program_proofs, start_proofs, text_proofs
 from jrdb_avr.engine.generate.context import SearchContext
-from jrdb_avr.engine.generate.fork_join import find_forks, find_joins, fork_proofs
+from jrdb_avr.engine.generate.fork_join import fork_proofs
 from jrdb_avr.engine.generate.presence import find_presence
 from jrdb_avr.engine.generate.relations import RELATIONS
-from jrdb_avr.engine.generate.scene import NOBODY, coded, flags, ints
+from jrdb_avr.engine.generate.scene import NOBODY, coded, flags, ints, masked
 from jrdb_avr.engine.generate.time_shift import held_person_proofs
 from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.relations import SAME_GROUP
@@ -30,11 +31,10 @@ from jrdb_avr.schema.templates import Template
 
 
 def find_candidates(context: SearchContext, template: Template) -> Candidates:
-    """Search a scene's graph for a template's candidates and judge them."""
+    """Search a sequence's part of the graph for a template's candidates and judge them."""
     if template.spec.read == "presence":
         return find_presence(context, template)
-    joins = find_joins(context) if template.joins else None
-    found = context.query("generators", template.query) if joins is None else find_forks(context, joins)
+    found = context.query("generators", template.query)
     candidates = list_candidates(context, template, found)
     if not len(candidates):
         return candidates
@@ -44,34 +44,50 @@ def find_candidates(context: SearchContext, template: Template) -> Candidates:
     if template.edges:
         # Proofs about hops take long: candidates that another rule refuses are left out.
         rows = np.flatnonzero(first_refusing(holds, len(candidates)) == PASSED)
-        paths = candidates.take(rows)
+        paths, hops = candidates.take(rows), found.take(rows)
         if not template.single_view:
             holds["view.single"] = np.ones(len(candidates), dtype=bool)
             holds["view.single"][rows] = _needs_turning(context, paths)
-        proofs = in_blocks(
-            context, paths, lambda some: fork_proofs(context, joins, some) if joins else chain_proofs(context, some)
-        )
-        perturbed += [result.at(rows, len(candidates)) for result in proofs]
+        if template.time_proof == "times":
+            hops = context.query("necessity", f"{template.query}_hops")
+            hops = hops.take(masked(path_rows(paths, hops)))
+        for rule in ("hop.stop", "hop.skip"):
+            if (column := rule.replace(".", "_")) in hops.column_names:
+                holds[rule] = np.ones(len(candidates), dtype=bool)
+                holds[rule][rows] = flags(hops, column)
+        perturbed += [result.at(rows, len(candidates)) for result in _hop_proofs(context, paths, hops)]
     if template.time_proof == "times":
         perturbed += held_person_proofs(context, candidates)
-    rule = first_refusing(holds | proven_rules(perturbed, context.rules), len(candidates))
+    rule = first_refusing(proven_rules(perturbed, context.rules) | holds, len(candidates))
     return replace(candidates, rule=rule, perturbed=tuple(perturbed))
+
+
+def _hop_proofs(context: SearchContext, paths: Candidates, found: pa.Table) -> list[PerturbationResult]:
+    """The proofs of paths that no other rule refuses, from the rows of their statement."""
+    if paths.template.spec.read == "start_view":
+        return start_proofs(context, found, paths)
+    stops = text_proofs("hop.stop", found, paths)
+    if paths.template.joins:
+        return [*stops, *fork_proofs(context, paths)]
+    later = program_proofs(context, paths) if paths.template.time_proof == "program" else []
+    return [*stops, *text_proofs("hop.skip", found, paths), *later]
+
+
+_TIMES: Final = ("t1", "t2", "leaves", "returns")
 
 
 def list_candidates(context: SearchContext, template: Template, found: pa.Table) -> Candidates:
     """The rows of a generator's query as candidates, which no rule has judged yet."""
     scene, columns = context.scene, set(found.column_names)
-    people = {node: ints(found, "at0" if node == "a" else node) for node in template.people}
-    # Of the target, whose moment at t0 is named by its node.
-    times = {"t0": scene.frames(people[template.target]), template.described: scene.frames(people[template.target])}
-    times |= {f"t{column[2:]}": scene.frames(ints(found, column)) for column in ("at1", "at2") if column in columns}
-    times |= {name: ints(found, name) for name in ("leaves", "returns") if name in columns}
+    described = ints(found, template.described)
+    people = {node: scene.moments(ints(found, node), described) for node in template.people}
+    times = {"t0": described} | {name: ints(found, name) for name in _TIMES if name in columns}
     for suffix in [suffix for suffix in ("", "2") if f"segment{suffix}" in columns]:
         rows = ints(found, f"segment{suffix}")
         times |= {name + suffix: ints(scene.segments, name)[rows] for name in ("first", "last", "start", "end")}
     none = np.full(len(found), NOBODY)
     segment, segment2, window = (
-        ints(found, name) if name in columns else none for name in ("segment", "segment2", "company")
+        ints(found, name) if name in columns else none for name in ("segment", "segment2", "encounter")
     )
     return Candidates(
         template=template,

@@ -28,6 +28,7 @@ from jrdb_avr.engine.generate.scene import Ints, Scene, load_scene
 from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.engine.generate.selection import POOL
 from jrdb_avr.engine.rederive import Annotations, rederive
+from jrdb_avr.queries.graph.handle import worker_graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import without_collector
 from jrdb_avr.schema.plan import parse_plan
@@ -46,10 +47,11 @@ _BLOCK: Final = 200_000
 
 @dataclass(frozen=True)
 class SequenceJob:
-    """A sequence to search. `candidates` is where to write every proven candidate, or None."""
+    """A sequence to search, whose ids in the graph begin at `low`. `candidates` is where to write every proven candidate, or None."""
 
     store: Path
     sequence: str
+    low: int
     rules: Rules
     candidates: Path | None = None
 
@@ -83,7 +85,8 @@ def search_sequence(job: SequenceJob) -> SequenceResult:
     scene = load_scene(store, job.sequence)
     annotations = Annotations.read(store, job.sequence, job.rules)
     writing = contextlib.nullcontext() if job.candidates is None else pq.ParquetWriter(job.candidates, CANDIDATES)
-    with SearchContext.of(scene, job.rules) as context, writing as writer:
+    with worker_graph(store.graph_path) as graph, writing as writer:
+        context = SearchContext.of(scene, job.rules, graph, job.low)
         search = _Search(context, annotations, writer, SequenceResult(_head(scene), POOL.empty_table()))
         for name, forms in FORMS.items():
             missing = [tuple(layer for layer in form.layers if layer not in scene.layers) for form in forms]

@@ -1,43 +1,15 @@
-"""What generation makes of a template's row: its query with the rules' values, and plans of candidates as columns.
-
-A template's candidates come from `queries/generators/<form>.cypher`; each row names the description (`name`), the
-moments of the people along the path (`at0` of a, then `b`, `c`, ...) with the relations between them (`r1`, ...), and
-the moments (`at1`, ...) or segments it speaks of. What the perturbed programs answer comes from
-`queries/necessity/*.cypher`.
-"""
+"""Plans of candidates as texts, made from columns."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from importlib import resources
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.schema.plan import Condition, canonical
-from jrdb_avr.schema.rules import FPS, Rules, frames
 from jrdb_avr.schema.templates import Slots, Template
-
-
-def query_text(folder: str, name: str) -> str:
-    """The text of a packaged Cypher file."""
-    return resources.files("jrdb_avr.queries").joinpath(folder, f"{name}.cypher").read_text(encoding="utf-8")
-
-
-def query_values(rules: Rules) -> dict[str, int | float]:
-    """Values of the parameters that the queries may use; frames, metres and degrees."""
-    return {
-        "wait": frames(rules.min_wait_s),
-        "later": frames(rules.long_wait_s),
-        "search": frames(rules.search_wait_s),
-        "turn": rules.turn_deg,
-        "gap": frames(rules.gap_min_s),
-        "least": rules.count_min,
-        "fps": FPS,
-        "changed": rules.distance_changed_m,
-        "same": rules.distance_same_m,
-    }
 
 
 def plan_texts(template: Template, columns: Mapping[str, pa.Array]) -> pa.Array:

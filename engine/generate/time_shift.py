@@ -5,17 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from jrdb_avr.engine.generate.candidates import Candidates, Effect, PerturbationResult, choice_codes, compared
-from jrdb_avr.engine.generate.chains import beyond, both_ways
+from jrdb_avr.engine.generate.chains import beyond
 from jrdb_avr.engine.generate.context import SearchContext
-from jrdb_avr.engine.generate.scene import NOBODY, find_sorted, ints
+from jrdb_avr.engine.generate.keyframes import both_ways
+from jrdb_avr.engine.generate.scene import NOBODY, ints, match_rows
 
 
 def held_person_proofs(context: SearchContext, candidates: Candidates) -> list[PerturbationResult]:
     """Both shifts and the drop."""
-    shifts = [_shift(context, candidates, by) for by in both_ways(context)]
+    shifts = [_shift(context, candidates, by) for by in both_ways(context.rules)]
+    scene = context.scene
+    track = scene.tracks[scene.people(candidates.people[candidates.template.target])]
     # A candidate without a row has no answer at any keyframe: where the person who is read is never in clear view.
     read = context.query("necessity", f"{candidates.template.time_queries}_drop")
-    row = find_sorted(candidates.people[candidates.template.target], ints(read, "at0"))
+    row = match_rows([track, candidates.frames["t0"]], [ints(read, "a"), ints(read, "t0")])
     defined, answers = (np.append(ints(read, name), 0)[row] for name in ("defined", "answers"))
     return [*shifts, PerturbationResult.of_drop(defined, answers)]
 
@@ -27,13 +30,9 @@ def _shift(context: SearchContext, candidates: Candidates, by: int) -> Perturbat
     """
     scene, t0, t1 = context.scene, candidates.frames["t0"], candidates.frames["t1"]
     read = context.query("necessity", f"{candidates.template.time_queries}_shift", by=by)
-    moments = {"at0": candidates.people[candidates.template.target]}
-    moments["at1"] = moments["at0"] + np.searchsorted(scene.keyframes, t1) - np.searchsorted(scene.keyframes, t0)
-    key, keys = np.zeros(len(t0), dtype=np.int64), np.zeros(len(read), dtype=np.int64)
-    # Rows are ordered by these columns, of which some queries read but the second.
-    for name in [name for name in moments if name in read.column_names]:
-        key, keys = key * scene.moment_count + moments[name], keys * scene.moment_count + ints(read, name)
-    row = find_sorted(key, keys)
+    keys = {"a": scene.tracks[scene.people(candidates.people[candidates.template.target])], "t0": t0, "t1": t1}
+    names = [name for name in keys if name in read.column_names]
+    row = match_rows([keys[name] for name in names], [ints(read, name) for name in names])
     # A last row stands for NOBODY.
     answer = np.append(choice_codes(read["answer"]), np.int8(NOBODY))[row]
     nothing = (answer == NOBODY) & (row != NOBODY)

@@ -1,13 +1,26 @@
 // action_search: two steps lead to a person at t0 who later starts an action somewhere else: the first stable segment
-// of it after t0, seen in a direction more than $turn degrees away from that at t0.
-MATCH (:Description)-[n:Names]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)<-[:`Is`]-(:Person)
-      -[:Does]->(s:Segment)
-WHERE n.general AND c.id <> a.id
-  AND s.start >= c.t + $search AND s.quiet_from <= c.t
+// of it after t0, seen in a direction more than $turn degrees away from that at t0. skip_1: whom the second step leads
+// to from a; null where the search knows more than a name of an outcome (skip_1_outcome).
+// param sequence: text
+MATCH (n:Name)-[d:Describes]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)<-[:At]-(:Person)
+      -[:Acts]->(s:Segment)
+WHERE n.id >= $low AND n.id < $high
+  AND a.id >= $low AND a.id < $high
+  AND b.id >= $low AND b.id < $high
+  AND c.id >= $low AND c.id < $high
+  AND s.id >= $low AND s.id < $high
+  AND n.general AND c.id <> a.id
+  AND s.start >= c.frame + $search AND s.quiet_from <= c.frame
   AND abs(s.angle - c.angle) > $turn AND abs(s.angle - c.angle) < 360 - $turn
-RETURN n.id AS name, a.id AS at0, s1.relation AS r1, b.id AS b, s2.relation AS r2, c.id AS c, s.id AS segment,
-       n.anchor AS anchor,
+OPTIONAL MATCH (a)-[k:Step]->(x:Moment)
+WHERE x.id >= $low AND x.id < $high AND k.relation = s2.relation
+RETURN n.id - $low AS name, a.frame AS t0, a.track AS a, s1.relation AS r1, b.track AS b, s2.relation AS r2,
+       c.track AS c, s.id - $low AS segment,
+       d.anchor AS anchor,
        a.clear AND b.clear AND c.clear AND s.first_clear AS evidence,
        a.image AND s.first_image AS image,
-       s.first_ahead AS ahead
-ORDER BY name, r1, r2, segment
+       s.first_ahead AS ahead,
+       x.track AS skip_1_person,
+       coalesce(x.nowhere, CASE WHEN x.id IS NULL AND NOT a.open CONTAINS s2.layer THEN 'empty' ELSE 'unknown' END)
+         AS skip_1
+ORDER BY name, segment, r1, r2

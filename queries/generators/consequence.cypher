@@ -1,11 +1,15 @@
 // consequence: somebody described at t0, without a pose, keeps the posture of t0 at every keyframe for at least ten
-// seconds more; at the next keyframe a stable segment of another has begun, which is asked.
-MATCH (:Description)-[n:Names]->(m0:Moment)<-[:`Is`]-(:Person)-[:Does]->(s:Segment)
-WHERE n.poseless AND m0.t >= s.held_from AND s.held_to >= m0.t + $later
-RETURN n.id AS name, m0.id AS at0, s.id AS segment,
+// seconds more; at the next keyframe a stable segment of another has begun, which is the answer.
+// param sequence: text
+MATCH (n:Name)-[d:Describes]->(m0:Moment)<-[:At]-(:Person)-[:Acts]->(s:Segment)
+WHERE n.id >= $low AND n.id < $high
+  AND m0.id >= $low AND m0.id < $high
+  AND s.id >= $low AND s.id < $high
+  AND n.poseless AND m0.frame >= s.held_from AND s.held_to >= m0.frame + $later
+RETURN n.id - $low AS name, m0.frame AS t0, m0.track AS a, s.id - $low AS segment,
        s.action AS answer,
-       n.anchor AS anchor,
+       d.anchor AS anchor,
        m0.clear AND s.first_clear AS evidence,
        m0.image AND s.first_image AS image,
        s.first_ahead AS ahead
-ORDER BY at0, segment
+ORDER BY a, t0, segment

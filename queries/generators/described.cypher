@@ -1,9 +1,12 @@
 // Who is described at which keyframe: the other half of presence's candidates.
-MATCH (:Description)-[n:Names]->(m0:Moment)
-WHERE n.general
-RETURN n.id AS name, m0.id AS at0,
-       n.anchor AS anchor,
+// param sequence: text
+MATCH (n:Name)-[d:Describes]->(m0:Moment)
+WHERE n.id >= $low AND n.id < $high
+  AND m0.id >= $low AND m0.id < $high
+  AND n.general
+RETURN n.id - $low AS name, m0.frame AS t0, m0.track AS a,
+       d.anchor AS anchor,
        m0.clear AS evidence,
        m0.image AS image,
        m0.ahead AS ahead
-ORDER BY at0
+ORDER BY a, t0

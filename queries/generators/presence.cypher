@@ -2,11 +2,14 @@
 // pair with each description of the person that lies far enough before it (`described`): there are a hundred times as
 // many of those, and they are counted and judged without being listed here.
 // ahead: whether the boxes to look at lie straight ahead; null where there are none, then the one at t0 is.
-MATCH (m1:Moment)<-[:`Is`]-(:Person)-[:`Is`]->(m2:Moment)
-WHERE m1.seen IS NOT NULL AND m2.seen IS NOT NULL AND m2.t >= m1.t + $wait
-RETURN m1.id AS at1, m2.id AS at2,
+// param sequence: text
+MATCH (m1:Moment)<-[:At]-(:Person)-[:At]->(m2:Moment)
+WHERE m1.id >= $low AND m1.id < $high
+  AND m2.id >= $low AND m2.id < $high
+  AND m1.seen IS NOT NULL AND m2.seen IS NOT NULL AND m2.frame >= m1.frame + $wait
+RETURN m1.track AS a, m1.frame AS t1, m2.frame AS t2,
        list_extract(['both times', 'only at the first time', 'only at the second time', 'neither time'],
                     4 - 2 * m1.seen - m2.seen) AS answer,
        m1.image AND m2.image AS image,
        CASE WHEN m1.seen + m2.seen > 0 THEN (m1.seen = 0 OR m1.ahead) AND (m2.seen = 0 OR m2.ahead) END AS ahead
-ORDER BY at1, at2
+ORDER BY a, t1, t2

@@ -1,11 +1,38 @@
 // three_hop: as two_hop, one step farther; the four are different people.
-MATCH (:Description)-[n:Names]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)-[s3:Leads]->(d:Moment)
-WHERE n.general AND c.id <> a.id AND d.id <> a.id AND d.id <> b.id AND d.pose IS NOT NULL
-RETURN n.id AS name, a.id AS at0, s1.relation AS r1, b.id AS b, s2.relation AS r2, c.id AS c, s3.relation AS r3,
-       d.id AS d,
+// skip_1 leaves out the first step (x, then y), skip_2 the second (z); whoever comes back to a finds nobody.
+// param sequence: text
+MATCH (n:Name)-[e:Describes]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)-[s3:Leads]->(d:Moment)
+WHERE n.id >= $low AND n.id < $high
+  AND a.id >= $low AND a.id < $high
+  AND b.id >= $low AND b.id < $high
+  AND c.id >= $low AND c.id < $high
+  AND d.id >= $low AND d.id < $high
+  AND n.general AND c.id <> a.id AND d.id <> a.id AND d.id <> b.id AND d.pose IS NOT NULL
+OPTIONAL MATCH (a)-[k2:Step]->(x:Moment)
+WHERE x.id >= $low AND x.id < $high AND k2.relation = s2.relation
+OPTIONAL MATCH (x)-[k3:Step]->(y:Moment)
+WHERE y.id >= $low AND y.id < $high AND k3.relation = s3.relation
+OPTIONAL MATCH (b)-[k:Step]->(z:Moment)
+WHERE z.id >= $low AND z.id < $high AND k.relation = s3.relation
+WITH n, e, a, s1, b, s2, c, s3, d, coalesce(a.pose, 'unknown') AS stop_0, coalesce(b.pose, 'unknown') AS stop_1,
+     coalesce(c.pose, 'unknown') AS stop_2,
+     CASE WHEN x.id IS NULL THEN CASE WHEN a.open CONTAINS s2.layer THEN 'unknown' ELSE 'empty' END
+          WHEN x.nowhere IS NOT NULL THEN x.nowhere
+          WHEN y.id IS NULL THEN CASE WHEN x.open CONTAINS s3.layer THEN 'unknown' ELSE 'empty' END
+          WHEN y.id = a.id THEN 'empty'
+          ELSE coalesce(y.nowhere, y.pose, 'unknown') END AS skip_1,
+     CASE WHEN z.id IS NULL THEN CASE WHEN b.open CONTAINS s3.layer THEN 'unknown' ELSE 'empty' END
+          WHEN z.id = a.id THEN 'empty'
+          ELSE coalesce(z.nowhere, z.pose, 'unknown') END AS skip_2
+RETURN n.id - $low AS name, a.frame AS t0, a.track AS a, s1.relation AS r1, b.track AS b, s2.relation AS r2,
+       c.track AS c, s3.relation AS r3, d.track AS d,
        d.pose AS answer,
-       n.anchor AS anchor,
+       e.anchor AS anchor,
        a.clear AND b.clear AND c.clear AND d.clear AS evidence,
        a.image AS image,
-       d.ahead AS ahead
+       d.ahead AS ahead,
+       stop_0, stop_1, stop_2,
+       NOT stop_0 IN ['unknown', d.pose] AND NOT stop_1 IN ['unknown', d.pose] AND NOT stop_2 IN ['unknown', d.pose]
+         AS hop_stop,
+       skip_1, skip_2, NOT skip_1 IN ['unknown', d.pose] AND NOT skip_2 IN ['unknown', d.pose] AS hop_skip
 ORDER BY name, r1, r2, r3

@@ -27,7 +27,7 @@ _registry_lock = threading.Lock()
 
 @dataclass
 class SharedDatabase:
-    """A database with its users, its writer lock, and the lock of its file where it has one."""
+    """A database with its users, its writer lock, the lock of its file where it has one, and the plans of statements."""
 
     database: Any
     path: Path | None = None
@@ -35,6 +35,7 @@ class SharedDatabase:
     lock: IO[str] | None = None
     users: int = 1
     writer: threading.RLock = field(default_factory=threading.RLock)
+    plans: dict[str, Any] = field(default_factory=dict)
 
     def release(self) -> None:
         """Close the database with its last user."""

@@ -189,6 +189,18 @@ def publish(temporary: Path, place: Path) -> None:
         raise StoreError(f"cannot write {place}: {error.strerror}; free some space and load again") from None
 
 
+def copy_files(place: Path, copy: Path) -> None:
+    """Copy a graph file with what its last writer left in its log. Raises StoreError where it is no whole graph or the
+    disk refuses."""
+    check_fingerprint(place)
+    try:
+        for suffix in ("", *_SIDE_FILES):
+            if (file := place.with_name(place.name + suffix)).exists():
+                shutil.copyfile(file, copy.with_name(copy.name + suffix))
+    except OSError as error:
+        raise StoreError(f"cannot write {copy}: {error.strerror}; free some space") from None
+
+
 def remove_files(path: Path) -> None:
     """Remove a graph file with all that lies beside it but its lock."""
     for place in (path, fingerprint_path(path), *(path.with_name(path.name + suffix) for suffix in _SIDE_FILES)):

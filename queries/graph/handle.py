@@ -16,6 +16,7 @@ A `Graph` may be used from several threads, which then wait for each other; open
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
 import re
 import threading
 from collections.abc import Iterator, Mapping, Sequence
@@ -32,7 +33,7 @@ from jrdb_avr.queries.graph.database import (
     shortened,
     translated,
 )
-from jrdb_avr.queries.graph.file import check_room, lock_graph, make_parent, publish, remove_files
+from jrdb_avr.queries.graph.file import check_room, copy_files, lock_graph, make_parent, publish, remove_files
 from jrdb_avr.queries.graph.parameters import bind, strip_literals
 from jrdb_avr.queries.graph.wrong_answers import QueryPlan, refuse_wrong_answers
 from jrdb_avr.schema.errors import QueryError, StoreError
@@ -66,7 +67,6 @@ class Graph:
         self._shared = shared
         self._lock = threading.RLock()
         self._connection = kuzu.Connection(shared.database)
-        self._plans: dict[str, QueryPlan] = {}
         self._prepares = prepares
         self._prepared: dict[str, Any] = {}
         self._planned = 0
@@ -158,7 +158,7 @@ class Graph:
                 refuse_wrong_answers(self._plan(text, values), text)
             elif not _ROW.match(bare):
                 # A change of tables may change every plan.
-                self._plans.clear()
+                self._shared.plans.clear()
             return self._run(text, values, None)
 
     def copy(self, table: str, rows: pa.Table) -> None:
@@ -186,7 +186,7 @@ class Graph:
         if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", table):
             raise QueryError(f"{table!r} is no name of a table")
         with self._writing():
-            self._plans.clear()
+            self._shared.plans.clear()
             self._run(f"COPY `{table}` FROM {source}", values, None)
 
     @contextlib.contextmanager
@@ -217,12 +217,12 @@ class Graph:
     # -- the engine -------------------------------------------------------------------------------------------
 
     def _plan(self, text: str, values: Mapping[str, Any]) -> QueryPlan:
-        plan = self._plans.get(text)
+        plan: QueryPlan | None = self._shared.plans.get(text)
         if plan is None:
             plan = QueryPlan(str(self._run(f"EXPLAIN {text}", values, None).column(0)[0].as_py()))
-            if len(self._plans) >= _PREPARED:
-                self._plans.clear()
-            self._plans[text] = plan
+            if len(self._shared.plans) >= _PREPARED:
+                self._shared.plans.clear()
+            self._shared.plans[text] = plan
         return plan
 
     def _renew(self) -> None:
@@ -281,10 +281,28 @@ class Graph:
 
 
 @contextlib.contextmanager
-def build_graph(path: str | Path) -> Iterator[Graph]:
+def worker_graph(path: Path) -> Iterator[Graph]:
+    """A session for reading, which a worker process leaves open for its next item: opening and planning take longer
+    than most statements. Raises as `Graph.open`."""
+    with contextlib.ExitStack() as closing:
+        graph = _left_open.get(path)
+        if graph is None:
+            graph = Graph.open(path, read_only=True)
+            if multiprocessing.parent_process() is None:
+                closing.enter_context(graph)
+            else:
+                _left_open[path] = graph
+        yield graph
+
+
+_left_open: dict[Path, Graph] = {}
+
+
+@contextlib.contextmanager
+def build_graph(path: str | Path, *, extend: bool = False) -> Iterator[Graph]:
     """Build a graph beside `path` and rename it in when the block ends well; otherwise the old one stays.
 
-    Holds the graph's lock throughout. Raises LockedError where anybody has the graph open, StoreError where the disk
+    extend: whether it begins as a copy of the old one. Holds the graph's lock throughout. Raises LockedError where anybody has the graph open, StoreError where the disk
     refuses.
     """
     place = Path(path).resolve()
@@ -296,6 +314,8 @@ def build_graph(path: str | Path) -> Iterator[Graph]:
         # What a killed builder left behind; the lock proves that it is gone.
         remove_files(temporary)
         cleanup.callback(remove_files, temporary)
+        if extend:
+            copy_files(place, temporary)
         import kuzu
 
         try:

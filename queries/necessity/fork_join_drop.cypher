@@ -1,5 +1,12 @@
-// time.drop of fork_join: the two people reached at every keyframe at which there are two.
-MATCH (p:Path)-[:Of]->(:Description)-[f:Fits]->(a:Moment)-[s1:Leads]->(b:Moment), (a)-[s2:Leads]->(c:Moment)
-WHERE s1.relation = p.r1 AND s2.relation = p.r2 AND b.id <> c.id
-RETURN p.id AS id, f.t AS t, a.id AS a, b.id AS b, c.id AS c
-ORDER BY id, t
+// time.drop of fork_join: whom description and both first steps lead to at every keyframe at which they are two. Whom b
+// and c single out together then is no part of the graph.
+// param sequence: text
+MATCH (p:Description)-[:Fits]->(a:Moment)-[s1:Leads]->(b:Moment), (a)-[s2:Leads]->(c:Moment)
+WHERE p.id >= $low AND p.id < $high
+  AND a.id >= $low AND a.id < $high
+  AND b.id >= $low AND b.id < $high
+  AND c.id >= $low AND c.id < $high
+  AND b.id <> c.id AND s1.relation < s2.relation
+RETURN p.id - $low AS description, a.frame AS frame, s1.relation AS r1, s2.relation AS r2, a.track AS a, b.track AS b,
+       c.track AS c
+ORDER BY description, frame, r1, r2

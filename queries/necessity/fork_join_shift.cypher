@@ -1,6 +1,24 @@
-// time.shift of fork_join: description and both first steps read anew, $by frames later. Whom the people reached single
-// out together is read from the joins.
-MATCH (p:Path)-[:Of]->(:Description)-[f:Fits]->(a:Moment)-[s1:Step]->(b:Moment), (a)-[s2:Step]->(c:Moment)
-WHERE f.t = p.t + $by AND s1.relation = p.r1 AND s2.relation = p.r2
-RETURN p.id AS id, a.id AS a, b.id AS b, c.id AS c
-ORDER BY id
+// time.shift of fork_join: whom description and both first steps lead to $by frames later, or the outcome where that is
+// nobody. Whom b and c single out together then is no part of the graph.
+// param sequence: text
+// param by: integer = 45
+MATCH (n:Name)-[e:Describes]->(a:Moment)-[s1:Leads]->(b:Moment), (a)-[s2:Leads]->(c:Moment), (n)-[v:Moved]->(a2:Moment)
+WHERE n.id >= $low AND n.id < $high
+  AND a.id >= $low AND a.id < $high
+  AND b.id >= $low AND b.id < $high
+  AND c.id >= $low AND c.id < $high
+  AND a2.id >= $low AND a2.id < $high
+  AND n.general AND b.id <> c.id AND s1.relation < s2.relation AND v.by = $by
+  AND e.anchor AND a.clear AND b.clear AND c.clear AND a.image
+OPTIONAL MATCH (a2)-[k1:Step]->(b2:Moment)
+WHERE b2.id >= $low AND b2.id < $high AND k1.relation = s1.relation
+OPTIONAL MATCH (a2)-[k2:Step]->(c2:Moment)
+WHERE c2.id >= $low AND c2.id < $high AND k2.relation = s2.relation
+WITH n, s1, s2, a2, b2, c2,
+     CASE WHEN b2.id IS NULL AND a2.nowhere IS NULL AND NOT a2.open CONTAINS s1.layer THEN 'empty'
+          ELSE coalesce(a2.nowhere, b2.nowhere, 'unknown') END AS b_outcome,
+     CASE WHEN c2.id IS NULL AND a2.nowhere IS NULL AND NOT a2.open CONTAINS s2.layer THEN 'empty'
+          ELSE coalesce(a2.nowhere, c2.nowhere, 'unknown') END AS c_outcome
+RETURN n.id - $low AS name, s1.relation AS r1, s2.relation AS r2, a2.track AS a, b2.track AS b, c2.track AS c,
+       coalesce(a2.nowhere, 'unknown') AS a_outcome, b_outcome, c_outcome
+ORDER BY name, r1, r2

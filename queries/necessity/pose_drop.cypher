@@ -1,6 +1,9 @@
 // time.drop of change and later_pose: every keyframe at which t1 could be, for every moment that could be at t0, and
 // how many different poses are known there.
-MATCH (m0:Moment)<-[:`Is`]-(:Person)-[:`Is`]->(m:Moment)
-WHERE m.t >= m0.t + $wait AND m.pose IS NOT NULL
-RETURN m0.id AS at0, count(*) AS defined, count(DISTINCT m.pose) AS answers
-ORDER BY at0
+// param sequence: text
+MATCH (m0:Moment)<-[:At]-(:Person)-[:At]->(m:Moment)
+WHERE m0.id >= $low AND m0.id < $high
+  AND m.id >= $low AND m.id < $high
+  AND m.frame >= m0.frame + $wait AND m.pose IS NOT NULL
+RETURN m0.track AS a, m0.frame AS t0, count(*) AS defined, count(DISTINCT m.pose) AS answers
+ORDER BY a, t0

@@ -1,6 +1,10 @@
 // time.shift of presence: whether everybody is present (1) or absent (0) $by frames later, where it is known.
-// What is asked at two times moves with both.
+// Both times of a question move.
+// param sequence: text
+// param by: integer = 45
 MATCH (m:Moment)-[s:Shift]->(moved:Moment)
-WHERE s.by = $by AND moved.seen IS NOT NULL
-RETURN m.id AS at, moved.seen AS seen
-ORDER BY at
+WHERE m.id >= $low AND m.id < $high
+  AND moved.id >= $low AND moved.id < $high
+  AND s.by = $by AND moved.seen IS NOT NULL
+RETURN m.track AS a, m.frame AS frame, moved.seen AS seen
+ORDER BY a, frame

@@ -1,14 +1,13 @@
-// time.drop of three_hop: every keyframe at which the program has an answer, and how many different ones there are.
-// Each WITH keeps the walk in order, from the paths on: else every chain of the scene may be laid out first.
-MATCH (p:Path)-[:Of]->(:Description)-[:Fits]->(a:Moment)
-WITH p, a
-MATCH (a)-[s1:Leads]->(b:Moment)
-WHERE s1.relation = p.r1
-WITH p, a, b
-MATCH (b)-[s2:Leads]->(c:Moment)
-WHERE s2.relation = p.r2 AND c.id <> a.id
-WITH p, a, b, c
-MATCH (c)-[s3:Leads]->(d:Moment)
-WHERE s3.relation = p.r3 AND d.id <> a.id AND d.id <> b.id AND d.pose IS NOT NULL
-RETURN p.id AS id, count(*) AS defined, count(DISTINCT d.pose) AS answers
-ORDER BY id
+// time.drop of three_hop: by description and relations, at how many keyframes the program has an answer, and how many
+// different ones there are.
+// param sequence: text
+MATCH (p:Description)-[:Fits]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)-[s3:Leads]->(d:Moment)
+WHERE p.id >= $low AND p.id < $high
+  AND a.id >= $low AND a.id < $high
+  AND b.id >= $low AND b.id < $high
+  AND c.id >= $low AND c.id < $high
+  AND d.id >= $low AND d.id < $high
+  AND c.id <> a.id AND d.id <> a.id AND d.id <> b.id AND d.pose IS NOT NULL
+RETURN p.id - $low AS description, s1.relation AS r1, s2.relation AS r2, s3.relation AS r3, count(*) AS defined,
+       count(DISTINCT d.pose) AS answers
+ORDER BY description, r1, r2, r3

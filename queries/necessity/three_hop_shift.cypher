@@ -1,5 +1,31 @@
-// time.shift of three_hop: description and hops read anew, $by frames later.
-MATCH (p:Path)-[:Of]->(:Description)-[f:Fits]->(a:Moment)-[s1:Step]->(b:Moment)-[s2:Step]->(c:Moment)-[s3:Step]->(d:Moment)
-WHERE f.t = p.t + $by AND s1.relation = p.r1 AND s2.relation = p.r2 AND s3.relation = p.r3
-RETURN p.id AS id, a.id AS a, b.id AS b, c.id AS c, d.id AS d
-ORDER BY id
+// time.shift of three_hop: the answer with description and hops read anew, $by frames later; where there is none, the
+// outcome. Only candidates that no other rule refuses are tried, and only where there is a keyframe then.
+// param sequence: text
+// param by: integer = 45
+MATCH (n:Name)-[e:Describes]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)-[s3:Leads]->(d:Moment),
+      (n)-[v:Moved]->(a2:Moment)
+WHERE n.id >= $low AND n.id < $high
+  AND a.id >= $low AND a.id < $high
+  AND b.id >= $low AND b.id < $high
+  AND c.id >= $low AND c.id < $high
+  AND d.id >= $low AND d.id < $high
+  AND a2.id >= $low AND a2.id < $high
+  AND n.general AND c.id <> a.id AND d.id <> a.id AND d.id <> b.id AND d.pose IS NOT NULL AND v.by = $by
+  AND e.anchor AND a.clear AND b.clear AND c.clear AND d.clear AND a.image AND NOT d.ahead
+OPTIONAL MATCH (a2)-[k1:Step]->(b2:Moment)
+WHERE b2.id >= $low AND b2.id < $high AND k1.relation = s1.relation
+OPTIONAL MATCH (b2)-[k2:Step]->(c2:Moment)
+WHERE c2.id >= $low AND c2.id < $high AND k2.relation = s2.relation
+OPTIONAL MATCH (c2)-[k3:Step]->(d2:Moment)
+WHERE d2.id >= $low AND d2.id < $high AND k3.relation = s3.relation
+RETURN n.id - $low AS name, s1.relation AS r1, s2.relation AS r2, s3.relation AS r3,
+       CASE WHEN a2.nowhere IS NOT NULL THEN a2.nowhere
+            WHEN b2.id IS NULL THEN CASE WHEN a2.open CONTAINS s1.layer THEN 'unknown' ELSE 'empty' END
+            WHEN b2.nowhere IS NOT NULL THEN b2.nowhere
+            WHEN c2.id IS NULL THEN CASE WHEN b2.open CONTAINS s2.layer THEN 'unknown' ELSE 'empty' END
+            WHEN c2.id = a2.id THEN 'empty'
+            WHEN c2.nowhere IS NOT NULL THEN c2.nowhere
+            WHEN d2.id IS NULL THEN CASE WHEN c2.open CONTAINS s3.layer THEN 'unknown' ELSE 'empty' END
+            WHEN d2.id IN [a2.id, b2.id] THEN 'empty'
+            ELSE coalesce(d2.nowhere, d2.pose, 'unknown') END AS answer
+ORDER BY name, r1, r2, r3

@@ -1,5 +1,12 @@
-// time.drop of two_hop: every keyframe at which the program has an answer, and how many different ones there are.
-MATCH (p:Path)-[:Of]->(:Description)-[:Fits]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)
-WHERE s1.relation = p.r1 AND s2.relation = p.r2 AND c.id <> a.id AND c.pose IS NOT NULL
-RETURN p.id AS id, count(*) AS defined, count(DISTINCT c.pose) AS answers
-ORDER BY id
+// time.drop of two_hop: by description and relations, at how many keyframes the program has an answer, and how many
+// different ones there are.
+// param sequence: text
+MATCH (p:Description)-[:Fits]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)
+WHERE p.id >= $low AND p.id < $high
+  AND a.id >= $low AND a.id < $high
+  AND b.id >= $low AND b.id < $high
+  AND c.id >= $low AND c.id < $high
+  AND c.id <> a.id AND c.pose IS NOT NULL
+RETURN p.id - $low AS description, s1.relation AS r1, s2.relation AS r2, count(*) AS defined,
+       count(DISTINCT c.pose) AS answers
+ORDER BY description, r1, r2

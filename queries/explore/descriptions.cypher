@@ -1,0 +1,8 @@
+// Who is described how, at which keyframe? The numbers are those of the generators' column `name`.
+// param sequence: text
+MATCH (p:Description)<-[:Of]-(n:Name)-[d:Describes]->(m:Moment)
+WHERE p.id >= $low AND p.id < $high
+  AND n.id >= $low AND n.id < $high
+  AND m.id >= $low AND m.id < $high
+RETURN n.id - $low AS name, m.frame AS frame, m.track AS track, d.anchor AS anchor, p.conditions AS conditions
+ORDER BY name

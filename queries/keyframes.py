@@ -1,0 +1,51 @@
+"""The keyframe layer of a stored graph, as statements see it: their texts, the values they need, and its stamp."""
+
+from __future__ import annotations
+
+from importlib import resources
+from typing import Final
+
+import msgspec
+
+from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.schema.graph import KEYFRAME_NODES
+from jrdb_avr.schema.rules import FPS, Rules, frames
+
+SPAN: Final = 1 << 32
+"""Ids of a sequence: each sequence of a layer has a range of so many, which begins at its `low`."""
+
+
+def query_text(folder: str, name: str) -> str:
+    """The text of a packaged Cypher file."""
+    return resources.files("jrdb_avr.queries").joinpath(folder, f"{name}.cypher").read_text(encoding="utf-8")
+
+
+def keyframe_values(rules: Rules, low: int) -> dict[str, int | float]:
+    """Values of the parameters that statements over the layer may use: the sequence's ids; frames, metres, degrees."""
+    return {
+        "low": low,
+        "high": low + SPAN,
+        "wait": frames(rules.min_wait_s),
+        "later": frames(rules.long_wait_s),
+        "search": frames(rules.search_wait_s),
+        "turn": rules.turn_deg,
+        "gap": frames(rules.gap_min_s),
+        "least": rules.count_min,
+        "fps": FPS,
+        "changed": rules.distance_changed_m,
+        "same": rules.distance_same_m,
+    }
+
+
+STAMP: Final = "MATCH (k:Keyframes) RETURN k.sequence AS sequence, k.low AS low, k.rules AS rules ORDER BY low"
+
+
+def layer_stamp(graph: Graph) -> tuple[dict[str, int], Rules | None]:
+    """The first id of each sequence of a graph's keyframe layer, and the rules of the layer; nothing where it is not
+    complete."""
+    tables = graph.query("CALL show_tables() RETURN name AS name", ordered=False)["name"].to_pylist()
+    if not KEYFRAME_NODES.keys() <= set(tables):
+        return {}, None
+    rows = graph.query(STAMP).to_pylist()
+    lows = {row["sequence"]: row["low"] for row in rows}
+    return lows, msgspec.json.decode(rows[0]["rules"], type=Rules) if rows else None
