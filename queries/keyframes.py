@@ -37,7 +37,11 @@ def keyframe_values(rules: Rules, low: int) -> dict[str, int | float]:
     }
 
 
-STAMP: Final = "MATCH (k:Keyframes) RETURN k.sequence AS sequence, k.low AS low, k.rules AS rules ORDER BY low"
+STAMP: Final = (
+    "MATCH (k:Keyframes) RETURN k.low AS low, k.sequence AS sequence, k.rules_hash AS rules_hash, k.rules AS rules "
+    "ORDER BY low"
+)
+"""The stamp of a layer: a row per sequence, with the rules under which it was made."""
 
 
 def layer_stamp(graph: Graph) -> tuple[dict[str, int], Rules | None]:

@@ -1,4 +1,4 @@
-"""Named queries: the files of `queries/explore/*.cypher` and `queries/results/*.sql`, by their stem.
+"""Named queries: the files of `queries/results/*.sql` and of four folders of Cypher, by their stem.
 
 The first comment line of a file is the question that it answers. A comment line `param NAME: TYPE`, or with a default
 `param NAME: TYPE = VALUE`, declares a parameter: text, integer or number. Where a query takes a `frame`, `seconds` may
@@ -20,7 +20,7 @@ from jrdb_avr.queries.graph.parameters import scalar
 from jrdb_avr.schema.errors import QueryError
 from jrdb_avr.schema.rules import FPS
 
-FOLDERS: Final = {"cypher": "explore", "sql": "results"}
+FOLDERS: Final = {"cypher": ("explore", "generators", "necessity", "search"), "sql": ("results",)}
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _COMMENT = re.compile(r"^(?://|--)\s?(.*)$")
@@ -81,10 +81,10 @@ def _checked(name: str, kind: str, value: Any) -> Any:
 
 def named_queries(language: str) -> dict[str, NamedQuery]:
     """The queries of a language ("cypher" or "sql") by name, sorted."""
-    folder = files("jrdb_avr.queries").joinpath(FOLDERS[language])
-    found = sorted(entry.name for entry in folder.iterdir() if entry.name.endswith(f".{language}"))
-    names = [name.removesuffix(f".{language}") for name in found]
-    return {name: _read(name, folder.joinpath(f"{name}.{language}").read_text("utf-8")) for name in names}
+    folders = [files("jrdb_avr.queries").joinpath(folder) for folder in FOLDERS[language]]
+    found = [entry for folder in folders for entry in folder.iterdir() if entry.name.endswith(f".{language}")]
+    queries = [_read(entry.name.removesuffix(f".{language}"), entry.read_text("utf-8")) for entry in found]
+    return {query.name: query for query in sorted(queries, key=lambda query: query.name)}
 
 
 def find_query(language: str, text: str, params: dict[str, Any]) -> tuple[str, dict[str, Any]]:

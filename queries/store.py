@@ -32,10 +32,12 @@ import pyarrow.parquet as pq
 from jrdb_avr.queries.display import Displayed, Tables
 from jrdb_avr.queries.graph.file import STORE_GRAPH
 from jrdb_avr.queries.graph.guard import query_graph
+from jrdb_avr.queries.graph.parameters import parameters
+from jrdb_avr.queries.keyframes import STAMP, keyframe_values
 from jrdb_avr.queries.named import find_query
 from jrdb_avr.queries.sql import query_tables
 from jrdb_avr.schema.errors import InputError, LockedError, QueryError, StoreError
-from jrdb_avr.schema.rules import LoadRules
+from jrdb_avr.schema.rules import LoadRules, Rules
 from jrdb_avr.schema.tables import ANNOTATIONS, GENERATION_KEY, INTERVALS, QUESTIONS, RUNS
 
 MANIFEST_VERSION: Final = 1
@@ -246,7 +248,31 @@ class Store(Displayed):
         if not self.graph_path.exists():
             self.manifest()  # A folder that is no store lacks more than a graph.
         self._check_sequence(values.get("sequence"))
+        if "low" in parameters(statement) and "sequence" in values:
+            values = self._keyframe_values(statement, values)
         return query_graph(self.graph_path, statement, values, timeout_s=timeout_s)
+
+    def _keyframe_values(self, statement: str, values: dict[str, Any]) -> dict[str, Any]:
+        """The parameters of a statement over the keyframe layer, of whose values `sequence` stands for a range of ids.
+
+        Raises StoreError where the graph has no such layer, or one of other rules than the questions.
+        """
+        try:
+            found = query_graph(self.graph_path, STAMP).to_pylist()
+        except QueryError as error:
+            if "Keyframes" not in str(error):
+                raise
+            found = []
+        layer = {row["sequence"]: row for row in found}.get(values["sequence"])
+        path = self.question_path("answers")
+        questions = set(read_table(path, ["rules"])["rules"].to_pylist()) if path.exists() else set()
+        if layer is None or questions - {layer["rules_hash"]}:
+            what = (
+                "has no keyframe layer" if layer is None else "has a keyframe layer of other rules than the questions"
+            )
+            raise StoreError(f"{self.graph_path} {what}: run 'jrdb-avr generate --store {self.path}'")
+        known = keyframe_values(msgspec.json.decode(layer["rules"], type=Rules), layer["low"]) | values
+        return {name: known[name] for name in parameters(statement) if name in known}
 
     def _check_sequence(self, name: object) -> None:
         """Raises QueryError for a sequence that is not loaded, naming the nearest that is."""

@@ -60,8 +60,8 @@ KEYFRAME_NODES: Final[dict[str, str]] = {
     "Condition": "id INT64 PRIMARY KEY, sequence STRING, frame INT64, kind STRING, words STRING",
     "Description": "id INT64 PRIMARY KEY, sequence STRING, conditions STRING",
     "Name": "id INT64 PRIMARY KEY, sequence STRING, size INT64, people INT64, general BOOLEAN, poseless BOOLEAN",
-    "Segment": "id INT64 PRIMARY KEY, sequence STRING, action STRING, first INT64, last INT64, start INT64, `end` INT64, "
-    "quiet_from INT64, closed BOOLEAN, first_clear BOOLEAN, first_image BOOLEAN, first_ahead BOOLEAN, "
+    "Segment": "id INT64 PRIMARY KEY, sequence STRING, action STRING, first INT64, last INT64, start INT64, "
+    "`end` INT64, quiet_from INT64, closed BOOLEAN, first_clear BOOLEAN, first_image BOOLEAN, first_ahead BOOLEAN, "
     "last_clear BOOLEAN, last_image BOOLEAN, last_ahead BOOLEAN, angle DOUBLE, held_from INT64, held_to INT64",
     "Absence": "id INT64 PRIMARY KEY, sequence STRING, leaves INT64, returns INT64, present_from INT64, "
     "clear BOOLEAN, image BOOLEAN, ahead BOOLEAN",

@@ -57,7 +57,7 @@ def _starts(context: SearchContext, paths: Candidates, tracks: Ints, nobody: Int
 
 
 def program_proofs(context: SearchContext, paths: Candidates) -> list[PerturbationResult]:
-    """time.shift both ways and time.drop of the whole program: description and hops are read anew at other keyframes."""
+    """time.shift both ways and time.drop of the whole program: description and hops are read at other keyframes."""
     queries, results = paths.template.time_queries, []
     for by in both_ways(context.rules):
         found = context.query("necessity", f"{queries}_shift", by=by)

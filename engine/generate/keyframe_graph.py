@@ -75,7 +75,7 @@ def ensure_layer(store: Store, rules: Rules, workers: int) -> dict[str, int]:
 
 
 def stored_layer(store: Store, rules: Rules) -> dict[str, int]:
-    """The first id of each sequence of the layer of these rules. Raises StoreError where the graph has another or none."""
+    """The first id of each sequence of these rules' layer. Raises StoreError where the graph has no such layer."""
     with Graph.open(store.graph_path, read_only=True) as graph:
         lows, stamped = layer_stamp(graph)
     if stamped != rules:

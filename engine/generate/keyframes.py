@@ -13,7 +13,7 @@
     (Moment)-[:Begins]->(Encounter)          from then on, as long as it is known who is in a relation with the person
     (Encounter)-[:Meets {met}]->(Person)     who is in that relation with the person, from which keyframe on
 
-What follows from these is found by statements (`keyframe_graph`): whom a relation leads to, and which names are anchors.
+What follows is found by statements (`keyframe_graph`): whom a relation leads to, and which names are anchors.
 
 Numbers of nodes count up per sequence; a node's id is its number plus the sequence's `low`, so that a range of ids is a
 sequence. Where nobody can be meant, an edge ends in one of three moments without a person, whose `nowhere` is the
@@ -78,8 +78,8 @@ def keyframe_tables(context: SearchContext, low: int) -> Iterator[tuple[str, pa.
 
 
 def _ids(numbers: pa.ChunkedArray, low: int) -> Ints:
-    numbers = numbers.to_numpy()
-    return np.where(numbers < 0, numbers + SPAN, numbers) + low
+    local = numbers.to_numpy()
+    return np.asarray(np.where(local < 0, local + SPAN, local) + low)
 
 
 # -- moments --------------------------------------------------------------------------------------------------------
@@ -142,7 +142,15 @@ def _seen(scene: Scene, rows: Ints, rules: Rules) -> tuple[Bools, Bools]:
 
 
 def _facts(context: SearchContext) -> dict[str, pa.Table]:
+    """Everybody who certainly has a relation with a person, and then everybody else who could have it.
+
+    Of a relation that nobody certainly has, which so leads nowhere, one possible fact stands for all: they are by far
+    the most.
+    """
     scene, facts = context.scene, context.facts
+    _, first, cell = np.unique(facts.source * len(RELATIONS) + facts.relation, return_index=True, return_inverse=True)
+    stored = np.bincount(cell, weights=facts.certain)[cell] > 0
+    stored[first] = True
     columns = {
         "from": facts.source,
         "to": facts.target,
@@ -152,7 +160,7 @@ def _facts(context: SearchContext) -> dict[str, pa.Table]:
         # With how many others the relation is possible for want of knowledge.
         "unknown": unknown_others(scene, facts.known)[KIND[facts.relation], facts.source],
     }
-    return {"Fact": pa.table(columns)}
+    return {"Fact": pa.table(columns).filter(pa.array(stored))}
 
 
 # -- names ----------------------------------------------------------------------------------------------------------

@@ -217,7 +217,7 @@ def find_sorted(values: Ints, keys: Ints) -> Ints:
 
 
 def match_rows(wanted: Sequence[Ints], among: Sequence[Ints]) -> Ints:
-    """Per row of some columns, the row of other columns that holds the same numbers from 0 on; NOBODY where none does."""
+    """Per row of some columns, the row of other columns with the same numbers, from 0 on; NOBODY where none has."""
     key, keys = np.zeros(len(wanted[0]), np.int64), np.zeros(len(among[0]), np.int64)
     for one, other in zip(wanted, among, strict=True):
         size = 1 + int(max(one.max(initial=0), other.max(initial=0)))

@@ -51,10 +51,10 @@ def find_candidates(context: SearchContext, template: Template) -> Candidates:
         if template.time_proof == "times":
             hops = context.query("necessity", f"{template.query}_hops")
             hops = hops.take(masked(path_rows(paths, hops)))
-        for rule in ("hop.stop", "hop.skip"):
-            if (column := rule.replace(".", "_")) in hops.column_names:
-                holds[rule] = np.ones(len(candidates), dtype=bool)
-                holds[rule][rows] = flags(hops, column)
+        for name in ("hop.stop", "hop.skip"):
+            if (column := name.replace(".", "_")) in hops.column_names:
+                holds[name] = np.ones(len(candidates), dtype=bool)
+                holds[name][rows] = flags(hops, column)
         perturbed += [result.at(rows, len(candidates)) for result in _hop_proofs(context, paths, hops)]
     if template.time_proof == "times":
         perturbed += held_person_proofs(context, candidates)

@@ -47,7 +47,10 @@ _BLOCK: Final = 200_000
 
 @dataclass(frozen=True)
 class SequenceJob:
-    """A sequence to search, whose ids in the graph begin at `low`. `candidates` is where to write every proven candidate, or None."""
+    """A sequence to search, whose ids in the graph begin at `low`.
+
+    `candidates` is where to write every proven candidate, or None.
+    """
 
     store: Path
     sequence: str

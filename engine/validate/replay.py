@@ -1,7 +1,7 @@
 """Run stored questions again: the one comparison of records, all proofs, and the plans compiled to Cypher.
 
-Nothing of the stored record is taken over. A plan's own description, resolved again among everybody with a box, takes
-the place of those that generation chooses; from there the same queries search and prove, set-wise per sequence.
+Nothing of the stored record is taken over: its plan is looked up among the candidates that the same statements find
+and prove in the stored graph, set-wise per sequence.
 """
 
 from __future__ import annotations
@@ -16,11 +16,10 @@ import msgspec
 import numpy as np
 
 from jrdb_avr.engine.generate.candidates import PASSED, RULES, Candidates, to_table
-from jrdb_avr.engine.generate.conditions import find_conditions
 from jrdb_avr.engine.generate.context import SearchContext
-from jrdb_avr.engine.generate.descriptions import resolve
+from jrdb_avr.engine.generate.keyframe_graph import stored_layer
 from jrdb_avr.engine.generate.records import choice_sets, make_record
-from jrdb_avr.engine.generate.relations import RELATIONS, find_facts
+from jrdb_avr.engine.generate.relations import RELATIONS
 from jrdb_avr.engine.generate.scene import NOBODY, Ints, box_count, load_scene
 from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.engine.rederive import Annotations, Outcome, rederive
@@ -28,7 +27,7 @@ from jrdb_avr.queries.compiler.find import compile_find
 from jrdb_avr.queries.compiler.mapping import SCENE
 from jrdb_avr.queries.compiler.reads import SceneReader
 from jrdb_avr.queries.compiler.solve import PlanQuery, solve
-from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.queries.graph.handle import Graph, worker_graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import map_shards
 from jrdb_avr.schema.errors import AvrError, PlanError
@@ -131,10 +130,11 @@ def _form(name: str, plan: Plan) -> tuple[Template, Slots]:
 
 @dataclass(frozen=True)
 class ReplayJob:
-    """A sequence, and the questions of it whose proofs one process computes again."""
+    """A sequence, the first of its ids in the graph, and the questions of it whose proofs one process computes again."""
 
     store: Path
     sequence: str
+    low: int
     rules: Rules
     records: tuple[QuestionRecord, ...]
 
@@ -148,16 +148,19 @@ def replay(
 ) -> list[Difference]:
     """Run the proofs of questions again; differences come in the questions' order.
 
-    `advance` receives the number of finished questions. Raises StoreError where the store lacks a sequence's tables.
+    `advance` receives the number of finished questions. Raises StoreError where the store lacks a sequence's tables, or
+    its graph the keyframe layer of these rules.
     """
+    lows = stored_layer(store, rules)
     jobs = [
-        ReplayJob(store.path, name, rules, tuple(record for record in records if record.sequence == name))
+        ReplayJob(store.path, name, lows[name], rules, tuple(record for record in records if record.sequence == name))
         for name in sorted({record.sequence for record in records})
     ]
     found: list[Difference] = []
-    for index, own in map_shards(replay_sequence, jobs, workers, lambda job: box_count(store, job.sequence)):
-        found += own
-        advance(len(jobs[index].records))
+    with Graph.open(store.graph_path, read_only=True):
+        for index, own in map_shards(replay_sequence, jobs, workers, lambda job: box_count(store, job.sequence)):
+            found += own
+            advance(len(jobs[index].records))
     place = {record.question_id: number for number, record in enumerate(records)}
     return sorted(found, key=lambda difference: place[difference.question_id])
 
@@ -165,21 +168,20 @@ def replay(
 def replay_sequence(job: ReplayJob) -> list[Difference]:
     """Run the proofs of one sequence's questions again."""
     store = Store(job.store)
-    scene = load_scene(store, job.sequence)
-    facts = find_facts(scene)
     plans, found = read_plans(job.records)
-    conditions = find_conditions(scene, facts, job.rules)
-    stated = [(slots.conditions, slots.frames[form.described]) for _, _, form, slots in plans]
-    descriptions, names = resolve(conditions, stated, job.rules)
-    by_form: dict[str, list[tuple[StoredPlan, int]]] = defaultdict(list)
-    for stored_plan, name in zip(plans, names, strict=True):
-        if name < 0:
-            what = "its description fits no single person"
-            found.append(Difference(stored_plan.record.question_id, "anchor match", what))
-        else:
-            by_form[stored_plan.form.query].append((stored_plan, name))
     annotations = Annotations.read(store, job.sequence, job.rules)
-    with SearchContext(scene, job.rules, facts, descriptions) as context:
+    with worker_graph(store.graph_path) as graph:
+        context = SearchContext.of(load_scene(store, job.sequence), job.rules, graph, job.low)
+        names = context.descriptions.numbers(
+            (slots.conditions, slots.frames[form.described]) for _, _, form, slots in plans
+        )
+        by_form: dict[str, list[tuple[StoredPlan, int]]] = defaultdict(list)
+        for stored_plan, name in zip(plans, names, strict=True):
+            if name == NOBODY:
+                what = "its description is none that generation chooses"
+                found.append(Difference(stored_plan.record.question_id, "anchor match", what))
+            else:
+                by_form[stored_plan.form.query].append((stored_plan, name))
         for members in by_form.values():
             candidates = find_candidates(context, members[0][0].form)
             for (stored_plan, _), line in zip(members, _lines(context, candidates, members), strict=True):

@@ -1,5 +1,5 @@
 // two_hop: two certain steps from somebody described lead to a person whose pose is the answer.
-// stop_0, stop_1: the answer one or two people early; skip_1: without the first step. Where they give none, the outcome.
+// stop_0, stop_1: the answer one or two people early, skip_1: without the first step. Where they give none, the outcome.
 // param sequence: text
 MATCH (n:Name)-[d:Describes]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)
 WHERE n.id >= $low AND n.id < $high

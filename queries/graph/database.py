@@ -27,7 +27,7 @@ _registry_lock = threading.Lock()
 
 @dataclass
 class SharedDatabase:
-    """A database with its users, its writer lock, the lock of its file where it has one, and the plans of statements."""
+    """A database with its users, its writer lock, the lock of its file if it has one, and the plans of statements."""
 
     database: Any
     path: Path | None = None

@@ -92,7 +92,7 @@ def check_fingerprint(graph: Path) -> Fingerprint:
         raise StoreError(
             f"{graph} was built for version {built.storage_version} of the tables, this is {STORAGE_VERSION}: {rebuild}"
         )
-    if magic != _MAGIC or size % PAGE or size < built.size:
+    if magic != _MAGIC or size < built.size:
         raise StoreError(f"{graph} is no whole graph file: {rebuild}")
     return built
 

@@ -302,8 +302,8 @@ _left_open: dict[Path, Graph] = {}
 def build_graph(path: str | Path, *, extend: bool = False) -> Iterator[Graph]:
     """Build a graph beside `path` and rename it in when the block ends well; otherwise the old one stays.
 
-    extend: whether it begins as a copy of the old one. Holds the graph's lock throughout. Raises LockedError where anybody has the graph open, StoreError where the disk
-    refuses.
+    extend: whether it begins as a copy of the old one. Holds the graph's lock throughout. Raises LockedError where
+    anybody has the graph open, StoreError where the disk refuses.
     """
     place = Path(path).resolve()
     check_unused(place)

@@ -1,4 +1,4 @@
-// time.shift of two_hop: the answer with description and hops read anew, $by frames later; where there is none, the
+// time.shift of two_hop: the answer with description and hops read anew, $by frames later, where there is none, the
 // outcome. Only candidates that no other rule refuses are tried, and only where there is a keyframe then.
 // param sequence: text
 // param by: integer = 45
@@ -10,6 +10,7 @@ WHERE n.id >= $low AND n.id < $high
   AND a2.id >= $low AND a2.id < $high
   AND n.general AND c.id <> a.id AND c.pose IS NOT NULL AND v.by = $by
   AND d.anchor AND a.clear AND b.clear AND c.clear AND a.image AND NOT c.ahead
+  AND a.pose <> c.pose AND b.pose <> c.pose
 OPTIONAL MATCH (a2)-[k1:Step]->(b2:Moment)
 WHERE b2.id >= $low AND b2.id < $high AND k1.relation = s1.relation
 OPTIONAL MATCH (b2)-[k2:Step]->(c2:Moment)
