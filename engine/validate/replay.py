@@ -130,7 +130,7 @@ def _form(name: str, plan: Plan) -> tuple[Template, Slots]:
 
 @dataclass(frozen=True)
 class ReplayJob:
-    """A sequence, the first of its ids in the graph, and the questions of it whose proofs one process computes again."""
+    """A sequence, the first of its ids in the graph, and its questions whose proofs one process computes again."""
 
     store: Path
     sequence: str
