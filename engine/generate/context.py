@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Self
 
 import pyarrow as pa
@@ -11,12 +14,35 @@ import pyarrow as pa
 from jrdb_avr.engine.generate.action_onsets import ActionOnsets
 from jrdb_avr.engine.generate.descriptions import Descriptions, describe_people
 from jrdb_avr.engine.generate.relations import RELATIONS, Facts, find_facts
-from jrdb_avr.engine.generate.scene import Scene, coded, ints
-from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.engine.generate.scene import Scene, box_count, coded, ints, load_scene
+from jrdb_avr.queries.graph.handle import Graph, worker_graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.keyframes import keyframe_values, query_text
+from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.rules import Rules
+
+
+@dataclass(frozen=True)
+class LayerJob:
+    """A sequence for a worker: its store, the rules, and the first of its ids in the keyframe layer."""
+
+    store: Path
+    sequence: str
+    low: int
+    rules: Rules
+
+    @contextlib.contextmanager
+    def searching(self) -> Iterator[SearchContext]:
+        """The sequence prepared for search. Raises StoreError where tables or graph are missing."""
+        store = Store(self.store)
+        with worker_graph(store.graph_path) as graph:
+            yield SearchContext.of(load_scene(store, self.sequence), self.rules, graph, self.low)
+
+    @property
+    def weight(self) -> int:
+        """By how much work the sequence is started earlier than others."""
+        return box_count(Store(self.store), self.sequence)
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Final
 
 import msgspec
@@ -20,13 +18,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.engine.generate.context import SearchContext
+from jrdb_avr.engine.generate.context import LayerJob, SearchContext
 from jrdb_avr.engine.generate.fork_join import find_joins
 from jrdb_avr.engine.generate.keyframes import keyframe_tables
 from jrdb_avr.engine.generate.relations import KIND, RELATION_LAYERS, RELATIONS
-from jrdb_avr.engine.generate.scene import Ints, box_count, coded, ints, load_scene
+from jrdb_avr.engine.generate.scene import Ints, coded, ints, load_scene
 from jrdb_avr.loaders.graph import copy_staged, stage_rows, write_graph
-from jrdb_avr.queries.graph.handle import Graph, build_graph, worker_graph
+from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.queries.keyframes import SPAN, layer_stamp
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import map_shards
@@ -39,16 +37,6 @@ STAGE: Final = ".keyframes"
 
 DERIVED: Final = ("Step", "Leads", "Describes", "Joined")
 """Edges that statements over the other tables find."""
-
-
-@dataclass(frozen=True)
-class LayerJob:
-    """A sequence whose rows of the layer a worker makes."""
-
-    store: Path
-    sequence: str
-    low: int
-    rules: Rules
 
 
 def ensure_layer(store: Store, rules: Rules, workers: int) -> dict[str, int]:
@@ -66,7 +54,7 @@ def ensure_layer(store: Store, rules: Rules, workers: int) -> dict[str, int]:
     shutil.rmtree(stage, ignore_errors=True)
     try:
         for make, copy in ((_stage_tables, _copy_tables), (_stage_derived, _copy_derived)):
-            for _ in map_shards(make, jobs, workers, lambda job: box_count(store, job.sequence)):
+            for _ in map_shards(make, jobs, workers, lambda job: job.weight):
                 pass
             write_graph(store, partial(copy, jobs))
     finally:
@@ -85,18 +73,15 @@ def stored_layer(store: Store, rules: Rules) -> dict[str, int]:
 
 
 def _stage_tables(job: LayerJob) -> None:
-    store = Store(job.store)
-    context = SearchContext.of(load_scene(store, job.sequence), job.rules)
+    context = SearchContext.of(load_scene(Store(job.store), job.sequence), job.rules)
     for name, rows in keyframe_tables(context, job.low):
-        stage_rows(store.path / STAGE, name, job.sequence, rows)
+        stage_rows(job.store / STAGE, name, job.sequence, rows)
 
 
 def _stage_derived(job: LayerJob) -> None:
-    store = Store(job.store)
-    with worker_graph(store.graph_path) as graph:
-        context = SearchContext.of(load_scene(store, job.sequence), job.rules, graph, job.low)
+    with job.searching() as context:
         for name, rows in derived_tables(context).items():
-            stage_rows(store.path / STAGE, name, job.sequence, rows)
+            stage_rows(job.store / STAGE, name, job.sequence, rows)
 
 
 def derived_tables(context: SearchContext) -> dict[str, pa.Table]:

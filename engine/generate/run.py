@@ -19,7 +19,6 @@ from jrdb_avr.engine.generate.diagnostics import REFUSALS, refusal_row, shortfal
 from jrdb_avr.engine.generate.keyframe_graph import ensure_layer
 from jrdb_avr.engine.generate.learned import learned_guesser
 from jrdb_avr.engine.generate.publish import publish
-from jrdb_avr.engine.generate.scene import box_count
 from jrdb_avr.engine.generate.selection import POOL, Selection, select
 from jrdb_avr.engine.generate.sequence import EXAMPLES, SequenceJob, SequenceResult, search_sequence
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
@@ -104,7 +103,7 @@ def generate(
         advance = step_counter(progress, "searching", len(sequences))
         # Held open, so that this process plans a statement once for all sequences.
         with Graph.open(store.graph_path, read_only=True):
-            results = _search(store, jobs, workers, advance)
+            results = _search(jobs, workers, advance)
         if candidates is not None:
             _gather([part for part in parts if part], candidates)
         return _publish(store, results, rules, profile, seed, excluded, guesser)
@@ -148,10 +147,10 @@ def check_intervals(store: Store, manifest: Manifest) -> None:
                 )
 
 
-def _search(store: Store, jobs: Sequence[SequenceJob], workers: int, advance: Advance) -> list[SequenceResult]:
+def _search(jobs: Sequence[SequenceJob], workers: int, advance: Advance) -> list[SequenceResult]:
     """Every sequence's candidates, in the order of the jobs."""
     results: dict[int, SequenceResult] = {}
-    for index, result in map_shards(search_sequence, jobs, workers, lambda job: box_count(store, job.sequence)):
+    for index, result in map_shards(search_sequence, jobs, workers, lambda job: job.weight):
         results[index] = result
         advance(1)
     return [results[index] for index in range(len(jobs))]

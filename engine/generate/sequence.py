@@ -20,20 +20,18 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from jrdb_avr.engine.generate.candidates import OUTCOMES, PASSED, RULES, Candidates, frame_lists, to_table
-from jrdb_avr.engine.generate.context import SearchContext
+from jrdb_avr.engine.generate.context import LayerJob, SearchContext
 from jrdb_avr.engine.generate.diagnostics import refusal_row
 from jrdb_avr.engine.generate.near_duplicates import KEPT, thin_out
 from jrdb_avr.engine.generate.records import choice_sets, make_record, needed_boxes
-from jrdb_avr.engine.generate.scene import Ints, Scene, load_scene
+from jrdb_avr.engine.generate.scene import Ints, Scene
 from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.engine.generate.selection import POOL
 from jrdb_avr.engine.rederive import Annotations, rederive
-from jrdb_avr.queries.graph.handle import worker_graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import without_collector
 from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.questions import Proof
-from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.tables import CANDIDATES
 from jrdb_avr.schema.templates import FORMS
 from jrdb_avr.schema.wording.text import stated_actions
@@ -46,16 +44,9 @@ _BLOCK: Final = 200_000
 
 
 @dataclass(frozen=True)
-class SequenceJob:
-    """A sequence to search, whose ids in the graph begin at `low`.
+class SequenceJob(LayerJob):
+    """A sequence to search. `candidates` is where to write every proven candidate, or None."""
 
-    `candidates` is where to write every proven candidate, or None.
-    """
-
-    store: Path
-    sequence: str
-    low: int
-    rules: Rules
     candidates: Path | None = None
 
 
@@ -84,12 +75,10 @@ class SequenceResult:
 @without_collector()
 def search_sequence(job: SequenceJob) -> SequenceResult:
     """Find, prove and thin out the candidates of one sequence."""
-    store = Store(job.store)
-    scene = load_scene(store, job.sequence)
-    annotations = Annotations.read(store, job.sequence, job.rules)
+    annotations = Annotations.read(Store(job.store), job.sequence, job.rules)
     writing = contextlib.nullcontext() if job.candidates is None else pq.ParquetWriter(job.candidates, CANDIDATES)
-    with worker_graph(store.graph_path) as graph, writing as writer:
-        context = SearchContext.of(scene, job.rules, graph, job.low)
+    with job.searching() as context, writing as writer:
+        scene = context.scene
         search = _Search(context, annotations, writer, SequenceResult(_head(scene), POOL.empty_table()))
         for name, forms in FORMS.items():
             missing = [tuple(layer for layer in form.layers if layer not in scene.layers) for form in forms]

@@ -9,25 +9,24 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
 
 from jrdb_avr.engine.generate.candidates import PASSED, RULES, Candidates, to_table
-from jrdb_avr.engine.generate.context import SearchContext
+from jrdb_avr.engine.generate.context import LayerJob, SearchContext
 from jrdb_avr.engine.generate.keyframe_graph import stored_layer
 from jrdb_avr.engine.generate.records import choice_sets, make_record
 from jrdb_avr.engine.generate.relations import RELATIONS
-from jrdb_avr.engine.generate.scene import NOBODY, Ints, box_count, load_scene
+from jrdb_avr.engine.generate.scene import NOBODY, Ints
 from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.engine.rederive import Annotations, Outcome, rederive
 from jrdb_avr.queries.compiler.find import compile_find
 from jrdb_avr.queries.compiler.mapping import SCENE
 from jrdb_avr.queries.compiler.reads import SceneReader
 from jrdb_avr.queries.compiler.solve import PlanQuery, solve
-from jrdb_avr.queries.graph.handle import Graph, worker_graph
+from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import map_shards
 from jrdb_avr.schema.errors import AvrError, PlanError
@@ -129,13 +128,9 @@ def _form(name: str, plan: Plan) -> tuple[Template, Slots]:
 
 
 @dataclass(frozen=True)
-class ReplayJob:
-    """A sequence, the first of its ids in the graph, and its questions whose proofs one process computes again."""
+class ReplayJob(LayerJob):
+    """A sequence, and its questions whose proofs one process computes again."""
 
-    store: Path
-    sequence: str
-    low: int
-    rules: Rules
     records: tuple[QuestionRecord, ...]
 
 
@@ -158,7 +153,7 @@ def replay(
     ]
     found: list[Difference] = []
     with Graph.open(store.graph_path, read_only=True):
-        for index, own in map_shards(replay_sequence, jobs, workers, lambda job: box_count(store, job.sequence)):
+        for index, own in map_shards(replay_sequence, jobs, workers, lambda job: job.weight):
             found += own
             advance(len(jobs[index].records))
     place = {record.question_id: number for number, record in enumerate(records)}
@@ -167,11 +162,9 @@ def replay(
 
 def replay_sequence(job: ReplayJob) -> list[Difference]:
     """Run the proofs of one sequence's questions again."""
-    store = Store(job.store)
     plans, found = read_plans(job.records)
-    annotations = Annotations.read(store, job.sequence, job.rules)
-    with worker_graph(store.graph_path) as graph:
-        context = SearchContext.of(load_scene(store, job.sequence), job.rules, graph, job.low)
+    annotations = Annotations.read(Store(job.store), job.sequence, job.rules)
+    with job.searching() as context:
         names = context.descriptions.numbers(
             (slots.conditions, slots.frames[form.described]) for _, _, form, slots in plans
         )

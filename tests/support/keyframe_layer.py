@@ -10,7 +10,7 @@ from unittest import mock
 
 import pyarrow as pa
 
-from jrdb_avr.engine.generate import sequence as generating
+from jrdb_avr.engine.generate import context as contexts
 from jrdb_avr.engine.generate.context import SearchContext
 from jrdb_avr.engine.generate.keyframe_graph import derived_tables
 from jrdb_avr.engine.generate.keyframes import keyframe_tables
@@ -47,5 +47,5 @@ def search(store, sequence, rules, candidates=None):
     """What a worker of generation returns for a sequence."""
     with searched(store, sequence, rules) as context:
         graph = lambda path: contextlib.nullcontext(context.graph)  # noqa: E731
-        with mock.patch.object(generating, "worker_graph", graph):
+        with mock.patch.object(contexts, "worker_graph", graph):
             return search_sequence(SequenceJob(store.path, sequence, 0, rules, candidates))
