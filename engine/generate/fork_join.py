@@ -163,6 +163,8 @@ def _add_windows(joins: Joins, margin: float) -> None:
     scene = conditions.scene
     for slots in conditions.slots:
         people = slots[slots != NOBODY]
+        if not len(people):
+            continue
         # Of a slot without a person the angle is anybody's, and is masked out.
         angle = scene.geometry["angle"][scene.moment_rows[slots]]
         right = clockwise(angle[: len(people), None], angle[None, :])

@@ -11,6 +11,7 @@ import pytest
 from effort import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from keyframe_layer import searched
 from lively_worlds import form, lively_world, sociable_world
 from oracle_questions import proven
 from other_words import in_other_words
@@ -19,8 +20,6 @@ from random_worlds import random_world
 from worlds import person, person_3d
 
 from jrdb_avr.engine.generate.candidates import PASSED, to_table
-from jrdb_avr.engine.generate.context import SearchContext
-from jrdb_avr.engine.generate.scene import load_scene
 from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.root import find_root
@@ -41,11 +40,10 @@ MAKERS += [in_other_words(make) for make in MAKERS]
 
 def candidates(store, sequence):
     """What the engine finds and proves."""
-    scene, rules = load_scene(store, sequence), Rules()
     result = []
-    with SearchContext.of(scene, rules) as context:
+    with searched(store, sequence, Rules()) as context:
         for template in TEMPLATES.values():
-            if set(template.layers) <= scene.layers:
+            if set(template.layers) <= context.scene.layers:
                 found = find_candidates(context, template)
                 rows = np.flatnonzero(found.rule == PASSED)
                 table = to_table(context, found, rows, keyed=False)

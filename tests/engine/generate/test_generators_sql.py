@@ -1,28 +1,35 @@
 """The candidates of every template, and what the perturbed programs read, joined by DuckDB over the interval tables.
 
-The generators' Cypher and the SQL beside it (see `sql_search`) must give the same rows: descriptions, people, times,
-relations, answers, and what each candidate says of itself.
+The statements of `queries` over the keyframe layer and the SQL beside them (see `sql_search`) must give the same rows:
+descriptions, people, times, relations, answers, and what each candidate says of itself.
 
-    $ pytest tests/test_generators_sql.py -k three_hop
+    $ pytest tests/engine/generate/test_generators_sql.py -k three_hop
 """
 
-from contextlib import nullcontext
+import contextlib
+import shutil
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from keyframe_layer import searched
 from scene_tables import scene_tables
-from sql_search import JUDGED, OF_PATHS, SQL, Search
+from sql_search import SQL, Search
 
 import jrdb_avr
+from jrdb_avr.engine.generate.context import LayerJob
+from jrdb_avr.engine.generate.keyframe_graph import ensure_layer, stored_layer
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import Rules
 
 pytestmark = pytest.mark.usefixtures("known_plans")
 
 CYPHER = Path(jrdb_avr.__file__).parent / "queries"
-GENERATORS = sorted(path.stem for path in (SQL / "generators").glob("*.sql"))
-NECESSITY = sorted(path.stem for path in (SQL / "necessity").glob("*.sql"))
+FILES = {
+    folder: sorted(path.stem for path in (CYPHER / folder).glob("*.cypher"))
+    for folder in ("generators", "necessity", "search")
+}
 STRICT = {
     "wait": 45,
     "long_wait": 150,
@@ -38,58 +45,70 @@ LAX = STRICT | {"wait": 30, "long_wait": 60, "search_wait": 15, "turn_degrees": 
 LAX_RULES = Rules(min_wait_s=2.0, long_wait_s=4.0, search_wait_s=1.0, turn_deg=8.5, gap_min_s=1.0, count_min=2)
 """Under which half a minute of the sample holds candidates of every template."""
 SHIFT = 45
-HOPS = {"two_hop": 2, "three_hop": 3}
 
 
 @pytest.fixture(scope="module")
-def searches(sample_benchmark, tmp_path_factory):
-    """One sequence of the sample under the rules, the others under the laxer ones, and one of made-up tables, in which
+def lax_store(sample_benchmark, tmp_path_factory):
+    """The sample without questions, with the layer of the laxer rules."""
+    store = Store(tmp_path_factory.mktemp("lax") / "store")
+    shutil.copytree(sample_benchmark.path, store.path, ignore=shutil.ignore_patterns("questions"))
+    ensure_layer(store, LAX_RULES, 1)
+    return store
+
+
+@pytest.fixture(scope="module")
+def searches(sample_benchmark, lax_store, tmp_path_factory):
+    """One sequence of the sample under the rules, the other under the laxer ones, and one of made-up tables, in which
     facts of every kind are uncertain everywhere."""
-    store, made_up = sample_benchmark, Store(tmp_path_factory.mktemp("made-up"))
+    made_up = Store(tmp_path_factory.mktemp("made-up"))
     for kind, table in scene_tables("yard-1_0", np.random.default_rng(1), frames=241, people=10).items():
         made_up.write_interval(kind, "yard-1_0", table)
-    first, *others = sorted(path.stem for path in (store.path / "intervals" / "sightings").glob("*.parquet"))
-    made = [Search(store, first, Rules(), STRICT)]
-    made += [Search(store, sequence, LAX_RULES, LAX) for sequence in others]
-    made.append(Search(made_up, "yard-1_0", LAX_RULES, LAX))
-    yield made
-    for search in made:
-        search.close()
+    with contextlib.ExitStack() as stack:
+
+        def stored(store, sequence, rules):
+            low = stored_layer(store, rules)[sequence]
+            return stack.enter_context(LayerJob(store.path, sequence, low, rules).searching())
+
+        first, second = sorted(sample_benchmark.manifest().sequences)
+        made = [
+            Search(sample_benchmark, stored(sample_benchmark, first, Rules()), STRICT),
+            Search(lax_store, stored(lax_store, second, LAX_RULES), LAX),
+            Search(made_up, stack.enter_context(searched(made_up, "yard-1_0", LAX_RULES)), LAX),
+        ]
+        yield made
+        for search in made:
+            search.database.close()
 
 
-def test_there_is_sql_for_every_query():
-    judged = {query for queries in JUDGED.values() for query in queries}
-    for folder, written in (("generators", GENERATORS), ("necessity", NECESSITY)):
-        queries = {path.stem for path in (CYPHER / folder).glob("*.cypher")}
-        assert queries - judged == set(written) - set(JUDGED)
+def test_there_is_sql_for_every_statement():
+    for folder, names in FILES.items():
+        assert names == sorted(path.stem for path in (SQL / folder).glob("*.sql"))
 
 
-@pytest.mark.parametrize("name", GENERATORS)
-def test_duckdb_finds_the_same_candidates_as_the_generator(searches, name):
+def agreed(searches, file, found, **values):
+    """How many rows DuckDB finds in all, none of them other than Cypher's; `found` gives those of a search."""
     rows = 0
     for search in searches:
-        number, only_sql, only_cypher = search.differences("generators", name, search.generated(name))
+        number, only_sql, only_cypher = search.differences(file, found(search), **values)
         assert (only_sql, only_cypher) == ([], [])
         rows += number
-    assert rows >= 10
+    return rows
 
 
-@pytest.mark.parametrize("name", NECESSITY)
+@pytest.mark.parametrize("name", FILES["generators"])
+def test_duckdb_finds_the_same_candidates_as_the_generator(searches, name):
+    assert agreed(searches, f"generators/{name}", partial(Search.found, folder="generators", name=name)) >= 10
+
+
+def test_duckdb_judges_every_candidate_of_presence_alike(searches):
+    assert agreed(searches, "presence", Search.judged_presence) >= 10_000
+
+
+@pytest.mark.parametrize("name", FILES["necessity"])
 def test_duckdb_reads_the_same_from_perturbed_programs(searches, name):
-    template, _, kind = name.rpartition("_")
-    variants = {
-        "shift": [("moved_by", "by", -SHIFT), ("moved_by", "by", SHIFT)],
-        "skip": [("skipped", "skipped", hop) for hop in range(1, HOPS.get(template, 0))],
-        "drop": [None],
-    }[kind]
     rows = 0
-    for search in searches:
-        with search.paths(template) if template in OF_PATHS else nullcontext() as found:
-            for variant in variants:
-                macro, parameter, value = variant or (None, None, None)
-                read = search.perturbed(name, found, **({parameter: value} if variant else {}))
-                changed = {macro: value} if variant else {}
-                number, only_sql, only_cypher = search.differences("necessity", name, read, **changed)
-                assert (only_sql, only_cypher) == ([], [])
-                rows += number
+    for by in (-SHIFT, SHIFT) if name.endswith("shift") else (None,):
+        values = {} if by is None else {"by": by}
+        read = partial(Search.found, folder="necessity", name=name, **values)
+        rows += agreed(searches, f"necessity/{name}", read, moved_by=by or 0)
     assert rows >= 50

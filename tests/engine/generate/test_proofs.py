@@ -6,7 +6,6 @@ from built_worlds import SEQUENCE, build
 from quick_store import memory_store
 
 from jrdb_avr.engine.generate.candidates import PASSED, RULES, Effect, PerturbationResult, first_refusing, proven_rules
-from jrdb_avr.engine.generate.chains import last_person
 from jrdb_avr.engine.generate.conditions import find_conditions
 from jrdb_avr.engine.generate.proofs import expected, failing
 from jrdb_avr.engine.generate.relations import find_facts
@@ -78,12 +77,6 @@ def test_the_first_rule_that_does_not_hold_refuses():
     holds = {"anchor": [True, True, False], "view.ahead": [True, False, False], "time.drop": [True, False, False]}
     rule = first_refusing({name: np.array(values) for name, values in holds.items()}, 3)
     assert rule.tolist() == [PASSED, RULES.index("view.ahead"), RULES.index("anchor")]
-
-
-def test_who_comes_back_to_somebody_of_the_path_finds_nobody():
-    a, b, c = np.array([5, 5, 5, 5]), np.array([6, 6, SEVERAL, 5]), np.array([7, 5, 7, 7])
-    assert last_person([a, b, c]).tolist() == [7, NO_MATCH, SEVERAL, NO_MATCH]
-    assert last_person([a, np.full(4, UNDECIDED), c]).tolist() == [UNDECIDED] * 4
 
 
 def test_a_condition_fits_one_person_where_it_is_false_of_everybody_else(tmp_path):

@@ -58,3 +58,12 @@ CREATE TABLE steps AS
 
 -- Steps that lead to somebody.
 CREATE VIEW hops AS FROM steps WHERE target >= 0;
+
+-- What a program reads of the one person it ends at, or why there is none; unknown is a pose that is null.
+CREATE MACRO read_of(target, pose) AS
+    CASE WHEN target = nobody() THEN 'empty' WHEN target = several() THEN 'ambiguous' ELSE coalesce(pose, 'unknown') END;
+CREATE MACRO read_later(seen, pose) AS CASE WHEN seen = 0 THEN 'empty' ELSE coalesce(pose, 'unknown') END;
+CREATE MACRO apart(target, start) AS CASE WHEN target = start THEN nobody() ELSE target END;
+
+-- Whether it is certain that a reading is not the answer.
+CREATE MACRO another(reading, answer) AS reading NOT IN ('unknown', answer);

@@ -1,6 +1,10 @@
-SELECT n.text, n.t, n.track, one.label, b.track, two.label, c.track, j.r3, j.r4, d.track,
+SELECT n.text, n.t, n.track, n.t AS t0, n.track AS a, one.label AS r1, b.track AS b, two.label AS r2, c.track AS c,
+    j.r3, j.r4, d.track AS d,
     d.pose AS answer,
-    n.anchor, a.clear AND b.clear AND c.clear AND d.clear AS evidence, a.image, d.ahead
+    n.anchor, a.clear AND b.clear AND c.clear AND d.clear AS evidence, a.image, d.ahead,
+    read_of(n.track, a.pose) AS stop_0, read_of(b.track, b.pose) AS stop_1, read_of(c.track, c.pose) AS stop_2,
+    -- The branches have no order: it is enough that one of them does not end at the answer.
+    another(stop_0, answer) AND (another(stop_1, answer) OR another(stop_2, answer)) AS hop_stop
 FROM names n JOIN people a USING (t, track)
 JOIN hops one ON one.t = n.t AND one.source = n.track
 JOIN hops two ON two.t = n.t AND two.source = n.track AND two.label > one.label AND two.target <> one.target

@@ -1,4 +1,4 @@
-SELECT n.text, n.t, n.track, g.leaves, g.returns, (g.returns - g.leaves) / 15::DOUBLE AS value,
+SELECT n.text, n.t, n.track, n.t AS t0, n.track AS a, g.leaves, g.returns, (g.returns - g.leaves) / 15::DOUBLE AS value,
     n.anchor, m.clear AND g.clear AS evidence, m.image AND g.image AS image, g.ahead
 FROM names n JOIN people m USING (t, track) JOIN absences g USING (track)
 WHERE n.general AND g.leaves >= n.t + wait() AND g.returns >= g.leaves + least_gap()

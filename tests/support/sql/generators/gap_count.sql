@@ -1,4 +1,5 @@
-SELECT n.text, n.t, n.track, later.t, n.track, w.label, count(*) FILTER (w.met <= later.t)::DOUBLE AS value,
+SELECT n.text, n.t, n.track, n.t AS t1, n.track AS a, later.t AS t2, n.t, n.track, w.label, w.label AS r1,
+    count(*) FILTER (w.met <= later.t)::DOUBLE AS value,
     any_value(n.anchor) AS anchor,
     any_value(m.clear) AND count(*) FILTER (w.seen <= later.t) = value AS evidence,
     any_value(m.image) AND count(*) FILTER (w.seen <= later.t AND w.image) = value AS image,

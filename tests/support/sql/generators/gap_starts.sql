@@ -1,4 +1,4 @@
-SELECT n.text, n.t, n.track, one.action, one.start, two.action, two.start,
+SELECT n.text, n.t, n.track, n.t AS t0, n.track AS a, one.action, one.start, two.action, two.start,
     (two.start - one.start) / 15::DOUBLE AS value,
     n.anchor, m.clear AND one.first_clear AND two.first_clear AS evidence,
     m.image AND one.first_image AND two.first_image AS image, one.first_ahead AND two.first_ahead AS ahead

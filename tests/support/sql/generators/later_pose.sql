@@ -1,4 +1,5 @@
-SELECT n.text, n.t, n.track, one.label, b.track, two.label, c.track, later.t, c.track, later.pose AS answer,
+SELECT n.text, n.t, n.track, n.t AS t0, n.track AS a, one.label AS r1, b.track AS b, two.label AS r2, c.track AS c,
+    later.t AS t1, later.pose AS answer,
     n.anchor, a.clear AND b.clear AND c.clear AND later.clear AS evidence, a.image AND later.image AS image, later.ahead
 FROM names n JOIN people a USING (t, track)
 JOIN hops one ON one.t = n.t AND one.source = n.track

@@ -1,1 +1,0 @@
-SELECT t, a, b, c FROM forks

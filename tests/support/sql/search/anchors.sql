@@ -1,0 +1,1 @@
+SELECT text, t, track, t, track, anchor FROM names

@@ -1,0 +1,1 @@
+SELECT t, source, target, label FROM hops
