@@ -121,7 +121,7 @@ def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Se
                 # Files are read side by side, and nodes are numbered as they come.
                 graph.copy(table, pa.concat_tables(pq.read_table(stage / source / name) for name in files))
             else:
-                graph.copy_files(table, stage / source, files, (*start, RELS[table][1]))
+                graph.copy_files(table, stage / source, files, (*start, RELS[table][1]) if start else ())
             copied[table] += rows
     graph.execute("CHECKPOINT")
     for table, expected in copied.items():

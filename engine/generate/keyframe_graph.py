@@ -24,6 +24,7 @@ from jrdb_avr.engine.generate.keyframes import keyframe_tables
 from jrdb_avr.engine.generate.relations import KIND, RELATION_LAYERS, RELATIONS
 from jrdb_avr.engine.generate.scene import Ints, coded, ints, load_scene
 from jrdb_avr.loaders.graph import copy_staged, stage_rows, write_graph
+from jrdb_avr.queries.display import Progress, step_counter
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.queries.keyframes import SPAN, layer_stamp
 from jrdb_avr.queries.store import Store
@@ -39,7 +40,7 @@ DERIVED: Final = ("Step", "Leads", "Describes", "Joined")
 """Edges that statements over the other tables find."""
 
 
-def ensure_layer(store: Store, rules: Rules, workers: int) -> dict[str, int]:
+def ensure_layer(store: Store, rules: Rules, workers: int, progress: Progress | None = None) -> dict[str, int]:
     """Make the keyframe layer of a store's graph where it is not the one of these rules; the first id of each sequence.
 
     Raises StoreError where there is no sound graph or the disk refuses, LockedError where the graph is in use.
@@ -50,12 +51,13 @@ def ensure_layer(store: Store, rules: Rules, workers: int) -> dict[str, int]:
     if sorted(lows) == names and stamped == rules:
         return lows
     jobs = [LayerJob(store.path, name, number * SPAN, rules) for number, name in enumerate(names)]
+    advance = step_counter(progress, "keyframes", 2 * len(jobs))
     stage = store.path / STAGE
     shutil.rmtree(stage, ignore_errors=True)
     try:
         for make, copy in ((_stage_tables, _copy_tables), (_stage_derived, _copy_derived)):
             for _ in map_shards(make, jobs, workers, lambda job: job.weight):
-                pass
+                advance(1)
             write_graph(store, partial(copy, jobs))
     finally:
         shutil.rmtree(stage, ignore_errors=True)

@@ -96,7 +96,7 @@ def generate(
         check_intervals(store, manifest)
         sequences = _sequences(store, manifest, require_occlusion)
         parts = [Path(scratch) / f"{sequence}.parquet" if candidates else None for sequence in sequences]
-        lows = ensure_layer(store, rules, workers)
+        lows = ensure_layer(store, rules, workers, progress)
         jobs = [
             SequenceJob(store.path, name, lows[name], rules, part) for name, part in zip(sequences, parts, strict=True)
         ]
