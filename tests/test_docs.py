@@ -16,6 +16,7 @@ from places import DOCS, ROOT
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 TOUR = (DOCS / "tour.md").read_text(encoding="utf-8")
+GRAPH = (DOCS / "graph.md").read_text(encoding="utf-8")
 PAGES = sorted([*ROOT.glob("*.md"), *DOCS.glob("*.md")])
 
 
@@ -85,6 +86,10 @@ def test_the_tour_runs_as_written(tmp_path, monkeypatch):
         with contextlib.redirect_stdout(io.StringIO()) as out:
             exec(snippet, {})
         assert all(int(number) > 0 for number in out.getvalue().split())
+    for query, rows in zip(blocks(GRAPH, "cypher"), blocks(GRAPH, "text"), strict=True):
+        sequence = ("--param", "sequence=sample-plaza-01_0") if "$" in query else ()
+        code, out, _ = entry.run("cypher", query, "--store", "tour/store", *sequence)
+        assert code == 0 and kept("", rows.splitlines()) == kept("", out.splitlines()), query
     # The pictures are what the commands draw; JPEG decoders may differ slightly.
     made, shown = (cv2.imread(str(path / "look.png")).astype(int) for path in (tmp_path / "tour", DOCS))
     assert made.shape == shown.shape and abs(made - shown).mean() < 1
