@@ -62,9 +62,10 @@ class Search:
         self.context, self.scene = context, context.scene
         self.database = duckdb.connect(config={"threads": 1})
         for table in TABLES:
-            self.database.read_parquet(str(store.interval_path(table, self.scene.sequence))).create(table)
-        self._give("vocabulary", ("list", "word"), [(name, word) for name, all_ in VOCABULARY.items() for word in all_])
-        self._give("names_pose", ("list", "word"), [(name, word) for name, all_ in NAMES_POSE.items() for word in all_])
+            self._give(table, store.interval(table, self.scene.sequence))
+        for table, lists in (("vocabulary", VOCABULARY), ("names_pose", NAMES_POSE)):
+            rows = [{"list": name, "word": word} for name, all_ in lists.items() for word in all_]
+            self._give(table, pa.Table.from_pylist(rows))
         for name, value in values.items():
             self.database.execute(f"CREATE MACRO {name}() AS {value}::{'DOUBLE' if value != int(value) else 'INTEGER'}")
         for script in scripts:
@@ -72,8 +73,7 @@ class Search:
         for name in CHAINS if scripts == SCRIPTS else ():
             self.database.execute(f"CREATE TABLE {name} AS {(SQL / 'generators' / f'{name}.sql').read_text()}")
 
-    def _give(self, table, names, rows):
-        rows = pa.table([pa.array(column) for column in zip(*rows, strict=True)], names=list(names))
+    def _give(self, table, rows):
         self.database.register("given", rows)
         self.database.execute(f"CREATE TABLE {table} AS FROM given")
 

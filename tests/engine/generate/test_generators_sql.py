@@ -7,15 +7,22 @@ descriptions, people, times, relations, answers, and what each candidate says of
 """
 
 import contextlib
+import random
 import shutil
+from collections import Counter
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from effort import DEEP
 from keyframe_layer import searched
+from lively_worlds import lively_world, sociable_world
+from other_words import in_other_words
+from quick_store import memory_store
+from random_worlds import random_world
 from scene_tables import scene_tables
-from sql_search import SQL, Search
+from sql_search import SQL, Search, all_steps
 
 import jrdb_avr
 from jrdb_avr.engine.generate.context import LayerJob
@@ -112,3 +119,25 @@ def test_duckdb_reads_the_same_from_perturbed_programs(searches, name):
         read = partial(Search.found, folder="necessity", name=name, **values)
         rows += agreed(searches, f"necessity/{name}", read, moved_by=by or 0)
     assert rows >= 50
+
+
+# -- any world --------------------------------------------------------------------------------------------------------
+
+
+def test_duckdb_leads_everybody_to_the_same_people_and_names_the_same_anchors(tmp_path):
+    counts, outcomes, world = Counter(), Counter(), {}
+    for number, make in enumerate([random_world, lively_world, sociable_world] * (20 if DEEP else 4)):
+        make = in_other_words(make) if number % 2 else make
+        world |= make(random.Random(number), f"yard-{number:02d}")
+    store = memory_store(tmp_path, world)
+    for sequence in store.sequences:
+        with searched(store, sequence, Rules()) as context:
+            search = Search(store, context, STRICT, ("people", "relations", "descriptions"))
+            for folder, name in [("explore", "descriptions"), *(("search", name) for name in FILES["search"])]:
+                counts[name] += agreed([search], f"{folder}/{name}", partial(Search.found, folder=folder, name=name))
+            steps = all_steps(context)
+            agreed([search], "all_steps", lambda _, steps=steps: steps)
+            outcomes.update(steps["outcome"].to_pylist())
+            search.database.close()
+    assert min(counts.values()) >= 500
+    assert set(outcomes) == {"defined", "empty", "ambiguous", "unknown"}
