@@ -8,7 +8,6 @@ descriptions, people, times, relations, answers, and what each candidate says of
 
 import contextlib
 import random
-import shutil
 from collections import Counter
 from functools import partial
 from pathlib import Path
@@ -17,6 +16,7 @@ import numpy as np
 import pytest
 from effort import DEEP
 from keyframe_layer import searched
+from lax_sample import LAX_RULES, lax_sample
 from lively_worlds import lively_world, sociable_world
 from other_words import in_other_words
 from quick_store import memory_store
@@ -26,7 +26,7 @@ from sql_search import SQL, Search, all_steps
 
 import jrdb_avr
 from jrdb_avr.engine.generate.context import LayerJob
-from jrdb_avr.engine.generate.keyframe_graph import ensure_layer, stored_layer
+from jrdb_avr.engine.generate.keyframe_graph import stored_layer
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import Rules
 
@@ -49,27 +49,17 @@ STRICT = {
 }
 """The rules as they stand in the specification: frames, degrees, people and metres."""
 LAX = STRICT | {"wait": 30, "long_wait": 60, "search_wait": 15, "turn_degrees": 8.5, "least_gap": 15, "least_people": 2}
-LAX_RULES = Rules(min_wait_s=2.0, long_wait_s=4.0, search_wait_s=1.0, turn_deg=8.5, gap_min_s=1.0, count_min=2)
-"""Under which half a minute of the sample holds candidates of every template."""
 SHIFT = 45
 
 
 @pytest.fixture(scope="module")
-def lax_store(sample_benchmark, tmp_path_factory):
-    """The sample without questions, with the layer of the laxer rules."""
-    store = Store(tmp_path_factory.mktemp("lax") / "store")
-    shutil.copytree(sample_benchmark.path, store.path, ignore=shutil.ignore_patterns("questions"))
-    ensure_layer(store, LAX_RULES, 1)
-    return store
-
-
-@pytest.fixture(scope="module")
-def searches(sample_benchmark, lax_store, tmp_path_factory):
+def searches(once, sample_benchmark, tmp_path_factory):
     """One sequence of the sample under the rules, the other under the laxer ones, and one of made-up tables, in which
     facts of every kind are uncertain everywhere."""
     made_up = Store(tmp_path_factory.mktemp("made-up"))
     for kind, table in scene_tables("yard-1_0", np.random.default_rng(1), frames=241, people=10).items():
         made_up.write_interval(kind, "yard-1_0", table)
+    lax = lax_sample(once, sample_benchmark)
     with contextlib.ExitStack() as stack:
 
         def stored(store, sequence, rules):
@@ -79,7 +69,7 @@ def searches(sample_benchmark, lax_store, tmp_path_factory):
         first, second = sorted(sample_benchmark.manifest().sequences)
         made = [
             Search(sample_benchmark, stored(sample_benchmark, first, Rules()), STRICT),
-            Search(lax_store, stored(lax_store, second, LAX_RULES), LAX),
+            Search(lax, stored(lax, second, LAX_RULES), LAX),
             Search(made_up, stack.enter_context(searched(made_up, "yard-1_0", LAX_RULES)), LAX),
         ]
         yield made
