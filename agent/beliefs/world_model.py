@@ -70,9 +70,9 @@ _SEVERAL: Final = ("action", "interaction", "object")
 """Attributes that may have several values at one frame; an action that is a pose replaces the pose before."""
 
 _ORDER: Final = {
-    "sighted": ("who", "frame", "written"),
-    "attributes": ("who", "name", "first", "value"),
-    "relations": ("source", "name", "target", "first"),
+    "sighted": ("frame", "written", "who"),
+    "attributes": ("first", "who", "name", "value"),
+    "relations": ("first", "source", "name", "target"),
     "looks": ("frame", "edge", "width"),
     "entities": ("who",),
 }

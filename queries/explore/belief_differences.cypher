@@ -8,4 +8,4 @@ WITH n.node AS node, r.name AS name, r.value AS value,
      CASE WHEN r.last >= 10000000 THEN NULL ELSE r.first END AS frame, collect(DISTINCT e.run) AS runs
 WHERE size(runs) = 1
 RETURN node, name, frame, value, runs[1] AS believed_by
-ORDER BY node, name, frame, value, believed_by;
+ORDER BY frame, node, name, value, believed_by;

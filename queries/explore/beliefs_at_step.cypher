@@ -6,4 +6,4 @@ MATCH (e:Episode)-[:Holds]->(n:Entity)-[r:Has|:Related]->(o:Observation:Entity)
 WHERE e.id = concat($run, '/', $question) AND r.step <= $step AND r.until > $step
 RETURN n.name AS entity, r.name AS name, CASE label(r) WHEN 'Has' THEN r.value ELSE o.name END AS value,
        CASE WHEN r.last >= 10000000 THEN NULL ELSE r.first END AS frame, r.step AS since
-ORDER BY entity, name, frame, value, since;
+ORDER BY frame, since, entity, name, value;

@@ -13,4 +13,4 @@ WHERE NOT EXISTS { MATCH (p)-[n:MemberOf]->(g)
                               OR change = 'leaves' AND n.first > m.last AND n.first <= m.last + step) }
 RETURN CASE change WHEN 'joins' THEN m.first ELSE m.last END AS frame, change, g.cluster AS cluster,
        p.track AS track, m.certain AS certain
-ORDER BY frame, change, cluster, track;
+ORDER BY frame, cluster, track, change;

@@ -5,4 +5,4 @@
 MATCH (a:Person)-[r:Beside]->(b:Person)
 WHERE r.sequence = $sequence AND a.track = $track AND r.first <= $frame AND r.last >= $frame
 RETURN r.label AS place, b.track AS track, r.first AS first, r.last AS last, r.certain AS certain
-ORDER BY place, track, first, last, certain;
+ORDER BY track, first, last, certain, place;

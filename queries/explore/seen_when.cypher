@@ -6,4 +6,4 @@ WHERE e.id = concat($run, '/', $question)
 RETURN s.frame AS frame, n.name AS entity, n.kind AS kind, n.node AS node, s.step AS step, o.number AS look,
        round(s.angle, 1) AS angle, round(s.box.x, 1) AS x, round(s.box.y, 1) AS y, round(s.box.w, 1) AS w,
        round(s.box.h, 1) AS h, s.current AS current
-ORDER BY frame, entity, s.write;
+ORDER BY frame, s.write, entity;

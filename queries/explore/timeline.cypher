@@ -11,4 +11,4 @@ RETURN r.first AS first, r.last AS last,
                      WHEN 'Person' THEN CAST(o.track AS STRING)
                      ELSE concat(coalesce(o.category, '?'), ' ', CAST(o.track AS STRING)) END AS of,
        r.certain AS certain
-ORDER BY first, last, what, name, of, certain;
+ORDER BY first, last, certain, what, name, of;

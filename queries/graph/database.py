@@ -8,6 +8,7 @@ database file while it is in use.
 from __future__ import annotations
 
 import contextlib
+import importlib
 import re
 import threading
 import time
@@ -15,7 +16,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Final
 
-from jrdb_avr.queries.graph.file import ENDING_S, check_fingerprint, check_room, lock_graph, rebuild_hint
+from jrdb_avr.queries.graph.file import (
+    ENDING_S,
+    ENGINE,
+    ENGINES,
+    check_fingerprint,
+    check_room,
+    lock_graph,
+    rebuild_hint,
+)
 from jrdb_avr.schema.errors import LockedError, QueryError, StoreError
 
 _MEMORY_BYTES: Final = 1 << 30
@@ -23,6 +32,16 @@ _MEMORY_BYTES: Final = 1 << 30
 
 _registry: dict[Path | None, SharedDatabase] = {}
 _registry_lock = threading.Lock()
+
+
+def engine() -> Any:
+    """The engine's module. Raises StoreError where it is not installed."""
+    if ENGINE not in ENGINES.values():
+        raise StoreError(f"JRDB_AVR_ENGINE is {ENGINE}: give {' or '.join(ENGINES.values())}")
+    try:
+        return importlib.import_module(ENGINE)
+    except ImportError:
+        raise StoreError(f"JRDB_AVR_ENGINE={ENGINE} is not installed: pip install 'jrdb-avr[{ENGINE}]'") from None
 
 
 @dataclass
@@ -63,10 +82,8 @@ def acquire_database(path: Path, read_only: bool, buffer_bytes: int) -> SharedDa
 
 def memory_database(buffer_bytes: int) -> SharedDatabase:
     """A new empty database in memory, of one thread."""
-    import kuzu
-
     return SharedDatabase(
-        kuzu.Database(":memory:", buffer_pool_size=buffer_bytes, max_db_size=_MEMORY_BYTES, max_num_threads=1)
+        engine().Database(":memory:", buffer_pool_size=buffer_bytes, max_db_size=_MEMORY_BYTES, max_num_threads=1)
     )
 
 
@@ -95,13 +112,11 @@ def _opened(path: Path, read_only: bool, buffer_bytes: int) -> SharedDatabase:
 def _open_file(path: Path, read_only: bool, buffer_bytes: int) -> Any:
     # Before the database is open here, as closing the file would drop the engine's lock on it.
     check_fingerprint(path)
-    import kuzu
-
     end = time.monotonic() + ENDING_S
     while True:
         try:
             # One thread: of ORDER BY, several threads now and then hand out their parts one after the other.
-            return kuzu.Database(str(path), read_only=read_only, buffer_pool_size=buffer_bytes, max_num_threads=1)
+            return engine().Database(str(path), read_only=read_only, buffer_pool_size=buffer_bytes, max_num_threads=1)
         except RuntimeError as error:
             if "Could not set lock" not in str(error):
                 raise StoreError(f"cannot open {path} ({shortened(str(error))}): {rebuild_hint(path)}") from None

@@ -24,6 +24,12 @@ import msgspec
 from jrdb_avr.schema.errors import LockedError, StoreError
 from jrdb_avr.schema.graph import STORAGE_VERSION
 
+ENGINES: Final = {b"KUZU": "kuzu", b"LBUG": "ladybug"}
+"""The engines by the first bytes of their files."""
+
+ENGINE: Final = os.environ.get("JRDB_AVR_ENGINE", "kuzu")
+"""The engine of this process: kuzu, or ladybug, its fork, to judge a release of it by (docs/graph.md)."""
+
 STORE_GRAPH: Final = "graph.kuzu"
 """The name of a store's graph file."""
 
@@ -38,7 +44,6 @@ transaction or a checkpoint, it may abort the whole process."""
 
 _SIDE_FILES: Final = (".wal", ".shadow", ".tmp")
 
-_MAGIC: Final = b"KUZU"
 _CHUNK: Final = 1 << 20
 
 
@@ -79,7 +84,7 @@ def check_fingerprint(graph: Path) -> Fingerprint:
     try:
         size = graph.stat().st_size
         with graph.open("rb") as file:
-            magic = file.read(len(_MAGIC))
+            engine = ENGINES.get(file.read(4))
     except FileNotFoundError:
         raise StoreError(f"{graph} does not exist: {rebuild}") from None
     except OSError as error:
@@ -92,7 +97,9 @@ def check_fingerprint(graph: Path) -> Fingerprint:
         raise StoreError(
             f"{graph} was built for version {built.storage_version} of the tables, this is {STORAGE_VERSION}: {rebuild}"
         )
-    if magic != _MAGIC or size < built.size:
+    if engine not in (None, ENGINE):
+        raise StoreError(f"{graph} is a file of {engine}, not of {ENGINE}: set JRDB_AVR_ENGINE={engine}, or {rebuild}")
+    if engine is None or size < built.size:
         raise StoreError(f"{graph} is no whole graph file: {rebuild}")
     return built
 

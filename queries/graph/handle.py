@@ -29,12 +29,13 @@ from jrdb_avr.queries.graph.database import (
     SharedDatabase,
     acquire_database,
     check_unused,
+    engine,
     memory_database,
     shortened,
     translated,
 )
 from jrdb_avr.queries.graph.file import check_room, copy_files, lock_graph, make_parent, publish, remove_files
-from jrdb_avr.queries.graph.parameters import bind, strip_literals
+from jrdb_avr.queries.graph.parameters import bind, parameters, strip_literals
 from jrdb_avr.queries.graph.wrong_answers import QueryPlan, refuse_wrong_answers
 from jrdb_avr.schema.errors import QueryError, StoreError
 
@@ -60,13 +61,11 @@ class Graph:
     """A session on a graph, made by `Graph.open` or `Graph.memory`; a context manager, closed after use."""
 
     def __init__(self, shared: SharedDatabase, read_only: bool = False, prepares: bool = False) -> None:
-        import kuzu
-
         self.path = shared.path
         self.read_only = read_only
         self._shared = shared
         self._lock = threading.RLock()
-        self._connection = kuzu.Connection(shared.database)
+        self._connection = engine().Connection(shared.database)
         self._prepares = prepares
         self._prepared: dict[str, Any] = {}
         self._planned = 0
@@ -134,7 +133,7 @@ class Graph:
         text, values = bind(cypher, params or {})
         with self._lock:
             plan = self._plan(text, values)
-            refuse_wrong_answers(plan, text)
+            refuse_wrong_answers(plan, text, self._complaint)
             if plan.writes:
                 raise QueryError(f"this statement writes, use execute(): {shortened(cypher)}")
             if ordered and not plan.ordered:
@@ -155,7 +154,7 @@ class Graph:
         with self._writing():
             bare = strip_literals(text)
             if _MATCH.search(bare):
-                refuse_wrong_answers(self._plan(text, values), text)
+                refuse_wrong_answers(self._plan(text, values), text, self._complaint)
             elif not _ROW.match(bare):
                 # A change of tables may change every plan.
                 self._shared.plans.clear()
@@ -225,14 +224,21 @@ class Graph:
             self._shared.plans[text] = plan
         return plan
 
+    def _complaint(self, text: str) -> str:
+        """What the engine says against a statement; on a connection of its own, as an error ends a transaction."""
+        with engine().Connection(self._shared.database) as connection:
+            try:
+                connection.execute(f"EXPLAIN {text}", dict.fromkeys(parameters(text)))
+            except RuntimeError as error:
+                return str(error)
+        return ""
+
     def _renew(self) -> None:
         """Replace a connection that holds many planned statements; not within a transaction, which belongs to it."""
         if self._planned >= _PREPARED and not self._in_transaction:
-            import kuzu
-
             self._prepared.clear()
             self._connection.close()
-            self._connection = kuzu.Connection(self._shared.database)
+            self._connection = engine().Connection(self._shared.database)
             self._planned = 0
 
     def _statement(self, text: str, values: Mapping[str, Any]) -> Any:
@@ -245,9 +251,7 @@ class Graph:
             return text
         prepared = self._prepared.get(text)
         if prepared is None:
-            import kuzu
-
-            prepared = kuzu.PreparedStatement(self._connection, text, dict(values))
+            prepared = engine().PreparedStatement(self._connection, text, dict(values))
             self._planned += 1
             if len(self._prepared) >= _PREPARED:
                 self._prepared.clear()
@@ -316,10 +320,8 @@ def build_graph(path: str | Path, *, extend: bool = False) -> Iterator[Graph]:
         cleanup.callback(remove_files, temporary)
         if extend:
             copy_files(place, temporary)
-        import kuzu
-
         try:
-            database = kuzu.Database(str(temporary), buffer_pool_size=_BUILD_BYTES)
+            database = engine().Database(str(temporary), buffer_pool_size=_BUILD_BYTES)
         except RuntimeError as error:
             raise translated(error, "", None, place) from None
         with Graph(SharedDatabase(database)) as graph:

@@ -71,8 +71,8 @@ def parameters(cypher: str) -> list[str]:
 
 @lru_cache(1024)
 def strip_literals(cypher: str) -> str:
-    """The statement with every quoted text, quoted name and comment replaced by a space."""
-    return _TOKEN.sub(lambda match: match[0] if match["name"] else " ", cypher)
+    """The statement with every quoted text, quoted name and comment replaced by as many spaces."""
+    return _TOKEN.sub(lambda match: match[0] if match["name"] else " " * len(match[0]), cypher)
 
 
 def scalar(value: Any) -> Any:

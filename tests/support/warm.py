@@ -12,12 +12,13 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from jrdb_avr.queries.graph import guard
+from jrdb_avr.queries.graph.file import ENGINE
 
 IMPORTED = (
     "warm",
     "cv2",
     "duckdb",
-    "kuzu",
+    ENGINE,
     "httpx2",
     "httpcore2",
     "rich.progress",

@@ -2,4 +2,4 @@
 MATCH (:Episode {id: $scope})-[:Holds]->(n:Entity)-[h:Has]->(:Observation)
 RETURN n.name AS who, h.name AS name, h.value AS value, h.number AS number, h.first AS first, h.last AS last,
        h.current AS current
-ORDER BY who, name, first, value
+ORDER BY first, who, name, value

@@ -2,4 +2,4 @@
 // episode on and narrows nothing: a condition sends the engine to the whole table.)
 MATCH (:Episode {id: $scope})-[:Holds]->(n:Entity)-[s:Sighted]->(:Observation)
 RETURN n.name AS who, s.frame AS frame, s.box AS box, s.angle AS angle, s.write AS written, s.current AS current
-ORDER BY who, frame, written
+ORDER BY frame, written, who
