@@ -27,6 +27,9 @@ context: SpawnContext | ForkServerContext = multiprocessing.get_context("spawn")
 """How a process starts: anew, not forked, as the engine's threads do not survive a fork. Tests put a context here whose
 processes start with everything imported."""
 
+is_worker = False
+"""Whether this process is one of those made here, which ends with its work."""
+
 
 def map_shards(
     function: Callable[[A], R], items: Sequence[A], workers: int, weight: Callable[[A], float]
@@ -86,10 +89,12 @@ def without_collector() -> Iterator[None]:
 
 
 def end_with_parent() -> None:
-    """End this worker when its parent process is gone, even killed: an orphan would go on writing."""
+    """Make this process a worker, which ends when its parent is gone, even killed: an orphan would go on writing."""
+    global is_worker
     parent = multiprocessing.parent_process()
     if parent is None:
         return
+    is_worker = True
 
     def watch() -> None:
         wait([parent.sentinel])

@@ -56,8 +56,10 @@ def ensure_layer(store: Store, rules: Rules, workers: int, progress: Progress | 
     shutil.rmtree(stage, ignore_errors=True)
     try:
         for make, copy in ((_stage_tables, _copy_tables), (_stage_derived, _copy_derived)):
-            for _ in map_shards(make, jobs, workers, lambda job: job.weight):
-                advance(1)
+            # Held open, so that this process opens it and plans a statement once for all sequences.
+            with Graph.open(store.graph_path, read_only=True):
+                for _ in map_shards(make, jobs, workers, lambda job: job.weight):
+                    advance(1)
             write_graph(store, partial(copy, jobs))
     finally:
         shutil.rmtree(stage, ignore_errors=True)

@@ -16,7 +16,6 @@ A `Graph` may be used from several threads, which then wait for each other; open
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import re
 import threading
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,6 +24,7 @@ from typing import Any, Final, Self
 
 import pyarrow as pa
 
+from jrdb_avr.queries import workers
 from jrdb_avr.queries.graph.database import (
     SharedDatabase,
     acquire_database,
@@ -292,10 +292,10 @@ def worker_graph(path: Path) -> Iterator[Graph]:
         graph = _left_open.get(path)
         if graph is None:
             graph = Graph.open(path, read_only=True)
-            if multiprocessing.parent_process() is None:
-                closing.enter_context(graph)
-            else:
+            if workers.is_worker:
                 _left_open[path] = graph
+            else:
+                closing.enter_context(graph)
         yield graph
 
 

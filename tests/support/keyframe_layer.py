@@ -2,21 +2,24 @@
 
 with searched(store, sequence, rules) as context: ...          # a SearchContext, whose statements run
 result = search(store, sequence, rules, candidates=None)       # what a worker of generation returns
+with layers_in_memory(): generate(store, rules, workers=1)      # of a store without a graph: faster where it is small
 """
 
 import contextlib
 from dataclasses import replace
-from unittest import mock
+from types import SimpleNamespace
 
 import pyarrow as pa
+import pytest
 
-from jrdb_avr.engine.generate import context as contexts
-from jrdb_avr.engine.generate.context import SearchContext
+from jrdb_avr.engine.generate import run
+from jrdb_avr.engine.generate.context import LayerJob, SearchContext
 from jrdb_avr.engine.generate.keyframe_graph import derived_tables
 from jrdb_avr.engine.generate.keyframes import keyframe_tables
 from jrdb_avr.engine.generate.scene import load_scene
 from jrdb_avr.engine.generate.sequence import SequenceJob, search_sequence
 from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, table_ddl
 
 
@@ -45,7 +48,15 @@ def searched(store, sequence, rules):
 
 def search(store, sequence, rules, candidates=None):
     """What a worker of generation returns for a sequence."""
-    with searched(store, sequence, rules) as context:
-        graph = lambda path: contextlib.nullcontext(context.graph)  # noqa: E731
-        with mock.patch.object(contexts, "worker_graph", graph):
-            return search_sequence(SequenceJob(store.path, sequence, 0, rules, candidates))
+    with layers_in_memory():
+        return search_sequence(SequenceJob(store.path, sequence, 0, rules, candidates))
+
+
+@contextlib.contextmanager
+def layers_in_memory():
+    """A context in which generation by one worker makes the layer of each sequence in memory while it is searched."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(LayerJob, "searching", lambda job: searched(Store(job.store), job.sequence, job.rules))
+        patch.setattr(run, "ensure_layer", lambda store, *_: dict.fromkeys(store.manifest().sequences, 0))
+        patch.setattr(run, "Graph", SimpleNamespace(open=lambda path, read_only: contextlib.nullcontext()))
+        yield

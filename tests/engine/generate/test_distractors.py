@@ -4,6 +4,7 @@ import json
 
 import pytest
 from built_worlds import SEQUENCE, build
+from keyframe_layer import search
 from quick_store import quick_store
 from worlds import person
 
@@ -16,10 +17,9 @@ def kept(tmp_path, world, template):
     """The kept candidates of a template, by stated seconds."""
     store = quick_store(tmp_path, world)
     rules = Rules(max_per_person=1000, near_duplicate_s=0.0, near_presence_s=0.0)
-    job = sequence.SequenceJob(store.path, SEQUENCE, rules)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sequence, "FORMS", {template: FORMS[template]})
-        found = sequence.search_sequence(job)
+        found = search(store, SEQUENCE, rules)
     return {tuple(t // 15 for t in row["times"]): row for row in found.pool.to_pylist()}
 
 

@@ -1,6 +1,6 @@
 """Fork-join in random small worlds: every candidate and the rule that refuses it, against brute force over the dicts.
 
-Whom a description fits and where a single step leads is taken from the engine, which others check; windows, groups,
+Whom a description fits and where a single step leads is read from the graph, which others check; windows, groups,
 joins and every proof are worked out here, person by person.
 """
 
@@ -9,13 +9,13 @@ import random
 from collections import Counter
 
 import pytest
-from quick_store import quick_store
+from keyframe_layer import searched
+from quick_store import memory_store
 from worlds import person
 
+from jrdb_avr.engine.generate import fork_join
 from jrdb_avr.engine.generate.candidates import PASSED, RULES, VALUES
-from jrdb_avr.engine.generate.context import SearchContext
 from jrdb_avr.engine.generate.relations import RELATIONS
-from jrdb_avr.engine.generate.scene import load_scene
 from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import TEMPLATES
@@ -29,6 +29,11 @@ WINDOWS = {
 }
 BUSY = ("reading", "typing", "pushing", "eating sth", "writing")
 """What the first people do, so that there are descriptions without a pose."""
+ANCHORS = "MATCH (n:Name)-[d:Describes]->(:Moment) WHERE d.anchor RETURN n.id AS name ORDER BY name"
+STEPS = """MATCH (a:Moment)-[s:Step]->(b:Moment)
+RETURN a.frame / 15 AS t, a.track AS who, s.relation AS relation, b.track AS whom, b.nowhere AS nowhere
+ORDER BY t, who, relation"""
+UNSURE = "MATCH (a:Moment) WHERE a.open CONTAINS 'groups' RETURN a.frame / 15 AS t, a.track AS who ORDER BY t, who"
 EMPTY, SEVERAL, UNKNOWN = "empty", "several", "unknown"
 NO, YES, MAYBE = 0, 1, 2
 
@@ -144,12 +149,14 @@ class Brute:
 
 def compare(seed, folder):
     """Check one world; returns how many candidates each rule refuses."""
-    seconds, rules = crowd(random.Random(seed)), Rules()
-    scene = load_scene(quick_store(folder, root_of(seconds)), SEQUENCE)
+    seconds = crowd(random.Random(seed))
     template = next(t for t in TEMPLATES.values() if t.name == "fork_join")
-    with SearchContext.of(scene, rules) as context:
+    with searched(memory_store(folder, root_of(seconds)), SEQUENCE, Rules()) as context:
         rows = find_candidates(context, template)
-    names, steps = context.descriptions, context.steps
+        anchors = set(context.graph.query(ANCHORS)["name"].to_pylist())
+        led = context.graph.query(STEPS).to_pylist()
+        unsure = {(row["t"], row["who"]) for row in context.graph.query(UNSURE).to_pylist()}
+    scene, names = context.scene, context.descriptions
 
     def track(moment):
         nowhere = {-1: EMPTY, -2: SEVERAL, -3: UNKNOWN}
@@ -158,13 +165,17 @@ def compare(seed, folder):
     def second(moment):
         return int(scene.keyframes[moment % len(scene.keyframes)]) // 15
 
-    led = zip(steps.source.tolist(), steps.relation.tolist(), steps.target.tolist(), strict=True)
-    leads = {(second(a), track(a), RELATIONS[r]): track(b) for a, r, b in led}
+    outcomes = {"empty": EMPTY, "ambiguous": SEVERAL, "unknown": UNKNOWN}
+    leads = {(row["t"], row["who"], row["relation"]): row["whom"] or outcomes[row["nowhere"]] for row in led}
+
+    def step(t, a, label):
+        return leads.get((t, a, label)) or (UNKNOWN if label == GROUP and (t, a) in unsure else EMPTY)
+
     number = names.texts[1]
     place = {int(frame) // 15: i for i, frame in enumerate(scene.keyframes)}
     brute = Brute(
         seconds,
-        lambda t, a, label: leads[t, a, label],
+        step,
         lambda description, t: track(int(names.fits[description, place[t]])),
     )
     leading = {label for _, _, label in leads}
@@ -175,7 +186,7 @@ def compare(seed, folder):
             continue
         for labels, b, c, d in brute.candidates(number[name], a, t, leading):
             column, pose = seconds[t][d][0], {"w": "walking", "t": "standing", "s": "sitting"}[seconds[t][d][1]]
-            if not names.anchor()[name]:
+            if name not in anchors:
                 rule = "anchor"
             elif min(seconds[t][who][4] for who in (a, b, c, d)) < 40:
                 rule = "evidence"
@@ -200,3 +211,8 @@ def compare(seed, folder):
 def test_candidates_and_refusals_are_those_of_brute_force(tmp_path, seeds):
     counts = sum((compare(seed, tmp_path / str(seed)) for seed in seeds), Counter())
     assert {None, "evidence", "view.ahead", "hop.stop", "hop.skip", "time.shift", "time.drop"} <= set(counts)
+
+
+def test_blocks_of_forks_give_what_all_together_give(tmp_path, monkeypatch):
+    monkeypatch.setattr(fork_join, "_BLOCK", 5)
+    assert compare(3, tmp_path).total() > 5

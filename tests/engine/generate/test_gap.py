@@ -13,17 +13,15 @@ import pytest
 from effort import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from keyframe_layer import search, searched
 from quick_store import memory_store, quick_store
 from visible import visible_share
 from worlds import member, person, person_3d
 
 from jrdb_avr.engine.generate.candidates import PASSED, to_table
 from jrdb_avr.engine.generate.candidates import RULES as RULES_OF_CANDIDATES
-from jrdb_avr.engine.generate.context import SearchContext
 from jrdb_avr.engine.generate.records import choice_sets, make_record
-from jrdb_avr.engine.generate.scene import load_scene
 from jrdb_avr.engine.generate.search import find_candidates
-from jrdb_avr.engine.generate.sequence import SequenceJob, search_sequence
 from jrdb_avr.engine.rederive import UNKNOWN, Annotations, rederive
 from jrdb_avr.schema.answers import decode_answer, encode_answer
 from jrdb_avr.schema.panorama import Box
@@ -86,10 +84,12 @@ def busy_world(rng):
     return {NAME: layers}
 
 
-def searched(scene):
-    """{form: {(plan, answer, needed boxes, people and times)}} of the proven candidates."""
+def proven(store):
+    """(the world prepared for search, the names that are anchors, {form: {(plan, answer, needed boxes, people and
+    times)}} of the proven candidates)."""
     found = {}
-    with SearchContext.of(scene, RULES) as context:
+    with searched(store, NAME, RULES) as context:
+        names = context.query("search", "anchors")
         for form in FORMS:
             rows = find_candidates(context, form)
             proven = np.flatnonzero(rows.rule == PASSED)
@@ -99,7 +99,7 @@ def searched(scene):
                 record = make_record(context, rows, line, confirmed, *choice_sets(context, rows, line))
                 needed = frozenset((box.node, box.track, box.frame, box.decisive) for box in record.needed)
                 found[form.form].add((line["plan"], line["answer"], needed, tuple(sorted(record.bindings.items()))))
-    return context.descriptions, found
+    return context, names.filter(names["anchor"])["name"].to_pylist(), found
 
 
 def settled(annotations, outcome, plan):
@@ -139,13 +139,14 @@ def spoken_of(annotations, relation, track, other, frame):
     return annotations._when(said, frame, "interactions") is not None
 
 
-def tried(scene, store, names):
+def tried(store, context, anchors):
     """The same by asking the second path about every plan there could be."""
     annotations = Annotations.read(store, NAME, RULES)
+    scene, names = context.scene, context.descriptions
     actions = sorted(set(scene.actions["action"].to_pylist()))
     frames = scene.keyframes.tolist()
     found = {form.form: set() for form in FORMS}
-    for name in np.flatnonzero(names.general & names.anchor()).tolist():
+    for name in [name for name in anchors if names.general[name]]:
         t0 = int(scene.frames(names.moment[[name]])[0])
         conditions = names.of(name)
         plans = [("gap_absence", Slots(conditions, {"t0": t0}))]
@@ -176,9 +177,8 @@ def compare(seed):
     """Check one world; returns how many questions of each form it has."""
     with tempfile.TemporaryDirectory() as folder:
         store = memory_store(folder, busy_world(random.Random(seed)))
-        scene = load_scene(store, NAME)
-        names, found = searched(scene)
-        expected = tried(scene, store, names)
+        context, anchors, found = proven(store)
+        expected = tried(store, context, anchors)
         for form in expected:
             assert sorted(found[form] - expected[form], key=str)[:2] == []
             assert sorted(expected[form] - found[form], key=str)[:2] == []
@@ -195,7 +195,7 @@ def test_forms_are_judged_together(tmp_path, monkeypatch):
     store = quick_store(tmp_path, busy_world(random.Random(9)))
     file = tmp_path / "candidates.parquet"
     rules = msgspec.structs.replace(RULES, max_per_person=2)
-    found = search_sequence(SequenceJob(store.path, NAME, rules, file))
+    found = search(store, NAME, rules, file)
     assert found.faults == [] and found.lacking == {}
     counts = {what: count for (template, what), count in found.counts.items() if template == "gap"}
     assert len(counts) == len(found.counts)
@@ -225,14 +225,14 @@ def test_without_actions_absences_and_counts_are_asked_about(tmp_path, monkeypat
     for rows in world[NAME]["2d"].values():
         for row in rows:
             del row["action_label"]
-    found = search_sequence(SequenceJob(quick_store(tmp_path, world).path, NAME, RULES))
+    found = search(quick_store(tmp_path, world), NAME, RULES)
     assert found.lacking == {} and found.counts["gap", "candidates"] > 0
 
 
 def test_without_boxes_there_is_nothing_to_ask(tmp_path, monkeypatch):
     monkeypatch.setattr("jrdb_avr.engine.generate.sequence.FORMS", {"gap": tuple(FORMS)})
     store = quick_store(tmp_path, {NAME: {"3d": {0: [person_3d(1, 3.0, 0.0)], 15: []}}})
-    found = search_sequence(SequenceJob(store.path, NAME, RULES))
+    found = search(store, NAME, RULES)
     assert found.lacking == {"gap": ("2d",)} and found.counts == {} and len(found.pool) == 0
 
 

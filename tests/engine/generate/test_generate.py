@@ -16,10 +16,12 @@ import warm
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from keyframe_layer import layers_in_memory
 from lively_worlds import lively_world
 from places import REAL
 from quick_store import graphless_store
 from visible import visible_share
+from worlds import load_world
 
 from jrdb_avr.engine.commands.generate import generate as generate_command
 from jrdb_avr.engine.generate import views
@@ -62,7 +64,7 @@ def files(store):
 def made(tmp_path_factory):
     """(store, report, path of the candidates file) of a generation over two worlds, by two workers."""
     folder = tmp_path_factory.mktemp("made")
-    store = graphless_store(folder, two_worlds())
+    store = load_world(folder, two_worlds())
     report = generate(store, Rules(), candidates=folder / "candidates.parquet", **HOW | {"workers": 2})
     return store, report, folder / "candidates.parquet"
 
@@ -71,7 +73,7 @@ def made(tmp_path_factory):
 def one(tmp_path_factory):
     """The same as `made`, over one world with much to ask: for tests that generate again. Not to be written to."""
     folder = tmp_path_factory.mktemp("one")
-    store = graphless_store(folder, lively_world(random.Random(8), NAMES[0]))
+    store = load_world(folder, lively_world(random.Random(8), NAMES[0]))
     report = generate(store, Rules(), candidates=folder / "candidates.parquet", **HOW)
     return store, report
 
@@ -81,6 +83,13 @@ def another(one, tmp_path):
     """A copy of the store of one world, without its questions."""
     shutil.copytree(one[0].path, tmp_path / "store", ignore=shutil.ignore_patterns("questions"))
     return Store(tmp_path / "store")
+
+
+@pytest.fixture
+def in_memory():
+    """No graph is stored: for tests of what the layer does not change."""
+    with layers_in_memory():
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -261,7 +270,7 @@ def shuffled(world, seed):
 
 
 def test_files_do_not_depend_on_workers_input_order_or_hash_seed(made, tmp_path):
-    graphless_store(tmp_path, shuffled(two_worlds(), 1))
+    load_world(tmp_path, shuffled(two_worlds(), 1))
     environment = os.environ | {"PYTHONHASHSEED": "77"}
     call = [Path(sys.executable).parent / "jrdb-avr", "generate", "--store", tmp_path / "store", "--workers", "1"]
     subprocess.run(call, check=True, env=environment, capture_output=True, timeout=300)
@@ -289,7 +298,7 @@ def test_a_kill_between_the_files_is_repaired_by_another_run(one, tmp_path):
         "            os.kill(os.getpid(), signal.SIGKILL)\n"
         "    return move(self, target)\n"
         "Path.replace = replace\n"
-        "generate(Store(sys.argv[1]), Rules(max_per_person=1), workers=1)\n"
+        "generate(Store(sys.argv[1]), Rules(), workers=1, seed=1)\n"
     )
     killed = warm.run(warm.script, script, store.path)
     assert killed.returncode == -signal.SIGKILL
@@ -328,7 +337,7 @@ def test_a_second_writer_is_refused(made):
         generate(made[0], Rules(), **HOW)
 
 
-def test_missing_layers_are_named(tmp_path):
+def test_missing_layers_are_named(tmp_path, in_memory):
     world = {NAMES[0]: {"2d": lively_world(random.Random(3), NAMES[0])[NAMES[0]]["2d"]}}
     store = graphless_store(tmp_path, world)
     result = CliRunner().invoke(generate_command, ["--store", str(store.path), "--workers", "1"])
@@ -340,14 +349,14 @@ def test_missing_layers_are_named(tmp_path):
     assert told["start"]["skipped"] is None
 
 
-def test_a_world_without_anything_gives_empty_tables(tmp_path):
+def test_a_world_without_anything_gives_empty_tables(tmp_path, in_memory):
     store = graphless_store(tmp_path, {NAMES[0]: {"2d": {0: [], 15: []}}})
     report = generate(store, Rules(), **HOW)
     assert all(row["questions"] == 0 for row in report.templates)
     assert store.questions("questions").num_rows == 0
 
 
-def test_rules_reach_the_search(one, another):
+def test_rules_reach_the_search(one, another, in_memory):
     report = generate(another, override(Rules(), {"max_conditions": "1", "max_per_person": "1"}), **HOW)
     answers = another.questions("answers").to_pylist()
     assert answers
@@ -360,7 +369,7 @@ def test_unwritable_candidates_are_one_error_and_leave_the_questions(one, tmp_pa
     place = tmp_path / "file"
     place.write_text("")
     with pytest.raises(StoreError, match="cannot write"):
-        generate(store, Rules(max_per_person=1), candidates=place / "candidates.parquet", **HOW)
+        generate(store, Rules(), candidates=place / "candidates.parquet", **HOW | {"seed": 1})
     assert files(store) == files(one[0])
 
 
@@ -426,7 +435,7 @@ def test_single_view_tries_every_angle_that_matters(boxes):
 
 
 @pytest.mark.skipif(not REAL.exists(), reason="the real annotations are not here")
-def test_real_sequences(tmp_path):
+def test_real_sequences(tmp_path, in_memory):
     labels = REAL / "labels" / "labels_2d_stitched"
     chosen = sorted(labels.glob("*.json"), key=lambda path: path.stat().st_size)[:2]
     world = {path.stem: {"2d": path.read_bytes()} for path in chosen}

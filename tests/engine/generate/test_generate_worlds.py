@@ -7,17 +7,16 @@ from collections import Counter
 import numpy as np
 import pytest
 from built_worlds import SEQUENCE, build
+from keyframe_layer import search, searched
 from oracle_people import People
 from places import TESTS
 from quick_store import memory_store
 from worlds import write_root
 
 from jrdb_avr.engine.generate.candidates import OUTCOMES, PASSED, RULES, VALUES
-from jrdb_avr.engine.generate.context import SearchContext
 from jrdb_avr.engine.generate.relations import RELATIONS
-from jrdb_avr.engine.generate.scene import NOBODY, load_scene
+from jrdb_avr.engine.generate.scene import NOBODY
 from jrdb_avr.engine.generate.search import find_candidates
-from jrdb_avr.engine.generate.sequence import SequenceJob, search_sequence
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import TEMPLATES
@@ -50,12 +49,10 @@ def judge(store, claimed):
 
     Only that is looked at which the world claims something of: {name of a template: tracks of its targets}.
     """
-    rules = Rules()
-    scene = load_scene(store, SEQUENCE)
-    people = len(scene.keyframes)
     found = {}
-    with SearchContext.of(scene, rules) as context:
-        names = context.descriptions
+    with searched(store, SEQUENCE, Rules()) as context:
+        scene, names = context.scene, context.descriptions
+        people = len(scene.keyframes)
         for template in TEMPLATES.values():
             if template.query not in claimed or not set(template.layers) <= scene.layers:
                 continue
@@ -81,7 +78,7 @@ def judge(store, claimed):
 
 def kept(store):
     """{(template, target): questions} without near-duplicates and those above the cap."""
-    table = search_sequence(SequenceJob(store.path, SEQUENCE, Rules())).pool
+    table = search(store, SEQUENCE, Rules()).pool
     return Counter(zip(*(table[name].to_pylist() for name in ("template", "target_track")), strict=True))
 
 

@@ -5,6 +5,7 @@ import warnings
 
 import pytest
 from click.testing import CliRunner
+from keyframe_layer import layers_in_memory
 from quick_store import without_graph
 from worlds import load_world, person, write_root
 
@@ -27,6 +28,12 @@ def sequence(attributes):
         told = {} if attributes else {"attributes": None}
         frames[frame] = [person(1, BOX, {pose: "1", "reading": "1"}, **told), person(2, OTHER, {POSES[2]: "1"}, **told)]
     return {"2d": frames}
+
+
+@pytest.fixture(autouse=True)
+def in_memory():
+    with layers_in_memory():
+        yield
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ import pytest
 from entry import run
 from hypothesis import given
 from hypothesis import strategies as st
+from keyframe_layer import layers_in_memory
 from lively_worlds import lively_world
 from quick_store import graphless_store
 
@@ -92,7 +93,13 @@ def test_options_go_together(sample_benchmark, tmp_path):
     assert run("inspect", "--import", "x", "--reviewer", "a\u202eda", "--store", store.path)[0] == 2
 
 
-def test_generate_leaves_out_what_was_rejected(tmp_path, monkeypatch):
+@pytest.fixture
+def in_memory():
+    with layers_in_memory():
+        yield
+
+
+def test_generate_leaves_out_what_was_rejected(tmp_path, monkeypatch, in_memory):
     # What is found does not depend on the reviews, so it is searched for once.
     monkeypatch.setattr(generating, "search_sequence", cache(generating.search_sequence))
     worlds = [lively_world(random.Random(seed), f"yard-2020-01-0{seed}_0") for seed in (5, 8)]
