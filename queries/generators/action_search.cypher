@@ -1,6 +1,6 @@
-// action_search: two steps lead to a person at t0 who later starts an action somewhere else: the first stable segment
-// of it after t0, seen in a direction more than $turn degrees away from that at t0. skip_1_person: whom the second step
-// leads to from a. Where that is nobody, skip_1 is the outcome.
+// action_search: two steps lead to a person at t0 who later starts an action in another direction.
+// It is the first stable segment of the action after t0, seen more than $turn degrees away from the direction at t0.
+// skip_1_person: whom the second step leads to from a. Where that is nobody, skip_1 is the outcome.
 // param sequence: text
 MATCH (n:Name)-[d:Describes]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)<-[:At]-(:Person)
       -[:Acts]->(s:Segment)

@@ -1,4 +1,4 @@
-// change: somebody described at t0, without a pose, has another pose at t1, both poses are known.
+// change: somebody described at t0, without a pose, has another known pose at t1.
 // param sequence: text
 MATCH (n:Name)-[d:Describes]->(m0:Moment)<-[:At]-(:Person)-[:At]->(m1:Moment)
 WHERE n.id >= $low AND n.id < $high

@@ -1,5 +1,5 @@
-// consequence: somebody described at t0, without a pose, keeps the posture of t0 at every keyframe for at least ten
-// seconds more, at the next keyframe a stable segment of another has begun, which is the answer.
+// consequence: somebody described at t0, without a pose, keeps a pose for ten seconds, and then the next one begins.
+// The pose of t0 is held at every keyframe. At the keyframe after it a stable segment of another has begun, the answer.
 // param sequence: text
 MATCH (n:Name)-[d:Describes]->(m0:Moment)<-[:At]-(:Person)-[:Acts]->(s:Segment)
 WHERE n.id >= $low AND n.id < $high

@@ -1,6 +1,7 @@
-// fork_join: two steps lead from somebody described to two different people, and a relation of each of them singles out
-// a fourth person, whose pose is the answer. The branch whose first relation comes first by its text is named first.
-// stop_0 to stop_2: the poses of a, b and c, one of the latter two must differ, as the branches have no order.
+// fork_join: two steps lead from somebody described to two people, who together single out a fourth.
+// A relation of each of them holds of that person, whose pose is the answer. The branch whose first relation comes
+// first by its text is named first. stop_0 to stop_2: the poses of a, b and c. One of the latter two must differ, as
+// the branches have no order.
 // param sequence: text
 MATCH (n:Name)-[e:Describes]->(a:Moment)-[s1:Leads]->(b:Moment)-[j:Joined]->(d:Moment), (a)-[s2:Leads]->(c:Moment)
 WHERE n.id >= $low AND n.id < $high

@@ -1,6 +1,6 @@
-// gap, a count: with how many different people somebody described at t1 is in a relation from t1 to t2. All of that
-// time it is known with whom. Everybody counted must be seen together with the target before t2, whoever may be in the
-// relation between two keyframes must be one of them.
+// gap, a count: with how many different people somebody described at t1 is in a relation from t1 to t2.
+// All of that time it is known with whom. Everybody counted must be seen together with the target before t2, and
+// whoever may be in the relation between two keyframes must be one of them.
 // param sequence: text
 MATCH (n:Name)-[d:Describes]->(m1:Moment)-[:Begins]->(e:Encounter)-[w:Meets]->(:Person),
       (m1)<-[:At]-(:Person)-[:At]->(m2:Moment)

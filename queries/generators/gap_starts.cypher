@@ -1,5 +1,5 @@
-// gap, between two starts: somebody described at t0 later starts two different actions, each for the first time after
-// t0: both are quiet since t0 at the latest. The earlier start keeps the distance from t0, the later one from the first.
+// gap, between two starts: somebody described at t0 later starts two different actions.
+// Both are quiet since t0 at the latest. The earlier start keeps the distance from t0, the later one from the first.
 // param sequence: text
 MATCH (n:Name)-[d:Describes]->(m0:Moment)<-[:At]-(p:Person)-[:Acts]->(s1:Segment), (p)-[:Acts]->(s2:Segment)
 WHERE n.id >= $low AND n.id < $high

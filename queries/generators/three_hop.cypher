@@ -1,5 +1,5 @@
-// three_hop: as two_hop, one step farther, the four are different people.
-// skip_1 leaves out the first step (x, then y), skip_2 the second (z), whoever comes back to a finds nobody.
+// three_hop: as two_hop, one step farther to a fourth person.
+// skip_1 leaves out the first step (x, then y), skip_2 the second (z). Whoever comes back to a finds nobody.
 // param sequence: text
 MATCH (n:Name)-[e:Describes]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)-[s3:Leads]->(d:Moment)
 WHERE n.id >= $low AND n.id < $high

@@ -1,5 +1,5 @@
 // two_hop: two certain steps from somebody described lead to a person whose pose is the answer.
-// stop_0, stop_1: the answer one or two people early, skip_1: without the first step. Where they give none, the outcome.
+// stop_0, stop_1: the answer one or two people early. skip_1: without the first step. Where there is none, the outcome.
 // param sequence: text
 MATCH (n:Name)-[d:Describes]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)
 WHERE n.id >= $low AND n.id < $high
@@ -10,8 +10,8 @@ WHERE n.id >= $low AND n.id < $high
 OPTIONAL MATCH (a)-[k:Step]->(x:Moment)
 WHERE x.id >= $low AND x.id < $high AND k.relation = s2.relation
 WITH n, d, a, s1, b, s2, c, coalesce(a.pose, 'unknown') AS stop_0, coalesce(b.pose, 'unknown') AS stop_1,
-     coalesce(x.nowhere, x.pose, CASE WHEN x.id IS NULL AND NOT a.open CONTAINS s2.layer THEN 'empty' ELSE 'unknown' END)
-       AS skip_1
+     coalesce(x.nowhere, x.pose,
+              CASE WHEN x.id IS NULL AND NOT a.open CONTAINS s2.layer THEN 'empty' ELSE 'unknown' END) AS skip_1
 RETURN n.id - $low AS name, a.frame AS t0, a.track AS a, s1.relation AS r1, b.track AS b, s2.relation AS r2,
        c.track AS c,
        c.pose AS answer,

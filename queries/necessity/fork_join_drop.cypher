@@ -1,5 +1,5 @@
-// time.drop of fork_join: whom description and both first steps lead to at every keyframe at which they are two. Whom b
-// and c single out together then is no part of the graph.
+// time.drop of fork_join: whom description and both first steps lead to at every keyframe at which they are two.
+// Whom b and c single out together then is no part of the graph.
 // param sequence: text
 MATCH (p:Description)-[:Fits]->(a:Moment)-[s1:Leads]->(b:Moment), (a)-[s2:Leads]->(c:Moment)
 WHERE p.id >= $low AND p.id < $high

@@ -1,5 +1,5 @@
-// time.shift of fork_join: whom description and both first steps lead to $by frames later, or the outcome where that is
-// nobody. Whom b and c single out together then is no part of the graph.
+// time.shift of fork_join: whom description and both first steps lead to $by frames later.
+// Where that is nobody, the outcome. Whom b and c single out together then is no part of the graph.
 // param sequence: text
 // param by: integer = 45
 MATCH (n:Name)-[e:Describes]->(a:Moment)-[s1:Leads]->(b:Moment), (a)-[s2:Leads]->(c:Moment), (n)-[v:Moved]->(a2:Moment)

@@ -1,5 +1,5 @@
-// time.drop of change and later_pose: every keyframe at which t1 could be, for every moment that could be at t0, and
-// how many different poses are known there.
+// time.drop of change and later_pose: how many keyframes give the same person's pose, and how many poses there are.
+// Of every moment that could be at t0, over every keyframe at which t1 could be.
 // param sequence: text
 MATCH (m0:Moment)<-[e0:At]-(p:Person)-[e:At]->(m:Moment)
 WHERE m0.id >= $low AND m0.id < $high

@@ -1,4 +1,5 @@
-// time.shift of change and later_pose: the same person's pose when t1 moves by $by frames, an absent person has none.
+// time.shift of change and later_pose: the same person's pose when t1 moves by $by frames.
+// A person who is absent then has none.
 // param sequence: text
 // param by: integer = 45
 MATCH (m1:Moment)-[s:Shift]->(moved:Moment)

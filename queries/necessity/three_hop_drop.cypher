@@ -1,5 +1,5 @@
-// time.drop of three_hop: by description and relations, at how many keyframes the program has an answer, and how many
-// different ones there are.
+// time.drop of three_hop: at how many keyframes the program has an answer, and how many different ones.
+// By description and relations.
 // param sequence: text
 MATCH (p:Description)-[:Fits]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)-[s3:Leads]->(d:Moment)
 WHERE p.id >= $low AND p.id < $high

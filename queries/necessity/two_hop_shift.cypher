@@ -1,5 +1,6 @@
-// time.shift of two_hop: the answer with description and hops read anew, $by frames later, where there is none, the
-// outcome. Only candidates that no other rule refuses are tried, and only where there is a keyframe then.
+// time.shift of two_hop: the answer with description and hops read $by frames later.
+// Where there is none, the outcome. Only candidates that no other rule of the graph refuses are tried, where there is a
+// keyframe then.
 // param sequence: text
 // param by: integer = 45
 MATCH (n:Name)-[d:Describes]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment), (n)-[v:Moved]->(a2:Moment)

@@ -1,5 +1,6 @@
-// Whom each name fits for certain while nobody else could, and whether it is an anchor: every condition of it is needed,
-// as two people could be meant without it. Conditions of a name are its places 1, 2 and 4, and `met` is their sum.
+// Whom each name fits, and whether it is an anchor.
+// It fits for certain while nobody else could be meant, and every condition is needed: two people could be meant
+// without it. Conditions of a name are its places 1, 2 and 4, and `met` is their sum.
 // param sequence: text
 MATCH (n:Name)-[u:Uses]->(c:Condition)<-[s:Satisfies]-(m:Moment)
 WHERE n.id >= $low AND n.id < $high

@@ -1,5 +1,6 @@
-// Whom each relation leads to from each moment of which there are facts: the one person who certainly has it while
-// nobody else could, else the number of the moment that stands for the outcome, ambiguous (-2) or unknown (-3).
+// Whom each relation leads to from each moment of which there are facts.
+// The one person who certainly has it while nobody else could, else the number of the moment that stands for the
+// outcome, ambiguous (-2) or unknown (-3).
 // param sequence: text
 MATCH (a:Moment)-[f:Fact]->(b:Moment)
 WHERE a.id >= $low AND a.id < $high

@@ -260,7 +260,7 @@ def test_statements_of_many_texts_do_not_pile_up(monkeypatch):
             for n in range(14):
                 asked = f"MATCH (n:Entity {{id: $id}}) WHERE n.name <> 'm{part}x{n}' RETURN count(*) AS n"
                 assert world.query(asked, {"id": f"{part}/{n}"})["n"].to_pylist() == [1]
-            assert max(map(len, (world.graph._plans, world.graph._prepared))) <= 32
+            assert max(map(len, (world.graph._shared.plans, world.graph._prepared))) <= 32
             assert world.graph._planned <= 32 + 2 * 25
         with pytest.raises(QueryError):
             world.write([(make.format(n), {"id": f"{n % 39}"}) for n in range(40)])

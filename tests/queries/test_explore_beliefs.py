@@ -70,7 +70,7 @@ def at(rows, kind, step):
 
 
 def sighting_order(made):
-    return made[0]["frame"], made[0]["source"], made[0]["write"]
+    return made[0]["frame"], made[0]["write"], made[0]["source"]
 
 
 def short(key):

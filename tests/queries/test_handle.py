@@ -264,9 +264,9 @@ def test_plans_are_made_anew_when_the_data_changes(memory):
     memory.execute(NODES)
     memory.execute(EDGES)
     memory.query("MATCH (n:N) RETURN count(*) AS n")
-    assert memory._plans
+    assert memory._shared.plans
     memory.copy("N", pa.table({"id": [1], "s": ["x"]}))
-    assert not memory._plans
+    assert not memory._shared.plans
 
 
 # -- results --------------------------------------------------------------------------------------------------------
