@@ -520,7 +520,7 @@ def test_every_named_query_runs_on_its_defaults(store, language, without_process
     for name, query in known.items():
         assert query.answers.endswith("."), f"{name}: the first comment line says what it answers"
         if "Episode" in query.text or "$low" in query.text:
-            # This graph has no tables of beliefs, nor a keyframe layer: see test_explore_beliefs, test_statements_by_name.
+            # This graph has no tables of beliefs and no keyframe layer: others have (test_statements_by_name).
             continue
         assert sorted(query.types) == parameters(query.text) or language == "sql"
         given = {key: examples[key] for key in query.types if key not in query.defaults}
