@@ -160,10 +160,10 @@ def batches(sizes: Iterable[tuple[str, int]], most: int) -> Iterator[tuple[list[
 
 
 def column_names(table: str) -> list[str]:
-    """Columns of a table of the scene, as in the graph: nodes begin with their key, edges with their two keys."""
-    if table in SCENE_RELS:
-        return ["from", "to", *(column.split()[0] for column in SCENE_RELS[table][2])]
-    return [column.split()[0] for column in SCENE_NODES[table].split(", ")]
+    """Columns of a table of the graph: nodes begin with their key, edges with their two keys."""
+    if table in RELS:
+        return ["from", "to", *(column.split()[0] for column in RELS[table][2])]
+    return [column.split()[0] for column in NODES[table].split(", ")]
 
 
 def with_wide_integers(rows: pa.Table) -> pa.Table:

@@ -3,9 +3,12 @@
 The interval tables are the record, and the manifest holds their hashes. So the graph is not compared with itself:
 each scene table is read out of it whole, with every property, once from either end of its edges (the engine keeps both
 directions apart), and compared with the rows that the interval tables give, by a sum of row hashes that no order can
-change. The file's own checksum tells what no scan can see, such as a damaged index over the keys; where agents have
-written beside the scene since, it cannot hold, and every key is looked up instead (the engine joins by scans, so its
-index answers one key at a time).
+change. The tables of the keyframe layer are compared with the digests in its stamp, taken of the rows before they were
+copied.
+
+The file's own checksum tells what no scan can see, such as a damaged index over the keys; where agents have written
+into the file since, it cannot hold, and every key of the scene is looked up instead (the engine joins by scans, so its
+index answers one key at a time). Keys of the layer are not: they are internal, and no statement looks one up.
 
 A damaged graph can crash the engine or keep it busy for ever: it is read in a process of its own, which is ended when
 it takes too much memory, or is silent for too long. After each piece of a table it reports that it is still reading.
@@ -14,6 +17,8 @@ it takes too much memory, or is silent for too long. After each piece of a table
 from __future__ import annotations
 
 import contextlib
+import functools
+import json
 import os
 import threading
 from collections import Counter, defaultdict
@@ -21,18 +26,22 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import pyarrow as pa
+import pyarrow.parquet as pq
 
-from jrdb_avr.loaders.graph import batches, column_names, scene_rows, with_wide_integers
+from jrdb_avr.loaders.graph import RELS, batches, column_names, scene_rows
 from jrdb_avr.queries import workers
 from jrdb_avr.queries.graph.file import check_fingerprint, fingerprint_of, lock_graph
 from jrdb_avr.queries.graph.guard import end_beyond_memory
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Manifest, Store, file_hash
 from jrdb_avr.schema.errors import AvrError, QueryError, StoreError
-from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
+from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, SCENE_RELS
+
+if TYPE_CHECKING:
+    import duckdb
 
 TIMEOUT_S: Final = 120.0
 """For one piece of a table, at least ten times what it needs: `_BATCH_ROWS` rows, or `BATCH_KEYS` keys looked up."""
@@ -42,25 +51,40 @@ BATCH_KEYS: Final = 1_000
 """Keys looked up at a time, each in a third of a millisecond and more."""
 
 FILE: Final = "graph file"
+UNFINISHED: Final = "keyframe layer, not finished: generate makes it anew"
+_LAYER: Final = KEYFRAME_NODES | KEYFRAME_RELS
+TABLES: Final = (FILE, *SCENE_NODES, *SCENE_RELS, *_LAYER)
+"""What is read of the graph, in order."""
+
+REMEDIES: Final = ("generate", "load --rebuild", "load ROOT")
+"""Commands that mend a store, the least first."""
+GENERATE, REBUILD, LOAD = REMEDIES
+
+_STAMP: Final = "MATCH (k:Keyframes) RETURN k.sequence AS sequence, k.digests AS digests ORDER BY sequence"
 
 Digest = tuple[int, int]
 """Rows, and the sum of their 64-bit hashes."""
 Digests = dict[str, Digest]
-"""Per sequence; under "" for a table without sequences."""
+"""Per sequence; under "" for rows without one."""
 Advance = Callable[[int], None]
 
 
 @dataclass(frozen=True)
 class Check:
-    """One part of the store: `checked` files or rows were compared, and `fault` is what is wrong, "" for nothing.
-
-    `reload`: only loading the annotations again mends it; a rebuild does for the rest.
-    """
+    """One part of the store: `checked` files or rows were compared, and `fault` is what is wrong, "" for nothing."""
 
     what: str
     checked: int
     fault: str
-    reload: bool = False
+    remedy: str = REBUILD
+
+
+def remedy_of(checks: Sequence[Check]) -> str:
+    """The command that mends all faults, "" where there are none. A checksum alone does not say what is damaged: where
+    tables differ, the checksum differs for that, as all others have been read without its help."""
+    faults = [check for check in checks if check.fault]
+    found = [check for check in faults if check.what != FILE] or faults
+    return max((check.remedy for check in found), key=REMEDIES.index, default="")
 
 
 def checks_of(store: Store, advance: Advance = lambda steps: None, *, timeout_s: float = TIMEOUT_S) -> list[Check]:
@@ -79,7 +103,7 @@ def checks_of(store: Store, advance: Advance = lambda steps: None, *, timeout_s:
         return [*checks, *_graph(store, sorted(manifest.sequences), advance, timeout_s)]
 
 
-VERIFY_STEPS: Final = 2 + 1 + len(SCENE_NODES) + len(SCENE_RELS)
+VERIFY_STEPS: Final = 2 + len(TABLES)
 """How far `advance` comes in all."""
 
 
@@ -92,7 +116,8 @@ def _files(store: Store, manifest: Manifest, part: str) -> Check:
     found = {path.relative_to(store.path).as_posix() for path in (store.path / part).rglob("*.parquet")}
     faults += [f"{path} was not written by the load" for path in sorted(found - expected.keys())]
     more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-    return Check(part, len(expected), f"{faults[0]}{more}" if faults else "", reload=part == "annotations")
+    remedy = LOAD if part == "annotations" else REBUILD
+    return Check(part, len(expected), f"{faults[0]}{more}" if faults else "", remedy)
 
 
 def _file_fault(path: Path, digest: str) -> str:
@@ -114,18 +139,26 @@ def _graph(store: Store, sequences: Sequence[str], advance: Advance, timeout_s: 
         return [Check(FILE, 0, str(error))]
     expected: defaultdict[str, Digests] = defaultdict(dict)
     for table, rows in scene_rows(store, sequences):
-        _add(expected[table], _digests(rows.select(column_names(table))))
+        _add(expected[table], digests_of(rows.select(column_names(table))))
     checks = []
-    for table, answer in _read(store.graph_path, (FILE, *SCENE_NODES, *SCENE_RELS), timeout_s):
+    for table, answer in _read(store.graph_path, TABLES, timeout_s):
         if isinstance(answer, str):
             checks.append(Check(table, 0, answer))
         elif table == FILE:
             checks.append(Check(FILE, 1, ""))
-        else:
-            faults = [f for reading in answer if (f := _difference(expected[table], reading))]
-            checks.append(Check(table, sum(n for n, _ in expected[table].values()), faults[0] if faults else ""))
+        elif table not in _LAYER:
+            checks.append(_compared(table, expected[table], answer, REBUILD))
+        elif len(answer) > 1:
+            checks.append(_compared(table, answer[0], answer[1:], GENERATE))
+        elif answer and table == "Keyframes":
+            checks.append(Check(UNFINISHED, 0, ""))
         advance(1)
     return checks
+
+
+def _compared(table: str, expected: Digests, readings: Sequence[Digests], remedy: str) -> Check:
+    faults = [fault for reading in readings if (fault := _difference(expected, reading))]
+    return Check(table, sum(rows for rows, _ in expected.values()), faults[0] if faults else "", remedy)
 
 
 def _difference(expected: Digests, found: Digests) -> str:
@@ -139,19 +172,34 @@ def _difference(expected: Digests, found: Digests) -> str:
     return f"{kind}{where}" + (f" (and in {len(wrong) - 1} more sequences)" if len(wrong) > 1 else "")
 
 
-def _digests(rows: pa.Table) -> Digests:
-    """Per sequence: rows, and the sum of row hashes."""
+def digests_of(rows: pa.Table) -> Digests:
+    """Per sequence: rows, and the sum of the hashes of their other columns."""
+    with _database().cursor() as connection:
+        connection.register("rows", rows)
+        by = "coalesce(sequence, '')" if "sequence" in rows.column_names else "''"
+        return _digests(connection, rows.column_names, by, "rows")
+
+
+def staged_digests(folder: Path) -> Digests:
+    """The same of a folder with a Parquet file per sequence, which is the process's working folder meanwhile."""
+    names = pq.read_schema(next(folder.iterdir())).names
+    with _database().cursor() as connection, contextlib.chdir(folder):
+        return _digests(connection, names, "left(filename, -8)", "read_parquet('*.parquet', filename = true)")
+
+
+def _digests(connection: duckdb.DuckDBPyConnection, names: Sequence[str], by: str, source: str) -> Digests:
+    # Equal whole numbers hash alike whatever their width.
+    listed = ", ".join(f'"{name}"' for name in names if name != "sequence")
+    found = connection.execute(f"SELECT {by}, count(*), sum(hash({listed})) FROM {source} GROUP BY 1").fetchall()  # noqa: S608
+    return {sequence: (rows, int(total)) for sequence, rows, total in found}
+
+
+@functools.cache
+def _database() -> duckdb.DuckDBPyConnection:
+    """To open one takes longer than to hash most tables."""
     import duckdb
 
-    if not rows.num_rows:
-        return {}
-    names = ", ".join(f'"{name}"' for name in rows.column_names)
-    by = "coalesce(sequence, '')" if "sequence" in rows.column_names else "''"
-    with duckdb.connect(":memory:") as connection:
-        # Whatever the width of a number is on either side, equal ones hash alike as 64 bits.
-        connection.register("rows", with_wide_integers(rows))
-        found = connection.execute(f"SELECT {by}, count(*), sum(hash({names})) FROM rows GROUP BY 1").fetchall()  # noqa: S608
-    return {sequence: (count, int(total)) for sequence, count, total in found}
+    return duckdb.connect(":memory:")
 
 
 def _add(to: Digests, more: Mapping[str, Digest]) -> None:
@@ -229,35 +277,46 @@ def _serve(answers: Connection, path: str, tables: Sequence[str]) -> None:
 
 def _inhabited(graph: Graph) -> bool:
     """Whether agents have written into the file since it was built: then some of its pages are others."""
-    tables = graph.query("CALL show_tables() RETURN name AS name", ordered=False)["name"].to_pylist()
-    return "Episode" in tables and bool(graph.query("MATCH (e:Episode) RETURN count(*) AS n")["n"][0].as_py())
+    return "Episode" in graph.tables() and bool(graph.query("MATCH (e:Episode) RETURN count(*) AS n")["n"][0].as_py())
 
 
 def _readings(graph: Graph, table: str, by_key: bool, go_on: Callable[[], None]) -> Iterator[Digests]:
-    """A table's digests by every way that a query may take to it; `go_on` is called after each piece."""
-    columns = column_names(table)
-    if table in SCENE_RELS:
-        source, target, _ = SCENE_RELS[table]
+    """A table's digests by every way that a query may take to it; `go_on` is called after each piece.
+
+    Of the keyframe layer the stamped digests come first, and nothing where there is no stamp.
+    """
+    # The digests in a stamp are not of themselves.
+    columns = [name for name in column_names(table) if name != "digests"]
+    if table in _LAYER:
+        if "Keyframes" not in graph.tables():
+            return
+        stamp = {row["sequence"]: json.loads(row["digests"]) for row in graph.query(_STAMP).to_pylist()}
+        yield {sequence: tuple(digest) for sequence, digests in stamp.items() if (digest := digests.get(table))}
+        if not stamp:
+            return
+    if table in RELS:
+        source, target, _ = RELS[table]
         head, tail = (column_names(label)[0] for label in (source.split(":")[0], target))
-        listed = ", ".join(f"r.{name} AS {name}" for name in columns[2:])
-        groups = _groups(graph, table)
+        owner = "r" if "sequence" in columns else "a"
+        listed = "".join(f", r.{name} AS {name}" for name in columns[2:] if name != "sequence")
+        groups = _groups(graph, f"(a:{source})-[r:`{table}`]->()", owner)
         for order in ("(a JOIN r) JOIN b", "(b JOIN r) JOIN a"):
             found: Digests = {}
             for sequences in groups:
                 rows = graph.query(
-                    f"MATCH (a:{source})-[r:{table}]->(b:{target}) WHERE r.sequence IN $sequences HINT {order} "
-                    f"RETURN a.{head} AS `from`, b.{tail} AS `to`, {listed}",
+                    f"MATCH (a:{source})-[r:`{table}`]->(b:{target}) WHERE {owner}.sequence IN $sequences HINT {order} "
+                    f"RETURN {owner}.sequence AS sequence, a.{head} AS `from`, b.{tail} AS `to`{listed}",
                     {"sequences": sequences},
                     ordered=False,
                     timeout_s=TIMEOUT_S,
                 )
-                _add(found, _digests(rows))
+                _add(found, digests_of(rows))
                 go_on()
             yield found
         return
     key, listed = columns[0], ", ".join(f"n.{name} AS {name}" for name in columns)
-    yield _digests(graph.query(f"MATCH (n:{table}) RETURN {listed}", ordered=False, timeout_s=TIMEOUT_S))
-    if by_key:
+    yield digests_of(graph.query(f"MATCH (n:`{table}`) RETURN {listed}", ordered=False, timeout_s=TIMEOUT_S))
+    if by_key and table not in _LAYER:
         keys = graph.query(f"MATCH (n:{table}) RETURN n.{key} AS key", ordered=False)["key"].to_pylist()
         once = [value for value, times in Counter(keys).items() if times == 1]
         lookup = f"MATCH (n:{table}) WHERE n.{key} = $key RETURN {listed}"
@@ -266,7 +325,7 @@ def _readings(graph: Graph, table: str, by_key: bool, go_on: Callable[[], None])
             go_on()
             some = once[start : start + BATCH_KEYS]
             rows = [_compact(graph.query(lookup, {"key": value}, ordered=False)) for value in some]
-            _add(looked_up, _digests(pa.concat_tables(rows)))
+            _add(looked_up, digests_of(pa.concat_tables(rows)))
         yield looked_up
 
 
@@ -275,10 +334,10 @@ def _compact(rows: pa.Table) -> pa.Table:
     return rows.take(list(range(rows.num_rows)))
 
 
-def _groups(graph: Graph, table: str) -> list[list[str]]:
-    """The sequences of an edge table's rows, in groups that can be read in one piece. Raises QueryError."""
+def _groups(graph: Graph, pattern: str, owner: str) -> list[list[str]]:
+    """The sequences of edges, by `owner` in a pattern, in groups that can be read in one piece. Raises QueryError."""
     counts = graph.query(
-        f"MATCH ()-[r:{table}]->() RETURN r.sequence AS sequence, count(*) AS n ORDER BY sequence", timeout_s=TIMEOUT_S
+        f"MATCH {pattern} RETURN {owner}.sequence AS sequence, count(*) AS n ORDER BY sequence", timeout_s=TIMEOUT_S
     )
     sizes = list(zip(counts["sequence"].to_pylist(), counts["n"].to_pylist(), strict=True))
     for sequence, rows in sizes:

@@ -47,8 +47,7 @@ STAMP: Final = (
 def layer_stamp(graph: Graph) -> tuple[dict[str, int], Rules | None]:
     """The first id of each sequence of a graph's keyframe layer, and the rules of the layer; nothing where it is not
     complete."""
-    tables = graph.query("CALL show_tables() RETURN name AS name", ordered=False)["name"].to_pylist()
-    if not KEYFRAME_NODES.keys() <= set(tables):
+    if not KEYFRAME_NODES.keys() <= graph.tables():
         return {}, None
     rows = graph.query(STAMP).to_pylist()
     lows = {row["sequence"]: row["low"] for row in rows}

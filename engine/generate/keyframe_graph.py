@@ -2,12 +2,14 @@
 
 Workers make the rows of a sequence, one process copies them. Twice: the statements of `queries/search` run over what
 was copied first, side by side, and what they find is copied as edges. The graph file is copied, written and renamed
-in, so that the old one stays until the new one is whole. The stamp, `Keyframes`, is written last.
+in, so that the old one stays until the new one is whole. The stamp, `Keyframes`, is written last: the rules, and the
+digests by which `load --verify` compares every table with the rows that were copied.
 """
 
 from __future__ import annotations
 
 import contextlib
+import json
 import shutil
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -24,7 +26,9 @@ from jrdb_avr.engine.generate.keyframes import keyframe_tables
 from jrdb_avr.engine.generate.relations import KIND, RELATION_LAYERS, RELATIONS
 from jrdb_avr.engine.generate.scene import Ints, coded, ints, load_scene
 from jrdb_avr.loaders.graph import copy_staged, stage_rows, write_graph
+from jrdb_avr.loaders.verify import GENERATE, checks_of, digests_of, remedy_of, staged_digests
 from jrdb_avr.queries.display import Progress, step_counter
+from jrdb_avr.queries.graph.file import check_fingerprint, fingerprint_of
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.queries.keyframes import SPAN, layer_stamp
 from jrdb_avr.queries.store import Store
@@ -41,14 +45,19 @@ DERIVED: Final = ("Step", "Leads", "Describes", "Joined")
 
 
 def ensure_layer(store: Store, rules: Rules, workers: int, progress: Progress | None = None) -> dict[str, int]:
-    """Make the keyframe layer of a store's graph where it is not the one of these rules; the first id of each sequence.
+    """Make the keyframe layer of a store's graph where it is damaged or of other rules; the first id of each sequence.
 
-    Raises StoreError where there is no sound graph or the disk refuses, LockedError where the graph is in use.
+    A file that was written since it was built, by agents or by accident, is verified first. Raises StoreError where
+    there is no sound graph or the disk refuses, LockedError where the graph is in use.
     """
     names = sorted(store.manifest().sequences)
+    intact = check_fingerprint(store.graph_path) == fingerprint_of(store.graph_path)
+    remedy = "" if intact else remedy_of(checks_of(store))
+    if remedy not in ("", GENERATE):
+        raise StoreError(f"{store.graph_path} is damaged: run 'jrdb-avr load --verify --store {store.path}'")
     with Graph.open(store.graph_path, read_only=True) as graph:
         lows, stamped = layer_stamp(graph)
-    if sorted(lows) == names and stamped == rules:
+    if sorted(lows) == names and stamped == rules and not remedy:
         return lows
     jobs = [LayerJob(store.path, name, number * SPAN, rules) for number, name in enumerate(names)]
     advance = step_counter(progress, "keyframes", 2 * len(jobs))
@@ -130,7 +139,7 @@ def _copy_tables(jobs: Sequence[LayerJob]) -> None:
     """Copy all tables but those that statements find, in place of a layer that was there."""
     tables = [name for name in (*KEYFRAME_NODES, *KEYFRAME_RELS) if name not in DERIVED]
     with _extended(jobs) as graph:
-        there = graph.query("CALL show_tables() RETURN name AS name", ordered=False)["name"].to_pylist()
+        there = graph.tables()
         with graph.transaction():
             for name in (*KEYFRAME_RELS, *KEYFRAME_NODES):
                 if name in there:
@@ -141,15 +150,19 @@ def _copy_tables(jobs: Sequence[LayerJob]) -> None:
 
 
 def _copy_derived(jobs: Sequence[LayerJob]) -> None:
-    """Copy the tables that statements found, and the stamp."""
+    """Copy the tables that statements found, and the stamp, with digests of all tables and of itself."""
+    stage = jobs[0].store / STAGE
     with _extended(jobs) as graph:
-        copy_staged(graph, jobs[0].store / STAGE, DERIVED, [job.sequence for job in jobs])
+        copy_staged(graph, stage, DERIVED, [job.sequence for job in jobs])
         text, digest = msgspec.json.encode(jobs[0].rules).decode(), rules_hash(jobs[0].rules)
         rows = [
             {"sequence": job.sequence, "low": job.low, "high": job.low + SPAN, "rules_hash": digest, "rules": text}
             for job in jobs
         ]
-        graph.copy("Keyframes", pa.Table.from_pylist(rows))
+        stamp = pa.Table.from_pylist(rows)
+        tables = {folder.name: staged_digests(folder) for folder in stage.iterdir()} | {"Keyframes": digests_of(stamp)}
+        texts = [json.dumps({name: found.get(job.sequence) for name, found in tables.items()}) for job in jobs]
+        graph.copy("Keyframes", stamp.append_column("digests", [texts]))
 
 
 def _extended(jobs: Sequence[LayerJob]) -> contextlib.AbstractContextManager[Graph]:

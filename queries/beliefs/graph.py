@@ -113,7 +113,7 @@ def open_graph(path: str | Path, **options: Any) -> Graph:
 def make_world_tables(graph: Graph) -> Graph:
     """Make the tables of the world namespace that a graph lacks; the graph, which is closed where that fails."""
     try:
-        there = set(graph.query("CALL show_tables() RETURN name AS name", ordered=False)["name"].to_pylist())
+        there = graph.tables()
         tables = zip((*WORLD_NODES, *WORLD_RELS), table_ddl(WORLD_NODES, WORLD_RELS), strict=True)
         if missing := [statement for name, statement in tables if name not in there]:
             # In one transaction they are written to disk together.

@@ -140,6 +140,10 @@ class Graph:
                 raise QueryError(f"add an ORDER BY, or pass ordered=False, to: {shortened(cypher)}")
             return self._run(text, values, timeout_s)
 
+    def tables(self) -> set[str]:
+        """The names of the graph's tables."""
+        return set(self.query("CALL show_tables() RETURN name AS name", ordered=False)["name"].to_pylist())
+
     def explain(self, cypher: str, params: Mapping[str, Any] | None = None) -> QueryPlan:
         """The engine's plan of a statement. Raises QueryError where it cannot be planned."""
         text, values = bind(cypher, params or {})

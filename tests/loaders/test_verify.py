@@ -8,27 +8,28 @@ import shutil
 import subprocess
 import time
 
-import duckdb
-import one_database
 import pyarrow as pa
 import pytest
 import warm
 from entry import run
 from scene_tables import table_store
 
+from jrdb_avr.engine.generate import keyframe_graph
+from jrdb_avr.engine.generate.keyframe_graph import DERIVED, ensure_layer
 from jrdb_avr.loaders import verify
+from jrdb_avr.loaders.graph import column_names
 from jrdb_avr.loaders.load import load, rebuild
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.loaders.synthetic.write import plan, write
-from jrdb_avr.loaders.verify import FILE, VERIFY_STEPS, checks_of
+from jrdb_avr.loaders.verify import FILE, TABLES, UNFINISHED, VERIFY_STEPS, checks_of
 from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.graph.file import PAGE, check_fingerprint, fingerprint_of, fingerprint_path
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.named import named_queries
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
-from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
-from jrdb_avr.schema.rules import LoadRules
+from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, SCENE_RELS
+from jrdb_avr.schema.rules import LoadRules, Rules
 
 # Another way to everything than the one that is checked: whole nodes and edges, by the plans that the engine likes,
 # keys one by one, and filters, which look at what the pages say of their own least and greatest values.
@@ -53,12 +54,9 @@ with Graph.open(sys.argv[1], read_only=True) as graph:
 """
 
 
-@pytest.fixture(autouse=True)
-def cheap_hashes(monkeypatch):
-    """Rows are hashed, here and in the child, without a database for each table."""
-    one_database.connect(":memory:").close()
-    monkeypatch.setattr(duckdb, "connect", one_database.connect)
-    monkeypatch.setattr(verify, "_serve", one_database.serve)
+LAYER = KEYFRAME_NODES | KEYFRAME_RELS
+LAST = 6
+"""The id of the last node of a made-up table of the layer."""
 
 
 @pytest.fixture(scope="module")
@@ -80,8 +78,35 @@ def copy(store, tmp_path):
 
 @pytest.fixture(scope="module")
 def small_store(tmp_path_factory):
-    """One short sequence: a graph that has grown is read key by key."""
-    return table_store(tmp_path_factory.mktemp("small"), sequences=("yard-1_0",), frames=61, people=8)
+    """One short sequence, as a graph that has grown is read key by key, with a keyframe layer."""
+    store = table_store(tmp_path_factory.mktemp("small"), sequences=("yard-1_0",), frames=61, people=8)
+    make_layer(store)
+    return store
+
+
+def make_layer(store):
+    """Make the layer where `generate` would, of made-up rows: the row of a number, from each node to that of another
+    table of the same number, and a last node without edges."""
+    persons = store.interval("persons", "yard-1_0")["track"].to_pylist()
+    keys = {table: [*range(6), LAST] for table in KEYFRAME_NODES}
+    keys["Person"] = [f"yard-1_0/{track}" for track in persons]
+    made = {"STRING": "{} quartz".format, "INT64": int, "DOUBLE": float, "BOOLEAN": bool}
+
+    def rows(table):
+        if table in KEYFRAME_NODES:
+            columns = [keys[table], ["yard-1_0"] * 7]
+            types = [column.split()[1] for column in KEYFRAME_NODES[table].split(", ")[2:]]
+        else:
+            source, target, listed = KEYFRAME_RELS[table]
+            columns, types = [keys[source][:6], keys[target][:6]], [column.split()[1] for column in listed]
+        columns += [[made[kind](row) if row else None for row in range(len(columns[0]))] for kind in types]
+        return table, pa.table(columns, [name.strip("`") for name in column_names(table)])
+
+    tables = [table for table in LAYER if table not in (*DERIVED, "Keyframes")]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(keyframe_graph, "keyframe_tables", lambda context, low: map(rows, tables))
+        patch.setattr(keyframe_graph, "derived_tables", lambda context: dict(map(rows, DERIVED)))
+        ensure_layer(store, Rules(), 1)
 
 
 @pytest.fixture
@@ -187,7 +212,7 @@ def test_a_graph_that_crashes_the_engine_is_a_line_each(copy):
     data[PAGE:] = rng.randbytes(len(data) - PAGE)
     copy.graph_path.write_bytes(data)
     found = faults(copy, 12)
-    assert set(found) == {FILE, *SCENE_NODES, *SCENE_RELS}
+    assert set(found) == set(TABLES)
 
 
 @pytest.mark.parametrize(("ends", "said"), [("os._exit(1)", "crashed while reading"), ("time.sleep(300)", "not end")])
@@ -198,7 +223,7 @@ def test_an_engine_that_crashes_or_hangs_is_waited_for_once(store, monkeypatch, 
     found = faults(store, 2)
     assert time.monotonic() - began < 120
     assert said in found["Sequence"]
-    assert set(found) == {*SCENE_NODES, *SCENE_RELS}
+    assert set(found) == {*TABLES} - {FILE}
     assert found["Handles"] == "not read, after Sequence"
 
 
@@ -253,9 +278,30 @@ def test_tables_beside_the_scene_do_no_harm(small):
     assert not faults(small)
 
 
+def layer_changes(start):
+    """For every second table of the layer a statement that changes a row, takes one away or adds one."""
+    changes = {}
+    for number, name in list(enumerate(LAYER))[start::2]:
+        kind = number // 2 % 3
+        if name == "Keyframes":
+            changes[name] = "MATCH (k:Keyframes) SET k.rules = '{}'"
+        elif name in KEYFRAME_NODES:
+            found = f"MATCH (n:`{name}`) WHERE n.id = {LAST} "
+            changes[name] = (found + "SET n.sequence = 's'", found + "DELETE n", f"CREATE (:`{name}` {{id: 9}})")[kind]
+        else:
+            source, target, columns = KEYFRAME_RELS[name]
+            end = "b" if source == "Person" else "a"
+            found = f"MATCH (a:{source})-[r:`{name}`]->(b:{target}) WHERE {end}.id = 2 "
+            changed = f"SET r.{columns[0].split()[0]} = NULL" if columns else "DELETE r"
+            changes[name] = found + (changed, "DELETE r", f"CREATE (a)-[:`{name}`]->(b)")[kind]
+    return changes
+
+
 @pytest.mark.parametrize(
     "changes",
     [
+        layer_changes(0),
+        layer_changes(1),
         {
             "Person": "MATCH (p:Person) WHERE p.track >= 0 SET p.age = 'ageless'",
             "Interacts": "MATCH (:Person)-[r:Interacts]->(:Person) WHERE r.first < 20 DELETE r",
@@ -278,6 +324,35 @@ def test_changed_rows_are_found_in_their_tables(small, changes):
         make_world_tables(graph)
         graph.execute("CREATE (:Episode {id: 'r/q', run: 'r', question: 'q', sequence: 's', plan: ''})")
     assert faults(small).keys() == changes.keys()
+
+
+def test_a_damaged_layer_alone_is_made_anew_by_generate(small):
+    data = small.graph_path.read_bytes()
+    small.graph_path.write_bytes(data.replace(b"quartz", b"quarks"))
+    code, _, err = run("load", "--verify", "--store", small.path)
+    assert code == 1
+    assert err.splitlines() == [
+        f"{small.path} holds a damaged keyframe layer, else what was loaded: "
+        f"run 'jrdb-avr generate --store {small.path}'"
+    ]
+    make_layer(small)
+    assert not faults(small)
+
+
+def test_generate_does_not_search_a_damaged_graph(small):
+    small.graph_path.write_bytes(small.graph_path.read_bytes().replace(b"walking", b"wolking"))
+    with pytest.raises(StoreError, match="is damaged: run 'jrdb-avr load --verify"):
+        ensure_layer(small, Rules(), 1)
+
+
+def test_a_layer_without_its_stamp_is_named_and_no_fault(small):
+    with Graph.open(small.graph_path) as graph:
+        graph.execute("MATCH (k:Keyframes) DELETE k")
+        graph.execute("CHECKPOINT")
+    reseal(small)
+    checks = checks_of(small)
+    assert [check.what for check in checks][-1] == UNFINISHED
+    assert not [check for check in checks if check.fault]
 
 
 def test_a_damaged_graph_is_rebuilt_to_the_same_answers(answers, copy):
@@ -314,8 +389,8 @@ def test_a_deleted_graph_of_every_layer_is_rebuilt_to_the_same_kept_queries(tmp_
             return {
                 name: graph.query(query.text, query.values({k: given[k] for k in query.types if k in given}))
                 for name, query in named_queries("cypher").items()
-                # What asks for a run asks the world tables.
-                if "run" not in query.types
+                # What asks for a run asks the world tables, for a range of ids the keyframe layer.
+                if "run" not in query.types and "$low" not in query.text
             }
 
     before = answers()
