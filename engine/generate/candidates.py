@@ -86,11 +86,11 @@ class PerturbationResult:
     any_of: bool = False
 
     @classmethod
-    def of_texts(cls, kind: str, variant: str, texts: pa.ChunkedArray, stored: Codes, any_of: bool = False) -> Self:
+    def of_texts(cls, kind: str, variant: str, texts: pa.ChunkedArray, stored: Codes) -> Self:
         """The perturbed program by its answers, or the outcome where there is none; null is unknown."""
         answer, none = choice_codes(texts), coded(texts, OUTCOMES)
         outcome = np.where(none == NOBODY, compared(answer, stored), none).astype(np.int8)
-        return cls(kind, variant, outcome, answer, any_of)
+        return cls(kind, variant, outcome, answer)
 
     @classmethod
     def of_shift(cls, by: int, outcome: Codes, answer: Codes, outside: Bools) -> Self:
