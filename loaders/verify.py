@@ -56,10 +56,6 @@ _LAYER: Final = KEYFRAME_NODES | KEYFRAME_RELS
 TABLES: Final = (FILE, *SCENE_NODES, *SCENE_RELS, *_LAYER)
 """What is read of the graph, in order."""
 
-REMEDIES: Final = ("generate", "load --rebuild", "load ROOT")
-"""Commands that mend a store, the least first."""
-GENERATE, REBUILD, LOAD = REMEDIES
-
 _STAMP: Final = "MATCH (k:Keyframes) RETURN k.sequence AS sequence, k.digests AS digests ORDER BY sequence"
 
 Digest = tuple[int, int]
@@ -71,20 +67,15 @@ Advance = Callable[[int], None]
 
 @dataclass(frozen=True)
 class Check:
-    """One part of the store: `checked` files or rows were compared, and `fault` is what is wrong, "" for nothing."""
+    """One part of the store: `checked` files or rows were compared, and `fault` is what is wrong, "" for nothing.
+
+    `reload`: only loading the annotations again mends it; a rebuild does for the rest.
+    """
 
     what: str
     checked: int
     fault: str
-    remedy: str = REBUILD
-
-
-def remedy_of(checks: Sequence[Check]) -> str:
-    """The command that mends all faults, "" where there are none. A checksum alone does not say what is damaged: where
-    tables differ, the checksum differs for that, as all others have been read without its help."""
-    faults = [check for check in checks if check.fault]
-    found = [check for check in faults if check.what != FILE] or faults
-    return max((check.remedy for check in found), key=REMEDIES.index, default="")
+    reload: bool = False
 
 
 def checks_of(store: Store, advance: Advance = lambda steps: None, *, timeout_s: float = TIMEOUT_S) -> list[Check]:
@@ -116,8 +107,7 @@ def _files(store: Store, manifest: Manifest, part: str) -> Check:
     found = {path.relative_to(store.path).as_posix() for path in (store.path / part).rglob("*.parquet")}
     faults += [f"{path} was not written by the load" for path in sorted(found - expected.keys())]
     more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-    remedy = LOAD if part == "annotations" else REBUILD
-    return Check(part, len(expected), f"{faults[0]}{more}" if faults else "", remedy)
+    return Check(part, len(expected), f"{faults[0]}{more}" if faults else "", reload=part == "annotations")
 
 
 def _file_fault(path: Path, digest: str) -> str:
@@ -147,18 +137,18 @@ def _graph(store: Store, sequences: Sequence[str], advance: Advance, timeout_s: 
         elif table == FILE:
             checks.append(Check(FILE, 1, ""))
         elif table not in _LAYER:
-            checks.append(_compared(table, expected[table], answer, REBUILD))
+            checks.append(_compared(table, expected[table], answer))
         elif len(answer) > 1:
-            checks.append(_compared(table, answer[0], answer[1:], GENERATE))
+            checks.append(_compared(table, answer[0], answer[1:]))
         elif answer and table == "Keyframes":
             checks.append(Check(UNFINISHED, 0, ""))
         advance(1)
     return checks
 
 
-def _compared(table: str, expected: Digests, readings: Sequence[Digests], remedy: str) -> Check:
+def _compared(table: str, expected: Digests, readings: Sequence[Digests]) -> Check:
     faults = [fault for reading in readings if (fault := _difference(expected, reading))]
-    return Check(table, sum(rows for rows, _ in expected.values()), faults[0] if faults else "", remedy)
+    return Check(table, sum(rows for rows, _ in expected.values()), faults[0] if faults else "")
 
 
 def _difference(expected: Digests, found: Digests) -> str:
@@ -266,7 +256,7 @@ def _serve(answers: Connection, path: str, tables: Sequence[str]) -> None:
         for table in tables:
             try:
                 if table == FILE:
-                    answers.send([] if intact or longer or _inhabited(graph) else "it is not the file that was built")
+                    answers.send([] if intact or longer or inhabited(graph) else "it is not the file that was built")
                 else:
                     answers.send(list(_readings(graph, table, not intact, lambda: answers.send(None))))
             except AvrError as error:
@@ -275,7 +265,7 @@ def _serve(answers: Connection, path: str, tables: Sequence[str]) -> None:
                 answers.send(f"it does not read: {' '.join(str(error).split())[:200]}")
 
 
-def _inhabited(graph: Graph) -> bool:
+def inhabited(graph: Graph) -> bool:
     """Whether agents have written into the file since it was built: then some of its pages are others."""
     return "Episode" in graph.tables() and bool(graph.query("MATCH (e:Episode) RETURN count(*) AS n")["n"][0].as_py())
 

@@ -88,16 +88,17 @@ def command(root: Path | None, store: Store, strict: bool, workers: int, as_json
 
 
 def _verify(store: Store, as_json: bool) -> None:
-    from jrdb_avr.loaders.verify import GENERATE, VERIFY_STEPS, checks_of, remedy_of
+    from jrdb_avr.loaders.verify import VERIFY_STEPS, checks_of
     from jrdb_avr.queries.display import step_counter
 
     with progress_bar() as progress:
         checks = checks_of(store, step_counter(progress, "verifying", VERIFY_STEPS))
     print_rows([{"what": c.what, "checked": c.checked, "fault": c.fault} for c in checks], as_json=as_json)
-    if remedy := remedy_of(checks):
+    faults = [check for check in checks if check.fault]
+    if faults:
+        way = "ROOT" if any(check.reload for check in faults) else "--rebuild"
         path = clean(store.path)
-        what = "holds a damaged keyframe layer, else" if remedy == GENERATE else "is not"
-        note(f"{path} {what} what was loaded: run 'jrdb-avr {remedy} --store {path}'")
+        note(f"{path} is not what was loaded: run 'jrdb-avr load {way} --store {path}'")
         sys.exit(1)
 
 

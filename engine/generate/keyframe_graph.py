@@ -26,9 +26,9 @@ from jrdb_avr.engine.generate.keyframes import keyframe_tables
 from jrdb_avr.engine.generate.relations import KIND, RELATION_LAYERS, RELATIONS
 from jrdb_avr.engine.generate.scene import Ints, coded, ints, load_scene
 from jrdb_avr.loaders.graph import copy_staged, stage_rows, write_graph
-from jrdb_avr.loaders.verify import GENERATE, checks_of, digests_of, remedy_of, staged_digests
+from jrdb_avr.loaders.verify import digests_of, inhabited, staged_digests
 from jrdb_avr.queries.display import Progress, step_counter
-from jrdb_avr.queries.graph.file import check_fingerprint, fingerprint_of
+from jrdb_avr.queries.graph.file import check_fingerprint, fingerprint_of, rebuild_hint
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.queries.keyframes import SPAN, layer_stamp
 from jrdb_avr.queries.store import Store
@@ -45,19 +45,19 @@ DERIVED: Final = ("Step", "Leads", "Describes", "Joined")
 
 
 def ensure_layer(store: Store, rules: Rules, workers: int, progress: Progress | None = None) -> dict[str, int]:
-    """Make the keyframe layer of a store's graph where it is damaged or of other rules; the first id of each sequence.
+    """Make the keyframe layer of a store's graph where it is not the one of these rules; the first id of each sequence.
 
-    A file that was written since it was built, by agents or by accident, is verified first. Raises StoreError where
-    there is no sound graph or the disk refuses, LockedError where the graph is in use.
+    Raises StoreError where there is no sound graph or the disk refuses, LockedError where the graph is in use.
     """
     names = sorted(store.manifest().sequences)
+    # Before the graph is open here: closing the file would drop the engine's lock on it.
     intact = check_fingerprint(store.graph_path) == fingerprint_of(store.graph_path)
-    remedy = "" if intact else remedy_of(checks_of(store))
-    if remedy not in ("", GENERATE):
-        raise StoreError(f"{store.graph_path} is damaged: run 'jrdb-avr load --verify --store {store.path}'")
     with Graph.open(store.graph_path, read_only=True) as graph:
+        # Where agents have written since, the file is another; `load --verify` then reads it whole.
+        if not intact and not inhabited(graph):
+            raise StoreError(f"{store.graph_path} is not as it was built: {rebuild_hint(store.graph_path)}")
         lows, stamped = layer_stamp(graph)
-    if sorted(lows) == names and stamped == rules and not remedy:
+    if sorted(lows) == names and stamped == rules:
         return lows
     jobs = [LayerJob(store.path, name, number * SPAN, rules) for number, name in enumerate(names)]
     advance = step_counter(progress, "keyframes", 2 * len(jobs))
