@@ -14,7 +14,8 @@ WHERE n.id >= $low AND n.id < $high
 OPTIONAL MATCH (a)-[k:Step]->(x:Moment)
 WHERE x.id >= $low AND x.id < $high AND k.relation = s2.relation
 WITH n.id AS name, m1.frame AS t1, m1.pose AS pose, s1.relation AS r1, s2.relation AS r2, a.id + m1.id - c.id AS a_then,
-     b.id + m1.id - c.id AS b_then, CASE WHEN x.nowhere IS NULL THEN x.id + m1.id - c.id END AS x_then,
+     b.id + m1.id - c.id AS b_then,
+     CASE WHEN x.nowhere IS NULL THEN coalesce(x.id + m1.id - c.id, -1) ELSE -1 END AS x_then,
      CASE WHEN x.id IS NULL AND NOT a.open CONTAINS s2.layer THEN 'empty' ELSE coalesce(x.nowhere, 'unknown') END
        AS outcome
 OPTIONAL MATCH (a1:Moment)

@@ -424,30 +424,4 @@ def test_another_namespace_is_another_mapping():
     assert certain == [(1, 2)] and len(rows) == 2
 
 
-def test_the_engine_still_loses_rows_where_a_nullable_column_is_compared_in_a_subquery():
-    """Why compiled subqueries say IS NOT NULL first; when this fails, the engine has learnt better."""
-    rng = random.Random(0)
-    seen = [(person, frame, rng.choice((None, "walking", "standing"))) for person in range(40) for frame in range(60)]
-    asked = [{"id": i, "who": person, "t": frame, "v": "walking"} for i, (person, frame, _) in enumerate(seen)]
-    truth = [pose == "walking" for _, _, pose in seen]
-    with Graph.memory() as graph:
-        graph.execute("CREATE NODE TABLE P(id INT64 PRIMARY KEY)")
-        graph.execute("CREATE NODE TABLE F(id INT64 PRIMARY KEY)")
-        graph.execute("CREATE REL TABLE S(FROM P TO F, frame INT64, pose STRING)")
-        graph.copy("P", pa.table({"id": range(40)}))
-        graph.copy("F", pa.table({"id": range(60)}))
-        person, frame, pose = zip(*seen, strict=True)
-        graph.copy("S", pa.table({"from": person, "to": frame, "frame": frame, "pose": pose}))
-
-        def holds(more):
-            text = f"""UNWIND $plans AS q WITH q.id AS id, q.who AS who, q.t AS t, q.v AS v
-                       MATCH (p:P) WHERE p.id = who WITH id, t, v, p
-                       WITH id, EXISTS {{ MATCH (p)-[s:S]->(:F) WHERE {more} s.frame = t AND s.pose = v }} AS e
-                       RETURN id, e ORDER BY id"""
-            return [row["e"] for row in graph.query(text, {"plans": asked}).to_pylist()]
-
-        assert holds("s.pose IS NOT NULL AND") == truth
-        assert holds("") != truth
-
-
 assert {YES, NO, MAYBE} == {"true", "false", "unknown"}

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jrdb_avr.queries.graph import database
-from jrdb_avr.queries.graph.file import check_fingerprint, fingerprint_of
+from jrdb_avr.queries.graph.file import ENGINE, ENGINES, check_fingerprint, fingerprint_of
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.queries.graph.parameters import bind, parameters, strip_literals
 from jrdb_avr.schema.errors import LockedError, QueryError, StoreError
@@ -46,218 +46,7 @@ def path(tmp_path):
     return place
 
 
-# -- parallel edges -------------------------------------------------------------------------------------------------
-
-PARALLEL = [(a, b, k) for a, b in ((1, 2), (2, 4), (1, 3), (3, 4)) for k in (0, 1)]
-DIAMOND = (
-    "MATCH (a:N)-[r1:R]->(b:N)-[r2:R]->(d:N), (a)-[r3:R]->(c:N)-[r4:R]->(d) WHERE b.id < c.id RETURN count(*) AS n"
-)
-TRIANGLE = "MATCH (a:N)-[r1:R]->(b:N)-[r2:R]->(c:N), (a)-[r3:R]->(c) RETURN count(*) AS n"
-
-
-def raw_count(graph, cypher):
-    return graph._connection.execute(cypher).get_all()[0][0]
-
-
-def brute_diamonds(edges):
-    return sum(
-        e1[1] == e2[0] and e3[1] == e4[0] and e1[0] == e3[0] and e2[1] == e4[1] and e1[1] < e3[1]
-        for e1 in edges
-        for e2 in edges
-        for e3 in edges
-        for e4 in edges
-    )
-
-
-def brute_triangles(edges):
-    return sum(e1[1] == e2[0] and e3[0] == e1[0] and e3[1] == e2[1] for e1 in edges for e2 in edges for e3 in edges)
-
-
-def test_diamond_loses_rows_in_the_engine_and_is_refused(memory):
-    fill(memory, PARALLEL)
-    truth = brute_diamonds(PARALLEL)
-    assert truth == 16
-    assert "INTERSECT" in memory.explain(DIAMOND).operators
-    assert raw_count(memory, DIAMOND) < truth, "the engine has learnt it: the guard may go"
-    with pytest.raises(QueryError, match="lose rows"):
-        memory.query(DIAMOND)
-    split = (
-        "MATCH (a:N)-[:R]->(b:N)-[:R]->(d:N) WITH a, b, d MATCH (a)-[:R]->(c:N) WHERE b.id < c.id "
-        "WITH c, d MATCH (c)-[:R]->(e:N) WHERE e.id = d.id RETURN count(*) AS n"
-    )
-    assert memory.query(split)["n"].to_pylist() == [truth]
-
-
-def test_triangle_loses_rows_in_the_engine_and_is_refused(memory):
-    edges = [(a, b, k) for a, b in ((1, 2), (2, 3), (1, 3)) for k in (0, 1)]
-    fill(memory, edges)
-    truth = brute_triangles(edges)
-    assert truth == 8
-    assert "INTERSECT" in memory.explain(TRIANGLE).operators
-    assert raw_count(memory, TRIANGLE) < truth, "the engine has learnt it: the guard may go"
-    with pytest.raises(QueryError, match="lose rows"):
-        memory.query(TRIANGLE)
-    with pytest.raises(QueryError, match="lose rows"):
-        memory.execute("MATCH (a:N)-[:R]->(b:N)-[:R]->(c:N), (a)-[:R]->(c) CREATE (a)-[:R {k: 9}]->(c)")
-    split = "MATCH (a:N)-[:R]->(b:N)-[:R]->(c:N) WITH a, c MATCH (a)-[:R]->(d:N) WHERE d.id = c.id RETURN count(*) AS n"
-    assert memory.query(split)["n"].to_pylist() == [truth]
-
-
-@given(st.lists(st.tuples(st.integers(1, 4), st.integers(1, 4), st.just(0)), max_size=12))
-@settings(max_examples=15, deadline=None)
-def test_what_passes_the_guard_counts_right(edges):
-    with Graph.memory(buffer_bytes=64 << 20) as graph:
-        fill(graph, edges)
-        try:
-            assert graph.query(TRIANGLE)["n"].to_pylist() == [brute_triangles(edges)]
-        except QueryError as error:
-            assert "INTERSECT" in str(error)
-        two = graph.query("MATCH (a:N)-[:R]->(b:N)-[:R]->(c:N) RETURN count(*) AS n")
-        assert two["n"].to_pylist() == [sum(e1[1] == e2[0] for e1 in edges for e2 in edges)]
-
-
-FLAGS = [(i, i % 10 != 0, i % 3 == 0, "ab"[i % 2]) for i in range(1000)]
-
-
-@pytest.fixture
-def flags(memory):
-    memory.execute("CREATE NODE TABLE F(id INT64 PRIMARY KEY, flag BOOLEAN, g BOOLEAN, s STRING)")
-    memory.copy("F", pa.table(dict(zip(("id", "flag", "g", "s"), map(list, zip(*FLAGS, strict=True)), strict=True))))
-    return memory
-
-
-SUM = "MATCH (f:F) RETURN sum(CASE WHEN {} THEN 1 ELSE 0 END) AS n"
-
-
-@pytest.mark.parametrize(
-    "cypher",
-    [
-        SUM.format("f.flag"),
-        SUM.format("(f.flag)"),
-        SUM.format("(f).flag"),
-        SUM.format("f.`flag`"),
-        SUM.format("CAST(f.flag AS BOOL)"),
-        SUM.format("cast(f.flag, 'BOOL')"),
-        SUM.format("f.id < 0 THEN 1 WHEN f.flag"),
-        SUM.format("CASE WHEN f.flag = true THEN true ELSE false END"),
-        "MATCH (f:F) WITH f.flag AS g RETURN sum(CASE WHEN g THEN 1 ELSE 0 END) AS n",
-        "MATCH (f:F) WITH f.flag AS g RETURN sum(CASE WHEN `g` THEN 1 ELSE 0 END) AS n",
-        "MATCH (f:F) WITH f.id % 10 > 0 AS g RETURN sum(CASE WHEN g THEN 1 ELSE 0 END) AS n",
-    ],
-)
-def test_case_on_a_bare_boolean_is_wrong_in_the_engine_and_is_refused(flags, cypher):
-    assert raw_count(flags, cypher) != 900, "the engine has learnt it: the guard may go"
-    with pytest.raises(QueryError, match="bare boolean"):
-        flags.query(cypher)
-
-
-def test_case_on_a_bare_boolean_is_refused_in_what_writes_and_in_structs(flags):
-    with pytest.raises(QueryError, match="bare boolean"):
-        flags.execute("MATCH (f:F) SET f.flag = CASE WHEN f.flag THEN false ELSE true END")
-    with pytest.raises(QueryError, match="bare boolean"):
-        flags.query("MATCH (f:F) WITH {b: f.flag} AS x RETURN sum(CASE WHEN x.b THEN 1 ELSE 0 END) AS n")
-    with pytest.raises(QueryError, match="bare boolean"):
-        flags.query(SUM.format("( ( f.flag ) )"))
-
-
-@pytest.mark.parametrize(
-    ("case", "truth"),
-    [
-        ("CASE WHEN f.flag = true THEN 1 ELSE 0 END", 900),
-        ("CASE WHEN NOT f.flag THEN 0 ELSE 1 END", 900),
-        ("CASE WHEN NOT f.flag = false THEN 1 ELSE 0 END", 900),
-        ("CASE WHEN f.flag AND f.id >= 0 THEN 1 ELSE 0 END", 900),
-        ("CASE WHEN f.flag OR f.g THEN 1 ELSE 0 END", sum(flag or g for _, flag, g, _ in FLAGS)),
-        ("CASE WHEN f.flag IS NOT NULL AND f.flag THEN 1 ELSE 0 END", 900),
-        ("CASE WHEN coalesce(f.flag, false) THEN 1 ELSE 0 END", 900),
-        ("CASE WHEN [f.flag][1] THEN 1 ELSE 0 END", 900),
-        ("CASE WHEN f.s STARTS WITH 'a' THEN 1 ELSE 0 END", 500),
-        ("CASE WHEN true THEN 1 ELSE 0 END", 1000),
-        ("CASE WHEN $yes THEN 1 ELSE 0 END", 1000),
-        ("CASE WHEN (CASE WHEN f.g = true THEN 1 ELSE 2 END) = 1 THEN 1 ELSE 0 END", 334),
-        ("CASE f.flag WHEN true THEN 1 WHEN false THEN 0 END", 900),
-        ("CASE true WHEN f.flag THEN 1 ELSE 0 END", 900),
-        ("CASE f.s WHEN 'a' THEN 1 ELSE 0 END", 500),
-        ("CASE f.flag WHEN f.g THEN 1 ELSE 0 END", sum(flag == g for _, flag, g, _ in FLAGS)),
-    ],
-)
-def test_case_that_the_engine_answers_right_is_not_refused(flags, case, truth):
-    params = {"yes": True} if "$yes" in case else {}
-    assert flags.query(f"MATCH (f:F) RETURN sum({case}) AS n", params)["n"].to_pylist() == [truth]
-
-
-AGGREGATES = ("count(*)", "count(n.v)", "sum(n.v)", "avg(n.v)", "min(n.v)", "max(n.s)", "collect(n.v)")
-VALUES = [(i, "xyz"[i % 3], [1, 2, None][i % 7 % 3], "ab"[i % 2]) for i in range(40)]
-
-
-@pytest.fixture
-def values(memory):
-    memory.execute("CREATE NODE TABLE N(id INT64 PRIMARY KEY, g STRING, v INT64, s STRING)")
-    memory.copy("N", pa.table(dict(zip(("id", "g", "v", "s"), map(list, zip(*VALUES, strict=True)), strict=True))))
-    return memory
-
-
-def brute_aggregate(text, rows):
-    """What an aggregate is over rows (id, g, v, s)."""
-    if text == "count(*)":
-        return len(rows)
-    column = {"v": 2, "s": 3}[text[-2]]
-    found = sorted(row[column] for row in rows if row[column] is not None)
-    if "DISTINCT" in text:
-        found = sorted(set(found))
-    fold = {"count": len, "sum": sum, "avg": lambda x: sum(x) / len(x), "min": min, "max": max, "collect": list}
-    return fold[text.partition("(")[0]](found)
-
-
-def in_order(value):
-    return sorted(value) if isinstance(value, list) else value
-
-
-@pytest.mark.parametrize("second", AGGREGATES)
-@pytest.mark.parametrize("form", ["RETURN n.g AS g, {}", "WITH n.g AS g, {} RETURN g, a, b", "RETURN 'k' AS g, {}"])
-def test_an_aggregate_after_a_distinct_one_is_wrong_in_the_engine_and_is_refused(values, form, second):
-    wrong = f"MATCH (n:N) {form.format(f'count(DISTINCT n.v) AS a, {second} AS b')} ORDER BY g"
-    if not second.startswith("collect"):
-        # That one crashes.
-        given = values._connection.execute(wrong).get_all()
-        rows = VALUES if "'k'" in form else [row for row in VALUES if row[1] == "x"]
-        assert given[0][2] != brute_aggregate(second, rows), "the engine has learnt it: the guard may go"
-    with pytest.raises(QueryError, match="put the DISTINCT last"):
-        values.query(wrong)
-
-
-@pytest.mark.parametrize(
-    "projection",
-    [
-        "n.g AS g, count(DISTINCT CASE WHEN n.s STARTS WITH 'a' THEN n.v END) AS a, count(*) AS b",
-        "n.g AS g, count( /* all */ DISTINCT n.v) AS a, COUNT (*) AS b",
-        "n.g AS g, {a: count(DISTINCT n.v), b: count(*)} AS a",
-        "n.g AS g, count(DISTINCT n.v) + count(*) AS a",
-        "n.g AS g, count(*) AS c, count(DISTINCT n.v) AS a, sum(n.v) AS b",
-        "n.g AS g, count(DISTINCT n.v) AS a UNION ALL MATCH (n:N) RETURN n.g AS g, count(*) + count(DISTINCT n.v) "
-        "+ count(n.v) AS a",
-    ],
-)
-def test_an_aggregate_after_a_distinct_one_is_found_wherever_it_hides(values, projection):
-    with pytest.raises(QueryError, match="put the DISTINCT last"):
-        values.query(f"MATCH (n:N) RETURN {projection}", ordered=False)
-
-
-@pytest.mark.parametrize("second", AGGREGATES)
-def test_distinct_aggregates_that_the_engine_answers_right_are_not_refused(values, second):
-    groups = {group: [row for row in VALUES if row[1] == group] for group in "xyz"}
-    one = "count(DISTINCT n.v)"
-    for left, right in ((second, one), (one, "count(DISTINCT n.s)")):
-        for form in ("RETURN n.g AS g, {}", "WITH n.g AS g, {} RETURN g, a, b"):
-            found = values.query(f"MATCH (n:N) {form.format(f'{left} AS a, {right} AS b')} ORDER BY g").to_pylist()
-            expected = {g: [brute_aggregate(left, rows), brute_aggregate(right, rows)] for g, rows in groups.items()}
-            assert {row["g"]: [in_order(row["a"]), row["b"]] for row in found} == expected
-    # Nothing is grouped: either order is right.
-    for form in ("RETURN {}", "WITH {} RETURN a, b"):
-        found = values.query(f"MATCH (n:N) {form.format(f'{one} AS a, {second} AS b')}").to_pylist()
-        assert [(row["a"], in_order(row["b"])) for row in found] == [(2, brute_aggregate(second, VALUES))]
-    two = f"MATCH (n:N) WITH n.g AS g, count(DISTINCT n.v) AS a WHERE a > 0 RETURN sum(a) AS a, {'count(*)'} AS b"
-    assert values.query(two).to_pylist() == [{"a": 6, "b": 3}]
+# -- plans ---------------------------------------------------------------------------------------------------------
 
 
 def test_plans_are_made_anew_when_the_data_changes(memory):
@@ -456,15 +245,6 @@ def test_a_killed_holder_lets_go(path):
         assert graph.query("MATCH (n:N) RETURN count(*) AS n")["n"].to_pylist() == [4]
 
 
-def test_a_reader_finishes_a_checkpoint_left_half_done(path):
-    # What a checkpoint through a read-only handle leaves behind is what a kill in the midst of one leaves.
-    damage = "import kuzu, sys; kuzu.Connection(kuzu.Database(sys.argv[1], read_only=True)).execute('CHECKPOINT')"
-    subprocess.run([sys.executable, "-c", damage, str(path)], capture_output=True, check=False)
-    assert path.with_name("graph.kuzu.shadow").exists()
-    with Graph.open(path, read_only=True) as graph:
-        assert graph.query("MATCH (n:N) RETURN count(*) AS n")["n"].to_pylist() == [4]
-
-
 # -- one process ----------------------------------------------------------------------------------------------------
 
 
@@ -609,6 +389,23 @@ def test_a_graph_of_another_version_is_noticed_at_open(path, seal, words):
     Graph.open(path, read_only=True).close()
 
 
+def test_a_graph_of_another_engine_is_noticed_at_open(path):
+    magic, other = next(item for item in ENGINES.items() if item[1] != ENGINE)
+    path.write_bytes(magic + path.read_bytes()[4:])
+    with pytest.raises(StoreError, match=f"is a file of {other}, not of {ENGINE}: set JRDB_AVR_ENGINE={other}, or run"):
+        Graph.open(path)
+
+
+def test_an_engine_that_is_not_there_says_what_to_do(monkeypatch):
+    monkeypatch.setattr(database, "ENGINE", "ladybug")
+    monkeypatch.setitem(sys.modules, "ladybug", None)
+    with pytest.raises(StoreError, match=r"not installed: pip install 'jrdb-avr\[ladybug\]'"):
+        Graph.memory()
+    monkeypatch.setattr(database, "ENGINE", "neo4j")
+    with pytest.raises(StoreError, match="JRDB_AVR_ENGINE is neo4j: give kuzu or ladybug"):
+        Graph.memory()
+
+
 def test_writing_later_keeps_the_seal(path):
     """Opening for writing changes the first page; tables beside the scene's make the file longer."""
     before = check_fingerprint(path)
@@ -630,17 +427,6 @@ def test_no_graph(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(StoreError), build_graph(tmp_path / "file" / "graph.kuzu"):
         pass
-
-
-def test_a_table_of_many_small_chunks_is_copied_whole():
-    """Handed on as it is, the engine drops rows of such a table without a word."""
-    rows = pa.concat_tables([pa.table({"id": [1000 * part + i for i in range(50 + part)]}) for part in range(40)])
-    assert rows["id"].num_chunks == 40
-    with Graph.memory() as graph:
-        graph.execute("CREATE NODE TABLE P(id INT64 PRIMARY KEY)")
-        graph.copy("P", rows)
-        found = graph.query("MATCH (p:P) RETURN p.id AS id ORDER BY id")
-    assert found["id"].to_pylist() == sorted(rows["id"].to_pylist())
 
 
 def test_rows_are_handed_in_anew_each_time_where_statements_are_prepared():
