@@ -49,7 +49,9 @@ def ensure_layer(store: Store, rules: Rules, workers: int, progress: Progress | 
 
     Raises StoreError where there is no sound graph or the disk refuses, LockedError where the graph is in use.
     """
-    names = sorted(store.manifest().sequences)
+    names, stage = sorted(store.manifest().sequences), store.path / STAGE
+    # What a killed run left behind.
+    shutil.rmtree(stage, ignore_errors=True)
     # Before the graph is open here: closing the file would drop the engine's lock on it.
     intact = check_fingerprint(store.graph_path) == fingerprint_of(store.graph_path)
     with Graph.open(store.graph_path, read_only=True) as graph:
@@ -61,8 +63,6 @@ def ensure_layer(store: Store, rules: Rules, workers: int, progress: Progress | 
         return lows
     jobs = [LayerJob(store.path, name, number * SPAN, rules) for number, name in enumerate(names)]
     advance = step_counter(progress, "keyframes", 2 * len(jobs))
-    stage = store.path / STAGE
-    shutil.rmtree(stage, ignore_errors=True)
     try:
         for make, copy in ((_stage_tables, _copy_tables), (_stage_derived, _copy_derived)):
             # Held open, so that this process opens it and plans a statement once for all sequences.

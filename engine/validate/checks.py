@@ -21,6 +21,7 @@ import pyarrow.parquet as pq
 from jrdb_avr.engine.generate.distractors import CHOICE_COUNT
 from jrdb_avr.engine.generate.near_duplicates import near_frames
 from jrdb_avr.engine.generate.proofs import expected, failing
+from jrdb_avr.engine.generate.run import check_intervals
 from jrdb_avr.engine.rederive import Annotations, prove_again, rederive
 from jrdb_avr.engine.validate.replay import differences, replay, run_compiled
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
@@ -180,8 +181,10 @@ def check_replay(
 ) -> None:
     """Run every proof and every compiled plan again; `advance` receives the number of finished steps, two a question.
 
-    Raises StoreError for a missing file, and LockedError while another process writes the graph.
+    Raises StoreError for a missing file and an interval file that is not as loaded, and LockedError while another
+    process writes the graph.
     """
+    check_intervals(store, store.manifest())
     report.add("replay", len(records), replay(store, records, rules, workers, advance))
     report.add("compiled", len(records), run_compiled(store, records, rules, advance))
 

@@ -63,6 +63,11 @@ def fingerprint_path(graph: Path) -> Path:
     return graph.with_name(graph.name + ".json")
 
 
+def building_path(graph: Path) -> Path:
+    """The place where a graph file is built before it is renamed."""
+    return graph.with_name(f".{graph.name}.building")
+
+
 def fingerprint_of(file: Path) -> Fingerprint:
     """The fingerprint of a finished graph file. Raises OSError."""
     with file.open("rb") as opened:
@@ -81,6 +86,8 @@ def check_fingerprint(graph: Path) -> Fingerprint:
     tables.
     """
     rebuild = rebuild_hint(graph)
+    with contextlib.suppress(OSError):
+        _follow(graph)
     try:
         size = graph.stat().st_size
         with graph.open("rb") as file:
@@ -190,10 +197,18 @@ def publish(temporary: Path, place: Path) -> None:
         for suffix in _SIDE_FILES:
             place.with_name(place.name + suffix).unlink(missing_ok=True)
         fingerprint_path(temporary).write_bytes(msgspec.json.encode(fingerprint_of(temporary)))
-        fingerprint_path(temporary).replace(fingerprint_path(place))
         temporary.replace(place)
+        _follow(place)
     except OSError as error:
         raise StoreError(f"cannot write {place}: {error.strerror}; free some space and load again") from None
+
+
+def _follow(place: Path) -> None:
+    """Rename the fingerprint after its graph, whoever is killed in between."""
+    temporary = building_path(place)
+    if not temporary.exists():
+        with contextlib.suppress(FileNotFoundError):
+            fingerprint_path(temporary).replace(fingerprint_path(place))
 
 
 def copy_files(place: Path, copy: Path) -> None:
@@ -210,6 +225,7 @@ def copy_files(place: Path, copy: Path) -> None:
 
 def remove_files(path: Path) -> None:
     """Remove a graph file with all that lies beside it but its lock."""
-    for place in (path, fingerprint_path(path), *(path.with_name(path.name + suffix) for suffix in _SIDE_FILES)):
+    # A fingerprint without its graph would be taken for one that has yet to follow.
+    for place in (fingerprint_path(path), path, *(path.with_name(path.name + suffix) for suffix in _SIDE_FILES)):
         with contextlib.suppress(OSError):
             place.unlink(missing_ok=True)

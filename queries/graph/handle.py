@@ -34,7 +34,7 @@ from jrdb_avr.queries.graph.database import (
     shortened,
     translated,
 )
-from jrdb_avr.queries.graph.file import check_room, copy_files, lock_graph, make_parent, publish, remove_files
+from jrdb_avr.queries.graph.file import building_path, check_room, copy_files, lock_graph, make_parent, publish, remove_files
 from jrdb_avr.queries.graph.parameters import bind, parameters, strip_literals
 from jrdb_avr.queries.graph.wrong_answers import QueryPlan, refuse_wrong_answers
 from jrdb_avr.schema.errors import QueryError, StoreError
@@ -318,7 +318,7 @@ def build_graph(path: str | Path, *, extend: bool = False) -> Iterator[Graph]:
     make_parent(place)
     check_room(place)
     with lock_graph(place, shared=False), contextlib.ExitStack() as cleanup:
-        temporary = place.with_name(f".{place.name}.building")
+        temporary = building_path(place)
         # What a killed builder left behind; the lock proves that it is gone.
         remove_files(temporary)
         cleanup.callback(remove_files, temporary)

@@ -16,7 +16,7 @@ import warm
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keyframe_layer import layers_in_memory
+from keyframe_layer import layer_rows, layers_in_memory
 from lively_worlds import lively_world
 from places import REAL
 from quick_store import graphless_store
@@ -274,7 +274,13 @@ def test_files_do_not_depend_on_workers_input_order_or_hash_seed(made, tmp_path)
     environment = os.environ | {"PYTHONHASHSEED": "77"}
     call = [Path(sys.executable).parent / "jrdb-avr", "generate", "--store", tmp_path / "store", "--workers", "1"]
     subprocess.run(call, check=True, env=environment, capture_output=True, timeout=300)
-    assert files(Store(tmp_path / "store")) == files(made[0])
+    store = Store(tmp_path / "store")
+    assert files(store) == files(made[0])
+    assert layer_rows(store) == layer_rows(made[0])
+    # With the layer there already.
+    shutil.rmtree(store.path / "questions")
+    generate(store, Rules(), **HOW | {"workers": 2})
+    assert files(store) == files(made[0])
 
 
 def test_candidates_leave_the_questions_as_they_are(one, another):

@@ -15,6 +15,7 @@ from jrdb_avr.engine.validate.checks import CHECKS, REPLAY_CHECKS, Validation, c
 from jrdb_avr.engine.validate.replay import differences
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.questions import Proof, QuestionRecord
 from jrdb_avr.schema.rules import Rules
@@ -210,13 +211,25 @@ def one(few, tmp_path):
 
 
 def test_a_fact_changed_in_the_interval_tables_is_noticed(one):
-    store, name, sequence, track, frame = one
+    store, _, sequence, track, frame = one
     path = store.interval_path("sightings", sequence)
     rows, schema = pq.read_table(path).to_pylist(), pq.read_schema(path)
     for row in rows:
         if (row["track"], row["frame"]) == (track, frame):
             row["pose"] = "lying"
     pq.write_table(pa.Table.from_pylist(rows, schema=schema), path)
+    with pytest.raises(StoreError, match=r"sightings/.* is not as it was loaded: run 'jrdb-avr load --verify"):
+        run(store)
+
+
+def test_a_fact_changed_in_the_keyframe_layer_is_noticed(one):
+    store, name, sequence, track, frame = one
+    with Graph.open(store.graph_path) as graph:
+        graph.execute(
+            "MATCH (m:Moment) WHERE m.sequence = $sequence AND m.track = $track AND m.frame = $frame "
+            "SET m.pose = 'lying'",
+            {"sequence": sequence, "track": track, "frame": frame},
+        )
     faults = run(store).faults
     assert any(fault.startswith(name) for fault in faults["replay"])
     assert "compiled" not in faults
@@ -232,7 +245,7 @@ def test_the_command_names_every_difference_and_fails(one):
     assert f"replay: {name}: hops: stored 7, now 0" in err.splitlines()
 
 
-def test_a_fact_changed_in_the_graph_is_noticed(one):
+def test_a_fact_changed_in_the_scene_is_noticed(one):
     store, name, sequence, track, frame = one
     with Graph.open(store.graph_path) as graph:
         graph.execute(
