@@ -34,7 +34,15 @@ from jrdb_avr.queries.graph.database import (
     shortened,
     translated,
 )
-from jrdb_avr.queries.graph.file import building_path, check_room, copy_files, lock_graph, make_parent, publish, remove_files
+from jrdb_avr.queries.graph.file import (
+    building_path,
+    check_room,
+    copy_files,
+    lock_graph,
+    make_parent,
+    publish,
+    remove_files,
+)
 from jrdb_avr.queries.graph.parameters import bind, parameters, strip_literals
 from jrdb_avr.queries.graph.wrong_answers import QueryPlan, refuse_wrong_answers
 from jrdb_avr.schema.errors import QueryError, StoreError
