@@ -53,10 +53,10 @@ def ensure_layer(store: Store, rules: Rules, workers: int, progress: Progress | 
     # What a killed run left behind.
     shutil.rmtree(stage, ignore_errors=True)
     # Before the graph is open here: closing the file would drop the engine's lock on it.
-    intact = check_fingerprint(store.graph_path) == fingerprint_of(store.graph_path)
+    built, now = check_fingerprint(store.graph_path), fingerprint_of(store.graph_path)
     with Graph.open(store.graph_path, read_only=True) as graph:
-        # Where agents have written since, the file is another; `load --verify` then reads it whole.
-        if not intact and not inhabited(graph):
+        # Where agents have written since, the file has grown or is theirs; `load --verify` then reads it whole.
+        if now != built and now.size <= built.size and not inhabited(graph):
             raise StoreError(f"{store.graph_path} is not as it was built: {rebuild_hint(store.graph_path)}")
         lows, stamped = layer_stamp(graph)
     if sorted(lows) == names and stamped == rules:
