@@ -17,20 +17,19 @@ it takes too much memory, or is silent for too long. After each piece of a table
 from __future__ import annotations
 
 import contextlib
-import functools
 import json
 import os
 import threading
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
+from jrdb_avr.loaders.digests import Digests, add_digests, digests_of
 from jrdb_avr.loaders.graph import RELS, batches, column_names, scene_rows
 from jrdb_avr.queries import workers
 from jrdb_avr.queries.graph.file import check_fingerprint, fingerprint_of, lock_graph
@@ -39,9 +38,6 @@ from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Manifest, Store, file_hash
 from jrdb_avr.schema.errors import AvrError, QueryError, StoreError
 from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, SCENE_RELS
-
-if TYPE_CHECKING:
-    import duckdb
 
 TIMEOUT_S: Final = 120.0
 """For one piece of a table, at least ten times what it needs: `_BATCH_ROWS` rows, or `BATCH_KEYS` keys looked up."""
@@ -58,10 +54,6 @@ TABLES: Final = (FILE, *SCENE_NODES, *SCENE_RELS, *_LAYER)
 
 _STAMP: Final = "MATCH (k:Keyframes) RETURN k.sequence AS sequence, k.digests AS digests ORDER BY sequence"
 
-Digest = tuple[int, int]
-"""Rows, and the sum of their 64-bit hashes."""
-Digests = dict[str, Digest]
-"""Per sequence; under "" for rows without one."""
 Advance = Callable[[int], None]
 
 
@@ -129,7 +121,7 @@ def _graph(store: Store, sequences: Sequence[str], advance: Advance, timeout_s: 
         return [Check(FILE, 0, str(error))]
     expected: defaultdict[str, Digests] = defaultdict(dict)
     for table, rows in scene_rows(store, sequences):
-        _add(expected[table], digests_of(rows.select(column_names(table))))
+        add_digests(expected[table], digests_of(rows.select(column_names(table))))
     checks = []
     for table, answer in _read(store.graph_path, TABLES, timeout_s):
         if isinstance(answer, str):
@@ -160,42 +152,6 @@ def _difference(expected: Digests, found: Digests) -> str:
     kind = f"{there} rows instead of {rows}" if rows != there else f"other content in {rows} rows"
     where = f" of {wrong[0]}" if wrong[0] else ""
     return f"{kind}{where}" + (f" (and in {len(wrong) - 1} more sequences)" if len(wrong) > 1 else "")
-
-
-def digests_of(rows: pa.Table) -> Digests:
-    """Per sequence: rows, and the sum of the hashes of their other columns."""
-    with _database().cursor() as connection:
-        connection.register("rows", rows)
-        by = "coalesce(sequence, '')" if "sequence" in rows.column_names else "''"
-        return _digests(connection, rows.column_names, by, "rows")
-
-
-def staged_digests(folder: Path) -> Digests:
-    """The same of a folder with a Parquet file per sequence, which is the process's working folder meanwhile."""
-    names = pq.read_schema(next(folder.iterdir())).names
-    with _database().cursor() as connection, contextlib.chdir(folder):
-        return _digests(connection, names, "left(filename, -8)", "read_parquet('*.parquet', filename = true)")
-
-
-def _digests(connection: duckdb.DuckDBPyConnection, names: Sequence[str], by: str, source: str) -> Digests:
-    # Equal whole numbers hash alike whatever their width.
-    listed = ", ".join(f'"{name}"' for name in names if name != "sequence")
-    found = connection.execute(f"SELECT {by}, count(*), sum(hash({listed})) FROM {source} GROUP BY 1").fetchall()  # noqa: S608
-    return {sequence: (rows, int(total)) for sequence, rows, total in found}
-
-
-@functools.cache
-def _database() -> duckdb.DuckDBPyConnection:
-    """To open one takes longer than to hash most tables."""
-    import duckdb
-
-    return duckdb.connect(":memory:")
-
-
-def _add(to: Digests, more: Mapping[str, Digest]) -> None:
-    for sequence, (rows, total) in more.items():
-        before = to.get(sequence, (0, 0))
-        to[sequence] = (before[0] + rows, before[1] + total)
 
 
 # -- reading it in another process -----------------------------------------------------------------------------------
@@ -300,7 +256,7 @@ def _readings(graph: Graph, table: str, by_key: bool, go_on: Callable[[], None])
                     ordered=False,
                     timeout_s=TIMEOUT_S,
                 )
-                _add(found, digests_of(rows))
+                add_digests(found, digests_of(rows))
                 go_on()
             yield found
         return
@@ -315,7 +271,7 @@ def _readings(graph: Graph, table: str, by_key: bool, go_on: Callable[[], None])
             go_on()
             some = once[start : start + BATCH_KEYS]
             rows = [_compact(graph.query(lookup, {"key": value}, ordered=False)) for value in some]
-            _add(looked_up, digests_of(pa.concat_tables(rows)))
+            add_digests(looked_up, digests_of(pa.concat_tables(rows)))
         yield looked_up
 
 

@@ -25,8 +25,9 @@ from jrdb_avr.engine.generate.fork_join import find_joins
 from jrdb_avr.engine.generate.keyframes import keyframe_tables
 from jrdb_avr.engine.generate.relations import KIND, RELATION_LAYERS, RELATIONS
 from jrdb_avr.engine.generate.scene import Ints, coded, ints, load_scene
+from jrdb_avr.loaders.digests import digests_of, staged_digests
 from jrdb_avr.loaders.graph import copy_staged, stage_rows, write_graph
-from jrdb_avr.loaders.verify import digests_of, inhabited, staged_digests
+from jrdb_avr.loaders.verify import inhabited
 from jrdb_avr.queries.display import Progress, step_counter
 from jrdb_avr.queries.graph.file import check_fingerprint, fingerprint_of, rebuild_hint
 from jrdb_avr.queries.graph.handle import Graph, build_graph

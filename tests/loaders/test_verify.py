@@ -7,6 +7,7 @@ import random
 import shutil
 import subprocess
 import time
+from collections import defaultdict
 
 import pyarrow as pa
 import pytest
@@ -28,7 +29,7 @@ from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.named import named_queries
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
-from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, SCENE_RELS
+from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS
 from jrdb_avr.schema.rules import LoadRules, Rules
 
 # Another way to everything than the one that is checked: whole nodes and edges, by the plans that the engine likes,
@@ -36,13 +37,18 @@ from jrdb_avr.schema.rules import LoadRules, Rules
 DUMP = """
 import hashlib, sys
 from jrdb_avr.queries.graph.handle import Graph
-from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
+from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, SCENE_RELS
 with Graph.open(sys.argv[1], read_only=True) as graph:
     def ask(query, **params):
         rows = sorted(map(repr, graph.query(query, params, ordered=False, timeout_s=8).to_pylist()))
         print(hashlib.sha256("\\n".join(rows).encode()).hexdigest(), len(rows), flush=True)
-    for table in SCENE_NODES:
-        ask(f"MATCH (n:{table}) RETURN n")
+    for table in SCENE_NODES | KEYFRAME_NODES:
+        ask(f"MATCH (n:`{table}`) RETURN n")
+    for table, (source, target, columns) in KEYFRAME_RELS.items():
+        ask(f"MATCH (a)-[r:`{table}`]->(b) RETURN a, r, b")
+        end, found = "b" if source == "Person" else "a", f"MATCH (a:{source})-[r:`{table}`]->(b:{target}) WHERE"
+        for low in (0, 1 << 32):
+            ask(f"{found} {end}.id >= $low AND {end}.id < $high RETURN a, r, b", low=low, high=low + (1 << 32))
     for table, (source, target, columns) in SCENE_RELS.items():
         ask(f"MATCH (a)-[r:{table}]->(b) RETURN a, r, b")
         time = "frame" if table == "SeenIn" else "first"
@@ -53,7 +59,6 @@ with Graph.open(sys.argv[1], read_only=True) as graph:
         ask("MATCH (p:Person) WHERE p.id = $key RETURN p", key=f"yard-1_0/{track}")
 """
 
-
 LAYER = KEYFRAME_NODES | KEYFRAME_RELS
 LAST = 6
 """The id of the last node of a made-up table of the layer."""
@@ -61,7 +66,7 @@ LAST = 6
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory):
-    return table_store(tmp_path_factory.mktemp("verify"), frames=91, people=10)
+    return with_layer(table_store(tmp_path_factory.mktemp("verify"), frames=91, people=10))
 
 
 @pytest.fixture(scope="module")
@@ -78,35 +83,41 @@ def copy(store, tmp_path):
 
 @pytest.fixture(scope="module")
 def small_store(tmp_path_factory):
-    """One short sequence, as a graph that has grown is read key by key, with a keyframe layer."""
-    store = table_store(tmp_path_factory.mktemp("small"), sequences=("yard-1_0",), frames=61, people=8)
-    make_layer(store)
+    """One short sequence: a graph that has grown is read key by key."""
+    return with_layer(table_store(tmp_path_factory.mktemp("small"), sequences=("yard-1_0",), frames=61, people=8))
+
+
+def with_layer(store):
+    """The store with a keyframe layer, made where `generate` would, but of made-up rows."""
+
+    def made_up(context, low, tables):
+        return {name: layer_rows(name, context.scene, low) for name in tables}
+
+    first = [name for name in LAYER if name not in (*DERIVED, "Keyframes")]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(keyframe_graph, "keyframe_tables", lambda context, low: made_up(context, low, first).items())
+        patch.setattr(keyframe_graph, "derived_tables", lambda context: made_up(context, context.low, DERIVED))
+        ensure_layer(store, Rules(), 1)
     return store
 
 
-def make_layer(store):
-    """Make the layer where `generate` would, of made-up rows: the row of a number, from each node to that of another
-    table of the same number, and a last node without edges."""
-    persons = store.interval("persons", "yard-1_0")["track"].to_pylist()
-    keys = {table: [*range(6), LAST] for table in KEYFRAME_NODES}
-    keys["Person"] = [f"yard-1_0/{track}" for track in persons]
+def layer_rows(name, scene, low):
+    """Six nodes and one without edges, and six edges, from each node to that of the same number; nulls in the first."""
+    persons = [f"{scene.sequence}/{track}" for track in scene.tracks]
+    keys = defaultdict(lambda: range(low, low + LAST + 1), Person=persons)
+    if name in KEYFRAME_NODES:
+        rows = [keys[name], [scene.sequence] * (LAST + 1)]
+    else:
+        rows = [keys[end][:LAST] for end in KEYFRAME_RELS[name][:2]]
     made = {"STRING": "{} quartz".format, "INT64": int, "DOUBLE": float, "BOOLEAN": bool}
+    rows += [[made[kind](n) if n else None for n in range(len(rows[0]))] for kind in layer_types(name)]
+    return pa.table(rows, [column.strip("`") for column in column_names(name)])
 
-    def rows(table):
-        if table in KEYFRAME_NODES:
-            columns = [keys[table], ["yard-1_0"] * 7]
-            types = [column.split()[1] for column in KEYFRAME_NODES[table].split(", ")[2:]]
-        else:
-            source, target, listed = KEYFRAME_RELS[table]
-            columns, types = [keys[source][:6], keys[target][:6]], [column.split()[1] for column in listed]
-        columns += [[made[kind](row) if row else None for row in range(len(columns[0]))] for kind in types]
-        return table, pa.table(columns, [name.strip("`") for name in column_names(table)])
 
-    tables = [table for table in LAYER if table not in (*DERIVED, "Keyframes")]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(keyframe_graph, "keyframe_tables", lambda context, low: map(rows, tables))
-        patch.setattr(keyframe_graph, "derived_tables", lambda context: dict(map(rows, DERIVED)))
-        ensure_layer(store, Rules(), 1)
+def layer_types(name):
+    """Types of the columns after the id and the sequence of a node, or after the ends of an edge."""
+    columns = KEYFRAME_NODES[name].split(", ")[2:] if name in KEYFRAME_NODES else KEYFRAME_RELS[name][2]
+    return [column.split()[1] for column in columns if name != "Keyframes"]
 
 
 @pytest.fixture
@@ -148,12 +159,12 @@ def overwrite(path, rng, page=None):
 def test_a_loaded_store_is_what_was_loaded(store):
     steps = []
     checks = checks_of(store, steps.append)
-    assert [check.what for check in checks] == ["annotations", "intervals", FILE, *SCENE_NODES, *SCENE_RELS]
+    assert [check.what for check in checks] == ["annotations", "intervals", *TABLES]
     assert not [check for check in checks if check.fault]
     assert sum(steps) == VERIFY_STEPS
-    # Every part of the scene is there to be compared.
+    # Every part of the scene and of the layer is there to be compared.
     rows = store.manifest().graph
-    assert all(check.checked == rows[check.what] > 0 for check in checks[3:])
+    assert all(check.checked == rows.get(check.what, check.checked) > 0 for check in checks[3:])
 
 
 def test_every_overwritten_page_is_found_by_the_checksum(store, tmp_path):
@@ -334,6 +345,7 @@ def test_a_damaged_layer_alone_is_found(small):
     assert err.splitlines() == [
         f"{small.path} is not what was loaded: run 'jrdb-avr load --rebuild --store {small.path}'"
     ]
+    assert faults(small).keys() == {FILE, *(name for name in LAYER if "STRING" in layer_types(name))}
 
 
 def test_generate_does_not_search_a_damaged_graph(small):
