@@ -39,6 +39,7 @@ DEAREST = (
     "test_leaks",
     "test_replay",
     "test_generators_sql",
+    "test_statements_by_name",
     "test_extending",
     "test_kill",
     "test_guard",
