@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 import pytest
-from quick_store import NAME, graphless_store, load_root, reported_store
-from worlds import VISIBLE, load_reported, member, person, person_3d, pose, thing, write_root
+from quick_store import NAME, load_root, reported_store
+from worlds import VISIBLE, load_reported, load_world, member, person, person_3d, pose, thing, write_root
 
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.rules import Rules
@@ -459,7 +459,7 @@ def test_case_27_short_tracks_give_no_question_of_change(tmp_path):
         passing = [person(3, (1800, 60, 50, 200), {"bending": 1}, (3, 1))] if frame == 90 else []
         return [someone, other, *passing]
 
-    store = graphless_store(tmp_path, {NAME: {"2d": {f: here(f) for f in range(0, 300, 15)}}})
+    store = load_world(tmp_path, {NAME: {"2d": {f: here(f) for f in range(0, 300, 15)}}})
     generate(store, Rules(), workers=1)
     import pyarrow.parquet as pq
 
