@@ -26,6 +26,7 @@ from jrdb_avr.engine.generate.run import generate
 from jrdb_avr.engine.validate.checks import validate
 from jrdb_avr.loaders.load import rebuild
 from jrdb_avr.queries.beliefs.graph import WorldGraph
+from jrdb_avr.queries.beliefs.record import drop_world
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.keyframes import layer_stamp
 from jrdb_avr.queries.store import Store
@@ -260,6 +261,14 @@ def test_the_world_model_of_a_run_stays(loaded, made, tmp_path):
     with WorldGraph.open(store.graph_path) as world:
         assert tables_of(world) == written
     assert run("load", "--verify", "--store", store.path)[0] == 0
+
+
+def test_a_world_model_that_was_dropped_is_no_damage(made, tmp_path):
+    store = copied(made, tmp_path)
+    with WorldGraph.open(store.graph_path) as world:
+        believe(world)
+        drop_world(world.graph, "run")
+    assert ensure_layer(store, Rules(), 1) == {NAME: 0}
 
 
 # -- killed -------------------------------------------------------------------------------------------------------
