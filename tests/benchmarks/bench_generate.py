@@ -6,14 +6,15 @@ for chains compares with networkx.
 STORE is a loaded store, which is only read; without it a synthetic one of every layer is made (scale 1: 27 sequences,
 about 957,000 boxes). Printed, all of it measured in one run:
 
-- `generate` of all sequences, of a third and of a ninth of them (every third and every ninth by size): seconds,
-  seconds per million boxes, the highest resident memory of all processes together, sampled fifty times a second;
+- `generate` of all sequences, of a third and of a ninth of them (every third and every ninth by size): the keyframe
+  layer by itself, then the rest: seconds, seconds per million boxes, the highest resident memory of all processes
+  together, sampled fifty times a second;
 - where the time goes, one process: by step, and by template with everything that is done for it;
 - two_hop and three_hop from the same described people, in networkx and here, in processor seconds; both must find the
   same chains. networkx holds the same relations twice: as one MultiDiGraph of a sequence with timed edges, as the
   annotations tell them (and as the scene's graph stores them), and as a MultiDiGraph per keyframe. Either is built
-  beforehand, and a person's steps at a keyframe are worked out once. Here it is the query alone, and the query with
-  all that it needs of the relations worked out: their facts, the steps, and the edges copied into the graph.
+  beforehand, and a person's steps at a keyframe are worked out once. Here it is the statement alone, which also proves
+  hop.stop and hop.skip, and the statement with all rows of the keyframe layer worked out.
 
 On a machine that is busy with other things processor seconds hold better than wall seconds.
 """
@@ -37,14 +38,18 @@ from bench_load import Clock, Memory, sample
 from jrdb_avr.engine.generate import context as contexts
 from jrdb_avr.engine.generate import records, search
 from jrdb_avr.engine.generate import sequence as shard
-from jrdb_avr.engine.generate.context import SearchContext
-from jrdb_avr.engine.generate.relations import KIND, RELATIONS, find_facts, find_steps
+from jrdb_avr.engine.generate.context import LayerJob
+from jrdb_avr.engine.generate.keyframe_graph import derived_tables, ensure_layer
+from jrdb_avr.engine.generate.keyframes import keyframe_tables
+from jrdb_avr.engine.generate.relations import KIND, RELATIONS
 from jrdb_avr.engine.generate.run import generate
-from jrdb_avr.engine.generate.scene import NOBODY, coded, ints, load_scene
+from jrdb_avr.engine.generate.scene import NOBODY, coded, ints
+from jrdb_avr.loaders.graph import build_scene
 from jrdb_avr.loaders.load import load
 from jrdb_avr.loaders.root import find_root
-from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.graph import KEYFRAME_RELS
 from jrdb_avr.schema.relations import SAME_GROUP
 from jrdb_avr.schema.rules import LoadRules, Rules
 
@@ -64,6 +69,8 @@ def part_of(store, names, folder):
     part = Store(folder)
     whole = store.manifest()
     part.write_manifest(msgspec.structs.replace(whole, sequences={name: whole.sequences[name] for name in names}))
+    with build_graph(part.graph_path) as graph:
+        build_scene(graph, part, names)
     return part
 
 
@@ -75,19 +82,23 @@ def measure_generate(store, workers, folder):
     """Whole generations of all sequences, of a third and of a ninth of them."""
     by_size = sorted(store.manifest().sequences, key=lambda name: (boxes(store, name), name))
     print(
-        f"{'sequences':>9}{'boxes':>11}{'wall s':>9}{'cpu s':>9}{'cpu s / million':>17}{'peak MB':>9}{'questions':>11}"
+        f"{'sequences':>9}{'boxes':>11}{'':>7}{'wall s':>9}{'cpu s':>9}{'cpu s / million':>17}"
+        f"{'peak MB':>9}{'questions':>11}"
     )
     for step in (1, 3, 9):
         names = by_size[step // 2 :: step]
         part = part_of(store, names, folder / f"every-{step}")
-        clock = Clock()
-        with Memory() as memory, clock("all"):
+        clock, memories = Clock(), {}
+        with Memory() as memories["layer"], clock("layer"):
+            ensure_layer(part, RULES, workers)
+        with Memory() as memories["rest"], clock("rest"):
             report = generate(part, RULES, workers=workers)
-        wall, busy = clock.seconds["all"]
         number = sum(boxes(store, name) for name in names)
-        questions = sum(row["questions"] for row in report.templates)
-        line = f"{len(names):9}{number:11,}{wall:9.1f}{busy:9.1f}{busy / number * 1e6:17.1f}"
-        print(f"{line}{memory.all:9.0f}{questions:11,}")
+        questions = {"rest": f"{sum(row['questions'] for row in report.templates):,}"}
+        for step, memory in memories.items():
+            wall, busy = clock.seconds[step]
+            line = f"{len(names):9}{number:11,}{step:>7}{wall:9.1f}{busy:9.1f}{busy / number * 1e6:17.1f}"
+            print(f"{line}{memory.all:9.0f}{questions.get(step, ''):>11}")
         assert not report.faults, report.faults[0]
 
 
@@ -107,10 +118,9 @@ def measure_steps(store):
             judge(self, forms)
 
     named = {
-        (shard, "load_scene"): "tables of the sequence",
+        (contexts, "load_scene"): "tables of the sequence",
         (contexts, "find_facts"): "relations and descriptions",
         (contexts, "describe_people"): "relations and descriptions",
-        (contexts, "scene_graph"): "graph of the sequence",
         (shard, "to_table"): "plans and keys",
         (shard, "rederive"): "second path",
         (shard, "make_record"): "records and choices",
@@ -123,9 +133,11 @@ def measure_steps(store):
         stack.enter_context(mock.patch.object(shard.Annotations, "read", read))
         for (module, name), step in named.items():
             stack.enter_context(mock.patch.object(module, name, steps.timed(step, getattr(module, name))))
-        for sequence in sorted(store.manifest().sequences):
+        lows = ensure_layer(store, RULES, 1)
+        stack.enter_context(Graph.open(store.graph_path, read_only=True))
+        for sequence, low in lows.items():
             with templates("(for all)"), steps("examples, thinning out, the rest"):
-                shard.search_sequence(shard.SequenceJob(store.path, sequence, RULES))
+                shard.search_sequence(shard.SequenceJob(store.path, sequence, low, RULES))
     for title, clock in (("step", steps), ("template", templates)):
         whole = sum(clock.seconds.values())
         print(f"\n{title:36}{'cpu s':>9}{'share':>9}" + ("" if clock is steps else f"{'candidates':>13}"))
@@ -288,28 +300,27 @@ def measure_chains(store):
         yield
         seconds[name] += time.process_time() - begin
 
-    for sequence in sorted(store.manifest().sequences):
-        scene = load_scene(store, sequence)
-        context = SearchContext.of(scene, RULES)
-        facts, names = context.facts, context.descriptions
-        starts = [(name, int(names.moment[name])) for name in np.flatnonzero(names.general).tolist()]
-        with clock("built"):
-            graphs = {"timed edges": Timed(scene, facts), "a graph per keyframe": PerKeyframe(scene, facts)}
-        edges["timed edges"] += graphs["timed edges"].graph.number_of_edges()
-        edges["a graph per keyframe"] += len(facts.source)
-        with context:
-            with clock("relations"):
-                leads = find_steps(scene, find_facts(scene)).tables()["Leads"]
-                with Graph.memory() as other:
-                    other.execute("CREATE NODE TABLE Moment(id INT64 PRIMARY KEY)")
-                    other.copy("Moment", context.graph.query("MATCH (m:Moment) RETURN m.id AS id", ordered=False))
-                    other.execute("CREATE REL TABLE Leads(FROM Moment TO Moment, relation STRING)")
-                    other.copy("Leads", leads)
+    lows = ensure_layer(store, RULES, 1)
+    # Held open, as by `generate`, so that a statement is planned once.
+    held = Graph.open(store.graph_path, read_only=True)
+    for sequence, low in lows.items():
+        with LayerJob(store.path, sequence, low, RULES).searching() as context:
+            scene, facts, names = context.scene, context.facts, context.descriptions
+            starts = [(name, int(names.moment[name])) for name in np.flatnonzero(names.general).tolist()]
+            with clock("built"):
+                graphs = {"timed edges": Timed(scene, facts), "a graph per keyframe": PerKeyframe(scene, facts)}
+            edges["timed edges"] += graphs["timed edges"].graph.number_of_edges()
+            edges["a graph per keyframe"] += len(facts.source)
+            with clock("layer"):
+                made = dict(keyframe_tables(context, low)) | derived_tables(context)
+            edges["keyframe layer"] += sum(len(table) for name, table in made.items() if name in KEYFRAME_RELS)
             for template, columns in CHAINS.items():
                 with clock("here", template):
                     table = context.query("generators", template)
+                times = ints(table, "t0")
                 numbers = [
-                    coded(table[column], RELATIONS) if column[0] == "r" else ints(table, column) for column in columns
+                    coded(table[column], RELATIONS) if column[0] == "r" else scene.moments(ints(table, column), times)
+                    for column in columns
                 ]
                 here = sorted(map(tuple, np.stack([ints(table, "name"), *numbers], axis=1).tolist()))
                 rows[template] += len(here)
@@ -318,13 +329,14 @@ def measure_chains(store):
                         found = chains(there, starts, len(scene.keyframes), len(columns) // 2)
                     assert sorted(found) == here, f"{sequence}: networkx finds other chains"
         rows["starts"] += len(starts)
+    held.close()
     print(f"\n{rows['starts']:,} people described; networkx graphs built in {seconds['built',]:.1f} s")
     print(
-        f"{'cpu s':12}{'chains':>8}{'query':>8}{'+ relations':>13}"
+        f"{'cpu s':12}{'chains':>8}{'query':>8}{'+ layer':>13}"
         + "".join(f"{kind:>24}{'ratios':>14}" for kind in graphs)
     )
     for template in CHAINS:
-        own = seconds["here", template], seconds["here", template] + seconds["relations",]
+        own = seconds["here", template], seconds["here", template] + seconds["layer",]
         line = f"{template:12}{rows[template]:8,}{own[0]:8.2f}{own[1]:13.2f}"
         for kind in graphs:
             other = seconds[kind, template]
@@ -345,10 +357,12 @@ def main():
         store = Store(options.store) if options.store else sampled(folder, options.scale, options.workers)
         if options.only in (None, "generate"):
             measure_generate(store, options.workers, folder)
+        if options.only != "generate":
+            whole = part_of(store, sorted(store.manifest().sequences), folder / "whole")
         if options.only in (None, "steps"):
-            measure_steps(store)
+            measure_steps(whole)
         if options.only in (None, "networkx"):
-            measure_chains(store)
+            measure_chains(whole)
 
 
 def sampled(folder, scale, workers):

@@ -4,7 +4,7 @@ store = quick_store(tmp_path, world)    # all that searching a sequence reads
 store = memory_store(tmp_path, world)   # the same, the tables in memory
 store, report = reported_store(tmp_path, layers)    # the same of one sequence, and what the load reports
 store, found = read_store(tmp_path, layers) # the same, and what its files gave; intervals are derived if looked at
-store = graphless_store(tmp_path, world)    # all that generation reads
+store = graphless_store(tmp_path, world)    # all that generation reads but the graph
 """
 
 import contextlib
