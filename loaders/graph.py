@@ -128,7 +128,7 @@ def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Se
         pattern = f"(n:{table})" if table in NODES else f"()-[r:{table}]->()"
         found = graph.query(f"MATCH {pattern} RETURN count(*) AS n")["n"][0].as_py()
         if found != expected:
-            raise StoreError(f"the graph holds {found} rows of {table} instead of {expected}: load again")
+            raise StoreError(f"the graph holds {found} rows of {table} instead of {expected}: run the command again")
     return copied
 
 
@@ -141,7 +141,7 @@ def write_graph(store: Store, write: Callable[[], R]) -> R:
             left.unlink(missing_ok=True)
         raise StoreError(
             f"the graph could not be written into {store.path}: is the disk full, or the memory? "
-            'Free some space and load again (and in a script call this under `if __name__ == "__main__":`)'
+            'Free some space and run the command again (and in a script call this under `if __name__ == "__main__":`)'
         ) from None
 
 

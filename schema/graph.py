@@ -1,4 +1,4 @@
-"""DDL of the scene namespace: the tables of the property graph, in Cypher.
+"""Tables of the graph, as Cypher DDL: the scene and the keyframe layer.
 
 Names of tables and the properties written here are public. Node keys: `Person` and `SocialGroup` are
 `<sequence>/<number>`, `Frame` is `<sequence>/<six digits>`, `Object` is `<sequence>/<category id>:<track>` (tracks

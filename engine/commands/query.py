@@ -45,7 +45,7 @@ def _query_options(function: _C) -> _C:
 )
 @_query_options
 def cypher(**options: Any) -> None:
-    """Ask the scene graph: QUERY is one reading Cypher statement, or the name of a saved query (see --list)."""
+    """Query the graph: QUERY is one reading Cypher statement, or the name of a saved query (see --list)."""
     _run("cypher", **options)
 
 

@@ -42,7 +42,7 @@ STAGE: Final = ".keyframes"
 """Folder of the staged rows, inside the store; gone when the layer is made."""
 
 DERIVED: Final = ("Step", "Leads", "Describes", "Joined")
-"""Edges that statements over the other tables find."""
+"""Edges derived from the other tables: by statements, and `Joined` by `fork_join`."""
 
 
 def ensure_layer(store: Store, rules: Rules, workers: int, progress: Progress | None = None) -> dict[str, int]:
@@ -99,7 +99,7 @@ def _stage_derived(job: LayerJob) -> None:
 
 
 def derived_tables(context: SearchContext) -> dict[str, pa.Table]:
-    """The edges that statements over a sequence's other tables find."""
+    """The edges derived from a sequence's other tables."""
     low = context.low
     steps = context.query("search", "steps")
     target = ints(steps, "target")

@@ -1,4 +1,4 @@
-// Who is described at which keyframe: the other half of presence's candidates.
+// Descriptions of people at t0: with `presence`, the candidates of the template presence.
 // param sequence: text
 MATCH (n:Name)-[d:Describes]->(m0:Moment)
 WHERE n.id >= $low AND n.id < $high

@@ -1,7 +1,8 @@
 // presence: somebody is present (seen = 1) or absent (0) at t1 and at t2.
 // Nothing unknown is read. A candidate is such a pair with each description of the person that lies far enough before
 // it (`described`). There are a hundred times as many of those: they are counted and judged without being listed here.
-// ahead: whether the boxes to look at lie straight ahead, null where there are none, then the one at t0 is.
+// ahead: whether the boxes to look at lie straight ahead, null where the person is absent at both, as the box at t0
+// then decides.
 // param sequence: text
 MATCH (m1:Moment)<-[e1:At]-(p:Person)-[e2:At]->(m2:Moment)
 WHERE m1.id >= $low AND m1.id < $high

@@ -1,4 +1,4 @@
-// span: as start, for segments that also have a clean end.
+// span: somebody described at t0 later starts an action and stops it: a stable segment with a clean end.
 // param sequence: text
 MATCH (n:Name)-[d:Describes]->(m0:Moment)<-[:At]-(:Person)-[:Acts]->(s:Segment)
 WHERE n.id >= $low AND n.id < $high

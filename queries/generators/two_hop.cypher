@@ -1,5 +1,6 @@
 // two_hop: two certain steps from somebody described lead to a person whose pose is the answer.
-// stop_0, stop_1: the answer one or two people early. skip_1: without the first step. Where there is none, the outcome.
+// stop_0, stop_1: the pose of a (two people early) and of b (one early). skip_1: of whom the second relation leads to
+// from a. Where there is no pose, the outcome: empty, ambiguous or unknown.
 // param sequence: text
 MATCH (n:Name)-[d:Describes]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)
 WHERE n.id >= $low AND n.id < $high

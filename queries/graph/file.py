@@ -200,7 +200,7 @@ def publish(temporary: Path, place: Path) -> None:
         temporary.replace(place)
         _follow(place)
     except OSError as error:
-        raise StoreError(f"cannot write {place}: {error.strerror}; free some space and load again") from None
+        raise StoreError(f"cannot write {place}: {error.strerror}; free some space and run the command again") from None
 
 
 def _follow(place: Path) -> None:

@@ -1,6 +1,6 @@
 // hop.stop and hop.skip of later_pose: the poses at t1 of a and b, and of whom the second step leads to from a.
 // A person's moments have numbers in a row, one per keyframe, so a_then is as far on from a as m1 is from c.
-// Of somebody who is absent at t1 nothing is read. Only candidates that no earlier rule refuses are tried.
+// Of somebody who is absent at t1 nothing is read. Only of candidates that pass anchor, evidence, image, view.ahead.
 // param sequence: text
 MATCH (n:Name)-[d:Describes]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)<-[:At]-(:Person)
       -[:At]->(m1:Moment)

@@ -1,7 +1,8 @@
 // time.shift of three_hop: the answer with description and hops read $by frames later.
-// Where there is none, the outcome. Only candidates that no other rule of the graph refuses are tried, where there is a
-// keyframe then.
+// Where there is none, the outcome. Only of candidates that pass anchor, evidence, image, view.ahead and hop.stop,
+// where a keyframe lies $by frames later.
 // param sequence: text
+// $by: plus or minus 15 times the rule shift_s. Any other number finds no rows.
 // param by: integer = 45
 MATCH (n:Name)-[e:Describes]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)-[s3:Leads]->(d:Moment),
       (n)-[v:Moved]->(a2:Moment)

@@ -1,4 +1,4 @@
-// Whom each relation leads to, from everybody at every keyframe.
+// Every stored step that leads to a person.
 // param sequence: text
 MATCH (a:Moment)-[s:Leads]->(b:Moment)
 WHERE a.id >= $low AND a.id < $high

@@ -1,4 +1,4 @@
-// Whom each relation leads to from each moment of which there are facts.
+// Decide whom each relation leads to from each moment: one person, several, or unknown.
 // The one person who certainly has it while nobody else could, else the number of the moment that stands for the
 // outcome, ambiguous (-2) or unknown (-3).
 // param sequence: text
