@@ -249,7 +249,7 @@ class Store(Displayed):
             self.manifest()  # A folder that is no store lacks more than a graph.
         self._check_sequence(values.get("sequence"))
         if "low" in parameters(statement) and "sequence" in values:
-            values = self._keyframe_values(statement, values)
+            values = self._keyframe_values(statement, dict(params))
         return query_graph(self.graph_path, statement, values, timeout_s=timeout_s)
 
     def _keyframe_values(self, statement: str, values: dict[str, Any]) -> dict[str, Any]:
@@ -270,7 +270,10 @@ class Store(Displayed):
             what = (
                 "has no keyframe layer" if layer is None else "has a keyframe layer of other rules than the questions"
             )
-            raise StoreError(f"{self.graph_path} {what}: run 'jrdb-avr generate --store {self.path}'")
+            way = "validate --replay" if questions else "generate"
+            raise StoreError(f"{self.graph_path} {what}: run 'jrdb-avr {way} --store {self.path}'")
+        if unknown := sorted(values.keys() - parameters(statement) - {"sequence"}):
+            raise QueryError(f"the statement has no parameter {unknown[0]}")
         known = keyframe_values(msgspec.json.decode(layer["rules"], type=Rules), layer["low"]) | values
         return {name: known[name] for name in parameters(statement) if name in known}
 

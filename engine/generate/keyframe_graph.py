@@ -1,8 +1,8 @@
 """The keyframe layer of a store's graph: made where it is missing or of other rules.
 
 Workers make the rows of a sequence, one process copies them. Twice: the statements of `queries/search` run over what
-was copied first, side by side, and what they find is copied as edges. The graph file is copied, written and renamed
-in, so that the old one stays until the new one is whole. The stamp, `Keyframes`, is written last: the rules, and the
+was copied first, side by side, and what they find is copied as edges. Each time the graph file is copied, written and
+renamed in, so that a kill leaves a whole one. The stamp, `Keyframes`, is written last: the rules, and the
 digests by which `load --verify` compares every table with the rows that were copied.
 """
 
@@ -27,9 +27,9 @@ from jrdb_avr.engine.generate.relations import KIND, RELATION_LAYERS, RELATIONS
 from jrdb_avr.engine.generate.scene import Ints, coded, ints, load_scene
 from jrdb_avr.loaders.digests import digests_of, staged_digests
 from jrdb_avr.loaders.graph import copy_staged, stage_rows, write_graph
-from jrdb_avr.loaders.verify import inhabited
+from jrdb_avr.loaders.verify import FILE, checks_of
 from jrdb_avr.queries.display import Progress, step_counter
-from jrdb_avr.queries.graph.file import check_fingerprint, fingerprint_of, rebuild_hint
+from jrdb_avr.queries.graph.file import check_fingerprint, fingerprint_of
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.queries.keyframes import SPAN, layer_stamp
 from jrdb_avr.queries.store import Store
@@ -50,18 +50,11 @@ def ensure_layer(store: Store, rules: Rules, workers: int, progress: Progress | 
 
     Raises StoreError where there is no sound graph or the disk refuses, LockedError where the graph is in use.
     """
+    if lows := stored_layer(store, rules):
+        return lows
     names, stage = sorted(store.manifest().sequences), store.path / STAGE
     # What a killed run left behind.
     shutil.rmtree(stage, ignore_errors=True)
-    # Before the graph is open here: closing the file would drop the engine's lock on it.
-    built, now = check_fingerprint(store.graph_path), fingerprint_of(store.graph_path)
-    with Graph.open(store.graph_path, read_only=True) as graph:
-        # Where agents have written since, the file has grown or is theirs; `load --verify` then reads it whole.
-        if now != built and now.size <= built.size and not inhabited(graph):
-            raise StoreError(f"{store.graph_path} is not as it was built: {rebuild_hint(store.graph_path)}")
-        lows, stamped = layer_stamp(graph)
-    if sorted(lows) == names and stamped == rules:
-        return lows
     jobs = [LayerJob(store.path, name, number * SPAN, rules) for number, name in enumerate(names)]
     advance = step_counter(progress, "keyframes", 2 * len(jobs))
     try:
@@ -77,13 +70,18 @@ def ensure_layer(store: Store, rules: Rules, workers: int, progress: Progress | 
 
 
 def stored_layer(store: Store, rules: Rules) -> dict[str, int]:
-    """The first id of each sequence of these rules' layer. Raises StoreError where the graph has no such layer."""
+    """The first id of each sequence of the stored layer; none where it is not the one of these rules and sequences.
+
+    Raises as `ensure_layer`. A file that is not as it was built, as agents wrote into it or it was damaged, is read
+    whole first, in a process of its own.
+    """
+    # Before the graph is open here: closing the file would drop the engine's lock on it.
+    intact = check_fingerprint(store.graph_path) == fingerprint_of(store.graph_path)
+    if not intact and any(check.fault for check in checks_of(store) if check.what != FILE):
+        raise StoreError(f"{store.graph_path} is damaged: run 'jrdb-avr load --verify --store {store.path}'")
     with Graph.open(store.graph_path, read_only=True) as graph:
         lows, stamped = layer_stamp(graph)
-    if stamped != rules:
-        what = "has no keyframe layer" if stamped is None else "has the keyframe layer of other rules"
-        raise StoreError(f"{store.graph_path} {what}: run 'jrdb-avr generate --store {store.path}'")
-    return lows
+    return lows if stamped == rules and sorted(lows) == sorted(store.manifest().sequences) else {}
 
 
 def _stage_tables(job: LayerJob) -> None:

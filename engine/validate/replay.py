@@ -16,7 +16,7 @@ import numpy as np
 
 from jrdb_avr.engine.generate.candidates import PASSED, RULES, Candidates, to_table
 from jrdb_avr.engine.generate.context import LayerJob, SearchContext
-from jrdb_avr.engine.generate.keyframe_graph import stored_layer
+from jrdb_avr.engine.generate.keyframe_graph import ensure_layer, stored_layer
 from jrdb_avr.engine.generate.records import choice_sets, make_record
 from jrdb_avr.engine.generate.relations import RELATIONS
 from jrdb_avr.engine.generate.scene import NOBODY, Ints
@@ -143,10 +143,13 @@ def replay(
 ) -> list[Difference]:
     """Run the proofs of questions again; differences come in the questions' order.
 
-    `advance` receives the number of finished questions. Raises StoreError where the store lacks a sequence's tables, or
-    its graph the keyframe layer of these rules.
+    `advance` receives the number of finished questions. Raises StoreError where the store lacks a sequence's tables.
+    The keyframe layer of these rules is made where the graph lacks it.
     """
     lows = stored_layer(store, rules)
+    if not lows:
+        with store.writing("validate --replay"):
+            lows = ensure_layer(store, rules, workers)
     jobs = [
         ReplayJob(store.path, name, lows[name], rules, tuple(record for record in records if record.sequence == name))
         for name in sorted({record.sequence for record in records})

@@ -27,7 +27,7 @@ from jrdb_avr.schema.graph import STORAGE_VERSION
 ENGINES: Final = {b"KUZU": "kuzu", b"LBUG": "ladybug"}
 """The engines by the first bytes of their files."""
 
-ENGINE: Final = os.environ.get("JRDB_AVR_ENGINE", "kuzu")
+ENGINE: Final = os.environ.get("JRDB_AVR_ENGINE") or "kuzu"
 """The engine of this process: kuzu, or ladybug, its fork, to judge a release of it by (docs/graph.md)."""
 
 STORE_GRAPH: Final = "graph.kuzu"

@@ -43,7 +43,7 @@ from jrdb_avr.queries.graph.file import (
     publish,
     remove_files,
 )
-from jrdb_avr.queries.graph.parameters import bind, parameters, strip_literals
+from jrdb_avr.queries.graph.parameters import bind, strip_literals
 from jrdb_avr.queries.graph.wrong_answers import QueryPlan, refuse_wrong_answers
 from jrdb_avr.schema.errors import QueryError, StoreError
 
@@ -141,7 +141,7 @@ class Graph:
         text, values = bind(cypher, params or {})
         with self._lock:
             plan = self._plan(text, values)
-            refuse_wrong_answers(plan, text, self._complaint)
+            refuse_wrong_answers(plan, text, lambda probe: self._complaint(probe, values))
             if plan.writes:
                 raise QueryError(f"this statement writes, use execute(): {shortened(cypher)}")
             if ordered and not plan.ordered:
@@ -166,7 +166,7 @@ class Graph:
         with self._writing():
             bare = strip_literals(text)
             if _MATCH.search(bare):
-                refuse_wrong_answers(self._plan(text, values), text, self._complaint)
+                refuse_wrong_answers(self._plan(text, values), text, lambda probe: self._complaint(probe, values))
             elif not _ROW.match(bare):
                 # A change of tables may change every plan.
                 self._shared.plans.clear()
@@ -236,11 +236,11 @@ class Graph:
             self._shared.plans[text] = plan
         return plan
 
-    def _complaint(self, text: str) -> str:
+    def _complaint(self, text: str, values: Mapping[str, Any]) -> str:
         """What the engine says against a statement; on a connection of its own, as an error ends a transaction."""
         with engine().Connection(self._shared.database) as connection:
             try:
-                connection.execute(f"EXPLAIN {text}", dict.fromkeys(parameters(text)))
+                connection.execute(f"EXPLAIN {text}", dict(values))
             except RuntimeError as error:
                 return str(error)
         return ""

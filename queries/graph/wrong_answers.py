@@ -28,7 +28,9 @@ _BARE = re.compile(
 )
 _SUBQUERY = re.compile(r"(\b(?:EXISTS|COUNT)\s*)?\{([^{}]*)\}", re.IGNORECASE)
 _ORDER = re.compile(
-    r"(?<![\w.$])ORDER\s+BY\b(.*?)(?=(?<![\w.$])(?:SKIP|LIMIT|WHERE|OPTIONAL|MATCH|UNWIND|WITH|RETURN|UNION)\b|$)",
+    r"(?<![\w.$])ORDER\s+BY\b(.*?)"
+    r"(?=(?<![\w.$])(?:(?:SKIP|LIMIT)\s+[\d$]"
+    r"|(?:WHERE|OPTIONAL|MATCH|UNWIND|(?<!STARTS )(?<!ENDS )WITH|RETURN|UNION)\b)|$)",
     re.IGNORECASE | re.DOTALL,
 )
 _WAY = re.compile(r"(?<![\w.$])(?:ASC|DESC)(?:ENDING)?(?=\s*(?:,|$))", re.IGNORECASE)
@@ -100,6 +102,8 @@ def refuse_wrong_answers(plan: QueryPlan, text: str, complaint: Callable[[str], 
         raise QueryError("the engine loses rows of what is counted after a count(DISTINCT ...): put the DISTINCT last")
     for probe in _order_probes(text):
         kinds = [kind.strip() for found in _KINDS.findall(complaint(probe)) for kind in found.split(",")]
+        if not kinds:
+            raise QueryError("the types of the keys of ORDER BY are not clear: order by columns that are returned")
         if "STRING" in kinds and any(kind != "STRING" for kind in kinds[kinds.index("STRING") :]):
             raise QueryError("the engine misplaces rows by ORDER BY with a text before a number: put the numbers first")
     plan.sound = True

@@ -1,6 +1,6 @@
 // time.shift of distance: the change of the same person's distance since t0 when t1 moves by $by frames.
 // param sequence: text
-// $by: plus or minus 15 times the rule shift_s. Any other number finds no rows.
+// $by: plus or minus 15 times the rule shift_s, plus where it is not passed. Any other number finds no rows.
 // param by: integer = 45
 MATCH (n:Name)-[:Describes]->(m0:Moment)<-[:At]-(:Person)-[:At]->(m1:Moment)-[s:Shift]->(moved:Moment)
 WHERE n.id >= $low AND n.id < $high

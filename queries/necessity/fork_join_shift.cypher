@@ -1,7 +1,7 @@
 // time.shift of fork_join: whom description and both first steps lead to $by frames later.
 // Where that is nobody, the outcome. Whom b and c single out together then is no part of the graph.
 // param sequence: text
-// $by: plus or minus 15 times the rule shift_s. Any other number finds no rows.
+// $by: plus or minus 15 times the rule shift_s, plus where it is not passed. Any other number finds no rows.
 // param by: integer = 45
 MATCH (n:Name)-[e:Describes]->(a:Moment)-[s1:Leads]->(b:Moment), (a)-[s2:Leads]->(c:Moment), (n)-[v:Moved]->(a2:Moment)
 WHERE n.id >= $low AND n.id < $high

@@ -1,7 +1,7 @@
 // time.shift of presence: whether everybody is present (1) or absent (0) $by frames later, where it is known.
 // Both times of a question move.
 // param sequence: text
-// $by: plus or minus 15 times the rule shift_s. Any other number finds no rows.
+// $by: plus or minus 15 times the rule shift_s, plus where it is not passed. Any other number finds no rows.
 // param by: integer = 45
 MATCH (m:Moment)-[s:Shift]->(moved:Moment)
 WHERE m.id >= $low AND m.id < $high

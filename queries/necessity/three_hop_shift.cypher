@@ -2,7 +2,7 @@
 // Where there is none, the outcome. Only of candidates that pass anchor, evidence, image, view.ahead and hop.stop,
 // where a keyframe lies $by frames later.
 // param sequence: text
-// $by: plus or minus 15 times the rule shift_s. Any other number finds no rows.
+// $by: plus or minus 15 times the rule shift_s, plus where it is not passed. Any other number finds no rows.
 // param by: integer = 45
 MATCH (n:Name)-[e:Describes]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)-[s3:Leads]->(d:Moment),
       (n)-[v:Moved]->(a2:Moment)

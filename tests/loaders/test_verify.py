@@ -350,7 +350,7 @@ def test_a_damaged_layer_alone_is_found(small):
 
 def test_generate_does_not_search_a_damaged_graph(small):
     small.graph_path.write_bytes(small.graph_path.read_bytes().replace(b"walking", b"wolking"))
-    with pytest.raises(StoreError, match="is not as it was built: run 'jrdb-avr load --rebuild"):
+    with pytest.raises(StoreError, match="is damaged: run 'jrdb-avr load --verify"):
         ensure_layer(small, Rules(), 1)
 
 

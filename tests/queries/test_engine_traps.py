@@ -454,6 +454,8 @@ def test_an_order_with_numbers_first_is_right(many, keys):
         "MATCH (n:N) WITH n.s AS s, n.id AS i RETURN * ORDER BY s, i",
         "MATCH (n:N) RETURN n.s AS s, n.id AS i UNION ALL MATCH (n:N) RETURN n.s AS s, n.id AS i ORDER BY s, i",
         "MATCH (n:N) RETURN n.s AS s, n.id = 1 AS b ORDER BY s, b",
+        "MATCH (n:N) RETURN n.s AS s, n.id AS skip ORDER BY s, skip LIMIT 3",
+        "MATCH (n:N) RETURN n.s AS s, n.id AS i ORDER BY s, s STARTS WITH 'x', i",
         "MATCH (n:N) WHERE n.s = $text RETURN n.s AS s, n.id AS i ORDER BY s, i",
         "MATCH (n:N) RETURN n.s AS `order by`, n.id AS `b,c` ORDER BY `order by`, `b,c`",
     ],
