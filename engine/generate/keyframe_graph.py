@@ -159,7 +159,8 @@ def _copy_derived(jobs: Sequence[LayerJob]) -> None:
             for job in jobs
         ]
         stamp = pa.Table.from_pylist(rows)
-        tables = {folder.name: staged_digests(folder) for folder in sorted(stage.iterdir())} | {"Keyframes": digests_of(stamp)}
+        tables = {folder.name: staged_digests(folder) for folder in sorted(stage.iterdir())}
+        tables["Keyframes"] = digests_of(stamp)
         texts = [json.dumps({name: found.get(job.sequence) for name, found in tables.items()}) for job in jobs]
         graph.copy("Keyframes", stamp.append_column("digests", [texts]))
 
