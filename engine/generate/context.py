@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Self
 
 import pyarrow as pa
 
 from jrdb_avr.engine.generate.action_onsets import ActionOnsets
+from jrdb_avr.engine.generate.conditions import Conditions, find_conditions
 from jrdb_avr.engine.generate.descriptions import Descriptions, describe_people
 from jrdb_avr.engine.generate.relations import RELATIONS, Facts, find_facts
 from jrdb_avr.engine.generate.scene import Scene, box_count, coded, ints, load_scene
@@ -37,7 +37,7 @@ class LayerJob:
         """The sequence prepared for search. Raises StoreError where tables or graph are missing."""
         store = Store(self.store)
         with worker_graph(store.graph_path) as graph:
-            yield SearchContext.of(load_scene(store, self.sequence), self.rules, graph, self.low)
+            yield SearchContext(load_scene(store, self.sequence), self.rules, self.low, graph)
 
     @property
     def weight(self) -> int:
@@ -49,22 +49,29 @@ class LayerJob:
 class SearchContext:
     """Shared inputs of every search in one scene.
 
-    facts: the scene's relations. graph: the stored graph with its keyframe layer, in which the sequence's ids begin at
-    `low`; None while the layer is made.
+    graph: the stored graph with its keyframe layer, in which the sequence's ids begin at `low`; None while the layer is
+    made.
     """
 
     scene: Scene
     rules: Rules
-    facts: Facts
-    descriptions: Descriptions
-    graph: Graph | None
-    low: int
+    low: int = 0
+    graph: Graph | None = None
 
-    @classmethod
-    def of(cls, scene: Scene, rules: Rules, graph: Graph | None = None, low: int = 0) -> Self:
-        """The context with the descriptions that generation chooses."""
-        facts = find_facts(scene)
-        return cls(scene, rules, facts, describe_people(scene, facts, rules), graph, low)
+    @cached_property
+    def facts(self) -> Facts:
+        """The scene's relations."""
+        return find_facts(self.scene)
+
+    @cached_property
+    def conditions(self) -> Conditions:
+        """What may describe the people of the scene."""
+        return find_conditions(self.scene, self.facts, self.rules)
+
+    @cached_property
+    def descriptions(self) -> Descriptions:
+        """The descriptions that generation chooses."""
+        return describe_people(self.conditions, self.rules)
 
     @cached_property
     def onsets(self) -> ActionOnsets:

@@ -17,9 +17,8 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from jrdb_avr.engine.generate.conditions import ANCHOR_TIME, Conditions, count, find_conditions
-from jrdb_avr.engine.generate.relations import Facts
-from jrdb_avr.engine.generate.scene import NOBODY, Ints, Scene
+from jrdb_avr.engine.generate.conditions import ANCHOR_TIME, Conditions, count
+from jrdb_avr.engine.generate.scene import NOBODY, Ints
 from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.plan import Condition
@@ -118,9 +117,8 @@ def conditions_json(conditions: tuple[Condition, ...]) -> str:
     return msgspec.json.encode(in_order(conditions), order="sorted").decode()[1:-1]
 
 
-def describe_people(scene: Scene, facts: Facts, rules: Rules) -> Descriptions:
-    """Choose the descriptions of everybody at every keyframe of a scene; `facts` are its relations."""
-    conditions = find_conditions(scene, facts, rules)
+def describe_people(conditions: Conditions, rules: Rules) -> Descriptions:
+    """Choose the descriptions of everybody at every keyframe of a scene."""
     sighting, uses = _subsets(conditions, rules)
     best = _best(conditions, sighting, uses, np.arange(len(sighting)))
     poseless = ~conditions.any_of(conditions.states_pose, uses)

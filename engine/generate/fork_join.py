@@ -121,7 +121,7 @@ class Joins:
 
 def find_joins(context: SearchContext) -> Joins:
     """The joining relations of everybody with a box at a keyframe."""
-    facts, conditions = context.facts, context.descriptions.conditions
+    facts, conditions = context.facts, context.conditions
     leading = np.unique(facts.relation[facts.certain])
     used = np.union1d(JOINING[np.isin(JOINING, leading)], [RELATIONS.index(row.label) for row in _WINDOWS])
     column = np.full(len(RELATIONS), NOBODY)

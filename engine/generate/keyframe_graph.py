@@ -85,8 +85,8 @@ def stored_layer(store: Store, rules: Rules) -> dict[str, int]:
 
 
 def _stage_tables(job: LayerJob) -> None:
-    context = SearchContext.of(load_scene(Store(job.store), job.sequence), job.rules)
-    for name, rows in keyframe_tables(context, job.low):
+    context = SearchContext(load_scene(Store(job.store), job.sequence), job.rules, job.low)
+    for name, rows in keyframe_tables(context):
         stage_rows(job.store / STAGE, name, job.sequence, rows)
 
 
@@ -114,7 +114,7 @@ def derived_tables(context: SearchContext) -> dict[str, pa.Table]:
     leading = np.isin(code, np.unique(code[target >= 0]))
     names = context.query("search", "anchors")
     describes = {"from": ints(names, "name") + low, "to": ints(names, "moment") + low, "anchor": names["anchor"]}
-    general = ints(names, "moment")[context.descriptions.general[ints(names, "name")]]
+    general = ints(names.filter(names["general"]), "moment")
     joined = find_joins(context).table(*_forks(ints(steps, "source"), code, target, general))
     columns = [ints(joined, name) + low for name in ("from", "to", "a", "c")]
     return {

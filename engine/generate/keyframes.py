@@ -58,9 +58,9 @@ OUTCOMES_NOWHERE: Final = ("empty", "ambiguous", "unknown")
 """`nowhere` of the moments NO_MATCH, SEVERAL and UNDECIDED."""
 
 
-def keyframe_tables(context: SearchContext, low: int) -> Iterator[tuple[str, pa.Table]]:
-    """The layer's tables of a sequence, by name; `low` is the first of its ids."""
-    scene, rules = context.scene, context.rules
+def keyframe_tables(context: SearchContext) -> Iterator[tuple[str, pa.Table]]:
+    """The layer's tables of a sequence, by name."""
+    scene, rules, low = context.scene, context.rules, context.low
     tables = _moments(context) | _segments(scene, rules) | absence_tables(scene, rules)
     tables |= encounter_tables(scene, context.facts, rules) | _facts(context) | _names(context.descriptions, rules)
     persons = pc.binary_join_element_wise(scene.sequence, pa.array(scene.tracks).cast(pa.string()), "/")
@@ -142,15 +142,15 @@ def _seen(scene: Scene, rows: Ints, rules: Rules) -> tuple[Bools, Bools]:
 
 
 def _facts(context: SearchContext) -> dict[str, pa.Table]:
-    """Everybody who certainly has a relation with a person, and then everybody else who could have it.
+    """Everybody who certainly has a relation with a person, and one who could have it, who stands for all who could.
 
-    Of a relation that nobody certainly has, which so leads nowhere, one possible fact stands for all: they are by far
-    the most.
+    They are by far the most.
     """
     scene, facts = context.scene, context.facts
-    _, first, cell = np.unique(facts.source * len(RELATIONS) + facts.relation, return_index=True, return_inverse=True)
-    stored = np.bincount(cell, weights=facts.certain)[cell] > 0
-    stored[first] = True
+    possible = np.flatnonzero(~facts.certain)
+    cell = facts.source[possible] * len(RELATIONS) + facts.relation[possible]
+    stored = facts.certain.copy()
+    stored[possible[np.unique(cell, return_index=True)[1]]] = True
     columns = {
         "from": facts.source,
         "to": facts.target,

@@ -46,7 +46,7 @@ def make_record(
     target = [box for box in needed if box.node == template.target]
     angles = {box.frame: scene.geometry["angle"][scene.box_of(box.track, box.frame)] for box in target}
     turns = angle_error(np.array([angles[box.frame] for box in target if box.decisive]), angles[t0])
-    conditions = context.descriptions.conditions
+    conditions = context.conditions
     keyframe = conditions.keyframe[context.descriptions.sighting[candidates.name[row]]]
     return QuestionRecord(
         question_id=question_id(**public),

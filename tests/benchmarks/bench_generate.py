@@ -120,6 +120,7 @@ def measure_steps(store):
     named = {
         (contexts, "load_scene"): "tables of the sequence",
         (contexts, "find_facts"): "relations and descriptions",
+        (contexts, "find_conditions"): "relations and descriptions",
         (contexts, "describe_people"): "relations and descriptions",
         (shard, "to_table"): "plans and keys",
         (shard, "rederive"): "second path",
@@ -312,7 +313,7 @@ def measure_chains(store):
             edges["timed edges"] += graphs["timed edges"].graph.number_of_edges()
             edges["a graph per keyframe"] += len(facts.source)
             with clock("layer"):
-                made = dict(keyframe_tables(context, low)) | derived_tables(context)
+                made = dict(keyframe_tables(context)) | derived_tables(context)
             edges["keyframe layer"] += sum(len(table) for name, table in made.items() if name in KEYFRAME_RELS)
             for template, columns in CHAINS.items():
                 with clock("here", template):

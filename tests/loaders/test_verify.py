@@ -90,13 +90,13 @@ def small_store(tmp_path_factory):
 def with_layer(store):
     """The store with a keyframe layer, made where `generate` would, but of made-up rows."""
 
-    def made_up(context, low, tables):
-        return {name: layer_rows(name, context.scene, low) for name in tables}
+    def made_up(context, tables):
+        return {name: layer_rows(name, context.scene, context.low) for name in tables}
 
     first = [name for name in LAYER if name not in (*DERIVED, "Keyframes")]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(keyframe_graph, "keyframe_tables", lambda context, low: made_up(context, low, first).items())
-        patch.setattr(keyframe_graph, "derived_tables", lambda context: made_up(context, context.low, DERIVED))
+        patch.setattr(keyframe_graph, "keyframe_tables", lambda context: made_up(context, first).items())
+        patch.setattr(keyframe_graph, "derived_tables", lambda context: made_up(context, DERIVED))
         ensure_layer(store, Rules(), 1)
     return store
 

@@ -6,7 +6,6 @@ with layers_in_memory(): generate(store, rules, workers=1)      # of a store wit
 """
 
 import contextlib
-from dataclasses import replace
 from types import SimpleNamespace
 
 import pyarrow as pa
@@ -26,8 +25,8 @@ from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, ta
 @contextlib.contextmanager
 def searched(store, sequence, rules):
     """A sequence prepared for search, with its layer in memory."""
-    context = SearchContext.of(load_scene(store, sequence), rules)
     with Graph.memory() as graph:
+        context = SearchContext(load_scene(store, sequence), rules, 0, graph)
         for statement in table_ddl({"Person": SCENE_NODES["Person"]} | KEYFRAME_NODES, KEYFRAME_RELS):
             graph.execute(statement)
         tracks = pa.array(context.scene.tracks)
@@ -36,10 +35,9 @@ def searched(store, sequence, rules):
         types = {"STRING": pa.string(), "INT64": pa.int64()}
         none = [persons.get(name, pa.nulls(len(tracks), types[kind])) for name, kind, *_ in columns]
         graph.copy("Person", pa.table(none, [name for name, *_ in columns]))
-        for name, rows in keyframe_tables(context, 0):
+        for name, rows in keyframe_tables(context):
             if len(rows):
                 graph.copy(name, rows)
-        context = replace(context, graph=graph)
         for name, rows in derived_tables(context).items():
             if len(rows):
                 graph.copy(name, rows)

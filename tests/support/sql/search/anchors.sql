@@ -1,1 +1,1 @@
-SELECT text, t, track, t, track, anchor FROM names
+SELECT text, t, track, general, t, track, anchor FROM names
