@@ -71,7 +71,8 @@ class QueryPlan:
             if name == "AGGREGATE_SCAN":
                 box = self.text.split("AGGREGATE_SCAN[", 1)[1].split("└", 1)[0]
                 return "Group By:" not in box
-            return name in ("ORDER_BY_SCAN", "TOP_K_SCAN")
+            # Ladybug reads the number of edges off the table.
+            return name in ("ORDER_BY_SCAN", "TOP_K_SCAN", "COUNT_REL_TABLE")
         return False
 
     @property
