@@ -7,7 +7,6 @@ import shutil
 import signal
 import time
 
-import kuzu
 import msgspec
 import pytest
 import warm
@@ -27,6 +26,7 @@ from jrdb_avr.engine.validate.checks import validate
 from jrdb_avr.loaders.load import rebuild
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.beliefs.record import drop_world
+from jrdb_avr.queries.graph.database import engine
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.queries.keyframes import layer_stamp
 from jrdb_avr.queries.store import Store
@@ -81,14 +81,14 @@ def copied(store, tmp_path):
 def test_generation_and_replay_make_no_graph_in_memory(loaded, tmp_path, monkeypatch):
     opened = []
 
-    class Recorded(kuzu.Database):
+    class Recorded(engine().Database):
         def __init__(self, path, *arguments, **more):
             opened.append(path)
             super().__init__(path, *arguments, **more)
 
     store = copied(loaded, tmp_path)
     monkeypatch.setattr(sequence, "FORMS", FORMS)
-    monkeypatch.setattr(kuzu, "Database", Recorded)
+    monkeypatch.setattr(engine(), "Database", Recorded)
     monkeypatch.setattr(Graph, "memory", None)
     generate(store, workers=1)
     assert set(opened) == {str(store.graph_path), str(store.path / ".graph.kuzu.building")}
