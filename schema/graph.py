@@ -85,14 +85,14 @@ KEYFRAME_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "Moved": ("Name", "Moment", ("by INT64",)),
     "Fits": ("Description", "Moment", ()),
     "Begins": ("Moment", "Encounter", ()),
-    "Meets": ("Encounter", "Person", ("met INT64", "seen INT64", "maybe INT64", "image BOOLEAN")),
+    "Meets": ("Encounter", "Person", ("met INT64", "clear_from INT64", "maybe INT64", "image BOOLEAN")),
     "Step": ("Moment", "Moment", ("relation STRING", "layer STRING")),
     "Leads": ("Moment", "Moment", ("relation STRING", "layer STRING")),
     "Describes": ("Name", "Moment", ("anchor BOOLEAN",)),
     "Joined": ("Moment", "Moment", ("a INT64", "c INT64", "r3 STRING", "r4 STRING")),
 }
 
-STORAGE_VERSION: Final = 5
+STORAGE_VERSION: Final = 6
 """Raised when the tables above change, or the world namespace's: a graph of another version is rebuilt."""
 
 

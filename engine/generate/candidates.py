@@ -166,7 +166,7 @@ class Candidates:
         low, high = np.searchsorted(met["encounter"].to_numpy(), [window, window + 1])
         rows = met.slice(low, high - low).to_pylist()
         until = int(self.frames["t2"][row])
-        return [(one["person"], one["seen"]) for one in rows if one["met"] <= until]
+        return [(one["person"], one["clear_from"]) for one in rows if one["met"] <= until]
 
 
 def _taken(columns: Any, rows: Ints) -> Any:

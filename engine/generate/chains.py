@@ -13,7 +13,7 @@ import pyarrow as pa
 from jrdb_avr.engine.generate.action_onsets import start_of
 from jrdb_avr.engine.generate.candidates import OUTCOMES, Candidates, Codes, Effect, PerturbationResult
 from jrdb_avr.engine.generate.context import SearchContext
-from jrdb_avr.engine.generate.keyframes import both_ways
+from jrdb_avr.engine.generate.keyframes import shift_frames
 from jrdb_avr.engine.generate.relations import RELATIONS
 from jrdb_avr.engine.generate.scene import NOBODY, Ints, coded, ints, masked, match_rows
 from jrdb_avr.schema.answers import same_answer
@@ -59,7 +59,7 @@ def _starts(context: SearchContext, paths: Candidates, tracks: Ints, nobody: Int
 def program_proofs(context: SearchContext, paths: Candidates) -> list[PerturbationResult]:
     """time.shift both ways and time.drop of the whole program: description and hops are read at other keyframes."""
     queries, results = paths.template.time_queries, []
-    for by in both_ways(context.rules):
+    for by in shift_frames(context.rules):
         found = context.query("necessity", f"{queries}_shift", by=by)
         texts = found["answer"].take(masked(path_rows(paths, found)))
         one = PerturbationResult.of_texts("time.shift", "", texts, paths.answer)

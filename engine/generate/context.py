@@ -97,5 +97,5 @@ class SearchContext:
 
     @cached_property
     def people_met(self) -> pa.Table:
-        """Everybody whom an encounter meets: encounter, person, met, seen; sorted by the first two."""
+        """Everybody whom an encounter meets: encounter, person, met, clear_from; sorted by the first two."""
         return self.query("generators", "gap_count_people")

@@ -24,8 +24,8 @@ def encounter_tables(scene: Scene, facts: Facts, rules: Rules) -> dict[str, pa.T
     `long_wait_s` and meet `count_min` people or more.
 
     Encounter: the relation, and `until`, the last keyframe's frame. Meets, sorted by window and person: the first
-    keyframe at which the meeting is certain (met), at which besides both are in clear view (seen), and by which it
-    could have been between two keyframes (maybe); null for none.
+    keyframe at which the meeting is certain (met), at which besides both are in clear view (clear_from), and by which
+    it could have been between two keyframes (maybe); null for none.
     """
     every = _at_every_frame(scene)
     lines = np.unique(_lines_of(scene, facts, _counted(facts)))
@@ -42,7 +42,7 @@ def encounter_tables(scene: Scene, facts: Facts, rules: Rules) -> dict[str, pa.T
     certain = marked(at_keyframes, at_keyframes.certain, np.arange(count))
     could = marked(between, frames_between[between.keyframe] != NOBODY, frames_between)
     both = certain & scene.present[lines[of_line] // len(RELATIONS)] & scene.present[other]
-    met, seen, maybe = _next(certain), _next(both), _next(could) + 1
+    met, clear, maybe = _next(certain), _next(both), _next(could) + 1
     until = _known_until(scene, lines, at_keyframes, between, frames_between)
     within = met <= until[of_line]
     people = np.zeros((len(lines), count), np.int64)
@@ -56,7 +56,7 @@ def encounter_tables(scene: Scene, facts: Facts, rules: Rules) -> dict[str, pa.T
     order = np.lexsort((other[row], number[of_line[row], place]))
     row, place = row[order], place[order]
     clock = np.append(scene.keyframes, [NOBODY, NOBODY])
-    times = {name: clock[first[row, place]] for name, first in (("met", met), ("seen", seen), ("maybe", maybe))}
+    times = {name: clock[first[row, place]] for name, first in (("met", met), ("clear_from", clear), ("maybe", maybe))}
     windows = {
         "id": np.arange(len(line)),
         "relation": named(lines[line] % len(RELATIONS), RELATIONS),
@@ -66,7 +66,7 @@ def encounter_tables(scene: Scene, facts: Facts, rules: Rules) -> dict[str, pa.T
         "from": number[of_line[row], place],
         "to": other[row],
         **{name: masked(column) for name, column in times.items()},
-        "image": scene.has_image(times["seen"]),
+        "image": scene.has_image(times["clear_from"]),
     }
     moment = lines[line] // len(RELATIONS) * count + start
     edges = {"from": moment, "to": windows["id"]}

@@ -23,7 +23,7 @@ from jrdb_avr.engine.generate.candidates import Candidates, Codes, Effect, Pertu
 from jrdb_avr.engine.generate.chains import beyond, path_rows
 from jrdb_avr.engine.generate.conditions import Conditions, Masks, count, packed
 from jrdb_avr.engine.generate.context import SearchContext
-from jrdb_avr.engine.generate.keyframes import OUTCOMES_NOWHERE, both_ways
+from jrdb_avr.engine.generate.keyframes import OUTCOMES_NOWHERE, shift_frames
 from jrdb_avr.engine.generate.relations import KIND, RELATIONS, ROBOT_VIEW, Facts
 from jrdb_avr.engine.generate.scene import (
     NO_MATCH,
@@ -200,7 +200,7 @@ def fork_proofs(context: SearchContext, paths: Candidates) -> list[PerturbationR
         _, sure = joins.others(source, paths.relations[relation], (a, b, c))
         reached = np.where(count(sure) >= 2, SEVERAL, UNDECIDED)
         proofs.append(PerturbationResult("hop.skip", skipped, *_poses(context, paths, reached)))
-    for by in both_ways(context.rules):
+    for by in shift_frames(context.rules):
         found = context.query("necessity", "fork_join_shift", by=by)
         found = found.take(masked(path_rows(paths, found)))
         moved = paths.frames["t0"] + by

@@ -115,11 +115,11 @@ def _moments(context: SearchContext) -> dict[str, pa.Table]:
     return {
         "Moment": pa.concat_tables([table, pa.table(none, table.schema)]),
         "At": pa.table({"from": scene.people(moments), "to": moments}),
-        "Shift": pa.concat_tables(_shift(scene, moments, by) for by in both_ways(rules)),
+        "Shift": pa.concat_tables(_shift(scene, moments, by) for by in shift_frames(rules)),
     }
 
 
-def both_ways(rules: Rules) -> tuple[int, int]:
+def shift_frames(rules: Rules) -> tuple[int, int]:
     """By how many frames time.shift moves: earlier and later."""
     return -frames(rules.shift_s), frames(rules.shift_s)
 
@@ -179,7 +179,7 @@ def _names(descriptions: Descriptions, rules: Rules) -> dict[str, pa.Table]:
     fits, fitting = descriptions.fits, np.nonzero(descriptions.fits >= 0)
     names = np.arange(len(uses))
     moved = []
-    for by in both_ways(rules):
+    for by in shift_frames(rules):
         to = find_sorted(scene.keyframes[keyframe] + by, scene.keyframes)
         there = np.flatnonzero(to != NOBODY)
         moved.append(pa.table({"from": there, "to": fits[number[there], to[there]], "by": np.full(len(there), by)}))

@@ -25,7 +25,7 @@ from jrdb_avr.engine.generate.candidates import (
 )
 from jrdb_avr.engine.generate.chains import beyond
 from jrdb_avr.engine.generate.context import SearchContext
-from jrdb_avr.engine.generate.keyframes import both_ways
+from jrdb_avr.engine.generate.keyframes import shift_frames
 from jrdb_avr.engine.generate.scene import NOBODY, Ints, Scene, flags, ints
 from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.labels import PRESENCE_ANSWERS
@@ -79,7 +79,7 @@ def find_presence(context: SearchContext, template: Template) -> Candidates:
         "t2": scene.frames(pairs.at2).astype(np.int32)[pair],
     }
     perturbed = (
-        *(_shift(context, pairs, pair, times, by) for by in both_ways(context.rules)),
+        *(_shift(context, pairs, pair, times, by) for by in shift_frames(context.rules)),
         _drop(scene, pairs, person, after, row, pair),
     )
     alone = {rule: flags(described, rule)[row] for rule in ("anchor", "evidence", "image", "ahead")}

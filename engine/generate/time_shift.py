@@ -7,13 +7,13 @@ import numpy as np
 from jrdb_avr.engine.generate.candidates import Candidates, Effect, PerturbationResult, choice_codes, compared
 from jrdb_avr.engine.generate.chains import beyond
 from jrdb_avr.engine.generate.context import SearchContext
-from jrdb_avr.engine.generate.keyframes import both_ways
+from jrdb_avr.engine.generate.keyframes import shift_frames
 from jrdb_avr.engine.generate.scene import NOBODY, ints, match_rows
 
 
 def held_person_proofs(context: SearchContext, candidates: Candidates) -> list[PerturbationResult]:
     """Both shifts and the drop."""
-    shifts = [_shift(context, candidates, by) for by in both_ways(context.rules)]
+    shifts = [_shift(context, candidates, by) for by in shift_frames(context.rules)]
     scene = context.scene
     track = scene.tracks[scene.people(candidates.people[candidates.template.target])]
     # A candidate without a row has no answer at any keyframe: where the person who is read is never in clear view.

@@ -13,8 +13,8 @@ WITH n.id AS name, d.anchor AS anchor, m1.frame AS t1, m1.track AS a, m1.clear A
      m1.ahead AS ahead, m2.frame AS t2, e.id AS encounter, e.relation AS r1,
      sum(CASE WHEN w.met <= m2.frame THEN 1 ELSE 0 END) AS people,
      sum(CASE WHEN w.maybe <= m2.frame AND (w.met IS NULL OR w.met > m2.frame) THEN 1 ELSE 0 END) AS others,
-     sum(CASE WHEN w.seen <= m2.frame THEN 1 ELSE 0 END) AS seen,
-     sum(CASE WHEN w.seen <= m2.frame AND w.image THEN 1 ELSE 0 END) AS with_image
+     sum(CASE WHEN w.clear_from <= m2.frame THEN 1 ELSE 0 END) AS seen,
+     sum(CASE WHEN w.clear_from <= m2.frame AND w.image THEN 1 ELSE 0 END) AS with_image
 WHERE people >= $least AND others = 0
 RETURN name - $low AS name, t1, a, t2, encounter - $low AS encounter, r1,
        CAST(people AS DOUBLE) AS value,

@@ -3,5 +3,5 @@
 MATCH (e:Encounter)-[w:Meets]->(p:Person)
 WHERE e.id >= $low AND e.id < $high
   AND w.met IS NOT NULL
-RETURN e.id - $low AS encounter, p.track AS person, w.met AS met, w.seen AS seen
+RETURN e.id - $low AS encounter, p.track AS person, w.met AS met, w.clear_from AS clear_from
 ORDER BY encounter, person

@@ -112,7 +112,7 @@ def test_one_target_is_enough_where_the_way_to_it_is_double(site):
 
 
 @pytest.mark.parametrize("label", ["conversation", "in the same group as"])
-def test_social_relations_hold_both_ways(site, label):
+def test_social_relations_hold_shift_frames(site, label):
     story = woman().sees("p2", 0, action="sitting").tie("p2", label, "p1", 0)
     plan = planned(at="t0", nodes={"a": [WOMAN], "b": []}, edges=[("a", label, "b", "t0")])
     assert site.answer(story, plan) == "sitting"

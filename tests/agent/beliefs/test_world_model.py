@@ -169,7 +169,7 @@ def test_gender_holds_always_and_poses_at_their_frame(graph, episode):
     assert old == [("gender", "male"), ("action", "walking"), ("distance_m", "2")]
 
 
-def test_a_relation_that_holds_both_ways_is_one(graph, episode):
+def test_a_relation_that_holds_shift_frames_is_one(graph, episode):
     seen_twice(episode, 15, people=("p1", "p2", "p3"))
     for source, name, target in (
         ("p1", "Conversation", "p2"),

@@ -100,8 +100,8 @@ def replaces(table, later, earlier):
         return ends[0] == before[0]
     if {later["name"], earlier["name"]} <= {"front left, close", "front, far"}:
         return ends == before
-    both_ways = later["name"] in (*INTERACTIONS, SAME_GROUP)
-    return later["name"] == earlier["name"] and (ends == before or (both_ways and ends == before[::-1]))
+    shift_frames = later["name"] in (*INTERACTIONS, SAME_GROUP)
+    return later["name"] == earlier["name"] and (ends == before or (shift_frames and ends == before[::-1]))
 
 
 def check_current(tables):

@@ -119,7 +119,7 @@ def pair(**difficulties):
         ({}, FALSE),
     ],
 )
-def test_an_interaction_said_once_holds_both_ways(said, state):
+def test_an_interaction_said_once_holds_shift_frames(said, state):
     annotations = pair(**said).read()
     for track, other in ((1, 2), (2, 1)):
         assert annotations.related("conversation", track, other, 15) == state
