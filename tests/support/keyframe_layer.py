@@ -18,30 +18,58 @@ from jrdb_avr.engine.generate.keyframes import keyframe_tables
 from jrdb_avr.engine.generate.scene import load_scene
 from jrdb_avr.engine.generate.sequence import SequenceJob, search_sequence
 from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.queries.keyframes import SPAN
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, table_ddl
+
+WORLDS = 40
+"""Scenes in one graph: to make a graph takes as long as to fill it, and so does to copy into a large one."""
+
+
+class _SharedGraph:
+    """A graph in memory for several scenes, each in a range of ids of its own, as in a store."""
+
+    def __init__(self):
+        self.graph = Graph.memory(prepares=True)
+        self.scenes = 0
+        self.persons = set()
+        for statement in table_ddl({"Person": SCENE_NODES["Person"]} | KEYFRAME_NODES, KEYFRAME_RELS):
+            self.graph.execute(statement)
+
+    def add(self, scene, rules):
+        """The scene prepared for search, its rows in the graph."""
+        context = SearchContext(scene, rules, self.scenes * SPAN, self.graph)
+        self.scenes += 1
+        tracks = {f"{scene.sequence}/{track}": track for track in scene.tracks.tolist()}
+        new = sorted(tracks.keys() - self.persons)
+        self.persons |= tracks.keys()
+        columns = [column.split() for column in SCENE_NODES["Person"].split(", ")]
+        types = {"STRING": pa.string(), "INT64": pa.int64()}
+        known = {"id": new, "track": [tracks[person] for person in new]}
+        rows = [pa.array(known.get(name, [None] * len(new)), types[kind]) for name, kind, *_ in columns]
+        self._copy("Person", pa.table(rows, [name for name, *_ in columns]))
+        for tables in (keyframe_tables, lambda context: derived_tables(context).items()):
+            for name, rows in tables(context):
+                self._copy(name, rows)
+        return context
+
+    def _copy(self, name, rows):
+        if len(rows):
+            self.graph.copy(name, rows)
+
+
+_shared = []
 
 
 @contextlib.contextmanager
 def searched(store, sequence, rules):
     """A sequence prepared for search, with its layer in memory."""
-    with Graph.memory() as graph:
-        context = SearchContext(load_scene(store, sequence), rules, 0, graph)
-        for statement in table_ddl({"Person": SCENE_NODES["Person"]} | KEYFRAME_NODES, KEYFRAME_RELS):
-            graph.execute(statement)
-        tracks = pa.array(context.scene.tracks)
-        persons = {"id": pa.array([f"{sequence}/{track}" for track in tracks]), "track": tracks}
-        columns = [column.split() for column in SCENE_NODES["Person"].split(", ")]
-        types = {"STRING": pa.string(), "INT64": pa.int64()}
-        none = [persons.get(name, pa.nulls(len(tracks), types[kind])) for name, kind, *_ in columns]
-        graph.copy("Person", pa.table(none, [name for name, *_ in columns]))
-        for name, rows in keyframe_tables(context):
-            if len(rows):
-                graph.copy(name, rows)
-        for name, rows in derived_tables(context).items():
-            if len(rows):
-                graph.copy(name, rows)
-        yield context
+    scene = load_scene(store, sequence)
+    # One in which a copy failed is of no use to others.
+    current = _shared.pop() if _shared and _shared[0].scenes < WORLDS else _SharedGraph()
+    context = current.add(scene, rules)
+    _shared[:] = [current]
+    yield context
 
 
 def layer_rows(store):

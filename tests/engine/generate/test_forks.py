@@ -17,6 +17,7 @@ from jrdb_avr.engine.generate import fork_join
 from jrdb_avr.engine.generate.candidates import PASSED, RULES, VALUES
 from jrdb_avr.engine.generate.relations import RELATIONS
 from jrdb_avr.engine.generate.search import find_candidates
+from jrdb_avr.queries.keyframes import SPAN
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import TEMPLATES
 
@@ -29,11 +30,13 @@ WINDOWS = {
 }
 BUSY = ("reading", "typing", "pushing", "eating sth", "writing")
 """What the first people do, so that there are descriptions without a pose."""
-ANCHORS = "MATCH (n:Name)-[d:Describes]->(:Moment) WHERE d.anchor RETURN n.id AS name ORDER BY name"
-STEPS = """MATCH (a:Moment)-[s:Step]->(b:Moment)
+ANCHORS = """MATCH (n:Name)-[d:Describes]->(:Moment) WHERE n.id >= $low AND n.id < $high AND d.anchor
+RETURN n.id - $low AS name ORDER BY name"""
+STEPS = """MATCH (a:Moment)-[s:Step]->(b:Moment) WHERE a.id >= $low AND a.id < $high
 RETURN a.frame / 15 AS t, a.track AS who, s.relation AS relation, b.track AS whom, b.nowhere AS nowhere
 ORDER BY t, who, relation"""
-UNSURE = "MATCH (a:Moment) WHERE a.open CONTAINS 'groups' RETURN a.frame / 15 AS t, a.track AS who ORDER BY t, who"
+UNSURE = """MATCH (a:Moment) WHERE a.id >= $low AND a.id < $high AND a.open CONTAINS 'groups'
+RETURN a.frame / 15 AS t, a.track AS who ORDER BY t, who"""
 EMPTY, SEVERAL, UNKNOWN = "empty", "several", "unknown"
 NO, YES, MAYBE = 0, 1, 2
 
@@ -153,9 +156,9 @@ def compare(seed, folder):
     template = next(t for t in TEMPLATES.values() if t.name == "fork_join")
     with searched(memory_store(folder, root_of(seconds)), SEQUENCE, Rules()) as context:
         rows = find_candidates(context, template)
-        anchors = set(context.graph.query(ANCHORS)["name"].to_pylist())
-        led = context.graph.query(STEPS).to_pylist()
-        unsure = {(row["t"], row["who"]) for row in context.graph.query(UNSURE).to_pylist()}
+        ids = {"low": context.low, "high": context.low + SPAN}
+        anchors, led, unsure = (context.graph.query(text, ids).to_pylist() for text in (ANCHORS, STEPS, UNSURE))
+    anchors, unsure = {row["name"] for row in anchors}, {(row["t"], row["who"]) for row in unsure}
     scene, names = context.scene, context.descriptions
 
     def track(moment):
