@@ -3,8 +3,8 @@
 A mutant is a small fault put into one module: a score that is too lenient, a proof that is skipped, a word that the
 guard lets through. `mutants.toml` lists them by area. The script applies them one at a time in a temporary copy of the
 repository and runs the tests that must notice. It ends with exit code 1 if a mutant survives, or if the code that it
-replaces no longer occurs exactly once: then change its row along with the code. `--check-only` only looks for the code,
-which takes a second.
+replaces no longer occurs exactly once or a test of it is gone: then change its row along with the code. `--check-only`
+only looks for the code and the tests, which takes a second.
 """
 
 from __future__ import annotations
@@ -55,9 +55,16 @@ def test_path(name: str) -> str:
     return f"{file.relative_to(TREE)}{'::' if test else ''}{test}"
 
 
-def occurrences(mutant: Mutant) -> int:
+def out_of_date(mutant: Mutant) -> str:
+    """Why a mutant's row no longer fits the tree, or ""."""
     path = TREE / mutant.file
-    return path.read_text().count(mutant.old) if path.exists() else 0
+    if (count := path.read_text().count(mutant.old) if path.exists() else 0) != 1:
+        return f"the fragment occurs {count} times in {mutant.file}: {mutant.old!r}"
+    for name in mutant.tests:
+        file, _, test = name.partition("::")
+        if test and f"def {test.partition('[')[0]}(" not in (TREE / file).read_text():
+            return f"there is no test {name}: {mutant.fault}"
+    return ""
 
 
 def copy_tree(folder: Path) -> Path:
@@ -106,18 +113,17 @@ def verdict(copy: Path, mutant: Mutant) -> tuple[bool, str]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--area", action="append", default=[], choices=[*TABLE])
-    parser.add_argument("--check-only", action="store_true", help="only look whether each code fragment occurs once")
+    parser.add_argument("--check-only", action="store_true", help="only look whether fragments and tests are there")
     options = parser.parse_args()
     chosen = list(mutants(options.area))
     bad: list[Mutant] = []
     usable = []
     for mutant in chosen:
-        if (count := occurrences(mutant)) == 1:
-            usable.append(mutant)
-        else:
+        if reason := out_of_date(mutant):
             bad.append(mutant)
-            what = "fragment not found" if count == 0 else f"fragment occurs {count} times"
-            print(f"{mutant.area:10} {what}: {mutant.file}: {mutant.old!r}")
+            print(f"{mutant.area:10} {reason}")
+        else:
+            usable.append(mutant)
     if not options.check_only:
         with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
             copy = copy_tree(Path(folder))
