@@ -13,7 +13,7 @@ from jrdb_avr.schema.errors import StoreError
 class RunManifest(msgspec.Struct, frozen=True):
     """`run.json`. `questions_sha256` is the hash of the questions file, `question_ids` the run's questions in it.
 
-    `synthetic` marks runs of the marker model or on the sample world: their scores are labelled so wherever they are
+    `synthetic` marks runs of the simulated model or on the sample world: their scores are labelled so wherever they are
     printed. `settings` holds what else shaped the run (budget, sampling, box convention), as plain JSON. `created` is
     an ISO 8601 time.
     """

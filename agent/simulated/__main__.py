@@ -1,4 +1,4 @@
-"""`python -m jrdb_avr.agent.simulated [--port N] [--log FILE] [--knob NAME=VALUE ...]`: serve until the process ends.
+"""`python -m jrdb_avr.agent.simulated [--port N] [--log FILE] [--profile P] [--knob NAME=VALUE ...]`: serve.
 
 Prints one line, `marker ready at URL`, once it takes requests. Ends by itself when its standard input is a pipe that
 the parent process has closed, so that a killed run leaves no server behind.
@@ -13,23 +13,27 @@ import sys
 import threading
 from pathlib import Path
 
-from jrdb_avr.agent.simulated.noise import Knobs, parse
+from jrdb_avr.agent.simulated.knobs import PROFILES, knob_table, parse
 from jrdb_avr.agent.simulated.server import READY, Server
 from jrdb_avr.schema.errors import InputError
 
 
 def main() -> None:
     """Serve until stopped."""
-    names = ", ".join(Knobs.__struct_fields__)
-    parser = argparse.ArgumentParser(prog="python -m jrdb_avr.agent.simulated", description="Serve the marker model.")
+    table = "\n".join(f"  {name}={value}  {what}" for name, value, what in knob_table())
+    parser = argparse.ArgumentParser(
+        prog="python -m jrdb_avr.agent.simulated",
+        description="Serve the simulated model.",
+        epilog=f"Knobs, with their defaults:\n{table}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("--port", type=int, default=0, help="port on 127.0.0.1; a free one if left out")
     parser.add_argument("--log", type=Path, help="file for one JSON line per answer")
-    parser.add_argument(
-        "--knob", action="append", default=[], metavar="NAME=VALUE", help=f"imperfection; NAME is one of {names}"
-    )
+    parser.add_argument("--profile", choices=PROFILES, default="perfect", help="knobs to begin with")
+    parser.add_argument("--knob", action="append", default=[], metavar="NAME=VALUE", help="imperfection")
     options = parser.parse_args()
     try:
-        knobs = parse(options.knob)
+        knobs = parse(options.knob, PROFILES[options.profile])
     except InputError as error:
         parser.error(str(error))
     with Server(options.port, options.log, knobs) as server:

@@ -1,111 +1,22 @@
-"""Noise of the simulated model: fields of marks misread, wrong boxes, and replies that are no answer.
+"""Faults of replies: wrong boxes, looks that go elsewhere, wrong relations of a plan, and replies that are no answer.
 
-A draw is a hash of the seed and of its subject: the whole request for faults of a reply, the question and the picture
-for misread fields. It depends on no clock and no order of calls, so a resumed run meets the same faults as one that was
-not interrupted, and the same request gets the same reply.
+A draw is about the whole request, which the draws of `knobs` are handed.
 """
 
 from __future__ import annotations
 
-import hashlib
-import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Annotated, Any, Final, TypeVar
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
 
 import msgspec
 
 from jrdb_avr.agent.model.conventions import SCALE
 from jrdb_avr.agent.model.decode import write_box
 from jrdb_avr.agent.policy.explorer import Look
-from jrdb_avr.agent.simulated.requests import Misread
-from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.labels import AGES, GENDERS, INTERACTIONS, OTHER_ACTIONS, POSES
-from jrdb_avr.schema.markers import ALONE, HEADING_STEP, MAX_DISTANCE_DM, Mark
-from jrdb_avr.schema.things import OBJECTS
+from jrdb_avr.agent.simulated.knobs import Draws, Knobs
+from jrdb_avr.schema.relations import QUESTION_RELATIONS, RELATIONS
 
-_T = TypeVar("_T")
-
-_HASHED: Final = 2.0**64
-_Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
-
-
-class Knobs(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Error rates of the simulated model, shares of 0 to 1; with none above 0, no byte of a reply changes.
-
-    wrong_box: share of boxes that are shifted or another person's. wrong_attribute: share of a mark's readable fields
-    that are misread, for each look anew. refusal, truncated, malformed: share of replies that are refused; of the
-    others, cut off at the token limit; of the others, no JSON object. thinking: share of replies with thinking before
-    them. latency: seconds that each reply waits. seed: of all draws.
-    """
-
-    wrong_box: _Share = 0.0
-    wrong_attribute: _Share = 0.0
-    malformed: _Share = 0.0
-    refusal: _Share = 0.0
-    truncated: _Share = 0.0
-    thinking: _Share = 0.0
-    latency: Annotated[float, msgspec.Meta(ge=0, le=600)] = 0.0
-    seed: Annotated[int, msgspec.Meta(ge=0, le=2**53)] = 0
-
-
-PERFECT: Final = Knobs()
-_RANGES: Final = {"latency": "a number from 0 to 600 seconds", "seed": f"a whole number from 0 to {2**53}"}
-
-
-def parse(settings: Iterable[str]) -> Knobs:
-    """The knobs of texts such as "wrong_box=0.1" or "seed=3". Raises InputError in one line for any other text."""
-    names = Knobs.__struct_fields__
-    values: dict[str, float] = {}
-    for setting in settings:
-        name, equals, text = (part.strip() for part in setting.partition("="))
-        if name not in names or not equals:
-            raise InputError(f"{setting[:60]!r} is no knob: give NAME=VALUE with a name of {', '.join(names)}")
-        if name in values:
-            raise InputError(f"the knob {name} is set twice")
-        try:
-            if name == "seed" and not re.fullmatch("[0-9]{1,16}", text):
-                raise ValueError
-            value = int(text) if name == "seed" else float(text)
-            values[name] = getattr(msgspec.convert({name: value}, Knobs), name)
-        except (ValueError, msgspec.ValidationError):
-            raise InputError(f"{name}={text[:40]} must be {_RANGES.get(name, 'a number from 0 to 1')}") from None
-    return msgspec.convert(values, Knobs)
-
-
-def turned(knobs: Knobs) -> dict[str, float]:
-    """The knobs that differ from their defaults, for a run's manifest."""
-    return {name: value for name, value in msgspec.structs.asdict(knobs).items() if value != getattr(PERFECT, name)}
-
-
-def settings(knobs: Knobs) -> list[str]:
-    """The texts that `parse` reads the knobs from."""
-    return [f"{name}={value!r}" for name, value in turned(knobs).items()]
-
-
-@dataclass(frozen=True)
-class Draws:
-    """Named draws about one subject, such as a request by its hash: equal names give equal draws."""
-
-    seed: int
-    about: str
-
-    def share(self, *what: object) -> float:
-        """A number of [0, 1)."""
-        text = msgspec.json.encode([self.seed, self.about, *map(str, what)])
-        return int.from_bytes(hashlib.sha256(text).digest()[:8], "big") / _HASHED
-
-    def happens(self, rate: float, *what: object) -> bool:
-        """True for this share of the names."""
-        return rate > 0 and self.share(*what) < rate
-
-    def pick(self, options: Sequence[_T], *what: object) -> _T:
-        """One of the options, which must not be empty."""
-        return options[min(int(self.share(*what) * len(options)), len(options) - 1)]
-
-
-_TURNS: Final = tuple(range(45, 360, 45))
-_NEARER_OR_FARTHER: Final = (0.5, 0.7, 1.5, 2.0)
 _SORRY: Final = "I am sorry, but I cannot help with questions about people in pictures."
 
 
@@ -116,63 +27,6 @@ class Wording:
     content: str
     finish_reason: str = "stop"
     refusal: str | None = None
-
-
-# -- reading ---------------------------------------------------------------------------------------------------------
-
-
-def misread(knobs: Knobs, question: str) -> Misread | None:
-    """How the marks of a question are misread; None where they are not.
-
-    A field of a person in a picture is misread alike whenever the picture is sent for this question, and independently
-    of other pictures: looking twice helps, looking longer does not. Identity and place are never misread.
-    """
-    if not knobs.wrong_attribute:
-        return None
-
-    def misread_mark(digest: bytes, mark: Mark) -> Mark:
-        draws = Draws(knobs.seed, f"{question} {digest.hex()} {mark.identity}")
-        wrong = {
-            name: _another(name, mark, draws)
-            for name in _FIELDS
-            if getattr(mark, name) is not None and draws.happens(knobs.wrong_attribute, name)
-        }
-        return replace(mark, **wrong)
-
-    return misread_mark
-
-
-_FIELDS: Final = ("gender", "age", "pose", "actions", "group", "distance_dm", "heading_deg", "interaction", "object")
-"""A partner goes with its interaction, and a verb with its object."""
-
-
-_OPTIONS: Final[Mapping[str, Sequence[Any]]] = {
-    "gender": GENDERS,
-    "age": AGES,
-    "pose": POSES,
-    "actions": OTHER_ACTIONS,
-    "group": range(ALONE, 13),
-    "interaction": INTERACTIONS,
-    "object": OBJECTS,
-}
-
-
-def _another(name: str, mark: Mark, draws: Draws) -> Any:
-    """Another value of a field that has one."""
-    value = getattr(mark, name)
-    match name:
-        case "distance_dm":
-            far = min(round(value * draws.pick(_NEARER_OR_FARTHER, "as", name)), MAX_DISTANCE_DM)
-            return far if far != value else value + 1
-        case "heading_deg":
-            return (value + draws.pick(_TURNS, "as", name)) // HEADING_STEP * HEADING_STEP % 360
-    known = value if name == "actions" else (value,)
-    other = draws.pick([option for option in _OPTIONS[name] if option not in known], "as", name)
-    # One action is taken for another; where there is none, one is seen that is not there.
-    return (other, *value[1:]) if name == "actions" else other
-
-
-# -- replying ---------------------------------------------------------------------------------------------------------
 
 
 def with_wrong_boxes(reply: Mapping[str, Any], looks: Sequence[Look], knobs: Knobs, draws: Draws) -> Mapping[str, Any]:
@@ -211,6 +65,28 @@ def _wrong_box(box: list[int], look: Look, draws: Draws, number: int) -> list[in
     return [left, top, left + (right - left) // 3, bottom]
 
 
+def with_wrong_policy(reply: Mapping[str, Any], knobs: Knobs, draws: Draws) -> Mapping[str, Any]:
+    """The reply with some of its looks turned elsewhere, or some relations of its plan replaced."""
+
+    def turned(number: int, look: Mapping[str, Any]) -> Mapping[str, Any]:
+        if "angle_deg" not in look or "frame_id" not in look or not draws.happens(knobs.policy, "look", number):
+            return look
+        angle = look["angle_deg"] + 60 + 240 * draws.share("angle", number)
+        return {**look, "angle_deg": round(angle % 360, 3)}
+
+    def replaced(number: int, edge: Mapping[str, Any]) -> Mapping[str, Any]:
+        if not draws.happens(knobs.policy, "edge", number):
+            return edge
+        kind = RELATIONS[edge["relation"]].kind
+        alike = [label for label in QUESTION_RELATIONS if RELATIONS[label].kind == kind or kind == "group"]
+        return {**edge, "relation": draws.pick([label for label in alike if label != edge["relation"]], number)}
+
+    if reply.get("action") == "observe":
+        return turned(0, reply)
+    lists = ((name, change) for name, change in (("calls", turned), ("edges", replaced)) if reply.get(name))
+    return {**reply, **{name: [change(n, part) for n, part in enumerate(reply[name])] for name, change in lists}}
+
+
 def word(content: str, knobs: Knobs, draws: Draws) -> tuple[Wording, str]:
     """The reply as it is sent, and the name of the knob that spoiled it, if any."""
     if draws.happens(knobs.refusal, "refusal"):
@@ -219,7 +95,8 @@ def word(content: str, knobs: Knobs, draws: Draws) -> tuple[Wording, str]:
     if draws.happens(knobs.truncated, "truncated"):
         end = 1 + int(draws.share("end") * (len(content) - 1))
         return Wording(thought + content[:end], "length"), "truncated"
-    if draws.happens(knobs.malformed, "malformed"):
+    sound = (1 - knobs.malformed) * (1 - knobs.malformed_per_kb) ** (len(content) / 1000)
+    if draws.happens(1 - sound if knobs.malformed_per_kb else knobs.malformed, "malformed"):
         return Wording(thought + _malformed(content, draws)), "malformed"
     return Wording(thought + content), ""
 

@@ -16,6 +16,7 @@ import msgspec
 from jrdb_avr.agent.model.decode import write_box
 from jrdb_avr.agent.policy.explorer import Look, Sighting
 from jrdb_avr.agent.simulated.requests import AHEAD, FrameId, Request
+from jrdb_avr.agent.simulated.same_person import told_apart
 from jrdb_avr.schema.beliefs import TIMELESS
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.labels import POSES
@@ -122,12 +123,26 @@ def read_notes(request: Request) -> Notes:
     pictures = {look.name: look for look in request.looks}
     people = [(identity, entity) for entity in graph.entities if (identity := entity.identity) is not None]
     looks = tuple(pictures.get(made.observation) or _restored(made, people) for made in graph.observations)
+    if not request.ids:
+        looks = told_apart(looks, {look.name: _written(look, look.name in pictures, people) for look in looks})
     facts: set[Fact] = {(tie.source, tie.name, tie.target, int(tie.frame_id)) for tie in graph.relations}
     for _, entity in people:
         facts |= {(entity.id, _SIGHTING, seen.observation, None) for seen in entity.sightings}
         facts |= {(entity.id, a.name, a.value, int(a.frame_id) if a.frame_id else None) for a in entity.attributes}
     holders = {entity.node: identity for identity, entity in people if entity.node is not None}
     return Notes(looks, tuple(look for look in looks if look.name in pictures), holders, frozenset(facts))
+
+
+def _written(look: Look, shown: bool, people: Sequence[tuple[int, _Entity]]) -> dict[int, Box]:
+    """The people who were written down in a look, with their boxes in its picture."""
+    if not shown:
+        return {seen.identity: look.box_inside(seen) for seen in look.sightings}
+    return {
+        identity: Box(*seen.box) if look.panorama else to_crop(Box(*seen.box), look.left)
+        for identity, entity in people
+        for seen in entity.sightings
+        if seen.observation == look.name
+    }
 
 
 def _order(observation: str) -> int:

@@ -6,13 +6,9 @@ reads lines of its own from `Request.lines`.
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import itertools
 import re
-import threading
-from collections import OrderedDict
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Final, NamedTuple
 
@@ -20,18 +16,18 @@ import msgspec
 
 from jrdb_avr.agent.model.prompts import read_frame_ranges
 from jrdb_avr.agent.policy.explorer import Look, Sighting
+from jrdb_avr.agent.simulated.perception import Perception, PictureMarks, Reader, See
+from jrdb_avr.agent.simulated.same_person import told_apart
 from jrdb_avr.schema.errors import DecodeError, PlanError
-from jrdb_avr.schema.markers import Mark, Reading, read
+from jrdb_avr.schema.markers import Reading
 from jrdb_avr.schema.panorama import WIDTH, angle_of_column
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.wording.text import parse
 
 _ANNOUNCED: Final = re.compile(
-    r"(?:Picture|Panorama|Crop)(?: \d+)?(?:, observation (\w{1,32}))?(?:, the newest)?: (\{.*\})"
+    r"(?:Picture|Panorama|Crop)(?: \d+)?(?:, observation (\w{1,32}))?(, the newest)?: (\{.*\})"
 )
 _CHOICE: Final = re.compile(r"\d+\. (.+)")
-_CACHED: Final = 8192
-_URI: Final = "data:image/jpeg;base64,"
 AHEAD: Final = 180.0
 """Panorama angle of a whole panorama's middle column."""
 
@@ -43,7 +39,8 @@ class Request:
     """A parsed request.
 
     `stage` is the last line of the newest user message and `lines` are all of them; `frames` are the legal ones (none
-    where the method does not choose); `looks` are the pictures of all user messages, in order.
+    where the method does not choose); `looks` are the pictures of all user messages, in order. `ids`: whether a person
+    has the same identity in all of them; without, `looks` hold whom the model takes for the same.
     """
 
     stage: str
@@ -53,6 +50,7 @@ class Request:
     choices: tuple[str, ...]
     frames: tuple[int, ...]
     looks: tuple[Look, ...]
+    ids: bool = True
 
     def line(self, start: str) -> str | None:
         """The rest of the first line that begins so, in the newest user message."""
@@ -70,56 +68,6 @@ class Request:
         if not found:
             raise DecodeError(f"the prompt lacks a line {start!r} with a count")
         return int(found[1])
-
-
-class PictureMarks(NamedTuple):
-    """The marks read in an image, with its width and height in pixels and its sha256."""
-
-    digest: bytes
-    size: tuple[int, int]
-    readings: tuple[Reading, ...]
-
-
-Misread = Callable[[bytes, Mark], Mark]
-"""Returns what a mark in the picture of a sha256 is taken for."""
-
-
-class Reader:
-    """Reads marks from data URIs; caches them by hash, as every turn sends all pictures again."""
-
-    def __init__(self) -> None:
-        self._cache: OrderedDict[tuple[bytes, bool], PictureMarks] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def picture(self, uri: str, *, wrap: bool) -> PictureMarks:
-        """The marks in a JPEG, as a data URI; `wrap` for a whole panorama. Raises DecodeError for any other text."""
-        digest = hashlib.sha256(uri.encode()).digest()
-        key = (digest, wrap)
-        with self._lock:
-            if key in self._cache:
-                self._cache.move_to_end(key)
-                return self._cache[key]
-        image = _image(uri)
-        found = PictureMarks(digest, image.shape[1::-1], tuple(read(image, wrap=wrap)))
-        with self._lock:
-            self._cache[key] = found
-            while len(self._cache) > _CACHED:
-                self._cache.popitem(last=False)
-        return found
-
-
-def _image(uri: str) -> Any:
-    import cv2
-    import numpy as np
-
-    try:
-        data = base64.b64decode(uri.removeprefix(_URI), validate=True)
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB)
-    except (ValueError, cv2.error):
-        image = None
-    if image is None:
-        raise DecodeError("an image of the request is no data URI of a readable JPEG")
-    return image
 
 
 # -- the request ------------------------------------------------------------------------------------------------------
@@ -140,13 +88,11 @@ UserMessage = list[MessagePart]
 """The parts of a user message."""
 
 
-def read_request(
-    turns: Sequence[UserMessage], reader: Reader, stages: Collection[str], misread: Callable[[str], Misread | None]
-) -> Request | None:
+def read_request(turns: Sequence[UserMessage], reader: Reader, stages: Collection[str], see: See) -> Request | None:
     """Parse the user messages of a request; None where their last line names none of the stages.
 
-    The question and its choices may stand in an earlier user message, as in a chat. `misread` returns how the marks of
-    a question are misread. Raises DecodeError for a question or a picture that cannot be read.
+    The question and its choices may stand in an earlier user message, as in a chat. Raises DecodeError for a
+    question or a picture that cannot be read.
     """
     lines = lines_of(turns[-1]) if turns else ()
     stage = lines[-1] if lines else ""
@@ -160,12 +106,17 @@ def read_request(
     try:
         _, plan = parse(question)
     except PlanError as error:
-        raise DecodeError(f"the marker model does not know this question: {error}") from None
+        raise DecodeError(f"the simulated model does not know this question: {error}") from None
     legal = _line(heading, "Legal frames: ")
     frames = () if legal is None else tuple(read_frame_ranges(legal))
-    misread_mark = misread(question)
-    looks = tuple(look for parts in turns for look in _looks(parts, reader, misread_mark))
-    return Request(stage, lines, question, plan, _choices(heading), frames, looks)
+    perception = see(question, [condition for node in plan.nodes for condition in node.conditions])
+    looks = tuple(
+        look
+        for turn, parts in enumerate(turns, 1)
+        for look in _looks(parts, reader, perception, turns_ago=len(turns) - turn)
+    )
+    ids = perception.knobs.ids
+    return Request(stage, lines, question, plan, _choices(heading), frames, looks if ids else told_apart(looks), ids)
 
 
 def lines_of(parts: UserMessage) -> tuple[str, ...]:
@@ -199,39 +150,40 @@ class _Metadata(msgspec.Struct):
 _METADATA: Final = msgspec.json.Decoder(_Metadata)
 
 
-def _looks(parts: UserMessage, reader: Reader, misread: Misread | None) -> list[Look]:
-    looks = []
+def _looks(parts: UserMessage, reader: Reader, perception: Perception, turns_ago: int) -> list[Look]:
+    pictures = [*_pictures(parts, reader)]
+    # Of several turns in one message each made one picture, and the newest is marked.
+    turns = len(pictures) if any(newest for *_, newest in pictures) else 0
+    return [
+        _look(place, name, picture, perception.readings(picture, turns_ago + max(turns - number, 0)))
+        for number, (place, name, picture, _) in enumerate(pictures, 1)
+    ]
+
+
+def _pictures(parts: UserMessage, reader: Reader) -> Iterator[tuple[_Metadata, str, PictureMarks, bool]]:
+    """The pictures of a message that a line places, with their names, and whether one is marked as the newest."""
     place: _Metadata | None = None
-    name = ""
+    name, newest = "", False
     for part in parts:
         announced = _ANNOUNCED.fullmatch(part.text.rpartition("\n")[2])
         if announced:
             try:
-                place = _METADATA.decode(announced[2])
+                place = _METADATA.decode(announced[3])
             except msgspec.DecodeError as error:
                 raise DecodeError(f"a picture's line cannot be read: {error}") from None
-            name = announced[1] or ""
+            name, newest = announced[1] or "", bool(announced[2])
         elif part.image_url is not None and place is not None:
-            picture = reader.picture(part.image_url.url, wrap=place.angle_deg is None)
-            looks.append(_look(place, name, picture, misread))
+            yield place, name, reader.picture(part.image_url.url, wrap=place.angle_deg is None), newest
             place = None
-    return looks
 
 
-def _look(place: _Metadata, name: str, picture: PictureMarks, misread: Misread | None) -> Look:
+def _look(place: _Metadata, name: str, picture: PictureMarks, readings: Sequence[Reading]) -> Look:
     frame, panorama = int(place.frame_id), place.angle_deg is None
     # A panorama may be sent smaller than it is, a crop is as large as it was cut.
     scale = WIDTH / picture.size[0] if panorama else 1.0
     sightings = tuple(
-        Sighting(
-            frame,
-            misread(picture.digest, mark) if misread else mark,
-            box,
-            complete,
-            angle_of_column(place.left + (box.x + box.w / 2) * scale),
-            picture.size[0],
-        )
-        for mark, box, complete in picture.readings
+        Sighting(frame, mark, box, complete, angle_of_column(place.left + (box.x + box.w / 2) * scale), picture.size[0])
+        for mark, box, complete in readings
     )
     angle = AHEAD if place.angle_deg is None else place.angle_deg
     return Look(frame, angle, sightings, panorama, name, place.left, picture.size)

@@ -23,19 +23,11 @@ import msgspec
 
 from jrdb_avr.agent.model.decode import write_box
 from jrdb_avr.agent.model.probes import BOX_LINE, CORNER_LINE, CROP_LINE, PANORAMA_LINE
-from jrdb_avr.agent.simulated.noise import (
-    PERFECT,
-    Draws,
-    Knobs,
-    Wording,
-    misread,
-    settings,
-    think,
-    with_wrong_boxes,
-    word,
-)
+from jrdb_avr.agent.simulated.knobs import PERFECT, Draws, Knobs, settings
+from jrdb_avr.agent.simulated.noise import Wording, think, with_wrong_boxes, with_wrong_policy, word
+from jrdb_avr.agent.simulated.perception import Perception, Reader
 from jrdb_avr.agent.simulated.play import STAGES
-from jrdb_avr.agent.simulated.requests import MessagePart, Reader, Request, UserMessage, lines_of, read_request
+from jrdb_avr.agent.simulated.requests import MessagePart, Request, UserMessage, lines_of, read_request
 from jrdb_avr.schema.errors import DecodeError, EndpointError
 
 MODEL: Final = "marker"
@@ -103,7 +95,7 @@ class Server(ThreadingHTTPServer):
             raise DecodeError(f"no chat-completions request: {error}") from None
         knobs = self.knobs
         draws = Draws(knobs.seed, "" if knobs == PERFECT else hashlib.sha256(body).hexdigest())
-        request = read_request(message.turns, self.reader, STAGES, functools.partial(misread, knobs))
+        request = read_request(message.turns, self.reader, STAGES, functools.partial(Perception, knobs))
         if request is None:
             wording = Wording(think(knobs, draws) + _probe_reply(message, self.reader))
         else:
@@ -114,9 +106,11 @@ class Server(ThreadingHTTPServer):
     def _play(self, request: Request, draws: Draws) -> Wording:
         turn = STAGES[request.stage](request)
         reply = with_wrong_boxes(turn.reply, request.looks, self.knobs, draws)
+        boxes_wrong = reply != turn.reply
+        reply = with_wrong_policy(reply, self.knobs, draws)
         wording, spoiled = word(msgspec.json.encode(reply).decode(), self.knobs, draws)
         if self._log is not None and turn.missing is not None:
-            knobs = [*(["wrong_box"] if reply != turn.reply else ()), *([spoiled] if spoiled else ())]
+            knobs = [*(["wrong_box"] if boxes_wrong else ()), *([spoiled] if spoiled else ())]
             line = {
                 "stage": request.stage,
                 "question": request.question,
@@ -208,7 +202,9 @@ def marker_server(log: Path | None = None, knobs: Knobs = PERFECT) -> Iterator[s
         try:
             line = process.stdout.readline()
             if not line.startswith(READY):
-                raise EndpointError("the marker model's server did not start: run 'python -m jrdb_avr.agent.simulated'")
+                raise EndpointError(
+                    "the simulated model's server did not start: run 'python -m jrdb_avr.agent.simulated'"
+                )
             yield line.removeprefix(READY).strip()
         finally:
             process.kill()

@@ -43,7 +43,9 @@ def endpoint_options(optional: bool = False) -> Callable[[_C], Callable[..., Any
     models = ", 'none' for a method of your own without any." if optional else "."
     server = [
         click.option(
-            "--model", required=True, help=f"Id of the model; 'marker' is the built-in reader of marks{models}"
+            "--model",
+            required=True,
+            help=f"Id of the model; 'simulated:PROFILE' is the built-in one, and 'marker' its perfect profile{models}",
         ),
         click.option("--base-url", help="An OpenAI-compatible server, as http://localhost:8000/v1."),
     ]
@@ -58,8 +60,15 @@ def endpoint_options(optional: bool = False) -> Callable[[_C], Callable[..., Any
             options = Options(**{name: values.pop(name) for name in _REQUEST})
             if math.isnan(options.timeout_s):
                 raise click.UsageError("--timeout must be a number of seconds")
+            from jrdb_avr.agent.simulated.knobs import profile_of
+            from jrdb_avr.schema.errors import InputError
+
             model = values["model"]
-            if values["base_url"] is None and model != "marker" and not (optional and model == "none"):
+            try:
+                simulated = profile_of(model) is not None
+            except InputError as error:
+                raise click.UsageError(str(error)) from None
+            if values["base_url"] is None and not simulated and not (optional and model == "none"):
                 raise click.UsageError(f"--model {model} needs --base-url, the address of the server that has it")
             return function(**values, options=options)
 

@@ -40,7 +40,7 @@ class Size:
     help="New folder for the world, the store and the run.",
 )
 def command(out: Path) -> None:
-    """Make a synthetic world, load it, generate questions, let the marker model answer them, score and report.
+    """Make a synthetic world, load it, generate questions, let the simulated model answer them, score and report.
 
     Every step is printed as the command that you would type. Takes about a minute on two cores.
     """

@@ -13,7 +13,7 @@ import click
 from jrdb_avr.engine.commands._endpoint import endpoint_options
 from jrdb_avr.engine.commands._options import FILE, json_option, store_option
 from jrdb_avr.engine.console import note, print_rows, progress_bar
-from jrdb_avr.engine.run.methods import MARKER, METHODS
+from jrdb_avr.engine.run.methods import METHODS
 from jrdb_avr.schema.errors import InputError
 
 if TYPE_CHECKING:
@@ -71,8 +71,8 @@ panoramas:
     "noise",
     multiple=True,
     metavar="KEY=VALUE",
-    help="How imperfectly the marker model plays: wrong_box=0.1, wrong_attribute, malformed, refusal, truncated and "
-    "thinking as shares, latency in seconds, seed. May be repeated.",
+    help="A knob of the simulated model, on top of its profile: wrong_box=0.1, ids=off, seed=3, and others that "
+    "docs/models.md lists. May be repeated.",
 )
 @click.option(
     "--scores/--no-scores",
@@ -88,14 +88,15 @@ def command(
     The model's key is read from the environment (OPENAI_API_KEY). Its server is checked first, as by 'preflight'. The
     run can be stopped at any time and resumed. Exit code 1 while any question ends in an error.
     """
-    from jrdb_avr.agent.simulated.noise import parse
+    from jrdb_avr.agent.simulated.knobs import PERFECT, parse, profile_of
     from jrdb_avr.engine.run.evaluate import check_arguments, evaluate
 
     try:
         check_arguments(options["method"], options["model"], options["base_url"], bool(noise), options["world_db"])
     except InputError as error:
         raise click.UsageError(str(error)) from None
-    marker = parse(noise)
+    simulated = profile_of(options["model"])
+    marker = parse(noise, simulated or PERFECT) if noise else None
     questions = None if picked is None else _ids(picked)
     terminal = sys.stderr.isatty()
     latest, printed = "", 0.0
@@ -111,7 +112,7 @@ def command(
     with progress_bar(lambda: latest) as progress:
         run = evaluate(store, questions=questions, marker=marker, progress=progress, live_scores=live_scores, **options)
     row = run.row()
-    title = "Run (synthetic: the marker model)" if options["model"] == MARKER else "Run"
+    title = "Run (synthetic: the simulated model)" if simulated is not None else "Run"
     print_rows([row], title=title, as_json=as_json)
     if row["error"]:
         note(f"{row['error']} questions ended in an error: run the same command with --resume to ask them again")

@@ -104,7 +104,7 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
             _print_table(name, found.table(name), title)
     note(f"percent of n; evidence scores from IoU {iou:g} on; [95 % interval]; n/a: no answer scored")
     if found.synthetic:
-        note("synthetic: the marker model or the sample world, no result about JRDB")
+        note("synthetic: the simulated model or the sample world, no result about JRDB")
 
 
 def _print_table(name: str, rows: list[dict[str, Any]], title: str) -> None:

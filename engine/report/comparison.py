@@ -63,7 +63,7 @@ class Comparison(Displayed):
 
     @property
     def synthetic(self) -> bool:
-        """Whether a run is of the marker model or on the sample world, and so no result about JRDB."""
+        """Whether a run is of the simulated model or on the sample world, and so no result about JRDB."""
         return any(run.manifest.synthetic for run in self.runs)
 
     def table(self, name: str = "main") -> list[Row]:

@@ -18,8 +18,7 @@ from jrdb_avr.agent.model.calibrate import Calibration
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import DEFAULTS, Options, convention_of
 from jrdb_avr.agent.preflight import preflight, require
-from jrdb_avr.agent.simulated.noise import PERFECT, Knobs
-from jrdb_avr.engine.run.methods import MARKER
+from jrdb_avr.agent.simulated.knobs import Knobs, profile_of
 from jrdb_avr.queries.store import Store, is_plain_name, write_json
 from jrdb_avr.schema.errors import EndpointError, StoreError
 
@@ -76,17 +75,18 @@ class Endpoint:
 
 
 @contextlib.contextmanager
-def serving(model: str, base_url: str | None, log: Path | None = None, knobs: Knobs = PERFECT) -> Iterator[str]:
-    """Yield the address of the model's server: `base_url`, or that of a marker server started for this block.
+def serving(model: str, base_url: str | None, log: Path | None = None, knobs: Knobs | None = None) -> Iterator[str]:
+    """Yield the address of the model's server: `base_url`, or that of a simulated model started for this block.
 
-    `log` and `knobs` are the marker server's. Raises EndpointError for another model without an address.
+    `log` is the simulated model's; `knobs` stand in place of its profile's. Raises EndpointError for another model
+    without an address.
     """
     from jrdb_avr.agent.simulated.server import marker_server
 
     if base_url is not None:
         yield base_url
-    elif model == MARKER:
-        with marker_server(log, knobs) as url:
+    elif (profile := profile_of(model)) is not None:
+        with marker_server(log, knobs or profile) as url:
             yield url
     else:
         raise EndpointError(f"--model {model} needs --base-url, the address of the server that has it")

@@ -25,14 +25,13 @@ import pyarrow.compute as pc
 
 from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.conventions import DEFAULTS, Options
-from jrdb_avr.agent.simulated.noise import PERFECT, Knobs, turned
+from jrdb_avr.agent.simulated.knobs import PERFECT, Knobs, profile_of, turned
 from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.run.answering import answer_all
 from jrdb_avr.engine.run.endpoint import Endpoint, serving
 from jrdb_avr.engine.run.journal import Journal, world_rows, write_tables
 from jrdb_avr.engine.run.live_scores import LiveScore, report_scores
 from jrdb_avr.engine.run.methods import (
-    MARKER,
     METHODS,
     NO_MODEL,
     WORLD_METHODS,
@@ -90,7 +89,7 @@ def evaluate(
     *,
     base_url: str | None = None,
     options: Options = DEFAULTS,
-    marker: Knobs = PERFECT,
+    marker: Knobs | None = None,
     run_id: str | None = None,
     questions: Iterable[str] | None = None,
     limit: int | None = None,
@@ -105,17 +104,20 @@ def evaluate(
     """Have a method answer questions of a store, and record every step in `runs/<run_id>/`.
 
     `method`: a name of `METHODS`, a custom one as "FILE.py:NAME" or "MODULE:NAME", or a method itself. `model`: the
-    server's id for it, at `base_url`; "marker" is the built-in reader of marks, whose noise `marker` sets. `questions`:
-    ids; all without. `images` and `world_db` stand in for the store's panoramas and graph. `opaque`: whether the method
-    gets opaque names of sequences (`run.opaque`). `live_scores` is called from another thread with the scores so far.
+    server's id for it, at `base_url`; "simulated" or "simulated:PROFILE" is the built-in one, which reads marks, and
+    `marker` stands in place of its profile's knobs. `questions`: ids; all without. `images` and `world_db` stand in for
+    the store's panoramas and graph. `opaque`: whether the method gets opaque names of sequences (`run.opaque`).
+    `live_scores` is called from another thread with the scores so far.
     Problems that do not end the run are AvrWarnings.
 
     Raises InputError, StoreError or EndpointError before the first question where something does not fit.
 
-        evaluate("store", "react", "marker", limit=20)
+        evaluate("store", "react", "simulated:noisy", limit=20)
     """
     store = Store.of(store)
-    check_arguments(method, model, base_url, marker != PERFECT, world_db)
+    check_arguments(method, model, base_url, marker is not None, world_db)
+    simulated = profile_of(model)
+    knobs = marker or simulated or PERFECT
     name = method if isinstance(method, str) else method.name
     run_id = run_id or default_run_id(name, model)
     folder = store.run_path(run_id)
@@ -138,23 +140,22 @@ def evaluate(
         world = stack.enter_context(_world(store, run_id, name, world_db, journal))
         endpoint = None
         if model != NO_MODEL:
-            url = stack.enter_context(serving(model, base_url, folder / "marker.jsonl", marker))
+            url = stack.enter_context(serving(model, base_url, folder / "marker.jsonl", knobs))
             endpoint = Endpoint(store, model, url, options, folder / "calls.jsonl", name)
             for line in endpoint.warnings:
                 warnings.warn(f"preflight: {line}", AvrWarning, stacklevel=2)
         runner = _runner(method, endpoint, world)
-        noise = turned(marker)
         manifest = RunManifest(
             run_id=run_id,
             method=runner.name,
             model=model,
             questions_sha256=questions_hash(store),
             question_ids=tuple(question.question_id for question in chosen),
-            synthetic=model == MARKER or any(map(is_of_sample, chosen)),
+            synthetic=simulated is not None or any(map(is_of_sample, chosen)),
             settings={
                 "method": runner.settings(),
                 **({} if endpoint is None else endpoint.settings),
-                **({"marker": noise} if noise else {}),
+                **({"marker": turned(knobs)} if knobs != PERFECT else {}),
                 **({"opaque": key_fingerprint(store)} if opaque else {}),
             },
             created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
@@ -177,9 +178,10 @@ def check_arguments(method: str | Method, model: str, base_url: str | None, nois
         raise InputError(f"{method!r} is none of {', '.join(METHODS)}, nor FILE.py:NAME or MODULE:NAME", field="method")
     if model == NO_MODEL and method in METHODS:
         raise InputError(f"--model none: {method} needs a model", field="model")
-    if noisy and (model != MARKER or base_url is not None):
+    if noisy and (profile_of(model) is None or base_url is not None):
         raise InputError(
-            "--marker sets how the built-in marker model plays: give it with --model marker alone", field="marker"
+            "--marker sets how the simulated model plays: give it with --model simulated or marker alone",
+            field="marker",
         )
     if world_db is not None and method not in WORLD_METHODS:
         raise InputError(f"--world-db: {method} has no world model", field="world_db")

@@ -27,9 +27,6 @@ if TYPE_CHECKING:
     from jrdb_avr.agent.model.conventions import Convention
     from jrdb_avr.schema.method import ConfigurableMethod, Prediction, Task
 
-MARKER: Final = "marker"
-"""The built-in model, which reads marks in synthetic panoramas and needs no server of the user's."""
-
 NO_MODEL: Final = "none"
 """The model of a custom method that calls none."""
 

@@ -12,7 +12,7 @@ from jrdb_avr.agent.methods.attempt import PANORAMAS
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import Options, convention_of
 from jrdb_avr.agent.preflight import AGENTS, CROPS, FIXED_CONTEXT, LOOKING, PLANNING, demands, preflight, require
-from jrdb_avr.agent.simulated.noise import Knobs
+from jrdb_avr.agent.simulated.knobs import Knobs
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.engine.cli import group
 from jrdb_avr.engine.run.methods import METHODS

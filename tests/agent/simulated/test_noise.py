@@ -3,6 +3,8 @@
 import base64
 import json
 import random
+import subprocess
+import sys
 import threading
 import time
 import urllib.request
@@ -11,17 +13,31 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
+from places import DOCS
 
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.decode import reply_object
 from jrdb_avr.agent.model.messages import Message
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.agent.policy.explorer import Look, Sighting
-from jrdb_avr.agent.simulated.noise import PERFECT, Draws, Knobs, misread, parse, settings, turned, with_wrong_boxes
+from jrdb_avr.agent.simulated.knobs import (
+    PERFECT,
+    PROFILES,
+    Draws,
+    Knobs,
+    knob_table,
+    parse,
+    profile_of,
+    settings,
+    turned,
+)
+from jrdb_avr.agent.simulated.noise import with_wrong_boxes, with_wrong_policy, word
+from jrdb_avr.agent.simulated.perception import Perception, PictureMarks
 from jrdb_avr.agent.simulated.server import Server, marker_server
 from jrdb_avr.schema.errors import DecodeError, InputError
-from jrdb_avr.schema.markers import Mark, encode
-from jrdb_avr.schema.panorama import Box, iou
+from jrdb_avr.schema.markers import Mark, Reading, encode
+from jrdb_avr.schema.panorama import Box, angle_error, iou
+from jrdb_avr.schema.relations import QUESTION_RELATIONS, SAME_GROUP
 from jrdb_avr.schema.things import OBJECTS, VERBS
 
 REACT = "Your next turn, as one JSON object:"
@@ -78,8 +94,10 @@ def readable(reply):
 
 
 def test_knobs_are_read_from_texts_and_written_back():
-    knobs = parse(["wrong_box=0.1", "refusal=1", "latency=0.25", " seed = 3"])
-    assert knobs == Knobs(wrong_box=0.1, refusal=1.0, latency=0.25, seed=3)
+    matrix = {"pose": {"standing": {"walking": 0.25}}}
+    texts = ["wrong_box=0.1", "refusal=1", "latency=0.25", " seed = 3", "ids=off", f"confuse={json.dumps(matrix)}"]
+    knobs = parse(texts)
+    assert knobs == Knobs(wrong_box=0.1, refusal=1.0, latency=0.25, seed=3, ids=False, confuse=matrix)
     assert parse(settings(knobs)) == knobs
     assert parse([]) == PERFECT and settings(PERFECT) == []
 
@@ -112,19 +130,55 @@ def test_a_manifest_shows_knobs_that_differ_from_their_defaults(text, shown):
         (["wrong_box=-0.1"], "from 0 to 1"),
         (["malformed=nan"], "from 0 to 1"),
         (["refusal=inf"], "from 0 to 1"),
-        (["latency=601"], "from 0 to 600 seconds"),
+        (["latency=601"], "from 0 to 600"),
         (["seed=1.5"], "whole number"),
         (["seed=-1"], "whole number"),
         (["seed=1e3"], "whole number"),
         (["seed=5.0"], "whole number"),
         (["seed=\u0663"], "whole number"),
         (["refusal=0.1", "refusal=0.1"], "twice"),
+        (["ids=no"], "on or off"),
+        (["pixels=1.5"], "whole number"),
+        (["confuse=2"], "from 0 to 1"),
+        (["confuse={"], "a JSON object"),
+        (['confuse={"pose": {"standing": {"flying": 1}}}'], "no pose is called 'flying'"),
     ],
 )
 def test_a_wrong_knob_is_told_in_one_line(texts, said):
     with pytest.raises(InputError, match=said) as caught:
         parse(texts)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_a_profile_is_a_model_and_knobs_change_it(name):
+    profile = profile_of(f"simulated:{name}")
+    assert parse(settings(profile)) == profile
+    changed = parse(["seed=5", "ids=on", "wrong_box=0"], profile)
+    assert (changed.seed, changed.ids, changed.wrong_box) == (5, True, 0)
+    assert changed.malformed == profile.malformed
+
+
+def test_marker_is_the_perfect_profile_and_other_names_are_other_models():
+    assert profile_of("marker") == profile_of("simulated") == profile_of("simulated:perfect") == PERFECT
+    assert profile_of("simulated-8B") is profile_of("Qwen/Qwen3.5-9B") is profile_of("none") is None
+    with pytest.raises(InputError, match="perfect, noisy, small-vlm"):
+        profile_of("simulated:large")
+
+
+def test_every_knob_has_a_meaning_and_help_lists_it():
+    table = knob_table()
+    assert [name for name, *_ in table] == [*Knobs.__struct_fields__] and all(meaning for *_, meaning in table)
+    printed = subprocess.run(
+        [sys.executable, "-m", "jrdb_avr.agent.simulated", "--help"], capture_output=True, text=True
+    )
+    assert all(f"{name}={default}  {meaning}" in printed.stdout for name, default, meaning in table)
+
+
+def test_the_page_on_models_lists_every_knob_and_profile():
+    page = (DOCS / "models.md").read_text()
+    assert all(f"| `{name}` | {default} | {meaning} |" in page for name, default, meaning in knob_table())
+    assert all(f"`{name}`" in page for name in PROFILES)
 
 
 # -- replies ----------------------------------------------------------------------------------------------------------
@@ -135,7 +189,6 @@ def test_nothing_turned_changes_no_byte(serve):
     perfect = serve(bodies)
     assert serve(bodies, seed=77) == perfect
     assert serve(bodies, refusal=1e-12, wrong_box=1e-12, wrong_attribute=1e-12) == perfect
-    assert misread(Knobs(seed=5), QUESTION) is None
 
 
 @pytest.mark.parametrize("knob", ["malformed", "refusal", "truncated"])
@@ -161,6 +214,45 @@ def test_thinking_stands_before_replies_and_changes_none(serve):
     thinks = [decoded(reply).content.startswith("<think>") for reply in replies]
     assert abs(sum(thinks) / N - RATE) < NEAR
     assert [readable(reply) for reply in replies] == [readable(reply) for reply in serve(bodies)]
+
+
+@pytest.mark.parametrize("length", [100, 1000, 5000])
+def test_long_replies_are_malformed_more_often(length):
+    content = json.dumps({"reasoning": ["x" * (length - len('{"reasoning": [""]}'))]})
+    assert len(content) == length
+    for knobs, rate in ((Knobs(malformed_per_kb=0.1), 0), (Knobs(malformed_per_kb=0.1, malformed=0.2), 0.2)):
+        spoiled = sum(word(content, knobs, Draws(seed, "request"))[1] == "malformed" for seed in range(N)) / N
+        expected = 1 - (1 - rate) * 0.9 ** (length / 1000)
+        assert abs(spoiled - expected) < 4 * (expected * (1 - expected) / N) ** 0.5
+
+
+def test_wasted_looks_go_elsewhere_at_the_same_frame():
+    look = {"frame_id": "000030", "angle_deg": 350.0}
+    calls = [{"tool": "observe", **look}, {"tool": "final_answer", "answer": 1, "entity": "p1"}]
+    for reply, found in (({"action": "observe", **look}, lambda r: r), ({"calls": calls}, lambda r: r["calls"][0])):
+        angles = [
+            found(with_wrong_policy(reply, Knobs(policy=RATE), Draws(seed, "request")))["angle_deg"]
+            for seed in range(N)
+        ]
+        wasted = [angle for angle in angles if angle != 350.0]
+        assert abs(len(wasted) / N - RATE) < NEAR
+        assert all(angle_error(angle, 350.0) >= 60 and 0 <= angle < 360 for angle in wasted)
+    kept = with_wrong_policy({"calls": calls}, Knobs(policy=1.0), Draws(0, "request"))
+    assert kept["calls"][1] == calls[1] and kept["calls"][0]["frame_id"] == "000030"
+    final = {"action": "answer", "answer": {"frame_id": "000030", "angle_deg": 5.0}, "evidence_bboxes": []}
+    assert with_wrong_policy(final, Knobs(policy=1.0), Draws(0, "request")) == final
+
+
+@pytest.mark.parametrize(
+    "relation", ["conversation", SAME_GROUP, "first to the left of (robot view)", "front left, close"]
+)
+def test_relations_of_a_plan_are_wrong_at_their_rate(relation):
+    plan = {"root": "a", "edges": [{"source": "a", "relation": relation, "target": "b", "at": "t0"}]}
+    plans = [with_wrong_policy(plan, Knobs(policy=RATE), Draws(seed, "request")) for seed in range(N)]
+    wrong = [one["edges"][0] for one in plans if one != plan]
+    assert abs(len(wrong) / N - RATE) < NEAR
+    assert all(edge["relation"] in QUESTION_RELATIONS and edge["target"] == "b" for edge in wrong)
+    assert relation not in {edge["relation"] for edge in wrong}
 
 
 def test_malformed_replies_are_of_several_kinds(serve):
@@ -256,6 +348,18 @@ def test_calls_of_the_agent_have_wrong_boxes_one_by_one():
 
 # -- what is read -----------------------------------------------------------------------------------------------------
 
+
+def reader(knobs, question=QUESTION):
+    """Returns what the mark of a large person in the picture of a hash is read as."""
+
+    def see(digest, mark):
+        box = Box(100, 100, 100, 300)
+        readings = Perception(knobs, question).readings(PictureMarks(digest, (480, 480), (Reading(mark, box, True),)))
+        return readings[0].mark
+
+    return see
+
+
 FULL = Mark(
     7,
     gender="female",
@@ -274,7 +378,7 @@ FIELDS = ("gender", "age", "pose", "actions", "group", "distance_dm", "heading_d
 
 
 def test_every_field_is_misread_at_its_rate_and_apart_from_the_others():
-    see = misread(Knobs(wrong_attribute=RATE, seed=3), QUESTION)
+    see = reader(Knobs(wrong_attribute=RATE, seed=3))
     seen = [see(number.to_bytes(4, "big"), FULL) for number in range(N)]
     wrong = {name: [getattr(mark, name) != getattr(FULL, name) for mark in seen] for name in FIELDS}
     for name, flags in wrong.items():
@@ -284,16 +388,16 @@ def test_every_field_is_misread_at_its_rate_and_apart_from_the_others():
 
 
 def test_a_mark_is_misread_alike_in_one_picture_and_anew_in_the_next():
-    see = misread(Knobs(wrong_attribute=0.5), QUESTION)
-    again = misread(Knobs(wrong_attribute=0.5), QUESTION)
+    see = reader(Knobs(wrong_attribute=0.5))
+    again = reader(Knobs(wrong_attribute=0.5))
     assert all(see(bytes([n]), FULL) == again(bytes([n]), FULL) for n in range(50))
     assert len({see(bytes([n]), FULL) for n in range(50)}) > 20
-    other = misread(Knobs(wrong_attribute=0.5), "another question")
+    other = reader(Knobs(wrong_attribute=0.5), "another question")
     assert any(see(bytes([n]), FULL) != other(bytes([n]), FULL) for n in range(50))
 
 
 def test_what_cannot_be_read_is_not_misread_but_an_action_may_be_seen_that_is_not_there():
-    see = misread(Knobs(wrong_attribute=1.0), QUESTION)
+    see = reader(Knobs(wrong_attribute=1.0))
     got = see(b"", Mark(7, pose="sitting"))
     assert got.pose not in (None, "sitting") and len(got.actions) == 1
     assert (got.gender, got.age, got.group, got.distance_dm, got.interaction, got.object) == (None,) * 6
@@ -301,7 +405,7 @@ def test_what_cannot_be_read_is_not_misread_but_an_action_may_be_seen_that_is_no
 
 def test_misread_marks_are_marks():
     """What is made up can be shown by a mark: nothing is read that could not stand in a picture."""
-    see = misread(Knobs(wrong_attribute=0.7), QUESTION)
+    see = reader(Knobs(wrong_attribute=0.7))
     for number in range(200):
         encode(see(number.to_bytes(2, "big"), FULL), "tall", 40, 120)
 

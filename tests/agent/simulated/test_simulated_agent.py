@@ -10,7 +10,7 @@ from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.messages import wire
 from jrdb_avr.agent.model.reply import read_completion
 from jrdb_avr.agent.reference.method import ReferenceAgent
-from jrdb_avr.agent.simulated.noise import Knobs
+from jrdb_avr.agent.simulated.knobs import Knobs
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span, same_answer

@@ -10,7 +10,7 @@ from jrdb_avr.agent.methods.chain_of_thought import ChainOfThought
 from jrdb_avr.agent.methods.monolithic import Monolithic
 from jrdb_avr.agent.methods.search_recognize import SearchRecognize
 from jrdb_avr.agent.model.client import Client
-from jrdb_avr.agent.simulated.noise import Knobs
+from jrdb_avr.agent.simulated.knobs import Knobs
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.schema.answers import frames_iou
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS

@@ -1,0 +1,239 @@
+"""What the simulated model sees with each knob: the rates of its faults, and on what they depend."""
+
+import itertools
+import math
+from collections import Counter
+
+import pytest
+
+from jrdb_avr.agent.simulated.confusion import CONFUSED, affirmed, confusions, label_of
+from jrdb_avr.agent.simulated.knobs import Knobs
+from jrdb_avr.agent.simulated.perception import Perception, PictureMarks
+from jrdb_avr.schema.labels import AGES, GENDERS, OTHER_ACTIONS, POSES
+from jrdb_avr.schema.markers import ALONE, MAX_IDENTITY, Mark, Reading
+from jrdb_avr.schema.panorama import HEIGHT, WIDTH, Box, iou
+from jrdb_avr.schema.plan import Condition
+from jrdb_avr.schema.things import OBJECTS, VERBS
+
+N = 1000
+CROP_SIZE = (480, 480)
+PANORAMA_SIZE = (WIDTH, HEIGHT)
+HER = Mark(
+    7, "female", "adolescence", "standing", ("reading",), 3, 50, 90, 9, "conversation", object=OBJECTS[3], verb=VERBS[1]
+)
+BOX = Box(100, 100, 100, 200)
+QUESTION = "Who is it?"
+
+
+def picture(number, *people, size=CROP_SIZE):
+    """A picture whose bytes have this hash, and the marks in it."""
+    return PictureMarks(number.to_bytes(4, "big"), size, tuple(Reading(mark, box, True) for mark, box in people))
+
+
+def seen(knobs, shown, question=QUESTION, statements=(), age=0):
+    return Perception(knobs, question, statements).readings(shown, age)
+
+
+def share_seen(knobs, height, size=CROP_SIZE, others=(), age=0):
+    box = Box(100, 400 - height, height / 3, height)
+    shown = (picture(n, (HER, box), *others, size=size) for n in range(N))
+    return sum(any(r.mark.identity == 7 for r in seen(knobs, one, age=age)) for one in shown) / N
+
+
+def near(share, rate, draws=N):
+    """Four standard deviations: fixed seeds make it all or never."""
+    return abs(share - rate) < 4 * math.sqrt(max(rate * (1 - rate), 1e-9) / draws) + 1e-9
+
+
+def test_without_knobs_every_mark_is_read_as_it_is():
+    shown = picture(1, (HER, BOX), (Mark(8), Box(0, 0, 20, 40)))
+    assert seen(Knobs(seed=9, latency=3.0), shown, age=5) == shown.readings
+
+
+# -- whom it sees -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("height", "rate"), [(100, 0.2), (200, 0.1), (50, 0.4), (20, 1.0)])
+def test_misses_grow_as_people_are_smaller(height, rate):
+    assert near(share_seen(Knobs(miss=0.2), height), 1 - rate)
+
+
+def test_people_behind_others_are_missed_more_often():
+    behind, front = Box(100, 300, 100 / 3, 100), (Mark(8), Box(80, 250, 100 / 3 + 3.4, 200))
+    share = (front[1].x + front[1].w - behind.x) / behind.w
+    assert near(share_seen(Knobs(miss=0.2), 100, others=[front]), 1 - 0.2 / (1 - share))
+    beside = (Mark(8), Box(300, 250, 40, 200))
+    assert near(share_seen(Knobs(miss=0.2), 100, others=[beside]), 0.8)
+
+
+def test_panoramas_are_seen_in_the_models_own_pixels():
+    half = WIDTH * HEIGHT // 4
+    assert share_seen(Knobs(pixels=half), 47, size=PANORAMA_SIZE) == 0
+    assert share_seen(Knobs(pixels=half), 49, size=PANORAMA_SIZE) == 1
+    assert share_seen(Knobs(pixels=half), 47) == 1, "a crop has fewer pixels than the model takes"
+    assert near(share_seen(Knobs(pixels=half, miss=0.1), 100, size=PANORAMA_SIZE), 0.8)
+
+
+@pytest.mark.parametrize("age", [0, 1, 3])
+def test_older_pictures_are_forgotten(age):
+    assert near(share_seen(Knobs(forget=0.3), 100, age=age), 0.7**age)
+
+
+def test_who_is_forgotten_stays_forgotten():
+    shown = [picture(n, (HER, BOX)) for n in range(100)]
+    kept = [{n for n, one in enumerate(shown) if seen(Knobs(forget=0.2), one, age=age)} for age in range(6)]
+    assert all(later < earlier for earlier, later in itertools.pairwise(kept))
+
+
+def test_ghosts_stand_in_their_share_of_pictures():
+    shown = [seen(Knobs(ghosts=0.2), picture(n, (HER, BOX))) for n in range(N)]
+    ghosts = [reading for readings in shown for reading in readings if reading.mark.identity > MAX_IDENTITY]
+    assert near(len(ghosts) / N, 0.2)
+    assert {len(readings) for readings in shown} == {1, 2}
+    assert all(readings == tuple(sorted(readings, key=lambda one: one.box.x)) for readings in shown)
+    assert all(g.box.x >= 0 and g.box.x + g.box.w <= 480 and 0 <= g.box.y <= 480 - g.box.h for g in ghosts)
+    assert len({ghost.mark for ghost in ghosts}) == len(ghosts), "each is somebody else"
+    assert {ghost.mark.group for ghost in ghosts} == {ALONE}
+
+
+# -- where ------------------------------------------------------------------------------------------------------------
+
+
+def test_sides_of_boxes_jitter_with_a_heavy_tail():
+    boxes = [seen(Knobs(jitter=0.05), picture(n, (HER, BOX)))[0].box for n in range(N)]
+    moved = sorted(abs(box.x - BOX.x) / BOX.w for box in boxes)
+    # Student's t with two degrees of freedom: half of it within 0.8165 scales, 1.03 % beyond 9.7.
+    assert moved[N // 2] == pytest.approx(0.05 * 0.8165, rel=0.15)
+    assert 1 <= sum(share > 0.05 * 9.7 for share in moved) <= 30
+    assert sum(iou(box, BOX) > 0.5 for box in boxes) > 0.9 * N
+    assert all(box.x >= 0 and box.x + box.w <= 480 and box.w >= 2 and box.h >= 2 for box in boxes)
+
+
+def test_a_box_over_a_pictures_edge_stays_over_it():
+    over = Box(440, 100, 80, 200)
+    assert all(
+        box.x + box.w > 480 for box in (seen(Knobs(jitter=0.01), picture(n, (HER, over)))[0].box for n in range(50))
+    )
+
+
+# -- what it reads ----------------------------------------------------------------------------------------------------
+
+
+def marks(knobs, number=N, mark=HER, **more):
+    return [seen(knobs, picture(n, (mark, BOX)), **more)[0].mark for n in range(number)]
+
+
+def test_labels_are_confused_with_those_that_look_alike():
+    read = marks(Knobs(confuse=0.3, seed=2))
+    for name in ("gender", "age", "pose", "actions", "distance"):
+        own = label_of(HER, name)
+        wrong = [label_of(mark, name) for mark in read if label_of(mark, name) != own]
+        assert near(len(wrong) / N, 0.3), name
+        assert set(wrong) == set(confusions(0.3, name, own)), name
+    assert {label_of(mark, "age") for mark in read} == {"childhood", "adolescence", "young adulthood"}
+    assert {mark.heading_deg for mark in read} == {90} and {mark.identity for mark in read} == {7}
+
+
+def test_a_matrix_gives_each_label_its_share():
+    row = {"walking": 0.3, "sitting": 0.1}
+    read = Counter(mark.pose for mark in marks(Knobs(confuse={"pose": {"standing": row}})))
+    assert set(read) == {"standing", *row}
+    assert near(read["walking"] / N, 0.3) and near(read["sitting"] / N, 0.1)
+    assert {mark.gender for mark in marks(Knobs(confuse={"pose": {"standing": row}}))} == {"female"}
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [
+        {"colour": {}},
+        {"pose": {"flying": {}}},
+        {"pose": {"standing": {"flying": 0.1}}},
+        {"pose": {"standing": {"standing": 0.1}}},
+        {"pose": {"standing": {"walking": 0.6, "sitting": 0.6}}},
+    ],
+)
+def test_a_matrix_of_other_labels_or_shares_is_refused(matrix):
+    with pytest.raises(ValueError, match=r"no attribute|is called|must hold"):
+        Knobs(confuse=matrix)
+
+
+def test_look_alikes_are_labels_of_the_attribute():
+    for name, labels in (("gender", GENDERS), ("age", AGES), ("pose", POSES), ("actions", OTHER_ACTIONS)):
+        for label in labels:
+            row = confusions(0.5, name, label)
+            assert set(row) <= set(labels) - {label}
+            assert not row or sum(row.values()) == pytest.approx(0.5)
+    assert set(CONFUSED) >= {"gender", "age", "pose"}
+
+
+@pytest.mark.parametrize("knob", ["wrong_attribute", "confuse"])
+@pytest.mark.parametrize("correlated", [0.0, 0.6, 1.0])
+def test_correlated_misreadings_are_the_persons_and_the_rate_stays(knob, correlated):
+    """Of many people in two pictures each: who is misread, and who is misread alike in both."""
+    rate, people = 0.2, 3000
+    knobs = Knobs(**{knob: rate}, correlated=correlated)
+    wrong = []
+    for identity in range(people):
+        mark = Mark(identity, gender="female", pose="standing")
+        wrong.append([seen(knobs, picture(n, (mark, BOX)))[0].mark.gender != "female" for n in (1, 2)])
+    assert near(sum(map(sum, wrong)) / 2 / people, rate, people)
+    lasting = rate * correlated
+    fleeting = (rate - lasting) / (1 - lasting)
+    assert near(sum(map(all, wrong)) / people, lasting + (1 - lasting) * fleeting**2, people)
+
+
+def test_a_correlated_misreading_is_another_one_for_another_question():
+    knobs = Knobs(wrong_attribute=0.3, correlated=1.0)
+    people = [Mark(identity, pose="standing") for identity in range(200)]
+    read = [[seen(knobs, picture(n, (p, BOX)), q)[0].mark.pose for p in people] for q in "ab" for n in (1, 2)]
+    assert read[0] == read[1] and read[2] == read[3] and read[0] != read[2]
+
+
+STATEMENTS = (
+    Condition(action="sitting", at="t0"),
+    Condition(action="typing", at="t0"),
+    Condition(attribute="gender", value="male"),
+    Condition(attribute="distance", value="far", at="t0"),
+    Condition(interaction="hugging", at="t0"),
+    Condition(object=OBJECTS[5], verb=VERBS[2], at="t0"),
+)
+
+
+def test_statements_of_the_prompt_are_affirmed_each_by_itself():
+    read = marks(Knobs(please=0.2), statements=STATEMENTS)
+    rates = {
+        "sitting": sum(mark.pose == "sitting" for mark in read),
+        "typing": sum("typing" in mark.actions for mark in read),
+        "male": sum(mark.gender == "male" for mark in read),
+        "far": sum(label_of(mark, "distance") == "far" for mark in read),
+        "hugging": sum(mark.interaction == "hugging" for mark in read),
+        "object": sum((mark.object, mark.verb) == (OBJECTS[5], VERBS[2]) for mark in read),
+    }
+    assert all(near(count / N, 0.2) for count in rates.values()), rates
+    assert marks(Knobs(please=1.0), 5) == [HER] * 5, "no statement, nothing to affirm"
+
+
+def test_sides_and_groups_cannot_be_affirmed():
+    for statement in (
+        Condition(attribute="sector", value="left", at="t0"),
+        Condition(attribute="group_size", value=2, at="t0"),
+    ):
+        assert affirmed(HER, statement) == HER
+
+
+# -- replays ----------------------------------------------------------------------------------------------------------
+
+ALL = Knobs(
+    wrong_attribute=0.3, confuse=0.3, correlated=0.5, miss=0.2, pixels=10**5, ghosts=0.3, please=0.2, jitter=0.1,
+    forget=0.2, seed=4,
+)  # fmt: skip
+
+
+def test_what_is_seen_depends_on_seed_question_and_picture_alone():
+    shown = [picture(n, (HER, BOX), (Mark(8, pose="sitting"), Box(300, 200, 60, 150))) for n in range(60)]
+    first = [seen(ALL, one, statements=STATEMENTS) for one in shown]
+    again = {n: seen(ALL, shown[n], statements=STATEMENTS) for n in reversed(range(60))}
+    assert first == [again[n] for n in range(60)]
+    assert first != [seen(ALL, one, "another", STATEMENTS) for one in shown]
+    assert first != [seen(Knobs(wrong_attribute=0.3, seed=5), one) for one in shown]
+    assert len(set(first)) > 50, "pictures differ"
