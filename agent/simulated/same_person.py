@@ -23,7 +23,7 @@ _MOST_UNLIKE: Final = 3.0
 _SAME_BOX: Final = 0.5
 _LONGEST_S: Final = 5.0
 """A person may be anywhere after so many seconds."""
-_DIFFERS: Final = {"colour": 1.5, "gender": 1.0, "age": 0.5}
+_DIFFERS: Final = {"colour": 2.5, "gender": 1.0, "age": 0.5}
 
 
 def told_apart(looks: Sequence[Look], written: Mapping[str, Mapping[int, Box]] | None = None) -> tuple[Look, ...]:

@@ -10,7 +10,7 @@ from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.messages import wire
 from jrdb_avr.agent.model.reply import read_completion
 from jrdb_avr.agent.reference.method import ReferenceAgent
-from jrdb_avr.agent.simulated.knobs import Knobs
+from jrdb_avr.agent.simulated.knobs import Knobs, parse
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span, same_answer
@@ -32,8 +32,8 @@ LEFT_60 = "within 60 degrees to the left of (robot view)"
 class Chat:
     """A marker server without its socket; keeps every request and its reply."""
 
-    def __init__(self):
-        self.server = Server()
+    def __init__(self, knobs):
+        self.server = Server(knobs=knobs)
         self.said = []
 
     def complete(self, messages, schema=None):
@@ -53,9 +53,9 @@ def beliefs():
 
 
 class Player:
-    def __init__(self, folder, beliefs):
+    def __init__(self, folder, beliefs, knobs):
         self.folder, self.beliefs = folder, beliefs
-        self.chat = Chat()
+        self.chat = Chat(knobs)
         self.steps, self.writes = [], []
 
     def world(self, actors, frames=FRAMES):
@@ -71,9 +71,10 @@ class Player:
         return [json.loads(step.request) for step in self.steps if step.kind == "tool"]
 
 
-@pytest.fixture
-def player(tmp_path, beliefs):
-    made = Player(tmp_path, beliefs)
+@pytest.fixture(params=["on", "off"])
+def player(request, tmp_path, beliefs):
+    """Plays with identities, and without: nothing on these pages needs them."""
+    made = Player(tmp_path, beliefs, parse([f"ids={request.param}"]))
     yield made
     made.chat.server.server_close()
 
@@ -131,7 +132,7 @@ def man(angle, identity, **mark):
     return still(WIDTH * angle / 360 - 25, identity, w=50, h=180, **{"gender": "male", "pose": "walking", **mark})
 
 
-CROWD = [man(40, 21), man(118, 22), man(290, 23)]
+CROWD = [man(40, 21), man(118, 22), man(290, 24)]
 
 
 def turned(until, before="standing", after="sitting"):
@@ -207,7 +208,7 @@ def test_seconds_between_two_starts(player):
 
 def test_count(player):
     box = moving(1700, 0.1)
-    group = [man(angle, 30 + n, group=3, gender="male") for n, angle in enumerate((130, 150, 190, 215, 230))]
+    group = [man(angle, 30 + n, group=3, gender="male") for n, angle in enumerate((174, 181, 188, 195, 201))]
     late = Actor(lambda frame: group[0].box(frame) if frame > 100 else None, group[0].mark)
     world = player.world([person(box, group=3), late, *group[1:], man(330, 40, group=4), man(300, 41, group=4)])
     spec = reads("number", "count", ("t1", "t2"), relation=SAME_GROUP)
@@ -310,7 +311,7 @@ def test_a_person_without_a_pose_at_the_asked_time_is_no_answer(player):
 
 def test_the_same_request_has_the_same_reply_on_another_server(player):
     change_of(player, [person(moving(1800), pose=turned(90)), *CROWD])
-    other = Server()
+    other = Server(knobs=player.chat.server.knobs)
     for body, reply in reversed(player.chat.said):
         assert msgspec.json.encode(other.reply(body)) == reply
     other.server_close()
