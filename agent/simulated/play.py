@@ -6,7 +6,8 @@ question's words stand for, as the template table parses them.
 The methods with a fixed context get an answer from the pictures sent. Few of the panoramas show a moment that the
 question names: the model looks for the person in the one nearest to the description, events lie between two panoramas,
 and where nothing decides it guesses, because the contract demands an answer. A box is always that of a person who was
-read.
+read. Monolithic reads the panoramas once. Chain of thought, and search-recognize, also look for a hidden person in the
+other panoramas; the answer of a chain of thought is read from the facts that it wrote down.
 """
 
 from __future__ import annotations
@@ -18,15 +19,15 @@ import msgspec
 
 from jrdb_avr.agent.model.decode import write_box
 from jrdb_avr.agent.policy.explorer import Explorer, FixedExplorer, Look, NeedObservation, Sighting
-from jrdb_avr.agent.policy.finding import likely
+from jrdb_avr.agent.policy.finding import among, likely
+from jrdb_avr.agent.policy.hops import path
 from jrdb_avr.agent.policy.policy import find_answer, find_target
 from jrdb_avr.agent.policy.state import EpisodeState
+from jrdb_avr.agent.simulated.facts import Facts, read_facts, shown_there, write_facts
 from jrdb_avr.agent.simulated.play_agent import agent_turn
 from jrdb_avr.agent.simulated.requests import Play, Request, StageReply
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import CROP, Box, from_crop, iou
-
-_MOST_FACTS: Final = 12
 
 
 def _react(request: Request) -> StageReply:
@@ -68,19 +69,44 @@ def _plan(request: Request) -> StageReply:
 
 
 def _answer_at_once(request: Request) -> StageReply:
-    """Answer and box from the panoramas; facts that were written down before add nothing to them."""
-    state, person = _found(request)
+    """Answer and box: from facts where the prompt holds some, else from one reading of the panoramas.
+
+    One reading looks for the person in the panorama nearest to the description only, and boxes the person there.
+    """
+    known = read_facts(request.lines, request.looks)
+    if known is not None:
+        return _answer_from_facts(request, known)
+    state = EpisodeState(request.plan, request.choices, FixedExplorer(request.looks))
+    frame = state.explorer.legal(state.t0)
+    exact, people = frame == state.t0, state.explorer.at(frame)
+    found = among(state.description, people)
+    state.note(found.missing)
+    person = found.sighting or likely(state.description, people, exact=exact)
+    if person is not None and state.plan.edges:
+        person = path(state.plan, person, people).get(state.plan.target)
+        state.note("" if person else "mark unreadable: a hop leads to nobody, or to several")
+    state.note_unseen()
     answer = find_answer(state, person)
-    return StageReply({"answer": answer, "evidence_bboxes": _best_box(state.explorer.looks, person)}, state.missing)
+    looks = [look for look in request.looks if look.frame == frame]
+    return StageReply({"answer": answer, "evidence_bboxes": _best_box(looks, person)}, state.missing)
+
+
+def _answer_from_facts(request: Request, known: Facts) -> StageReply:
+    state = EpisodeState(request.plan, request.choices, FixedExplorer(known.looks))
+    for reason in known.missing:
+        state.note(reason)
+    seen = [one for look in known.looks for one in look.sightings]
+    person = min(seen, key=lambda one: (abs(one.frame - state.t0), one.frame), default=None)
+    answer = find_answer(state, person) if known.counted is None else {"value": str(known.counted)}
+    there = [found for one in seen if (found := shown_there(one, request.looks)) is not None]
+    whole = sorted(there, key=lambda found: (not found[1].whole, abs(found[1].frame - state.t0)))
+    boxes = [_box(look, one) for look, one in whole[:1]]
+    return StageReply({"answer": answer, "evidence_bboxes": boxes}, state.missing)
 
 
 def _write_facts(request: Request) -> StageReply:
     """What the panoramas show of the question's person."""
-    state, person = _found(request)
-    seen = [] if person is None else state.explorer.sightings(person.identity)[::-1]
-    facts = [_sentence(one) for one in sorted(seen, key=lambda one: one.frame)]
-    facts += [f"What could not be made out: {reason}." for reason in state.missing]
-    return StageReply({"reasoning": facts[:_MOST_FACTS] or ["Nobody in the pictures fits the description."]})
+    return StageReply({"reasoning": write_facts(*_found(request))})
 
 
 def _propose(request: Request) -> StageReply:
@@ -157,9 +183,11 @@ def _best_box(looks: Sequence[Look], person: Sighting | None) -> list[dict[str, 
     if person is None:
         return []
     found = [(look, seen) for look in looks if (seen := look.of(person.identity)) is not None]
-    look, seen = min(found, key=lambda one: (not one[1].whole, abs(one[1].frame - person.frame)))
-    box = write_box(look.box_inside(seen), look.size)
-    return [{"frame_id": f"{seen.frame:06d}", "bbox": box}]
+    return [_box(*min(found, key=lambda one: (not one[1].whole, abs(one[1].frame - person.frame))))]
+
+
+def _box(look: Look, seen: Sighting) -> dict[str, Any]:
+    return {"frame_id": f"{seen.frame:06d}", "bbox": write_box(look.box_inside(seen), look.size)}
 
 
 def _refined(request: Request) -> Box:
@@ -169,19 +197,3 @@ def _refined(request: Request) -> Box:
         return Box(*msgspec.json.decode(text, type=tuple[float, float, float, float]))
     except msgspec.DecodeError:
         raise DecodeError("the prompt has no refined box of four numbers") from None
-
-
-def _sentence(seen: Sighting) -> str:
-    """One sighting in a sentence."""
-    mark = seen.mark
-    parts = [
-        mark.gender,
-        mark.age,
-        mark.pose,
-        *mark.actions,
-        None if mark.interaction is None else f"{mark.interaction} with somebody",
-        None if mark.object is None or mark.verb is None else f"{mark.verb} {mark.object}",
-        None if mark.distance_dm is None else f"{mark.distance_dm / 10:g} m away",
-    ]
-    what = ", ".join(text for text in parts if text) or "no more can be told"
-    return f"Frame {seen.frame:06d}: the person stands at panorama angle {seen.angle:.0f}: {what}."

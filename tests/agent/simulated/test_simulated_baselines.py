@@ -2,6 +2,7 @@
 
 import json
 import threading
+from dataclasses import replace
 
 import pytest
 from painted_world import Actor, World, still
@@ -10,6 +11,9 @@ from jrdb_avr.agent.methods.chain_of_thought import ChainOfThought
 from jrdb_avr.agent.methods.monolithic import Monolithic
 from jrdb_avr.agent.methods.search_recognize import SearchRecognize
 from jrdb_avr.agent.model.client import Client
+from jrdb_avr.agent.policy.explorer import FixedExplorer, Look, Sighting
+from jrdb_avr.agent.policy.state import EpisodeState
+from jrdb_avr.agent.simulated.facts import read_facts, shown_there, write_facts
 from jrdb_avr.agent.simulated.knobs import Knobs
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.schema.answers import frames_iou
@@ -18,6 +22,7 @@ from jrdb_avr.schema.markers import Mark
 from jrdb_avr.schema.panorama import WIDTH, Box, angle_error, iou
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
 from jrdb_avr.schema.relations import FIRST_RIGHT, SAME_GROUP
+from jrdb_avr.schema.things import OBJECTS
 from jrdb_avr.schema.wording.people import in_order
 from jrdb_avr.schema.wording.text import render
 
@@ -124,9 +129,12 @@ def test_of_several_pictures_one_that_shows_the_person_whole_is_given(play):
     def box(frame):
         return Box(3720 if frame < 60 else 3600, 120, 80, 220)
 
-    prediction = play.change(Monolithic, play.world([who(box), *CROWD]), [STANDING])
+    world = play.world([who(box), *CROWD])
+    prediction = play.change(ChainOfThought, world, [STANDING])
     assert prediction.evidence.frame == 60
     check_box(prediction, box)
+    once = play.change(Monolithic, world, [STANDING])
+    assert once.evidence.frame == 15, "read once, where the person was recognized"
 
 
 def test_nobody_who_fits_is_no_box_and_the_answer_is_a_guess(play):
@@ -152,9 +160,55 @@ def test_between_two_panoramas_the_nearest_one_is_taken_and_that_is_told(play):
 
 def test_who_is_not_in_the_nearest_panorama_is_sought_in_others(play):
     person = who(lambda f: Box(1800, 120, 70, 220) if f > 250 else None, until=900)
-    prediction = play.change(Monolithic, play.world([person, CROWD[0]], SPARSE), [STANDING, FEMALE], t0=140, t1=380)
+    world = play.world([person, CROWD[0]], SPARSE)
+    prediction = play.change(ChainOfThought, world, [STANDING, FEMALE], t0=140, t1=380)
     assert prediction.answer.choice == POSES.index("standing") + 1
     check_box(prediction, person.box)
+    once = play.change(Monolithic, world, [STANDING, FEMALE], t0=140, t1=380)
+    assert once.evidence is None and any("nobody who was read fits" in reason for reason in play.missing())
+
+
+class Retold:
+    """A client that changes a word of the facts before they are sent back."""
+
+    def __init__(self, client, before, after):
+        self.client, self.words = client, (before, after)
+
+    def complete(self, messages, schema=None):
+        retold = [
+            replace(
+                message, parts=tuple(self.retell(part) if isinstance(part, str) else part for part in message.parts)
+            )
+            for message in messages
+        ]
+        return self.client.complete(retold, schema)
+
+    def retell(self, text):
+        return text.replace(*self.words) if text.startswith("Fact 1: ") else text
+
+
+def test_a_chain_of_thought_answers_from_its_facts_and_not_from_a_second_look(play):
+    world = play.world([who(lambda f: Box(1800, 120, 71, 220)), *CROWD])
+    prediction = play.change(lambda client: ChainOfThought(Retold(client, "sitting", "lying")), world, [STANDING])
+    assert prediction.answer.choice == POSES.index("lying") + 1
+    check_box(prediction, lambda frame: Box(1800, 120, 71, 220))
+    prediction = play.change(lambda client: ChainOfThought(Retold(client, "Frame", "Moment")), world, [STANDING])
+    assert prediction.evidence is None, "no fact tells of anybody"
+
+
+def test_facts_are_read_back_as_they_were_written():
+    mark = Mark(1, "female", "adolescence", "standing", ("reading", "pushing"), None, 57, None, None, "hugging")
+    for told in (mark, replace(mark, object=OBJECTS[3], verb="pushing", interaction=None), Mark(1)):
+        look = Look(15, 180.0, (Sighting(15, told, Box(10, 20, 30, 40), True, 91.0),), panorama=True)
+        state = EpisodeState(None, (), FixedExplorer([look]))
+        state.plan = Plan("a", "a", {}, (), (), AnswerSpec(mode="frame", read="start", of="a", at="t1"))
+        state.note("not shown: t1")
+        lines = [f"Fact {n}: {fact}" for n, fact in enumerate(write_facts(state, look.sightings[0]), 1)]
+        known = read_facts(lines, [look])
+        assert [(s.mark, s.frame, s.angle) for s in known.looks[0].sightings] == [(told, 15, 91.0)]
+        assert known.missing == ("not shown: t1",) and known.counted is None
+        assert shown_there(known.looks[0].sightings[0], [look]) == (look, look.sightings[0])
+    assert read_facts(["Panorama 1: {}"], [look]) is None
 
 
 @pytest.mark.parametrize("there", [(True, True), (True, False), (False, True), (False, False)])
