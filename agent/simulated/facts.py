@@ -68,7 +68,7 @@ class Facts:
     missing: tuple[str, ...]
 
 
-def read_facts(lines: Sequence[str], looks: Sequence[Look]) -> Facts | None:
+def known_facts(lines: Sequence[str], looks: Sequence[Look]) -> Facts | None:
     """The facts among a prompt's lines, in place of what its pictures show; None where there are none."""
     if not any(re.match(_FACT, line) for line in lines):
         return None

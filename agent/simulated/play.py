@@ -23,7 +23,7 @@ from jrdb_avr.agent.policy.finding import among, likely
 from jrdb_avr.agent.policy.hops import path
 from jrdb_avr.agent.policy.policy import find_answer, find_target
 from jrdb_avr.agent.policy.state import EpisodeState
-from jrdb_avr.agent.simulated.facts import Facts, read_facts, shown_there, write_facts
+from jrdb_avr.agent.simulated.facts import Facts, known_facts, shown_there, write_facts
 from jrdb_avr.agent.simulated.play_agent import agent_turn
 from jrdb_avr.agent.simulated.requests import Play, Request, StageReply
 from jrdb_avr.schema.errors import DecodeError
@@ -73,7 +73,7 @@ def _answer_at_once(request: Request) -> StageReply:
 
     One reading looks for the person in the panorama nearest to the description only, and boxes the person there.
     """
-    known = read_facts(request.lines, request.looks)
+    known = known_facts(request.lines, request.looks)
     if known is not None:
         return _answer_from_facts(request, known)
     state = EpisodeState(request.plan, request.choices, FixedExplorer(request.looks))

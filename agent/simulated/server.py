@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -27,7 +27,8 @@ from jrdb_avr.agent.simulated.knobs import PERFECT, Draws, Knobs, settings
 from jrdb_avr.agent.simulated.noise import Wording, think, with_wrong_boxes, with_wrong_policy, word
 from jrdb_avr.agent.simulated.perception import Perception, Reader
 from jrdb_avr.agent.simulated.play import STAGES
-from jrdb_avr.agent.simulated.requests import MessagePart, Request, UserMessage, lines_of, read_request
+from jrdb_avr.agent.simulated.requests import Request, UserMessage, lines_of, read_request
+from jrdb_avr.agent.simulated.tools import ChatMessage, Tool, forced, tool_calls, user_turns, with_stage
 from jrdb_avr.schema.errors import DecodeError, EndpointError
 
 MODEL: Final = "marker"
@@ -37,24 +38,36 @@ READY: Final = "marker ready at "
 """Begins the line that the process prints once it takes requests; the server's address follows."""
 
 
-class _Message(msgspec.Struct):
-    role: str = "user"
-    content: str | UserMessage = ""
-
-    @property
-    def parts(self) -> UserMessage:
-        return [MessagePart(self.content)] if isinstance(self.content, str) else self.content
-
-
 class _Request(msgspec.Struct):
-    messages: list[_Message]
+    messages: list[ChatMessage]
     model: str = MODEL
     response_format: Any = None
+    tools: list[Tool] | None = None
+    tool_choice: Any = None
+    parallel_tool_calls: bool | None = None
+    stream: bool | None = None
+    n: int | None = None
+    functions: Any = None
+
+    @property
+    def usable_tools(self) -> list[Tool]:
+        """The tools that may be called."""
+        return [] if self.tool_choice == "none" else self.tools or []
 
     @property
     def turns(self) -> list[UserMessage]:
-        """The user messages."""
-        return [message.parts for message in self.messages if message.role not in ("system", "assistant")]
+        """The user messages, and the results of calls."""
+        return with_stage(user_turns(self.messages), self.usable_tools, self.tool_choice, STAGES)
+
+    def check(self) -> None:
+        """Raises DecodeError for what the server cannot do."""
+        if self.stream:
+            raise DecodeError("the simulated model does not stream: leave out stream, or set it to false")
+        if self.n not in (None, 1):
+            raise DecodeError("the simulated model gives one choice: leave out n, or set it to 1")
+        if self.functions is not None:
+            raise DecodeError("the simulated model reads tools: declare them by tools in place of functions")
+        forced(self.tool_choice)
 
 
 # Made at import: threads that meet a type first at the same time crash the decoder.
@@ -93,17 +106,22 @@ class Server(ThreadingHTTPServer):
             message = _REQUEST.decode(body)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             raise DecodeError(f"no chat-completions request: {error}") from None
+        message.check()
         knobs = self.knobs
         draws = Draws(knobs.seed, "" if knobs == PERFECT else hashlib.sha256(body).hexdigest())
         request = read_request(message.turns, self.reader, STAGES, functools.partial(Perception, knobs))
+        calls: list[dict[str, Any]] = []
         if request is None:
             wording = Wording(think(knobs, draws) + _probe_reply(message, self.reader))
         else:
-            wording = self._play(request, draws)
+            wording, reply = self._play(request, draws)
+            if reply is not None and message.usable_tools:
+                calls = tool_calls(reply, message.usable_tools, message.tool_choice, len(message.messages))
         time.sleep(knobs.latency)
-        return _completion(message, wording)
+        return _completion(message, wording, calls[:1] if message.parallel_tool_calls is False else calls)
 
-    def _play(self, request: Request, draws: Draws) -> Wording:
+    def _play(self, request: Request, draws: Draws) -> tuple[Wording, Mapping[str, Any] | None]:
+        """The reply as it is sent, and as an object; None where it is spoiled."""
         turn = STAGES[request.stage](request)
         reply = with_wrong_boxes(turn.reply, request.looks, self.knobs, draws)
         boxes_wrong = reply != turn.reply
@@ -121,10 +139,10 @@ class Server(ThreadingHTTPServer):
             }
             with self._lock, self._log.open("ab") as file:
                 file.write(msgspec.json.encode(line) + b"\n")
-        return wording
+        return wording, None if spoiled else reply
 
 
-def _completion(request: _Request, wording: Wording) -> dict[str, Any]:
+def _completion(request: _Request, wording: Wording, calls: Sequence[Mapping[str, Any]] = ()) -> dict[str, Any]:
     parts = [part for message in request.messages for part in message.parts]
     images = sum(part.image_url is not None for part in parts)
     prompt_tokens = sum(len(part.text) for part in parts) // 4 + images * _IMAGE_TOKENS
@@ -132,12 +150,14 @@ def _completion(request: _Request, wording: Wording) -> dict[str, Any]:
     answer: dict[str, Any] = {"role": "assistant", "content": wording.content}
     if wording.refusal is not None:
         answer |= {"content": None, "refusal": wording.refusal}
+    if calls:
+        answer |= {"content": None, "tool_calls": calls}
     return {
         "id": "marker",
         "object": "chat.completion",
         "created": 0,
         "model": request.model,
-        "choices": [{"index": 0, "finish_reason": wording.finish_reason, "message": answer}],
+        "choices": [{"index": 0, "finish_reason": "tool_calls" if calls else wording.finish_reason, "message": answer}],
         "usage": {
             "prompt_tokens": prompt_tokens,
             "completion_tokens": completion_tokens,

@@ -13,7 +13,7 @@ from jrdb_avr.agent.methods.search_recognize import SearchRecognize
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.policy.explorer import FixedExplorer, Look, Sighting
 from jrdb_avr.agent.policy.state import EpisodeState
-from jrdb_avr.agent.simulated.facts import read_facts, shown_there, write_facts
+from jrdb_avr.agent.simulated.facts import known_facts, shown_there, write_facts
 from jrdb_avr.agent.simulated.knobs import Knobs
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.schema.answers import frames_iou
@@ -204,11 +204,11 @@ def test_facts_are_read_back_as_they_were_written():
         state.plan = Plan("a", "a", {}, (), (), AnswerSpec(mode="frame", read="start", of="a", at="t1"))
         state.note("not shown: t1")
         lines = [f"Fact {n}: {fact}" for n, fact in enumerate(write_facts(state, look.sightings[0]), 1)]
-        known = read_facts(lines, [look])
+        known = known_facts(lines, [look])
         assert [(s.mark, s.frame, s.angle) for s in known.looks[0].sightings] == [(told, 15, 91.0)]
         assert known.missing == ("not shown: t1",) and known.counted is None
         assert shown_there(known.looks[0].sightings[0], [look]) == (look, look.sightings[0])
-    assert read_facts(["Panorama 1: {}"], [look]) is None
+    assert known_facts(["Panorama 1: {}"], [look]) is None
 
 
 @pytest.mark.parametrize("there", [(True, True), (True, False), (False, True), (False, False)])

@@ -1,0 +1,166 @@
+"""Another harness drives the simulated model by function calling; what it does not do, it refuses in one line."""
+
+import json
+import urllib.error
+import urllib.request
+
+import pytest
+from painted_world import World, still
+
+from jrdb_avr.agent.model.messages import picture_of
+from jrdb_avr.agent.simulated.knobs import Knobs
+from jrdb_avr.agent.simulated.server import Server, marker_server
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.panorama import Box, from_crop, iou
+
+FRAMES = tuple(range(0, 301, 5))
+HER = Box(1700, 120, 70, 220)
+QUESTION = (
+    "Find the only person who is standing at 1.0 s (frame 15). "
+    "What is that person's posture or movement at 10.0 s (frame 150)?"
+)
+HEADING = f"Question: {QUESTION}\nChoices:\n1. sitting\n2. standing\nLegal frames: 000000 to 000300 in steps of 5"
+
+
+def tool(name, *required, **properties):
+    schema = {"type": "object", "properties": properties, "required": [*required]}
+    return {"type": "function", "function": {"name": name, "description": "", "parameters": schema}}
+
+
+OBSERVE = tool("observe", "frame_id", "angle_deg", frame_id={"type": "string"}, angle_deg={"type": "number"})
+ANSWER = tool("final_answer", "answer", answer={"type": "integer"}, evidence_bboxes={"type": "array"})
+TOOLS = [OBSERVE, ANSWER]
+
+
+@pytest.fixture
+def server():
+    with Server() as made:
+        yield made
+
+
+@pytest.fixture
+def world(tmp_path):
+    crowd = [still(300, 21, pose="walking", gender="male"), still(3000, 24, pose="walking", gender="female")]
+    return World(tmp_path, [still(HER.x, 7, pose="standing", gender="female", w=HER.w, h=HER.h), *crowd], FRAMES)
+
+
+def asked(server, messages, **more):
+    return server.reply(json.dumps({"model": "m", "messages": messages, **more}).encode())["choices"][0]
+
+
+def image(world, arguments):
+    seen = world.observe("painted", int(arguments["frame_id"]), arguments["angle_deg"])
+    return seen, {"type": "image_url", "image_url": {"url": picture_of(seen).uri}}
+
+
+def play(server, world, in_result, **more):
+    """The loop of a harness with prompts of its own; returns the last call's arguments, looks and messages."""
+    messages = [{"role": "system", "content": "Look around."}, {"role": "user", "content": HEADING}]
+    looks = []
+    for _ in range(30):
+        choice = asked(server, messages, tools=TOOLS, **more)
+        message = choice["message"]
+        assert choice["finish_reason"] == "tool_calls" and message["content"] is None
+        messages.append(message)
+        (call,) = message["tool_calls"]
+        arguments = json.loads(call["function"]["arguments"])
+        if call["function"]["name"] == "final_answer":
+            return arguments, looks, messages
+        seen, part = image(world, arguments)
+        looks.append(seen)
+        result = [{"type": "text", "text": "done"}, *([part] if in_result else [])]
+        messages.append({"role": "tool", "tool_call_id": call["id"], "content": result})
+        if not in_result:
+            messages.append({"role": "user", "content": [part]})
+    raise AssertionError("no answer")
+
+
+@pytest.mark.parametrize("in_result", [True, False])
+@pytest.mark.parametrize("choice", ["auto", "required"])
+def test_a_harness_with_tools_gets_looks_and_then_the_answer(server, world, in_result, choice):
+    arguments, looks, messages = play(server, world, in_result, tool_choice=choice)
+    assert arguments["answer"] == 2
+    (box,) = arguments["evidence_bboxes"]
+    x1, y1, x2, y2 = (value * 0.48 for value in box["bbox"])
+    last = looks[-1]
+    assert box["frame_id"] == last.frame_id
+    assert iou(from_crop(Box(x1, y1, x2 - x1, y2 - y1), last.left), HER) > 0.85
+    ids = [call["id"] for message in messages for call in message.get("tool_calls", ())]
+    assert len(set(ids)) == len(ids) == len(looks) + 1
+    assert {look.frame_index for look in looks} == {15, 150}
+
+
+def test_without_tools_to_call_the_reply_is_plain_json(server):
+    messages = [{"role": "user", "content": f"{HEADING}\nLooks made: 0, left: 24\nYour next turn, as one JSON object:"}]
+    plain = asked(server, messages)
+    assert plain == asked(server, messages, tools=TOOLS, tool_choice="none", stream=False, n=1)
+    turn = json.loads(plain["message"]["content"])
+    (call,) = asked(server, messages, tools=TOOLS)["message"]["tool_calls"]
+    assert call["function"]["name"] == turn.pop("action") == "observe"
+    assert json.loads(call["function"]["arguments"]) == turn
+
+
+def test_an_answer_can_be_forced(server):
+    messages = [{"role": "user", "content": HEADING}]
+    choice = {"type": "function", "function": {"name": "final_answer"}}
+    (call,) = asked(server, messages, tools=TOOLS, tool_choice=choice)["message"]["tool_calls"]
+    assert json.loads(call["function"]["arguments"])["answer"] in (1, 2)
+
+
+def test_arguments_that_a_tool_does_not_declare_are_left_out(server):
+    messages = [{"role": "user", "content": HEADING}]
+    choice = {"type": "function", "function": {"name": "answer"}}
+    (call,) = asked(server, messages, tools=[OBSERVE, tool("answer", answer={})], tool_choice=choice)["message"][
+        "tool_calls"
+    ]
+    assert set(json.loads(call["function"]["arguments"])) == {"answer"}
+
+
+def test_a_malformed_reply_is_text_in_place_of_a_call(world):
+    with Server(knobs=Knobs(malformed=1.0)) as server:
+        choice = asked(server, [{"role": "user", "content": HEADING}], tools=TOOLS)
+    assert choice["finish_reason"] == "stop" and "tool_calls" not in choice["message"] and choice["message"]["content"]
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"stream": True}, "does not stream"),
+        ({"n": 2}, "one choice"),
+        ({"functions": [{"name": "observe"}]}, "in place of functions"),
+        ({"tool_choice": "any"}, "tool_choice must be"),
+        (
+            {"tools": TOOLS, "tool_choice": {"type": "function", "function": {"name": "look"}}},
+            "cannot be made to call look",
+        ),
+        (
+            {"tools": [OBSERVE], "tool_choice": {"type": "function", "function": {"name": "final_answer"}}},
+            "does not declare",
+        ),
+        ({"tools": [tool("observe", "zoom", zoom={}), ANSWER]}, "gives observe no zoom"),
+        ({"tools": [{"type": "retrieval"}]}, "no chat-completions request"),
+    ],
+)
+def test_what_it_does_not_do_is_refused_in_one_line(server, more, said):
+    with pytest.raises(DecodeError, match=said) as caught:
+        asked(server, [{"role": "user", "content": HEADING}], **more)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_call_that_cannot_be_placed_is_refused(server, world):
+    _, part = image(world, {"frame_id": "000015", "angle_deg": 180.0})
+    call = {"id": "c", "type": "function", "function": {"name": "observe", "arguments": '{"frame_id": 15}'}}
+    messages = [
+        {"role": "user", "content": HEADING},
+        {"role": "assistant", "content": None, "tool_calls": [call]},
+        {"role": "tool", "tool_call_id": "c", "content": [part]},
+    ]
+    with pytest.raises(DecodeError, match="arguments of an earlier call"):
+        asked(server, messages, tools=TOOLS)
+
+
+def test_a_refusal_is_status_400():
+    body = json.dumps({"messages": [{"role": "user", "content": "hello"}], "stream": True}).encode()
+    with marker_server() as url, pytest.raises(urllib.error.HTTPError) as caught:
+        urllib.request.urlopen(urllib.request.Request(f"{url}/chat/completions", body))
+    assert caught.value.code == 400 and "stream" in json.loads(caught.value.read())["error"]["message"]
