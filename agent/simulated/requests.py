@@ -73,7 +73,9 @@ class Request:
 # -- the request ------------------------------------------------------------------------------------------------------
 
 
-class _Url(msgspec.Struct):
+class Url(msgspec.Struct):
+    """Where a picture is."""
+
     url: str
 
 
@@ -81,7 +83,7 @@ class MessagePart(msgspec.Struct):
     """A part of a message: text, or a picture."""
 
     text: str = ""
-    image_url: _Url | None = None
+    image_url: Url | None = None
 
 
 UserMessage = list[MessagePart]

@@ -1,14 +1,18 @@
 """What the simulated model sees with each knob: the rates of its faults, and on what they depend."""
 
+import base64
 import itertools
 import math
 from collections import Counter
 
+import cv2
+import numpy as np
 import pytest
 
 from jrdb_avr.agent.simulated.confusion import CONFUSED, affirmed, confusions, label_of
 from jrdb_avr.agent.simulated.knobs import Knobs
-from jrdb_avr.agent.simulated.perception import Perception, PictureMarks
+from jrdb_avr.agent.simulated.perception import Perception, PictureMarks, Reader
+from jrdb_avr.agent.simulated.requests import MessagePart, Url, read_request
 from jrdb_avr.schema.labels import AGES, GENDERS, OTHER_ACTIONS, POSES
 from jrdb_avr.schema.markers import ALONE, MAX_IDENTITY, Mark, Reading
 from jrdb_avr.schema.panorama import HEIGHT, WIDTH, Box, iou
@@ -237,3 +241,42 @@ def test_what_is_seen_depends_on_seed_question_and_picture_alone():
     assert first != [seen(ALL, one, "another", STATEMENTS) for one in shown]
     assert first != [seen(Knobs(wrong_attribute=0.3, seed=5), one) for one in shown]
     assert len(set(first)) > 50, "pictures differ"
+
+
+# -- how old a picture is ---------------------------------------------------------------------------------------------
+
+STAGE = "Your next turn, as one JSON object:"
+HEADING = "Question: Find the only person who is standing at 1.0 s (frame 15). What is that person's posture or movement at 4.0 s (frame 60)?"  # noqa: E501
+
+
+def ages(*messages):
+    """The ages at which the pictures of user messages are seen, by frame; a message is the lines before its pictures."""
+    jpeg = cv2.imencode(".jpg", np.full((480, 480, 3), 96, np.uint8))[1].tobytes()
+    url = MessagePart(image_url=Url("data:image/jpeg;base64," + base64.b64encode(jpeg).decode()))
+    turns = [[MessagePart(HEADING), *(p for line in lines for p in (MessagePart(line), url))] for lines in messages]
+    turns[-1].append(MessagePart(STAGE))
+    found = []
+
+    class Recording(Perception):
+        def readings(self, picture, age=0):
+            found.append(age)
+            return ()
+
+    read_request(turns, Reader(), [STAGE], lambda *about: Recording(Knobs(), *about))
+    return found
+
+
+def line(frame, newest=""):
+    return f'Picture 1{newest}: {{"frame_id": "{frame:06d}", "angle_deg": 180.0, "left": 1640}}'
+
+
+def test_a_chats_pictures_are_as_old_as_the_turns_since():
+    assert ages([line(0), line(1)], [line(2)], []) == [2, 2, 1]
+
+
+def test_of_one_message_with_the_newest_marked_each_picture_was_a_turn():
+    assert ages([line(0), line(1), line(2, ", the newest")]) == [2, 1, 0]
+
+
+def test_pictures_of_one_turn_are_of_one_age():
+    assert ages([line(0), line(1), line(2)]) == [0, 0, 0]
