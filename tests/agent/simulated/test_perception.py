@@ -246,11 +246,14 @@ def test_what_is_seen_depends_on_seed_question_and_picture_alone():
 # -- how old a picture is ---------------------------------------------------------------------------------------------
 
 STAGE = "Your next turn, as one JSON object:"
-HEADING = "Question: Find the only person who is standing at 1.0 s (frame 15). What is that person's posture or movement at 4.0 s (frame 60)?"  # noqa: E501
+HEADING = (
+    "Question: Find the only person who is standing at 1.0 s (frame 15). "
+    "What is that person's posture or movement at 4.0 s (frame 60)?"
+)
 
 
 def ages(*messages):
-    """The ages at which the pictures of user messages are seen, by frame; a message is the lines before its pictures."""
+    """The ages at which the pictures of user messages are seen; a message is the lines before its pictures."""
     jpeg = cv2.imencode(".jpg", np.full((480, 480, 3), 96, np.uint8))[1].tobytes()
     url = MessagePart(image_url=Url("data:image/jpeg;base64," + base64.b64encode(jpeg).decode()))
     turns = [[MessagePart(HEADING), *(p for line in lines for p in (MessagePart(line), url))] for lines in messages]
