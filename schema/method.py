@@ -20,6 +20,9 @@ Image = npt.NDArray[np.uint8]
 
 StepKind = Literal["model", "observe", "tool", "solve"]
 Status = Literal["answered", "invalid", "error"]
+Verdict = Literal["certain", "supported", "guess"]
+"""How far a world model bears an answer out: it proves it; it gives it for the person who fits best, at the nearest
+frames that were seen; or it does not give it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +92,9 @@ class Prediction:
     """A method's answer to one question, with its evidence and costs.
 
     `n_observations` counts crops and panoramas. `answer` and `evidence` are scored separately and either may be
-    missing; `status` is "invalid" when either is unreadable, and `reason` says why. `raw` is the model's last text.
+    missing. `status` is "invalid" where one is missing because the model's output could not be read. `reason` is the
+    last refusal of the model's output, "" where what it proposed last was taken. `raw` is the model's last text.
+    `verdict` is None for a method without a world model.
     """
 
     status: Status
@@ -97,6 +102,7 @@ class Prediction:
     evidence: Evidence | None = None
     raw: str = ""
     reason: str = ""
+    verdict: Verdict | None = None
     n_observations: int = 0
     n_model_calls: int = 0
     prompt_tokens: int = 0

@@ -163,7 +163,8 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "synthetic": (_B, "of the simulated model or of the sample world: no result about JRDB"),
     "created": (_S, "when the run began, ISO 8601"),
     "settings": (_S, "what else shaped the run, as JSON"),
-    "status": (_S, "answered, invalid or error"),
+    "status": (_S, "answered; invalid: answer or box missing, as output could not be read; or error"),
+    "verdict": (_S, "what a world model makes of the answer: certain, supported or guess; null without one"),
     "evidence_frame": (_I, "frame of the evidence box"),
     "evidence_x": (_F, "left edge of the evidence box, stitched pixels"),
     "evidence_y": (_F, "its upper edge"),
@@ -183,7 +184,7 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "answer_score": (_CODE, "1 for a right answer"),
     "evidence_score": (_CODE, "1 for a right box"),
     "combined_score": (_CODE, "1 where both are right"),
-    "invalid": (_B, "no usable answer"),
+    "invalid": (_B, "output could not be read"),
 }
 """Type and meaning of a column wherever it stands; see `SPECIAL`."""
 
@@ -389,7 +390,7 @@ _RUNS: Final = {
     "predictions": (
         "Answers of each run.",
         "run_id question_id status answer? evidence_frame? evidence_x? evidence_y? evidence_w? evidence_h? raw "
-        "reason n_observations n_model_calls prompt_tokens completion_tokens seconds",
+        "reason verdict? n_observations n_model_calls prompt_tokens completion_tokens seconds",
     ),
     "steps": ("Every model turn and observation of each run.", "run_id question_id step kind request response seconds"),
     "world": (

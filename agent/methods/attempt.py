@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Final, NamedTuple, TypeVar
 
 import msgspec
@@ -22,10 +22,11 @@ from jrdb_avr.agent.model.prompts import choice_lines, render
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.schema.answers import TIE, Answer, Evidence
 from jrdb_avr.schema.errors import DecodeError, ObserveError
-from jrdb_avr.schema.method import Observation, Panorama, Prediction, Question, Step, StepKind, Task
+from jrdb_avr.schema.method import Observation, Panorama, Prediction, Question, Step, StepKind, Task, Verdict
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, angle_error, from_crop
 
 Seen = TypeVar("Seen", Observation, Panorama)
+Read = TypeVar("Read")
 
 PANORAMAS: Final = 8
 """Panoramas in the context of the methods that cannot choose where to look."""
@@ -166,11 +167,20 @@ def on_crop(observation: Observation) -> ImageFrame:
 
 @dataclass(frozen=True)
 class ParsedReply:
-    """A parsed final reply: answer and evidence, read independently; `faults` are the reasons why one was not read."""
+    """A parsed final reply: answer and evidence, read independently; `faults` are the reasons why one was not read.
+
+    refusal: why the newest output was not taken, where what counts is older; verdict: as in a prediction.
+    """
 
     answer: Answer | None = None
     evidence: Evidence | None = None
     faults: tuple[str, ...] = ()
+    refusal: str = ""
+    verdict: Verdict | None = None
+
+    def over(self, earlier: ParsedReply) -> ParsedReply:
+        """What counts after an earlier reply: each part by the newest that could be read, and this one's faults."""
+        return replace(self, answer=self.answer or earlier.answer, evidence=self.evidence or earlier.evidence)
 
 
 @dataclass
@@ -205,6 +215,19 @@ class Attempt:
     def ask_object(self, messages: Sequence[Message], schema: Mapping[str, Any]) -> dict[str, Any]:
         """One model call, its reply as one JSON object. Raises DecodeError."""
         return decode.reply_object(self.ask(messages, schema), self.convention)
+
+    def ask_stage(
+        self, parts: Sequence[Part], stage: str, schema: Mapping[str, Any], read: Callable[[dict[str, Any]], Read]
+    ) -> Read:
+        """What `read` makes of the reply to a stage over these parts; one that cannot be read is requested again.
+
+        The second request gives the error. Raises DecodeError where the second reply cannot be read either.
+        """
+        try:
+            return read(self.ask_object(panorama_messages(self.task, (*parts, stage)), schema))
+        except DecodeError as error:
+            again = (*parts, f"Your last reply could not be used: {error}", stage)
+        return read(self.ask_object(panorama_messages(self.task, again), schema))
 
     def read_look(self, part: Mapping[str, Any]) -> tuple[int, float]:
         """Frame and angle of a look that the model requests. Raises DecodeError, also for a frame that is not legal."""
@@ -296,19 +319,17 @@ class Attempt:
     # -- the end ------------------------------------------------------------------------------------------------------
 
     def prediction(self, parsed: ParsedReply) -> Prediction:
-        """The prediction: invalid where anything could not be read, and what could be read still counts."""
+        """The prediction: invalid where a part is missing that could not be read; what could be read counts."""
+        missing = parsed.answer is None or parsed.evidence is None
         return Prediction(
-            status="invalid" if parsed.faults else "answered",
+            status="invalid" if parsed.faults and missing else "answered",
             answer=parsed.answer,
             evidence=parsed.evidence,
             raw=self.raw,
-            reason="; ".join(parsed.faults),
+            reason="; ".join(parsed.faults) or parsed.refusal,
+            verdict=parsed.verdict,
             n_observations=self.looks,
             n_model_calls=self.calls,
             prompt_tokens=self.prompt_tokens,
             completion_tokens=self.completion_tokens,
         )
-
-    def invalid(self, reason: str) -> Prediction:
-        """The question ended with nothing to score."""
-        return self.prediction(ParsedReply(faults=(reason,)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, Final
 
-from jrdb_avr.agent.methods.attempt import Attempt, FixedContextMethod, panorama_messages, panorama_parts
+from jrdb_avr.agent.methods.attempt import Attempt, FixedContextMethod, panorama_parts
 from jrdb_avr.agent.methods.monolithic import answer_from
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.prompts import render
@@ -31,20 +31,19 @@ class ChainOfThought(FixedContextMethod):
     """The method `chain-of-thought` with `n` panoramas, the same ones for both calls."""
 
     name = "chain-of-thought"
-    stages: ClassVar = {"calls": 2, "most_facts": MOST_FACTS, "longest_fact": LONGEST_FACT}
+    stages: ClassVar = {"calls": 2, "retries": 1, "most_facts": MOST_FACTS, "longest_fact": LONGEST_FACT}
 
     def answer(self, task: Task) -> Prediction:
-        """Two calls; where the facts cannot be read the second is not made, and the question is invalid."""
+        """Two stages of one call, or two where a reply cannot be read; without facts the second goes on alone."""
         attempt = Attempt(task, self.chat, self.convention)
         panoramas = attempt.panoramas(self.n)
         stage = render("chain_of_thought_facts", most=MOST_FACTS, longest=LONGEST_FACT)
-        messages = panorama_messages(task, (*panorama_parts(panoramas), stage))
         try:
-            facts = read_facts(attempt.ask_object(messages, _FACTS_SCHEMA))
-        except DecodeError as error:
-            return attempt.invalid(f"facts: {error}")
-        lines = "\n".join(f"Fact {number}: {fact}" for number, fact in enumerate(facts, 1))
-        return answer_from(attempt, panoramas, "chain_of_thought_answer", (lines,))
+            facts = attempt.ask_stage(panorama_parts(panoramas), stage, _FACTS_SCHEMA, read_facts)
+        except DecodeError:
+            facts = ()
+        lines = [f"Fact {number}: {fact}" for number, fact in enumerate(facts, 1)]
+        return answer_from(attempt, panoramas, "chain_of_thought_answer", ("\n".join(lines or ["Facts: none"]),))
 
 
 def read_facts(reply: dict[str, Any]) -> tuple[str, ...]:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import ClassVar
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar
 
 from jrdb_avr.agent.methods.attempt import (
     Attempt,
     FixedContextMethod,
+    ParsedReply,
     final_parts,
     frame_list,
     on_panoramas,
-    panorama_messages,
     panorama_parts,
 )
 from jrdb_avr.agent.model import decode
@@ -25,10 +26,10 @@ class Monolithic(FixedContextMethod):
     """The method `monolithic` with `n` panoramas."""
 
     name = "monolithic"
-    stages: ClassVar = {"calls": 1}
+    stages: ClassVar = {"calls": 1, "retries": 1}
 
     def answer(self, task: Task) -> Prediction:
-        """One call; what cannot be read of its reply is invalid."""
+        """One call, and a second one where its reply cannot be read."""
         attempt = Attempt(task, self.chat, self.convention)
         return answer_from(attempt, attempt.panoramas(self.n), "monolithic")
 
@@ -38,9 +39,17 @@ def answer_from(attempt: Attempt, panoramas: Sequence[Panorama], prompt: str, kn
     task = attempt.task
     text = mode_text(task.question.answer_mode, task.sequence.frame_count)
     stage = render(prompt, answer_form=text.form, answer_rule=text.rule, frames=frame_list(panoramas))
-    messages = panorama_messages(task, (*panorama_parts(panoramas), *known, stage))
+    kept = ParsedReply()
+
+    def read(reply: Mapping[str, Any]) -> ParsedReply:
+        nonlocal kept
+        kept = attempt.parse_final(reply, on_panoramas(panoramas)).over(kept)
+        if kept.faults:
+            raise DecodeError("; ".join(kept.faults))
+        return kept
+
     try:
-        reply = attempt.ask_object(messages, decode.closed_object(final_parts(task.question)))
-        return attempt.prediction(attempt.parse_final(reply, on_panoramas(panoramas)))
+        schema = decode.closed_object(final_parts(task.question))
+        return attempt.prediction(attempt.ask_stage((*panorama_parts(panoramas), *known), stage, schema, read))
     except DecodeError as error:
-        return attempt.invalid(str(error))
+        return attempt.prediction(replace(kept, faults=(str(error),)))

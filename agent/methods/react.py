@@ -1,20 +1,22 @@
 """ReAct: look, think, look again, answer; the whole history travels with every turn.
 
 The loop is the benchmark's: the first turn must look; a look within 1 degree of an earlier one of the same frame is
-refused with the reason; a malformed turn gets its error once and the second one ends the question as invalid; the
-evidence is a box in the newest crop. Every crop made so far is sent again with its metadata, so a turn needs nothing
-but its own request: servers may be stateless, and a finished call can be replayed from its request alone.
+refused with the reason; a malformed turn costs a turn, and the next one is told the error; the evidence is a box in the
+newest crop. An answer that is not taken ends the question only where it is sent again as it was. At the end the newest
+readable answer and box count. Every crop made so far is sent again with its metadata, so a turn needs nothing but its
+own request: servers may be stateless, and a finished call can be replayed from its request alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Final
 
 from jrdb_avr.agent.methods.attempt import (
     DUPLICATE_DEG,
     Attempt,
+    ImageFrame,
     ParsedReply,
     final_parts,
     heading,
@@ -28,8 +30,12 @@ from jrdb_avr.agent.model.messages import Message, Part, Picture, metadata_line,
 from jrdb_avr.agent.model.prompts import frame_ranges, mode_text, render
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Prediction, Question, Task
+from jrdb_avr.schema.panorama import CROP
 
 BUDGET: Final = 24
+
+_NO_PICTURE: Final = ImageFrame((), CROP, CROP, 0)
+"""No box lies in it: what is answered before the first look."""
 
 
 @dataclass(frozen=True)
@@ -56,25 +62,30 @@ class ReAct:
         }
 
     def answer(self, task: Task) -> Prediction:
-        """Play one question to its answer, to the second malformed turn, or to the last allowed call."""
+        """Play one question to its answer, or to the last allowed call."""
         episode = _Episode(task, self)
-        while episode.attempt.calls < self.most_calls:
-            prediction = episode.turn()
-            if prediction is not None:
-                return prediction
-        return episode.attempt.invalid(f"no answer within {self.most_calls} turns")
+        while episode.attempt.calls < self.most_calls and not episode.ended:
+            episode.turn()
+        left = "" if episode.ended else f"no answer was taken within {self.most_calls} turns"
+        return episode.attempt.prediction(replace(episode.kept, refusal=left))
 
 
 @dataclass
 class _Episode:
-    """One question being played."""
+    """One question being played.
+
+    kept: the newest readable answer and box, and why the last malformed turn was; refused: the last answer that was not
+    taken, where no look was made since.
+    """
 
     task: Task
     method: ReAct
     looks: list[tuple[Observation, Picture]] = field(default_factory=list)
     steps: list[str] = field(default_factory=list)
     error: str = ""
-    strikes: int = 0
+    kept: ParsedReply = field(default_factory=ParsedReply)
+    refused: Mapping[str, Any] | None = None
+    ended: bool = False
 
     def __post_init__(self) -> None:
         question, sequence = self.task.question, self.task.sequence
@@ -95,8 +106,8 @@ class _Episode:
 
     # -- one turn -----------------------------------------------------------------------------------------------------
 
-    def turn(self) -> Prediction | None:
-        """One model call and what follows from it; a prediction when the question has ended."""
+    def turn(self) -> None:
+        """One model call and what follows from it."""
         reply = self.attempt.ask(self.messages(), self.schema)
         self.error = ""
         try:
@@ -104,22 +115,14 @@ class _Episode:
             match move.get("action"):
                 case "observe":
                     self._observe(move)
-                    return None
                 case "answer":
-                    return self._answer(move)
+                    self._answer(move)
                 case _:
                     raise DecodeError('"action" must be "observe" or "answer"')
         except DecodeError as error:
-            return self._strike(ParsedReply(faults=(str(error),)))
-
-    def _strike(self, parsed: ParsedReply) -> Prediction | None:
-        """Show a malformed turn its error, or end the question at the second one."""
-        self.strikes += 1
-        if self.strikes > 1:
-            return self.attempt.prediction(parsed)
-        self.error = "; ".join(parsed.faults)
-        self.steps.append(f"malformed: {self.error}")
-        return None
+            self.error = str(error)
+            self.steps.append(f"malformed: {self.error}")
+            self.kept = replace(self.kept, faults=(self.error,))
 
     def _observe(self, move: Mapping[str, Any]) -> None:
         decode.only_keys(move, ("action", "frame_id", "angle_deg"), "an observe turn")
@@ -131,14 +134,19 @@ class _Episode:
             return
         observation = self.attempt.look(frame, angle)
         self.looks.append((observation, picture_of(observation)))
+        self.refused = None
         self.steps.append(f"look at frame {frame:06d}, angle {angle:g}: picture {len(self.looks)}")
 
-    def _answer(self, move: dict[str, Any]) -> Prediction | None:
-        if not self.looks:
-            raise DecodeError("the first turn must look")
+    def _answer(self, move: dict[str, Any]) -> None:
+        """Take the answer, or keep what can be read of it. Raises DecodeError."""
         del move["action"]
-        parsed = self.attempt.parse_final(move, on_crop(self.looks[-1][0]))
-        return self._strike(parsed) if parsed.faults else self.attempt.prediction(parsed)
+        again, self.refused = move == self.refused, move
+        image = on_crop(self.looks[-1][0]) if self.looks else _NO_PICTURE
+        parsed = self.attempt.parse_final(move, image)
+        self.kept = parsed.over(self.kept)
+        self.ended = again or not parsed.faults
+        if parsed.faults:
+            raise DecodeError("; ".join(parsed.faults) if self.looks else "the first turn must look")
 
     # -- what the model gets ------------------------------------------------------------------------------------------
 
@@ -152,16 +160,17 @@ class _Episode:
             newest = ", the newest" if number == len(self.looks) else ""
             parts += [f"Picture {number}{newest}: {metadata_line(observation)}", picture]
         frames = sorted({observation.frame_id for observation, _ in self.looks})
-        error = "Your last turn was malformed, and a second such turn ends the question: "
+        left = self.method.budget - len(self.looks)
         parts.append(
             render(
                 "react_state",
                 steps="\n".join(f"{n}. {step}" for n, step in enumerate(self.steps, 1)) or "none",
                 seen=", ".join(frames) or "none",
                 used=len(self.looks),
-                left=self.method.budget - len(self.looks),
+                left=left,
+                then="answer when you can" if left else "no looks are left, so this turn must answer",
                 turns=self.method.most_calls - self.attempt.calls,
-                error=f"{error}{self.error}" if self.error else "",
+                error=f"Your last turn was malformed, and cost a turn: {self.error}" if self.error else "",
             )
         )
         return [Message("system", (self.system,)), Message("user", tuple(parts))]

@@ -1,6 +1,6 @@
 """A method in forty lines: one look straight ahead, one question to the model, its box in that picture."""
 
-from jrdb_avr.agent.methods.attempt import Attempt, final_parts, heading, on_crop
+from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, final_parts, heading, on_crop
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.conventions import CONTRACT
 from jrdb_avr.agent.model.messages import Message, metadata_line, picture_of
@@ -36,4 +36,4 @@ class Glance:
             reply = attempt.ask_object(messages, decode.closed_object(final_parts(task.question)))
             return attempt.prediction(attempt.parse_final(reply, on_crop(seen)))
         except DecodeError as error:
-            return attempt.invalid(str(error))
+            return attempt.prediction(ParsedReply(faults=(str(error),)))

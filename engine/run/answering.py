@@ -15,7 +15,18 @@ from jrdb_avr.engine.run.journal import Finished, Journal, check_storable
 from jrdb_avr.schema.answers import decode_answer, encode_answer
 from jrdb_avr.schema.beliefs import Write
 from jrdb_avr.schema.errors import AvrError
-from jrdb_avr.schema.method import GetPanorama, Method, Observe, Prediction, Question, SequenceInfo, Status, Step, Task
+from jrdb_avr.schema.method import (
+    GetPanorama,
+    Method,
+    Observe,
+    Prediction,
+    Question,
+    SequenceInfo,
+    Status,
+    Step,
+    Task,
+    Verdict,
+)
 from jrdb_avr.schema.tables import RUNS
 
 R = TypeVar("R")
@@ -106,6 +117,8 @@ def _finished(
     world = [_row("world", write, question_id=question.question_id) for write in writes]
     if prediction.status not in get_args(Status):
         raise ValueError(f"{prediction.status!a} is no status of a prediction"[:120])
+    if prediction.verdict not in (None, *get_args(Verdict)):
+        raise ValueError(f"{prediction.verdict!a} is no verdict of a prediction"[:120])
     if row["answer"] is not None:
         decode_answer(question.answer_mode, row["answer"])
     entry = Finished(question.question_id, row, transcript, world)

@@ -99,9 +99,8 @@ def test_a_person_over_the_seam(tmp_path, x):
 def test_a_box_may_not_run_over_the_edge_of_a_panorama():
     """Neither backwards nor beyond: only what rounding may do is clipped."""
     for bbox, reason in [((990, 200, 10, 800), "reversed"), ((990, 200, 1021, 800), "outside 0..1000")]:
-        for method, before in [(Monolithic, []), (SearchRecognize, [])]:
-            replies = [*before, final(2, bbox) if method is Monolithic else proposal(bbox)]
-            prediction, _ = play(method, replies, blank_task())
+        for method, reply in [(Monolithic, final(2, bbox)), (SearchRecognize, proposal(bbox))]:
+            prediction, _ = play(method, [reply] * 2 + [final(2, bbox)] * 2, blank_task())
             assert (prediction.status, prediction.evidence) == ("invalid", None)
             assert reason in prediction.reason
     prediction, _ = play(Monolithic, [final(2, (990, 200, 1020, 800))], blank_task())
@@ -137,13 +136,13 @@ replies = (
 
 
 @settings(max_examples=examples(50), deadline=None)
-@given(st.sampled_from(METHODS), st.sampled_from(MODES), st.lists(replies, min_size=3, max_size=3))
+@given(st.sampled_from(METHODS), st.sampled_from(MODES), st.lists(replies, min_size=6, max_size=6))
 def test_whatever_the_model_says_the_question_ends(method, mode, script):
     task = blank_task(mode, "abcd" if mode == "multiple_choice" else ())
     prediction, chat = play(method, script, task)
-    assert prediction.n_model_calls == len(chat.sent) <= 3
+    assert prediction.n_model_calls == len(chat.sent) <= 6
     assert (prediction.status == "answered") == (prediction.answer is not None and prediction.evidence is not None)
-    assert (prediction.status == "answered") == (prediction.reason == "")
+    assert prediction.status == "answered" or prediction.reason
     assert prediction.raw == script[len(chat.sent) - 1]
     if prediction.evidence is not None:
         x, y, w, h = prediction.evidence.box

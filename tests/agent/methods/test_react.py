@@ -1,6 +1,7 @@
 """The ReAct protocol, played by scripted models over a real socket."""
 
 import json
+from itertools import chain, repeat
 
 import numpy as np
 import pytest
@@ -86,15 +87,49 @@ def test_the_first_turn_must_look(world):
     assert prediction.status == "answered"
 
 
-def test_a_second_malformed_turn_ends_the_question(world):
-    prediction, requests, _ = play(world, [look(150, 180), "I look left", look(150, 90), "hm"])
-    assert len(requests) == 4
-    assert "Your last turn was malformed" in texts(requests[2])
+def test_malformed_turns_cost_turns_and_no_more(world):
+    prediction, requests, _ = play(world, [look(150, 180), "I look left", look(150, 90), *["hm"] * 9, answer()])
+    assert len(requests) == 13
+    assert "Your last turn was malformed, and cost a turn: the reply is not one JSON object" in texts(requests[2])
     assert "Your last turn was malformed" not in texts(requests[3])
-    assert prediction.status == "invalid"
+    assert "Turns left, this one included: 38" in texts(requests[12])
+    assert (prediction.status, prediction.answer, prediction.reason) == ("answered", Choice(2), "")
+
+
+def test_nothing_readable_is_invalid_after_the_last_turn(world):
+    prediction, requests, _ = play(world, [look(150, 180), "hm"], budget=4)
+    assert (len(requests), prediction.status, prediction.raw) == (10, "invalid", "hm")
     assert "not one JSON object" in prediction.reason
-    assert prediction.raw == "hm"
     assert prediction.answer is None and prediction.evidence is None
+
+
+def test_the_newest_readable_answer_counts_after_the_last_turn(world):
+    """Answer and box by the newest that could be read of each."""
+    turns = [answer(3), look(150, 180), answer(9), answer(2, frame=155), answer("x", frame=151)]
+    prediction, requests, _ = play(world, [*turns, "hm"], budget=4)
+    assert (len(requests), prediction.status, prediction.answer) == (10, "answered", Choice(2))
+    assert prediction.evidence.frame == 150
+    assert "not one JSON object" in prediction.reason
+    # An answer before the first look is refused, and still one.
+    prediction, _, _ = play(world, [answer(3), "hm"], budget=4)
+    assert (prediction.status, prediction.answer, prediction.evidence) == ("invalid", Choice(3), None)
+
+
+def test_an_answer_that_is_sent_again_as_it_was_ends_the_question(world):
+    prediction, requests, _ = play(world, [look(150, 180), answer(9), "hm", answer(8), answer(8)])
+    assert (len(requests), prediction.status, prediction.answer) == (5, "invalid", None)
+    assert prediction.evidence.frame == 150
+    prediction, requests, _ = play(world, [look(150, 180), answer(9), look(150, 170), answer(9), answer(2)])
+    assert (len(requests), prediction.answer) == (5, Choice(2))
+
+
+def test_every_turn_says_what_is_left(world):
+    _, requests, _ = play(world, [look(150, 180), look(150, 90), look(150, 0), answer(8), answer(2)], budget=3)
+    for n, request in enumerate(requests):
+        assert f"Looks made: {min(n, 3)}, left: {max(3 - n, 0)}\nTurns left, this one included: {8 - n}; " in texts(
+            request
+        )
+        assert ("this turn must answer" in texts(request)) == (n >= 3)
 
 
 MALFORMED = {
@@ -116,8 +151,8 @@ MALFORMED = {
 
 @pytest.mark.parametrize("name", sorted(MALFORMED))
 def test_malformed_turns(world, name):
-    prediction, requests, _ = play(world, [MALFORMED[name]])
-    assert (prediction.status, prediction.n_observations, len(requests)) == ("invalid", 0, 2)
+    prediction, requests, _ = play(world, [MALFORMED[name]], budget=4)
+    assert (prediction.status, prediction.n_observations, len(requests)) == ("invalid", 0, 10)
     assert prediction.reason
     prediction, _, _ = play(world, [MALFORMED[name], look(150, 180), answer()])
     assert prediction.status == "answered"
@@ -143,7 +178,7 @@ def test_duplicates_are_found_over_the_seam_and_only_in_the_same_frame(world):
 def test_duplicates_end_with_the_turns(world):
     prediction, requests, _ = play(world, [look(150, 180)], budget=4)
     assert len(requests) == 10
-    assert prediction.status == "invalid"
+    assert (prediction.status, prediction.answer) == ("answered", None)
     assert "10 turns" in prediction.reason
 
 
@@ -204,8 +239,8 @@ def test_prompts_are_as_they_were(world, mode):
     """The texts are part of the benchmark: to change one, delete its snapshot, run twice and read the new one."""
     choices = CHOICES if mode == "multiple_choice" else ()
     _, requests, _ = play(world, [look(150, 180), "x", look(150, 180.5), look(150, 90), "y"], mode, choices)
-    system = requests[-1]["messages"][0]["content"]
-    user = "\n".join(part.get("text", "[image]") for part in requests[-1]["messages"][1]["content"])
+    system = requests[4]["messages"][0]["content"]
+    user = "\n".join(part.get("text", "[image]") for part in requests[4]["messages"][1]["content"])
     path = SNAPSHOTS / f"react_{mode}.txt"
     told = f"{system}\n=====\n{user}\n"
     if not path.exists():
@@ -249,7 +284,7 @@ def test_one_degree_is_a_duplicate_whatever_rounding_says(tenths, turn):
 
     for beyond, looks in ((0, 1), (1, 2)):
         second = (tenths + turn + (beyond if turn > 0 else -beyond)) % 3600
-        replies = iter([look(0, tenths / 10), look(0, second / 10), "no more", "no more"])
+        replies = chain([look(0, tenths / 10), look(0, second / 10)], repeat("no more"))
 
         class Chat:
             def complete(self, messages, schema=None, replies=replies):
