@@ -7,8 +7,9 @@ with the episode's rows. What was not written down is unknown, and what is unkno
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -16,6 +17,7 @@ import msgspec
 
 from jrdb_avr.queries.compiler.beliefs import (
     DISTANCE_CUT_M,
+    RESOLVED_FRAMES,
     BeliefReader,
     BeliefRows,
     Moment,
@@ -27,14 +29,24 @@ from jrdb_avr.queries.compiler.beliefs import (
 from jrdb_avr.queries.compiler.find import Outcome, outcome_of_target, stated_frame, times_of
 from jrdb_avr.queries.compiler.reads import Queryable
 from jrdb_avr.queries.compiler.solve import PlanQuery, Solution, read_with, solve
-from jrdb_avr.schema.answers import TIE, Answer, Choice, decode_answer, same_answer
+from jrdb_avr.schema.answers import (
+    TIE,
+    Answer,
+    Choice,
+    FrameAnswer,
+    FrameViewpoint,
+    Number,
+    Span,
+    decode_answer,
+    same_answer,
+)
 from jrdb_avr.schema.beliefs import episode_key
 from jrdb_avr.schema.labels import choice_text
 from jrdb_avr.schema.method import Question
-from jrdb_avr.schema.panorama import Box
+from jrdb_avr.schema.panorama import Box, center_angle
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.relations import SYMMETRIC
-from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.rules import FPS, Rules
 
 if TYPE_CHECKING:
     from jrdb_avr.agent.beliefs.world_model import WorldModel
@@ -48,6 +60,15 @@ MOST_VISITS: Final = 10_000_000
 _MOST_STEPS: Final = 2_000
 """Bindings weighed; those of a real plan are a few dozens. Beyond them the best one so far is taken."""
 
+NEAR_FRAMES: Final = round(FPS)
+"""An observation this near to a stated frame, or nearer, stands for it: a moment scores within a second."""
+
+_NEAREST: Final = 3
+"""Observed frames that are tried for a stated one."""
+
+_MOST_PLACEMENTS: Final = 8
+"""Of a plan; the farther ones are left out."""
+
 _MOST_MISSING: Final = 12
 """Lines of `missing`: a model reads no more at once."""
 
@@ -60,7 +81,8 @@ class Belief:
     unknown: the target is found, its answer is not. people: names of entities by node, those that are the same in all
     that fits. times: frames by name, as far as they are known. answer: a choice's text or another answer's stored JSON.
     seen: the target's box, stitched pixels, in the frame that the answer was read from (where it is not seen in it: in
-    another one that tells it, or the newest). missing: what the graph lacks, in words.
+    another one that tells it, or the newest). missing: what the graph lacks, in words. held: of a guess, the share
+    of the plan's conditions and edges that hold.
     """
 
     outcome: Outcome
@@ -69,6 +91,7 @@ class Belief:
     answer: str | None = None
     seen: tuple[int, Box] | None = None
     missing: tuple[str, ...] = ()
+    held: float = 0.0
 
 
 _TOO_MANY: Final = Belief(
@@ -110,22 +133,67 @@ class BeliefSolver:
         solution = read_with(reader, PlanQuery(plan, self.key), people, self._cut) if people else Solution(outcome)
         return _belief(reader, match, solution)
 
-    def guess(self, plan: Plan, rows: BeliefRows | None = None) -> Belief | None:
-        """Return the answer for the entity that best fits the plan's target; None without entities.
+    def placements(self, plan: Plan, rows: BeliefRows, anywhere: bool) -> list[Plan]:
+        """The plan at frames of which something is known, in place of its stated ones, the nearest first.
+
+        A frame stands for one that is at most `NEAR_FRAMES` away; `anywhere`: where there is none, the nearest does. A
+        stated frame that none stands for stays.
+        """
+        known = {row["frame"] for row in rows["sighted"]} | {*self._reader(rows).covered()}
+        stated = {name: time for name, time in plan.times.items() if time.frame is not None}
+        tried = []
+        for time in stated.values():
+            frame = time.frame or 0
+            nearest = sorted(known, key=lambda other: (abs(other - frame), other))[:_NEAREST]
+            near = [other for other in nearest if abs(other - frame) <= NEAR_FRAMES]
+            tried.append([(abs(f - frame), f) for f in near or (nearest[:1] if anywhere else ()) or [frame]])
+        placed = sorted(itertools.product(*tried), key=lambda places: sum(away for away, _ in places))
+        return [
+            msgspec.structs.replace(
+                plan,
+                times=plan.times
+                | {
+                    name: msgspec.structs.replace(stated[name], frame=frame)
+                    for name, (_, frame) in zip(stated, places, strict=True)
+                },
+            )
+            for places in placed[:_MOST_PLACEMENTS]
+        ]
+
+    def guess(self, plan: Plan, rows: BeliefRows | None = None, entity: str = "") -> Belief | None:
+        """Return what is read of an entity as the plan's target, or of the likeliest one; None where there is none.
 
         That is the one with which most conditions and edges hold, then the one seen at most frames, then the smallest
         name. Its outcome is defined where the plan's read is known of it, else unknown, and its newest box is seen
-        then. Nothing is read of others.
+        then. A moment may lie between any two looks. Nothing is read of others.
         """
-        reader, match = self._match(plan, rows)
-        if not match.people:
+        reader, match = self._match(plan, rows, resolved=None)
+        people = [who for who in match.people if entity in ("", who)]
+        if not people:
             return None
-        fits = {who: match.likeliest({plan.target: who})[1] for who in match.people}
-        best = min(match.people, key=lambda who: (-fits[who], -len({one.frame for one in reader.moments(who)}), who))
+        fits = {who: match.likeliest({plan.target: who})[1] for who in people}
+        best = min(people, key=lambda who: (-fits[who], -len({one.frame for one in reader.moments(who)}), who))
         solution = read_with(reader, PlanQuery(plan, self.key), {plan.target: best}, self._cut)
         if solution.outcome == "unknown":
             reader.evidence.clear()
-        return _belief(reader, match, solution)
+        held = fits[best] / max(len(match.counted), 1)
+        return replace(_belief(reader, match, solution), held=held)
+
+    def prior(self, plan: Plan, belief: Belief) -> Answer:
+        """Return an answer where nothing tells one, of a person who was seen."""
+        assert belief.seen is not None, "somebody was seen"
+        frame, box = belief.seen
+        match plan.answer.mode:
+            case "multiple_choice":
+                return Choice(1)
+            case "frame":
+                return FrameAnswer(frame)
+            case "span":
+                return Span(frame, frame)
+            case "frame_viewpoint":
+                return FrameViewpoint(frame, center_angle(box.x, box.w))
+            case "number":
+                return Number(1.0)
 
     def answer(self, plan: Plan, belief: Belief) -> Answer | None:
         """The answer that is read from the beliefs, None where there is none, or none of the choices says it."""
@@ -164,9 +232,14 @@ class BeliefSolver:
         cut = DISTANCE_CUT_M - TIE
         return msgspec.structs.replace(self.rules, distance_changed_m=cut, distance_same_m=cut)
 
-    def _match(self, plan: Plan, rows: BeliefRows | None) -> tuple[BeliefReader, PlanMatch]:
-        reader = BeliefReader(self.graph, self.key, TIMEOUT_S, rows)
+    def _match(
+        self, plan: Plan, rows: BeliefRows | None, resolved: int | None = RESOLVED_FRAMES
+    ) -> tuple[BeliefReader, PlanMatch]:
+        reader = self._reader(rows, resolved)
         return reader, PlanMatch(reader, plan)
+
+    def _reader(self, rows: BeliefRows | None, resolved: int | None = RESOLVED_FRAMES) -> BeliefReader:
+        return BeliefReader(self.graph, self.key, TIMEOUT_S, rows, resolved)
 
 
 def beliefs_of(world: WorldModel, question: Question) -> BeliefSolver:

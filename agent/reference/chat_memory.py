@@ -24,7 +24,7 @@ LONGEST_REPLY: Final = 8000
 
 @dataclass
 class ChatMemory:
-    """The chat of one question. proposed: what could be read of the newest final answer that was refused."""
+    """The chat of one question. proposed: the newest answer and the newest box that could be read."""
 
     tools: ClassVar = (FINAL,)
     attempt: Attempt
@@ -69,8 +69,8 @@ class ChatMemory:
     def carry_out(self, call: Call, views: Mapping[str, View], step: int) -> str:
         raise DecodeError(f"there is no tool {call.tool!r}")
 
-    def judge(self, call: Call, views: Mapping[str, View], step: int) -> ParsedReply:
-        """Answer and box are read apart: what can be read of the newest refused answer counts at the end."""
+    def propose(self, call: Call, views: Mapping[str, View]) -> None:
+        """Read answer and box apart, and keep what can be read. Raises DecodeError for what cannot."""
         key = box_key(call.arguments, self.attempt.convention, "box")
         part = decode.only_keys(call.arguments, ("answer", "observation", key), "the call")
         started = time.perf_counter()
@@ -78,11 +78,14 @@ class ChatMemory:
             lambda: self.attempt.read_answer(part["answer"]),
             lambda: self._evidence(part["observation"], part[key], key, views),
         )
-        self.proposed = ParsedReply(answer, evidence, faults)
+        self.proposed = ParsedReply(answer, evidence).over(self.proposed)
         parsed = {"answer": answer, "evidence": evidence, "box_key": key, "faults": faults}
         self.attempt.record("solve", {"observation": call.text}, parsed, started)
         if faults:
             raise DecodeError("; ".join(faults))
+
+    def judge(self, call: Call, step: int) -> ParsedReply:
+        """What was just proposed."""
         return self.proposed
 
     def _evidence(self, observation: object, box: object, key: str, views: Mapping[str, View]) -> Evidence:
@@ -93,6 +96,6 @@ class ChatMemory:
         image = view.image
         return image.evidence(image.frames[0], read_box(box, image.size, self.attempt.convention, key))
 
-    def solved(self, reason: str) -> ParsedReply:
-        """Return the readable parts of the newest final answer, which was refused."""
-        return ParsedReply(self.proposed.answer, self.proposed.evidence, (reason, *self.proposed.faults))
+    def commit(self) -> ParsedReply:
+        """What counts where no final answer was taken."""
+        return self.proposed

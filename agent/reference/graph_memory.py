@@ -1,10 +1,13 @@
 """Memory in the world model: every turn shows the graph, and a solver judges the final answer by it.
 
-Every write, accepted or refused, goes to the episode of the world model, which alone decides whether it is grounded.
+Every write, accepted or refused, goes to the episode of the world model, which alone decides whether it is grounded. A
+final answer that the graph does not give is refused, and kept. At the end the memory commits to the first that there is
+of: the plan's answer; the answer of the person who fits best; the kept one; a guess.
 """
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, get_args
 
 import msgspec
 
+from jrdb_avr.agent.beliefs.solver import NEAR_FRAMES
 from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, stitched_evidence
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.decode import BOX_SCHEMA, box_key, read_box
@@ -29,9 +33,10 @@ from jrdb_avr.agent.reference.tool_calls import (
     turn_schema,
     view_parts,
 )
+from jrdb_avr.schema.answers import Answer
 from jrdb_avr.schema.beliefs import Tool
 from jrdb_avr.schema.errors import DecodeError
-from jrdb_avr.schema.method import Observation, Panorama, Question
+from jrdb_avr.schema.method import Observation, Panorama, Question, Verdict
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan, canonical
 
@@ -43,6 +48,9 @@ _NAME: Final = {"type": "string", "pattern": "^[A-Za-z0-9_-]{1,32}$"}
 OBSERVATION_SCHEMA: Final = {"type": "string", "pattern": "^o[0-9]+$"}
 
 
+_MOST: Final = 0.5
+"""Share of a plan's conditions and edges; an answer is supported where more of them hold of its person."""
+
 _TOOLS: Final[dict[str, Tool]] = {name: name for name in get_args(Tool)}
 """The tools whose refused calls are recorded."""
 
@@ -51,8 +59,10 @@ _TOOLS: Final[dict[str, Tool]] = {name: name for name in get_args(Tool)}
 class GraphMemory:
     """The world model's episode of one question, and its solver.
 
-    fixed: whether all turns show the same pictures; latest: those that were made last; weighed, compiled: what the
-    beliefs come to by the episode and by the compiled plan, None where something has been seen or written since.
+    fixed: whether all turns show the same pictures; latest: those that were made last; proposed, entity: the newest
+    readable answer, and of whom it is. weighed: the plan at the frames that stand for the stated ones, and what the
+    beliefs come to by the episode; compiled: the same by the compiled plan. Both are None where something has been seen
+    or written since.
     """
 
     tools: ClassVar = (*WRITING, "get_graph", FINAL)
@@ -64,7 +74,9 @@ class GraphMemory:
     heading: str
     fixed: bool = False
     latest: tuple[View, ...] = ()
-    weighed: Belief | None = None
+    proposed: Answer | None = None
+    entity: str = ""
+    weighed: tuple[Plan, Belief] | None = None
     compiled: Belief | None = None
 
     # -- what the model is sent ---------------------------------------------------------------------------------------
@@ -80,7 +92,7 @@ class GraphMemory:
             self.heading,
             *(pictures if self.fixed else []),
             f"Plan: {canonical(self.plan)}",
-            f"Graph: {compact_json(self.world.graph(self._weighed().missing))}",
+            f"Graph: {compact_json(self.world.graph(self._weighed()[1].missing))}",
             turn.result_lines(),
             *([] if self.fixed else pictures),
             turn.state(),
@@ -133,53 +145,86 @@ class GraphMemory:
 
     # -- what is read from it -----------------------------------------------------------------------------------------
 
-    def judge(self, call: Call, views: Mapping[str, View], step: int) -> ParsedReply:
+    def propose(self, call: Call, views: Mapping[str, View]) -> None:
+        """Read a final answer, and keep it. Raises DecodeError for what cannot be read."""
         part = decode.only_keys(call.arguments, ("answer", "entity"), "the call")
-        proposed = self.attempt.read_answer(part["answer"])
+        self.proposed, self.entity = self.attempt.read_answer(part["answer"]), ""
         if not isinstance(part["entity"], str):
             raise DecodeError("entity must be the id of the plan's target")
+        self.entity = part["entity"]
+
+    def judge(self, call: Call, step: int) -> ParsedReply:
+        """What was just proposed, if the graph gives it. Raises DecodeError with what is missing."""
+        assert self.proposed is not None, "an answer is proposed before it is judged"
         belief = self._solved()
-        if reason := self.solver.fault(self.plan, belief, proposed, part["entity"]):
+        if reason := self.solver.fault(self.plan, belief, self.proposed, self.entity):
             raise DecodeError(reason)
         self.world.noted(FINAL, call.arguments, step, True)
-        if belief.seen is None:
-            return ParsedReply(proposed, None, ("the target has no box",))
-        return ParsedReply(proposed, stitched_evidence(*belief.seen))
+        return _parsed(self.proposed, belief, self._verdict(belief))
 
-    def solved(self, reason: str) -> ParsedReply:
-        """Return the answer of the solver; without a single target, that of the likeliest entity.
-
-        An answer that cannot be read is None; the box stays.
-        """
+    def commit(self) -> ParsedReply:
+        """Return the answer that counts where no final answer was taken; nothing where nobody is in the graph."""
         belief = self._solved()
-        if belief.seen is None:
-            started = time.perf_counter()
-            belief = self.solver.guess(self.plan, self.world.rows()) or belief
-            self.attempt.record("solve", {"guess": self.plan.target}, msgspec.to_builtins(belief), started)
-        answer = self.solver.answer(self.plan, belief)
-        evidence = None if belief.seen is None else stitched_evidence(*belief.seen)
-        return ParsedReply(answer, evidence, () if answer is not None and evidence is not None else (reason,))
+        answer, verdict = self.solver.answer(self.plan, belief), self._verdict(belief)
+        if answer is not None and verdict != "guess":
+            return _parsed(answer, belief, verdict)
+        likeliest = self._guess("")
+        if likeliest is None:
+            return ParsedReply(self.proposed, verdict=None if self.proposed is None else "guess")
+        answer = self.solver.answer(self.plan, likeliest)
+        if answer is not None and likeliest.held > _MOST:
+            return _parsed(answer, likeliest, "supported")
+        if self.proposed is not None:
+            return _parsed(self.proposed, self._guess(self.entity) or likeliest, "guess")
+        return _parsed(answer or self.solver.prior(self.plan, likeliest), likeliest, "guess")
+
+    def _guess(self, entity: str) -> Belief | None:
+        """What is read of an entity, or of the likeliest one for "", at the frames nearest to the stated ones."""
+        rows, started = self.world.rows(), time.perf_counter()
+        nearest = self.solver.placements(self.plan, rows, anywhere=True)[0]
+        belief = self.solver.guess(nearest, rows, entity)
+        self.attempt.record("solve", {"guess": entity or self.plan.target}, msgspec.to_builtins(belief), started)
+        return belief
+
+    def _verdict(self, belief: Belief) -> Verdict:
+        """What an answer that the plan gives is called; a plan that describes nobody proves nothing."""
+        if not self.plan.edges and not any(node.conditions for node in self.plan.nodes):
+            return "guess"
+        stated = {name: time.frame for name, time in self.plan.times.items() if time.frame is not None}
+        moved = max(abs(belief.times.get(name, frame) - frame) for name, frame in stated.items())
+        return "certain" if moved <= NEAR_FRAMES else "supported"
 
     def _changed(self) -> None:
         self.weighed = self.compiled = None
 
-    def _weighed(self) -> Belief:
-        """What the beliefs come to by the episode's own state."""
+    def _weighed(self) -> tuple[Plan, Belief]:
+        """The plan's first placement that the episode's own state answers, else the first, and what it comes to."""
         if self.weighed is None:
-            self.weighed = self.solver.weigh(self.plan, self.world.rows())
+            rows = self.world.rows()
+            plans = self.solver.placements(self.plan, rows, anywhere=self.fixed)
+            weighed = ((plan, self.solver.weigh(plan, rows)) for plan in plans)
+            first = next(weighed)
+            found = (one for one in itertools.chain([first], weighed) if one[1].outcome == "defined")
+            self.weighed = next(found, first)
         return self.weighed
 
     def _solved(self) -> Belief:
         """What an answer is judged by: the compiled plan's, which runs where there may be one."""
         if self.compiled is None:
             started = time.perf_counter()
-            weighed = self._weighed()
+            plan, weighed = self._weighed()
             self.world.settle()
             defined = weighed.outcome == "defined"
-            self.compiled = self.solver.solve(self.plan, self.world.rows()) if defined else weighed
+            self.compiled = self.solver.solve(plan, self.world.rows()) if defined else weighed
             query = {"read": self.plan.answer.read, "of": self.plan.answer.of}
             self.attempt.record("solve", query, msgspec.to_builtins(self.compiled), started)
         return self.compiled
+
+
+def _parsed(answer: Answer, belief: Belief, verdict: Verdict) -> ParsedReply:
+    """An answer with a belief's box."""
+    evidence = None if belief.seen is None else stitched_evidence(*belief.seen)
+    return ParsedReply(answer, evidence, verdict=verdict)
 
 
 def graph_turn_schema(question: Question, nodes: Sequence[str], looks: Mapping[str, Any] | None) -> dict[str, Any]:

@@ -59,8 +59,6 @@ class ReferenceAgent:
         world, solver = self.world.episode(task.question, task.record_write), self.solving(self.world, task.question)
         with world.together():
             plan = make_plan(attempt, self.limits.repairs, solver.check, world)
-            if isinstance(plan, str):
-                return attempt.invalid(f"no plan was accepted; the last was refused: {plan}")
             return self._play(attempt, GraphMemory(attempt, world, solver, plan, system, heading, fixed=not self.looks))
 
     def _play(self, attempt: Attempt, memory: Memory) -> Prediction:

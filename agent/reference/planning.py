@@ -30,7 +30,16 @@ from jrdb_avr.schema.labels import (
     ROBOT_SECTORS,
 )
 from jrdb_avr.schema.method import Task
-from jrdb_avr.schema.plan import Condition, Plan, canonical, parse_plan, plan_json_schema
+from jrdb_avr.schema.plan import (
+    AnswerSpec,
+    Condition,
+    Node,
+    Plan,
+    Time,
+    canonical,
+    parse_plan,
+    plan_json_schema,
+)
 from jrdb_avr.schema.relations import (
     FIRST_LEFT,
     FIRST_RIGHT,
@@ -54,8 +63,8 @@ MOST_PARTS: Final = 32
 """Conditions and edges of a plan: a question's has a dozen, and the engine's work grows with them."""
 
 
-def make_plan(attempt: Attempt, repairs: int, check: Callable[[Plan], None], episode: BeliefEpisode) -> Plan | str:
-    """The model's plan for the question, or why the last of `1 + repairs` tries was refused.
+def make_plan(attempt: Attempt, repairs: int, check: Callable[[Plan], None], episode: BeliefEpisode) -> Plan:
+    """The model's plan for the question, or the smallest one where all of `1 + repairs` tries are refused.
 
     Each try is one model call, with the plan before it and what was wrong with that one. `check` raises
     PlanError for a plan that the solver cannot run. The episode keeps every try.
@@ -88,7 +97,30 @@ def make_plan(attempt: Attempt, repairs: int, check: Callable[[Plan], None], epi
             episode.plan(plan, step)
             attempt.record("tool", {"tool": "plan"}, {"accepted": canonical(plan)}, started)
             return plan
-    return refusal
+    plan = smallest_plan(task)
+    episode.plan(plan, step)
+    attempt.record("tool", {"tool": "plan"}, {"in place of a plan": canonical(plan)}, time.perf_counter())
+    return plan
+
+
+def smallest_plan(task: Task) -> Plan:
+    """A plan of the target alone, of whom nothing is said, with the read that the answer's mode implies."""
+    mode, frames = task.question.answer_mode, task.sequence.frames
+    times = {"t0": Time(frame=frames[0])}
+    # Which action is meant is not known, nor which people are counted: the commonest stand for them.
+    start = {"t1": Time(event="start", of="a", action="walking", after="t0")}
+    answer = AnswerSpec(mode, "action", "a", "t0")
+    match mode:
+        case "frame" | "frame_viewpoint":
+            times |= start
+            answer = AnswerSpec(mode, "start" if mode == "frame" else "start_view", "a", "t1")
+        case "span":
+            times |= start | {"t2": Time(event="end", of="a", action="walking", after="t1")}
+            answer = AnswerSpec(mode, "span", "a", ("t1", "t2"))
+        case "number":
+            times["t1"] = Time(frame=frames[-1])
+            answer = AnswerSpec(mode, "count", "a", ("t0", "t1"), "conversation")
+    return Plan("a", "a", times, (Node("a", ()),), (), answer)
 
 
 def read_plan(text: str, task: Task) -> Plan:

@@ -158,7 +158,7 @@ class Turn:
 
     def state(self) -> str:
         """The lines that close every turn."""
-        error = f"Your last turn was malformed, and a second such turn ends the question: {self.error}"
+        error = f"Your last turn was malformed, and cost a call: {self.error}"
         return render(
             "agent_state",
             looks=self.looks[0],

@@ -31,7 +31,9 @@ from jrdb_avr.schema.plan import Condition
 
 _MOST_CALLS: Final = 32
 _REFUSED: Final = re.compile(r"\d+\. final_answer: refused")
-_ENDED: Final = re.compile(r'Your last turn was malformed.*"calls" must be a list of 1 to ')
+
+_NOBODY: Final = "nobody"
+"""The entity of an answer that is a guess."""
 
 _CANDIDATES: Final = 2
 """Most people who may fit the description that are written down: with two it is not known which one it is."""
@@ -59,36 +61,31 @@ def _remember(request: Request) -> StageReply:
         answer = player.play()
     except NeedObservation as need:
         looks = player.look(need.frame, need.angles)
-    return _hand_in(request, player.draft, looks, answer, player.state.missing)
+    return _hand_in(request, player.draft, looks, answer, player.state)
 
 
 def _hand_in(
-    request: Request, draft: Draft, looks: Sequence[dict[str, Any]], answer: dict[str, Any] | None, missing: list[str]
+    request: Request, draft: Draft, looks: Sequence[dict[str, Any]], answer: dict[str, Any] | None, state: EpisodeState
 ) -> StageReply:
-    """The calls that write, and then the looks or the final answer.
+    """The calls that write, and then the looks or the final answer; a guess of nobody where there is none.
 
-    The turn ends the question where an answer was refused, as all that was read has been written by then, and where
-    there is nothing to answer: a turn without a call, sent twice, is the end of an episode.
+    An answer that was refused is sent again as it was, as all that was read has been written by then.
     """
     left = request.left("Tool calls made: ")
-    if _was_refused(request):
-        return _refused(missing)
-    room = min(_MOST_CALLS, left)
     last = list(looks)
     if not looks or len(draft.calls) + len(looks) >= left:
-        last = [] if answer is None else [{"tool": "final_answer", **answer}]
-    calls = [*draft.calls, *last] if len(draft.calls) + len(last) <= room else draft.calls[:room]
-    ended = not calls or calls[-1]["tool"] == "final_answer"
-    return StageReply({"calls": calls}, missing if ended else None)
+        answer = answer or {"answer": find_answer(state, None), "entity": _NOBODY}
+        last = [{"tool": "final_answer", **answer}]
+    calls = [*draft.calls[: left - len(last)], *last]
+    if len(calls) > _MOST_CALLS:
+        calls = draft.calls[:_MOST_CALLS]
+    return _ending(request, calls, state.missing)
 
 
-def _was_refused(request: Request) -> bool:
-    """Whether the last turn's final answer was refused, or the prompt already requests the end of the episode."""
-    return any(_REFUSED.match(line) or _ENDED.match(line) for line in request.lines)
-
-
-def _refused(missing: Sequence[str] = ()) -> StageReply:
-    return StageReply({"calls": []}, [*missing, "the answer was refused"])
+def _ending(request: Request, calls: Sequence[dict[str, Any]], missing: list[str]) -> StageReply:
+    """The calls, with what was missing where they hold the question's first final answer."""
+    refused = any(_REFUSED.match(line) for line in request.lines)
+    return StageReply({"calls": calls}, missing if calls[-1]["tool"] == "final_answer" and not refused else None)
 
 
 def _write_plan(
@@ -245,7 +242,7 @@ def _remember_shown(request: Request) -> StageReply:
                 draft.read(state.plan, seen)
         answer = {"answer": find_answer(state, person), "entity": entity_name(person.identity)}
     state.note_unseen()
-    return _hand_in(request, draft, (), answer, state.missing)
+    return _hand_in(request, draft, (), answer, state)
 
 
 def _shown_target(state: EpisodeState, draft: Draft) -> Sighting | None:
@@ -267,8 +264,6 @@ def _shown_target(state: EpisodeState, draft: Draft) -> Sighting | None:
 
 def _chat(request: Request, passive: bool) -> StageReply:
     """The next look, or the final answer."""
-    if _was_refused(request):
-        return _refused()
     explorer: FixedExplorer | RestoredExplorer
     if passive:
         explorer = FixedExplorer(request.looks)
@@ -284,7 +279,7 @@ def _chat(request: Request, passive: bool) -> StageReply:
         box = _evidence(state, person)
     except NeedObservation as need:
         return StageReply({"calls": [_observe(need.frame, need.angles[0])]})
-    return StageReply({"calls": [{"tool": "final_answer", "answer": answer, **box}]}, state.missing)
+    return _ending(request, [{"tool": "final_answer", "answer": answer, **box}], state.missing)
 
 
 def _evidence(state: EpisodeState, person: Sighting | None) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from reference_play import (
 
 from jrdb_avr.agent.reference.method import ReferenceAgent
 from jrdb_avr.queries.beliefs.graph import WorldGraph
-from jrdb_avr.schema.answers import Choice, FrameAnswer
+from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.panorama import Box, iou
 
 MODES = ("multiple_choice", "frame", "span", "frame_viewpoint", "number")
@@ -83,12 +83,12 @@ def test_variants_show_what_they_showed(world, graph, name):
     script = [PLANS["frame"]] if remembers else []
     script += [turn(look()) if looks else turn(final()), "hm", turn(proposed({"frame_id": "000900"})), turn(look(155))]
     game = play(world, [*script, "no more"], "frame", looks=looks, graph=graph if remembers else None)
-    kept(name, text_of(game.requests[-1]) + "\n")
+    kept(name, text_of(game.requests[len(script)]) + "\n")
 
 
 def test_the_graph_is_the_only_memory(world, graph):
     game = play(world, [PLAN, turn(look()), turn(entity(node="a")), turn(look(155)), turn(GRAPH), "x"], graph=graph)
-    assert [len(request) for request in game.requests] == [2] * 7
+    assert {len(request) for request in game.requests} == {2}
     assert [pictures_of(request) for request in game.requests[:6]] == [
         [],
         [],
@@ -97,7 +97,7 @@ def test_the_graph_is_the_only_memory(world, graph):
         ["painted 000155 180"],
         ["painted 000155 180"],
     ]
-    shown = json.loads(text_of(game.requests[-1]).partition("\nGraph: ")[2].partition("\n")[0])
+    shown = json.loads(text_of(game.requests[5]).partition("\nGraph: ")[2].partition("\n")[0])
     (person,) = shown["entities"]
     assert (person["id"], person["node"]) == ("p1", "a")
     assert iou(Box(*person["sightings"][0]["box"]), Box(1845, 120, 70, 220)) > 0.95
@@ -112,7 +112,7 @@ def test_the_latest_turn_that_looked_shows_all_its_pictures(world, graph):
 
 def test_passive_shows_all_panoramas_in_every_turn(world, graph):
     game = play(world, [PLAN, turn(GRAPH), turn(entity(box=(495, 250, 505, 708))), "x"], graph=graph, looks=False)
-    assert [len(pictures_of(request)) for request in game.requests] == [0, 8, 8, 8, 8]
+    assert [len(pictures_of(request)) for request in game.requests] == [0, *[8] * 80]
     assert game.prediction.n_observations == 8
     shown = json.loads(text_of(game.requests[3]).partition("\nGraph: ")[2].partition("\n")[0])
     # Thousandths of the whole panorama: 3.76 columns each.
@@ -151,10 +151,33 @@ def test_a_legal_final_answer(world, graph):
     ]
 
 
-def test_a_final_answer_that_is_not_legal_is_told_what_is_missing(world, graph):
-    game = play(world, [PLAN, turn(final(2)), "x"], graph=graph)
+def test_a_final_answer_that_is_not_legal_is_told_what_is_missing_and_kept(world, graph):
+    game = play(world, [PLAN, turn(final(2)), turn(GRAPH)], graph=graph)
     assert results(game.requests[2]) == ["1. final_answer: refused: a: not found"]
-    assert game.prediction.status == "invalid"
+    told = game.prediction
+    assert (told.status, told.answer, told.evidence, told.verdict) == ("answered", Choice(2), None, "guess")
+    assert told.reason == "a: not found"
+
+
+def test_a_final_answer_that_is_sent_again_as_it_was_ends_the_question(world, graph):
+    game = play(world, [PLAN, turn(final(2)), turn(GRAPH), turn(final(3)), turn(final(3)), AssertionError], graph=graph)
+    assert (len(game.requests), game.prediction.answer) == (5, Choice(3))
+    # What was seen or written in between may have made it another one.
+    script = [PLAN, turn(look()), turn(final(2)), turn(entity()), turn(final(2)), turn(look(155)), turn(final(2))]
+    assert len(play(world, [*script, turn(final(2)), AssertionError], graph=graph).requests) == 8
+    # A write that is refused is none.
+    again = [PLAN, turn(final(2)), turn(entity(), final(2)), AssertionError]
+    assert len(play(world, again, graph=graph).requests) == 3
+
+
+def test_the_kept_answer_has_the_box_of_its_entity(world, graph):
+    """Both people fit, so that the graph has no single target; neither is seen to do anything."""
+    other = [entity("p2", box=(10, 250, 156, 708)), attribute("gender", "female", "p2")]
+    script = [PLAN, turn(look()), turn(*SEEN[:2], *other), turn(final(1, "p2")), turn(final(1, "p2"))]
+    told = play(world, script, graph=graph, solver="real").prediction
+    assert (told.status, told.answer, told.verdict) == ("answered", Choice(1), "guess")
+    assert iou(Box(*told.evidence.box), Box(1640 + 4.8, 120, 70, 220)) > 0.95
+    assert told.reason.startswith("the graph has no single target")
 
 
 @pytest.mark.parametrize(
@@ -170,6 +193,7 @@ def test_a_final_answer_that_is_not_legal_is_told_what_is_missing(world, graph):
 def test_a_final_answer_that_cannot_be_read_is_refused(world, graph, call, reason):
     game = play(world, [PLAN, turn(call), "x"], graph=graph, solver=defined())
     assert results(game.requests[2]) == [f"1. final_answer: refused: {reason}"]
+    assert game.prediction.answer == Choice(2)
 
 
 def test_a_final_answer_stands_last(world, graph):
@@ -186,7 +210,7 @@ def test_at_the_end_the_graph_answers_by_itself(world, graph, last):
     script = [PLAN, turn(look()), *([turn(GRAPH)] if last == "budget" else ["x"])]
     game = play(world, script, graph=graph, solver=defined("sitting"))
     assert (game.prediction.status, game.prediction.answer) == ("answered", Choice(3))
-    assert game.prediction.evidence.frame == 150
+    assert (game.prediction.evidence.frame, game.prediction.verdict) == (150, "certain")
     # What is missing is told in every turn without the engine; it solves once, at the end.
     assert [step.kind for step in game.steps].count("solve") == 1
 
@@ -196,31 +220,68 @@ def test_at_the_end_a_frame_is_read_as_it_is_stored(world, graph):
     assert (game.prediction.status, game.prediction.answer) == ("answered", FrameAnswer(165))
 
 
-def test_at_the_end_a_read_that_is_no_choice_leaves_the_box(world, graph):
-    game = play(world, [PLAN, "x"], graph=graph, solver=defined("cycling"))
-    assert (game.prediction.status, game.prediction.answer) == ("invalid", None)
-    assert game.prediction.evidence.frame == 150
+def test_at_the_end_a_read_that_is_no_choice_gives_way_to_what_was_proposed(world, graph):
+    guess = (155, (10.0, 20.0, 30.0, 40.0))
+    solver = StubSolver(defined("cycling").belief, "the graph's answer is none of the choices", guess)
+    told = play(world, [PLAN, turn(final(4)), "x"], graph=graph, solver=solver).prediction
+    assert (told.status, told.answer, told.verdict, told.evidence.box) == ("answered", Choice(4), "guess", guess[1])
 
 
-def test_at_the_end_the_likeliest_box_counts_without_an_answer(world, graph):
+def test_at_the_end_somebody_who_was_seen_is_answered_of(world, graph):
     guess = (155, (10.0, 20.0, 30.0, 40.0))
     game = play(world, [PLAN, turn(look()), "x"], graph=graph, solver=StubSolver(box=guess))
-    assert (game.prediction.status, game.prediction.answer) == ("invalid", None)
-    assert game.prediction.evidence.box == guess[1]
-    assert game.prediction.reason.startswith("2 malformed turns, the last: the reply is not one JSON object")
+    told = game.prediction
+    assert (told.status, told.answer, told.verdict, told.evidence.box) == ("answered", Choice(1), "guess", guess[1])
+    assert told.reason.startswith("the reply is not one JSON object")
 
 
-def test_at_the_end_the_likeliest_person_is_read(world, graph):
-    """Nobody is known to be a woman; of who was seen the posture is known, and is not what was proposed."""
+@pytest.mark.parametrize(
+    ("mode", "answer"),
+    [
+        ("frame", FrameAnswer(155)),
+        ("span", Span(155, 155)),
+        ("frame_viewpoint", FrameViewpoint(155, pytest.approx(180.0))),
+        ("number", Number(1.0)),
+    ],
+)
+def test_a_guess_in_every_mode(world, graph, mode, answer):
+    solver = StubSolver(box=(155, Box(1870.0, 20.0, 20.0, 40.0)))
+    told = play(world, [PLANS[mode], turn(GRAPH)], mode, graph=graph, solver=solver).prediction
+    assert (told.answer, told.verdict) == (answer, "guess")
+
+
+def test_at_the_end_the_proposed_answer_stands_before_what_is_read_of_a_stranger(world, graph):
+    """Nobody is known to be a woman: what is read of the only person is not borne out."""
     game = play(world, [PLAN, turn(look()), turn(entity(), SEEN[2], final(3)), "x"], graph=graph, solver="real")
     assert "nobody in the graph fits the plan" in results(game.requests[3])[-1]
-    assert (game.prediction.status, game.prediction.answer, game.prediction.reason) == ("answered", Choice(2), "")
-    assert iou(Box(*game.prediction.evidence.box), Box(1845, 120, 70, 220)) > 0.95
+    told = game.prediction
+    assert (told.status, told.answer, told.verdict) == ("answered", Choice(3), "guess")
+    assert iou(Box(*told.evidence.box), Box(1845, 120, 70, 220)) > 0.95
+    # Without a proposal it is all that there is.
+    told = play(world, [PLAN, turn(look()), turn(entity(), SEEN[2]), "x"], graph=graph, solver="real").prediction
+    assert (told.answer, told.verdict) == (Choice(2), "guess")
+
+
+def test_at_the_end_the_person_who_fits_most_is_read_before_what_was_proposed(world, graph):
+    """Of two conditions one holds of the first person, and both of nobody; of three two do."""
+    adult = {"attribute": "age", "value": "young adulthood"}
+    far = {"attribute": "distance", "value": "far", "at": "t0"}
+    female = PLAN["nodes"][0]["conditions"][0]
+    for conditions, answer, verdict in (
+        ([female, far], Choice(3), "guess"),
+        ([female, adult, far], Choice(2), "supported"),
+    ):
+        plan = PLAN | {"nodes": [{"id": "a", "conditions": conditions}]}
+        calls = [*SEEN, attribute("age", "young adulthood"), final(3)]
+        told = play(world, [plan, turn(look()), turn(*calls), "x"], graph=graph, solver="real").prediction
+        assert (told.answer, told.verdict) == (answer, verdict)
 
 
 def test_at_the_end_nobody_may_have_been_seen(world, graph):
-    game = play(world, [PLAN, "x"], graph=graph)
-    assert (game.prediction.status, game.prediction.evidence) == ("invalid", None)
+    told = play(world, [PLAN, "x"], graph=graph).prediction
+    assert (told.status, told.answer, told.evidence, told.verdict) == ("invalid", None, None, None)
+    told = play(world, [PLAN, turn(GRAPH)], graph=graph).prediction
+    assert (told.status, told.answer, told.reason) == ("answered", None, "no final answer within 80 calls")
 
 
 def test_no_world_answers_with_its_own_box(world):
@@ -234,9 +295,14 @@ def test_no_world_keeps_what_can_be_read_of_the_newest_answer(world):
     assert results(game.requests[2])[0].startswith("1. final_answer: refused: answer must be the number of a choice")
     assert (game.prediction.status, game.prediction.answer) == ("invalid", None)
     assert game.prediction.evidence.frame == 150
-    game = play(world, [turn(look()), turn(proposed(2, "o7")), "x"])
-    assert (game.prediction.answer, game.prediction.evidence) == (Choice(2), None)
+    again = [turn(proposed(2, "o7"))] * 2
+    game = play(world, [turn(look()), *again, AssertionError])
+    assert (game.prediction.status, game.prediction.answer, game.prediction.evidence) == ("invalid", Choice(2), None)
     assert "observation must name one that has been made" in game.prediction.reason
+    # Each part by the newest that could be read.
+    game = play(world, [turn(look()), again[0], turn(proposed(9)), turn(proposed(9))])
+    assert (game.prediction.status, game.prediction.answer) == ("answered", Choice(2))
+    assert (game.prediction.evidence.frame, game.prediction.verdict) == (150, None)
 
 
 def test_passive_without_a_world_takes_boxes_of_panoramas(world):
@@ -272,21 +338,23 @@ def test_what_was_written_answers_at_the_end(world, graph):
 
 
 def test_what_was_seen_leaves_a_box_at_the_end(world, graph):
-    """Of two people one fits better: the box is that one's, and nothing is answered."""
+    """Of two people one fits better: the box is that one's; the answer is a guess, as nobody is seen to do anything."""
     other = [entity("p2", box=(10, 250, 156, 708)), attribute("gender", "male", "p2")]
     game = play(world, [PLAN, turn(look()), turn(*SEEN[:2], *other), "x"], graph=graph, solver="real")
-    assert (game.prediction.status, game.prediction.answer) == ("invalid", None)
+    assert (game.prediction.status, game.prediction.verdict) == ("answered", "guess")
     assert iou(Box(*game.prediction.evidence.box), Box(1845, 120, 70, 220)) > 0.95
 
 
-def test_a_start_between_two_panoramas_is_not_known(world, graph):
-    """Panoramas 40 frames apart do not enclose a start, nor does a walk that is seen from its beginning."""
+def test_a_start_between_two_panoramas_is_supported(world, graph):
+    """Panoramas 40 frames apart do not enclose a start nearly enough: it is missing, and the middle is answered."""
     people = [entity(node="a", observation=f"o{n}", box=(495, 250, 505, 708)) for n in range(5, 9)]
     doing = [attribute("action", "walking" if n > 6 else "standing", "p1", f"o{n}") for n in range(5, 9)]
     plan = PLANS["frame"] | {"times": PLANS["frame"]["times"] | {"t0": {"frame": 170}}}
     script = [plan, turn(*people, attribute("gender", "female", "p1", "o5"), *doing), "x"]
     game = play(world, script, "frame", graph=graph, solver="real", looks=False)
-    assert (game.prediction.status, game.prediction.answer) == ("invalid", None)
+    told = game.prediction
+    # The seventh panorama is of frame 255, and so is the first that shows a walk; the one before is of 210.
+    assert (told.status, told.answer, told.verdict) == ("answered", FrameAnswer(232), "supported")
     assert "start" in json.dumps(
         json.loads(text_of(game.requests[2]).partition("Graph: ")[2].partition("\n")[0])["missing"]
     )
@@ -352,17 +420,17 @@ def test_the_80th_call_is_carried_out_and_the_81st_is_not(world, graph):
 def test_refused_calls_count(world, graph):
     game = play(world, [PLAN, turn(*[look(151)] * 32)], graph=graph)
     assert len(game.requests) == 4
-    assert game.prediction.reason == "no legal final answer within 80 calls"
+    assert game.prediction.reason == "no final answer within 80 calls"
 
 
 def test_most_model_calls(world, graph):
-    """Plans to the last repair, one malformed turn, and calls one by one."""
+    """Plans to the last repair, one malformed turn, which costs a call, and calls one by one."""
     agent = ReferenceAgent(None, world=object())
     script = [{}, {}, {}, PLAN, "x"]
     game = play(world, lambda n: script[n] if n < 5 else turn(GRAPH), graph=graph)
-    assert len(game.requests) == agent.settings()["model_calls"] == 85
+    assert len(game.requests) == agent.settings()["model_calls"] == 84
     game = play(world, lambda n: "x" if n == 0 else turn(look()))
-    assert len(game.requests) == ReferenceAgent(None).settings()["model_calls"] == 81
+    assert len(game.requests) == ReferenceAgent(None).settings()["model_calls"] == 80
 
 
 WRITES = [
@@ -419,13 +487,17 @@ def test_writes_name_the_model_call_they_came_with(world, graph):
         '{"calls": [' * 5000,
     ],
 )
-def test_malformed_turns(world, graph, reply):
-    game = play(world, [PLAN, reply, turn(look()), reply], graph=graph)
-    assert len(game.requests) == 4
-    told = "Your last turn was malformed, and a second such turn ends the question: "
+def test_a_malformed_turn_costs_a_call(world, graph, reply):
+    """However many there are, the question goes on."""
+    game = play(world, [PLAN, reply, turn(look()), *[reply] * 9, turn(final(2))], graph=graph, solver=defined())
+    assert len(game.requests) == 13
+    told = "Your last turn was malformed, and cost a call: "
     assert told in text_of(game.requests[2])
     assert told not in text_of(game.requests[3])
-    assert game.prediction.status == "invalid"
+    assert "Tool calls made: 11, left: 69" in text_of(game.requests[12])
+    assert (game.prediction.status, game.prediction.answer, game.prediction.reason) == ("answered", Choice(2), "")
+    ended = play(world, [PLAN, reply], graph=graph)
+    assert (len(ended.requests), ended.prediction.status) == (81, "invalid")
 
 
 # -- the plan ---------------------------------------------------------------------------------------------------------
@@ -440,12 +512,29 @@ def test_a_refused_plan_is_repaired(world, graph):
     assert [(write.tool, write.accepted) for write in game.writes] == [("begin", True), ("plan", False), ("plan", True)]
 
 
-def test_three_repairs_and_no_more(world, graph):
-    game = play(world, [{"root": "a"}], graph=graph)
-    assert len(game.requests) == 4
-    assert game.prediction.status == "invalid"
-    assert game.prediction.reason.startswith("no plan was accepted; the last was refused: plan: Object missing")
-    assert (game.prediction.answer, game.prediction.evidence, game.prediction.n_observations) == (None, None, 0)
+@pytest.mark.parametrize("mode", MODES)
+def test_after_three_repairs_the_smallest_plan_is_taken(world, graph, mode):
+    """The target alone, and the read that the mode implies: it proves nothing, and what is proposed stands."""
+    answer, meant = {
+        "multiple_choice": (3, Choice(3)),
+        "frame": ({"frame_id": "000100"}, FrameAnswer(100)),
+        "span": ({"start_frame": "000100", "end_frame": "000200"}, Span(100, 200)),
+        "frame_viewpoint": ({"frame_id": "000100", "angle_deg": 10.0}, FrameViewpoint(100, 10.0)),
+        "number": ({"value": "4"}, Number(4.0)),
+    }[mode]
+    seen = [entity(node="a"), attribute("action", "standing")]
+    script = [*[{"root": "a"}] * 4, turn(look(0)), turn(*seen), turn(final(answer)), turn(final(answer))]
+    game = play(world, [*script, AssertionError], mode, graph=graph, solver="real")
+    assert [(write.tool, write.accepted) for write in game.writes[:6]] == [
+        ("begin", True),
+        *[("plan", False)] * 4,
+        ("plan", True),
+    ]
+    plan = json.loads(text_of(game.requests[4]).partition("\nPlan: ")[2].partition("\n")[0])
+    assert (plan["root"], plan["target"], plan["edges"], plan["answer"]["mode"]) == ("a", "a", [], mode)
+    assert plan["nodes"] == [{"id": "a", "conditions": []}]
+    told = game.prediction
+    assert (told.status, told.answer, told.verdict, told.evidence.frame) == ("answered", meant, "guess", 0)
 
 
 # -- settings, and what is kept ---------------------------------------------------------------------------------------
@@ -457,9 +546,9 @@ def test_settings_print_every_budget():
         for agent in (ReferenceAgent(None, world=w, looks=looks) for w in (object(), None) for looks in (True, False))
     }
     assert list(told) == ["agent", "agent-passive", "agent-no-world", "agent-passive-no-world"]
-    budgets = ("looks", "calls", "calls_per_turn", "repairs", "malformed", "model_calls", "panoramas", "duplicate_deg")
-    assert [told["agent"].get(name) for name in budgets] == [24, 80, 32, 3, 2, 85, None, 1.0]
-    assert [told["agent-passive-no-world"].get(name) for name in budgets] == [None, 80, 32, None, 2, 81, 8, None]
+    budgets = ("looks", "calls", "calls_per_turn", "repairs", "model_calls", "panoramas", "duplicate_deg")
+    assert [told["agent"].get(name) for name in budgets] == [24, 80, 32, 3, 84, None, 1.0]
+    assert [told["agent-passive-no-world"].get(name) for name in budgets] == [None, 80, 32, None, 80, 8, None]
     json.dumps(told)
 
 

@@ -38,6 +38,7 @@ from jrdb_avr.engine.run import answering
 from jrdb_avr.engine.run import journal as journals
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.compiler.find import Find
+from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Prediction
 
@@ -112,18 +113,62 @@ def test_any_replies_end_in_a_prediction(world, graph, variant, planned, said, s
     prediction = game.prediction
     assert isinstance(prediction, Prediction)
     assert prediction.status in ("answered", "invalid")
-    assert (prediction.status == "invalid") == bool(prediction.reason)
+    missing = prediction.answer is None or prediction.evidence is None
+    assert prediction.status == "answered" or (missing and prediction.reason)
+    assert prediction.verdict is None or remembers
     assert prediction.n_model_calls == len(game.requests) <= SMALL.model_calls(remembers)
     assert prediction.n_observations <= 2
     if prediction.evidence is not None:
         assert all(map(math.isfinite, prediction.evidence.box))
     for step in game.steps:
         json.loads(step.request.encode()), json.loads(step.response.encode())
-    assert sum(step.kind == "tool" for step in game.steps) <= SMALL.calls + 4
+    assert sum(step.kind == "tool" for step in game.steps) <= SMALL.calls + 5
     for request in game.requests:
         for message in request:
             for part in message.parts:
                 assert not isinstance(part, str) or part.encode().strip()
+
+
+def proposals(replies, made):
+    """The choices of all readable final answers in these replies, of which the last repeats."""
+    said = [*replies, *[replies[-1]] * made][:made]
+    turns = [json.loads(reply)["calls"] for reply in said if reply != "hm"]
+    answers = [call["answer"] for calls in turns for call in calls if call["tool"] == "final_answer"]
+    return [answer for answer in answers if type(answer) is int and 1 <= answer <= 4]
+
+
+def turns_with(finals):
+    """Turns of which some hold a final answer, anywhere in them; some are malformed."""
+    others = [GRAPH, look(), look(151), entity(node="a"), entity("p2"), attribute("gender", "female")]
+    many = st.lists(st.sampled_from(others), max_size=7)
+    said = st.builds(lambda before, final, after: turn(*before, *final, *after), many, finals, many)
+    return st.lists(st.one_of(st.sampled_from(["hm", '{"calls": []}']), said), min_size=1, max_size=8)
+
+
+def some(final, whose):
+    return st.lists(st.builds(final, st.sampled_from([1, 2, 3, 4, 0, "2", None]), whose), max_size=1)
+
+
+@settings(max_examples=examples(40))
+@given(st.booleans(), turns_with(some(final, st.sampled_from(["p1", "p2", "nobody", 7]))))
+def test_an_answer_once_proposed_is_never_lost(world, graph, looks, said):
+    """Nor does anybody who was written down go without an answer and a box."""
+    game = play(world, [PLAN, *said], graph=graph, looks=looks, limits=SMALL, solver="real")
+    told = proposals(said, len(game.requests) - 1)
+    somebody = any(write.tool == "add_entity" and write.accepted for write in game.writes)
+    assert (game.prediction.answer is not None) == bool(told or somebody)
+    assert (game.prediction.verdict is not None) == bool(told or somebody)
+    if told and game.prediction.verdict == "guess":
+        assert game.prediction.answer == Choice(told[-1])
+    assert (game.prediction.evidence is not None) == somebody
+
+
+@settings(max_examples=examples(20))
+@given(st.booleans(), turns_with(some(proposed, st.sampled_from(["o1", "o2", "o9"]))))
+def test_an_answer_once_proposed_in_a_chat_is_never_lost(world, looks, said):
+    game = play(world, said, looks=looks, limits=SMALL)
+    told = proposals(said, len(game.requests))
+    assert game.prediction.answer == (Choice(told[-1]) if told else None)
 
 
 def play_again(world, graph, script):
@@ -250,7 +295,7 @@ def test_the_widest_plan_over_all_that_a_question_may_write_ends_soon(world, gra
         solver="real",
     )
     assert time.process_time() - started < 10
-    assert game.prediction.status == "invalid"
+    assert (game.prediction.status, game.prediction.answer) == ("answered", Choice(1))
     assert game.prediction.evidence is not None
     assert any(why in step.response for step in game.steps)
 
