@@ -104,7 +104,9 @@ def score_predictions(
     frame, box, boxed = predicted_boxes(table)
     present, target = target_boxes(truth, row, frame)
     evidence_score = judged & boxed & present & (box_ious(box, target) >= iou - TIE)
-    invalid |= judged & (np.array([answer is None for answer in answers], dtype=bool) | ~boxed)
+    # A stored answer or box that is none was no method's of this program.
+    unread = [text is not None and answer is None for text, answer in zip(texts, answers, strict=True)]
+    invalid |= judged & (np.array(unread, dtype=bool) | (_flags(pc.is_valid(table["evidence_frame"])) & ~boxed))
     return pa.table(
         {
             "run_id": pa.array([run_id] * len(row), pa.string()),

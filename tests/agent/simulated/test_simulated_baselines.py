@@ -360,8 +360,9 @@ def test_search_refines_the_box_in_its_crop(play, x):
 
 def test_search_without_a_person_proposes_no_box(play):
     prediction = play.change(SearchRecognize, play.world(CROWD, TWO), [STANDING])
-    assert prediction.status == "invalid" and "proposal" in prediction.reason
-    assert prediction.n_model_calls == 1
+    assert prediction.status == "invalid" and "exactly one box" in prediction.reason
+    # Two proposals, and the answer from the panoramas, also twice.
+    assert prediction.n_model_calls == 4
 
 
 def test_a_proposal_beside_the_person_is_mended_in_the_crop(tmp_path):

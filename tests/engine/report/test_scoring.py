@@ -156,7 +156,6 @@ def test_a_second_follows_the_frame_rate():
 @pytest.mark.parametrize(
     "unreadable",
     [
-        None,
         "",
         "not json",
         '{"choice": 0}',
@@ -172,6 +171,13 @@ def test_a_second_follows_the_frame_rate():
 def test_unreadable_answer_scores_nothing_and_leaves_the_box(unreadable):
     rows = [("q", "multiple_choice", {"choice": 1}, {7: BOX})]
     assert score(rows, [prediction("q", unreadable, (7, BOX))]) == [(0, 1, 0, True)]
+
+
+def test_a_part_that_is_missing_scores_nothing_and_is_not_unreadable():
+    rows = [("q", "multiple_choice", {"choice": 1}, {7: BOX})]
+    assert score(rows, [prediction("q", None, (7, BOX))]) == [(0, 1, 0, False)]
+    assert score(rows, [prediction("q", {"choice": 1})]) == [(1, 0, 0, False)]
+    assert score(rows, [prediction("q", {"choice": 1}, (7, (math.nan, *BOX[1:])))]) == [(1, 0, 0, True)]
 
 
 @pytest.mark.parametrize(
@@ -406,7 +412,7 @@ def test_set_wise_equals_row_by_row(world, threshold):
             box = tuple(int(said[f"evidence_{key}"]) for key in "xywh")
             mine, theirs = grid(box), grid(tuple(map(int, places[frame])))
             hit = len(mine & theirs) >= threshold * len(mine | theirs)
-        invalid = said["status"] == "invalid" or not readable or frame is None
+        invalid = said["status"] == "invalid" or (given is not None and not readable)
         expected.append((int(right), int(hit), int(right and hit), invalid))
     assert score(rows, predicted, threshold) == expected
 
@@ -495,7 +501,7 @@ def test_a_run_in_short():
         "evidence": 25.0,
         "combined": 12.5,
         "hallucination": 66.67,
-        "invalid": 12.5,
+        "invalid": 0.0,
         "errors": 50.0,
         "iou": 0.5,
     }
@@ -521,7 +527,9 @@ MUTANTS = [
     ('["answered", "invalid"]', '["answered", "invalid", "error"]'),
     ("predictions.take(places)", "predictions.take(pc.fill_null(places, 0))"),
     ("judged & boxed & present & ", "judged & boxed & "),
-    ("answer is None for answer in answers", "False for answer in answers"),
+    ("text is not None and answer is None", "answer is None"),
+    ("text is not None and answer is None", "text is None"),
+    (" & ~boxed))", " & boxed))"),
     ("truth.answers[i], truth.seconds[i])", "truth.answers[i])"),
     ("(frame >= 0)", "(frame > 0)"),
     ("(aw > 0) & (ah > 0)", "(aw > 1) & (ah > 1)"),
@@ -572,7 +580,8 @@ def scores_as_specified(module):
     wrong.append(run(rows, [b | {"evidence_frame": 4}])[1] != (1, 0, 0, False))
     wrong.append(run(rows, [b | {"status": "error"}])[1] != (0, 0, 0, False))
     wrong.append(run(rows, [b | {"status": "invalid", "answer": None}])[1] != (0, 1, 0, True))
-    wrong.append(run(rows, [b | {"answer": None}])[1] != (0, 1, 0, True))
+    wrong.append(run(rows, [b | {"answer": None}])[1] != (0, 1, 0, False))
+    wrong.append(run(rows, [b | {"answer": "no"}])[1] != (0, 1, 0, True))
     start = [("q", "frame", {"frame": 0}, {0: (100.0, 50.0, 0.5, 0.5)})]
     small = prediction("q", {"frame": 0}, (0, (100.0, 50.0, 0.5, 0.5)))
     wrong.append(run(start, [small]) != [(1, 1, 1, False)])
