@@ -4,8 +4,11 @@ import itertools
 import json
 import time
 
+import msgspec
 import pytest
 from believed import CIRCLE, Story, parsed, planned, write
+from hypothesis import given
+from hypothesis import strategies as st
 
 from jrdb_avr.agent.beliefs.solver import BeliefSolver
 from jrdb_avr.queries.beliefs.graph import WorldGraph
@@ -455,6 +458,57 @@ def test_the_likeliest_target_is_read_like_one_that_was_found(site):
     times = {"t0": {"frame": 0}, "t1": START["t1"] | {"of": "a"}}
     plan = planned("action", "t1", times, nodes, [("a", "conversation", "b", "t0")])
     assert BeliefSolver(site.graph, key).guess(parsed(plan)).outcome == "unknown"
+
+
+def test_a_guess_takes_a_moment_between_any_two_looks(site):
+    story = woman(60, action="standing").sees("p1", 160, action="walking")
+    plan = planned("start", "t1", START)
+    assert site.solve(story, plan).outcome == "unknown"
+    guess = BeliefSolver(site.graph, site.begun(story)).guess(parsed(plan))
+    assert (json.loads(guess.answer), guess.held) == ({"frame": 110}, 1.0)
+
+
+def test_a_guess_may_be_of_one_entity(site):
+    nodes = {"a": [WOMAN, {"action": "sitting", "at": "t0"}]}
+    story = Story().sees("p1", 0, gender="female", action="sitting").sees("p2", 0, gender="female", action="walking")
+    solver, plan = BeliefSolver(site.graph, site.begun(story)), parsed(planned(at="t0", nodes=nodes))
+    assert [(g.people["a"], g.answer, g.held) for g in (solver.guess(plan), solver.guess(plan, entity="p2"))] == [
+        ("p1", "sitting", 1.0),
+        ("p2", "walking", 0.5),
+    ]
+    assert solver.guess(plan, entity="p3") is None
+
+
+FRAME = st.integers(0, 120)
+ROUND = [{"edge": n * 470, "width": 480} for n in range(8)]
+
+
+@given(st.sets(FRAME, max_size=6), st.sets(FRAME, max_size=3), st.sets(FRAME, max_size=3), FRAME, FRAME, st.booleans())
+def test_a_stated_frame_is_met_by_the_nearest_one_within_a_second(sighted, whole, partly, first, second, anywhere):
+    """Of those where somebody was seen, or the whole panorama; without one it stays, or the nearest of all stands."""
+    looks = [look | {"frame": frame} for frame in whole for look in ROUND]
+    looks += [look | {"frame": frame} for frame in partly - whole for look in ROUND[:7]]
+    rows = {"looks": looks, "sighted": [{"frame": frame} for frame in sighted]}
+    times = {"t0": {"frame": first}, "t1": {"frame": second}, "t2": {"event": "leaves", "of": "a", "after": "t0"}}
+    plan = parsed(planned("presence", ["t0", "t1"], times))
+    placed = BeliefSolver(None, "").placements(plan, rows, anywhere)
+    known = sighted | whole
+
+    def away(one):
+        return sum(abs(one.times[name].frame - plan.times[name].frame) for name in ("t0", "t1"))
+
+    for one in placed:
+        assert one.times["t2"] == plan.times["t2"]
+        assert (one.nodes, one.edges, one.answer) == (plan.nodes, plan.edges, plan.answer)
+        for name, frame in (("t0", first), ("t1", second)):
+            near = {other for other in known if abs(other - frame) <= 15}
+            nearest = {min(known, key=lambda other: (abs(other - frame), other))} if known and anywhere else {frame}
+            assert one.times[name].frame in (near or nearest)
+    assert [away(one) for one in placed] == sorted(map(away, placed))
+    for name, frame in (("t0", first), ("t1", second)):
+        near = min([abs(other - frame) for other in known if abs(other - frame) <= 15 or anywhere], default=0)
+        assert abs(placed[0].times[name].frame - frame) == near
+    assert len({msgspec.json.encode(one) for one in placed}) == len(placed) <= 8
 
 
 def test_more_sets_of_people_than_are_tried_are_several(site):

@@ -14,9 +14,10 @@ PRESENCE = {(1, 1): "both times", (1, 0): "only at the first time", (0, 1): "onl
 
 
 class Mind:
-    """What is believed in one episode."""
+    """What is believed in one episode; `resolved` frames at most lie between the looks that enclose a moment."""
 
-    def __init__(self, episode):
+    def __init__(self, episode, resolved=30):
+        self.resolved = resolved
         self.sighted = {(s["entity"], s["frame"]): s for s in episode["sightings"] if s["current"]}
         self.people = sorted({entity for entity, _ in self.sighted})
         self.attributes = [a for a in episode["attributes"] if a["current"]]
@@ -151,16 +152,20 @@ class Mind:
         first = next((f for f in frames if action in self.does(who, f)), None)
         if first is None or frames[0] == first:
             return None
-        return middle(frames[frames.index(first) - 1], first)
+        return self.middle(frames[frames.index(first) - 1], first)
 
     def first(self, who, action, after):
         return next(f for f in self.frames(who) if f >= after and action in self.does(who, f))
+
+    def middle(self, before, after):
+        """The moment between two looks, None where they are too far apart."""
+        return None if after - before > self.resolved else (before + after) // 2
 
     def end(self, who, action, after):
         frames = self.frames(who)
         for last, gone in itertools.pairwise(frames[frames.index(self.first(who, action, after)) :]):
             if action not in self.does(who, gone):
-                return middle(last, gone)
+                return self.middle(last, gone)
         return None
 
     def absence(self, who, after):
@@ -168,9 +173,9 @@ class Mind:
         gone = [f for f in self.whole if f > after and f not in seen]
         if not gone or not [f for f in seen if after <= f < gone[0]]:
             return None, None
-        leaves = middle(max(f for f in seen if f < gone[0]), gone[0])
+        leaves = self.middle(max(f for f in seen if f < gone[0]), gone[0])
         back = [f for f in seen if f > gone[0]]
-        return leaves, middle(max(f for f in gone if f < back[0]), back[0]) if back else None
+        return leaves, self.middle(max(f for f in gone if f < back[0]), back[0]) if back else None
 
     def answer(self, plan, people, times):
         spec = plan["answer"]
@@ -227,11 +232,6 @@ class Mind:
             if abs(nearer) < 100
             else f"{'closer to' if nearer > 0 else 'farther from'} the robot"
         )
-
-
-def middle(before, after):
-    """The moment between two looks, None where they are more than two seconds apart."""
-    return None if after - before > 30 else (before + after) // 2
 
 
 def needed(plan, node):
