@@ -8,25 +8,22 @@ with the episode's rows. What was not written down is unknown, and what is unkno
 from __future__ import annotations
 
 import itertools
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
+from jrdb_avr.agent.beliefs.matching import PlanMatch
 from jrdb_avr.queries.compiler.beliefs import (
     DISTANCE_CUT_M,
-    RESOLVED_FRAMES,
     BeliefReader,
     BeliefRows,
     Moment,
-    believed_order,
-    filled,
     find_believed,
     notes_of,
 )
-from jrdb_avr.queries.compiler.find import Outcome, outcome_of_target, stated_frame, times_of
+from jrdb_avr.queries.compiler.find import Outcome, outcome_of_target
 from jrdb_avr.queries.compiler.reads import Queryable
 from jrdb_avr.queries.compiler.solve import PlanQuery, Solution, read_with, solve
 from jrdb_avr.schema.answers import (
@@ -45,7 +42,6 @@ from jrdb_avr.schema.labels import choice_text
 from jrdb_avr.schema.method import Question
 from jrdb_avr.schema.panorama import Box, center_angle
 from jrdb_avr.schema.plan import Plan
-from jrdb_avr.schema.relations import SYMMETRIC
 from jrdb_avr.schema.rules import FPS, Rules
 
 if TYPE_CHECKING:
@@ -53,12 +49,6 @@ if TYPE_CHECKING:
 
 TIMEOUT_S: Final = 10.0
 """For each statement."""
-
-MOST_VISITS: Final = 10_000_000
-"""Texts that a compiled plan may compare: the engine serves one episode at a time, and takes about 3 ns for each."""
-
-_MOST_STEPS: Final = 2_000
-"""Bindings weighed; those of a real plan are a few dozens. Beyond them the best one so far is taken."""
 
 NEAR_FRAMES: Final = round(FPS)
 """An observation this near to a stated frame, or nearer, stands for it: a moment scores within a second."""
@@ -167,7 +157,7 @@ class BeliefSolver:
         name. Its outcome is defined where the plan's read is known of it, else unknown, and its newest box is seen
         then. A moment may lie between any two looks. Nothing is read of others.
         """
-        reader, match = self._match(plan, rows, resolved=None)
+        reader, match = self._match(plan, rows, anywhen=True)
         people = [who for who in match.people if entity in ("", who)]
         if not people:
             return None
@@ -232,14 +222,12 @@ class BeliefSolver:
         cut = DISTANCE_CUT_M - TIE
         return msgspec.structs.replace(self.rules, distance_changed_m=cut, distance_same_m=cut)
 
-    def _match(
-        self, plan: Plan, rows: BeliefRows | None, resolved: int | None = RESOLVED_FRAMES
-    ) -> tuple[BeliefReader, PlanMatch]:
-        reader = self._reader(rows, resolved)
+    def _match(self, plan: Plan, rows: BeliefRows | None, anywhen: bool = False) -> tuple[BeliefReader, PlanMatch]:
+        reader = self._reader(rows, anywhen)
         return reader, PlanMatch(reader, plan)
 
-    def _reader(self, rows: BeliefRows | None, resolved: int | None = RESOLVED_FRAMES) -> BeliefReader:
-        return BeliefReader(self.graph, self.key, TIMEOUT_S, rows, resolved)
+    def _reader(self, rows: BeliefRows | None, anywhen: bool = False) -> BeliefReader:
+        return BeliefReader(self.graph, self.key, TIMEOUT_S, rows, anywhen)
 
 
 def beliefs_of(world: WorldModel, question: Question) -> BeliefSolver:
@@ -286,168 +274,3 @@ def _unread(reader: BeliefReader, plan: Plan, people: Mapping[str, str]) -> tupl
             if time.event == "end" and (start.event, start.action) != ("start", time.action):
                 notes.append(f"time {name}: an end is read only after the start of the same action")
     return tuple(f"the answer: {note}" for note in notes[:_MOST_MISSING]) or ("the answer: it is not known",)
-
-
-# -- matching a plan with rows ----------------------------------------------------------------------------------------
-
-
-class _Part(NamedTuple):
-    """A condition, sighting or edge of a plan: the entities that satisfy it, and what to report if none do.
-
-    counts: whether it is a condition or an edge, not only a sighting of the node.
-    """
-
-    nodes: tuple[str, ...]
-    fits: frozenset[tuple[str, ...]]
-    lack: str
-    counts: bool = True
-
-    def holds(self, bound: Mapping[str, str]) -> bool:
-        """Whether it is satisfied under a binding of nodes to people."""
-        return tuple(map(bound.get, self.nodes)) in self.fits
-
-
-class PlanMatch:
-    """Entities that satisfy each part of a plan, by an episode's rows alone: what the compiled plan finds.
-
-    people: those who are seen at all; own: the parts about each node alone, its sightings first; edges: the parts about
-    two. texts: how many texts the compiled plan gathers.
-    """
-
-    def __init__(self, reader: BeliefReader, plan: Plan) -> None:
-        """Match the parts of a plan with an episode's rows. Raises PlanError where a part holds at no stated frame."""
-        seen = reader.all("sighted")
-        self.plan = plan
-        self.own: dict[str, list[_Part]] = {}
-        texts: dict[Hashable, int] = {}
-        pairs: dict[tuple[str, int], frozenset[tuple[str, str]]] = {}
-
-        def held(kind: str, frame: int, **wanted: Any) -> list[Mapping[str, Any]]:
-            rows = [row for row in reader.all(kind) if row["first"] <= frame <= row["last"]]
-            return [row for row in rows if all(row[name] == value for name, value in wanted.items())]
-
-        def joined(relation: str, frame: int) -> frozenset[tuple[str, str]]:
-            found = frozenset((row["source"], row["target"]) for row in held("relations", frame, name=relation))
-            return pairs.setdefault((relation, frame), found)
-
-        for node in plan.nodes:
-            times, parts = times_of(plan, node.id), self.own.setdefault(node.id, [])
-            for time in times:
-                frame = stated_frame(plan, time)
-                there = frozenset((row["who"],) for row in seen if row["frame"] == frame)
-                texts[frame] = len(there)
-                parts.append(_Part((node.id,), there, f"not seen at frame {frame:06d}", counts=False))
-            for condition in node.conditions:
-                frame = stated_frame(plan, condition.at or times[0])
-                name, value = condition.wanted
-                who = {(row["who"],) for row in held("attributes", frame, name=name, value=value)}
-                texts[name, value, frame] = len(who)
-                if condition.interaction is not None:
-                    who.update((end,) for pair in joined(value, frame) for end in pair)
-                when = "" if condition.at is None else f" at frame {frame:06d}"
-                parts.append(_Part((node.id,), frozenset(who), f"{name} {value} is not known{when}"))
-        self.edges = []
-        for edge in plan.edges:
-            frame = stated_frame(plan, edge.at)
-            found = joined(edge.relation, frame)
-            fits = found | {(b, a) for a, b in found} if edge.relation in SYMMETRIC else found
-            self.edges.append(
-                _Part((edge.source, edge.target), fits, f"{edge.relation} is not known at frame {frame:06d}")
-            )
-        ends = any(one.interaction is not None for node in plan.nodes for one in node.conditions)
-        self.texts = sum(texts.values()) + (3 if ends else 1) * sum(map(len, pairs.values()))
-        self.people = tuple(sorted({row["who"] for row in seen}))
-
-    @cached_property
-    def bindings(self) -> list[dict[str, str]] | None:
-        """Every assignment of different people to the plan's nodes that satisfies all its conditions and edges.
-
-        None where the compiled plan would compare more texts than `MOST_VISITS` to find them.
-
-        It goes the way of the compiled plan: at each node it tries everybody, and compares what each part that can be
-        decided by then needs with all that it has gathered.
-        """
-        people = sorted({who for parts in self.own.values() for part in parts for (who,) in part.fits})
-        compared = filled(max(map(len, self.own.values())))
-        places: dict[str, int] = {}
-        found: list[tuple[str, ...]] = [()]
-        visits = 0
-        for node, edges in believed_order(self.plan):
-            places[node] = len(places)
-            fit = people
-            for part in self.own[node]:
-                visits += len(found) * len(fit) * self.texts
-                fit = [who for who in fit if (who,) in part.fits]
-            # A statement compares some parts more than once, so that it is one of a few.
-            visits += len(found) * len(fit) * self.texts * (compared - len(self.own[node]))
-            if visits > MOST_VISITS:
-                return None
-            found = [(*bound, who) for bound in found for who in fit if who not in bound]
-            for i, edge in edges:
-                visits += 2 * len(found) * self.texts
-                if visits > MOST_VISITS:
-                    return None
-                source, target = places[edge.source], places[edge.target]
-                found = [bound for bound in found if (bound[source], bound[target]) in self.edges[i].fits]
-        return [dict(zip(places, bound, strict=True)) for bound in found]
-
-    @cached_property
-    def counted(self) -> list[_Part]:
-        """The conditions and edges."""
-        return [*(part for parts in self.own.values() for part in parts if part.counts), *self.edges]
-
-    def likeliest(self, named: Mapping[str, str]) -> tuple[dict[str, str], int]:
-        """A binding of nodes to different people, those `named` among them, under which most conditions and edges hold,
-        and how many do. Of equal ones the first is taken, in the order of names; nobody is bound who adds nothing.
-        """
-        order, free = [*named], [node.id for node in self.plan.nodes if node.id not in named]
-        while free:
-            # Along edges, so that what joins a person to the rest is known when it is chosen.
-            near = [n for n in free if any({n, o} == {*edge.nodes} for edge in self.edges for o in order)]
-            order.append((near or free)[0])
-            free.remove(order[-1])
-        place = {node: at for at, node in enumerate(order)}
-        decided = [max(place[node] for node in part.nodes) for part in self.counted]
-        candidates = {node: self._candidates(node) for node in order[len(named) :]}
-        best: dict[str, str] = {}
-        most, steps = -1, 1
-
-        def bind(at: int, bound: dict[str, str], held: int) -> None:
-            """Try everybody for the node at a place, and nobody."""
-            nonlocal best, most, steps
-            if held + sum(one >= at for one in decided) <= most or steps > _MOST_STEPS:
-                return
-            if at == len(order):
-                best, most = bound, held
-                return
-            tried = [bound | {order[at]: who} for who in candidates[order[at]] if who not in bound.values()]
-            steps += len(tried)
-            for count, one in sorted(((self._held(one), one) for one in tried), key=lambda pair: -pair[0]):
-                bind(at + 1, one, count)
-            bind(at + 1, bound, held)
-
-        bind(len(named), dict(named), self._held(named))
-        return best, most
-
-    def _candidates(self, node: str) -> list[str]:
-        """People who satisfy at least one condition or edge of a node."""
-        parts = [part for part in self.counted if node in part.nodes]
-        return sorted({fit[part.nodes.index(node)] for part in parts for fit in part.fits})
-
-    def _held(self, bound: Mapping[str, str]) -> int:
-        """How many conditions and edges hold under a binding."""
-        return sum(part.holds(bound) for part in self.counted)
-
-    def missing(self, bound: Mapping[str, str]) -> list[str]:
-        """What does not hold under a binding, in words."""
-        named = {node: f"{node} ({bound[node]})" if node in bound else node for node in self.own}
-        lines = []
-        for node, parts in self.own.items():
-            if node not in bound:
-                lines.append(f"{node}: nobody is known to be it")
-            lacking = [part for part in parts if not part.holds(bound) and (part.counts or node in bound)]
-            lines += [f"{named[node]}: {part.lack}" for part in lacking]
-        for edge in self.edges:
-            if not edge.holds(bound):
-                lines.append(f"edge {' -> '.join(named[node] for node in edge.nodes)}: {edge.lack}")
-        return lines

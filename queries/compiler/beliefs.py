@@ -223,18 +223,13 @@ class BeliefReader(Reader):
 
     notes: why something is unknown; evidence: frames in which the answer can be seen, the best last; both by the number
     of the question. rows: the current beliefs, where they are at hand; the reads then do not query the graph.
-    resolved: frames between the two looks that a moment may lie between; None: any number.
+    anywhen: whether a moment may lie between any two looks, however far apart.
     """
 
     def __init__(
-        self,
-        graph: Queryable,
-        episode: str,
-        timeout_s: float,
-        rows: BeliefRows | None = None,
-        resolved: int | None = RESOLVED_FRAMES,
+        self, graph: Queryable, episode: str, timeout_s: float, rows: BeliefRows | None = None, anywhen: bool = False
     ) -> None:
-        self.graph, self.timeout_s, self.resolved = graph, timeout_s, resolved
+        self.graph, self.timeout_s, self.anywhen = graph, timeout_s, anywhen
         self.values = {"scope": episode, "hash": episode_hash(episode)}
         self.notes: dict[int, list[tuple[str, str]]] = {}
         self.evidence: dict[int, list[int]] = {}
@@ -408,9 +403,9 @@ class BeliefReader(Reader):
 
     def _between(self, person: Person, kind: str, what: str, before: int, after: int) -> int | None:
         """The middle of two looks, None (and noted) where they are too far apart."""
-        if self.resolved is None or after - before <= self.resolved:
+        if self.anywhen or after - before <= RESOLVED_FRAMES:
             return (before + after) // 2
-        how = f"to {after - before} frames only, from {before:06d} to {after:06d}; {self.resolved} are needed"
+        how = f"to {after - before} frames only, from {before:06d} to {after:06d}; {RESOLVED_FRAMES} are needed"
         self._note(person, kind, f"{what} is known {how}")
         return None
 

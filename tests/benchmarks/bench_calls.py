@@ -70,7 +70,7 @@ def react(data, looks):
 
 
 def agent(data, looks):
-    """A plan, then looks with writes about what was seen before, then an end by two malformed turns."""
+    """A plan, then looks with writes about what was seen before, then an answer that is refused, twice."""
     if b"Your plan, as one JSON object:" in data:
         return PLAN_JSON
     made = int(re.search(rb"Looks made: (\d+)", data)[1])
@@ -78,7 +78,7 @@ def agent(data, looks):
     if made == 0:
         return {"calls": [look]}
     if made >= looks:
-        return {"nothing": 1}
+        return {"calls": [{"tool": "final_answer", "answer": 1, "entity": "p1"}]}
     seen = f"o{made}"
     calls = [look]
     for name in ("p1", "p2"):
