@@ -331,6 +331,41 @@ def test_what_was_written_makes_the_answer_legal(world, graph):
     assert missing[0] and not missing[-1]
 
 
+def seen_in(name):
+    """What makes the answer known, of an observation."""
+    return [
+        entity(node="a", observation=name, box=(495, 250, 505, 708)),
+        attribute("gender", "female", observation=name),
+        attribute("action", "standing", observation=name),
+    ]
+
+
+def planned_at(frame):
+    return PLAN | {"times": {"t0": {"frame": frame}}}
+
+
+@pytest.mark.parametrize(("frame", "verdict"), [(150, "certain"), (165, "certain"), (166, None), (134, None)])
+def test_a_stated_frame_is_met_by_a_look_within_a_second(world, graph, frame, verdict):
+    script = [planned_at(frame), turn(look()), turn(*seen_in("o1"), final(2)), turn(final(2))]
+    game = play(world, script, graph=graph, solver="real")
+    told = game.prediction
+    assert (told.answer, told.evidence.frame) == (Choice(2), 150)
+    if verdict is None:
+        assert "nobody in the graph fits the plan" in results(game.requests[3])[-1]
+        # The look is the nearest that there is, and the answer is read there at the end.
+        assert (len(game.requests), told.verdict) == (4, "supported")
+    else:
+        assert (len(game.requests), told.verdict) == (3, verdict)
+
+
+@pytest.mark.parametrize(("frame", "verdict"), [(170, "certain"), (160, "certain"), (150, "supported")])
+def test_a_stated_frame_is_met_by_the_nearest_panorama(world, graph, frame, verdict):
+    """The fifth is of frame 170, the fourth of 125: the answer is taken, and is certain within a second alone."""
+    script = [planned_at(frame), turn(*seen_in("o5"), final(2)), AssertionError]
+    told = play(world, script, graph=graph, solver="real", looks=False).prediction
+    assert (told.status, told.answer, told.verdict, told.evidence.frame) == ("answered", Choice(2), verdict, 170)
+
+
 def test_what_was_written_answers_at_the_end(world, graph):
     game = play(world, [PLAN, turn(look()), turn(*SEEN), "x"], graph=graph, solver="real")
     assert (game.prediction.status, game.prediction.answer) == ("answered", Choice(2))
