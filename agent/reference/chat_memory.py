@@ -21,6 +21,9 @@ from jrdb_avr.schema.method import Observation, Panorama
 LONGEST_REPLY: Final = 8000
 """Characters of a reply that stay in the history."""
 
+LONGEST_UNREAD: Final = 400
+"""The same of one that could not be read: eighty of them are to fit into a model's context."""
+
 
 @dataclass
 class ChatMemory:
@@ -49,6 +52,12 @@ class ChatMemory:
         text = spoken(reply, self.attempt.convention)[:LONGEST_REPLY].encode("utf-8", "backslashreplace").decode()
         # Some servers refuse a message without words.
         self.history.append(Message("assistant", (text or "(nothing)",)))
+
+    def unread(self) -> None:
+        """Cut the last reply short, which could not be read."""
+        (text,) = self.history.pop().parts
+        assert isinstance(text, str), "a reply is text"
+        self.history.append(Message("assistant", (text[:LONGEST_UNREAD],)))
 
     def schema(self, looks: Mapping[str, Any] | None) -> dict[str, Any]:
         """The JSON Schema of a turn; `looks` is that of a look, where there are looks."""

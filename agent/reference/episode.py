@@ -98,6 +98,7 @@ class Episode:
                 calls = read_calls(decode.reply_object(reply, self.attempt.convention), self._tools())
             except DecodeError as error:
                 self.used += 1
+                self.memory.unread()
                 self.refusal, self.unread = printable(str(error)), True
                 turn = self._turn([], [], self.refusal)
                 continue

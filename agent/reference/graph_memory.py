@@ -102,6 +102,9 @@ class GraphMemory:
     def replied(self, reply: Reply) -> None:
         """What is not in the graph is forgotten."""
 
+    def unread(self) -> None:
+        """Nor is a reply that could not be read kept."""
+
     def schema(self, looks: Mapping[str, Any] | None) -> dict[str, Any]:
         """The JSON Schema of a turn; `looks` is that of a look, where there are looks."""
         nodes = [node.id for node in self.plan.nodes]

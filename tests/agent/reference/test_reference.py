@@ -305,6 +305,15 @@ def test_no_world_keeps_what_can_be_read_of_the_newest_answer(world):
     assert (game.prediction.evidence.frame, game.prediction.verdict) == (150, None)
 
 
+def test_a_chat_of_malformed_turns_stays_short(world):
+    game = play(world, ["hm " * 5000])
+    said = [message.parts[0] for message in game.requests[-1] if message.role == "assistant"]
+    assert len(said) == 79 and sum(map(len, said)) < 40_000
+    answered = turn(look(), *[look(151)] * 20)
+    game = play(world, [answered, "x"])
+    assert game.requests[1][2].parts[0] == answered
+
+
 def test_passive_without_a_world_takes_boxes_of_panoramas(world):
     game = play(world, [turn(proposed(2, "o8", (490, 250, 510, 708)))], looks=False)
     assert game.prediction.status == "answered"

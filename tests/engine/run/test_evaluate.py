@@ -413,6 +413,7 @@ NAN = float("nan")
         lambda task: Prediction("answered", Choice(1), prompt_tokens=1.5),
         lambda task: task.record(Step("model", "{}", "{}", True)) or Prediction("answered", Choice(1)),
         lambda task: task.record(Step("\ud800", "{}", "{}", 0.1)) or Prediction("answered", Choice(1)),
+        lambda task: Prediction("answered", Choice(1), verdict="sure"),
     ],
     ids=[
         *(
@@ -428,7 +429,15 @@ NAN = float("nan")
             "decimals",
         ),
         *("huge", "half a character", "no step", "no write"),
-        *("part of a frame", "true as a side", "part of a look", "part of a token", "true seconds", "half a kind"),
+        *(
+            "part of a frame",
+            "true as a side",
+            "part of a look",
+            "part of a token",
+            "true seconds",
+            "half a kind",
+            "verdict",
+        ),
     ],
 )
 def test_what_a_method_leaves_that_cannot_be_kept_is_an_error_row(tmp_path, behave):
@@ -448,6 +457,13 @@ def test_what_a_method_leaves_that_cannot_be_kept_is_an_error_row(tmp_path, beha
     }
     with journals.Journal(path) as journal:
         assert journal.finished == finished
+
+
+@pytest.mark.parametrize("verdict", [None, "certain", "supported", "guess"])
+def test_a_verdict_is_kept(verdict):
+    method = Scripted(lambda task: Prediction("answered", Choice(1), verdict=verdict))
+    entry = answering.answer_one(method, QUESTIONS_ASKED[0], INFO, no_look, no_look)
+    assert journals.run_tables("r", [entry])["predictions"]["verdict"].to_pylist() == [verdict]
 
 
 def test_a_run_that_ends_early_leaves_no_question_at_work(tmp_path):
