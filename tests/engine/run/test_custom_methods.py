@@ -19,7 +19,7 @@ def test_the_blind_example_answers_every_question_and_shows_nothing(store):
     code, out, err = run("evaluate", "--store", store.path, "--method", method, "--model", "none", "--json")
     assert code == 0, err
     row = json.loads(out)[0]
-    assert (row["run_id"], row["invalid"], row["error"], row["model_calls"]) == ("blind-Blind-none", row["n"], 0, 0)
+    assert (row["run_id"], row["answered"], row["error"], row["model_calls"]) == ("blind-Blind-none", row["n"], 0, 0)
     manifest = read_run_manifest(store, "blind-Blind-none")
     assert (manifest.method, manifest.model) == ("blind", "none")
     assert manifest.settings["method"]["settings"]["guesses"].startswith("first choice")
