@@ -461,6 +461,12 @@ def test_the_80th_call_is_carried_out_and_the_81st_is_not(world, graph):
     assert [write.accepted for write in game.writes if write.tool == "final_answer"] == [True]
 
 
+def test_an_answer_beyond_the_last_call_is_not_judged_but_kept(world, graph):
+    many = [turn(*[GRAPH] * 32), turn(*[GRAPH] * 32), turn(*[GRAPH] * 15)]
+    told = play(world, [PLAN, *many, turn(look(), final(2))], graph=graph).prediction
+    assert (told.answer, told.verdict, told.reason) == (Choice(2), "guess", "no final answer within 80 calls")
+
+
 def test_refused_calls_count(world, graph):
     game = play(world, [PLAN, turn(*[look(151)] * 32)], graph=graph)
     assert len(game.requests) == 4
