@@ -21,6 +21,7 @@ MAY_IMPORT = {
     "loaders": {"schema", "queries"},
     "agent.model": AGENT,
     "agent.policy": AGENT,
+    "agent.perception": AGENT,
     "agent.beliefs": AGENT | {"agent.model"},
     "agent.methods": AGENT | {"agent.model"},
     "agent.reference": AGENT | {"agent.model", "agent.policy", "agent.beliefs", "agent.methods"},

@@ -1,0 +1,190 @@
+"""Where people stand, derived from their boxes at one frame: facts that are true, false or unknown (None).
+
+The words mean what they mean in questions (docs/definitions.md). A fact that somebody in a part of the circle that no
+look shows could change is unknown. Boxes are in stitched pixels; looks are those made at the frame of the boxes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final, Literal, NamedTuple
+
+from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS, ROBOT_SECTORS
+from jrdb_avr.schema.panorama import (
+    CROP,
+    HEIGHT,
+    WIDTH,
+    Box,
+    angle_error,
+    angle_of_column,
+    center_angle,
+    clockwise,
+    crop_left,
+)
+from jrdb_avr.schema.relations import RELATIONS
+from jrdb_avr.schema.rules import SLACK, LoadRules
+
+Fact = bool | None
+"""True, false, or None for unknown."""
+
+Side = Literal["left", "right", ""]
+
+_RULES: Final = LoadRules()
+
+DERIVED: Final = frozenset(label for label, row in RELATIONS.items() if row.kind in ("first", "window"))
+"""The relations that boxes decide."""
+
+
+class SeenColumns(NamedTuple):
+    """Columns [left, left + width) of the panorama that a look shows, over the seam where they pass it."""
+
+    left: float
+    width: float
+
+
+class Arc(NamedTuple):
+    """A part of the circle: `span` degrees, clockwise from the panorama angle `start`."""
+
+    start: float
+    span: float
+
+    @property
+    def middle(self) -> float:
+        """The panorama angle of its middle."""
+        return (self.start + self.span / 2) % 360.0
+
+
+CIRCLE: Final = Arc(0.0, 360.0)
+"""The whole circle."""
+
+
+def seen_from(angle_deg: float) -> SeenColumns:
+    """The columns of a look at an angle."""
+    return SeenColumns(crop_left(angle_deg), CROP)
+
+
+def around(angle_deg: float, reach_deg: float) -> Arc:
+    """The arc of the angles at most so far from one."""
+    return Arc((angle_deg - reach_deg) % 360.0, 2 * reach_deg)
+
+
+def gaps(looks: Iterable[SeenColumns], arc: Arc) -> list[Arc]:
+    """The parts of an arc that no look shows, clockwise."""
+    seen: list[tuple[float, float]] = []
+    for look in looks:
+        begin = clockwise(arc.start, angle_of_column(look.left))
+        width = look.width * 360.0 / WIDTH
+        # An arc that begins inside the look meets its second part as well.
+        seen += [(begin, begin + width), (begin - 360.0, begin + width - 360.0)]
+    found, reached = [], 0.0
+    for begin, end in sorted(seen):
+        if begin > reached + SLACK and reached < arc.span - SLACK:
+            found.append(Arc((arc.start + reached) % 360.0, min(begin, arc.span) - reached))
+        reached = max(reached, end)
+    if reached < arc.span - SLACK:
+        found.append(Arc((arc.start + reached) % 360.0, arc.span - reached))
+    return found
+
+
+def covered(looks: Iterable[SeenColumns], arc: Arc = CIRCLE) -> bool:
+    """Whether the looks together show the whole arc."""
+    return not gaps(looks, arc)
+
+
+def angle_of(box: Box) -> float:
+    """Panorama angle of the middle of a box."""
+    return center_angle(box.x, box.w)
+
+
+def clear_size(box: Box) -> bool:
+    """Whether a box has the size and rows of a clear view."""
+    wide = _RULES.clear_min_width <= box.w <= _RULES.clear_max_width
+    return wide and box.h >= _RULES.clear_min_height and box.y >= 0 and box.y + box.h <= HEIGHT
+
+
+# -- of one person ----------------------------------------------------------------------------------------------------
+
+
+def in_sector(angle_deg: float, word: str) -> Fact:
+    """Whether somebody at this angle stands in the robot's sector of this word."""
+    off = angle_error(angle_deg, ROBOT_SECTORS[word])
+    if off <= _RULES.sector_true_deg + SLACK:
+        return True
+    return None if off <= _RULES.sector_false_deg + SLACK else False
+
+
+def at_distance(metres: float, word: str) -> Fact:
+    """Whether a distance is that of a distance word; unknown where two words may be right."""
+    margin = _RULES.distance_margin
+    lows = (-1.0, *(bound * (1 - margin) - SLACK for bound in DISTANCE_BOUNDS_M))
+    highs = (*(bound * (1 + margin) + SLACK for bound in DISTANCE_BOUNDS_M), float("inf"))
+    words = [one for one, low, high in zip(DISTANCE_WORDS, lows, highs, strict=True) if low <= metres <= high]
+    return word in words and (True if len(words) == 1 else None)
+
+
+# -- of two people ----------------------------------------------------------------------------------------------------
+
+
+def turn_to(source: Box, target: Box, side: Side) -> float:
+    """Degrees, [0, 360), from the middle of one box to that of another, turning to this side."""
+    turn = clockwise(angle_of(source), angle_of(target))
+    return -turn % 360.0 if side == "left" else turn
+
+
+def within_degrees(source: Box, target: Box, degrees: float, side: Side) -> Fact:
+    """Whether the target is at most so far to one side of the source, as the robot sees it."""
+    margin, turn = _RULES.neighbor_margin_deg, turn_to(source, target, side)
+    if min(turn, 360.0 - turn) <= margin or abs(turn - degrees) <= margin:
+        return None
+    return turn < degrees
+
+
+def first_beside(boxes: Mapping[str, Box], source: str, target: str, side: Side, looks: Sequence[SeenColumns]) -> Fact:
+    """Whether the target is the first person on this side of the source, as the robot sees it.
+
+    boxes: everybody seen at the frame, by name.
+    """
+    margin, reach = _RULES.neighbor_margin_deg, _RULES.neighbor_max_deg
+    turns = {name: turn_to(boxes[source], box, side) for name, box in boxes.items() if name != source}
+    own = turns[target]
+    settling = [turn for name, turn in turns.items() if margin <= turn <= reach and clear_size(boxes[name])]
+    if not settling:
+        # Somebody unseen who just lies in reach may be as near as the target, which does not.
+        doubtful = Arc(own - margin, reach - own + margin)
+        beyond = own > reach and (doubtful.span < 0 or _seen_on(boxes[source], doubtful, side, looks))
+        return False if beyond else None
+    limit = min(settling) + margin
+    if own >= limit:
+        return False
+    alone = sum(turn < limit for turn in turns.values()) == 1
+    return True if alone and _seen_on(boxes[source], Arc(0.0, limit), side, looks) else None
+
+
+def _seen_on(source: Box, turned: Arc, side: Side, looks: Iterable[SeenColumns]) -> bool:
+    """Whether looks show an arc that is given in degrees turned from the source to a side."""
+    return covered(looks, _absolute(source, turned, side))
+
+
+def _absolute(source: Box, turned: Arc, side: Side) -> Arc:
+    start = angle_of(source) + (-turned.start - turned.span if side == "left" else turned.start)
+    return Arc(start % 360.0, turned.span)
+
+
+def standing(relation: str, boxes: Mapping[str, Box], source: str, target: str, looks: Sequence[SeenColumns]) -> Fact:
+    """Whether a relation of `DERIVED` leads from the source to the target; None for any other relation."""
+    row = RELATIONS[relation]
+    match row.kind:
+        case "first":
+            return first_beside(boxes, source, target, row.side, looks)
+        case "window":
+            return within_degrees(boxes[source], boxes[target], row.degrees, row.side)
+    return None
+
+
+def deciding_arc(relation: str, source: Box) -> Arc:
+    """The part of the circle in which whoever the relation leads to from the source can stand."""
+    row = RELATIONS[relation]
+    if relation not in DERIVED:
+        return CIRCLE
+    reach = row.degrees if row.kind == "window" else _RULES.neighbor_max_deg
+    return _absolute(source, Arc(0.0, reach), row.side)
