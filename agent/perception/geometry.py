@@ -24,7 +24,7 @@ from jrdb_avr.schema.panorama import (
 from jrdb_avr.schema.relations import RELATIONS
 from jrdb_avr.schema.rules import SLACK, LoadRules
 
-Fact = bool | None
+Truth = bool | None
 """True, false, or None for unknown."""
 
 Side = Literal["left", "right", ""]
@@ -105,7 +105,7 @@ def clear_size(box: Box) -> bool:
 # -- of one person ----------------------------------------------------------------------------------------------------
 
 
-def in_sector(angle_deg: float, word: str) -> Fact:
+def in_sector(angle_deg: float, word: str) -> Truth:
     """Whether somebody at this angle stands in the robot's sector of this word."""
     off = angle_error(angle_deg, ROBOT_SECTORS[word])
     if off <= _RULES.sector_true_deg + SLACK:
@@ -113,7 +113,7 @@ def in_sector(angle_deg: float, word: str) -> Fact:
     return None if off <= _RULES.sector_false_deg + SLACK else False
 
 
-def at_distance(metres: float, word: str) -> Fact:
+def at_distance(metres: float, word: str) -> Truth:
     """Whether a distance is that of a distance word; unknown where two words may be right."""
     margin = _RULES.distance_margin
     lows = (-1.0, *(bound * (1 - margin) - SLACK for bound in DISTANCE_BOUNDS_M))
@@ -131,7 +131,7 @@ def turn_to(source: Box, target: Box, side: Side) -> float:
     return -turn % 360.0 if side == "left" else turn
 
 
-def within_degrees(source: Box, target: Box, degrees: float, side: Side) -> Fact:
+def within_degrees(source: Box, target: Box, degrees: float, side: Side) -> Truth:
     """Whether the target is at most so far to one side of the source, as the robot sees it."""
     margin, turn = _RULES.neighbor_margin_deg, turn_to(source, target, side)
     if min(turn, 360.0 - turn) <= margin or abs(turn - degrees) <= margin:
@@ -139,7 +139,7 @@ def within_degrees(source: Box, target: Box, degrees: float, side: Side) -> Fact
     return turn < degrees
 
 
-def first_beside(boxes: Mapping[str, Box], source: str, target: str, side: Side, looks: Sequence[SeenColumns]) -> Fact:
+def first_beside(boxes: Mapping[str, Box], source: str, target: str, side: Side, looks: Sequence[SeenColumns]) -> Truth:
     """Whether the target is the first person on this side of the source, as the robot sees it.
 
     boxes: everybody seen at the frame, by name.
@@ -170,7 +170,7 @@ def _absolute(source: Box, turned: Arc, side: Side) -> Arc:
     return Arc(start % 360.0, turned.span)
 
 
-def standing(relation: str, boxes: Mapping[str, Box], source: str, target: str, looks: Sequence[SeenColumns]) -> Fact:
+def standing(relation: str, boxes: Mapping[str, Box], source: str, target: str, looks: Sequence[SeenColumns]) -> Truth:
     """Whether a relation of `DERIVED` leads from the source to the target; None for any other relation."""
     row = RELATIONS[relation]
     match row.kind:

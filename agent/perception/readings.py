@@ -1,0 +1,98 @@
+"""Records of what a model read of the people in one picture: labels of closed vocabularies with a confidence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from jrdb_avr.agent.perception.geometry import angle_of
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.labels import ACTIONS, AGES, DISTANCE_WORDS, GENDERS, INTERACTIONS, POSES
+from jrdb_avr.schema.panorama import Box
+from jrdb_avr.schema.relations import RELATIONS
+from jrdb_avr.schema.things import OBJECTS, VERBS
+
+USUAL: Final = 0.9
+"""Confidence of a reading whose reader gave none."""
+
+_WORDS: Final[dict[str, frozenset[str]]] = {
+    "gender": frozenset(GENDERS),
+    "age": frozenset(AGES),
+    "action": frozenset(ACTIONS),
+    "distance": frozenset(DISTANCE_WORDS),
+    "interaction": frozenset(INTERACTIONS),
+    "object": frozenset(f"{verb}: {thing}" for verb in VERBS for thing in OBJECTS),
+}
+
+
+class ReadLabel(NamedTuple):
+    """One attribute of a person as it was read: name and value as `Condition.wanted` writes them.
+
+    holds: False where the reader says that it is not so; confidence: of the reader in this, from 0.5 to 1.
+    """
+
+    name: str
+    value: str
+    holds: bool = True
+    confidence: float = USUAL
+
+    @property
+    def topic(self) -> str:
+        """The question that the label answers."""
+        return topic_of(self.name, self.value)
+
+
+class ReadTie(NamedTuple):
+    """A relation that was read: it leads from the person to another one of the same picture, given by number."""
+
+    relation: str
+    other: int
+    holds: bool = True
+    confidence: float = USUAL
+
+
+@dataclass(frozen=True, slots=True)
+class PersonReading:
+    """One person in one picture, as a model read it.
+
+    observation: the picture's name; number: of the person among those read in it; box: stitched pixels; whole: whether
+    the picture shows the box from side to side; metres: the distance from the robot as read. Raises DecodeError for a
+    label outside the vocabularies and for a box without an area.
+    """
+
+    observation: str
+    number: int
+    frame: int
+    box: Box
+    labels: tuple[ReadLabel, ...] = ()
+    ties: tuple[ReadTie, ...] = ()
+    metres: float | None = None
+    whole: bool = True
+
+    def __post_init__(self) -> None:
+        if not (self.box.w > 0 and self.box.h > 0):
+            raise DecodeError("a box has a width and a height")
+        for label in self.labels:
+            known = label.value.isdecimal() if label.name == "group_size" else label.value in _WORDS.get(label.name, ())
+            if not known:
+                raise DecodeError(f"{label.name} has no value {label.value!r}")
+        for tie in self.ties:
+            if tie.relation not in RELATIONS:
+                raise DecodeError(f"there is no relation {tie.relation!r}")
+
+    @property
+    def angle(self) -> float:
+        """Panorama angle of the middle of the box."""
+        return angle_of(self.box)
+
+
+def topic_of(name: str, value: str) -> str:
+    """The question that an attribute with this value answers: "pose" for all postures, "gender", "action reading"."""
+    if name == "action" and value in POSES:
+        return "pose"
+    return f"{name} {value}" if name in ("action", "object", "interaction") else name
+
+
+def has_one_value(topic: str) -> bool:
+    """Whether the values of a topic exclude each other."""
+    return " " not in topic

@@ -1,0 +1,237 @@
+"""Fused readings: each reading is a vote on the person's attributes, relations, distance and box at a frame.
+
+No reading replaces another. Two that agree, or three of which two agree, settle a fact. Misreadings of one person are
+often alike, so that a fact is supported by at most `MOST_VOTES` readings: else whoever is seen often would win.
+Readings count at the frame that was looked at; where there is none, those of the nearest frame count less by half for
+each second, and settle nothing farther than `TOLERANCE` away.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, Literal, NamedTuple
+
+from jrdb_avr.agent.perception.geometry import DERIVED, SeenColumns, at_distance, in_sector, standing
+from jrdb_avr.agent.perception.readings import USUAL, PersonReading, ReadLabel, has_one_value, topic_of
+from jrdb_avr.schema.beliefs import TIMELESS
+from jrdb_avr.schema.labels import may_be_called
+from jrdb_avr.schema.panorama import Box, iou
+from jrdb_avr.schema.relations import SYMMETRIC
+from jrdb_avr.schema.rules import KEYFRAME_STEP
+
+SlotState = Literal["open", "supported", "certain", "contradicted"]
+
+UNIT: Final = math.log(USUAL / (1 - USUAL))
+"""Log-odds of one reading of the usual confidence, and the most that one reading counts."""
+
+MOST_VOTES: Final = 1.5
+"""The most readings by which a fact counts as supported or contradicted."""
+
+SETTLING: Final = 2
+"""Readings that agree and are more than those that do not: they settle a fact."""
+
+TOLERANCE: Final = KEYFRAME_STEP
+"""Frames within which readings stand for a stated frame, as the scores allow a second."""
+
+SAME_BOX: Final = 0.5
+"""IoU from which on two boxes are of one cluster, as scores want it."""
+
+
+class Support(NamedTuple):
+    """What readings say of one statement: log-odds for it (capped), and how many are for and against it."""
+
+    log_odds: float = 0.0
+    votes: int = 0
+    against: int = 0
+
+    @property
+    def state(self) -> SlotState:
+        """The state of a slot with this support."""
+        if self.log_odds == 0:
+            return "open"
+        if self.log_odds < 0:
+            return "contradicted"
+        return "certain" if self.settled else "supported"
+
+    @property
+    def settled(self) -> bool:
+        """Whether more readings would hardly change it."""
+        return max(self.votes, self.against) >= SETTLING and self.votes != self.against
+
+
+class Tally(NamedTuple):
+    """A value of an attribute, the readings that give it, and their weight in log-odds."""
+
+    value: str
+    votes: int
+    weight: float
+
+
+class FusedBox(NamedTuple):
+    """The box that most readings of a person at a frame agree on, how many, and the observation it is from."""
+
+    box: Box
+    votes: int
+    observation: str
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Everybody seen so far: readings by entity, in the order in which they were made, and looks by frame."""
+
+    people: Mapping[str, tuple[PersonReading, ...]]
+    looks: Mapping[int, tuple[SeenColumns, ...]]
+
+    # -- attributes -----------------------------------------------------------------------------------------------
+
+    def statement(self, who: str, name: str, value: str, frame: int | None) -> Support:
+        """The support for an attribute's value (as `Condition.wanted` writes it) of somebody at a frame."""
+        said = [(one.frame, _says(one, name, value)) for one in self.people.get(who, ())]
+        votes = [(at, vote) for at, vote in said if vote is not None]
+        if name == "interaction":
+            ties = [one for one in self._tied if one[1] == value and who in (one[0], one[2])]
+            votes += [(at, vote) for *_, at, vote in ties if vote > 0]
+        return _support(votes, None if name in TIMELESS else frame)
+
+    def values(self, who: str, topic: str, frame: int | None) -> tuple[Tally, ...]:
+        """The values that were read on a topic of somebody, the best supported first; at any frame where it is None."""
+        readings = [one for one in self.people.get(who, ()) if any(label.topic == topic for label in one.labels)]
+        if frame is not None and topic not in TIMELESS:
+            nearest = min((one.frame for one in readings), key=lambda at: (abs(at - frame), at), default=frame)
+            readings = [one for one in readings if one.frame == nearest]
+        votes: dict[str, list[float]] = defaultdict(list)
+        for label in (label for one in readings for label in one.labels if label.topic == topic):
+            votes[label.value].append(_weight(label))
+        tallies = (Tally(value, sum(w > 0 for w in given), sum(given)) for value, given in votes.items())
+        return tuple(sorted(tallies, key=lambda tally: (-tally.weight, tally.value)))
+
+    def metres(self, who: str, frame: int) -> float | None:
+        """The median of the distances that were read at a frame."""
+        read = [one.metres for one in self.at(who, frame) if one.metres is not None]
+        return statistics.median(read) if read else None
+
+    # -- places ---------------------------------------------------------------------------------------------------
+
+    def at(self, who: str, frame: int) -> list[PersonReading]:
+        """The readings of somebody at exactly this frame."""
+        return [one for one in self.people.get(who, ()) if one.frame == frame]
+
+    def box(self, who: str, frame: int) -> FusedBox | None:
+        """The box of somebody at a frame: of the largest cluster a whole one, as near to the others as possible."""
+        readings = self.at(who, frame)
+
+        def agreement(one: PersonReading) -> tuple[int, bool, float]:
+            shares = [share for other in readings if (share := iou(one.box, other.box)) >= SAME_BOX]
+            return len(shares), one.whole, sum(shares)
+
+        if not readings:
+            return None
+        best = max(readings, key=agreement)
+        return FusedBox(best.box, agreement(best)[0], best.observation)
+
+    def boxes(self, frame: int) -> dict[str, Box]:
+        """Everybody's box at a frame."""
+        found = {who: self.box(who, frame) for who in self.people}
+        return {who: fused.box for who, fused in found.items() if fused is not None}
+
+    def met(self, frame: int) -> int:
+        """The frame that stands for a stated one: of those looked at the nearest, itself where there is none."""
+        return min(self.looks, key=lambda other: (abs(other - frame), other), default=frame)
+
+    # -- relations ------------------------------------------------------------------------------------------------
+
+    def relation(self, source: str, relation: str, target: str, frame: int) -> Support:
+        """The support for a relation at a frame: from boxes where these decide, else from readings of either person."""
+        if relation in DERIVED:
+            return self._derived(source, relation, target, self.met(frame), frame)
+        ways = [(source, relation, target), (target, relation, source)][: 1 + (relation in SYMMETRIC)]
+        return _support([(at, vote) for *tie, at, vote in self._tied if tuple(tie) in ways], frame)
+
+    def _derived(self, source: str, relation: str, target: str, at: int, frame: int) -> Support:
+        first, second = self.box(source, at), self.box(target, at)
+        if first is None or second is None:
+            return Support()
+        holds = standing(relation, self._boxes_at(at), source, target, self.looks.get(at, ()))
+        if holds is None:
+            return Support()
+        votes = min(first.votes, second.votes)
+        return _support([(at, UNIT if holds else -UNIT)] * votes, frame)
+
+    def _boxes_at(self, frame: int) -> dict[str, Box]:
+        if frame not in self._boxes:
+            self._boxes[frame] = self.boxes(frame)
+        return self._boxes[frame]
+
+    @cached_property
+    def _boxes(self) -> dict[int, dict[str, Box]]:
+        return {}
+
+    @cached_property
+    def _tied(self) -> list[tuple[str, str, str, int, float]]:
+        """Relations as read: source, relation, target, frame and weight."""
+        names = {(one.observation, one.number): who for who, readings in self.people.items() for one in readings}
+        return [
+            (who, tie.relation, names[one.observation, tie.other], one.frame, _signed(tie.holds, tie.confidence))
+            for who, readings in self.people.items()
+            for one in readings
+            for tie in one.ties
+            if (one.observation, tie.other) in names
+        ]
+
+
+def settled(tallies: Sequence[Tally]) -> bool:
+    """Whether the first of these values is settled."""
+    others = max((tally.votes for tally in tallies[1:]), default=0)
+    return bool(tallies) and tallies[0].votes >= SETTLING and tallies[0].votes > others
+
+
+def _support(votes: Sequence[tuple[int, float]], frame: int | None) -> Support:
+    """Fuse votes, each with its frame: those of the frame nearest to this one, or all where there is none."""
+    nearest = min((at for at, _ in votes), key=lambda at: (abs(at - (frame or 0)), at), default=0)
+    given = [vote for at, vote in votes if frame is None or at == nearest]
+    gap = 0 if frame is None or not votes else abs(nearest - frame)
+    most = MOST_VOTES * UNIT
+    log_odds = max(-most, min(most, sum(given))) * 0.5 ** (gap / KEYFRAME_STEP)
+    if gap > TOLERANCE:
+        # Far away they rank people and decide nothing.
+        return Support(log_odds, int(log_odds > 0), int(log_odds < 0))
+    return Support(log_odds, sum(one > 0 for one in given), sum(one < 0 for one in given))
+
+
+def _says(reading: PersonReading, name: str, value: str) -> float | None:
+    """The vote of one reading on a statement, None where it says nothing."""
+    if name == "sector":
+        return _vote(in_sector(reading.angle, value))
+    if name == "distance" and reading.metres is not None:
+        return _vote(at_distance(reading.metres, value))
+    topic = topic_of(name, value)
+    votes = [_label_says(label, value) for label in reading.labels if label.topic == topic]
+    given = [vote for vote in votes if vote is not None]
+    return max(given, key=abs) if given else None
+
+
+def _label_says(label: ReadLabel, value: str) -> float | None:
+    """The vote of a label on a value of its topic; None where the value may be said of the label too, or was not."""
+    if label.value == value:
+        return _weight(label)
+    excluded = label.holds and has_one_value(label.topic) and label.value not in may_be_called(value)
+    return -_weight(label) if excluded else None
+
+
+def _weight(label: ReadLabel) -> float:
+    return _signed(label.holds, label.confidence)
+
+
+def _signed(holds: bool, confidence: float) -> float:
+    """The log-odds of one reading."""
+    sure = min(max(confidence, 0.5), USUAL)
+    return math.log(sure / (1 - sure)) * (1 if holds else -1)
+
+
+def _vote(holds: bool | None) -> float | None:
+    return None if holds is None else UNIT if holds else -UNIT
