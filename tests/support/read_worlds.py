@@ -1,0 +1,123 @@
+"""Random worlds of walking people and noisy readings of them, without pictures: a test bed of perception.
+
+    world = ReadWorld(random.Random(1), people=8)
+    tracks, truth = world.watched(looks, Noise(wrong=0.1, correlated=0.6))
+
+People walk round the robot with changing speed; angle and size of a box follow from the place. A reading has every
+attribute, each wrong with probability `wrong`; a share `correlated` of the misreadings is the person's: the same in
+every picture. A box is somewhere else with probability `wrong_box`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+from jrdb_avr.agent.perception.association import with_picture
+from jrdb_avr.agent.perception.geometry import seen_from
+from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel
+from jrdb_avr.agent.perception.votes import Tracks
+from jrdb_avr.schema.labels import AGES, GENDERS
+from jrdb_avr.schema.panorama import Box, angle_error, angle_of_azimuth, column_of_angle
+
+POSES = ("walking", "standing", "sitting")
+VALUES = {"gender": GENDERS, "age": AGES, "action": POSES}
+
+
+@dataclass(frozen=True)
+class Noise:
+    """wrong: per attribute; correlated: share of misreadings that are the person's; wrong_box, miss: per person and
+    picture; jitter: of a box's sides, as a share of its size.
+    """
+
+    wrong: float = 0.0
+    correlated: float = 0.0
+    wrong_box: float = 0.0
+    miss: float = 0.0
+    jitter: float = 0.03
+
+
+class ReadWorld:
+    """People by name, each with attributes and a place in metres at every frame."""
+
+    def __init__(self, rng, people=8, frames=300):
+        self.rng = rng
+        self.names = [f"t{n}" for n in range(people)]
+        self.values = {who: {name: rng.choice(words) for name, words in VALUES.items()} for who in self.names}
+        self.slips = {}
+        self.places = {who: self._walk(frames) for who in self.names}
+
+    def _walk(self, frames):
+        rng = self.rng
+        angle, metres = rng.uniform(0, 2 * math.pi), rng.uniform(2, 9)
+        x, y = metres * math.cos(angle), metres * math.sin(angle)
+        speed, heading, places = rng.choice((0.0, 0.0, 0.6, 1.2)), rng.uniform(0, 2 * math.pi), []
+        for frame in range(frames):
+            if frame % 45 == 44:
+                heading, speed = heading + rng.gauss(0, 0.5), rng.choice((speed, speed, 0.0, 1.2))
+            step = speed / 15
+            # Nobody walks through the robot.
+            if math.hypot(x + step * math.cos(heading), y + step * math.sin(heading)) < 1.5:
+                heading += math.pi
+            x, y = x + step * math.cos(heading), y + step * math.sin(heading)
+            places.append((x, y))
+        return places
+
+    def angle(self, who, frame):
+        x, y = self.places[who][frame]
+        return angle_of_azimuth(math.atan2(y, x))
+
+    def box(self, who, frame):
+        height = min(480 * 1.7 / math.hypot(*self.places[who][frame]), 400.0)
+        width = 0.4 * height
+        return Box(column_of_angle(self.angle(who, frame)) - width / 2, 220 - 0.45 * height, width, height)
+
+    def read(self, who, frame, observation, number, noise):
+        rng, box = self.rng, self.box(who, frame)
+        if rng.random() < noise.wrong_box:
+            box = box._replace(x=box.x + rng.choice((-1, 1)) * rng.uniform(1, 4) * box.w)
+        sides = [side * (1 + rng.gauss(0, noise.jitter)) for side in (box.w, box.h)]
+        box = Box(box.x + rng.gauss(0, noise.jitter) * box.w, box.y, *sides)
+        labels = tuple(ReadLabel(name, self._value(who, name, noise)) for name in VALUES)
+        return PersonReading(observation, number, frame, box, labels)
+
+    def _value(self, who, name, noise):
+        rng, true = self.rng, self.values[who][name]
+        others = [word for word in VALUES[name] if word != true]
+        if (who, name) not in self.slips:
+            self.slips[who, name] = rng.choice(others) if rng.random() < noise.wrong else true
+        if rng.random() < noise.correlated:
+            return self.slips[who, name]
+        return rng.choice(others) if rng.random() < noise.wrong else true
+
+    def picture(self, frame, angle, noise, observation="o"):
+        """The people read in a look, and their names; whoever stands in its inner 44 degrees."""
+        there = [who for who in self.names if angle_error(self.angle(who, frame), angle) < 22]
+        there = [who for who in there if self.rng.random() >= noise.miss]
+        return [self.read(who, frame, observation, n, noise) for n, who in enumerate(there)], there
+
+    def watched(self, looks, noise):
+        """The tracks after looks at (frame, angle), and the name of everybody read, by observation and number."""
+        tracks, truth = Tracks({}, {}), {}
+        for place, (frame, angle) in enumerate(looks):
+            readings, names = self.picture(frame, angle, noise, f"o{place}")
+            truth |= {(one.observation, one.number): who for one, who in zip(readings, names, strict=True)}
+            tracks = with_picture(tracks, frame, seen_from(angle), readings)
+        return tracks, truth
+
+
+def pairwise(tracks, truth):
+    """Pairs of readings that are rightly, wrongly and not taken for one person."""
+    entity = {(one.observation, one.number): who for who, readings in tracks.people.items() for one in readings}
+    right = wrong = lost = 0
+    for one, other in itertools.combinations(entity, 2):
+        together, same = entity[one] == entity[other], truth[one] == truth[other]
+        right += together and same
+        wrong += together and not same
+        lost += same and not together
+    return right, wrong, lost
+
+
+def f1(right, wrong, lost):
+    return 2 * right / max(2 * right + wrong + lost, 1)
