@@ -12,14 +12,19 @@ from __future__ import annotations
 
 import itertools
 import math
+import random
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from jrdb_avr.agent.perception.association import with_picture
-from jrdb_avr.agent.perception.geometry import seen_from
+from jrdb_avr.agent.perception.geometry import SeenColumns, first_beside, seen_from
 from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel
+from jrdb_avr.agent.perception.support import rank
 from jrdb_avr.agent.perception.votes import Tracks
 from jrdb_avr.schema.labels import AGES, GENDERS
-from jrdb_avr.schema.panorama import Box, angle_error, angle_of_azimuth, column_of_angle
+from jrdb_avr.schema.panorama import WIDTH, Box, angle_error, angle_of_azimuth, column_of_angle
+from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
+from jrdb_avr.schema.relations import FIRST_LEFT
 
 POSES = ("walking", "standing", "sitting")
 VALUES = {"gender": GENDERS, "age": AGES, "action": POSES}
@@ -106,6 +111,25 @@ class ReadWorld:
             tracks = with_picture(tracks, frame, seen_from(angle), readings)
         return tracks, truth
 
+    def read_round(self, times, noise, known=True):
+        """The tracks after everybody was read so many times at `FRAME`; by who they are, or by association."""
+        looks = [(FRAME, angle) for _ in range(times) for angle in range(0, 360, 40)]
+        if not known:
+            tracks, self.truth = self.watched(looks, noise)
+            return tracks
+        people = {
+            who: tuple(self.read(who, FRAME, f"o{k}", n, noise) for k in range(times))
+            for n, who in enumerate(self.names)
+        }
+        self.truth = {(one.observation, one.number): who for who, readings in people.items() for one in readings}
+        return Tracks(people, {FRAME: tuple(seen_from(angle) for _, angle in looks)})
+
+    def found(self, plan, tracks):
+        """The name of the person whom the best hypothesis takes for the target."""
+        who = rank(plan, tracks)[0].nodes.get(plan.target)
+        names = [self.truth[one.observation, one.number] for one in tracks.people.get(who, ())]
+        return max(names, key=names.count, default=None)
+
 
 def pairwise(tracks, truth):
     """Pairs of readings that are rightly, wrongly and not taken for one person."""
@@ -121,3 +145,62 @@ def pairwise(tracks, truth):
 
 def f1(right, wrong, lost):
     return 2 * right / max(2 * right + wrong + lost, 1)
+
+
+# -- finding the person of a plan -------------------------------------------------------------------------------------
+
+FRAME = 15
+
+
+class Identified(NamedTuple):
+    """Shares of worlds in which the plan's target is found, by all readings and by each person's newest one."""
+
+    votes: float
+    newest: float
+
+
+def identified(seeds, readings, noise, people=8, known=True):
+    """How often the target of a random plan is found after each person was read so many times.
+
+    known: readings are joined by who was read; else by association, and the target is found where most readings of the
+    entity are its.
+    """
+    votes = newest = 0
+    for seed in seeds:
+        world = ReadWorld(random.Random(seed), people)
+        plan, target = asked_of(world)
+        tracks = world.read_round(readings, noise, known)
+        last = Tracks({who: read[-1:] for who, read in tracks.people.items()}, tracks.looks)
+        votes += world.found(plan, tracks) == target
+        newest += world.found(plan, last) == target
+    return Identified(votes / len(seeds), newest / len(seeds))
+
+
+def asked_of(world):
+    """A plan whose description fits one person alone, with one hop where it leads to one person; and the target."""
+    boxes = {who: world.box(who, FRAME) for who in world.names}
+    looks = [SeenColumns(0, WIDTH)]
+    while True:
+        for who in world.rng.sample(world.names, len(world.names)):
+            for names in itertools.chain(itertools.combinations(VALUES, 2), [(*VALUES,)]):
+                fits = [o for o in world.names if all(world.values[o][n] == world.values[who][n] for n in names)]
+                if len(fits) > 1:
+                    continue
+                conditions = tuple(_condition(name, world.values[who][name]) for name in names)
+                nexts = [o for o in world.names if o != who and first_beside(boxes, who, o, "left", looks)]
+                if nexts and world.rng.random() < 0.5:
+                    edges = (Edge("a", FIRST_LEFT, "b", "t0"),)
+                    return _plan((Node("a", conditions), Node("b")), edges), nexts[0]
+                return _plan((Node("a", conditions),), ()), who
+        # Nobody is unlike all others.
+        world.values[world.names[0]] = {name: world.rng.choice(words) for name, words in VALUES.items()}
+        world.slips.clear()
+
+
+def _condition(name, value):
+    return Condition(action=value, at="t0") if name == "action" else Condition(attribute=name, value=value)
+
+
+def _plan(nodes, edges):
+    answer = AnswerSpec("multiple_choice", "action", nodes[-1].id, "t0")
+    return Plan("a", nodes[-1].id, {"t0": Time(frame=FRAME)}, nodes, edges, answer)
