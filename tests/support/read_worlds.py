@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from jrdb_avr.agent.perception.association import with_picture
+from jrdb_avr.agent.perception.attention import next_look
 from jrdb_avr.agent.perception.geometry import SeenColumns, first_beside, seen_from
 from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel
 from jrdb_avr.agent.perception.support import rank
@@ -44,13 +45,18 @@ class Noise:
 
 
 class ReadWorld:
-    """People by name, each with attributes and a place in metres at every frame."""
+    """People by name, each with attributes and a place in metres at every frame.
+
+    later: who takes another pose at a frame; away: who is not there between two frames.
+    """
 
     def __init__(self, rng, people=8, frames=300):
         self.rng = rng
         self.names = [f"t{n}" for n in range(people)]
         self.values = {who: {name: rng.choice(words) for name, words in VALUES.items()} for who in self.names}
         self.slips = {}
+        self.later = {}
+        self.away = {}
         self.places = {who: self._walk(frames) for who in self.names}
 
     def _walk(self, frames):
@@ -84,21 +90,26 @@ class ReadWorld:
             box = box._replace(x=box.x + rng.choice((-1, 1)) * rng.uniform(1, 4) * box.w)
         sides = [side * (1 + rng.gauss(0, noise.jitter)) for side in (box.w, box.h)]
         box = Box(box.x + rng.gauss(0, noise.jitter) * box.w, box.y, *sides)
-        labels = tuple(ReadLabel(name, self._value(who, name, noise)) for name in VALUES)
+        labels = tuple(ReadLabel(name, self._value(who, name, frame, noise)) for name in VALUES)
         return PersonReading(observation, number, frame, box, labels)
 
-    def _value(self, who, name, noise):
-        rng, true = self.rng, self.values[who][name]
+    def value(self, who, name, frame):
+        change, pose = self.later.get(who, (math.inf, ""))
+        return pose if name == "action" and frame >= change else self.values[who][name]
+
+    def _value(self, who, name, frame, noise):
+        rng, true = self.rng, self.value(who, name, frame)
         others = [word for word in VALUES[name] if word != true]
-        if (who, name) not in self.slips:
-            self.slips[who, name] = rng.choice(others) if rng.random() < noise.wrong else true
+        if (who, name, true) not in self.slips:
+            self.slips[who, name, true] = rng.choice(others) if rng.random() < noise.wrong else true
         if rng.random() < noise.correlated:
-            return self.slips[who, name]
+            return self.slips[who, name, true]
         return rng.choice(others) if rng.random() < noise.wrong else true
 
     def picture(self, frame, angle, noise, observation="o"):
         """The people read in a look, and their names; whoever stands in its inner 44 degrees."""
         there = [who for who in self.names if angle_error(self.angle(who, frame), angle) < 22]
+        there = [who for who in there if not self.away.get(who, (1, 0))[0] <= frame <= self.away.get(who, (1, 0))[1]]
         there = [who for who in there if self.rng.random() >= noise.miss]
         return [self.read(who, frame, observation, n, noise) for n, who in enumerate(there)], there
 
@@ -123,6 +134,17 @@ class ReadWorld:
         }
         self.truth = {(one.observation, one.number): who for who, readings in people.items() for one in readings}
         return Tracks(people, {FRAME: tuple(seen_from(angle) for _, angle in looks)})
+
+    def explored(self, plan, noise, looks=24):
+        """Look as attention says: the tracks, the looks and the entity taken for the target."""
+        tracks, made, self.truth = Tracks({}, {}), [], {}
+        frames = range(len(next(iter(self.places.values()))))
+        while (look := next_look(plan, tracks, rank(plan, tracks), looks - len(made), frames)) is not None:
+            readings, names = self.picture(look.frame, look.angle, noise, f"o{len(made)}")
+            self.truth |= {(one.observation, one.number): who for one, who in zip(readings, names, strict=True)}
+            tracks = with_picture(tracks, look.frame, seen_from(look.angle), readings)
+            made.append(look)
+        return tracks, made, rank(plan, tracks)[0].nodes.get(plan.target)
 
     def found(self, plan, tracks):
         """The name of the person whom the best hypothesis takes for the target."""
@@ -204,3 +226,13 @@ def _condition(name, value):
 def _plan(nodes, edges):
     answer = AnswerSpec("multiple_choice", "action", nodes[-1].id, "t0")
     return Plan("a", nodes[-1].id, {"t0": Time(frame=FRAME)}, nodes, edges, answer)
+
+
+def reading_at(plan, read, mode, *frames, **event):
+    """The same plan with another read: at stated frames, or at an event of the target after the description."""
+    times = {f"t{n}": Time(frame=frame) for n, frame in enumerate(frames, start=1)}
+    if event:
+        times["t1"] = Time(of=plan.target, after="t0", **event)
+    at = "t1" if len(times) == 1 else tuple(times)
+    answer = AnswerSpec(mode, read, plan.target, at)
+    return Plan(plan.root, plan.target, {**plan.times, **times}, plan.nodes, plan.edges, answer)

@@ -1,0 +1,312 @@
+"""Attention: the next look, as the one that is expected to tell the most, in bits, about a plan's open slots.
+
+As long as more looks are left than the read of the answer needs, the people of the plan are identified and verified;
+then the target is followed, events are bracketed, absences shown, and the box that is submitted is read again.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, NamedTuple
+
+from jrdb_avr.agent.perception.association import expected_place
+from jrdb_avr.agent.perception.geometry import CIRCLE, Arc, around, deciding_arc, gaps
+from jrdb_avr.agent.perception.moments import Bracket, brackets, presence
+from jrdb_avr.agent.perception.readings import USUAL
+from jrdb_avr.agent.perception.support import RankedHypothesis, frames_of, slot_supports
+from jrdb_avr.agent.perception.votes import NEAR_FRAMES, Tracks, settled
+from jrdb_avr.schema.labels import ROBOT_SECTORS
+from jrdb_avr.schema.panorama import CROP, FOV_DEG, WIDTH, angle_error, clockwise
+from jrdb_avr.schema.plan import Plan, Read
+from jrdb_avr.schema.rules import FPS, LoadRules
+
+Purpose = Literal["identify", "verify", "follow", "bracket", "absence", "evidence"]
+
+RESERVES: Final[dict[Read, int]] = {
+    "presence": 18,
+    "span": 16,
+    "seconds_between": 16,
+    "start": 14,
+    "start_view": 14,
+    "next_action": 14,
+    "count": 12,
+    "distance_change": 10,
+    "action": 5,
+}
+"""Looks that are kept for reading the answer once the target is known."""
+
+SAME_FRAME_RESERVE: Final = 3
+"""The same for an action at the frame of the description."""
+
+LEAST_BITS: Final = 0.05
+"""A look that is expected to tell less is not made."""
+
+MOST_READINGS: Final = 3
+"""Of one person at one frame; more tell nothing new."""
+
+_ANSWER_BITS: Final = 2.0
+_OVERLAP_DEG: Final = 6.0
+_APART_DEG: Final = 1.5
+"""A repeated look is turned by this much, as the same one is refused."""
+
+_PEOPLE: Final = 6.0
+"""People expected all round before anybody was seen."""
+
+_MISSED: Final = 0.3
+"""People who were there and not read, in the same measure."""
+
+_CLOSE: Final = {"span": 14}
+_CLOSE_FRAMES: Final = 28
+"""Frames to which a moment is to be known: half of them is within a second."""
+
+_STEP: Final = round(2 * FPS)
+_WAIT: Final = round(3 * FPS)
+_SECTOR_REACH: Final = LoadRules().sector_false_deg
+
+
+class NextLook(NamedTuple):
+    """A look to make: frame, panorama angle, why, and the bits that it is expected to tell."""
+
+    frame: int
+    angle: float
+    purpose: Purpose
+    bits: float
+
+
+def next_look(
+    plan: Plan, tracks: Tracks, hypotheses: Sequence[RankedHypothesis], left: int, frames: Sequence[int]
+) -> NextLook | None:
+    """The next look at one of the legal frames (ascending), None to stop.
+
+    hypotheses: those of `rank`, the best first; left: looks that may still be made.
+    """
+    if left <= 0 or not frames:
+        return None
+    view = _Attention(plan, tracks, hypotheses, left, frames)
+    who, reading = [*view.identify(), *view.verify()], [*view.read(), *view.evidence()]
+    order = (who, reading) if left > view.reserve else (reading, who)
+    for looks in order:
+        best = max(looks, key=lambda look: look.bits, default=None)
+        if best is not None and best.bits >= LEAST_BITS:
+            return best._replace(angle=_fresh(tracks, best.frame, best.angle))
+    return None
+
+
+@dataclass(frozen=True)
+class _Attention:
+    """The candidates for the next look."""
+
+    plan: Plan
+    tracks: Tracks
+    hypotheses: Sequence[RankedHypothesis]
+    left: int
+    frames: Sequence[int]
+
+    @property
+    def reserve(self) -> int:
+        """Looks kept for the read."""
+        answer = self.plan.answer
+        here = {self.legal(frame) for frame in frames_of(self.plan, answer.of)}
+        if answer.read == "action" and self.legal(self.plan.times[answer.times[0]].frame or 0) in here:
+            return SAME_FRAME_RESERVE
+        return RESERVES[answer.read]
+
+    @property
+    def target(self) -> str | None:
+        """The likeliest target."""
+        return self.hypotheses[0].nodes.get(self.plan.target) if self.hypotheses else None
+
+    def legal(self, frame: float) -> int:
+        """The legal frame nearest to a frame."""
+        place = bisect.bisect_left(self.frames, frame)
+        return min(self.frames[max(place - 1, 0) : place + 1], key=lambda at: abs(at - frame))
+
+    # -- who is meant ---------------------------------------------------------------------------------------------
+
+    def identify(self) -> Iterator[NextLook]:
+        """Looks at what was not seen yet of the frames at which the plan describes somebody."""
+        for node in (one.id for one in self.plan.nodes):
+            for frame in map(self.legal, frames_of(self.plan, node)):
+                seen = self.tracks.looks.get(frame, ())
+                unseen = sum(gap.span for gap in gaps(seen, CIRCLE)) / 360.0
+                here = sum(bool(self.tracks.at(who, frame)) for who in self.tracks.people)
+                crowd = here / (1 - unseen) if here else _PEOPLE * max(unseen, 0.2)
+                known = sum(math.exp(min(odds, 20.0)) for odds in self._odds(node).values())
+                arc = self._arc(node, frame)
+                for gap in gaps(seen, arc):
+                    span = min(gap.span, FOV_DEG - _OVERLAP_DEG / 2)
+                    share = crowd * span / 360.0 * 360.0 / arc.span
+                    bits = _learned(share / (share + known + _MISSED + crowd * (unseen - span / 360.0)))
+                    yield NextLook(frame, gap.start - _OVERLAP_DEG / 2 + FOV_DEG / 2, "identify", 2 * bits)
+
+    def _odds(self, node: str) -> dict[str, float]:
+        """The log-odds of the best hypothesis for each entity that may be a node."""
+        best: dict[str, float] = {}
+        for one in reversed(self.hypotheses):
+            if node in one.nodes:
+                best[one.nodes[node]] = one.log_odds
+        return best
+
+    def _arc(self, node: str, frame: int) -> Arc:
+        """The part of the circle in which the person of a node can stand: the smallest that the plan gives."""
+        arcs = [CIRCLE]
+        sectors = [
+            c.value for one in self.plan.nodes if one.id == node for c in one.conditions if c.attribute == "sector"
+        ]
+        arcs += [around(ROBOT_SECTORS[str(value)], _SECTOR_REACH) for value in sectors]
+        for edge in self.plan.edges if self.hypotheses else ():
+            source = self.tracks.box(self.hypotheses[0].nodes.get(edge.source, ""), frame)
+            if edge.target == node and source is not None:
+                arcs.append(deciding_arc(edge.relation, source.box))
+        return min(arcs, key=lambda arc: arc.span)
+
+    def verify(self) -> Iterator[NextLook]:
+        """Second looks at the people of the two best hypotheses with different targets, where readings may be wrong."""
+        rivals = {one.nodes.get(self.plan.target, ""): one for one in reversed(self.hypotheses)}
+        best = sorted(rivals.values(), key=lambda one: -one.log_odds)[:2]
+        total = sum(math.exp(one.log_odds - best[0].log_odds) for one in best)
+        bits: dict[tuple[str, int], float] = {}
+        for one in best:
+            share = math.exp(one.log_odds - best[0].log_odds) / total
+            for part, support in slot_supports(self.plan, self.tracks, one):
+                told = 0.0 if support.settled else share * _learned(1 / (1 + math.exp(-support.log_odds)))
+                for who in {one.nodes.get(node, "") for node in part.nodes} - {""}:
+                    frame = part.frame if part.frame is not None else self._described(part.nodes[0])
+                    bits[who, self.legal(frame)] = bits.get((who, self.legal(frame)), 0.0) + told
+        for (who, frame), told in bits.items():
+            if len(self.tracks.at(who, frame)) < MOST_READINGS:
+                seen = self.tracks.box(who, frame)
+                if seen is not None:
+                    yield NextLook(frame, self._angle(who, frame), "verify", told)
+                elif (found := self._search(who, frame, told, "verify")) is not None:
+                    yield found
+
+    def _described(self, node: str) -> int:
+        return frames_of(self.plan, node)[0]
+
+    # -- what is read of the target -------------------------------------------------------------------------------
+
+    def read(self) -> Iterator[NextLook]:
+        """Looks that read the answer of the likeliest target."""
+        answer, who = self.plan.answer, self.target
+        if who is None:
+            return
+        stated = [self.plan.times[name].frame for name in answer.times]
+        for frame in (self.legal(one) for one in stated if one is not None):
+            yield from self._read_at(who, frame)
+        if answer.read == "count" and len(stated) == 2 and None not in stated:
+            yield from self._count(who, self.legal(stated[0] or 0), self.legal(stated[1] or 0))
+        for bracket in brackets(self.plan, self.tracks, who).values():
+            yield from self._bracket(who, bracket)
+
+    def _read_at(self, who: str, frame: int) -> Iterator[NextLook]:
+        """Find the target at a stated frame and read it until two readings agree; else show that it is absent."""
+        readings = self.tracks.at(who, frame)
+        if readings:
+            told = settled(self.tracks.values(who, "pose", frame)) if self.plan.answer.read == "action" else False
+            if not told and len(readings) < (MOST_READINGS if self.plan.answer.read == "action" else 2):
+                yield NextLook(frame, self._angle(who, frame), "verify", _ANSWER_BITS * _learned(USUAL))
+            return
+        if (found := self._search(who, frame, _ANSWER_BITS, "follow")) is not None:
+            yield found
+            return
+        for beside in (frame + NEAR_FRAMES, frame - NEAR_FRAMES):
+            at = self.legal(beside)
+            if 0 < abs(at - frame) <= NEAR_FRAMES and not self._beside_known(who, frame):
+                found = self._search(who, at, _ANSWER_BITS / 2, "absence")
+                if found is not None:
+                    yield found
+
+    def _beside_known(self, who: str, frame: int) -> bool:
+        near = [at for at in self.tracks.looks if 0 < abs(at - frame) <= NEAR_FRAMES]
+        return any(presence(self.tracks, who, at) is not None for at in near)
+
+    def _count(self, who: str, first: int, last: int) -> Iterator[NextLook]:
+        """Looks all round at frames spread over a stretch of time."""
+        for part in range(3):
+            frame = self.legal(first + part * (last - first) / 2)
+            for gap in gaps(self.tracks.looks.get(frame, ()), CIRCLE):
+                off = angle_error(gap.middle, expected_place(self.tracks.people[who], frame).angle)
+                yield NextLook(frame, gap.start - _OVERLAP_DEG / 2 + FOV_DEG / 2, "follow", 0.5 - float(off) / 1000)
+
+    def _bracket(self, who: str, event: Bracket) -> Iterator[NextLook]:
+        """Step on until the change was passed, halve the bracket, then read its two ends again."""
+        low, high, last = event.low, event.high, self.frames[-1]
+        close = _CLOSE.get(self.plan.answer.read, _CLOSE_FRAMES)
+        tried = self.tracks.looks
+        if high is None:
+            beyond = max([low, *(at for at in tried if at > low and not self.tracks.at(who, at))])
+            step = max(_STEP, round((last - beyond) / (2 * max(self.left - 3, 1))))
+            at = self.legal(min(beyond + step, last))
+            if at > beyond and (found := self._search(who, at, 1.0, "bracket")) is not None:
+                yield found
+            return
+        if high - low > close:
+            inside = [self.legal(low + share * (high - low)) for share in (0.5, 0.35, 0.65)]
+            for at in inside:
+                if low < at < high and at not in tried and (found := self._search(who, at, 1.0, "bracket")) is not None:
+                    yield found
+                    return
+        for end in (low, high):
+            if 0 < len(self.tracks.at(who, end)) < 2:
+                yield NextLook(end, self._angle(who, end), "verify", _ANSWER_BITS * _learned(USUAL))
+
+    # -- the box --------------------------------------------------------------------------------------------------
+
+    def evidence(self) -> Iterator[NextLook]:
+        """Looks for a second box of the target that agrees with the first, at the frame with the most agreement."""
+        who = self.target
+        if who is None:
+            return
+        boxes = {one.frame: fused for one in self.tracks.people[who] if (fused := self.tracks.box(who, one.frame))}
+        frame = max(boxes, key=lambda at: (boxes[at].votes, len(self.tracks.at(who, at)) < MOST_READINGS, at))
+        if boxes[frame].votes < 2 and len(self.tracks.at(who, frame)) < MOST_READINGS:
+            # The last looks are for the box: without it nothing else counts.
+            bits = _ANSWER_BITS * _learned(USUAL) * (10.0 if self.left <= 2 else 0.8)
+            yield NextLook(frame, self._angle(who, frame), "evidence", bits)
+
+    # -- where somebody is ----------------------------------------------------------------------------------------
+
+    def _angle(self, who: str, frame: int) -> float:
+        return expected_place(self.tracks.people[who], frame).angle
+
+    def _search(self, who: str, frame: int, bits: float, purpose: Purpose) -> NextLook | None:
+        """The look at a frame that shows most of where somebody may be and was not looked for yet."""
+        place = expected_place(self.tracks.people[who], frame)
+        seen, best = self.tracks.looks.get(frame, ()), None
+        for turn in (0.0, 40.0, -40.0, 80.0, -80.0, 120.0, -120.0, 160.0, -160.0):
+            new = gaps(seen, around(place.angle + turn, FOV_DEG / 2))
+            chance = sum(_chance(gap, place.angle, place.angle_spread) for gap in new)
+            if new and (best is None or chance * bits > best.bits):
+                best = NextLook(frame, (place.angle + turn) % 360.0, purpose, chance * bits)
+        return best
+
+
+def _chance(arc: Arc, angle: float, spread: float) -> float:
+    """How likely somebody expected at an angle with this spread is inside an arc."""
+    begin = clockwise(angle + 180.0, arc.start) - 180.0
+    below, above = (math.erf(turn / (spread * math.sqrt(2))) for turn in (begin, begin + arc.span))
+    return 0.9 * (above - below) / 2 + 0.1 * arc.span / 360.0
+
+
+def _learned(chance: float) -> float:
+    """Bits that one reading of the usual confidence tells about something with this chance."""
+    return _entropy(chance * USUAL + (1 - chance) * (1 - USUAL)) - _entropy(USUAL)
+
+
+def _entropy(chance: float) -> float:
+    if not 0 < chance < 1:
+        return 0.0
+    return -chance * math.log2(chance) - (1 - chance) * math.log2(1 - chance)
+
+
+def _fresh(tracks: Tracks, frame: int, angle: float) -> float:
+    """An angle near this one at which no look was made at the frame."""
+    made = [(look.left + CROP / 2) * 360.0 / WIDTH for look in tracks.looks.get(frame, ()) if look.width == CROP]
+    turn = 0.0
+    while any(angle_error(angle + turn, other) < _APART_DEG for other in made):
+        turn = -turn if turn > 0 else 1.05 * _APART_DEG - turn
+    return (angle + turn) % 360.0

@@ -1,0 +1,115 @@
+"""Moments of events and absences, bounded by what was seen of a person at single frames.
+
+An event lies between two sightings: the last before the change and the first after it. Near each other they decide its
+moment for certain; else the middle is the supported one. An absence needs looks that show where the person should be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Final, NamedTuple
+
+from jrdb_avr.agent.perception.association import expected_place
+from jrdb_avr.agent.perception.geometry import around, covered
+from jrdb_avr.agent.perception.votes import NEAR_FRAMES, SlotState, Tracks
+from jrdb_avr.schema.plan import Plan
+
+CERTAIN_FRAMES: Final = 30
+"""Frames between the enclosing sightings of an event whose moment is certain."""
+
+ABSENT_REACH: Final = 60.0
+"""Degrees to either side of the expected angle that looks must show before somebody counts as absent."""
+
+
+class Bracket(NamedTuple):
+    """A change that lies after frame `low` and by frame `high`; None where it has not been seen yet."""
+
+    low: int
+    high: int | None
+
+    @property
+    def middle(self) -> float | None:
+        """The moment taken for the event."""
+        return None if self.high is None else (self.low + self.high) / 2
+
+    @property
+    def state(self) -> SlotState:
+        """Whether the moment is certain, supported or open."""
+        if self.high is None:
+            return "open"
+        return "certain" if self.high - self.low <= CERTAIN_FRAMES else "supported"
+
+
+def shown(tracks: Tracks, who: str, frame: int) -> bool:
+    """Whether the looks at a frame show all of the circle in which somebody can be expected."""
+    readings = tracks.people.get(who, ())
+    if not readings or frame not in tracks.looks:
+        return False
+    return covered(tracks.looks[frame], around(expected_place(readings, frame).angle, ABSENT_REACH))
+
+
+def absence(tracks: Tracks, who: str, frame: int) -> SlotState:
+    """Whether somebody is known to be away at a frame.
+
+    Certain where looks show that at the frame and at another one within a second, supported where at the frame alone;
+    a sighting within a second contradicts it.
+    """
+    if any(abs(one.frame - frame) <= NEAR_FRAMES for one in tracks.people.get(who, ())):
+        return "contradicted"
+    if not shown(tracks, who, frame):
+        return "open"
+    near = [at for at in tracks.looks if 0 < abs(at - frame) <= NEAR_FRAMES and shown(tracks, who, at)]
+    return "certain" if near else "supported"
+
+
+def presence(tracks: Tracks, who: str, frame: int) -> bool | None:
+    """Whether somebody was seen at a frame; None where neither they nor all of the place they should be at was."""
+    return True if tracks.at(who, frame) else False if shown(tracks, who, frame) else None
+
+
+def performs_at(tracks: Tracks, who: str, action: str, frame: int) -> bool | None:
+    """Whether the readings at exactly this frame say that somebody performs an action; None where they do not tell."""
+    here = Tracks({who: tuple(tracks.at(who, frame))}, {})
+    odds = here.statement(who, "action", action, frame).log_odds
+    return None if odds == 0 else odds > 0
+
+
+def change(states: Mapping[int, bool], after: int, wanted: bool) -> Bracket:
+    """The first change to `wanted` after a frame, by the states at the frames where they are known."""
+    low = after
+    for frame in sorted(frame for frame in states if frame > after):
+        if states[frame] is wanted:
+            return Bracket(low, frame)
+        low = frame
+    return Bracket(low, None)
+
+
+def brackets(plan: Plan, tracks: Tracks, who: str) -> dict[str, Bracket]:
+    """The events at which the answer is read, by their time's name, as far as those that they wait for were seen."""
+    found: dict[str, Bracket] = {}
+    for name in (*plan.times, *plan.times):
+        # Twice, as an event may be written before the one that it waits for.
+        time = plan.times[name]
+        if time.event is None or time.after is None or name not in plan.answer.times:
+            continue
+        before = found[time.after].high if time.after in found else plan.times[time.after].frame
+        if before is not None:
+            found[name] = change(_states(tracks, _state_of(plan, tracks, who, name, before)), before,
+                                 time.event in ("start", "returns"))  # fmt: skip
+    return found
+
+
+def _states(tracks: Tracks, state: Callable[[int], bool | None]) -> dict[int, bool]:
+    known = {frame: state(frame) for frame in tracks.looks}
+    return {frame: value for frame, value in known.items() if value is not None}
+
+
+def _state_of(plan: Plan, tracks: Tracks, who: str, name: str, before: int) -> Callable[[int], bool | None]:
+    """Whether what an event starts or ends goes on at a frame."""
+    time = plan.times[name]
+    if time.event in ("leaves", "returns"):
+        return lambda frame: presence(tracks, who, frame)
+    # The end without an action is that of the pose held before.
+    held = tracks.values(who, "pose", before)
+    action = time.action or (held[0].value if held else "")
+    return lambda frame: performs_at(tracks, who, action, frame)
