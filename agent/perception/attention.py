@@ -47,6 +47,7 @@ LEAST_BITS: Final = 0.05
 MOST_READINGS: Final = 3
 """Of one person at one frame; more tell nothing new."""
 
+_RIVALS: Final = 5
 _ANSWER_BITS: Final = 2.0
 _OVERLAP_DEG: Final = 6.0
 _APART_DEG: Final = 1.5
@@ -164,15 +165,16 @@ class _Attention:
         return min(arcs, key=lambda arc: arc.span)
 
     def verify(self) -> Iterator[NextLook]:
-        """Second looks at the people of the two best hypotheses with different targets, where readings may be wrong."""
+        """More readings of the people of the likeliest hypotheses with different targets, as readings may be wrong."""
         rivals = {one.nodes.get(self.plan.target, ""): one for one in reversed(self.hypotheses)}
-        best = sorted(rivals.values(), key=lambda one: -one.log_odds)[:2]
-        total = sum(math.exp(one.log_odds - best[0].log_odds) for one in best)
+        best = sorted(rivals.values(), key=lambda one: -one.log_odds)[:_RIVALS]
+        odds = [math.exp(min(one.log_odds, 20.0)) for one in best]
         bits: dict[tuple[str, int], float] = {}
-        for one in best:
-            share = math.exp(one.log_odds - best[0].log_odds) / total
+        for one, chance in zip(best, (each / (sum(odds) + _MISSED) for each in odds), strict=True):
             for part, support in slot_supports(self.plan, self.tracks, one):
-                told = 0.0 if support.settled else share * _learned(1 / (1 + math.exp(-support.log_odds)))
+                if support.settled:
+                    continue
+                told = max(_learned(chance), chance * _learned(1 / (1 + math.exp(-support.log_odds))))
                 for who in {one.nodes.get(node, "") for node in part.nodes} - {""}:
                     frame = part.frame if part.frame is not None else self._described(part.nodes[0])
                     bits[who, self.legal(frame)] = bits.get((who, self.legal(frame)), 0.0) + told

@@ -1,7 +1,8 @@
-"""Ranked hypotheses: which people the nodes of a plan are, by the log-odds that readings give to its parts.
+"""Ranked hypotheses: which people the nodes of a plan are, by what readings tell of its parts.
 
-A hypothesis binds the plan's nodes to different entities. Its log-odds are the sum over conditions and edges, each
-capped; what nobody read counts nothing. The best ones are found by a beam along the plan's edges.
+A hypothesis binds the plan's nodes to different entities. Its log-odds are those of being who is meant, rather than
+anybody: that a condition holds tells little where it holds of many, that it does not tells much. What nobody read
+counts nothing. The best hypotheses are found by a beam along the plan's edges.
 """
 
 from __future__ import annotations
@@ -14,12 +15,19 @@ from typing import Final, NamedTuple
 
 from jrdb_avr.agent.perception.association import expected_place
 from jrdb_avr.agent.perception.geometry import around, covered
-from jrdb_avr.agent.perception.votes import UNIT, SlotState, Support, Tracks
+from jrdb_avr.agent.perception.votes import MOST_VOTES, UNIT, SlotState, Support, Tracks
 from jrdb_avr.queries.compiler.find import conditions_of, search_order, stated_frame, times_of
 from jrdb_avr.schema.plan import Plan
 
 BEAM: Final = 32
 """Hypotheses that are kept at each node."""
+
+
+_EDGE_DEG: Final = 5.0
+"""Whoever stands nearer to the edge of a look may not be recognized in it."""
+
+_HOLDS: Final = {1: 0.4, 2: 0.2}
+"""How often a condition holds of anybody, and an edge between any two people."""
 
 
 class PlanPart(NamedTuple):
@@ -35,6 +43,11 @@ class PlanPart(NamedTuple):
         if len(people) == 2:
             return tracks.relation(people[0], self.name, people[1], self.frame or 0)
         return tracks.statement(people[0], self.name, self.value, self.frame)
+
+    def evidence(self, tracks: Tracks, people: Sequence[str]) -> float:
+        """The log-odds that it gives for these people being the ones who are meant."""
+        often = _HOLDS[len(people)]
+        return -math.log(often + (1 - often) * math.exp(-self.support(tracks, people).log_odds))
 
 
 @dataclass(frozen=True)
@@ -87,7 +100,7 @@ def rank(plan: Plan, tracks: Tracks) -> tuple[RankedHypothesis, ...]:
 
     @cache
     def odds(part: PlanPart, *people: str) -> float:
-        return part.support(tracks, people).log_odds
+        return part.evidence(tracks, people)
 
     @cache
     def alone(node: str, who: str) -> float:
@@ -122,11 +135,14 @@ def _margin(beam: Sequence[tuple[float, dict[str, str]]], target: str, at: int) 
 
 
 def _absence(tracks: Tracks, who: str, frame: int) -> float:
-    """The log-odds against somebody who was not seen where they should be in a frame that was looked at."""
-    if frame not in tracks.looks or tracks.at(who, frame):
-        return 0.0
+    """The log-odds against somebody whom looks at a frame should have shown oftener, as if a box had been wrong."""
     place = expected_place(tracks.people[who], frame)
-    return -UNIT if covered(tracks.looks[frame], around(place.angle, place.angle_spread)) else 0.0
+    where = around(place.angle, max(place.angle_spread, _EDGE_DEG))
+    looks, readings = tracks.looks.get(frame, ()), len(tracks.at(who, frame))
+    missed = sum(covered([look], where) for look in looks) - readings
+    if not readings:
+        return -UNIT if covered(looks, where) else 0.0
+    return max(-MOST_VOTES * UNIT, min(0.0, readings - 1 - missed) * UNIT)
 
 
 def shares(hypotheses: Sequence[RankedHypothesis], node: str) -> dict[str, float]:

@@ -22,7 +22,7 @@ from jrdb_avr.agent.perception.geometry import SeenColumns, first_beside, seen_f
 from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel
 from jrdb_avr.agent.perception.support import rank
 from jrdb_avr.agent.perception.votes import Tracks
-from jrdb_avr.schema.labels import AGES, GENDERS
+from jrdb_avr.schema.labels import AGES, GENDERS, may_be_called
 from jrdb_avr.schema.panorama import WIDTH, Box, angle_error, angle_of_azimuth, column_of_angle
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
 from jrdb_avr.schema.relations import FIRST_LEFT
@@ -205,8 +205,7 @@ def asked_of(world):
     while True:
         for who in world.rng.sample(world.names, len(world.names)):
             for names in itertools.chain(itertools.combinations(VALUES, 2), [(*VALUES,)]):
-                fits = [o for o in world.names if all(world.values[o][n] == world.values[who][n] for n in names)]
-                if len(fits) > 1:
+                if any(all(_may_fit(world, o, who, n) for n in names) for o in world.names if o != who):
                     continue
                 conditions = tuple(_condition(name, world.values[who][name]) for name in names)
                 nexts = [o for o in world.names if o != who and first_beside(boxes, who, o, "left", looks)]
@@ -217,6 +216,12 @@ def asked_of(world):
         # Nobody is unlike all others.
         world.values[world.names[0]] = {name: world.rng.choice(words) for name, words in VALUES.items()}
         world.slips.clear()
+
+
+def _may_fit(world, other, who, name):
+    """Whether the value of one person may be said of another."""
+    own, value = world.values[other][name], world.values[who][name]
+    return own == value or own in may_be_called(value)
 
 
 def _condition(name, value):

@@ -59,7 +59,7 @@ def test_the_best_hypothesis_is_that_of_brute_force(tracks, plan):
     best = {}
     for people in itertools.permutations(tracks.people, len(nodes)):
         bound = dict(zip(nodes, people, strict=True))
-        odds = sum(part.support(tracks, [bound[node] for node in part.nodes]).log_odds for part in parts_of(plan))
+        odds = sum(part.evidence(tracks, [bound[node] for node in part.nodes]) for part in parts_of(plan))
         best[bound[plan.target]] = max(best.get(bound[plan.target], -99), odds)
     ranked = rank(plan, tracks)
     if len(tracks.people) < len(nodes):
