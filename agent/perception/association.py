@@ -37,8 +37,11 @@ _WIDEST_DEG: Final = 120.0
 _LONGEST: Final = 60
 """Frames for which somebody is expected to go on as they did."""
 
-_ANYWHERE: Final = 0.05
-"""The chance that a box is wrong or a person has done the unexpected."""
+_ASTRAY: Final = 0.05
+"""The chance that a box is wrong or a person has done the unexpected; they are then this near all the same."""
+
+_ASTRAY_DEG: Final = 30.0
+_ANYWHERE: Final = 0.001
 
 _GROWING: Final = 0.006
 """Spread of the logarithm of a box's height per frame."""
@@ -120,11 +123,12 @@ def _cost(tracks: Tracks, who: str, reading: PersonReading) -> float:
     spread = place.angle_spread + min(widths, default=0.0) * 180.0 / WIDTH
     nearest = min(readings, key=lambda one: abs(one.frame - reading.frame))
     still = spread - place.angle_spread + _spread(_STAYING, abs(nearest.frame - reading.frame))
-    goes_on = _normal(angle_error(reading.angle, place.angle), spread)
+    off = angle_error(reading.angle, place.angle)
+    goes_on, astray = _normal(off, spread), _normal(off, max(spread, _ASTRAY_DEG))
     stays = _normal(angle_error(reading.angle, nearest.angle), still)
-    near = (1 - _ANYWHERE) * (goes_on + stays) / 2 + _ANYWHERE / 360.0
+    near = (1 - _ASTRAY) * (goes_on + stays) / 2 + _ASTRAY * astray + _ANYWHERE / 360.0
     grown = math.log(reading.box.h) - place.log_height
-    sized = (1 - _ANYWHERE) * _normal(grown, place.height_spread) / _normal(grown, 0.8) + _ANYWHERE
+    sized = (1 - _ASTRAY) * _normal(grown, place.height_spread) / _normal(grown, 0.8) + _ASTRAY
     return -(math.log(near * 360.0) + math.log(sized) + sum(_same(tracks, who, reading, topic) for topic in _VALUES))
 
 

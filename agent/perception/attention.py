@@ -59,6 +59,9 @@ _PEOPLE: Final = 6.0
 _MISSED: Final = 0.3
 """People who were there and not read, in the same measure."""
 
+_AWAY: Final = 0.05
+"""The chance that somebody is not there at all."""
+
 _CLOSE: Final = {"span": 14}
 _CLOSE_FRAMES: Final = 28
 """Frames to which a moment is to be known: half of them is within a second."""
@@ -242,9 +245,10 @@ class _Attention:
         if high is None:
             beyond = max([low, *(at for at in tried if at > low and not self.tracks.at(who, at))])
             step = max(_STEP, round((last - beyond) / (2 * max(self.left - 3, 1))))
-            at = self.legal(min(beyond + step, last))
-            if at > beyond and (found := self._search(who, at, 1.0, "bracket")) is not None:
-                yield found
+            # Whoever was missed is searched beside, or later.
+            for at in {beyond, self.legal(min(beyond + step, last))} - {low}:
+                if (found := self._search(who, at, 1.0, "bracket")) is not None:
+                    yield found
             return
         if high - low > close:
             inside = [self.legal(low + share * (high - low)) for share in (0.5, 0.35, 0.65)]
@@ -279,9 +283,10 @@ class _Attention:
         """The look at a frame that shows most of where somebody may be and was not looked for yet."""
         place = expected_place(self.tracks.people[who], frame)
         seen, best = self.tracks.looks.get(frame, ()), None
+        left = _AWAY + sum(_chance(gap, place.angle, place.angle_spread) for gap in gaps(seen, CIRCLE))
         for turn in (0.0, 40.0, -40.0, 80.0, -80.0, 120.0, -120.0, 160.0, -160.0):
             new = gaps(seen, around(place.angle + turn, FOV_DEG / 2))
-            chance = sum(_chance(gap, place.angle, place.angle_spread) for gap in new)
+            chance = sum(_chance(gap, place.angle, place.angle_spread) for gap in new) / left
             if new and (best is None or chance * bits > best.bits):
                 best = NextLook(frame, (place.angle + turn) % 360.0, purpose, chance * bits)
         return best

@@ -77,7 +77,7 @@ def test_slots_say_what_is_open_supported_certain_or_contradicted():
     woman = [read(1, 100, ("gender", "female"), ("action", "standing"), observation=look) for look in ("o", "q")]
     tracks = Tracks({"p1": tuple(woman), "p2": (read(2, 80),)}, ALL)
     first = rank(HOP, tracks)[0]
-    assert first.nodes == {"a": "p1", "b": "p2"} and first.log_odds == pytest.approx(UNIT)
+    assert first.nodes == {"a": "p1", "b": "p2"} and len(rank(HOP, tracks)) == 2
     assert [slot.state for slot in slot_supports(HOP, tracks, first)] == ["certain", "contradicted", "supported"]
     alone = Tracks({"p1": tuple(woman)}, ALL)
     assert [slot.state for slot in slot_supports(HOP, alone, rank(HOP, alone)[0])] == [

@@ -1,0 +1,186 @@
+"""Attention looks where something is open, keeps looks for the answer, and ends; moments lie between sightings."""
+
+import random
+
+import pytest
+from effort import examples
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from labelled_people import toward
+from read_worlds import POSES, Noise, ReadWorld, asked_of, reading_at
+
+from jrdb_avr.agent.perception.attention import RESERVES, next_look
+from jrdb_avr.agent.perception.geometry import SeenColumns, covered, seen_from
+from jrdb_avr.agent.perception.moments import Bracket, absence, brackets, change, performs_at, presence
+from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel
+from jrdb_avr.agent.perception.support import rank
+from jrdb_avr.agent.perception.votes import Tracks
+from jrdb_avr.schema.panorama import WIDTH, Box, angle_error, iou
+from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time, validate
+
+FRAMES = range(300)
+ALL = (SeenColumns(0, WIDTH),)
+NOISY = Noise(wrong=0.1, wrong_box=0.1, miss=0.03)
+WOMAN = Plan(
+    "a",
+    "a",
+    {"t0": Time(frame=15)},
+    (Node("a", (Condition(attribute="gender", value="female"),)),),
+    (),
+    AnswerSpec("multiple_choice", "action", "a", "t0"),
+)
+PRESENCE = reading_at(WOMAN, "presence", "multiple_choice", 90, 180)
+START = reading_at(WOMAN, "start", "frame", event="start", action="walking")
+
+
+def read(frame, *labels, angle=100.0, observation="o"):
+    box = Box(toward(angle), 100.0, 50.0, 150.0)
+    return PersonReading(observation, 1, frame, box, tuple(ReadLabel(*label) for label in labels))
+
+
+def look(plan, tracks, left=24, frames=FRAMES):
+    return next_look(plan, tracks, rank(plan, tracks), left, frames)
+
+
+def known_woman(frames=(15,), **looks):
+    """A woman at 100 degrees read twice at these frames, the first of which was seen all round."""
+    people = tuple(
+        read(frame, ("gender", "female"), ("action", "standing"), observation=o) for frame in frames for o in "ab"
+    )
+    return Tracks({"p1": people}, {frames[0]: ALL, **{frame: (seen_from(100.0),) * 2 for frame in frames[1:]}})
+
+
+def test_plans_of_the_tests_are_valid():
+    for plan in (WOMAN, PRESENCE, START):
+        validate(plan)
+
+
+def test_without_readings_it_looks_all_round_at_the_frame_of_the_description():
+    tracks = Tracks({}, {})
+    for _ in range(9):
+        first = look(WOMAN, tracks)
+        assert (first.frame, first.purpose) == (15, "identify")
+        tracks = Tracks({}, {15: (*tracks.looks.get(15, ()), seen_from(first.angle))})
+    assert covered(tracks.looks[15]) and look(WOMAN, tracks) is None
+
+
+def test_a_sector_says_where_to_look():
+    left = Condition(attribute="sector", value="left", at="t0")
+    plan = Plan("a", "a", WOMAN.times, (Node("a", (left,)),), (), WOMAN.answer)
+    tracks, made = Tracks({}, {}), []
+    while (one := look(plan, tracks)) is not None:
+        made.append(one.angle)
+        tracks = Tracks({}, {15: (*tracks.looks.get(15, ()), seen_from(one.angle))})
+    assert len(made) == 5 and all(angle_error(angle, 90.0) < 115 for angle in made)
+
+
+def test_a_single_reading_is_verified_next_to_the_first_look():
+    once = Tracks({"p1": (read(15, ("gender", "female")),)}, {15: (*ALL, seen_from(100.0))})
+    again = look(WOMAN, once)
+    assert again.purpose == "verify" and 1 < angle_error(again.angle, 100.0) < 3
+    assert look(WOMAN, known_woman()) is None
+
+
+def test_with_few_looks_left_the_answer_comes_first():
+    tracks = Tracks({"p1": (read(15, ("gender", "female")),)}, {15: ALL})
+    assert look(PRESENCE, tracks, left=RESERVES["presence"] + 1).purpose == "verify"
+    followed = look(PRESENCE, tracks, left=RESERVES["presence"])
+    assert followed.purpose == "follow" and followed.frame == 90 and angle_error(followed.angle, 100.0) < 1
+    assert look(PRESENCE, tracks, left=0) is None and look(PRESENCE, tracks, frames=()) is None
+    # The last looks are for a second box.
+    assert look(PRESENCE, tracks, left=2).purpose == "evidence"
+    assert look(WOMAN, Tracks(tracks.people, {15: ALL}), frames=[30, 60]).frame == 30
+
+
+def test_an_absence_is_shown_again_within_a_second():
+    tracks = known_woman()
+    gone = Tracks(tracks.people, {**tracks.looks, 90: ALL, 180: ALL})
+    again = look(PRESENCE, gone)
+    assert again.purpose == "absence" and again.frame in (75, 105, 165, 195)
+    assert absence(gone, "p1", 90) == "supported"
+    shown = Tracks(gone.people, {**gone.looks, 80: ALL})
+    assert absence(shown, "p1", 90) == "certain" and absence(shown, "p1", 100) == "open"
+    assert absence(shown, "p1", 30) == "contradicted"
+    assert [presence(shown, "p1", frame) for frame in (15, 90, 91)] == [True, False, None]
+    beside = Tracks(shown.people, {90: (seen_from(60.0), seen_from(140.0))})
+    assert absence(beside, "p1", 90) == "open"
+
+
+def test_a_start_is_passed_bracketed_and_read_again():
+    tracks = known_woman((15, 60, 120))
+    on = look(START, tracks)
+    assert on.purpose == "bracket" and on.frame >= 150
+    walks = tuple(read(180, ("action", "walking"), observation=o) for o in "ab")
+    passed = Tracks({"p1": (*tracks.people["p1"], *walks)}, {**tracks.looks, 180: ALL})
+    assert brackets(START, passed, "p1") == {"t1": Bracket(120, 180)}
+    assert look(START, passed)[:3] == (150, pytest.approx(100), "bracket")
+    closed = Tracks({"p1": (*passed.people["p1"], read(150, ("action", "walking")))}, {**passed.looks, 150: ALL})
+    (event,) = brackets(START, closed, "p1").values()
+    assert (event.state, event.middle) == ("certain", 135)
+    assert [performs_at(closed, "p1", "walking", frame) for frame in (120, 150, 149)] == [False, True, None]
+
+
+@given(st.dictionaries(st.integers(0, 50), st.booleans()), st.integers(0, 50), st.booleans())
+def test_a_change_lies_between_its_sightings(states, after, wanted):
+    low, high = change(states, after, wanted)
+    later = sorted(frame for frame in states if frame > after)
+    assert low >= after and all(states[frame] is not wanted for frame in later if frame <= low)
+    if high is None:
+        assert Bracket(low, None).state == "open" and all(states[frame] is not wanted for frame in later)
+    else:
+        assert states[high] is wanted and not any(low < frame < high for frame in later)
+
+
+def test_the_end_of_an_action_waits_for_its_start():
+    end = Time(event="end", of="a", action="walking", after="t1")
+    plan = Plan("a", "a", {"t2": end, **START.times}, WOMAN.nodes, (), AnswerSpec("span", "span", "a", ("t1", "t2")))
+    validate(plan)
+    tracks = known_woman((15, 60, 120))
+    assert brackets(plan, tracks, "p1") == {"t1": Bracket(120, None)}
+    walks = [read(frame, ("action", "walking")) for frame in (75, 90)]
+    during = Tracks({"p1": (*tracks.people["p1"], *walks)}, {**tracks.looks, 75: ALL, 90: ALL})
+    assert brackets(plan, during, "p1") == {"t1": Bracket(60, 75), "t2": Bracket(90, 120)}
+
+
+@given(st.integers(0, 10_000), st.sampled_from(("action", "presence", "start")), st.sampled_from((Noise(), NOISY)))
+@settings(max_examples=examples(12))
+def test_every_exploration_ends_in_time_with_somebody_and_repeats_no_look(seed, read, noise):
+    world = ReadWorld(random.Random(seed), 5)
+    plan, _ = asked_of(world)
+    if read == "presence":
+        plan = reading_at(plan, "presence", "multiple_choice", 90, 180)
+    if read == "start":
+        plan = reading_at(plan, "start", "frame", event="start", action="walking")
+    tracks, made, who = world.explored(plan, noise, looks=24)
+    assert len(made) <= 24 and (who in tracks.people or not tracks.people)
+    for place, one in enumerate(made):
+        assert one.frame in FRAMES and 0 <= one.angle < 360
+        same = [other for other in made[:place] if other.frame == one.frame]
+        assert all(angle_error(other.angle, one.angle) > 1 for other in same)
+
+
+# Measured over 150 worlds: 0.95 with 15 looks; the same with correlated misreadings 0.85.
+def test_attention_finds_the_target_with_noise():
+    found = boxed = 0
+    for seed in range(30):
+        world = ReadWorld(random.Random(seed))
+        plan, target = asked_of(world)
+        tracks, _, who = world.explored(plan, NOISY)
+        names = [world.truth[one.observation, one.number] for one in tracks.people[who]]
+        found += max(names, key=names.count) == target
+        boxed += iou(tracks.box(who, 15).box, world.box(target, 15)) >= 0.5
+    assert found >= 26 and boxed >= 26
+
+
+def test_a_start_is_found_to_a_second():
+    right = 0
+    for seed in range(10):
+        world = ReadWorld(random.Random(seed))
+        plan, target = asked_of(world)
+        pose = next(pose for pose in POSES if pose != world.values[target]["action"])
+        world.later[target] = (80 + 10 * seed, pose)
+        plan = reading_at(plan, "start", "frame", event="start", action=pose)
+        tracks, _, who = world.explored(plan, Noise())
+        event = brackets(plan, tracks, who).get("t1")
+        right += event is not None and event.middle is not None and abs(event.middle - world.later[target][0]) <= 15
+    assert right >= 7
