@@ -179,7 +179,7 @@ class _Attention:
                     continue
                 told = max(_learned(chance), chance * _learned(1 / (1 + math.exp(-support.log_odds))))
                 for who in {one.nodes.get(node, "") for node in part.nodes} - {""}:
-                    frame = part.frame if part.frame is not None else self._described(part.nodes[0])
+                    frame = frames_of(self.plan, part.nodes[0])[0] if part.frame is None else part.frame
                     bits[who, self.legal(frame)] = bits.get((who, self.legal(frame)), 0.0) + told
         for (who, frame), told in bits.items():
             if len(self.tracks.at(who, frame)) < MOST_READINGS:
@@ -188,9 +188,6 @@ class _Attention:
                     yield NextLook(frame, self._angle(who, frame), "verify", told)
                 elif (found := self._search(who, frame, told, "verify")) is not None:
                     yield found
-
-    def _described(self, node: str) -> int:
-        return frames_of(self.plan, node)[0]
 
     # -- what is read of the target -------------------------------------------------------------------------------
 
