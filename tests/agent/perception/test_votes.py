@@ -40,6 +40,7 @@ def test_two_readings_that_agree_settle_and_a_third_decides_between_two():
     assert woman(WOMAN).state == "supported" and not woman(WOMAN).settled
     assert woman(WOMAN, WOMAN).state == "certain"
     assert woman(WOMAN, MAN).state == "open" and not woman(WOMAN, MAN).settled
+    assert not woman(WOMAN, MAN, MAN, WOMAN).settled
     assert woman(WOMAN, MAN, WOMAN).state == "certain"
     assert woman(WOMAN, MAN, MAN).state == "contradicted" and woman(WOMAN, MAN, MAN).settled
 
