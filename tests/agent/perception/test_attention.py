@@ -159,7 +159,7 @@ def test_every_exploration_ends_in_time_with_somebody_and_repeats_no_look(seed, 
         assert all(angle_error(other.angle, one.angle) > 1 for other in same)
 
 
-# Measured over 150 worlds: 0.95 with 15 looks; the same with correlated misreadings 0.85.
+# Measured over 100 worlds: 0.95 with 15 looks; 0.77 where 60 % of the misreadings are the same in every picture.
 def test_attention_finds_the_target_with_noise():
     found = boxed = 0
     for seed in range(30):
