@@ -17,11 +17,11 @@ from jrdb_avr.agent.perception.geometry import CIRCLE, Arc, around, deciding_arc
 from jrdb_avr.agent.perception.moments import Bracket, brackets, presence
 from jrdb_avr.agent.perception.readings import USUAL
 from jrdb_avr.agent.perception.support import RankedHypothesis, frames_of, slot_supports
-from jrdb_avr.agent.perception.votes import NEAR_FRAMES, Tracks, settled
+from jrdb_avr.agent.perception.votes import Tracks, settled
 from jrdb_avr.schema.labels import ROBOT_SECTORS
 from jrdb_avr.schema.panorama import CROP, FOV_DEG, WIDTH, angle_error, clockwise
 from jrdb_avr.schema.plan import Plan, Read
-from jrdb_avr.schema.rules import FPS, LoadRules
+from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP, LoadRules
 
 Purpose = Literal["identify", "verify", "follow", "bracket", "absence", "evidence"]
 
@@ -215,15 +215,15 @@ class _Attention:
         if (found := self._search(who, frame, _ANSWER_BITS, "follow")) is not None:
             yield found
             return
-        for beside in (frame + NEAR_FRAMES, frame - NEAR_FRAMES):
+        for beside in (frame + KEYFRAME_STEP, frame - KEYFRAME_STEP):
             at = self.legal(beside)
-            if 0 < abs(at - frame) <= NEAR_FRAMES and not self._beside_known(who, frame):
+            if 0 < abs(at - frame) <= KEYFRAME_STEP and not self._beside_known(who, frame):
                 found = self._search(who, at, _ANSWER_BITS / 2, "absence")
                 if found is not None:
                     yield found
 
     def _beside_known(self, who: str, frame: int) -> bool:
-        near = [at for at in self.tracks.looks if 0 < abs(at - frame) <= NEAR_FRAMES]
+        near = [at for at in self.tracks.looks if 0 < abs(at - frame) <= KEYFRAME_STEP]
         return any(presence(self.tracks, who, at) is not None for at in near)
 
     def _count(self, who: str, first: int, last: int) -> Iterator[NextLook]:

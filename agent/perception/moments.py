@@ -11,8 +11,9 @@ from typing import Final, NamedTuple
 
 from jrdb_avr.agent.perception.association import expected_place
 from jrdb_avr.agent.perception.geometry import around, covered
-from jrdb_avr.agent.perception.votes import NEAR_FRAMES, SlotState, Tracks
+from jrdb_avr.agent.perception.votes import SlotState, Tracks
 from jrdb_avr.schema.plan import Plan
+from jrdb_avr.schema.rules import KEYFRAME_STEP
 
 CERTAIN_FRAMES: Final = 30
 """Frames between the enclosing sightings of an event whose moment is certain."""
@@ -54,11 +55,11 @@ def absence(tracks: Tracks, who: str, frame: int) -> SlotState:
     Certain where looks show that at the frame and at another one within a second, supported where at the frame alone;
     a sighting within a second contradicts it.
     """
-    if any(abs(one.frame - frame) <= NEAR_FRAMES for one in tracks.people.get(who, ())):
+    if any(abs(one.frame - frame) <= KEYFRAME_STEP for one in tracks.people.get(who, ())):
         return "contradicted"
     if not shown(tracks, who, frame):
         return "open"
-    near = [at for at in tracks.looks if 0 < abs(at - frame) <= NEAR_FRAMES and shown(tracks, who, at)]
+    near = [at for at in tracks.looks if 0 < abs(at - frame) <= KEYFRAME_STEP and shown(tracks, who, at)]
     return "certain" if near else "supported"
 
 

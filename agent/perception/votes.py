@@ -3,7 +3,7 @@
 No reading replaces another. Two that agree, or three of which two agree, settle a fact. Misreadings of one person are
 often alike, so that a fact is supported by at most `MOST_VOTES` readings: else whoever is seen often would win.
 Readings count at the frame that was looked at; where there is none, those of the nearest frame count less by half for
-each second, and settle nothing farther than `NEAR_FRAMES` away.
+each second, and settle nothing farther than a second away.
 """
 
 from __future__ import annotations
@@ -34,9 +34,6 @@ MOST_VOTES: Final = 1.5
 
 SETTLING: Final = 2
 """Readings that agree and are more than those that do not: they settle a fact."""
-
-NEAR_FRAMES: Final = KEYFRAME_STEP
-"""Frames within which readings stand for a stated frame, as the scores allow a second."""
 
 SAME_BOX: Final = 0.5
 """IoU from which on two boxes are of one cluster, as scores want it."""
@@ -197,7 +194,7 @@ def _support(votes: Sequence[tuple[int, float]], frame: int | None) -> Support:
     gap = 0 if frame is None or not votes else abs(nearest - frame)
     most = MOST_VOTES * UNIT
     log_odds = max(-most, min(most, sum(given))) * 0.5 ** (gap / KEYFRAME_STEP)
-    if gap > NEAR_FRAMES:
+    if gap > KEYFRAME_STEP:
         # Far away they rank people and decide nothing.
         return Support(log_odds, int(log_odds > 0), int(log_odds < 0))
     return Support(log_odds, sum(one > 0 for one in given), sum(one < 0 for one in given))
