@@ -127,14 +127,15 @@ def write_questions(place):
 
 
 def write_run(place, name, answer, synthetic, questions=None):
-    """A run of four questions: two answered with evidence, one without, one left out."""
+    """A run of four questions: two answered with evidence, one whose box could not be read, one left out."""
     ids = [f"{n:016x}" for n in range(4)]
     schema = RUNS["predictions"]
     blank = {field.name: "" if field.type == pa.string() else 0 for field in schema}
     rows = []
     for n, question in enumerate(ids[:3]):
         box = {f"evidence_{key}": BOX[key] if n < 2 else None for key in "xywh"}
-        row = {"run_id": name, "question_id": question, "status": "answered", "answer": json.dumps(answer)}
+        status = "answered" if n < 2 else "invalid"
+        row = {"run_id": name, "question_id": question, "status": status, "answer": json.dumps(answer)}
         rows.append(blank | row | box | {"evidence_frame": 15 if n < 2 else None})
     place.write_run(name, "predictions", pa.Table.from_pylist(rows, schema=schema))
     digest = questions or questions_hash(place)
