@@ -116,7 +116,7 @@ def test_duckdb_reads_the_same_from_perturbed_programs(searches, name):
 
 def test_duckdb_leads_everybody_to_the_same_people_and_names_the_same_anchors(tmp_path):
     counts, outcomes, world = Counter(), Counter(), {}
-    for number, make in enumerate([random_world, lively_world, sociable_world] * (20 if DEEP else 3)):
+    for number, make in enumerate([random_world, lively_world, sociable_world] * (20 if DEEP else 2)):
         make = in_other_words(make) if number % 2 else make
         world |= make(random.Random(number), f"yard-{number:02d}")
     store = memory_store(tmp_path, world)
