@@ -1,8 +1,7 @@
-"""The keyframe layer of a stored graph, as statements see it: their texts, the values they need, and its stamp."""
+"""The keyframe layer of a stored graph, as statements see it: the values they need, and its stamp."""
 
 from __future__ import annotations
 
-from importlib import resources
 from typing import Final
 
 import msgspec
@@ -13,11 +12,6 @@ from jrdb_avr.schema.rules import FPS, Rules, frames
 
 SPAN: Final = 1 << 32
 """Ids of a sequence: each sequence of a layer has a range of so many, which begins at its `low`."""
-
-
-def query_text(folder: str, name: str) -> str:
-    """The text of a packaged Cypher file."""
-    return resources.files("jrdb_avr.queries").joinpath(folder, f"{name}.cypher").read_text(encoding="utf-8")
 
 
 def keyframe_values(rules: Rules, low: int) -> dict[str, int | float]:

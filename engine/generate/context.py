@@ -17,7 +17,8 @@ from jrdb_avr.engine.generate.relations import RELATIONS, Facts, find_facts
 from jrdb_avr.engine.generate.scene import Scene, box_count, coded, ints, load_scene
 from jrdb_avr.queries.graph.handle import Graph, worker_graph
 from jrdb_avr.queries.graph.parameters import parameters
-from jrdb_avr.queries.keyframes import keyframe_values, query_text
+from jrdb_avr.queries.keyframes import keyframe_values
+from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.rules import Rules
@@ -83,7 +84,7 @@ class SearchContext:
         rules."""
         if self.graph is None:
             raise StoreError("the graph has no keyframe layer yet")
-        text = query_text(folder, name)
+        text = read_statement(f"{folder}/{name}.cypher")
         known = keyframe_values(self.rules, self.low) | values
         return self.graph.query(text, {key: known[key] for key in parameters(text)})
 
