@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import wait
-from multiprocessing.context import ForkServerContext
+from multiprocessing.context import ForkServerContext, SpawnContext
 from typing import TypeVar
 
 from jrdb_avr.schema.errors import StoreError
@@ -23,9 +23,9 @@ from jrdb_avr.schema.errors import StoreError
 A = TypeVar("A")
 R = TypeVar("R")
 
-context: ForkServerContext = multiprocessing.get_context("forkserver")
-"""How a process starts: forked off one that only imports. The engine's threads would not survive a fork of this one;
-to import everything anew takes each process half a second."""
+context: SpawnContext | ForkServerContext = multiprocessing.get_context("spawn")
+"""How a process starts: anew, not forked, as the engine's threads do not survive a fork. Tests put a context here whose
+processes start with everything imported."""
 
 is_worker = False
 """Whether this process is one of those made here, which ends with its work."""
@@ -44,7 +44,7 @@ def map_shards(
         for i in order:
             yield i, function(items[i])
         return
-    with _pool(function, min(workers, len(items)), end_with_parent) as pool:
+    with ProcessPoolExecutor(min(workers, len(items)), mp_context=context, initializer=end_with_parent) as pool:
         futures = {pool.submit(function, items[i]): i for i in order}
         try:
             for future in as_completed(futures):
@@ -56,15 +56,8 @@ def map_shards(
 
 
 def _in_new_process(function: Callable[[], R]) -> R:
-    with _pool(function, 1, _become_quiet_worker) as pool:
+    with ProcessPoolExecutor(1, mp_context=context, initializer=_become_quiet_worker) as pool:
         return pool.submit(function).result()
-
-
-def _pool(function: Callable[..., object], workers: int, begin: Callable[[], None]) -> ProcessPoolExecutor:
-    """Processes for a function. Those of a program's first one begin with its module imported, and so do all later
-    ones."""
-    context.set_forkserver_preload([getattr(function, "func", function).__module__])
-    return ProcessPoolExecutor(workers, mp_context=context, initializer=begin)
 
 
 run_alone: Callable[[Callable[[], R]], R] = _in_new_process

@@ -245,17 +245,7 @@ class Clock:
 
 def _busy():
     both = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return sum(usage.ru_utime + usage.ru_stime for usage in both) + sum(map(_ticks, _children(os.getpid())))
-
-
-def _ticks(pid):
-    """Processor seconds of a process that runs, and of those of its children that have ended: workers are children of
-    the process that they are forked off."""
-    try:
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    except OSError:
-        return 0.0
-    return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
+    return sum(usage.ru_utime + usage.ru_stime for usage in both)
 
 
 class Memory:

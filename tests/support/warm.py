@@ -73,8 +73,6 @@ def context():
     """Of multiprocessing: its processes are new ones, without the threads and files of this, like spawned ones."""
     found = multiprocessing.get_context("forkserver")
     found.set_forkserver_preload(list(IMPORTED))
-    # Now, as whoever starts the first process decides what is imported.
-    multiprocessing.forkserver.ensure_running()
     return found
 
 
