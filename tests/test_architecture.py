@@ -24,7 +24,7 @@ MAY_IMPORT = {
     "agent.perception": AGENT,
     "agent.beliefs": AGENT | {"agent.model"},
     "agent.methods": AGENT | {"agent.model"},
-    "agent.reference": AGENT | {"agent.model", "agent.policy", "agent.beliefs", "agent.methods"},
+    "agent.reference": AGENT | {"agent.model", "agent.perception", "agent.beliefs", "agent.methods"},
     "agent.simulated": AGENT | {"agent.model", "agent.policy"},
     "agent.preflight": AGENT | {"agent.model", "agent.methods", "agent.reference"},
     "engine.console": {"schema"},

@@ -16,12 +16,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, Literal, NamedTuple
 
-from jrdb_avr.agent.perception.geometry import DERIVED, SeenColumns, at_distance, in_sector, standing
+from jrdb_avr.agent.perception.geometry import DERIVED, SeenColumns, at_distance, covered, in_sector, standing
 from jrdb_avr.agent.perception.readings import USUAL, PersonReading, ReadLabel, has_one_value, topic_of
 from jrdb_avr.schema.beliefs import TIMELESS
 from jrdb_avr.schema.labels import may_be_called
 from jrdb_avr.schema.panorama import Box, iou
-from jrdb_avr.schema.relations import SYMMETRIC
+from jrdb_avr.schema.relations import SAME_GROUP, SYMMETRIC
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
 SlotState = Literal["open", "supported", "certain", "contradicted"]
@@ -88,12 +88,38 @@ class Tracks:
 
     def statement(self, who: str, name: str, value: str, frame: int | None) -> Support:
         """The support for an attribute's value (as `Condition.wanted` writes it) of somebody at a frame."""
+        if name == "group_size":
+            return self._group_size(who, int(value), frame or 0)
         said = [(one.frame, _says(one, name, value)) for one in self.people.get(who, ())]
         votes = [(at, vote) for at, vote in said if vote is not None]
         if name == "interaction":
             ties = [one for one in self._tied if one[1] == value and who in (one[0], one[2])]
             votes += [(at, vote) for *_, at, vote in ties if vote > 0]
         return _support(votes, None if name in TIMELESS else frame)
+
+    def _group_size(self, who: str, size: int, frame: int) -> Support:
+        """The support for so many people in somebody's group: by the group's ties, or as it was read."""
+        at = self.met(frame)
+        if not any(relation == SAME_GROUP for _, relation, *_ in self._tied):
+            said = [(one.frame, _says(one, "group_size", str(size))) for one in self.people.get(who, ())]
+            return _support([(when, vote) for when, vote in said if vote is not None], frame)
+        known = len(self._group(who, at))
+        if not self.at(who, at) or (known < size and not covered(self.looks.get(at, ()))):
+            return Support()
+        # Of a group that looks too small somebody may be hidden.
+        vote = UNIT if known == size else -UNIT if known > size or size == 1 else -UNIT / 2
+        return _support([(at, vote)] * len(self.at(who, at)), frame)
+
+    def _group(self, who: str, frame: int) -> set[str]:
+        """Everybody whom ties of one group join to somebody at a frame, with them."""
+        there = [other for other in self.people if self.at(other, frame)]
+        group, fresh = {who}, [who]
+        while fresh:
+            one = fresh.pop()
+            found = [o for o in there if o not in group and self.relation(one, SAME_GROUP, o, frame).log_odds > 0]
+            group.update(found)
+            fresh += found
+        return group
 
     def values(self, who: str, topic: str, frame: int | None) -> tuple[Tally, ...]:
         """The values that were read on a topic of somebody, the best supported first; at any frame where it is None."""

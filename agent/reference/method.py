@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from jrdb_avr.agent.beliefs.solver import BeliefSolver, beliefs_of
 from jrdb_avr.agent.methods.attempt import Attempt, heading, shared_settings, uniform_frames
@@ -12,21 +12,29 @@ from jrdb_avr.agent.model.client import Chat
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention
 from jrdb_avr.agent.model.prompts import frame_ranges, mode_text, render
 from jrdb_avr.agent.reference.chat_memory import ChatMemory
+from jrdb_avr.agent.reference.driven import DrivenEpisode
 from jrdb_avr.agent.reference.episode import LIMITS, Episode, Limits, Memory
 from jrdb_avr.agent.reference.graph_memory import GraphMemory
+from jrdb_avr.agent.reference.perceive import MOST_PEOPLE
 from jrdb_avr.agent.reference.planning import make_plan
 from jrdb_avr.agent.reference.tool_calls import MOST_PER_TURN
+from jrdb_avr.queries.compiler.beliefs import find_believed
+from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.labels import AGES, DISTANCE_WORDS, OTHER_ACTIONS, POSES, ROBOT_SECTORS
 from jrdb_avr.schema.method import Prediction, Question, Task
 
 if TYPE_CHECKING:
     from jrdb_avr.agent.beliefs.world_model import WorldModel
 
+Policy = Literal["model", "driven"]
+"""Who chooses the looks."""
+
 
 @dataclass(frozen=True)
 class ReferenceAgent:
     """looks: whether it chooses where to look, or is sent panoramas; remembers: whether it has a plan and a world
-    model, `world`, or a chat history in their place.
+    model, `world`, or a chat history in their place. policy: who chooses the looks: the model, or the harness, which
+    has the model read one picture at a time. Raises InputError for a harness that has no looks to choose.
     """
 
     chat: Chat
@@ -35,6 +43,11 @@ class ReferenceAgent:
     looks: bool = True
     limits: Limits = LIMITS
     solving: Callable[[WorldModel, Question], BeliefSolver] = beliefs_of
+    policy: Policy = "model"
+
+    def __post_init__(self) -> None:
+        if self.policy == "driven" and not self.looks:
+            raise InputError("the policy 'driven' chooses looks, which a passive agent has none of", field="policy")
 
     @property
     def remembers(self) -> bool:
@@ -46,12 +59,17 @@ class ReferenceAgent:
 
     def settings(self) -> dict[str, Any]:
         """What the manifest of a run says of the method."""
-        variant = {"active_observation": self.looks, "world_model": self.remembers}
+        variant = {"active_observation": self.looks, "world_model": self.remembers, "policy": self.policy}
+        if self.policy == "driven":
+            budgets = {"looks": self.limits.looks, "repairs": self.limits.repairs, "people": MOST_PEOPLE}
+            return variant | budgets | shared_settings(self.convention)
         return variant | self.limits.settings(self.looks, self.remembers) | shared_settings(self.convention)
 
     def answer(self, task: Task) -> Prediction:
         """Play one question, within `limits.model_calls` model calls."""
         attempt = Attempt(task, self.chat, self.convention)
+        if self.policy == "driven":
+            return self._drive(attempt)
         system = system_prompt(task, self.limits, self.looks, self.remembers)
         heading = task_heading(task, self.limits, self.looks)
         if self.world is None:
@@ -60,6 +78,15 @@ class ReferenceAgent:
         with world.together():
             plan = make_plan(attempt, self.limits.repairs, solver.check, world)
             return self._play(attempt, GraphMemory(attempt, world, solver, plan, system, heading, fixed=not self.looks))
+
+    def _drive(self, attempt: Attempt) -> Prediction:
+        if self.world is None:
+            plan = make_plan(attempt, self.limits.repairs, find_believed)
+            return DrivenEpisode(attempt, plan, self.limits.looks).play()
+        world = self.world.episode(attempt.task.question, attempt.task.record_write)
+        with world.together():
+            plan = make_plan(attempt, self.limits.repairs, find_believed, world)
+            return DrivenEpisode(attempt, plan, self.limits.looks, world).play()
 
     def _play(self, attempt: Attempt, memory: Memory) -> Prediction:
         episode = Episode(attempt, memory, self.looks, self.limits)

@@ -63,11 +63,13 @@ MOST_PARTS: Final = 32
 """Conditions and edges of a plan: a question's has a dozen, and the engine's work grows with them."""
 
 
-def make_plan(attempt: Attempt, repairs: int, check: Callable[[Plan], None], episode: BeliefEpisode) -> Plan:
+def make_plan(
+    attempt: Attempt, repairs: int, check: Callable[[Plan], object], episode: BeliefEpisode | None = None
+) -> Plan:
     """The model's plan for the question, or the smallest one where all of `1 + repairs` tries are refused.
 
     Each try is one model call, with the plan before it and what was wrong with that one. `check` raises
-    PlanError for a plan that the solver cannot run. The episode keeps every try.
+    PlanError for a plan that the solver cannot run. The episode of a world model keeps every try.
     """
     task = attempt.task
     system, schema = plan_prompt(task), plan_form()
@@ -90,15 +92,18 @@ def make_plan(attempt: Attempt, repairs: int, check: Callable[[Plan], None], epi
             check(plan)
         except (DecodeError, PlanError) as error:
             refusal = printable(str(error))
-            episode.refused("plan", value if len(text) <= LONGEST_SENT else {}, refusal, step)
+            if episode is not None:
+                episode.refused("plan", value if len(text) <= LONGEST_SENT else {}, refusal, step)
             attempt.record("tool", {"tool": "plan"}, {"refused": refusal}, started)
             text = text[:LONGEST_SENT]
         else:
-            episode.plan(plan, step)
+            if episode is not None:
+                episode.plan(plan, step)
             attempt.record("tool", {"tool": "plan"}, {"accepted": canonical(plan)}, started)
             return plan
     plan = smallest_plan(task)
-    episode.plan(plan, step)
+    if episode is not None:
+        episode.plan(plan, step)
     attempt.record("tool", {"tool": "plan"}, {"in place of a plan": canonical(plan)}, time.perf_counter())
     return plan
 

@@ -39,13 +39,19 @@ def with_wrong_boxes(reply: Mapping[str, Any], looks: Sequence[Look], knobs: Kno
             return place
         return {**place, key: _wrong_box(place[key], look, draws, number)}
 
-    lists = ((name, key) for name, key in (("evidence_bboxes", "bbox"), ("calls", "box")) if reply.get(name))
+    lists = (
+        (name, key)
+        for name, key in (("evidence_bboxes", "bbox"), ("calls", "box"), ("people", "box"))
+        if reply.get(name)
+    )
     return {**reply, **{name: [entry(n, place, key) for n, place in enumerate(reply[name])] for name, key in lists}}
 
 
 def _look_of(place: Mapping[str, Any], looks: Sequence[Look]) -> Look | None:
-    """The newest picture that a box lies in."""
+    """The newest picture that a box lies in; a box that names none lies in the newest one."""
     name, frame = place.get("observation"), place.get("frame_id")
+    if name is None and frame is None and "tool" not in place:
+        return looks[-1] if looks else None
     fitting = (look for look in looks if (f"{look.frame:06d}" == frame if name is None else look.name == name))
     return next(reversed([*fitting]), None)
 

@@ -23,6 +23,7 @@ from jrdb_avr.agent.policy.finding import among, likely
 from jrdb_avr.agent.policy.hops import path
 from jrdb_avr.agent.policy.policy import find_answer, find_target
 from jrdb_avr.agent.policy.state import EpisodeState
+from jrdb_avr.agent.simulated import fields
 from jrdb_avr.agent.simulated.facts import Facts, known_facts, shown_there, write_facts
 from jrdb_avr.agent.simulated.play_agent import agent_turn
 from jrdb_avr.agent.simulated.requests import Play, Request, StageReply
@@ -150,6 +151,21 @@ def _choose(request: Request) -> StageReply:
     return StageReply({"answer": find_answer(state, person)}, state.missing)
 
 
+def _list_people(request: Request) -> StageReply:
+    """The people of the newest picture, the nearest first, with the fields of the prompt."""
+    if not request.looks:
+        raise DecodeError("the prompt shows no picture")
+    look = request.looks[-1]
+    people = sorted(look.sightings, key=lambda seen: -seen.box.h)[: fields.NEAREST]
+    names = fields.read_fields(request.question)
+    boxes = [write_box(look.box_inside(seen), look.size) for seen in people]
+    listed = [
+        {"box": box, **{name: fields.said(name, seen, people) for name in names}}
+        for box, seen in zip(boxes, people, strict=True)
+    ]
+    return StageReply({"people": listed})
+
+
 STAGES: Final[dict[str, Play]] = {
     "Your answer, as one JSON object:": _answer_at_once,
     "Your facts, as one JSON object:": _write_facts,
@@ -158,6 +174,7 @@ STAGES: Final[dict[str, Play]] = {
     "Your choice of answer, as one JSON object:": _choose,
     "Your next turn, as one JSON object:": _react,
     "Your plan, as one JSON object:": _plan,
+    fields.STAGE: _list_people,
     "Your next calls, as one JSON object:": agent_turn,
 }
 """Every stage by the last line of its prompt."""

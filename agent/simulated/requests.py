@@ -16,12 +16,13 @@ import msgspec
 
 from jrdb_avr.agent.model.prompts import read_frame_ranges
 from jrdb_avr.agent.policy.explorer import Look, Sighting
+from jrdb_avr.agent.simulated import fields
 from jrdb_avr.agent.simulated.perception import Perception, PictureMarks, Reader, See
 from jrdb_avr.agent.simulated.same_person import told_apart
 from jrdb_avr.schema.errors import DecodeError, PlanError
 from jrdb_avr.schema.markers import Reading
 from jrdb_avr.schema.panorama import WIDTH, angle_of_column
-from jrdb_avr.schema.plan import Plan
+from jrdb_avr.schema.plan import AnswerSpec, Condition, Plan
 from jrdb_avr.schema.wording.text import parse
 
 _ANNOUNCED: Final = re.compile(
@@ -30,6 +31,9 @@ _ANNOUNCED: Final = re.compile(
 _CHOICE: Final = re.compile(r"\d+\. (.+)")
 AHEAD: Final = 180.0
 """Panorama angle of a whole panorama's middle column."""
+
+NO_PLAN: Final = Plan("a", "a", {}, (), (), AnswerSpec("multiple_choice", "action", "a", ()))
+"""The plan of a request that holds no question."""
 
 FrameId = Annotated[str, msgspec.Meta(pattern="^[0-9]{6}$")]
 
@@ -102,16 +106,10 @@ def read_request(turns: Sequence[UserMessage], reader: Reader, stages: Collectio
         return None
     texts = (lines, *map(lines_of, turns))
     heading = next((text for text in texts if _line(text, "Question: ") is not None), ())
-    question = _line(heading, "Question: ")
-    if question is None:
-        raise DecodeError("the prompt has no line 'Question: ...'")
-    try:
-        _, plan = parse(question)
-    except PlanError as error:
-        raise DecodeError(f"the simulated model does not know this question: {error}") from None
+    question, plan, statements = _asked(lines, heading, stage)
     legal = _line(heading, "Legal frames: ")
     frames = () if legal is None else tuple(read_frame_ranges(legal))
-    perception = see(question, [condition for node in plan.nodes for condition in node.conditions])
+    perception = see(question, statements)
     looks = tuple(
         look
         for turn, parts in enumerate(turns, 1)
@@ -119,6 +117,25 @@ def read_request(turns: Sequence[UserMessage], reader: Reader, stages: Collectio
     )
     ids = perception.knobs.ids
     return Request(stage, lines, question, plan, _choices(heading), frames, looks if ids else told_apart(looks), ids)
+
+
+def _asked(lines: Sequence[str], heading: Sequence[str], stage: str) -> tuple[str, Plan, Sequence[Condition]]:
+    """The question with its plan, and what the prompt states about people. Raises DecodeError.
+
+    Perception is asked fields in place of a question: draws are about them, as they stay the same for all its pictures.
+    """
+    if stage == fields.STAGE:
+        asked = _line(lines, fields.START) or ""
+        stated = map(fields.statement, fields.read_fields(asked))
+        return asked, NO_PLAN, [one for one in stated if one is not None]
+    question = _line(heading, "Question: ")
+    if question is None:
+        raise DecodeError("the prompt has no line 'Question: ...'")
+    try:
+        _, plan = parse(question)
+    except PlanError as error:
+        raise DecodeError(f"the simulated model does not know this question: {error}") from None
+    return question, plan, [condition for node in plan.nodes for condition in node.conditions]
 
 
 def lines_of(parts: UserMessage) -> tuple[str, ...]:

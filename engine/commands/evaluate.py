@@ -13,7 +13,7 @@ import click
 from jrdb_avr.engine.commands._endpoint import endpoint_options
 from jrdb_avr.engine.commands._options import FILE, json_option, store_option
 from jrdb_avr.engine.console import note, print_rows, progress_bar
-from jrdb_avr.engine.run.methods import METHODS
+from jrdb_avr.engine.run.methods import METHODS, POLICIES
 from jrdb_avr.schema.errors import InputError
 
 if TYPE_CHECKING:
@@ -42,6 +42,14 @@ panoramas:
     required=True,
     metavar="METHOD",
     help=f"How questions are answered: {', '.join(METHODS)}; or one of your own, as FILE.py:NAME or MODULE:NAME.",
+)
+@click.option(
+    "--policy",
+    type=click.Choice(POLICIES),
+    default="model",
+    show_default=True,
+    help="Who chooses the looks of an agent: the model, or 'driven', the program, which has the model read one picture "
+    "at a time.",
 )
 @endpoint_options(optional=True)
 @click.option("--run-id", help="Name of the run; METHOD-MODEL if left out.")
@@ -92,7 +100,14 @@ def command(
     from jrdb_avr.engine.run.evaluate import check_arguments, evaluate
 
     try:
-        check_arguments(options["method"], options["model"], options["base_url"], bool(noise), options["world_db"])
+        check_arguments(
+            options["method"],
+            options["model"],
+            options["base_url"],
+            bool(noise),
+            options["world_db"],
+            options["policy"],
+        )
     except InputError as error:
         raise click.UsageError(str(error)) from None
     simulated = profile_of(options["model"])

@@ -25,6 +25,7 @@ import pyarrow.compute as pc
 
 from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.conventions import DEFAULTS, Options
+from jrdb_avr.agent.reference.method import Policy
 from jrdb_avr.agent.simulated.knobs import PERFECT, Knobs, profile_of, turned
 from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.run.answering import answer_all
@@ -32,6 +33,7 @@ from jrdb_avr.engine.run.endpoint import Endpoint, serving
 from jrdb_avr.engine.run.journal import Journal, world_rows, write_tables
 from jrdb_avr.engine.run.live_scores import LiveScore, report_scores
 from jrdb_avr.engine.run.methods import (
+    DRIVABLE,
     METHODS,
     NO_MODEL,
     WORLD_METHODS,
@@ -98,6 +100,7 @@ def evaluate(
     images: str | Path | None = None,
     world_db: Path | None = None,
     opaque: bool = False,
+    policy: Policy = "model",
     progress: Progress | None = None,
     live_scores: Callable[[LiveScore], None] | None = None,
 ) -> RunResult:
@@ -107,6 +110,7 @@ def evaluate(
     server's id for it, at `base_url`; "simulated" or "simulated:PROFILE" is the built-in one, which reads marks, and
     `marker` stands in place of its profile's knobs. `questions`: ids; all without. `images` and `world_db` stand in for
     the store's panoramas and graph. `opaque`: whether the method gets opaque names of sequences (`run.opaque`).
+    `policy`: who chooses the looks of an agent, the model or, as "driven", the harness.
     `live_scores` is called from another thread with the scores so far.
     Problems that do not end the run are AvrWarnings.
 
@@ -115,11 +119,11 @@ def evaluate(
         evaluate("store", "react", "simulated:noisy", limit=20)
     """
     store = Store.of(store)
-    check_arguments(method, model, base_url, marker is not None, world_db)
+    check_arguments(method, model, base_url, marker is not None, world_db, policy)
     simulated = profile_of(model)
     knobs = marker or simulated or PERFECT
     name = method if isinstance(method, str) else method.name
-    run_id = run_id or default_run_id(name, model)
+    run_id = run_id or default_run_id(name if policy == "model" else f"{name}-{policy}", model)
     folder = store.run_path(run_id)
     image_root = _image_root(store) if images is None else str(images)
     chosen = run_questions(store, run_id, questions, limit, resume, image_root)
@@ -144,7 +148,7 @@ def evaluate(
             endpoint = Endpoint(store, model, url, options, folder / "calls.jsonl", name)
             for line in endpoint.warnings:
                 warnings.warn(f"preflight: {line}", AvrWarning, stacklevel=2)
-        runner = _runner(method, endpoint, world)
+        runner = _runner(method, endpoint, world, policy)
         manifest = RunManifest(
             run_id=run_id,
             method=runner.name,
@@ -172,7 +176,14 @@ def evaluate(
     return RunResult(run_id, predictions, manifest.synthetic)
 
 
-def check_arguments(method: str | Method, model: str, base_url: str | None, noisy: bool, world_db: Path | None) -> None:
+def check_arguments(
+    method: str | Method,
+    model: str,
+    base_url: str | None,
+    noisy: bool,
+    world_db: Path | None,
+    policy: Policy = "model",
+) -> None:
     """Raises InputError, in the words of the command's options, for arguments that contradict each other."""
     if isinstance(method, str) and method not in METHODS and not is_custom(method):
         raise InputError(f"{method!r} is none of {', '.join(METHODS)}, nor FILE.py:NAME or MODULE:NAME", field="method")
@@ -183,6 +194,8 @@ def check_arguments(method: str | Method, model: str, base_url: str | None, nois
             "--marker sets how the simulated model plays: give it with --model simulated or marker alone",
             field="marker",
         )
+    if policy != "model" and method not in DRIVABLE:
+        raise InputError(f"--policy {policy}: of the methods {' and '.join(DRIVABLE)} only", field="policy")
     if world_db is not None and method not in WORLD_METHODS:
         raise InputError(f"--world-db: {method} has no world model", field="world_db")
 
@@ -228,10 +241,12 @@ def _world(
         ) from None
 
 
-def _runner(method: str | Method, endpoint: Endpoint | None, world: WorldModel | None) -> ConfigurableMethod:
+def _runner(
+    method: str | Method, endpoint: Endpoint | None, world: WorldModel | None, policy: Policy
+) -> ConfigurableMethod:
     if not isinstance(method, str):
         return CustomMethod(type(method).__name__, method)
     if is_custom(method):
         return load_custom_method(method, None if endpoint is None else endpoint.client)
     assert endpoint is not None, "built-in methods need a model: check_arguments"
-    return make_method(method, endpoint.client, endpoint.convention, world)
+    return make_method(method, endpoint.client, endpoint.convention, world, policy)

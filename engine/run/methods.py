@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from jrdb_avr.agent.beliefs.world_model import WorldModel
     from jrdb_avr.agent.model.client import Chat
     from jrdb_avr.agent.model.conventions import Convention
+    from jrdb_avr.agent.reference.method import Policy
     from jrdb_avr.schema.method import ConfigurableMethod, Prediction, Task
 
 NO_MODEL: Final = "none"
@@ -40,6 +41,12 @@ METHODS: Final = (
     "agent-no-world",
     "agent-passive-no-world",
 )
+
+POLICIES: Final = ("model", "driven")
+"""Who chooses the looks of an agent."""
+
+DRIVABLE: Final = ("agent", "agent-no-world")
+"""Methods whose looks the harness may choose."""
 
 WORLD_METHODS: Final = ("agent", "agent-passive")
 """Methods that write into a world model."""
@@ -62,8 +69,10 @@ def open_world(path: Path, run_id: str, record: pa.Table) -> Iterator[WorldModel
         yield WorldModel(world, run_id)
 
 
-def make_method(name: str, chat: Chat, convention: Convention, world: WorldModel | None = None) -> ConfigurableMethod:
-    """The method of a name in `METHODS`; one of `WORLD_METHODS` takes its world model."""
+def make_method(
+    name: str, chat: Chat, convention: Convention, world: WorldModel | None = None, policy: Policy = "model"
+) -> ConfigurableMethod:
+    """The method of a name in `METHODS`; one of `WORLD_METHODS` takes its world model, and agents their policy."""
     from jrdb_avr.agent.methods.chain_of_thought import ChainOfThought
     from jrdb_avr.agent.methods.monolithic import Monolithic
     from jrdb_avr.agent.methods.react import ReAct
@@ -73,7 +82,7 @@ def make_method(name: str, chat: Chat, convention: Convention, world: WorldModel
     if name in WORLD_METHODS and world is None:
         raise ValueError(f"the method {name!r} needs a world model")
     if name.startswith("agent"):
-        return ReferenceAgent(chat, convention, world, looks="passive" not in name)
+        return ReferenceAgent(chat, convention, world, looks="passive" not in name, policy=policy)
     kinds = (Monolithic, ChainOfThought, SearchRecognize, ReAct)
     return next(kind for kind in kinds if kind.name == name)(chat, convention)
 

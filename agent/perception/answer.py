@@ -1,0 +1,256 @@
+"""The answer of a plan, read from fused readings of a person: always one where the person was seen.
+
+The choices are knowledge: a reading that is none of them is passed over for the next best that is. How far readings
+bear an answer out is its state: certain, supported, or open where nothing tells it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from jrdb_avr.agent.perception.association import expected_place
+from jrdb_avr.agent.perception.moments import Bracket, absence, brackets
+from jrdb_avr.agent.perception.support import RankedHypothesis, slot_supports
+from jrdb_avr.agent.perception.votes import SETTLING, FusedBox, SlotState, Tally, Tracks, settled
+from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, FrameViewpoint, Number, Span
+from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS, choice_text
+from jrdb_avr.schema.method import Verdict
+from jrdb_avr.schema.plan import Plan
+from jrdb_avr.schema.rules import FPS
+
+CHANGED_M: Final = 1.0
+"""Change of distance from which on it is closer or farther."""
+
+CLEAR_MARGIN: Final = 2.0
+"""Log-odds by which the likeliest target is better than the next one where it is certain."""
+
+_NEAR: Final = round(2 * FPS)
+"""Frames from the answer's own within which its box is rather shown with a second reading."""
+
+
+class ReadAnswer(NamedTuple):
+    """An answer, the frame that it was read from, and how far readings bear it out; None where nothing tells it."""
+
+    answer: Answer | None
+    frame: int
+    state: SlotState
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """What an episode comes to: the answer, the person it is read of, a frame and the person's box there."""
+
+    answer: Answer
+    entity: str
+    frame: int
+    box: FusedBox
+    verdict: Verdict
+
+
+def conclude(
+    plan: Plan, tracks: Tracks, hypotheses: Sequence[RankedHypothesis], choices: Sequence[str], frames: Sequence[int]
+) -> Conclusion | None:
+    """The answer of the likeliest target of whom it can be read, a guess where there is none; None without anybody.
+
+    hypotheses: the best first; frames: the legal ones.
+    """
+    best = {one.nodes[plan.target]: one for one in reversed(hypotheses) if plan.target in one.nodes}
+    if not best:
+        return None
+    order = sorted(best, key=lambda who: -best[who].log_odds)
+    reads = {who: _Reader(plan, tracks, who, choices, frames).read() for who in order}
+    who = next((who for who in order if reads[who].answer is not None), order[0])
+    answer, frame, state = reads[who]
+    shown, box = _evidence(tracks, who, frame)
+    if answer is None:
+        answer = _prior(plan, tracks, who, frame)
+    return Conclusion(answer, who, shown, box, _verdict(plan, tracks, best[who], state, box))
+
+
+def _evidence(tracks: Tracks, who: str, frame: int) -> tuple[int, FusedBox]:
+    """The box at the frame nearest to the answer's, one that two readings agree on if there is one near."""
+    boxes = {one.frame: fused for one in tracks.people[who] if (fused := tracks.box(who, one.frame))}
+    agreed = {at for at, box in boxes.items() if box.votes >= SETTLING and abs(at - frame) <= _NEAR}
+    at = min(agreed or boxes, key=lambda at: (abs(at - frame), at))
+    return at, boxes[at]
+
+
+def _verdict(plan: Plan, tracks: Tracks, best: RankedHypothesis, state: SlotState, box: FusedBox) -> Verdict:
+    states = [slot.state for slot in slot_supports(plan, tracks, best)]
+    if state == "open" or not states or best.log_odds <= 0:
+        return "guess"
+    sure = box.votes >= SETTLING and best.margin >= CLEAR_MARGIN and {state, *states} == {"certain"}
+    return "certain" if sure else "supported"
+
+
+def _prior(plan: Plan, tracks: Tracks, who: str, frame: int) -> Answer:
+    match plan.answer.mode:
+        case "multiple_choice":
+            return Choice(1)
+        case "frame":
+            return FrameAnswer(frame)
+        case "span":
+            return Span(frame, frame)
+        case "frame_viewpoint":
+            return FrameViewpoint(frame, expected_place(tracks.people[who], frame).angle)
+        case "number":
+            return Number(1.0)
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Reads a plan's answer of one person."""
+
+    plan: Plan
+    tracks: Tracks
+    who: str
+    choices: Sequence[str]
+    frames: Sequence[int]
+
+    def read(self) -> ReadAnswer:
+        """The answer."""
+        match self.plan.answer.read:
+            case "action":
+                return self._action()
+            case "next_action":
+                return self._next_action()
+            case "presence":
+                return self._presence()
+            case "distance_change":
+                return self._distance_change()
+            case "count":
+                return self._count()
+            case _:
+                return self._moments()
+
+    # -- choices ------------------------------------------------------------------------------------------------------
+
+    def _action(self) -> ReadAnswer:
+        frame = self._stated(0)
+        seen = sorted({one.frame for one in self.tracks.people[self.who]}, key=lambda at: (abs(at - frame), at))
+        for at in seen:
+            tallies = self.tracks.values(self.who, "pose", at)
+            found = next((one for one in tallies if one.weight > 0 and self._choice(one.value)), None)
+            if found is not None:
+                sure = at == frame and found is tallies[0] and settled(tallies)
+                return ReadAnswer(self._choice(found.value), at, "certain" if sure else "supported")
+        return ReadAnswer(None, frame, "open")
+
+    def _next_action(self) -> ReadAnswer:
+        """The first other posture that is one of the choices."""
+        bracket = self._bracket(0)
+        after = self._stated(0) if bracket is None else bracket.low
+        held = next((one.value for one in self.tracks.values(self.who, "pose", self._began(0))), "")
+        for at in sorted({one.frame for one in self.tracks.people[self.who] if one.frame > after}):
+            tallies = self.tracks.values(self.who, "pose", at)
+            found = next((one for one in tallies if one.value != held and self._counts(one)), None)
+            if found is not None:
+                return ReadAnswer(self._choice(found.value), at, "certain" if settled(tallies) else "supported")
+        return ReadAnswer(None, after, "open")
+
+    def _counts(self, tally: Tally) -> bool:
+        return tally.weight > 0 and self._choice(tally.value) is not None
+
+    def _presence(self) -> ReadAnswer:
+        times = [self._stated(0), self._stated(1)]
+        there = [bool(self.tracks.at(self.who, at)) for at in times]
+        states = [self._present(at) for at in times]
+        text = PRESENCE_ANSWERS[{(1, 1): 0, (1, 0): 1, (0, 1): 2, (0, 0): 3}[there[0], there[1]]]
+        frame = next((at for at, seen in zip(times, there, strict=True) if seen), self._described())
+        return ReadAnswer(self._choice(text), frame, _weakest(states))
+
+    def _present(self, frame: int) -> SlotState:
+        """How certain it is that somebody was seen at a frame, or was not there."""
+        readings = len(self.tracks.at(self.who, frame))
+        if readings:
+            return "certain" if readings >= SETTLING else "supported"
+        state = absence(self.tracks, self.who, frame)
+        return "open" if state == "contradicted" else state
+
+    def _distance_change(self) -> ReadAnswer:
+        first, last = (self._stated(place) for place in (0, 1))
+        if not self.tracks.at(self.who, last):
+            return ReadAnswer(self._choice(DISTANCE_ANSWERS[3]), self._described(), self._present(last))
+        before, after = (self.tracks.metres(self.who, at) for at in (first, last))
+        if before is None or after is None:
+            return ReadAnswer(None, last, "open")
+        place = 2 if abs(after - before) < CHANGED_M else 0 if after < before else 1
+        return ReadAnswer(self._choice(DISTANCE_ANSWERS[place]), last, _weakest(map(self._present, (first, last))))
+
+    def _choice(self, label: str) -> Choice | None:
+        text = choice_text(label)
+        return Choice(self.choices.index(text) + 1) if text in self.choices else None
+
+    # -- moments and numbers ------------------------------------------------------------------------------------------
+
+    def _moments(self) -> ReadAnswer:
+        found = [self._bracket(place) for place in range(len(self.plan.answer.times))]
+        moments = [self._moment(place, one) for place, one in enumerate(found)]
+        state = _weakest("open" if one is None else one.state for one in found)
+        shown = next((one.high for one in found if one is not None and one.high is not None), self._described())
+        first, last = round(moments[0]), round(moments[-1])
+        answer: Answer
+        match self.plan.answer.mode:
+            case "frame":
+                answer = FrameAnswer(first)
+            case "frame_viewpoint":
+                answer = FrameViewpoint(first, expected_place(self.tracks.people[self.who], first).angle)
+            case "span":
+                answer = Span(first, max(first, last))
+            case _:
+                answer = Number(max((moments[-1] - moments[0]) / FPS, 1.0))
+        return ReadAnswer(answer, shown, state)
+
+    def _moment(self, place: int, bracket: Bracket | None) -> float:
+        """The moment of an event; where it was not seen, the middle of the time in which it may still lie."""
+        if bracket is None:
+            return (self._began(place) + self.frames[-1]) / 2
+        return bracket.middle or (bracket.low + self.frames[-1]) / 2
+
+    def _count(self) -> ReadAnswer:
+        first, last = (self._stated(place) for place in (0, 1))
+        looked = [at for at in self.tracks.looks if first <= at <= last]
+        relation = self.plan.answer.relation or ""
+        met = {
+            other
+            for other in self.tracks.people
+            for at in looked
+            if other != self.who and self.tracks.relation(self.who, relation, other, at).log_odds > 0
+        }
+        seen = [at for at in looked if self.tracks.at(self.who, at)]
+        frame = seen[0] if seen else first
+        return ReadAnswer(Number(float(max(len(met), 1))), frame, "supported" if met else "open")
+
+    # -- times --------------------------------------------------------------------------------------------------------
+
+    def _stated(self, place: int) -> int:
+        """The legal frame nearest to one of the answer's times; to the description's where that is an event."""
+        frame = self.plan.times[self.plan.answer.times[place]].frame
+        return self._described() if frame is None else self._legal(frame)
+
+    def _described(self) -> int:
+        """The nearest legal frame at which the target was seen to the first stated one."""
+        stated = min(time.frame for time in self.plan.times.values() if time.frame is not None)
+        return min((one.frame for one in self.tracks.people[self.who]), key=lambda at: (abs(at - stated), at))
+
+    def _began(self, place: int) -> int:
+        """The frame after which an event of the answer lies."""
+        time = self.plan.times[self.plan.answer.times[place]]
+        while time.after is not None:
+            time = self.plan.times[time.after]
+        return self._legal(time.frame or 0)
+
+    def _legal(self, frame: int) -> int:
+        return min(self.frames, key=lambda at: (abs(at - frame), at))
+
+    def _bracket(self, place: int) -> Bracket | None:
+        return brackets(self.plan, self.tracks, self.who).get(self.plan.answer.times[place])
+
+
+_ORDER: Final[tuple[SlotState, ...]] = ("open", "contradicted", "supported", "certain")
+
+
+def _weakest(states: Iterable[SlotState]) -> SlotState:
+    return min(states, key=_ORDER.index)

@@ -1,0 +1,223 @@
+"""Perception by the model: the people of one picture, each with a box, gender, age and the fields that a plan needs.
+
+A request holds one picture and no question. What is closed, as gender or posture, is read from all its labels; what can
+only be stated, as an action or a relation between people, stands among as many statements that the plan does not need,
+so that a wish to please confirms nothing. What a reply denies is a reading too, what it cannot tell is none.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal, NamedTuple
+
+from jrdb_avr.agent.methods.attempt import Attempt
+from jrdb_avr.agent.model import decode
+from jrdb_avr.agent.model.conventions import Convention
+from jrdb_avr.agent.model.decode import BOX_SCHEMA, box_key, finite, read_box
+from jrdb_avr.agent.model.messages import Message, Part, metadata_line, picture_of
+from jrdb_avr.agent.model.prompts import render
+from jrdb_avr.agent.perception.geometry import DERIVED
+from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel, ReadTie, topic_of
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.labels import AGES, GENDERS, INTERACTIONS, OTHER_ACTIONS, POSES
+from jrdb_avr.schema.method import Observation
+from jrdb_avr.schema.panorama import CROP, from_crop
+from jrdb_avr.schema.plan import Plan, canonical
+from jrdb_avr.schema.relations import QUESTION_RELATIONS, SAME_GROUP
+from jrdb_avr.schema.things import OBJECTS
+
+MOST_PEOPLE: Final = 10
+"""People of one reply."""
+
+CANNOT_TELL: Final = "cannot tell"
+PEOPLE_LINE: Final = "The people in the picture, as one JSON object:"
+
+_LABELS: Final = {"gender": GENDERS, "age": AGES, "pose": POSES}
+_HANDLING: Final = ("carrying", "holding", "pushing", "touching")
+_OTHERS: Final = {
+    "action": OTHER_ACTIONS,
+    "interaction": INTERACTIONS,
+    "object": tuple(f"{verb}: {thing}" for verb in _HANDLING for thing in OBJECTS),
+    "relation": tuple(label for label in QUESTION_RELATIONS if label not in DERIVED),
+}
+"""Statements that may stand beside those that a plan needs."""
+
+
+class Field(NamedTuple):
+    """One thing to be read of every person: an attribute by its labels, a statement, metres, or a relation."""
+
+    kind: Literal["labels", "statement", "metres", "relation"]
+    name: str
+    value: str = ""
+
+    @property
+    def key(self) -> str:
+        """The field's key in a reply."""
+        return {"labels": self.name, "metres": "distance_m"}.get(self.kind) or f"{self.name} {self.value}"
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """What a reply may say, where it is a word."""
+        return (*(_LABELS[self.name] if self.kind == "labels" else ("yes", "no")), CANNOT_TELL)
+
+    def form(self) -> Any:
+        """The field as the prompt describes it."""
+        return {"metres": "number", "relation": "people"}.get(self.kind) or self.words
+
+    def schema(self) -> dict[str, Any]:
+        """The JSON Schema of its value."""
+        if self.kind == "metres":
+            return {"type": ["number", "null"]}
+        if self.kind == "relation":
+            return {"type": ["array", "null"], "items": {"type": "integer"}, "maxItems": MOST_PEOPLE}
+        return {"type": "string", "enum": list(self.words)}
+
+
+def fields_of(plan: Plan) -> tuple[Field, ...]:
+    """The fields that a plan needs, statements and relations among as many others, in an order that tells nothing."""
+    needed = dict.fromkeys(_needed(plan))
+    stated = [field for field in needed if field.value]
+    for field in stated:
+        rest = [one for value in _OTHERS[field.name] if (one := field._replace(value=value)) not in needed]
+        needed[min(rest, key=lambda one: _shuffled(plan, one))] = None
+    order = sorted((field for field in needed if field.value), key=lambda one: _shuffled(plan, one))
+    return (*(field for field in needed if not field.value), *order)
+
+
+def _needed(plan: Plan) -> Iterator[Field]:
+    answer = plan.answer
+    # By these people are known again, whatever the plan says of them.
+    yield Field("labels", "gender")
+    yield Field("labels", "age")
+    wanted = [condition.wanted for node in plan.nodes for condition in node.conditions]
+    wanted += [("action", time.action) for time in plan.times.values() if time.action is not None]
+    for name, value in wanted:
+        if name == "group_size":
+            yield Field("relation", "relation", SAME_GROUP)
+        elif name == "distance":
+            yield Field("metres", "distance")
+        elif topic_of(name, value) in _LABELS:
+            yield Field("labels", topic_of(name, value))
+        elif name in _OTHERS:
+            yield Field("statement", name, value)
+    if answer.read in ("action", "next_action"):
+        yield Field("labels", "pose")
+    if answer.read == "distance_change":
+        yield Field("metres", "distance")
+    for relation in (*(edge.relation for edge in plan.edges), answer.relation):
+        if relation is not None and relation not in DERIVED:
+            yield Field("relation", "relation", relation)
+
+
+def _shuffled(plan: Plan, field: Field) -> str:
+    return hashlib.sha256(f"{canonical(plan)} {field.key}".encode()).hexdigest()
+
+
+# -- a request --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Perceiver:
+    """Reads pictures for one plan."""
+
+    attempt: Attempt
+    fields: Sequence[Field]
+
+    def people(self, seen: Observation, name: str) -> tuple[PersonReading, ...] | None:
+        """The people read in a picture; None where neither of two replies could be read."""
+        fault = ""
+        for _ in range(2):
+            again = [f"Your last reply could not be used: {fault}"] if fault else []
+            place = (f"Picture: {metadata_line(seen)}", picture_of(seen))
+            user: tuple[Part, ...] = (field_line(self.fields), *place, *again, PEOPLE_LINE)
+            messages = [Message("system", (perceive_prompt(self.fields),)), Message("user", user)]
+            try:
+                reply = self.attempt.ask_object(messages, perceive_schema(self.fields))
+                return read_people(reply, self.fields, seen, name, self.attempt.convention)
+            except DecodeError as error:
+                fault = str(error)
+        return None
+
+
+def perceive_prompt(fields: Sequence[Field]) -> str:
+    """The system message of a request for these fields."""
+    return render("agent_perceive", most=MOST_PEOPLE, example="".join(f', "{field.key}": ...' for field in fields))
+
+
+def field_line(fields: Sequence[Field]) -> str:
+    """The line that says what each field may hold."""
+    return f"Fields: {json.dumps({field.key: field.form() for field in fields})}"
+
+
+def perceive_schema(fields: Sequence[Field]) -> dict[str, Any]:
+    """The JSON Schema of a reply with these fields."""
+    person = decode.closed_object({"box": BOX_SCHEMA, **{field.key: field.schema() for field in fields}})
+    return decode.closed_object({"people": {"type": "array", "maxItems": MOST_PEOPLE, "items": person}})
+
+
+# -- a reply ----------------------------------------------------------------------------------------------------------
+
+
+def read_people(
+    reply: Mapping[str, Any], fields: Sequence[Field], seen: Observation, name: str, convention: Convention
+) -> tuple[PersonReading, ...]:
+    """The people of a reply about an observation of this name. Raises DecodeError."""
+    people = decode.only_keys(reply, ("people",), "the reply")["people"]
+    if not isinstance(people, list) or len(people) > MOST_PEOPLE:
+        raise DecodeError(f'"people" must be a list of at most {MOST_PEOPLE} people')
+    return tuple(
+        _read_person(one, number, len(people), fields, seen, name, convention) for number, one in enumerate(people, 1)
+    )
+
+
+def _read_person(
+    value: object,
+    number: int,
+    count: int,
+    fields: Sequence[Field],
+    seen: Observation,
+    name: str,
+    convention: Convention,
+) -> PersonReading:
+    key = box_key(value, convention, "box")
+    part = decode.only_keys(value, (key, *(field.key for field in fields)), f"people[{number - 1}]")
+    box = read_box(part[key], (CROP, CROP), convention, key)
+    labels: list[ReadLabel] = []
+    ties: list[ReadTie] = []
+    metres = None
+    for field in fields:
+        said = part[field.key]
+        if field.kind == "metres":
+            metres = None if said is None else _metres(said, field.key)
+        elif field.kind == "relation":
+            ties += _ties(said, field, number, count)
+        elif said not in field.words:
+            raise DecodeError(f"{field.key} must be one of {', '.join(field.words)}")
+        elif said != CANNOT_TELL:
+            # Postures are actions.
+            closed = ReadLabel("action" if field.name == "pose" else field.name, said)
+            labels.append(closed if field.kind == "labels" else ReadLabel(field.name, field.value, said == "yes"))
+    whole = box.x > 0 and box.x + box.w < CROP
+    place = from_crop(box, seen.left)
+    return PersonReading(name, number, seen.frame_index, place, tuple(labels), tuple(ties), metres, whole)
+
+
+def _metres(value: object, key: str) -> float:
+    metres = finite(value)
+    if metres is None or not 0 <= metres <= 1000:
+        raise DecodeError(f"{key} must be a number of metres, or null")
+    return metres
+
+
+def _ties(value: object, field: Field, number: int, count: int) -> Iterator[ReadTie]:
+    """Of each other person of the picture, whether the relation leads to them."""
+    if value is None:
+        return
+    if not isinstance(value, list) or any(type(one) is not int for one in value):
+        raise DecodeError(f"{field.key} must be a list of numbers of people, or null")
+    for other in range(1, count + 1):
+        if other != number:
+            yield ReadTie(field.value, other, other in value)
