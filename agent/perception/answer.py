@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from jrdb_avr.agent.perception.association import expected_place
-from jrdb_avr.agent.perception.moments import Bracket, absence, brackets
+from jrdb_avr.agent.perception.geometry import around, covered
+from jrdb_avr.agent.perception.moments import Bracket, absence, brackets, change
 from jrdb_avr.agent.perception.support import RankedHypothesis, slot_supports
-from jrdb_avr.agent.perception.votes import SETTLING, FusedBox, SlotState, Tally, Tracks, settled
+from jrdb_avr.agent.perception.votes import SETTLING, UNIT, FusedBox, SlotState, Tally, Tracks, settled
 from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS, choice_text
 from jrdb_avr.schema.method import Verdict
@@ -25,6 +26,12 @@ CHANGED_M: Final = 1.0
 
 CLEAR_MARGIN: Final = 2.0
 """Log-odds by which the likeliest target is better than the next one where it is certain."""
+
+_BESIDE_DEG: Final = 10.0
+"""Degrees beside the expected place that a look must show for somebody who is not seen to be away."""
+
+_LIKELY_S: Final = 10.0
+"""The guess for a time between two events of which one was not seen."""
 
 _NEAR: Final = round(2 * FPS)
 """Frames from the answer's own within which its box is rather shown with a second reading."""
@@ -52,7 +59,7 @@ class Conclusion:
 def conclude(
     plan: Plan, tracks: Tracks, hypotheses: Sequence[RankedHypothesis], choices: Sequence[str], frames: Sequence[int]
 ) -> Conclusion | None:
-    """The answer of the likeliest target of whom it can be read, a guess where there is none; None without anybody.
+    """The answer of the likeliest target, or of one nearly as likely of whom it can be read; None without anybody.
 
     hypotheses: the best first; frames: the legal ones.
     """
@@ -61,7 +68,8 @@ def conclude(
         return None
     order = sorted(best, key=lambda who: -best[who].log_odds)
     reads = {who: _Reader(plan, tracks, who, choices, frames).read() for who in order}
-    who = next((who for who in order if reads[who].answer is not None), order[0])
+    near = (who for who in order if best[who].log_odds >= best[order[0]].log_odds - UNIT)
+    who = next((who for who in near if reads[who].answer is not None), order[0])
     answer, frame, state = reads[who]
     shown, box = _evidence(tracks, who, frame)
     if answer is None:
@@ -200,7 +208,8 @@ class _Reader:
             case "span":
                 answer = Span(first, max(first, last))
             case _:
-                answer = Number(max((moments[-1] - moments[0]) / FPS, 1.0))
+                known = all(one is not None and one.high is not None for one in found)
+                answer = Number(max((moments[-1] - moments[0]) / FPS, 1.0) if known else _LIKELY_S)
         return ReadAnswer(answer, shown, state)
 
     def _moment(self, place: int, bracket: Bracket | None) -> float:
@@ -246,7 +255,25 @@ class _Reader:
         return min(self.frames, key=lambda at: (abs(at - frame), at))
 
     def _bracket(self, place: int) -> Bracket | None:
-        return brackets(self.plan, self.tracks, self.who).get(self.plan.answer.times[place])
+        name = self.plan.answer.times[place]
+        found = brackets(self.plan, self.tracks, self.who).get(name)
+        return found if found is not None and found.high is not None else self._likely_absence().get(name, found)
+
+    def _likely_absence(self) -> dict[str, Bracket]:
+        """When somebody leaves and returns, if whoever is not where they are expected is away."""
+        times = {self.plan.times[name].event: name for name in self.plan.answer.times}
+        if "leaves" not in times or "returns" not in times:
+            return {}
+        leaves = change(self._there(), self._began(0), wanted=False)
+        if leaves.high is None:
+            return {times["leaves"]: leaves}
+        return {times["leaves"]: leaves, times["returns"]: change(self._there(), leaves.high, wanted=True)}
+
+    def _there(self) -> dict[int, bool]:
+        """Whether somebody was seen, at the frames at which a look shows where they are expected."""
+        readings, looks = self.tracks.people[self.who], self.tracks.looks
+        arcs = {at: around(expected_place(readings, at).angle, _BESIDE_DEG) for at in looks}
+        return {at: bool(self.tracks.at(self.who, at)) for at in looks if covered(looks[at], arcs[at])}
 
 
 _ORDER: Final[tuple[SlotState, ...]] = ("open", "contradicted", "supported", "certain")

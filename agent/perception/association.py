@@ -8,7 +8,7 @@ people of a picture are assigned together; whoever fits nobody well enough is ne
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 from jrdb_avr.agent.perception.geometry import SeenColumns
@@ -22,6 +22,11 @@ NEW: Final = -0.5
 
 AMBIGUOUS: Final = 1.0
 """Log-odds by which an assignment should be better than the next one."""
+
+NOBODY: Final = 0
+"""The number of somebody who is none of the people of a picture."""
+
+_CERTAIN: Final = 1000.0
 
 _EXACT_DEG: Final = 1.5
 _DRIFT: Final = 0.7
@@ -93,10 +98,18 @@ def expected_place(readings: Sequence[PersonReading], frame: int) -> ExpectedPla
     return ExpectedPlace(angle % 360.0, _spread(drift, gap), height, 0.15 + min(_GROWING * gap, 0.6))
 
 
-def match_people(tracks: Tracks, readings: Sequence[PersonReading]) -> list[Match]:
-    """Assign the people read in one picture to the entities seen before."""
+def match_people(
+    tracks: Tracks, readings: Sequence[PersonReading], recognized: Mapping[str, int] | None = None
+) -> list[Match]:
+    """Assign the people read in one picture to the entities seen before.
+
+    recognized: numbers of the people who are known to be certain entities, `NOBODY` for one who is not in the picture.
+    """
     known = list(tracks.people)
     costs = [[_cost(tracks, who, one) for who in known] + [NEW] * len(readings) for one in readings]
+    for who, number in (recognized or {}).items():
+        for row, one in zip(costs, readings, strict=True):
+            row[known.index(who)] = -_CERTAIN if one.number == number else _CERTAIN
     matches = []
     for row, column in zip(costs, assign(costs), strict=True):
         others = [cost for at, cost in enumerate(row[: len(known) + 1]) if at != min(column, len(known))]
@@ -105,10 +118,19 @@ def match_people(tracks: Tracks, readings: Sequence[PersonReading]) -> list[Matc
     return matches
 
 
-def with_picture(tracks: Tracks, frame: int, seen: SeenColumns, readings: Sequence[PersonReading]) -> Tracks:
-    """The tracks with one more look and the people read in it; new entities are called p1, p2, ..."""
+def with_picture(
+    tracks: Tracks,
+    frame: int,
+    seen: SeenColumns,
+    readings: Sequence[PersonReading],
+    recognized: Mapping[str, int] | None = None,
+) -> Tracks:
+    """The tracks with one more look and the people read in it; new entities are called p1, p2, ...
+
+    recognized: as in `match_people`.
+    """
     people = dict(tracks.people)
-    for reading, match in zip(readings, match_people(tracks, readings), strict=True):
+    for reading, match in zip(readings, match_people(tracks, readings, recognized), strict=True):
         who = match.entity or f"p{len(people) + 1}"
         people[who] = (*people.get(who, ()), reading)
     return Tracks(people, {**tracks.looks, frame: (*tracks.looks.get(frame, ()), seen)})

@@ -66,6 +66,9 @@ _CLOSE: Final = {"span": 14}
 _CLOSE_FRAMES: Final = 28
 """Frames to which a moment is to be known: half of them is within a second."""
 
+_TRIES: Final = 3
+"""Looks at one frame for somebody who is followed; then a later one is tried."""
+
 _STEP: Final = round(2 * FPS)
 _WAIT: Final = round(3 * FPS)
 _SECTOR_REACH: Final = LoadRules().sector_false_deg
@@ -243,7 +246,8 @@ class _Attention:
             beyond = max([low, *(at for at in tried if at > low and not self.tracks.at(who, at))])
             step = max(_STEP, round((last - beyond) / (2 * max(self.left - 3, 1))))
             # Whoever was missed is searched beside, or later.
-            for at in {beyond, self.legal(min(beyond + step, last))} - {low}:
+            again = {beyond} if len(tried.get(beyond, ())) < _TRIES else set()
+            for at in again | {self.legal(min(beyond + step, last))} - {low}:
                 if (found := self._search(who, at, 1.0, "bracket")) is not None:
                     yield found
             return

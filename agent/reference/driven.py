@@ -18,11 +18,12 @@ from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, stitched_eviden
 from jrdb_avr.agent.perception.answer import Conclusion, conclude
 from jrdb_avr.agent.perception.association import with_picture
 from jrdb_avr.agent.perception.attention import NextLook, next_look
-from jrdb_avr.agent.perception.geometry import SeenColumns
+from jrdb_avr.agent.perception.geometry import DERIVED, SeenColumns
 from jrdb_avr.agent.perception.readings import PersonReading
-from jrdb_avr.agent.perception.support import RankedHypothesis, rank
+from jrdb_avr.agent.perception.support import RankedHypothesis, frames_of, rank, slot_supports
 from jrdb_avr.agent.perception.votes import Tracks
 from jrdb_avr.agent.reference.perceive import Perceiver, fields_of
+from jrdb_avr.agent.reference.recognize import recognize
 from jrdb_avr.agent.reference.tool_calls import FINAL
 from jrdb_avr.schema.method import Observation, Prediction
 from jrdb_avr.schema.panorama import CROP, Box
@@ -35,18 +36,23 @@ _TURN_DEG = 1.6
 """A look that was made and could not be read is made again beside itself."""
 
 
+_SEEKING = ("follow", "bracket", "absence")
+"""Purposes of looks at other moments, at which somebody has to be known again."""
+
+
 @dataclass
 class DrivenEpisode:
     """The loop over one question.
 
     world: what was read is written into it; without one the newest reading of everybody counts, whatever the ones
-    before it. tracks: all readings so far.
+    before it. seen: the pictures that were read, by name; tracks: all readings so far.
     """
 
     attempt: Attempt
     plan: Plan
     looks: int
     world: BeliefEpisode | None = None
+    seen: dict[str, Observation] = field(default_factory=dict)
     tracks: Tracks = field(default_factory=lambda: Tracks({}, {}))
 
     def play(self) -> Prediction:
@@ -60,11 +66,12 @@ class DrivenEpisode:
             self.attempt.record("solve", {"next look": left}, look and look._asdict(), started)
             if look is None:
                 break
-            self._look(look, perceiver)
+            who = hypotheses[0].nodes.get(self.plan.target) if hypotheses else None
+            self._look(look, perceiver, who)
             hypotheses = rank(self.plan, self.tracks)
         return self._committed(hypotheses)
 
-    def _look(self, look: NextLook, perceiver: Perceiver) -> None:
+    def _look(self, look: NextLook, perceiver: Perceiver, target: str | None) -> None:
         angle = look.angle
         while self.attempt.duplicate(look.frame, angle):
             angle = (angle + _TURN_DEG) % 360.0
@@ -75,9 +82,22 @@ class DrivenEpisode:
         people = perceiver.people(seen, name)
         if people is None:
             return
-        self.tracks = with_picture(self.tracks, look.frame, SeenColumns(seen.left, CROP), people)
+        self.seen[name] = seen
+        recognized = self._recognized(look, target, seen, people)
+        self.tracks = with_picture(self.tracks, look.frame, SeenColumns(seen.left, CROP), people, recognized)
         if self.world is not None:
             self._write(self.world, seen, people)
+
+    def _recognized(
+        self, look: NextLook, target: str | None, seen: Observation, people: Sequence[PersonReading]
+    ) -> dict[str, int]:
+        """Whether the target is among the people of a picture in which it was looked for, as far as the model tells."""
+        if target is None or not people or look.purpose not in _SEEKING:
+            return {}
+        readings = self.tracks.people[target]
+        known = min(readings, key=lambda one: (not one.whole, abs(one.frame - look.frame)))
+        number = recognize(self.attempt, known, self.seen[known.observation], seen, people)
+        return {} if number is None else {target: number}
 
     # -- the world model ----------------------------------------------------------------------------------------------
 
@@ -130,10 +150,29 @@ class DrivenEpisode:
         return self.attempt.prediction(ParsedReply(found.answer, evidence, verdict=verdict))
 
     def _conclude(self, world: BeliefEpisode, hypotheses: Sequence[RankedHypothesis], found: Conclusion) -> None:
-        """Write down who the plan's people are, how they stand to each other, and the answer."""
+        """Write down who the plan's people are, with the boxes agreed on, how they stand to each other, the answer."""
         step = self.attempt.steps - 1
+        best = next((one for one in hypotheses if one.nodes.get(self.plan.target) == found.entity), hypotheses[0])
+        for node, who in best.nodes.items():
+            frames = [found.frame] if who == found.entity else frames_of(self.plan, node)
+            for one in (self._agreed(who, self.tracks.met(frame)) for frame in frames):
+                if one is not None:
+                    self._sighting(who, one, self.seen[one.observation].left, step, node)
+        for part, support in slot_supports(self.plan, self.tracks, best):
+            if part.name in DERIVED and support.log_odds > 0:
+                source, target = (best.nodes[node] for node in part.nodes)
+                seen = self._agreed(source, self.tracks.met(part.frame or 0))
+                if seen is not None:
+                    ends = {"source": source, "target": target}
+                    world.add("add_relation", ends | {"name": part.name, "observation": seen.observation}, step)
         answer = {"answer": msgspec.to_builtins(found.answer), "entity": found.entity}
         world.noted(FINAL, answer, step, True)
+
+    def _agreed(self, who: str, frame: int) -> PersonReading | None:
+        """The reading of somebody at a frame whose box most readings agree on."""
+        box = self.tracks.box(who, frame)
+        readings = self.tracks.at(who, frame)
+        return next((one for one in readings if box is not None and one.observation == box.observation), None)
 
 
 def newest(tracks: Tracks) -> Tracks:

@@ -19,11 +19,16 @@ START: Final = "Fields: "
 
 STAGE: Final = "The people in the picture, as one JSON object:"
 
+SAME_STAGE: Final = "Which of them is the person, as one JSON object:"
+
 NEAREST: Final = 10
 """The people of a reply."""
 
 _UNKNOWN: Final = "cannot tell"
 _WORDS: Final = {True: "yes", False: "no", None: _UNKNOWN}
+
+Corners = tuple[int, int, int, int]
+"""A box in thousandths of a picture."""
 
 # Made at import: threads that meet a type first at the same time crash the decoder.
 _FORMS: Final = msgspec.json.Decoder(dict[str, Any])

@@ -166,6 +166,24 @@ def _list_people(request: Request) -> StageReply:
     return StageReply({"people": listed})
 
 
+def _recognize(request: Request) -> StageReply:
+    """Who of the numbered people of the second picture is the person of the first one."""
+    if len(request.looks) != _TWO:
+        raise DecodeError("the prompt shows no two pictures")
+    try:
+        box = msgspec.json.decode(request.line("Person in picture 1: ") or "", type=fields.Corners)
+        boxes = msgspec.json.decode(request.line("People in picture 2: ") or "", type=dict[int, fields.Corners])
+    except msgspec.DecodeError:
+        raise DecodeError("the prompt lacks the boxes of two pictures") from None
+    first, second = request.looks
+    known = _in_box(first, box)
+    people = {number: _in_box(second, one) for number, one in boxes.items()}
+    if known is None:
+        return StageReply({"person": None})
+    same = (number for number, one in people.items() if one is not None and one.identity == known.identity)
+    return StageReply({"person": next(same, 0)})
+
+
 STAGES: Final[dict[str, Play]] = {
     "Your answer, as one JSON object:": _answer_at_once,
     "Your facts, as one JSON object:": _write_facts,
@@ -175,12 +193,28 @@ STAGES: Final[dict[str, Play]] = {
     "Your next turn, as one JSON object:": _react,
     "Your plan, as one JSON object:": _plan,
     fields.STAGE: _list_people,
+    fields.SAME_STAGE: _recognize,
     "Your next calls, as one JSON object:": agent_turn,
 }
 """Every stage by the last line of its prompt."""
 
 
 # -- parts ------------------------------------------------------------------------------------------------------------
+
+
+_TWO: Final = 2
+
+
+def _in_box(look: Look, corners: fields.Corners) -> Sighting | None:
+    """Whoever a box in thousandths of a picture is drawn round."""
+    overlaps = [(iou(_rectangle(corners), _rectangle(write_box(seen.box, look.size))), seen) for seen in look.sightings]
+    overlap, seen = max(overlaps, key=lambda found: found[0], default=(0.0, None))
+    return seen if overlap > 0 else None
+
+
+def _rectangle(corners: Sequence[int]) -> Box:
+    left, top, right, bottom = corners
+    return Box(left, top, right - left, bottom - top)
 
 
 def _found(request: Request) -> tuple[EpisodeState, Sighting | None]:

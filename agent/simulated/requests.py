@@ -128,6 +128,8 @@ def _asked(lines: Sequence[str], heading: Sequence[str], stage: str) -> tuple[st
         asked = _line(lines, fields.START) or ""
         stated = map(fields.statement, fields.read_fields(asked))
         return asked, NO_PLAN, [one for one in stated if one is not None]
+    if stage == fields.SAME_STAGE:
+        return "", NO_PLAN, ()
     question = _line(heading, "Question: ")
     if question is None:
         raise DecodeError("the prompt has no line 'Question: ...'")

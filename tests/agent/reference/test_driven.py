@@ -1,0 +1,225 @@
+"""The policy `driven`: what is asked of a picture, what is read from a reply, and games of the simulated model."""
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from painted_world import World, still
+from reference_play import CHOICES, Scripted, text_of
+from world_play import PLAN as WORDY
+from world_play import look as observation
+
+from jrdb_avr.agent.beliefs.world_model import WorldModel
+from jrdb_avr.agent.methods.attempt import Attempt
+from jrdb_avr.agent.model.conventions import CONTRACT
+from jrdb_avr.agent.model.messages import wire
+from jrdb_avr.agent.model.reply import read_completion
+from jrdb_avr.agent.perception.geometry import DERIVED
+from jrdb_avr.agent.perception.readings import ReadLabel, ReadTie
+from jrdb_avr.agent.perception.votes import Tracks
+from jrdb_avr.agent.reference.driven import DrivenEpisode, newest
+from jrdb_avr.agent.reference.method import ReferenceAgent
+from jrdb_avr.agent.reference.perceive import CANNOT_TELL, Perceiver, fields_of, perceive_schema, read_people
+from jrdb_avr.agent.simulated.knobs import Knobs
+from jrdb_avr.agent.simulated.server import Server
+from jrdb_avr.queries.beliefs.graph import WorldGraph
+from jrdb_avr.schema.answers import Choice
+from jrdb_avr.schema.errors import DecodeError, InputError
+from jrdb_avr.schema.panorama import Box, iou
+from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
+from jrdb_avr.schema.relations import FIRST_LEFT, SAME_GROUP
+from jrdb_avr.schema.wording.text import render
+
+WOMAN = Plan(
+    "a",
+    "a",
+    {"t0": Time(frame=150)},
+    (Node("a", (Condition(attribute="gender", value="female"), Condition(action="reading", at="t0"))),),
+    (),
+    AnswerSpec("multiple_choice", "action", "a", "t0"),
+)
+FRAMES = tuple(range(0, 300, 5))
+FIELDS = fields_of(WOMAN)
+SEEN = observation(150)
+
+
+def person(box=(100, 100, 300, 900), **said):
+    """One of the people of a reply; what is not given cannot be told."""
+    unknown = {field.key: CANNOT_TELL for field in FIELDS}
+    return {"box": list(box), **unknown, **said}
+
+
+def people(*listed):
+    return read_people({"people": list(listed)}, FIELDS, SEEN, "o1", CONTRACT)
+
+
+# -- what is asked ----------------------------------------------------------------------------------------------------
+
+
+def test_statements_stand_among_as_many_others():
+    stated = [field for field in fields_of(WORDY) if field.value]
+    kinds = [field.name for field in stated]
+    # Of a group its ties are read, in place of its size.
+    assert sorted(kinds) == ["interaction"] * 2 + ["object"] * 2 + ["relation"] * 4
+    assert {field.value for field in stated} >= {"hugging", "holding: bag", "conversation", SAME_GROUP}
+    assert len({field.key for field in stated}) == len(stated)
+
+
+def test_what_boxes_decide_is_not_asked():
+    beside = Plan("a", "b", WOMAN.times, (WOMAN.nodes[0], Node("b")), (Edge("a", FIRST_LEFT, "b", "t0"),), WOMAN.answer)
+    assert not any(field.value in DERIVED for field in fields_of(beside))
+
+
+def test_a_schema_closes_every_field():
+    entry = perceive_schema(FIELDS)["properties"]["people"]["items"]
+    assert set(entry["required"]) == {"box", *(field.key for field in FIELDS)}
+    assert "action reading" in entry["required"]
+
+
+# -- what is read -----------------------------------------------------------------------------------------------------
+
+
+def test_what_is_denied_is_read_and_what_cannot_be_told_is_not():
+    (one,) = people(person(gender="female", **{"action reading": "no"}))
+    assert set(one.labels) == {ReadLabel("gender", "female"), ReadLabel("action", "reading", holds=False)}
+    assert one.box == pytest.approx(Box(SEEN.left + 48, 48, 96, 384)) and one.whole
+    assert not people(person((0, 100, 300, 900)))[0].whole
+
+
+def test_a_relation_is_denied_of_everybody_who_is_not_named():
+    fields = [field for field in fields_of(WORDY) if field.value == "conversation"]
+    listed = [{"box": [100, 100, 300, 900], "relation conversation": said} for said in ([2], [], None)]
+    read = read_people({"people": listed}, fields, SEEN, "o1", CONTRACT)
+    assert read[0].ties == (ReadTie("conversation", 2, True), ReadTie("conversation", 3, False))
+    assert not any(tie.holds for tie in read[1].ties) and read[2].ties == ()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"people": 3},
+        {"people": [person()] * 11},
+        {"people": [person(gender="woman")]},
+        {"people": [person(colour="red")]},
+        {"people": [person((300, 100, 100, 900))]},
+        {"people": [], "answer": 1},
+    ],
+)
+def test_a_reply_outside_the_contract_is_refused(wrong):
+    with pytest.raises(DecodeError):
+        read_people(wrong, FIELDS, SEEN, "o1", CONTRACT)
+
+
+_JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.text(max_size=5) | st.floats(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(["people", "box", "pose"]), inner),
+    max_leaves=8,
+)
+
+
+@given(_JSON)
+def test_any_json_is_read_or_refused(value):
+    try:
+        read = read_people({"people": value}, FIELDS, SEEN, "o1", CONTRACT)
+    except DecodeError:
+        return
+    assert len(read) == len(value)
+
+
+def test_a_malformed_reply_is_asked_again_once(tmp_path):
+    chat = Scripted(["nothing", {"people": [person()]}])
+    task = World(tmp_path, [], FRAMES).task("Who?", "multiple_choice", CHOICES)
+    assert len(Perceiver(Attempt(task, chat, CONTRACT), FIELDS).people(SEEN, "o1")) == 1
+    chat = Scripted(["nothing"])
+    assert Perceiver(Attempt(task, chat, CONTRACT), FIELDS).people(SEEN, "o1") is None
+    assert len(chat.requests) == 2 and "could not be used" in text_of(chat.requests[1])
+
+
+# -- games ------------------------------------------------------------------------------------------------------------
+
+
+class Chat:
+    """The simulated model without its socket."""
+
+    def __init__(self, knobs):
+        self.server = Server(knobs=knobs)
+        self.requests = []
+
+    def complete(self, messages, schema=None):
+        self.requests.append(messages)
+        body = json.dumps({"messages": wire(messages)}).encode()
+        return read_completion(json.dumps(self.server.reply(body)).encode())
+
+
+READER = still(1845, 7, gender="female", age="young adulthood", pose="sitting", actions=("reading",))
+OTHERS = [
+    still(300, 8, gender="female", age="young adulthood", pose="standing"),
+    still(2900, 9, gender="male", age="young adulthood", pose="walking", actions=("reading",)),
+]
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    return World(tmp_path_factory.mktemp("painted"), [READER, *OTHERS], FRAMES)
+
+
+@pytest.fixture(scope="module")
+def beliefs():
+    with WorldGraph.memory() as graph:
+        yield WorldModel(graph, "driven")
+
+
+def game(world, beliefs=None):
+    chat, writes = Chat(Knobs()), []
+    task = world.task(render("change", CHANGE, "0" * 64), "multiple_choice", CHOICES, [], writes)
+    return ReferenceAgent(chat, world=beliefs, policy="driven").answer(task), chat, writes
+
+
+CHANGE = Plan(
+    "a",
+    "a",
+    {"t0": Time(frame=150), "t1": Time(frame=250)},
+    WOMAN.nodes,
+    (),
+    AnswerSpec("multiple_choice", "action", "a", "t1"),
+)
+
+
+def test_the_reader_is_found_and_the_choice_proven(world, beliefs):
+    prediction, _, writes = game(world, beliefs)
+    assert prediction.answer == Choice(3) and prediction.verdict == "certain"
+    frame, box = prediction.evidence.frame, Box(*prediction.evidence.box)
+    assert iou(box, READER.box(frame)) > 0.9
+    assert prediction.n_observations <= 24
+    tools = [write.tool for write in writes if write.accepted]
+    assert {"plan", "observe", "add_entity", "add_attribute", "final_answer"} <= set(tools)
+    assert all(write.accepted for write in writes)
+
+
+def test_no_request_about_a_picture_holds_the_question(world):
+    _, chat, _ = game(world)
+    asked = [text_of(messages) for messages in chat.requests]
+    assert "Question: " in asked[0] and not any("Question: " in text or "Choices" in text for text in asked[1:])
+
+
+def test_without_a_world_model_there_is_no_verdict_and_nothing_is_written(world):
+    alone, _, writes = game(world)
+    assert (alone.answer, alone.verdict, writes) == (Choice(3), None, [])
+
+
+def test_a_model_that_says_nothing_legible_ends_with_no_answer(world):
+    attempt = Attempt(world.task("Who?", "multiple_choice", CHOICES), Scripted(["?"]), CONTRACT)
+    prediction = DrivenEpisode(attempt, WOMAN, looks=4).play()
+    assert (prediction.answer, prediction.n_observations) == (None, 4)
+    assert len(set(attempt.made)) == 4
+
+
+def test_a_passive_agent_cannot_be_driven():
+    with pytest.raises(InputError, match="passive"):
+        ReferenceAgent(Scripted([]), looks=False, policy="driven")
+
+
+def test_the_newest_reading_of_a_frame_is_the_last():
+    tracks = newest(Tracks({"p1": people(person()) * 2}, {}))
+    assert len(tracks.people["p1"]) == 1
