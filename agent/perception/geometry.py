@@ -19,6 +19,7 @@ from jrdb_avr.schema.panorama import (
     angle_of_column,
     center_angle,
     clockwise,
+    column_of_angle,
     crop_left,
 )
 from jrdb_avr.schema.relations import RELATIONS
@@ -89,6 +90,17 @@ def gaps(looks: Iterable[SeenColumns], arc: Arc) -> list[Arc]:
 def covered(looks: Iterable[SeenColumns], arc: Arc = CIRCLE) -> bool:
     """Whether the looks together show the whole arc."""
     return not gaps(looks, arc)
+
+
+def joined_looks(looks: Sequence[SeenColumns]) -> tuple[SeenColumns, ...]:
+    """What looks show together, as looks that do not overlap."""
+    unseen = gaps(looks, CIRCLE)
+    if not unseen:
+        return (SeenColumns(0.0, WIDTH),)
+    ends = [(gap.start + gap.span) % 360.0 for gap in unseen]
+    spans = [clockwise(end, after.start) for end, after in zip(ends, (*unseen[1:], unseen[0]), strict=True)]
+    shown = zip(ends, spans, strict=True)
+    return tuple(SeenColumns(column_of_angle(end), span * WIDTH / 360.0) for end, span in shown if span > SLACK)
 
 
 def angle_of(box: Box) -> float:

@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 
 from jrdb_avr.agent.perception.association import expected_place
 from jrdb_avr.agent.perception.geometry import around, covered
+from jrdb_avr.agent.perception.readings import topic_of
 from jrdb_avr.agent.perception.votes import MOST_VOTES, UNIT, SlotState, Support, Tracks
 from jrdb_avr.queries.compiler.find import conditions_of, search_order, stated_frame, times_of
 from jrdb_avr.schema.plan import Plan
@@ -28,6 +29,10 @@ _EDGE_DEG: Final = 5.0
 
 _HOLDS: Final = {1: 0.4, 2: 0.2}
 """How often a condition holds of anybody, and an edge between any two people."""
+_RARELY: Final = 0.1
+"""The same of an action, an object or an interaction, of which there are many."""
+
+_CLOSED: Final = frozenset({"gender", "age", "pose", "sector", "distance", "group_size"})
 
 
 class PlanPart(NamedTuple):
@@ -46,7 +51,7 @@ class PlanPart(NamedTuple):
 
     def evidence(self, tracks: Tracks, people: Sequence[str]) -> float:
         """The log-odds that it gives for these people being the ones who are meant."""
-        often = _HOLDS[len(people)]
+        often = _RARELY if topic_of(self.name, self.value) not in _CLOSED and len(people) == 1 else _HOLDS[len(people)]
         return -math.log(often + (1 - often) * math.exp(-self.support(tracks, people).log_odds))
 
 

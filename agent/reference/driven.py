@@ -18,7 +18,7 @@ from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, stitched_eviden
 from jrdb_avr.agent.perception.answer import Conclusion, conclude
 from jrdb_avr.agent.perception.association import with_picture
 from jrdb_avr.agent.perception.attention import NextLook, next_look
-from jrdb_avr.agent.perception.geometry import DERIVED, SeenColumns
+from jrdb_avr.agent.perception.geometry import DERIVED, SeenColumns, joined_looks
 from jrdb_avr.agent.perception.readings import PersonReading
 from jrdb_avr.agent.perception.support import RankedHypothesis, frames_of, rank, slot_supports
 from jrdb_avr.agent.perception.votes import Tracks
@@ -176,6 +176,9 @@ class DrivenEpisode:
 
 
 def newest(tracks: Tracks) -> Tracks:
-    """The same tracks with only the newest reading of everybody at each frame: nothing is voted on."""
+    """The same tracks with only the newest reading of everybody at each frame: nothing is voted on.
+
+    What looks show is joined, so that nobody counts as missed by a look before the newest.
+    """
     people = {who: tuple({one.frame: one for one in readings}.values()) for who, readings in tracks.people.items()}
-    return Tracks(people, tracks.looks)
+    return Tracks(people, {frame: joined_looks(looks) for frame, looks in tracks.looks.items()})
