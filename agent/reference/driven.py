@@ -21,13 +21,14 @@ from jrdb_avr.agent.perception.attention import NextLook, next_look
 from jrdb_avr.agent.perception.geometry import DERIVED, SeenColumns, joined_looks
 from jrdb_avr.agent.perception.readings import PersonReading
 from jrdb_avr.agent.perception.support import RankedHypothesis, frames_of, rank, slot_supports
-from jrdb_avr.agent.perception.votes import Tracks
+from jrdb_avr.agent.perception.votes import SETTLING, Tracks
 from jrdb_avr.agent.reference.perceive import Perceiver, fields_of
 from jrdb_avr.agent.reference.recognize import recognize
 from jrdb_avr.agent.reference.tool_calls import FINAL
 from jrdb_avr.schema.method import Observation, Prediction
 from jrdb_avr.schema.panorama import CROP, Box
 from jrdb_avr.schema.plan import Plan
+from jrdb_avr.schema.rules import KEYFRAME_STEP
 
 if TYPE_CHECKING:
     from jrdb_avr.agent.beliefs.world_model import BeliefEpisode
@@ -94,8 +95,11 @@ class DrivenEpisode:
         """Whether the target is among the people of a picture in which it was looked for, as far as the model tells."""
         if target is None or not people or look.purpose not in _SEEKING:
             return {}
-        readings = self.tracks.people[target]
-        known = min(readings, key=lambda one: (not one.whole, abs(one.frame - look.frame)))
+        frames = {one.frame for one in self.tracks.people[target]}
+        agreed = [one for one in (self._agreed(target, frame) for frame in frames) if one is not None]
+        known = min(
+            agreed, key=lambda one: (not one.whole, self._doubt(target, one.frame) + abs(one.frame - look.frame))
+        )
         number = recognize(self.attempt, known, self.seen[known.observation], seen, people)
         return {} if number is None else {target: number}
 
@@ -167,6 +171,11 @@ class DrivenEpisode:
                     world.add("add_relation", ends | {"name": part.name, "observation": seen.observation}, step)
         answer = {"answer": msgspec.to_builtins(found.answer), "entity": found.entity}
         world.noted(FINAL, answer, step, True)
+
+    def _doubt(self, who: str, frame: int) -> int:
+        """Frames by which a single box of somebody counts as farther than one that two readings agree on."""
+        box = self.tracks.box(who, frame)
+        return 0 if box is not None and box.votes >= SETTLING else KEYFRAME_STEP * 2
 
     def _agreed(self, who: str, frame: int) -> PersonReading | None:
         """The reading of somebody at a frame whose box most readings agree on."""

@@ -26,7 +26,7 @@ def recognize(
 ) -> int | None:
     """The number of whoever of the people read in a picture is a known one, read in an earlier picture.
 
-    `NOBODY` where it is none of them; None where the model cannot tell, or its reply cannot be read.
+    `NOBODY` where it is none of them; None where the model cannot tell, or neither of two replies can be read.
     """
     boxes = [_inside(one, seen) for one in people]
     user: tuple[Part, ...] = (
@@ -36,11 +36,16 @@ def recognize(
         f"People in picture 2: {json.dumps({str(one.number): box for one, box in zip(people, boxes, strict=True)})}",
         SAME_LINE,
     )
-    messages = [Message("system", (render("agent_same"),)), Message("user", user)]
-    try:
-        return _read(attempt.ask_object(messages, _SCHEMA), len(people))
-    except DecodeError:
-        return None
+    fault = ""
+    for _ in range(2):
+        again = (f"Your last reply could not be used: {fault}",) if fault else ()
+        parts = (*user[:-1], *again, user[-1])
+        try:
+            reply = attempt.ask_object([Message("system", (render("agent_same"),)), Message("user", parts)], _SCHEMA)
+            return _read(reply, len(people))
+        except DecodeError as error:
+            fault = str(error)
+    return None
 
 
 def _inside(one: PersonReading, seen: Observation) -> list[int]:
