@@ -16,7 +16,7 @@ from jrdb_avr.agent.perception.association import expected_place
 from jrdb_avr.agent.perception.geometry import CIRCLE, Arc, around, deciding_arc, gaps
 from jrdb_avr.agent.perception.moments import Bracket, brackets, presence
 from jrdb_avr.agent.perception.readings import USUAL
-from jrdb_avr.agent.perception.support import RankedHypothesis, frames_of, slot_supports
+from jrdb_avr.agent.perception.support import RankedHypothesis, frames_of, parts_of, slot_supports
 from jrdb_avr.agent.perception.votes import Tracks, settled
 from jrdb_avr.schema.labels import ROBOT_SECTORS
 from jrdb_avr.schema.panorama import CROP, FOV_DEG, WIDTH, angle_error, clockwise
@@ -150,11 +150,17 @@ class _Attention:
                     yield NextLook(frame, gap.start - _OVERLAP_DEG / 2 + FOV_DEG / 2, "identify", 2 * bits)
 
     def _odds(self, node: str) -> dict[str, float]:
-        """The log-odds of the best hypothesis for each entity that may be a node."""
+        """The log-odds of each entity that may be a node: by its conditions and the edges that lead to it.
+
+        Not by those that lead on: somebody is the first to the left of everybody.
+        """
+        parts = [part for part in parts_of(self.plan) if part.nodes[-1] == node]
         best: dict[str, float] = {}
-        for one in reversed(self.hypotheses):
+        for one in self.hypotheses:
             if node in one.nodes:
-                best[one.nodes[node]] = one.log_odds
+                ends = [(part, [one.nodes.get(end, "") for end in part.nodes]) for part in parts]
+                odds = sum(part.evidence(self.tracks, people) for part, people in ends)
+                best[one.nodes[node]] = max(odds, best.get(one.nodes[node], odds))
         return best
 
     def _arc(self, node: str, frame: int) -> Arc:
