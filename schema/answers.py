@@ -67,6 +67,22 @@ ANSWER_TYPES: Final[dict[str, type[Answer]]] = {
     "number": Number,
 }
 
+
+def uninformed_answer(mode: AnswerMode, frame: int, angle: float) -> Answer:
+    """The answer to give if nothing tells it, about a person seen at a frame and a panorama angle in degrees."""
+    match mode:
+        case "multiple_choice":
+            return Choice(1)
+        case "frame":
+            return FrameAnswer(frame)
+        case "span":
+            return Span(frame, frame)
+        case "frame_viewpoint":
+            return FrameViewpoint(frame, angle)
+        case "number":
+            return Number(1.0)
+
+
 # Made at import: threads that meet a type first at the same time crash the decoder.
 _DECODERS: Final[dict[type[Answer], msgspec.json.Decoder[Any]]] = {
     kind: msgspec.json.Decoder(kind) for kind in ANSWER_TYPES.values()

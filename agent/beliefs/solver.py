@@ -30,12 +30,9 @@ from jrdb_avr.schema.answers import (
     TIE,
     Answer,
     Choice,
-    FrameAnswer,
-    FrameViewpoint,
-    Number,
-    Span,
     decode_answer,
     same_answer,
+    uninformed_answer,
 )
 from jrdb_avr.schema.beliefs import episode_key
 from jrdb_avr.schema.labels import choice_text
@@ -124,7 +121,7 @@ class BeliefSolver:
         return _belief(reader, match, solution)
 
     def placements(self, plan: Plan, rows: BeliefRows, anywhere: bool) -> list[Plan]:
-        """The plan at frames of which something is known, in place of its stated ones, the nearest first.
+        """Copies of a plan whose stated frames are replaced by frames that were looked at, the smallest change first.
 
         A frame stands for one that is at most `NEAR_FRAMES` away; `anywhere`: where there is none, the nearest does. A
         stated frame that none stands for stays.
@@ -151,7 +148,7 @@ class BeliefSolver:
         ]
 
     def guess(self, plan: Plan, rows: BeliefRows | None = None, entity: str = "") -> Belief | None:
-        """Return what is read of an entity as the plan's target, or of the likeliest one; None where there is none.
+        """Read the plan's answer of one entity, or of the one that fits the plan best; None where no entity is known.
 
         That is the one with which most conditions and edges hold, then the one seen at most frames, then the smallest
         name. Its outcome is defined where the plan's read is known of it, else unknown, and its newest box is seen
@@ -172,18 +169,8 @@ class BeliefSolver:
     def prior(self, plan: Plan, belief: Belief) -> Answer:
         """Return an answer where nothing tells one, of a person who was seen."""
         assert belief.seen is not None, "somebody was seen"
-        frame, box = belief.seen
-        match plan.answer.mode:
-            case "multiple_choice":
-                return Choice(1)
-            case "frame":
-                return FrameAnswer(frame)
-            case "span":
-                return Span(frame, frame)
-            case "frame_viewpoint":
-                return FrameViewpoint(frame, center_angle(box.x, box.w))
-            case "number":
-                return Number(1.0)
+        frame, (x, _, w, _) = belief.seen
+        return uninformed_answer(plan.answer.mode, frame, center_angle(x, w))
 
     def answer(self, plan: Plan, belief: Belief) -> Answer | None:
         """The answer that is read from the beliefs, None where there is none, or none of the choices says it."""

@@ -35,7 +35,7 @@ from jrdb_avr.schema.panorama import CROP
 BUDGET: Final = 24
 
 _NO_PICTURE: Final = ImageFrame((), CROP, CROP, 0)
-"""No box lies in it: what is answered before the first look."""
+"""Stands for the newest picture before the first look: every box in an answer is refused."""
 
 
 @dataclass(frozen=True)

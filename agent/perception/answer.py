@@ -15,14 +15,12 @@ from jrdb_avr.agent.perception.geometry import around, covered
 from jrdb_avr.agent.perception.moments import Bracket, absence, brackets, change
 from jrdb_avr.agent.perception.support import RankedHypothesis, slot_supports
 from jrdb_avr.agent.perception.votes import SETTLING, UNIT, FusedBox, SlotState, Tally, Tracks, settled
-from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, FrameViewpoint, Number, Span
+from jrdb_avr.queries.compiler.beliefs import DISTANCE_CUT_M
+from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, FrameViewpoint, Number, Span, uninformed_answer
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS, choice_text
 from jrdb_avr.schema.method import Verdict
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import FPS
-
-CHANGED_M: Final = 1.0
-"""Change of distance from which on it is closer or farther."""
 
 CLEAR_MARGIN: Final = 2.0
 """Log-odds by which the likeliest target is better than the next one where it is certain."""
@@ -31,7 +29,7 @@ _BESIDE_DEG: Final = 10.0
 """Degrees beside the expected place that a look must show for somebody who is not seen to be away."""
 
 _LIKELY_S: Final = 10.0
-"""The guess for a time between two events of which one was not seen."""
+"""Seconds that are answered for the time between two events when one of them was not seen."""
 
 _NEAR: Final = round(2 * FPS)
 """Frames from the answer's own within which its box is rather shown with a second reading."""
@@ -47,7 +45,7 @@ class ReadAnswer(NamedTuple):
 
 @dataclass(frozen=True)
 class Conclusion:
-    """What an episode comes to: the answer, the person it is read of, a frame and the person's box there."""
+    """The result of an episode: the answer, the person whom it is about, and that person's box at a frame."""
 
     answer: Answer
     entity: str
@@ -59,7 +57,7 @@ class Conclusion:
 def conclude(
     plan: Plan, tracks: Tracks, hypotheses: Sequence[RankedHypothesis], choices: Sequence[str], frames: Sequence[int]
 ) -> Conclusion | None:
-    """The answer of the likeliest target, or of one nearly as likely of whom it can be read; None without anybody.
+    """Answer for the most likely target, or for a nearly as likely one if its answer is known; None if nobody fits.
 
     hypotheses: the best first; frames: the legal ones.
     """
@@ -73,7 +71,7 @@ def conclude(
     answer, frame, state = reads[who]
     shown, box = _evidence(tracks, who, frame)
     if answer is None:
-        answer = _prior(plan, tracks, who, frame)
+        answer = uninformed_answer(plan.answer.mode, frame, expected_place(tracks.people[who], frame).angle)
     return Conclusion(answer, who, shown, box, _verdict(plan, tracks, best[who], state, box))
 
 
@@ -91,20 +89,6 @@ def _verdict(plan: Plan, tracks: Tracks, best: RankedHypothesis, state: SlotStat
         return "guess"
     sure = box.votes >= SETTLING and best.margin >= CLEAR_MARGIN and {state, *states} == {"certain"}
     return "certain" if sure else "supported"
-
-
-def _prior(plan: Plan, tracks: Tracks, who: str, frame: int) -> Answer:
-    match plan.answer.mode:
-        case "multiple_choice":
-            return Choice(1)
-        case "frame":
-            return FrameAnswer(frame)
-        case "span":
-            return Span(frame, frame)
-        case "frame_viewpoint":
-            return FrameViewpoint(frame, expected_place(tracks.people[who], frame).angle)
-        case "number":
-            return Number(1.0)
 
 
 @dataclass(frozen=True)
@@ -184,7 +168,7 @@ class _Reader:
         before, after = (self.tracks.metres(self.who, at) for at in (first, last))
         if before is None or after is None:
             return ReadAnswer(None, last, "open")
-        place = 2 if abs(after - before) < CHANGED_M else 0 if after < before else 1
+        place = 2 if abs(after - before) < DISTANCE_CUT_M else 0 if after < before else 1
         return ReadAnswer(self._choice(DISTANCE_ANSWERS[place]), last, _weakest(map(self._present, (first, last))))
 
     def _choice(self, label: str) -> Choice | None:

@@ -30,13 +30,13 @@ _CERTAIN: Final = 1000.0
 
 _EXACT_DEG: Final = 1.5
 _DRIFT: Final = 0.7
-"""Degrees per frame by which somebody whose speed is not known leaves the place where they were seen."""
+"""Growth of the uncertainty of a person's angle, in degrees per frame, if the speed is unknown."""
 
 _TURNING: Final = 0.25
-"""The same of somebody whose speed is known."""
+"""The same growth if the speed is known from two sightings."""
 
 _STAYING: Final = 0.5
-"""The same of somebody who may have stayed."""
+"""The same growth if the person is assumed to stay in place."""
 
 _WIDEST_DEG: Final = 120.0
 _LONGEST: Final = 60

@@ -12,11 +12,9 @@ from typing import Final, NamedTuple
 from jrdb_avr.agent.perception.association import expected_place
 from jrdb_avr.agent.perception.geometry import around, covered
 from jrdb_avr.agent.perception.votes import SlotState, Tracks
+from jrdb_avr.queries.compiler.beliefs import RESOLVED_FRAMES
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import KEYFRAME_STEP
-
-CERTAIN_FRAMES: Final = 30
-"""Frames between the enclosing sightings of an event whose moment is certain."""
 
 ABSENT_REACH: Final = 60.0
 """Degrees to either side of the expected angle that looks must show before somebody counts as absent."""
@@ -38,7 +36,7 @@ class Bracket(NamedTuple):
         """Whether the moment is certain, supported or open."""
         if self.high is None:
             return "open"
-        return "certain" if self.high - self.low <= CERTAIN_FRAMES else "supported"
+        return "certain" if self.high - self.low <= RESOLVED_FRAMES else "supported"
 
 
 def shown(tracks: Tracks, who: str, frame: int) -> bool:
@@ -86,7 +84,7 @@ def change(states: Mapping[int, bool], after: int, wanted: bool) -> Bracket:
 
 
 def brackets(plan: Plan, tracks: Tracks, who: str) -> dict[str, Bracket]:
-    """The events at which the answer is read, by their time's name, as far as those that they wait for were seen."""
+    """The bracket of each event of a plan, by its time's name, except events that wait for one that was not seen."""
     found: dict[str, Bracket] = {}
     for name in (*plan.times, *plan.times):
         # Twice, as an event may be written before the one that it waits for.

@@ -13,7 +13,7 @@ from jrdb_avr.schema.relations import RELATIONS
 from jrdb_avr.schema.things import OBJECTS, VERBS
 
 USUAL: Final = 0.9
-"""Confidence of a reading whose reader gave none."""
+"""Confidence of a reading if the model states none."""
 
 _WORDS: Final[dict[str, frozenset[str]]] = {
     "gender": frozenset(GENDERS),

@@ -28,9 +28,9 @@ _EDGE_DEG: Final = 5.0
 """Whoever stands nearer to the edge of a look may not be recognized in it."""
 
 _HOLDS: Final = {1: 0.4, 2: 0.2}
-"""How often a condition holds of anybody, and an edge between any two people."""
+"""Prior share of people for whom a condition is true (1), and of pairs for whom an edge is (2)."""
 _RARELY: Final = 0.1
-"""The same of an action, an object or an interaction, of which there are many."""
+"""Prior share of people for whom an action, object or interaction is true: there are many of each."""
 
 _CLOSED: Final = frozenset({"gender", "age", "pose", "sector", "distance", "group_size"})
 
@@ -128,7 +128,7 @@ def rank(plan: Plan, tracks: Tracks) -> tuple[RankedHypothesis, ...]:
 
 
 def _varied(order: Sequence[tuple[float, dict[str, str]]], node: str) -> list[tuple[float, dict[str, str]]]:
-    """The first hypotheses of an order, and the first for everybody whom the node may be, in that order."""
+    """The best hypotheses of a sorted list, and the best one for each person who may be the node."""
     first = {bound[node]: at for at, (_, bound) in reversed([*enumerate(order)])}
     return [one for at, one in enumerate(order) if at < BEAM or first[one[1][node]] == at]
 
@@ -140,7 +140,7 @@ def _margin(beam: Sequence[tuple[float, dict[str, str]]], target: str, at: int) 
 
 
 def _absence(tracks: Tracks, who: str, frame: int) -> float:
-    """The log-odds against somebody whom looks at a frame should have shown oftener, as if a box had been wrong."""
+    """Log-odds against a person who is missing from looks that should show the person at a frame."""
     place = expected_place(tracks.people[who], frame)
     where = around(place.angle, max(place.angle_spread, _EDGE_DEG))
     looks, readings = tracks.looks.get(frame, ()), len(tracks.at(who, frame))

@@ -33,7 +33,7 @@ MOST_VOTES: Final = 1.5
 """The most readings by which a fact counts as supported or contradicted."""
 
 SETTLING: Final = 2
-"""Readings that agree and are more than those that do not: they settle a fact."""
+"""Number of agreeing readings that settles a fact, if they outnumber those that disagree."""
 
 SAME_BOX: Final = 0.5
 """IoU from which on two boxes are of one cluster, as scores want it."""

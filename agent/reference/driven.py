@@ -34,8 +34,7 @@ if TYPE_CHECKING:
     from jrdb_avr.agent.beliefs.world_model import BeliefEpisode
 
 _TURN_DEG = 1.6
-"""A look that was made and could not be read is made again beside itself."""
-
+"""Degrees by which a look is turned aside if one at its angle was made before."""
 
 _SEEKING = ("follow", "bracket", "absence")
 """Purposes of looks at other moments, at which somebody has to be known again."""
