@@ -5,20 +5,21 @@ What was not written down is unknown, and what is unknown is no match.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections import defaultdict
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, Final, NamedTuple
 
-from jrdb_avr.queries.compiler.beliefs import BeliefReader, believed_order, filled
-from jrdb_avr.queries.compiler.find import stated_frame, times_of
+from jrdb_avr.queries.compiler.beliefs import BeliefReader
+from jrdb_avr.queries.compiler.find import search_order, stated_frame, times_of
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.relations import SYMMETRIC
 
 _MOST_STEPS: Final = 2_000
 """Bindings weighed; those of a real plan are a few dozens. Beyond them the best one so far is taken."""
 
-_MOST_VISITS: Final = 10_000_000
-"""Texts that a compiled plan may compare: the engine serves one episode at a time, and takes about 3 ns for each."""
+_MOST_ROWS: Final = 50_000
+"""Rows that a compiled plan may make: the engine serves one episode at a time, and takes about 1 µs for each."""
 
 
 class _Part(NamedTuple):
@@ -41,7 +42,7 @@ class PlanMatch:
     """Entities that satisfy each part of a plan, by an episode's rows alone: what the compiled plan finds.
 
     people: those who are seen at all; own: the parts about each node alone, its sightings first; edges: the parts about
-    two. texts: how many texts the compiled plan gathers.
+    two.
     """
 
     def __init__(self, reader: BeliefReader, plan: Plan) -> None:
@@ -49,29 +50,24 @@ class PlanMatch:
         seen = reader.all("sighted")
         self.plan = plan
         self.own: dict[str, list[_Part]] = {}
-        texts: dict[Hashable, int] = {}
-        pairs: dict[tuple[str, int], frozenset[tuple[str, str]]] = {}
 
         def held(kind: str, frame: int, **wanted: Any) -> list[Mapping[str, Any]]:
             rows = [row for row in reader.all(kind) if row["first"] <= frame <= row["last"]]
             return [row for row in rows if all(row[name] == value for name, value in wanted.items())]
 
         def joined(relation: str, frame: int) -> frozenset[tuple[str, str]]:
-            found = frozenset((row["source"], row["target"]) for row in held("relations", frame, name=relation))
-            return pairs.setdefault((relation, frame), found)
+            return frozenset((row["source"], row["target"]) for row in held("relations", frame, name=relation))
 
         for node in plan.nodes:
             times, parts = times_of(plan, node.id), self.own.setdefault(node.id, [])
             for time in times:
                 frame = stated_frame(plan, time)
                 there = frozenset((row["who"],) for row in seen if row["frame"] == frame)
-                texts[frame] = len(there)
                 parts.append(_Part((node.id,), there, f"not seen at frame {frame:06d}", counts=False))
             for condition in node.conditions:
                 frame = stated_frame(plan, condition.at or times[0])
                 name, value = condition.wanted
                 who = {(row["who"],) for row in held("attributes", frame, name=name, value=value)}
-                texts[name, value, frame] = len(who)
                 if condition.interaction is not None:
                     who.update((end,) for pair in joined(value, frame) for end in pair)
                 when = "" if condition.at is None else f" at frame {frame:06d}"
@@ -84,42 +80,32 @@ class PlanMatch:
             self.edges.append(
                 _Part((edge.source, edge.target), fits, f"{edge.relation} is not known at frame {frame:06d}")
             )
-        ends = any(one.interaction is not None for node in plan.nodes for one in node.conditions)
-        self.texts = sum(texts.values()) + (3 if ends else 1) * sum(map(len, pairs.values()))
         self.people = tuple(sorted({row["who"] for row in seen}))
 
     @cached_property
     def bindings(self) -> list[dict[str, str]] | None:
         """Every assignment of different people to the plan's nodes that satisfies all its conditions and edges.
 
-        None where the compiled plan would compare more texts than `_MOST_VISITS` to find them.
-
-        It goes the way of the compiled plan: at each node it tries everybody, and compares what each part that can be
-        decided by then needs with all that it has gathered.
+        None where the compiled plan would make more rows than `_MOST_ROWS`. This goes the same way as it: each node is
+        found by its first edge, the root by its first sighting.
         """
-        people = sorted({who for parts in self.own.values() for part in parts for (who,) in part.fits})
-        compared = filled(max(map(len, self.own.values())))
-        places: dict[str, int] = {}
-        found: list[tuple[str, ...]] = [()]
-        visits = 0
-        for node, edges in believed_order(self.plan):
-            places[node] = len(places)
-            fit = people
-            for part in self.own[node]:
-                visits += len(found) * len(fit) * self.texts
-                fit = [who for who in fit if (who,) in part.fits]
-            # A statement compares some parts more than once, so that it is one of a few.
-            visits += len(found) * len(fit) * self.texts * (compared - len(self.own[node]))
-            if visits > _MOST_VISITS:
+        found: list[dict[str, str]] = [{}]
+        rows = 0
+        for node, edges in search_order(self.plan):
+            joining = [self.edges[i] for i, _ in edges]
+            by = joining[0] if joining else self.own[node][0]
+            other = next((one for one in by.nodes if one != node), "")
+            reached: dict[str, list[str]] = defaultdict(list)
+            for fit in by.fits:
+                ends = dict(zip(by.nodes, fit, strict=True))
+                reached[ends.get(other, "")].append(ends[node])
+            rows += sum(len(reached[bound.get(other, "")]) for bound in found)
+            if rows > _MOST_ROWS:
                 return None
-            found = [(*bound, who) for bound in found for who in fit if who not in bound]
-            for i, edge in edges:
-                visits += 2 * len(found) * self.texts
-                if visits > _MOST_VISITS:
-                    return None
-                source, target = places[edge.source], places[edge.target]
-                found = [bound for bound in found if (bound[source], bound[target]) in self.edges[i].fits]
-        return [dict(zip(places, bound, strict=True)) for bound in found]
+            parts = [*self.own[node], *joining]
+            tried = (bound | {node: who} for bound in found for who in reached[bound.get(other, "")])
+            found = [b for b in tried if len({*b.values()}) == len(b) and all(part.holds(b) for part in parts)]
+        return found
 
     @cached_property
     def counted(self) -> list[_Part]:

@@ -20,9 +20,9 @@ from jrdb_avr.queries.compiler.beliefs import (
     BeliefReader,
     BeliefRows,
     Moment,
-    find_believed,
     notes_of,
 )
+from jrdb_avr.queries.compiler.believed import find_believed
 from jrdb_avr.queries.compiler.find import Outcome, outcome_of_target
 from jrdb_avr.queries.compiler.reads import Queryable
 from jrdb_avr.queries.compiler.solve import PlanQuery, Solution, read_with, solve

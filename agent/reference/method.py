@@ -18,7 +18,7 @@ from jrdb_avr.agent.reference.graph_memory import GraphMemory
 from jrdb_avr.agent.reference.perceive import MOST_PEOPLE
 from jrdb_avr.agent.reference.planning import make_plan
 from jrdb_avr.agent.reference.tool_calls import MOST_PER_TURN
-from jrdb_avr.queries.compiler.beliefs import find_believed
+from jrdb_avr.queries.compiler.believed import find_believed
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.labels import AGES, DISTANCE_WORDS, OTHER_ACTIONS, POSES, ROBOT_SECTORS
 from jrdb_avr.schema.method import Prediction, Question, Task

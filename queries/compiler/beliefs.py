@@ -1,10 +1,4 @@
-"""Plans over an agent's beliefs: the statement that finds the people, and what the plan reads of them.
-
-The statement compares texts, one per belief: the other person of a relation, the belief with its frame, and the person
-("/action=sitting@15/p1", "p2/conversation=@15/p1"; a sighting is "/=@15/p1"). Each condition and edge of a plan becomes
-such a text, so a plan is all parameters, and the statement depends on its `Shape` alone. The engine needs several times
-as long for the first use of a statement, and while no two questions of an agent have one plan, most have one of a few
-shapes. What is not believed is no match.
+"""What plans read of an agent's beliefs about people who are found.
 
 An agent looks at a person only now and then. Without a belief that a seen person acts, the person does not: a model
 cannot write a negation. A person is absent from a frame if the whole panorama of it was observed and the person was not
@@ -14,173 +8,21 @@ seen; at any other frame the presence is unknown. A moment lies between two look
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, Final
 
-from jrdb_avr.queries.compiler.find import (
-    Agreed,
-    Edges,
-    Find,
-    conditions_of,
-    joined,
-    outcome_of_target,
-    people_of,
-    search_order,
-    stated_frame,
-    times_of,
-)
+from jrdb_avr.queries.compiler.believed import find_believed
+from jrdb_avr.queries.compiler.find import Agreed, Find, outcome_of_target, people_of
 from jrdb_avr.queries.compiler.mapping import PersonId
 from jrdb_avr.queries.compiler.reads import Looks, Person, Queryable, Reader, Rows, Seen, Segment
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
-from jrdb_avr.schema.beliefs import TIMELESS, episode_hash
+from jrdb_avr.schema.beliefs import episode_hash
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.panorama import WIDTH, Box
-from jrdb_avr.schema.plan import Edge, Plan, validate
+from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.relations import SYMMETRIC
-
-_TEXTS: Final = 4
-"""A statement compares this many texts of each person, or the next multiple of it."""
-
-_SMALL: Final = 5
-"""Number of people up to which all orders of a plan are tried."""
-
-_ENDS: Final = ("who", "whom")
-
-_NOTHING: Final = ""
-"""The text of no belief."""
-
-
-@dataclass(frozen=True)
-class Shape:
-    """The shape of a plan, on which its statement depends.
-
-    people: how many nodes there are, called by their places in the search; edges: the places that each joins, the
-    earlier first; texts: the number compared of each person; anybody: whether a condition is a relation to anybody.
-    """
-
-    people: int
-    edges: tuple[tuple[int, int], ...]
-    texts: int = _TEXTS
-    anybody: bool = False
-
-
-def find_believed(plan: Plan) -> Find:
-    """Compile a plan to a Cypher statement over one episode's beliefs that finds the people of its nodes.
-
-    Its parameters are the values of `Find.row` and the episode's `hash`. It gives columns who0, who1, ..., every
-    binding once, in any order.
-
-    Raises PlanError where the plan is invalid or not of stated times.
-    """
-    validate(plan)
-    places = {node: place for place, (node, _) in enumerate(believed_order(plan))}
-    people = [_texts_of(plan, node) for node in places]
-    edges = sorted(_texts_between(plan, edge, places) for edge in plan.edges)
-    conditions = [one for node in plan.nodes for one in node.conditions if one.interaction is not None]
-    ties = {_text(one.wanted[1], "", stated_frame(plan, one.at or "")) for one in conditions}
-    shape = Shape(
-        people=len(people),
-        edges=tuple(pair for pair, _, _ in edges),
-        texts=filled(max(map(len, people))),
-        anybody=bool(ties),
-    )
-    row: dict[str, Any] = {}
-    for place, texts in enumerate(people):
-        # A repeated text changes nothing.
-        padded = texts + texts[:1] * (shape.texts - len(texts))
-        row |= {f"c{place}_{i}": f"/{text}/" for i, text in enumerate(padded)}
-    for i, (_, there, back) in enumerate(edges):
-        row |= {f"e{i}": f"/{there}/", f"b{i}": f"/{back}/"}
-    row["wanted"] = sorted(({text[1:-1] for text in row.values()} | ties) - {_NOTHING})
-    return Find(statement(shape), tuple(places), row)
-
-
-def filled(texts: int) -> int:
-    """The number of texts that a statement compares of each person where the plan has this many."""
-    return -(-texts // _TEXTS) * _TEXTS
-
-
-def believed_order(plan: Plan) -> list[tuple[str, Edges]]:
-    """Nodes in the order of the search, as `search_order`. For a small plan it is the order with the smallest places in
-    its shape, which does not depend on the order of the plan's edges.
-    """
-    if len(plan.nodes) > _SMALL:
-        return search_order(plan)
-
-    def pairs(order: Sequence[str]) -> list[list[int]]:
-        return sorted(sorted((order.index(edge.source), order.index(edge.target))) for edge in plan.edges)
-
-    return joined(plan, min(_orders(plan, [plan.root]), key=pairs))
-
-
-def _orders(plan: Plan, known: Sequence[str]) -> Iterator[Sequence[str]]:
-    """All orders in which edges lead from the known nodes to the others."""
-    if len(known) == len(plan.nodes):
-        yield known
-    for node in sorted({e.target for e in plan.edges if e.source in known} - {*known}):
-        yield from _orders(plan, [*known, node])
-
-
-@lru_cache(256)
-def statement(shape: Shape) -> str:
-    """The statement of a shape. Names in it are the compiler's own."""
-    lines = read_statement("reads/world/beliefs.cypher").rstrip().splitlines()
-    text = "concat(r.whom, '/', said, '/', r.who)"
-    if shape.anybody:
-        # A relation stands for an attribute of both ends.
-        ends = [f"concat('/interaction=', r.name, '@', CAST(r.first AS STRING), '/', r.{end})" for end in _ENDS]
-        lines.append(f"UNWIND CASE WHEN r.whom IS NULL THEN [{text}] ELSE [{', '.join([text, *ends])}] END AS one")
-        text = "one"
-    lines.append(f"WITH collect({text}) AS beliefs, collect(DISTINCT r.who) AS people")
-    bound = ["beliefs", "people"]
-    for place in range(shape.people):
-        bound.append(f"n{place}")
-        tests = " AND ".join(_tests(shape, place))
-        lines += [f"UNWIND people AS n{place}", f"WITH {', '.join(bound)}", f"WHERE {tests}"]
-    lines.append(f"RETURN {', '.join(f'n{place} AS who{place}' for place in range(shape.people))}")
-    return "\n".join(lines)
-
-
-def _tests(shape: Shape, place: int) -> Iterator[str]:
-    """What must hold of the person at a place, alone and with those before."""
-    own = f"n{place}"
-    for other in range(place):
-        yield f"{own} <> n{other}"
-    for i in range(shape.texts):
-        yield f"concat($c{place}_{i}, {own}) IN beliefs"
-    for i, (first, second) in enumerate(shape.edges):
-        if second == place:
-            yield f"(concat({own}, $e{i}, n{first}) IN beliefs OR concat(n{first}, $b{i}, {own}) IN beliefs)"
-
-
-# -- texts of a plan --------------------------------------------------------------------------------------------------
-
-
-def _text(name: str, value: str, frame: int) -> str:
-    """A belief at a frame as text; a relation has no value but its name."""
-    return f"{name}={value}@{frame}"
-
-
-def _texts_of(plan: Plan, node: str) -> list[str]:
-    """The texts of one person; first the sighting."""
-    times = times_of(plan, node)
-    texts = [_text("", "", stated_frame(plan, time)) for time in times]
-    for condition in conditions_of(plan, node):
-        name, value = condition.wanted
-        texts.append(_text(name, value, 0 if name in TIMELESS else stated_frame(plan, condition.at or times[0])))
-    return list(dict.fromkeys(texts))
-
-
-def _texts_between(plan: Plan, edge: Edge, places: Mapping[str, int]) -> tuple[tuple[int, int], str, str]:
-    """The places that an edge joins, the earlier first, and its texts in this order and in reverse."""
-    text = _text(edge.relation, "", stated_frame(plan, edge.at))
-    source, target = places[edge.source], places[edge.target]
-    back = text if edge.relation in SYMMETRIC else _NOTHING
-    return ((source, target), text, back) if source < target else ((target, source), back, text)
-
 
 RESOLVED_FRAMES: Final = 30
 """Looks farther apart leave a moment unresolved, by the protocol of the reference agent."""

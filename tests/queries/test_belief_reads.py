@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from jrdb_avr.agent.beliefs.solver import BeliefSolver
 from jrdb_avr.queries.beliefs.graph import WorldGraph
-from jrdb_avr.queries.compiler.beliefs import find_believed
+from jrdb_avr.queries.compiler.believed import find_believed
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span

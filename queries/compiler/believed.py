@@ -1,0 +1,91 @@
+"""The statement that finds the people of a plan among an agent's beliefs: each part of the plan is a Cypher pattern.
+
+A node of the plan is a variable; a sighting, a condition or an edge is a MATCH of its own over what is current and
+holds at the frame. A part names its people anew and finds them by identity: one MATCH of many edges takes the engine
+seconds to plan, in a circle it loses rows, and from variables bound before it scans the edges of all episodes. Values
+are parameters, so that the text depends on the form of a plan alone. What is not believed is no match.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+from jrdb_avr.queries.compiler.find import Edges, Find, conditions_of, search_order, stated_frame, times_of
+from jrdb_avr.schema.plan import Condition, Edge, Plan, validate
+from jrdb_avr.schema.relations import SYMMETRIC
+
+_PERSON: Final = "({}:Entity {{episode_hash: UUID($hash)}})"
+_HOLDS: Final = "r.current AND r.first <= ${0}_frame AND r.last >= ${0}_frame"
+_IS: Final = "r.name = ${0}_name AND r.value = ${0}_value"
+
+
+def find_believed(plan: Plan) -> Find:
+    """Compile a plan to a Cypher statement over one episode's beliefs that finds the people of its nodes.
+
+    Its parameters are the values of `Find.row` and the episode's `hash`. It gives columns who0, who1, ..., every
+    binding once, in any order. Raises PlanError where the plan is invalid or not of stated times.
+    """
+    validate(plan)
+    return _Pattern(plan).compiled()
+
+
+class _Pattern:
+    """Builds the statement, a person at a time, in the order in which edges reach them."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self.nodes: dict[str, str] = {}
+        self.row: dict[str, Any] = {}
+
+    def compiled(self) -> Find:
+        lines: list[str] = []
+        for node, edges in search_order(self.plan):
+            others = list(self.nodes.values())
+            own = self.nodes[node] = f"n{len(others)}"
+            bound = ", ".join([*others, own])
+            first, *parts = self._parts(node, edges)
+            lines.append("".join([first, *(f" AND id({own}) <> id({other})" for other in others)]))
+            lines += [f"WITH {bound}\n{part}" for part in parts]
+            lines.append(f"WITH DISTINCT {bound}")
+        names = (f"{variable}.name AS who{place}" for place, variable in enumerate(self.nodes.values()))
+        lines[-1] = f"RETURN DISTINCT {', '.join(names)}"
+        return Find("\n".join(lines), tuple(self.nodes), self.row)
+
+    def _parts(self, node: str, edges: Edges) -> Iterator[str]:
+        """What must be believed of a node and of the edges to those before; the first part introduces its variable."""
+        own = self.nodes[node]
+        for place, (i, edge) in enumerate(edges):
+            yield self._edge(f"e{i}", edge, new="" if place else node)
+        for i, time in enumerate(times_of(self.plan, node)):
+            key = f"{own}_s{i}"
+            self.row[f"{key}_frame"] = stated_frame(self.plan, time)
+            pattern = f"{_PERSON.format('x' if i or edges else own)}-[r:Sighted]->(:Observation)"
+            yield f"MATCH {pattern}\nWHERE {_same(x=own) if i or edges else ''}r.current AND r.frame = ${key}_frame"
+        for i, condition in enumerate(conditions_of(self.plan, node)):
+            at = condition.at or times_of(self.plan, node)[0]
+            yield self._condition(f"{own}_c{i}", own, condition, stated_frame(self.plan, at))
+
+    def _edge(self, key: str, edge: Edge, new: str) -> str:
+        self.row |= {f"{key}_name": edge.relation, f"{key}_frame": stated_frame(self.plan, edge.at)}
+        ends = {"x": edge.source, "y": edge.target}
+        source, target = (self.nodes[node] if node == new else end for end, node in ends.items())
+        way = "-" if edge.relation in SYMMETRIC else "->"
+        same = _same(**{end: self.nodes[node] for end, node in ends.items() if node != new})
+        pattern = f"{_PERSON.format(source)}-[r:Related]{way}{_PERSON.format(target)}"
+        return f"MATCH {pattern}\nWHERE {same}{_HOLDS.format(key)} AND r.name = ${key}_name"
+
+    def _condition(self, key: str, own: str, condition: Condition, frame: int) -> str:
+        name, value = condition.wanted
+        self.row |= {f"{key}_name": name, f"{key}_value": value, f"{key}_frame": frame}
+        edge, fits = "-[r:Has]->(:Observation)", _IS.format(key)
+        if condition.interaction is not None:
+            # What joins somebody to anybody stands for an attribute of both.
+            edge = "-[r:Has|Related]-(:Observation:Entity)"
+            fits = f"(label(r) = 'Has' AND {fits} OR label(r) = 'Related' AND r.name = ${key}_value)"
+        return f"MATCH {_PERSON.format('x')}{edge}\nWHERE {_same(x=own)}{_HOLDS.format(key)} AND {fits}"
+
+
+def _same(**ends: str) -> str:
+    """Tests that people named anew are those of bound variables."""
+    return "".join(f"id({end}) = id({bound}) AND " for end, bound in ends.items())
