@@ -115,6 +115,11 @@ def shared_settings(convention: Convention) -> dict[str, Any]:
     return {"convention": convention.settings(), "image_sizes": IMAGE_SIZES}
 
 
+def history_settings(history: int | None) -> dict[str, Any]:
+    """What a manifest says of a chat that sends only its last pictures; nothing of one that sends all."""
+    return {} if history is None else {"history": history}
+
+
 @dataclass(frozen=True)
 class FixedContextMethod:
     """A method that answers from `n` evenly spaced panoramas; `stages` are the settings of its own calls."""

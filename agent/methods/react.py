@@ -3,8 +3,8 @@
 The loop is the benchmark's: the first turn must look; a look within 1 degree of an earlier one of the same frame is
 refused with the reason; a malformed turn costs a turn, and the next one is told the error; the evidence is a box in the
 newest crop. An answer that is not taken ends the question only where it is sent again as it was. At the end the newest
-readable answer and box count. Every crop made so far is sent again with its metadata, so a turn needs nothing but its
-own request: servers may be stateless, and a finished call can be replayed from its request alone.
+readable answer and box count. Every crop made so far, or the last few, is sent again with its metadata, so a turn needs
+nothing but its own request: servers may be stateless, and a finished call can be replayed from its request alone.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ from jrdb_avr.agent.methods.attempt import (
     ParsedReply,
     final_parts,
     heading,
+    history_settings,
     on_crop,
     shared_settings,
 )
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.client import Chat
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention
-from jrdb_avr.agent.model.messages import Message, Part, Picture, metadata_line, picture_of
+from jrdb_avr.agent.model.messages import Message, Part, Picture, metadata_line, picture_of, with_last_pictures
 from jrdb_avr.agent.model.prompts import frame_ranges, mode_text, render
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Prediction, Question, Task
@@ -40,13 +41,17 @@ _NO_PICTURE: Final = ImageFrame((), CROP, CROP, 0)
 
 @dataclass(frozen=True)
 class ReAct:
-    """The method `react` with a budget of observations; at most twice as many model calls and two."""
+    """The method `react` with a budget of observations; at most twice as many model calls and two.
+
+    history: how many of the newest crops are sent in each turn, of others their metadata alone; None: all.
+    """
 
     name: ClassVar = "react"
 
     chat: Chat
     convention: Convention = CONTRACT
     budget: int = BUDGET
+    history: int | None = None
 
     @property
     def most_calls(self) -> int:
@@ -58,6 +63,7 @@ class ReAct:
             "budget": self.budget,
             "most_calls": self.most_calls,
             "duplicate_deg": DUPLICATE_DEG,
+            **history_settings(self.history),
             **shared_settings(self.convention),
         }
 
@@ -153,12 +159,12 @@ class _Episode:
     def messages(self) -> list[Message]:
         """The system prompt, then question and legal frames, every crop with its metadata, and the state at the end.
 
-        What never changes comes first, so that a server can keep its work on the common beginning.
+        A turn's messages begin as those of the turn before up to its newest picture, so that a server can keep its work
+        on the common beginning.
         """
         parts: list[Part] = [self.heading]
         for number, (observation, picture) in enumerate(self.looks, 1):
-            newest = ", the newest" if number == len(self.looks) else ""
-            parts += [f"Picture {number}{newest}: {metadata_line(observation)}", picture]
+            parts += [f"Picture {number}: {metadata_line(observation)}", picture]
         frames = sorted({observation.frame_id for observation, _ in self.looks})
         left = self.method.budget - len(self.looks)
         parts.append(
@@ -166,6 +172,7 @@ class _Episode:
                 "react_state",
                 steps="\n".join(f"{n}. {step}" for n, step in enumerate(self.steps, 1)) or "none",
                 seen=", ".join(frames) or "none",
+                newest=len(self.looks) or "none",
                 used=len(self.looks),
                 left=left,
                 then="answer when you can" if left else "no looks are left, so this turn must answer",
@@ -173,7 +180,8 @@ class _Episode:
                 error=f"Your last turn was malformed, and cost a turn: {self.error}" if self.error else "",
             )
         )
-        return [Message("system", (self.system,)), Message("user", tuple(parts))]
+        messages = [Message("system", (self.system,)), Message("user", tuple(parts))]
+        return with_last_pictures(messages, self.method.history)
 
 
 def react_turn_schema(question: Question) -> dict[str, Any]:

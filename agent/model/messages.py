@@ -68,6 +68,22 @@ def jpeg_picture(name: str, image: Image) -> Picture:
     return Picture(name, data.tobytes())
 
 
+def with_last_pictures(messages: Sequence[Message], most: int | None) -> list[Message]:
+    """The messages with no pictures but the last `most`, or all for None; the lines that place the others stay."""
+    pictures = sum(isinstance(part, Picture) for message in messages for part in message.parts)
+    left = 0 if most is None else pictures - most
+    found = []
+    for message in messages:
+        parts: list[Part] = []
+        for part in message.parts:
+            if isinstance(part, Picture) and left > 0:
+                left -= 1
+            else:
+                parts.append(part)
+        found.append(Message(message.role, tuple(parts)))
+    return found
+
+
 def metadata_of(seen: Observation | Panorama) -> dict[str, Any]:
     """The metadata of a picture that a model gets: where and when it was taken, nothing of what it shows."""
     metadata = {"frame_id": seen.frame_id, "timestamp": round(seen.timestamp, 3)}

@@ -1,4 +1,4 @@
-"""Memory in a chat history: all messages stay in it, and the final answer carries its own box."""
+"""Memory in a chat history: all messages stay in it, or their words alone; the final answer carries its own box."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Final
 from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.decode import BOX_SCHEMA, box_key, read_box
-from jrdb_avr.agent.model.messages import Message
+from jrdb_avr.agent.model.messages import Message, with_last_pictures
 from jrdb_avr.agent.model.reply import Reply, spoken
 from jrdb_avr.agent.reference.graph_memory import OBSERVATION_SCHEMA
 from jrdb_avr.agent.reference.tool_calls import FINAL, Call, Turn, View, call_schema, turn_schema, view_parts
@@ -27,12 +27,17 @@ LONGEST_UNREAD: Final = 400
 
 @dataclass
 class ChatMemory:
-    """The chat of one question. proposed: the newest answer and the newest box that could be read."""
+    """The chat of one question.
+
+    most_pictures: how many of the newest pictures are sent, None for all; proposed: the newest answer and the newest
+    box that could be read.
+    """
 
     tools: ClassVar = (FINAL,)
     attempt: Attempt
     system: str
     heading: str
+    most_pictures: int | None = None
     history: list[Message] = field(default_factory=list)
     names: int = 0
     proposed: ParsedReply = field(default_factory=ParsedReply)
@@ -46,7 +51,7 @@ class ChatMemory:
             self.history.append(Message("system", (self.system,)))
         opening = self.heading if first else turn.result_lines()
         self.history.append(Message("user", (opening, *view_parts(turn.fresh), turn.state())))
-        return list(self.history)
+        return with_last_pictures(self.history, self.most_pictures)
 
     def replied(self, reply: Reply) -> None:
         text = spoken(reply, self.attempt.convention)[:LONGEST_REPLY].encode("utf-8", "backslashreplace").decode()

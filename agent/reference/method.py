@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from jrdb_avr.agent.beliefs.solver import BeliefSolver, beliefs_of
-from jrdb_avr.agent.methods.attempt import Attempt, heading, shared_settings, uniform_frames
+from jrdb_avr.agent.methods.attempt import Attempt, heading, history_settings, shared_settings, uniform_frames
 from jrdb_avr.agent.model.client import Chat
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention
 from jrdb_avr.agent.model.prompts import frame_ranges, mode_text, render
@@ -34,7 +34,8 @@ Policy = Literal["model", "driven"]
 class ReferenceAgent:
     """looks: whether it chooses where to look, or is sent panoramas; remembers: whether it has a plan and a world
     model, `world`, or a chat history in their place. policy: who chooses the looks: the model, or the harness, which
-    has the model read one picture at a time. Raises InputError for a harness that has no looks to choose.
+    has the model read one picture at a time; history: how many of the newest pictures a chat holds, None for all.
+    Raises InputError for a harness that has no looks to choose.
     """
 
     chat: Chat
@@ -44,6 +45,7 @@ class ReferenceAgent:
     limits: Limits = LIMITS
     solving: Callable[[WorldModel, Question], BeliefSolver] = beliefs_of
     policy: Policy = "model"
+    history: int | None = None
 
     def __post_init__(self) -> None:
         if self.policy == "driven" and not self.looks:
@@ -63,6 +65,7 @@ class ReferenceAgent:
         if self.policy == "driven":
             budgets = {"looks": self.limits.looks, "repairs": self.limits.repairs, "people": MOST_PEOPLE}
             return variant | budgets | shared_settings(self.convention)
+        variant |= history_settings(self.history)
         return variant | self.limits.settings(self.looks, self.remembers) | shared_settings(self.convention)
 
     def answer(self, task: Task) -> Prediction:
@@ -73,7 +76,7 @@ class ReferenceAgent:
         system = system_prompt(task, self.limits, self.looks, self.remembers)
         heading = task_heading(task, self.limits, self.looks)
         if self.world is None:
-            return self._play(attempt, ChatMemory(attempt, system, heading))
+            return self._play(attempt, ChatMemory(attempt, system, heading, self.history))
         world, solver = self.world.episode(task.question, task.record_write), self.solving(self.world, task.question)
         with world.together():
             plan = make_plan(attempt, self.limits.repairs, solver.check, world)

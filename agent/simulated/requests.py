@@ -21,13 +21,11 @@ from jrdb_avr.agent.simulated.perception import Perception, PictureMarks, Reader
 from jrdb_avr.agent.simulated.same_person import told_apart
 from jrdb_avr.schema.errors import DecodeError, PlanError
 from jrdb_avr.schema.markers import Reading
-from jrdb_avr.schema.panorama import WIDTH, angle_of_column
+from jrdb_avr.schema.panorama import CROP, WIDTH, angle_of_column
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Plan
 from jrdb_avr.schema.wording.text import parse
 
-_ANNOUNCED: Final = re.compile(
-    r"(?:Picture|Panorama|Crop)(?: \d+)?(?:, observation (\w{1,32}))?(, the newest)?: (\{.*\})"
-)
+_ANNOUNCED: Final = re.compile(r"(?:Picture|Panorama|Crop)(?: \d+)?(?:, observation (\w{1,32}))?: (\{.*\})")
 _CHOICE: Final = re.compile(r"\d+\. (.+)")
 AHEAD: Final = 180.0
 """Panorama angle of a whole panorama's middle column."""
@@ -115,6 +113,8 @@ def read_request(turns: Sequence[UserMessage], reader: Reader, stages: Collectio
         for turn, parts in enumerate(turns, 1)
         for look in _looks(parts, reader, perception, turns_ago=len(turns) - turn)
     )
+    if all(part.image_url is None for parts in turns for part in parts):
+        looks = ()
     ids = perception.knobs.ids
     return Request(stage, lines, question, plan, _choices(heading), frames, looks if ids else told_apart(looks), ids)
 
@@ -167,35 +167,46 @@ class _Metadata(msgspec.Struct):
     left: int = 0
 
 
+_NO_LONGER_SENT: Final = PictureMarks(b"", (CROP, CROP), ())
+
 # Made at import: threads that meet a type first at the same time crash the decoder.
 _METADATA: Final = msgspec.json.Decoder(_Metadata)
 
 
 def _looks(parts: UserMessage, reader: Reader, perception: Perception, turns_ago: int) -> list[Look]:
     pictures = [*_pictures(parts, reader)]
-    # Of several turns in one message each made one picture, and the newest is marked.
-    turns = len(pictures) if any(newest for *_, newest in pictures) else 0
+    # Of several turns in one message, which names the newest picture, each made one.
+    turns = len(pictures) if _line(lines_of(parts), "Newest picture: ") else 0
     return [
-        _look(place, name, picture, perception.readings(picture, turns_ago + max(turns - number, 0)))
-        for number, (place, name, picture, _) in enumerate(pictures, 1)
+        _look(
+            place,
+            name,
+            picture,
+            perception.readings(picture, turns_ago + max(turns - number, 0)) if picture is not _NO_LONGER_SENT else (),
+        )
+        for number, (place, name, picture) in enumerate(pictures, 1)
     ]
 
 
-def _pictures(parts: UserMessage, reader: Reader) -> Iterator[tuple[_Metadata, str, PictureMarks, bool]]:
-    """The pictures of a message that a line places, with their names, and whether one is marked as the newest."""
+def _pictures(parts: UserMessage, reader: Reader) -> Iterator[tuple[_Metadata, str, PictureMarks]]:
+    """The pictures of a message that a line places, with their names; one that is sent no more shows nobody."""
     place: _Metadata | None = None
-    name, newest = "", False
+    name = ""
     for part in parts:
         announced = _ANNOUNCED.fullmatch(part.text.rpartition("\n")[2])
         if announced:
+            if place is not None:
+                yield place, name, _NO_LONGER_SENT
             try:
-                place = _METADATA.decode(announced[3])
+                place = _METADATA.decode(announced[2])
             except msgspec.DecodeError as error:
                 raise DecodeError(f"a picture's line cannot be read: {error}") from None
-            name, newest = announced[1] or "", bool(announced[2])
+            name = announced[1] or ""
         elif part.image_url is not None and place is not None:
-            yield place, name, reader.picture(part.image_url.url, wrap=place.angle_deg is None), newest
+            yield place, name, reader.picture(part.image_url.url, wrap=place.angle_deg is None)
             place = None
+    if place is not None:
+        yield place, name, _NO_LONGER_SENT
 
 
 def _look(place: _Metadata, name: str, picture: PictureMarks, readings: Sequence[Reading]) -> Look:

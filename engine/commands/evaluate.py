@@ -51,6 +51,13 @@ panoramas:
     help="Who chooses the looks of an agent: the model, or 'driven', the program, which has the model read one picture "
     "at a time.",
 )
+@click.option(
+    "--history",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Of react and agent-no-world: send the last N pictures in each turn, of older ones their metadata line alone. "
+    "All without.",
+)
 @endpoint_options(optional=True)
 @click.option("--run-id", help="Name of the run; METHOD-MODEL if left out.")
 @click.option("--questions", "picked", help="Question ids with commas between, or a file with one id per line.")
@@ -107,6 +114,7 @@ def command(
             bool(noise),
             options["world_db"],
             options["policy"],
+            options["history"],
         )
     except InputError as error:
         raise click.UsageError(str(error)) from None

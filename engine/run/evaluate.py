@@ -33,6 +33,7 @@ from jrdb_avr.engine.run.endpoint import Endpoint, serving
 from jrdb_avr.engine.run.journal import Journal, world_rows, write_tables
 from jrdb_avr.engine.run.live_scores import LiveScore, report_scores
 from jrdb_avr.engine.run.methods import (
+    CHATS,
     DRIVABLE,
     METHODS,
     NO_MODEL,
@@ -101,6 +102,7 @@ def evaluate(
     world_db: Path | None = None,
     opaque: bool = False,
     policy: Policy = "model",
+    history: int | None = None,
     progress: Progress | None = None,
     live_scores: Callable[[LiveScore], None] | None = None,
 ) -> RunResult:
@@ -110,7 +112,8 @@ def evaluate(
     server's id for it, at `base_url`; "simulated" or "simulated:PROFILE" is the built-in one, which reads marks, and
     `marker` stands in place of its profile's knobs. `questions`: ids; all without. `images` and `world_db` stand in for
     the store's panoramas and graph. `opaque`: whether the method gets opaque names of sequences (`run.opaque`).
-    `policy`: who chooses the looks of an agent, the model or, as "driven", the harness.
+    `policy`: who chooses the looks of an agent, the model or, as "driven", the harness. `history`: how many of the
+    newest pictures a method of `CHATS` sends in each turn; all without.
     `live_scores` is called from another thread with the scores so far.
     Problems that do not end the run are AvrWarnings.
 
@@ -119,7 +122,7 @@ def evaluate(
         evaluate("store", "react", "simulated:noisy", limit=20)
     """
     store = Store.of(store)
-    check_arguments(method, model, base_url, marker is not None, world_db, policy)
+    check_arguments(method, model, base_url, marker is not None, world_db, policy, history)
     simulated = profile_of(model)
     knobs = marker or simulated or PERFECT
     name = method if isinstance(method, str) else method.name
@@ -148,7 +151,7 @@ def evaluate(
             endpoint = Endpoint(store, model, url, options, folder / "calls.jsonl", name)
             for line in endpoint.warnings:
                 warnings.warn(f"preflight: {line}", AvrWarning, stacklevel=2)
-        runner = _runner(method, endpoint, world, policy)
+        runner = _runner(method, endpoint, world, policy, history)
         manifest = RunManifest(
             run_id=run_id,
             method=runner.name,
@@ -183,6 +186,7 @@ def check_arguments(
     noisy: bool,
     world_db: Path | None,
     policy: Policy = "model",
+    history: int | None = None,
 ) -> None:
     """Raises InputError, in the words of the command's options, for arguments that contradict each other."""
     if isinstance(method, str) and method not in METHODS and not is_custom(method):
@@ -196,6 +200,8 @@ def check_arguments(
         )
     if policy != "model" and method not in DRIVABLE:
         raise InputError(f"--policy {policy}: of the methods {' and '.join(DRIVABLE)} only", field="policy")
+    if history is not None and (method not in CHATS or policy != "model"):
+        raise InputError(f"--history: of the methods {' and '.join(CHATS)} with --policy model only", field="history")
     if world_db is not None and method not in WORLD_METHODS:
         raise InputError(f"--world-db: {method} has no world model", field="world_db")
 
@@ -242,11 +248,15 @@ def _world(
 
 
 def _runner(
-    method: str | Method, endpoint: Endpoint | None, world: WorldModel | None, policy: Policy
+    method: str | Method,
+    endpoint: Endpoint | None,
+    world: WorldModel | None,
+    policy: Policy,
+    history: int | None,
 ) -> ConfigurableMethod:
     if not isinstance(method, str):
         return CustomMethod(type(method).__name__, method)
     if is_custom(method):
         return load_custom_method(method, None if endpoint is None else endpoint.client)
     assert endpoint is not None, "built-in methods need a model: check_arguments"
-    return make_method(method, endpoint.client, endpoint.convention, world, policy)
+    return make_method(method, endpoint.client, endpoint.convention, world, policy, history)

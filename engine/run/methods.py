@@ -48,6 +48,9 @@ POLICIES: Final = ("model", "driven")
 DRIVABLE: Final = ("agent", "agent-no-world")
 """Methods whose looks the harness may choose."""
 
+CHATS: Final = ("react", "agent-no-world")
+"""Methods that send their pictures again in every turn, if the model chooses the looks."""
+
 WORLD_METHODS: Final = ("agent", "agent-passive")
 """Methods that write into a world model."""
 
@@ -70,9 +73,17 @@ def open_world(path: Path, run_id: str, record: pa.Table) -> Iterator[WorldModel
 
 
 def make_method(
-    name: str, chat: Chat, convention: Convention, world: WorldModel | None = None, policy: Policy = "model"
+    name: str,
+    chat: Chat,
+    convention: Convention,
+    world: WorldModel | None = None,
+    policy: Policy = "model",
+    history: int | None = None,
 ) -> ConfigurableMethod:
-    """The method of a name in `METHODS`; one of `WORLD_METHODS` takes its world model, and agents their policy."""
+    """The method of a name in `METHODS`.
+
+    One of `WORLD_METHODS` takes its world model, agents their policy, and one of `CHATS` how many pictures it sends.
+    """
     from jrdb_avr.agent.methods.chain_of_thought import ChainOfThought
     from jrdb_avr.agent.methods.monolithic import Monolithic
     from jrdb_avr.agent.methods.react import ReAct
@@ -82,8 +93,10 @@ def make_method(
     if name in WORLD_METHODS and world is None:
         raise ValueError(f"the method {name!r} needs a world model")
     if name.startswith("agent"):
-        return ReferenceAgent(chat, convention, world, looks="passive" not in name, policy=policy)
-    kinds = (Monolithic, ChainOfThought, SearchRecognize, ReAct)
+        return ReferenceAgent(chat, convention, world, looks="passive" not in name, policy=policy, history=history)
+    if name == ReAct.name:
+        return ReAct(chat, convention, history=history)
+    kinds = (Monolithic, ChainOfThought, SearchRecognize)
     return next(kind for kind in kinds if kind.name == name)(chat, convention)
 
 

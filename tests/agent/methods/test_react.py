@@ -72,12 +72,28 @@ def test_every_turn_carries_all_crops_with_their_places(world):
     last = texts(requests[3])
     assert '"frame_id":"000155","timestamp":10.333,"angle_deg":90.0,"fov_deg":45.96,"left":700' in last
     assert '"angle_deg":315.0' in last
-    assert "Picture 3, the newest:" in last
+    assert "Newest picture: 3" in last
     assert "Frames seen: 000000, 000150, 000155" in last
     assert "Looks made: 3, left: 21" in last
     assert "Turns left, this one included: 47" in last
     assert "Legal frames: 000000 to 000295 in steps of 5" in last
     assert "1. walking\n2. standing\n3. sitting\n4. lying" in last
+
+
+def test_a_turn_begins_as_the_one_before_up_to_its_newest_picture(world):
+    _, requests, _ = play(world, [look(150, 180), look(155, 90), look(0, -45), answer(frame=0)])
+    parts = requests[2]["messages"][1]["content"]
+    assert requests[3]["messages"][0] == requests[2]["messages"][0]
+    assert requests[3]["messages"][1]["content"][: len(parts) - 1] == parts[:-1]
+
+
+def test_of_older_pictures_a_short_history_sends_the_metadata_alone(world):
+    script = [look(150, 180), look(155, 90), look(0, -45), answer(frame=0)]
+    _, requests, _ = play(world, script, history=2)
+    assert [len(images(request)) for request in requests] == [0, 1, 2, 2]
+    _, whole, _ = play(world, script)
+    assert images(requests[3]) == images(whole[3])[1:]
+    assert texts(requests[3]) == texts(whole[3])
 
 
 def test_the_first_turn_must_look(world):

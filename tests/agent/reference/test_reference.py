@@ -132,6 +132,18 @@ def test_no_world_sends_the_chat_so_far(world):
     assert not any("Plan: " in text_of(request) or "Graph: " in text_of(request) for request in game.requests)
 
 
+def test_no_world_with_a_short_history_sends_the_words_and_the_last_pictures(world):
+    said = [turn(look()), turn(look(155), look(160)), turn(proposed(2, "o1"))]
+    short, whole = (play(world, said, history=history) for history in (1, None))
+    assert [pictures_of(request) for request in short.requests] == [
+        [],
+        ["painted 000150 180"],
+        ["painted 000160 180"],
+    ]
+    words = [text_of(request).replace("[image]\n", "") for request in short.requests]
+    assert words == [text_of(request).replace("[image]\n", "") for request in whole.requests]
+
+
 # -- answering --------------------------------------------------------------------------------------------------------
 
 

@@ -252,12 +252,16 @@ HEADING = (
 )
 
 
-def ages(*messages):
-    """The ages at which the pictures of user messages are seen; a message is the lines before its pictures."""
+def grey():
+    """A picture of nobody."""
     jpeg = cv2.imencode(".jpg", np.full((480, 480, 3), 96, np.uint8))[1].tobytes()
-    url = MessagePart(image_url=Url("data:image/jpeg;base64," + base64.b64encode(jpeg).decode()))
-    turns = [[MessagePart(HEADING), *(p for line in lines for p in (MessagePart(line), url))] for lines in messages]
-    turns[-1].append(MessagePart(STAGE))
+    return MessagePart(image_url=Url("data:image/jpeg;base64," + base64.b64encode(jpeg).decode()))
+
+
+def ages(*messages, last=""):
+    """The ages at which the pictures of user messages are seen; a message is the lines before its pictures."""
+    turns = [[MessagePart(HEADING), *(p for line in lines for p in (MessagePart(line), grey()))] for lines in messages]
+    turns[-1] += [MessagePart(last), MessagePart(STAGE)]
     found = []
 
     class Recording(Perception):
@@ -269,16 +273,23 @@ def ages(*messages):
     return found
 
 
-def line(frame, newest=""):
-    return f'Picture 1{newest}: {{"frame_id": "{frame:06d}", "angle_deg": 180.0, "left": 1640}}'
+def line(frame):
+    return f'Picture 1: {{"frame_id": "{frame:06d}", "angle_deg": 180.0, "left": 1640}}'
 
 
 def test_a_chats_pictures_are_as_old_as_the_turns_since():
     assert ages([line(0), line(1)], [line(2)], []) == [2, 2, 1]
 
 
-def test_of_one_message_with_the_newest_marked_each_picture_was_a_turn():
-    assert ages([line(0), line(1), line(2, ", the newest")]) == [2, 1, 0]
+def test_of_one_message_that_names_the_newest_each_picture_was_a_turn():
+    assert ages([line(0), line(1), line(2)], last="Newest picture: 3") == [2, 1, 0]
+
+
+def test_a_picture_that_is_sent_no_more_shows_nobody():
+    """Its line alone is a look all the same, and nothing is seen there that is not."""
+    parts = [MessagePart(HEADING), *map(MessagePart, (line(0), line(5))), grey(), MessagePart(STAGE)]
+    request = read_request([parts], Reader(), [STAGE], lambda *about: Perception(Knobs(ghosts=1.0), *about))
+    assert [(look.frame, len(look.sightings)) for look in request.looks] == [(0, 0), (5, 1)]
 
 
 def test_pictures_of_one_turn_are_of_one_age():

@@ -64,6 +64,9 @@ def test_the_version_is_told():
     assert "jrdb-avr" in done.stdout
 
 
+EVALUATE = ("evaluate", "--store", ".", "--model", "simulated", "--method")
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -73,6 +76,8 @@ def test_the_version_is_told():
         ("sql", "SELECT 1"),
         ("report",),
         ("score", "--iou", "2"),
+        (*EVALUATE, "monolithic", "--history", "2"),
+        (*EVALUATE, "agent-no-world", "--policy", "driven", "--history", "2"),
     ],
 )
 def test_wrong_calls_are_exit_code_2(arguments):
