@@ -29,6 +29,16 @@ ALWAYS: Final = 10_000_000
 TIMELESS: Final = frozenset({"gender", "age"})
 """Attributes that hold at every frame."""
 
+
+def free_value(text: str) -> str:
+    """The value of an attribute without labels, as beliefs and plans compare it: lower case, single blanks.
+
+    >>> free_value("Dark  Red")
+    'dark red'
+    """
+    return " ".join(text.lower().split())
+
+
 Tool = Literal["begin", "plan", "observe", "get_graph", "add_entity", "add_attribute", "add_relation", "final_answer"]
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+from collections.abc import Sequence
 from typing import Final, Literal, NamedTuple
 
 POSES: Final = (
@@ -152,6 +153,13 @@ def choice_text(answer: str) -> str:
     ('bending down', 'neither time')
     """
     return ACTION_PHRASES.get(answer, answer)
+
+
+def choice_of(answer: str, choices: Sequence[str]) -> int | None:
+    """The number, from 1, of the choice that says an answer, in whatever case; None where none does."""
+    texts = [choice.lower() for choice in choices]
+    text = choice_text(answer)
+    return texts.index(text) + 1 if text in texts else None
 
 
 def answer_of_choice(text: str) -> str:

@@ -8,14 +8,15 @@ is hashed and stored.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, Literal, NamedTuple
+from typing import Annotated, Any, Final, Literal, NamedTuple, get_args
 
 import msgspec
 
 from jrdb_avr.schema.answers import AnswerMode
-from jrdb_avr.schema.beliefs import TIMELESS
+from jrdb_avr.schema.beliefs import TIMELESS, free_value
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.labels import POSES
+from jrdb_avr.schema.plan_hints import hint, hint_for
 
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern="^[a-z][a-z0-9_]*$")]
 Label = Annotated[str, msgspec.Meta(min_length=1, max_length=120)]
@@ -26,9 +27,23 @@ _Frame = Annotated[int, msgspec.Meta(ge=0, le=10_000_000)]
 
 Event = Literal["start", "end", "leaves", "returns"]
 Read = Literal[
-    "action", "presence", "distance_change", "next_action", "start", "span", "start_view", "seconds_between", "count"
+    "action",
+    "attribute",
+    "presence",
+    "distance_change",
+    "next_action",
+    "start",
+    "span",
+    "start_view",
+    "seconds_between",
+    "count",
 ]
 Attribute = Literal["gender", "age", "group_size", "sector", "distance"]
+ATTRIBUTES: Final[tuple[Attribute, ...]] = get_args(Attribute)
+"""The attributes that have labels, or of a group a number. Any other name is a free attribute: an agent chooses it and
+its value, and beliefs fulfil it as they are written.
+"""
+AttributeName = Annotated[str, msgspec.Meta(min_length=1, max_length=40, pattern="^[a-z][a-z0-9_]*$")]
 
 
 class _ReadRule(NamedTuple):
@@ -40,6 +55,7 @@ class _ReadRule(NamedTuple):
 
 _READS: Final[dict[Read, _ReadRule]] = {
     "action": _ReadRule("multiple_choice", ((),)),
+    "attribute": _ReadRule("multiple_choice", ((),)),
     "presence": _ReadRule("multiple_choice", ((), ())),
     "distance_change": _ReadRule("multiple_choice", ((), ())),
     "next_action": _ReadRule("multiple_choice", (("end",),)),
@@ -69,10 +85,10 @@ class Condition(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_
     """One thing true of a person: an attribute's value, an action, an object handled, or a labelled interaction.
 
     Exactly one of `attribute` (with `value`), `action`, `object` (with `verb`) and `interaction` is given. All but
-    gender and age hold `at` a time.
+    gender and age hold `at` a time. An attribute that is none of `ATTRIBUTES` is free.
     """
 
-    attribute: Attribute | None = None
+    attribute: Annotated[AttributeName, msgspec.Meta(examples=[*ATTRIBUTES])] | None = None
     value: Label | int | None = None
     action: Label | None = None
     object: Label | None = None
@@ -82,9 +98,9 @@ class Condition(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_
 
     @property
     def kind(self) -> str:
-        """One of `rules.CONDITION_KINDS`: the attribute, or pose, action, object or interaction."""
+        """One of `rules.CONDITION_KINDS` (the attribute, or pose, action, object or interaction), or free."""
         if self.attribute is not None:
-            return self.attribute
+            return self.attribute if self.attribute in ATTRIBUTES else "free"
         if self.action is not None:
             return "pose" if self.action in POSES else "action"
         return "object" if self.object is not None else "interaction"
@@ -102,7 +118,8 @@ class Condition(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_
     def wanted(self) -> tuple[str, str]:
         """Name and value of the attribute that fulfils it, as an agent writes it."""
         if self.attribute is not None:
-            return self.attribute, str(self.value)
+            text = str(self.value)
+            return self.attribute, text if self.attribute in ATTRIBUTES else free_value(text)
         if self.action is not None:
             return "action", self.action
         if self.object is not None:
@@ -130,7 +147,7 @@ class AnswerSpec(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown
     """What is read for the answer: `read` of node `of` at one time, or at a list of times.
 
     `relation` is the relation counted by the read `count`: different people who are in it with `of` at any moment
-    from the first of two stated times to the second.
+    from the first of two stated times to the second. `attribute` is the one whose value the read `attribute` gives.
     """
 
     mode: AnswerMode
@@ -138,6 +155,7 @@ class AnswerSpec(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown
     of: Name
     at: Name | tuple[Name, ...]
     relation: Label | None = None
+    attribute: AttributeName | None = None
 
     @property
     def times(self) -> tuple[str, ...]:
@@ -170,7 +188,7 @@ def parse_plan(text: str | bytes) -> Plan:
         where = where.replace("key` in `$.times", "$.times[...]").strip("`$.")
         if "[...]" in where:
             where = where.replace("times[...]", f"times.{_bad_time(text)}")
-        raise PlanError(where or "plan", message) from None
+        raise PlanError(where or "plan", message + hint_for(where, message)) from None
     except (msgspec.DecodeError, UnicodeEncodeError, RecursionError) as error:
         raise PlanError("plan", f"not JSON: {error}") from None
     validate(plan)
@@ -262,6 +280,7 @@ def _check_condition(field: str, condition: Condition, plan: Plan) -> None:
         raise PlanError(field, "give exactly one of attribute, action, object and interaction")
     if (condition.attribute is None) != (condition.value is None):
         raise PlanError(f"{field}.value", "goes with 'attribute', and only with it")
+    _check_attribute(f"{field}.attribute", condition.attribute)
     if condition.attribute is not None and (condition.attribute == "group_size") != isinstance(condition.value, int):
         raise PlanError(f"{field}.value", "is a whole number for group_size and a text for all else")
     if isinstance(condition.value, int) and not 0 <= condition.value <= MOST_PEOPLE:
@@ -275,6 +294,12 @@ def _check_condition(field: str, condition: Condition, plan: Plan) -> None:
         raise PlanError(f"{field}.at", "name the time at which this holds")
     else:
         _known(f"{field}.at", condition.at, list(plan.times), "time")
+
+
+def _check_attribute(field: str, name: str | None) -> None:
+    """Refuse a name that the schema has another form for."""
+    if name is not None and (instead := hint("attribute", name)):
+        raise PlanError(field, f"{name!r} is no attribute{instead}")
 
 
 def _check_reach(plan: Plan) -> None:
@@ -300,6 +325,9 @@ def _check_answer(plan: Plan, ids: list[str]) -> None:
         raise PlanError("answer.at", f"the read {answer.read!r} names {len(rule.times)} time(s)")
     if (answer.relation is None) != (answer.read != "count"):
         raise PlanError("answer.relation", "is needed by the read 'count', and by nothing else")
+    if (answer.attribute is None) != (answer.read != "attribute"):
+        raise PlanError("answer.attribute", "is needed by the read 'attribute', and by nothing else")
+    _check_attribute("answer.attribute", answer.attribute)
     if len(set(times)) < len(times):
         raise PlanError("answer.at", f"names {times[0]!r} twice")
     for name, kinds in zip(times, rule.times, strict=True):

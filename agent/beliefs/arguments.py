@@ -14,6 +14,7 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Any, Final
 
 from jrdb_avr.agent.model.decode import finite, only_keys
+from jrdb_avr.schema.beliefs import free_value
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.labels import (
     ACTIONS,
@@ -48,7 +49,7 @@ def read_entity(arguments: object) -> tuple[str, str, str, str]:
 def read_attribute(arguments: object) -> tuple[str, str, str, float, str]:
     """Read `add_attribute`: entity, name, value as text, as number (0 where it is a text) and observation.
 
-    Names and values that the solver knows come back in its spelling. Raises DecodeError.
+    Names and values that the solver knows come back in its spelling, others in lower case. Raises DecodeError.
     """
     part = _part(arguments, ("entity", "name", "value", "observation"))
     entity, name, value = _id(part["entity"], "entity"), _name(part["name"], "name"), part["value"]
@@ -65,8 +66,8 @@ def read_attribute(arguments: object) -> tuple[str, str, str, float, str]:
         number = _number(value, *((known, *NUMBERS[known]) if known in NUMBERS else ("value",)))
         text = _digits(number)
     else:
-        text = _text(value, "value")
-    return entity, known if known in (*_WORDS, *NUMBERS, "object") else name, text, number, observation
+        text = free_value(_text(value, "value"))
+    return entity, known, text, number, observation
 
 
 def read_relation(arguments: object) -> tuple[str, str, str, str]:

@@ -35,7 +35,7 @@ from jrdb_avr.schema.answers import (
     uninformed_answer,
 )
 from jrdb_avr.schema.beliefs import episode_key
-from jrdb_avr.schema.labels import choice_text
+from jrdb_avr.schema.labels import choice_of
 from jrdb_avr.schema.method import Question
 from jrdb_avr.schema.panorama import Box, center_angle
 from jrdb_avr.schema.plan import Plan
@@ -178,8 +178,8 @@ class BeliefSolver:
             return None
         if plan.answer.mode != "multiple_choice":
             return decode_answer(plan.answer.mode, belief.answer)
-        text = choice_text(belief.answer)
-        return Choice(list(self.choices).index(text) + 1) if text in self.choices else None
+        number = choice_of(belief.answer, self.choices)
+        return None if number is None else Choice(number)
 
     def fault(self, plan: Plan, belief: Belief, proposed: Answer, entity: str) -> str:
         """Why a final answer is refused, "" where it is legal: the graph gives one target, which is `entity`, and an

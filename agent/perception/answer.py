@@ -13,11 +13,13 @@ from typing import Final, NamedTuple
 from jrdb_avr.agent.perception.association import expected_place
 from jrdb_avr.agent.perception.geometry import around, covered
 from jrdb_avr.agent.perception.moments import Bracket, absence, brackets, change
+from jrdb_avr.agent.perception.readings import is_value
 from jrdb_avr.agent.perception.support import RankedHypothesis, slot_supports
 from jrdb_avr.agent.perception.votes import SETTLING, UNIT, FusedBox, SlotState, Tally, Tracks, settled
 from jrdb_avr.queries.compiler.beliefs import DISTANCE_CUT_M
 from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, FrameViewpoint, Number, Span, uninformed_answer
-from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS, choice_text
+from jrdb_avr.schema.beliefs import free_value
+from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS, choice_of
 from jrdb_avr.schema.method import Verdict
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import FPS
@@ -106,6 +108,8 @@ class _Reader:
         match self.plan.answer.read:
             case "action":
                 return self._action()
+            case "attribute":
+                return self._attribute()
             case "next_action":
                 return self._next_action()
             case "presence":
@@ -129,6 +133,21 @@ class _Reader:
                 sure = at == frame and found is tallies[0] and settled(tallies)
                 return ReadAnswer(self._choice(found.value), at, "certain" if sure else "supported")
         return ReadAnswer(None, frame, "open")
+
+    def _attribute(self) -> ReadAnswer:
+        """The choice that readings bear out best as the attribute's value."""
+        name, frame = self.plan.answer.attribute or "", self._stated(0)
+        values = {place: free_value(text) for place, text in enumerate(self.choices, 1)}
+        told = {
+            place: self.tracks.statement(self.who, name, value, frame)
+            for place, value in values.items()
+            if is_value(name, value)
+        }
+        best = max(told, key=lambda place: told[place].log_odds, default=0)
+        seen = min((one.frame for one in self.tracks.people[self.who]), key=lambda at: (abs(at - frame), at))
+        if not best or told[best].log_odds <= 0:
+            return ReadAnswer(None, seen, "open")
+        return ReadAnswer(Choice(best), seen, told[best].state)
 
     def _next_action(self) -> ReadAnswer:
         """The first other posture that is one of the choices."""
@@ -172,8 +191,8 @@ class _Reader:
         return ReadAnswer(self._choice(DISTANCE_ANSWERS[place]), last, _weakest(map(self._present, (first, last))))
 
     def _choice(self, label: str) -> Choice | None:
-        text = choice_text(label)
-        return Choice(self.choices.index(text) + 1) if text in self.choices else None
+        number = choice_of(label, self.choices)
+        return None if number is None else Choice(number)
 
     # -- moments and numbers ------------------------------------------------------------------------------------------
 

@@ -35,11 +35,12 @@ RESERVES: Final[dict[Read, int]] = {
     "count": 12,
     "distance_change": 10,
     "action": 5,
+    "attribute": 5,
 }
 """Looks that are kept for reading the answer once the target is known."""
 
 SAME_FRAME_RESERVE: Final = 3
-"""The same for an action at the frame of the description."""
+"""The same for an action or attribute at the frame of the description."""
 
 LEAST_BITS: Final = 0.05
 """A look that is expected to tell less is not made."""
@@ -117,7 +118,7 @@ class _Attention:
         """Looks kept for the read."""
         answer = self.plan.answer
         here = {self.legal(frame) for frame in frames_of(self.plan, answer.of)}
-        if answer.read == "action" and self.legal(self.plan.times[answer.times[0]].frame or 0) in here:
+        if answer.read in ("action", "attribute") and self.legal(self.plan.times[answer.times[0]].frame or 0) in here:
             return SAME_FRAME_RESERVE
         return RESERVES[answer.read]
 
@@ -217,8 +218,9 @@ class _Attention:
         """Find the target at a stated frame and read it until two readings agree; else show that it is absent."""
         readings = self.tracks.at(who, frame)
         if readings:
-            told = settled(self.tracks.values(who, "pose", frame)) if self.plan.answer.read == "action" else False
-            if not told and len(readings) < (MOST_READINGS if self.plan.answer.read == "action" else 2):
+            topic = {"action": "pose", "attribute": self.plan.answer.attribute}.get(self.plan.answer.read)
+            told = topic is not None and settled(self.tracks.values(who, topic, frame))
+            if not told and len(readings) < (MOST_READINGS if topic else 2):
                 yield NextLook(frame, self._angle(who, frame), "verify", _ANSWER_BITS * _learned(USUAL))
             return
         if (found := self._search(who, frame, _ANSWER_BITS, "follow")) is not None:

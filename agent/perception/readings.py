@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 from jrdb_avr.agent.perception.geometry import angle_of
 from jrdb_avr.schema.errors import DecodeError
-from jrdb_avr.schema.labels import ACTIONS, AGES, DISTANCE_WORDS, GENDERS, INTERACTIONS, POSES
+from jrdb_avr.schema.labels import ACTIONS, AGES, DISTANCE_WORDS, GENDERS, INTERACTIONS, POSES, ROBOT_SECTORS
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.relations import RELATIONS
 from jrdb_avr.schema.things import OBJECTS, VERBS
@@ -20,9 +20,17 @@ _WORDS: Final[dict[str, frozenset[str]]] = {
     "age": frozenset(AGES),
     "action": frozenset(ACTIONS),
     "distance": frozenset(DISTANCE_WORDS),
+    "sector": frozenset(ROBOT_SECTORS),
     "interaction": frozenset(INTERACTIONS),
     "object": frozenset(f"{verb}: {thing}" for verb in VERBS for thing in OBJECTS),
 }
+
+
+def is_value(name: str, value: str) -> bool:
+    """Whether an attribute may have a value: one of its labels, a number of people, or any text of a free attribute."""
+    if name == "group_size":
+        return value.isdecimal()
+    return value in _WORDS[name] if name in _WORDS else bool(value)
 
 
 class ReadLabel(NamedTuple):
@@ -73,8 +81,7 @@ class PersonReading:
         if not (self.box.w > 0 and self.box.h > 0):
             raise DecodeError("a box has a width and a height")
         for label in self.labels:
-            known = label.value.isdecimal() if label.name == "group_size" else label.value in _WORDS.get(label.name, ())
-            if not known:
+            if not is_value(label.name, label.value):
                 raise DecodeError(f"{label.name} has no value {label.value!r}")
         for tie in self.ties:
             if tie.relation not in RELATIONS:

@@ -21,11 +21,12 @@ from jrdb_avr.agent.model.messages import Message, Part, metadata_line, picture_
 from jrdb_avr.agent.model.prompts import render
 from jrdb_avr.agent.perception.geometry import DERIVED
 from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel, ReadTie, topic_of
+from jrdb_avr.schema.beliefs import free_value
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.labels import AGES, GENDERS, INTERACTIONS, OTHER_ACTIONS, POSES
 from jrdb_avr.schema.method import Observation
 from jrdb_avr.schema.panorama import CROP, from_crop
-from jrdb_avr.schema.plan import Plan, canonical
+from jrdb_avr.schema.plan import ATTRIBUTES, Plan, canonical
 from jrdb_avr.schema.relations import QUESTION_RELATIONS, SAME_GROUP
 from jrdb_avr.schema.things import OBJECTS
 
@@ -33,6 +34,7 @@ MOST_PEOPLE: Final = 10
 """People of one reply."""
 
 CANNOT_TELL: Final = "cannot tell"
+_LONGEST_WORDS: Final = 40
 PEOPLE_LINE: Final = "The people in the picture, as one JSON object:"
 
 _LABELS: Final = {"gender": GENDERS, "age": AGES, "pose": POSES}
@@ -47,16 +49,19 @@ _OTHERS: Final = {
 
 
 class Field(NamedTuple):
-    """One thing to be read of every person: an attribute by its labels, a statement, metres, or a relation."""
+    """One thing to be read of every person: an attribute by its labels or in free words, a statement, metres, or a
+    relation.
+    """
 
-    kind: Literal["labels", "statement", "metres", "relation"]
+    kind: Literal["labels", "words", "statement", "metres", "relation"]
     name: str
     value: str = ""
 
     @property
     def key(self) -> str:
         """The field's key in a reply."""
-        return {"labels": self.name, "metres": "distance_m"}.get(self.kind) or f"{self.name} {self.value}"
+        keys = {"labels": self.name, "metres": "distance_m", "words": f"attribute {self.name}"}
+        return keys.get(self.kind) or f"{self.name} {self.value}"
 
     @property
     def words(self) -> tuple[str, ...]:
@@ -65,7 +70,8 @@ class Field(NamedTuple):
 
     def form(self) -> Any:
         """The field as the prompt describes it."""
-        return {"metres": "number", "relation": "people"}.get(self.kind) or self.words
+        forms = {"metres": "number", "relation": "people", "words": f'one or two words, or "{CANNOT_TELL}"'}
+        return forms.get(self.kind) or self.words
 
     def schema(self) -> dict[str, Any]:
         """The JSON Schema of its value."""
@@ -73,6 +79,8 @@ class Field(NamedTuple):
             return {"type": ["number", "null"]}
         if self.kind == "relation":
             return {"type": ["array", "null"], "items": {"type": "integer"}, "maxItems": MOST_PEOPLE}
+        if self.kind == "words":
+            return {"type": "string", "minLength": 1, "maxLength": _LONGEST_WORDS}
         return {"type": "string", "enum": list(self.words)}
 
 
@@ -93,6 +101,7 @@ def _needed(plan: Plan) -> Iterator[Field]:
     yield Field("labels", "gender")
     yield Field("labels", "age")
     wanted = [condition.wanted for node in plan.nodes for condition in node.conditions]
+    wanted += [] if answer.attribute is None else [(answer.attribute, "")]
     wanted += [("action", time.action) for time in plan.times.values() if time.action is not None]
     for name, value in wanted:
         if name == "group_size":
@@ -103,6 +112,8 @@ def _needed(plan: Plan) -> Iterator[Field]:
             yield Field("labels", topic_of(name, value))
         elif name in _OTHERS:
             yield Field("statement", name, value)
+        elif name not in ATTRIBUTES:
+            yield Field("words", name)
     if answer.read in ("action", "next_action"):
         yield Field("labels", "pose")
     if answer.read == "distance_change":
@@ -194,6 +205,11 @@ def _read_person(
             metres = None if said is None else _metres(said, field.key)
         elif field.kind == "relation":
             ties += _ties(said, field, number, count)
+        elif field.kind == "words":
+            text = free_value(said) if isinstance(said, str) else ""
+            if not 0 < len(text) <= _LONGEST_WORDS:
+                raise DecodeError(f"{field.key} must be a text of 1 to {_LONGEST_WORDS} characters")
+            labels += [] if text == CANNOT_TELL else [ReadLabel(field.name, text)]
         elif said not in field.words:
             raise DecodeError(f"{field.key} must be one of {', '.join(field.words)}")
         elif said != CANNOT_TELL:

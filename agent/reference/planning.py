@@ -40,6 +40,7 @@ from jrdb_avr.schema.plan import (
     parse_plan,
     plan_json_schema,
 )
+from jrdb_avr.schema.plan_hints import hint
 from jrdb_avr.schema.relations import (
     FIRST_LEFT,
     FIRST_RIGHT,
@@ -266,11 +267,14 @@ def _check_condition(field: str, condition: Condition) -> None:
     if condition.attribute == "group_size":
         if not isinstance(condition.value, int) or not 1 <= condition.value <= 1000:
             raise PlanError(f"{field}.value", "is the number of people in the group, 1 or more")
-    elif condition.attribute is not None:
+    elif condition.attribute in _VALUES:
         _check(f"{field}.value", str(condition.value), _VALUES[condition.attribute])
 
 
 def _check(field: str, label: str | None, labels: Collection[str]) -> None:
     if label is not None and label not in labels:
         near = difflib.get_close_matches(label, labels, 1)
-        raise PlanError(field, f"{label!r} is none of the labels" + (f"; perhaps {near[0]!r}" if near else ""))
+        instead = hint("relation", label) if field.endswith("relation") else ""
+        raise PlanError(
+            field, f"{label!r} is none of the labels" + (instead or (f"; perhaps {near[0]!r}" if near else ""))
+        )

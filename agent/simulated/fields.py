@@ -62,6 +62,9 @@ def said(name: str, person: Sighting, people: Sequence[Sighting]) -> Any:
         return _WORDS[holds(condition, person, people)]
     if name in ("gender", "age", "pose"):
         return getattr(mark, name) or _UNKNOWN
+    if name.startswith("attribute "):
+        # No mark holds it.
+        return _UNKNOWN
     if name == "distance_m":
         return None if mark.distance_dm is None else mark.distance_dm / 10
     label = name.removeprefix("relation ")

@@ -131,17 +131,20 @@ class BeliefReader(Reader):
 
     # -- reads ----------------------------------------------------------------------------------------------------
 
-    def poses(self, queries: Looks) -> dict[int, str]:
+    def values_at(self, queries: Sequence[tuple[Person, int, str]]) -> dict[int, str]:
         found = {}
-        for person, frame in queries:
+        for person, frame, name in queries:
             self._add_evidence(person, [frame])
-            seen = self._at(person, frame)
-            if seen is None:
-                self._note(person, "action", f"{person.who} is not seen at {_at(frame)}")
-            elif (pose := seen.pose) is None:
-                self._note(person, "action", f"the posture of {person.who} at {_at(frame)} is not known")
+            key = (person.who, "action" if name == "posture" else name)
+            rows = [row for row in self.all("attributes") if (row["who"], row["name"]) == key]
+            values = {row["value"] for row in rows if row["first"] <= frame <= row["last"]}
+            values &= {*POSES} if name == "posture" else values
+            if self._at(person, frame) is None:
+                self._note(person, "value", f"{person.who} is not seen at {_at(frame)}")
+            elif len(values) != 1:
+                self._note(person, "value", f"the {name} of {person.who} at {_at(frame)} is not known")
             else:
-                found[person.id] = pose
+                found[person.id] = values.pop()
         return found
 
     def seen(self, queries: Looks) -> dict[tuple[int, int], Seen]:

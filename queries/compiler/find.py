@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from jrdb_avr.queries.compiler.clauses import Clause, Variables
 from jrdb_avr.queries.compiler.mapping import PersonId, SchemaMapping, condition_values, edge_kind, edge_values
 from jrdb_avr.schema.errors import PlanError
-from jrdb_avr.schema.plan import Condition, Edge, Plan, validate
+from jrdb_avr.schema.plan import ATTRIBUTES, Condition, Edge, Plan, validate
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,13 @@ class Find:
 
 
 def compile_find(plan: Plan, mapping: SchemaMapping) -> Find:
-    """Compile a plan's conditions and edges. Raises PlanError where the plan is invalid or not of stated times."""
+    """Compile a plan's conditions and edges.
+
+    Raises PlanError where the plan is invalid, not of stated times, or names an attribute without labels.
+    """
     validate(plan)
+    if plan.answer.attribute not in (None, *mapping.conditions):
+        raise PlanError("answer.attribute", f"{plan.answer.attribute!r} is not labelled; {_LABELLED}")
     return _Pattern(plan, mapping).compiled()
 
 
@@ -83,6 +88,8 @@ class _Pattern:
         """Clauses of a node's conditions and of the edges to earlier nodes, by name, with their variables."""
         for i, condition in enumerate(conditions_of(self.plan, node)):
             name = f"c{self.nodes.index(node)}_{i}"
+            if condition.kind not in self.mapping.conditions:
+                raise PlanError(f"conditions of {node}", f"{condition.attribute!r} is not labelled; {_LABELLED}")
             at = self._at(node, condition.at or times_of(self.plan, node)[0])
             yield name, self.mapping.conditions[condition.kind], at | self._values(name, condition_values(condition))
         for i, edge in edges:
@@ -99,6 +106,8 @@ class _Pattern:
         self.row |= {f"{prefix}_{variable}": value for variable, value in values.items()}
         return {variable: f"{prefix}_{variable}" for variable in values}
 
+
+_LABELLED: Final = f"use one of {', '.join(ATTRIBUTES)}, or an action, object or interaction"
 
 Edges = list[tuple[int, Edge]]
 """Edges by their places in a plan."""

@@ -19,7 +19,8 @@ from jrdb_avr.queries.compiler.mapping import PersonId, SchemaMapping, edge_kind
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
-from jrdb_avr.schema.labels import POSES
+from jrdb_avr.schema.labels import POSES, ROBOT_SECTORS
+from jrdb_avr.schema.panorama import angle_error
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import KEYFRAME_STEP, SLACK, LoadRules, frames
 
@@ -98,8 +99,8 @@ class Reader(Protocol):
         rows: list[dict[str, Any]] = found.to_pylist()
         return rows
 
-    def poses(self, queries: Looks) -> dict[int, str]:
-        """Postures at frames."""
+    def values_at(self, queries: Sequence[tuple[Person, int, str]]) -> dict[int, str]:
+        """The posture, or the value of an attribute by its name, of people at frames at which they are seen."""
 
     def seen(self, queries: Looks) -> dict[tuple[int, int], Seen]:
         """Presence and distance, by question and frame."""
@@ -139,9 +140,15 @@ class SceneReader(Reader):
     def agreed(self, plan: Plan, find: Find, rows: Rows) -> Agreed:
         return outcome_of_people(find, rows)
 
-    def poses(self, queries: Looks) -> dict[int, str]:
-        found = self._read("action", [person.row(t=frame) for person, frame in queries])
-        return {row["id"]: row["pose"] for row in found if row["pose"] is not None}
+    def values_at(self, queries: Sequence[tuple[Person, int, str]]) -> dict[int, str]:
+        names = {person.id: name for person, _, name in queries}
+        found: dict[int, str] = {}
+        for row in self._read("value", [person.row(t=frame) for person, frame, _ in queries]):
+            off = {word: angle_error(row["angle"], axis) for word, axis in ROBOT_SECTORS.items()}
+            sector = next((word for word in off if off[word] <= self.values["sector_true"]), None)
+            value = (row | {"sector": sector})[names[row["id"]]]
+            found |= {} if value is None else {row["id"]: str(value)}
+        return found
 
     def seen(self, queries: Looks) -> dict[tuple[int, int], Seen]:
         found = {}

@@ -11,6 +11,7 @@ import pytest
 from lively_worlds import form, lively_world, sociable_world
 from oracle_people import EMPTY, FIRST, GROUP, MAYBE, NO, PLACES, SEVERAL, TOGETHER, WINDOWS, YES
 from oracle_questions import World
+from oracle_words import AGES
 from other_words import in_other_words
 from quick_store import memory_store
 from random_worlds import random_world
@@ -177,6 +178,44 @@ def test_postures_presence_and_distance_are_read_or_unknown(sites):
     wanted = {("presence", "only at the first time"), ("distance_change", "not in view"), ("action", None)}
     wanted |= {("presence", None), ("distance_change", None), ("distance_change", "farther from the robot")}
     assert wanted <= seen.keys(), seen
+
+
+def test_attributes_are_read_or_unknown(sites):
+    seen = Counter()
+    for site in sites:
+        world, plans, expected = site.world, [], []
+        for track, t0, conditions in itertools.islice(described(site), 12):
+            frames = sorted({frame for frame, who in world.people if who == track and frame >= t0})
+            for t1, name in itertools.product([*frames[:: max(1, len(frames) // 5)], 10_000], VALUES):
+                how = {"mode": "multiple_choice", "read": "attribute", "attribute": name, "at": "t1"}
+                plans.append(planned(site, conditions, {"t0": t0, "t1": t1}, how))
+                there = (t1, track) in world.people
+                # That the value is, and no other one may be.
+                facts = {value: world.value((name, value), t1, track) for value in VALUES[name]} if there else {}
+                sure = [str(value) for value, fact in facts.items() if fact == YES]
+                expected.append(sure[0] if sure else None)
+        for plan, solution, answer in zip(plans, site.solve(plans), expected, strict=True):
+            assert solution.answer == answer, plan
+            seen[plan.answer.attribute, answer is None] += 1
+    assert len(seen) == 2 * len(VALUES), seen
+
+
+VALUES = {
+    "gender": ("male", "female"),
+    "age": AGES,
+    "group_size": tuple(range(1, 30)),
+    "sector": ("ahead", "right", "behind", "left"),
+    "distance": ("very close", "close", "moderate", "far", "very far"),
+}
+
+
+def test_what_has_no_labels_is_refused_with_what_to_use():
+    free = {"attribute": "shirt", "value": "red", "at": "t0"}
+    with pytest.raises(PlanError, match=r"conditions of b: 'shirt' is not labelled; use one of gender, age"):
+        compile_find(two_nodes(nodes=[{"id": "a", "conditions": []}, {"id": "b", "conditions": [free]}]), SCENE)
+    answer = {"mode": "multiple_choice", "read": "attribute", "attribute": "shirt", "of": "b", "at": "t0"}
+    with pytest.raises(PlanError, match=r"answer.attribute: 'shirt' is not labelled; use one of gender, age"):
+        compile_find(two_nodes(answer=answer), SCENE)
 
 
 def change_of_distance(world, track, t0, t1):

@@ -3,14 +3,28 @@
 import json
 import subprocess
 import sys
+from typing import get_args
 
 import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from jrdb_avr.schema import plan_hints
 from jrdb_avr.schema.errors import PlanError
-from jrdb_avr.schema.plan import Plan, canonical, parse_plan, plan_json_schema, validate
+from jrdb_avr.schema.plan import (
+    ATTRIBUTES,
+    Condition,
+    Event,
+    Plan,
+    Read,
+    canonical,
+    parse_plan,
+    plan_json_schema,
+    validate,
+)
+from jrdb_avr.schema.plan_hints import hint
+from jrdb_avr.schema.relations import RELATIONS
 
 # The example of the design, word for word.
 EXAMPLE = {
@@ -48,6 +62,8 @@ def changed(**changes):
 
 
 DROP = object()
+HAIR = {"attribute": "hair", "value": "x", "at": "t0"}
+VALUE = {"mode": "multiple_choice", "read": "attribute", "of": "c", "at": "t0"}
 
 
 def test_the_example_is_valid_and_comes_back():
@@ -87,7 +103,15 @@ def test_the_example_is_valid_and_comes_back():
         ({"nodes__0__conditions__1__attribute": "age"}, "nodes[0].conditions[1]"),
         ({"nodes__0__conditions__1": {"at": "t0"}}, "nodes[0].conditions[1]"),
         ({"nodes__0__conditions__1": {"object": "bag", "at": "t0"}}, "nodes[0].conditions[1].verb"),
-        ({"nodes__0__conditions__1": {"attribute": "hair", "value": "x"}}, "nodes[0].conditions[1].attribute"),
+        ({"nodes__0__conditions__1": {"attribute": "hair", "value": "x"}}, "nodes[0].conditions[1].at"),
+        ({"nodes__0__conditions__1": HAIR | {"attribute": "Hair"}}, "nodes[0].conditions[1].attribute"),
+        ({"nodes__0__conditions__1": HAIR | {"value": 2}}, "nodes[0].conditions[1].value"),
+        ({"nodes__0__conditions__1": HAIR | {"attribute": "pose"}}, "nodes[0].conditions[1].attribute"),
+        ({"answer": VALUE}, "answer.attribute"),
+        ({"answer": VALUE | {"attribute": "sex"}}, "answer.attribute"),
+        ({"answer": VALUE | {"attribute": "age", "mode": "number"}}, "answer.mode"),
+        ({"answer": VALUE | {"attribute": "age", "at": ["t0", "t1"]}}, "answer.at"),
+        ({"answer": VALUE | {"read": "action", "attribute": "age"}}, "answer.attribute"),
         *(
             (
                 {"nodes__0__conditions__1": {"attribute": "group_size", "value": size, "at": "t0"}},
@@ -128,6 +152,43 @@ def test_a_fault_is_refused_by_its_field(changes, field):
     assert error.value.field == field
     assert str(error.value).startswith(f"{field}: ")
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "instead"),
+    [
+        ({"nodes__0__conditions__1": {"attribute": "posture", "value": "sitting", "at": "t0"}}, '{"action": '),
+        ({"nodes__0__conditions__1": {"attribute": "holding", "value": "bag", "at": "t0"}}, '{"object": "bag", "verb"'),
+        ({"nodes__0__conditions__1": {"color": "red", "at": "t0"}}, '{"attribute": "shirt", "value": "red"'),
+        ({"nodes__0__conditions__1": {"action": "sitting", "time": "t0"}}, '"at"'),
+        ({"nodes__0__conditions__1": {"action": "sitting", "at": "t0", "not": True}}, "denies nothing"),
+        ({"answer": VALUE | {"read": "age"}}, '"attribute"'),
+        ({"answer": VALUE | {"read": "duration"}}, '"seconds_between"'),
+        ({"answer": VALUE | {"attribute": "side"}}, '"sector"'),
+        ({"times__t1__event": "enters"}, '"returns"'),
+    ],
+)
+def test_a_common_wrong_word_is_told_what_to_use(changes, instead):
+    with pytest.raises(PlanError, match="; use ") as error:
+        parse_plan(changed(**changes))
+    assert instead in str(error.value).partition("; use ")[2] and "\n" not in str(error.value)
+
+
+def test_what_is_used_instead_is_no_wrong_word_itself():
+    """Nor is a word that a plan has."""
+    known = {"attribute": ATTRIBUTES, "relation": RELATIONS, "read": get_args(Read), "event": get_args(Event)}
+    known["key"] = Condition.__struct_fields__
+    for place, words in plan_hints._INSTEAD.items():
+        assert not {*words} & {*known[place]}
+        for word in words:
+            assert hint(place, word.upper()) == f"; use {words[word]}"
+    assert hint("attribute", "shirt") == "" and hint("relation", "hugging") == ""
+
+
+def test_a_free_attribute_is_compared_in_lower_case():
+    plan = parse_plan(changed(nodes__0__conditions__1={"attribute": "shirt", "value": "Dark  Red", "at": "t0"}))
+    condition = plan.nodes[0].conditions[1]
+    assert (condition.kind, condition.wanted) == ("free", ("shirt", "dark red"))
 
 
 def one_person(answer, **times):

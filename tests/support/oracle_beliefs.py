@@ -54,6 +54,9 @@ class Mind:
     def holds(self, who, condition, frame):
         if "attribute" in condition:
             key = "number" if condition["attribute"] == "group_size" else "value"
+            if condition["attribute"] == "shirt":
+                wanted = " ".join(condition["value"].lower().split())
+                return wanted in [a["value"] for a in self.has(who, "shirt", frame)]
             return condition["value"] in [a[key] for a in self.has(who, condition["attribute"], frame)]
         if "action" in condition:
             return condition["action"] in self.does(who, frame)
@@ -195,6 +198,9 @@ class Mind:
             return None
         if read == "action":
             return self.pose(who, frames[0])
+        if read == "attribute":
+            values = {a["value"] for a in self.has(who, spec["attribute"], frames[0])}
+            return values.pop() if len(values) == 1 and (who, frames[0]) in self.sighted else None
         if read in ("presence", "distance_change"):
             here = [1 if (who, f) in self.sighted else 0 if f in self.whole else None for f in frames]
             if read == "presence":

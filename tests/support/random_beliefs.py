@@ -12,6 +12,7 @@ PLACES = ("first to the left of (robot view)", "within 30 degrees to the left of
 SINGLE = {
     "group_size": (1, 2, 3),
     "sector": ("ahead", "left"),
+    "shirt": ("red", "dark blue"),
     "distance": ("close", "far"),
     "distance_m": (3.0, 3.5, 4.0, 4.5, 5.5),
 }
@@ -77,7 +78,8 @@ def sighting(rng, story, who, frame, habits):
         story.has(who, "interaction", rng.choice(LABELS[:2]), frame)
 
 
-READS = ("action", "presence", "distance_change", "next_action", "start", "span", "start_view", "seconds_between")
+READS = ("action", "attribute", "presence", "distance_change", "next_action")
+READS += ("start", "span", "start_view", "seconds_between")
 
 
 def random_plan(rng, mind, read):
@@ -104,7 +106,10 @@ def random_plan(rng, mind, read):
         edges = [(s, true_label(rng, mind, who[s], who[t], t0), t, "t0") for s, t in pairs]
     target = names[-1]
     times, at, relation = asked(rng, read, target, t0)
-    return planned(read, at, {"t0": {"frame": t0}, **times}, nodes, edges, target, relation)
+    plan = planned(read, at, {"t0": {"frame": t0}, **times}, nodes, edges, target, relation)
+    if read == "attribute":
+        plan["answer"]["attribute"] = rng.choice(("gender", "age", *(name for name in SINGLE if name != "distance_m")))
+    return plan
 
 
 def random_condition(rng, mind, who, frame):
@@ -122,6 +127,8 @@ def random_condition(rng, mind, who, frame):
     if name in ("action", "interaction"):
         label = rng.choice(LABELS[:2]) if name == "interaction" else value
         return {name: label, "at": "t0"}
+    if name == "shirt":
+        value = rng.choice((value, value.upper(), value.replace(" ", "  ")))
     return {"attribute": name, "value": int(fact["number"]) if name == "group_size" else value, "at": "t0"}
 
 
@@ -136,8 +143,8 @@ def asked(rng, read, who, t0):
     action, other = rng.sample(POSES + OTHERS[:1], 2)
     start = {"event": "start", "of": who, "action": action, "after": "t0"}
     match read:
-        case "action":
-            return {"t1": {"frame": t1}}, "t1", None
+        case "action" | "attribute":
+            return {"t1": {"frame": t1}}, rng.choice(("t0", "t1")), None
         case "presence" | "distance_change":
             return {"t1": {"frame": t1}, "t2": {"frame": t2}}, rng.choice((["t0", "t1"], ["t1", "t2"])), None
         case "next_action":

@@ -126,7 +126,8 @@ def test_a_reading_keeps_to_the_vocabularies():
         ("gender", "woman"),
         ("action", "flying"),
         ("group_size", "few"),
-        ("mood", "glad"),
+        ("sector", "front"),
+        ("mood", ""),
         ("object", "bag"),
     ):
         with pytest.raises(DecodeError, match=label[0]):

@@ -77,6 +77,36 @@ def test_a_schema_closes_every_field():
     assert "action reading" in entry["required"]
 
 
+SHIRT = Plan(
+    "a",
+    "a",
+    WOMAN.times,
+    (Node("a", (Condition(attribute="shirt", value="red", at="t0"),)),),
+    (),
+    AnswerSpec("multiple_choice", "attribute", "a", "t0", attribute="shoes"),
+)
+
+
+def test_free_attributes_are_asked_for_without_the_value_that_is_wanted():
+    fields = {field.key: field for field in fields_of(SHIRT)}
+    assert [*fields] == ["gender", "age", "attribute shirt", "attribute shoes"]
+    assert "red" not in str(fields["attribute shirt"].form())
+    for read, keys in {"age": set(), "sector": set(), "distance": {"distance_m"}, "group_size": {"relation"}}.items():
+        spec = AnswerSpec("multiple_choice", "attribute", "a", "t0", attribute=read)
+        asked = {field.key.split(" ")[0] for field in fields_of(Plan("a", "a", SHIRT.times, (Node("a"),), (), spec))}
+        assert asked == {"gender", "age", *keys}
+
+
+@pytest.mark.parametrize("said", ["", " ", 3, None, "x" * 41])
+def test_free_words_are_short(said):
+    fields = [field for field in fields_of(SHIRT) if field.kind == "words"]
+    line = {"box": [100, 100, 300, 900], "attribute shirt": "Dark  Red", "attribute shoes": CANNOT_TELL}
+    (one,) = read_people({"people": [line]}, fields, SEEN, "o1", CONTRACT)
+    assert one.labels == (ReadLabel("shirt", "dark red"),)
+    with pytest.raises(DecodeError, match="attribute shoes"):
+        read_people({"people": [line | {"attribute shoes": said}]}, fields, SEEN, "o1", CONTRACT)
+
+
 # -- what is read -----------------------------------------------------------------------------------------------------
 
 
@@ -213,6 +243,27 @@ def test_a_model_that_says_nothing_legible_ends_with_no_answer(world):
     prediction = DrivenEpisode(attempt, WOMAN, looks=4).play()
     assert (prediction.answer, prediction.n_observations) == (None, 4)
     assert len(set(attempt.made)) == 4
+
+
+def test_the_value_of_a_free_attribute_is_answered(world):
+    line = {"box": [400, 100, 600, 900], "gender": "female", "age": CANNOT_TELL}
+    line |= {"attribute shirt": "Red", "attribute shoes": "White"}
+    task = world.task("Who?", "multiple_choice", ("Black", "White"))
+    attempt = Attempt(task, Scripted([{"people": [line]}]), CONTRACT)
+    assert DrivenEpisode(attempt, SHIRT, looks=3).play().answer == Choice(2)
+
+
+@pytest.mark.parametrize(
+    "name, choices, choice",
+    [("gender", ("male", "female"), 2), ("age", ("young adulthood", "childhood"), 1), ("sector", ("left", "ahead"), 2)],
+)
+def test_attributes_are_answered(world, beliefs, name, choices, choice):
+    spec = AnswerSpec("multiple_choice", "attribute", "a", "t0", attribute=name)
+    task = world.task("Who?", "multiple_choice", choices, [], [])
+    plan = Plan("a", "a", WOMAN.times, WOMAN.nodes, (), spec)
+    prediction = DrivenEpisode(Attempt(task, Chat(Knobs()), CONTRACT), plan, looks=16).play()
+    assert prediction.answer == Choice(choice)
+    assert iou(Box(*prediction.evidence.box), READER.box(150)) > 0.5
 
 
 def test_a_passive_agent_cannot_be_driven():

@@ -1,0 +1,8 @@
+// action, attribute: what is labelled of somebody at a frame at which the person is seen; null where it is unknown.
+UNWIND $plans AS q
+WITH q.id AS id, q.scope AS scope, q.who AS who, q.t AS t
+MATCH (p:Person)-[s:SeenIn]->(:Frame)
+WHERE s.sequence = scope AND s.frame = t AND p.track = who
+RETURN id, s.pose AS posture, p.gender AS gender, p.age AS age, s.group_size AS group_size, s.angle AS angle,
+       CASE WHEN s.distance_word_other IS NULL THEN s.distance_word END AS distance
+ORDER BY id

@@ -1,0 +1,93 @@
+"""What to use instead of words that a plan does not have: one line for each word that models use all the same."""
+
+from __future__ import annotations
+
+import re
+from typing import Final, Literal
+
+Place = Literal["attribute", "relation", "read", "event", "key"]
+"""Where in a plan a word stands: the value of one of these fields, or a key of an object."""
+
+_ACTION: Final = '{"action": "sitting", "at": "t0"}'
+_THING: Final = '{"object": "bag", "verb": "holding", "at": "t0"}'
+_WITH: Final = '{"interaction": "conversation", "at": "t0"} for anybody, an edge for one person'
+_BESIDE: Final = '"first to the left of (robot view)", or the target\'s place seen from the source, as "left, close"'
+_SIDE: Final = '"first to the {side} of (robot view)" or "within 30 degrees to the {side} of (robot view)"'
+_SECTOR: Final = '"sector" for the side of the robot, "distance" for how far away'
+_FREE: Final = '{"attribute": "shirt", "value": "red", "at": "t0"} for what has no labels'
+
+_INSTEAD: Final[dict[Place, dict[str, str]]] = {
+    "attribute": {
+        **dict.fromkeys(("action", "activity", "doing", "movement", "pose", "posture"), _ACTION),
+        **dict.fromkeys(("object", "carrying", "handling", "holding", "item", "thing"), _THING),
+        **dict.fromkeys(("interaction", "company", "talking_to", "together_with", "with"), _WITH),
+        **dict.fromkeys(("direction", "location", "place", "position", "side"), _SECTOR),
+        **dict.fromkeys(("beside", "near", "next_to", "relation"), "an edge"),
+        **dict.fromkeys(("depth", "distance_m", "metres", "range"), '"distance", a word'),
+        **dict.fromkeys(("group", "group_members", "members", "people"), '"group_size", a number'),
+        **dict.fromkeys(("id", "identity", "name", "track"), "what is seen of the person"),
+        **dict.fromkeys(("present", "visible", "in_view"), 'the read "presence"'),
+        "age_group": '"age"',
+        "sex": '"gender"',
+    },
+    "relation": {
+        **dict.fromkeys(("beside", "close to", "near", "next to"), _BESIDE),
+        **{
+            word.format(side): _SIDE.format(side=side)
+            for side in ("left", "right")
+            for word in ("{} of", "to the {} of", "on the {} of", "{}")
+        },
+        "behind": '"back, close", the target seen from the source',
+        "in front of": '"front, close", the target seen from the source',
+        **dict.fromkeys(("talking to", "talks to", "talks with", "talking with"), '"conversation"'),
+        **dict.fromkeys(("group", "same group", "with", "together with"), '"in the same group as"'),
+        **dict.fromkeys(("is", "same as", "same person"), "one node, which is the same person at all times"),
+    },
+    "read": {
+        **dict.fromkeys(("movement", "pose", "posture", "activity"), '"action"'),
+        **dict.fromkeys(("gender", "age", "group_size", "sector", "distance", "color", "value"), '"attribute"'),
+        **dict.fromkeys(("duration", "seconds"), '"seconds_between", or "span" for the frames'),
+        **dict.fromkeys(("how_many", "number"), '"count"'),
+        **dict.fromkeys(("angle", "direction", "viewpoint", "where"), '"start_view"'),
+        **dict.fromkeys(("frame", "time", "when"), '"start"'),
+        **dict.fromkeys(("exists", "visible", "yes_no"), '"presence"'),
+        "end": '"span", or "next_action" for what follows',
+    },
+    "event": {
+        **dict.fromkeys(("begin", "begins", "starts"), '"start"'),
+        **dict.fromkeys(("ends", "finish", "finishes", "stop", "stops"), '"end"'),
+        **dict.fromkeys(("appears", "arrives", "enters", "return"), '"returns"'),
+        **dict.fromkeys(("disappears", "exits", "leave"), '"leaves"'),
+    },
+    "key": {
+        **dict.fromkeys(("color", "colour", "clothing", "hair", "name"), _FREE),
+        **dict.fromkeys(("gender", "age", "sector", "distance", "group_size"), '"attribute" and "value"'),
+        **dict.fromkeys(("relation", "relations"), '"edges"'),
+        **dict.fromkeys(("frame", "time", "when"), '"at" with the name of a time'),
+        **dict.fromkeys(("negated", "negation", "not"), "only what is so: a plan denies nothing"),
+        **dict.fromkeys(("or", "any_of", "either"), "one value: a plan has no alternatives"),
+    },
+}
+
+_QUOTED: Final = re.compile(r"(unknown field|enum value) [`'](.*?)[`']")
+
+
+def hint(place: Place, word: str) -> str:
+    """What to use instead of a word, as the end of a message; "" for a word without an entry.
+
+    >>> hint("attribute", "sex"), hint("attribute", "shirt")
+    ('; use "gender"', '')
+    """
+    wanted = " ".join(word.lower().replace("_", " ").split())
+    return next((f"; use {use}" for known, use in _INSTEAD[place].items() if known.replace("_", " ") == wanted), "")
+
+
+def hint_for(field: str, message: str) -> str:
+    """What to use instead of the word that a decoder's message about a field names."""
+    found = _QUOTED.search(message)
+    if found is None:
+        return ""
+    if found[1] == "unknown field":
+        return hint("key", found[2])
+    place = field.rpartition(".")[2]
+    return hint("read", found[2]) if place == "read" else hint("event", found[2]) if place == "event" else ""
