@@ -4,8 +4,10 @@ An episode is one question of one run. Every belief belongs to an observation of
 attribute are edges from an entity to the observation; a relation carries the observation's key. A belief holds at the
 frame of its observation (`first` = `last`); gender and age hold always (0 to `ALWAYS`). A belief that a later write
 replaces stays, with `current` false and `until` the step of that write: at step k an edge was believed where
-`step <= k AND until > k`. Keys: `Episode` is `<run>/<question>`; `Observation` `<episode>/o<number>`; `Entity`
-`<episode>/<the agent's own name for it>`; `Slot` and `Write` `<episode>/<number>`.
+`step <= k AND until > k`. Where readings are fused, each is an edge, and `current` is the one that they come to; a
+reading that they speak against is never believed (`until` is its `step`). Keys: `Episode` is `<run>/<question>`;
+`Observation` `<episode>/o<number>`; `Entity` `<episode>/<the agent's own name for it>`; `Slot` and `Write`
+`<episode>/<number>`; `Hypothesis` `<episode>/h<rank>`.
 
 The agent's edges are read and written after almost every observation. From the episode to its nodes and on to their
 edges the engine would scan edges and names of other episodes, half of its work. So nodes with edges carry a hash of the
@@ -39,6 +41,9 @@ def free_value(text: str) -> str:
     return " ".join(text.lower().split())
 
 
+Origin = Literal["model", "derived"]
+"""Who states a belief: a model that looks at a picture, or code that goes by what was read so far."""
+
 Tool = Literal["begin", "plan", "observe", "get_graph", "add_entity", "add_attribute", "add_relation", "final_answer"]
 
 
@@ -65,13 +70,14 @@ class _Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class EpisodeRow(_Row, frozen=True):
-    """A row of `Episode`; the plan is "" until one is accepted."""
+    """A row of `Episode`; the plan is "" until one is accepted, the verdict until the episode has its answer."""
 
     id: str
     run: str
     question: str
     sequence: str
     plan: str
+    verdict: str
 
 
 class _NodeRow(_Row, frozen=True):
@@ -121,10 +127,27 @@ class SlotRow(_NodeRow, frozen=True):
     frame: int
 
 
+class HypothesisRow(_NodeRow, frozen=True):
+    """A row of `Hypothesis`, and of `Ranks` from its episode: who the plan's people may be, the likeliest first.
+
+    entity: the name of the target; nodes: whom each node is, as "a=p1, b=p2"; answer: what is read of the target at
+    `frame`, stored JSON. Written with the answer of the episode, which is that of the first.
+    """
+
+    step: int
+    rank: int
+    entity: str
+    nodes: str
+    log_odds: float
+    answer: str
+    frame: int
+
+
 class _EdgeRow(_Row, frozen=True):
     """A row of an edge; source and target are keys of the nodes.
 
-    write: the write that made it; no two edges of an episode have the same.
+    write: the write that made it; no two edges of an episode have the same. votes, against: how many readings agreed
+    with it and how many did not when it was written.
     """
 
     source: str
@@ -132,6 +155,9 @@ class _EdgeRow(_Row, frozen=True):
     episode: str
     write: int
     step: int
+    votes: int
+    against: int
+    origin: str
 
 
 class SightingRow(_EdgeRow, frozen=True):
@@ -164,9 +190,10 @@ class RelationRow(_EdgeRow, frozen=True):
 class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
     """The rows that one write adds to the tables or changes, each under the name of its table.
 
-    episode: on `begin`, and again with its plan on `plan`. entity: a new one; changed: one with another kind or
-    node. freed: keys of entities whose node becomes "", as this entity takes it. Edges begin with `current` true and
-    `until` `ALWAYS`; replaced: writes of this episode whose edge is no longer `current` and ends with this step.
+    episode: on `begin`, again with its plan on `plan` and with its verdict on `final_answer`. entity: a new one;
+    changed: one with another kind or node. freed: keys of entities whose node becomes "", as this entity takes it.
+    Edges begin with `current` true and `until` `ALWAYS`; replaced: writes of this episode, or this one, whose edge is
+    not `current` any more and ends with this step.
     """
 
     episode: EpisodeRow | None = None
@@ -179,6 +206,7 @@ class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_field
     has: AttributeRow | None = None
     related: RelationRow | None = None
     replaced: tuple[int, ...] = ()
+    hypotheses: tuple[HypothesisRow, ...] = ()
 
 
 _TYPES: Final = {str: "STRING", int: "INT64", float: "DOUBLE", Box: "STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)"}
@@ -199,6 +227,7 @@ WORLD_NODES: Final[dict[str, str]] = {
         "Observation": _columns(ObservationRow, "episode_hash UUID"),
         "Entity": _columns(EntityRow, "episode_hash UUID"),
         "Slot": _columns(SlotRow),
+        "Hypothesis": _columns(HypothesisRow),
         "Write": (
             *("id STRING", "episode STRING", "number INT64", "step INT64"),
             *("tool STRING", "arguments STRING", "accepted BOOLEAN", "reason STRING"),
@@ -211,6 +240,7 @@ WORLD_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "Holds": ("Episode", "Entity", ()),
     "Asks": ("Episode", "Slot", ()),
     "Wrote": ("Episode", "Write", ()),
+    "Ranks": ("Episode", "Hypothesis", ()),
     # who, whom: the entities at the ends, by name.
     "Sighted": ("Entity", "Observation", _columns(SightingRow, *_CURRENT, "who STRING")),
     "Has": ("Entity", "Observation", _columns(AttributeRow, *_CURRENT, "who STRING")),

@@ -92,7 +92,7 @@ KEYFRAME_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "Joined": ("Moment", "Moment", ("a INT64", "c INT64", "r3 STRING", "r4 STRING")),
 }
 
-STORAGE_VERSION: Final = 6
+STORAGE_VERSION: Final = 7
 """Raised when the tables above change, or the world namespace's: a graph of another version is rebuilt."""
 
 

@@ -14,13 +14,12 @@ import contextlib
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import msgspec
 
 from jrdb_avr.agent.beliefs.arguments import (
     LONGEST_ARGUMENTS,
-    NUMBERS,
     as_json,
     printable,
     quoted,
@@ -28,6 +27,7 @@ from jrdb_avr.agent.beliefs.arguments import (
     read_entity,
     read_relation,
 )
+from jrdb_avr.agent.beliefs.display import described
 from jrdb_avr.queries.beliefs.episode import Edge, EpisodeRows
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.beliefs.record import drop_world, writes_held
@@ -38,7 +38,9 @@ from jrdb_avr.schema.beliefs import (
     EntityRow,
     EpisodeRow,
     Fact,
+    HypothesisRow,
     ObservationRow,
+    Origin,
     RelationRow,
     SightingRow,
     SlotRow,
@@ -48,7 +50,7 @@ from jrdb_avr.schema.beliefs import (
 )
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.labels import POSES
-from jrdb_avr.schema.method import Observation, Panorama, Question, RecordWrite
+from jrdb_avr.schema.method import Observation, Panorama, Question, RecordWrite, Verdict
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, center_angle, from_crop
 from jrdb_avr.schema.plan import Plan, canonical
 from jrdb_avr.schema.relations import RELATIONS
@@ -89,6 +91,21 @@ class Result:
     text: str
 
 
+class Backing(NamedTuple):
+    """How far readings bear a written edge out: how many agree with it and how many do not, who states it, and whether
+    it is what they come to. Of an edge that nothing speaks for, nothing is written but the end of the one in its place.
+    """
+
+    votes: int = 1
+    against: int = 0
+    origin: Origin = "model"
+    wins: bool = True
+
+
+READ: Final = Backing()
+"""A single reading, which counts in place of those before it."""
+
+
 class WorldModel:
     """The world model of a run; its episodes may be used from several threads, each from one."""
 
@@ -126,17 +143,28 @@ class BeliefEpisode:
         self._nodes: frozenset[str] = frozenset()
         # The edges that are current, each under what it is that a later write of the same replaces.
         self._current: dict[Hashable, Edge] = {}
-        self._begun = EpisodeRow(self.key, run_id, question.question_id, question.sequence, "")
-        self._write("begin", {"question_id": question.question_id}, 0, Fact(episode=self._begun))
+        begun = EpisodeRow(self.key, run_id, question.question_id, question.sequence, "", "")
+        self._write("begin", {"question_id": question.question_id}, 0, Fact(episode=begun))
         self._together = False
 
     # -- what is not the model's own ----------------------------------------------------------------------------------
 
     def plan(self, plan: Plan, step: int) -> None:
         """Take the plan: its text, and a slot for each of its goals. To be called once."""
-        row = msgspec.structs.replace(self._begun, plan=canonical(plan))
-        self._write("plan", msgspec.to_builtins(plan), step, Fact(episode=row, slots=_slots(plan, self.key)))
+        fact = Fact(episode=self._changed(plan=canonical(plan)), slots=_slots(plan, self.key))
+        self._write("plan", msgspec.to_builtins(plan), step, fact)
         self._nodes = frozenset(node.id for node in plan.nodes)
+
+    def answered(
+        self, arguments: object, step: int, verdict: Verdict, hypotheses: Sequence[HypothesisRow] = ()
+    ) -> None:
+        """Take the answer that counts, its verdict, and whom the plan's people may be. To be called once."""
+        fact = Fact(episode=self._changed(verdict=verdict), hypotheses=tuple(hypotheses))
+        self._write("final_answer", arguments, step, fact)
+
+    def _changed(self, **columns: str) -> EpisodeRow:
+        assert self._rows.begun is not None, "an episode begins with its row"
+        return msgspec.structs.replace(self._rows.begun, **columns)
 
     def observed(self, observation: Observation | Panorama, step: int) -> str:
         """Take an observation that has been made; the name by which the model is to call it: "o1", "o2", ...
@@ -148,11 +176,11 @@ class BeliefEpisode:
         if isinstance(observation, Observation):
             place = (observation.angle_deg, observation.left, CROP)
         look = ObservationRow(f"{self.key}/o{number}", self.key, number, step, observation.frame_index, *place)
-        self._write("observe", _described(look), step, Fact(observation=look))
+        self._write("observe", described(look.frame, look.angle, look.width), step, Fact(observation=look))
         return f"o{number}"
 
     def noted(self, tool: Tool, arguments: object, step: int, accepted: bool, reason: str = "") -> None:
-        """Record a call that writes nothing: a look refused, get_graph, final_answer."""
+        """Record a call that writes nothing: a look refused, get_graph."""
         self._write(tool, arguments, step, None, accepted, printable(reason, LONGEST_ARGUMENTS))
 
     def refused(self, tool: Tool, arguments: object, reason: str, step: int) -> Result:
@@ -162,7 +190,7 @@ class BeliefEpisode:
 
     # -- the model's writes -------------------------------------------------------------------------------------------
 
-    def add(self, tool: Tool, arguments: object, step: int, box: Box | str = "") -> Result:
+    def add(self, tool: Tool, arguments: object, step: int, box: Box | str = "", backing: Backing = READ) -> Result:
         """Carry out a writing tool, or refuse it.
 
         `add_entity` adds an entity, or another sighting of one that is there, with the kind and node that it has from
@@ -173,23 +201,32 @@ class BeliefEpisode:
         """
         try:
             if tool == "add_entity":
-                fact = self._sighting(arguments, box, step)
+                fact = self._sighting(arguments, box, step, backing)
             elif tool == "add_attribute":
-                fact = Fact(has=self._attribute(arguments, step))
+                fact = Fact(has=self._attribute(arguments, step, backing))
             else:
-                fact = Fact(related=self._relation(arguments, step))
+                fact = Fact(related=self._relation(arguments, step, backing))
         except DecodeError as error:
             return self.refused(tool, arguments, str(error), step)
-        self._accepted += 1
         edge = fact.sighted or fact.has or fact.related
         assert edge is not None, "every writing tool makes an edge"
         place = _place(edge)
-        replaced = (self._current[place].write,) if place in self._current else ()
-        self._current[place] = edge
+        before = self._current.get(place)
+        replaced = () if before is None else (before.write,)
+        if not backing.votes:
+            if before is None:
+                return Result(True, "done")
+            del self._current[place]
+            fact = Fact()
+        elif backing.wins:
+            self._current[place] = edge
+        else:
+            replaced = (edge.write,)
+        self._accepted += 1
         self._write(tool, arguments, step, msgspec.structs.replace(fact, replaced=replaced))
         return Result(True, "done")
 
-    def _sighting(self, arguments: object, box: Box | str, step: int) -> Fact:
+    def _sighting(self, arguments: object, box: Box | str, step: int, backing: Backing) -> Fact:
         name, kind, node, observation = read_entity(arguments)
         look = self._look(observation)
         if isinstance(box, str):
@@ -206,7 +243,7 @@ class BeliefEpisode:
         row = there or EntityRow(key, self.key, name, len(entities) + 1, kind, node, step)
         row = msgspec.structs.replace(row, kind=kind, node=node or row.node)
         angle = center_angle(place.x, place.w)
-        sighted = SightingRow(key, look.id, self.key, self._rows.written, step, look.frame, place, angle)
+        sighted = SightingRow(key, look.id, *self._made(step, backing), look.frame, place, angle)
         return Fact(
             entity=None if there else row,
             changed=row if there not in (None, row) else None,
@@ -214,21 +251,24 @@ class BeliefEpisode:
             sighted=sighted,
         )
 
-    def _attribute(self, arguments: object, step: int) -> AttributeRow:
+    def _attribute(self, arguments: object, step: int, backing: Backing) -> AttributeRow:
         name, attribute, value, number, observation = read_attribute(arguments)
         look = self._look(observation)
         key = self._sighted(name, look)
         self._check_room()
         frames = (0, ALWAYS) if attribute in TIMELESS else (look.frame, look.frame)
-        return AttributeRow(key, look.id, self.key, self._rows.written, step, attribute, value, number, *frames)
+        return AttributeRow(key, look.id, *self._made(step, backing), attribute, value, number, *frames)
 
-    def _relation(self, arguments: object, step: int) -> RelationRow:
+    def _relation(self, arguments: object, step: int, backing: Backing) -> RelationRow:
         first, relation, second, observation = read_relation(arguments)
         look = self._look(observation)
         source, target = self._sighted(first, look), self._sighted(second, look)
         self._check_room()
-        write, frame = self._rows.written, look.frame
-        return RelationRow(source, target, self.key, write, step, relation, look.id, frame, frame)
+        return RelationRow(source, target, *self._made(step, backing), relation, look.id, look.frame, look.frame)
+
+    def _made(self, step: int, backing: Backing) -> tuple[str, int, int, int, int, Origin]:
+        """The columns of an edge that do not say what it states."""
+        return self.key, self._rows.written, step, backing.votes, backing.against, backing.origin
 
     # -- the grounding rule -------------------------------------------------------------------------------------------
 
@@ -297,27 +337,15 @@ class BeliefEpisode:
         for edge in self._current.values():
             name, row = _read_row(edge)
             rows[name].append(row)
-        looks = self._rows.observations.values()
-        rows["looks"] = [{"frame": look.frame, "edge": look.left, "width": look.width} for look in looks]
-        rows["entities"] = [{"who": one.name, "node": one.node} for one in self._rows.entities.values()]
-        return {name: sorted(rows[name], key=itemgetter(*columns)) for name, columns in _ORDER.items()}
-
-    def graph(self, missing: Sequence[str] = ()) -> dict[str, Any]:
-        """Return the result of the tool `get_graph`: observations, current beliefs, and what the plan still lacks."""
-        sightings: dict[str, list[Mapping[str, Any]]] = {key: [] for key in self._rows.entities}
-        attributes: dict[str, list[Mapping[str, Any]]] = {key: [] for key in sightings}
-        relations: list[Mapping[str, Any]] = []
-        for edge in sorted(self._current.values(), key=lambda edge: edge.write):
-            place = {SightingRow: sightings, AttributeRow: attributes}.get(type(edge))
-            (relations if place is None else place[edge.source]).append(_displayed(edge))
-        entities = [
-            {"id": entity.name, "kind": entity.kind}
-            | ({"node": entity.node} if entity.node else {})
-            | {"sightings": sightings[key], "attributes": attributes[key]}
-            for key, entity in self._rows.entities.items()
+        rows["looks"] = [
+            {"frame": one.frame, "edge": one.left, "width": one.width, "look": one.number, "angle": one.angle}
+            for one in self._rows.observations.values()
         ]
-        looks = [{"observation": name_of(key), **_described(look)} for key, look in self._rows.observations.items()]
-        return {"observations": looks, "entities": entities, "relations": relations, "missing": list(missing)}
+        rows["entities"] = [
+            {"who": one.name, "kind": one.kind, "node": one.node, "number": one.number}
+            for one in self._rows.entities.values()
+        ]
+        return {name: sorted(rows[name], key=itemgetter(*columns)) for name, columns in _ORDER.items()}
 
 
 # -- rows -------------------------------------------------------------------------------------------------------------
@@ -387,32 +415,16 @@ def _read_row(edge: Edge) -> tuple[str, dict[str, Any]]:
     match edge:
         case SightingRow():
             place = {"frame": edge.frame, "box": edge.box._asdict(), "angle": edge.angle}
-            return "sighted", {"who": ends["source"], **place, "written": edge.write}
+            return "sighted", {"who": ends["source"], **place, "look": _number(edge.target), "written": edge.write}
         case AttributeRow():
             row = {"who": ends["source"], "name": edge.name, "value": edge.value, "number": edge.number}
-            return "attributes", row | {"first": edge.first, "last": edge.last}
+            held = {"first": edge.first, "last": edge.last, "look": _number(edge.target)}
+            return "attributes", row | held | {"written": edge.write}
         case RelationRow():
-            return "relations", ends | {"name": edge.name, "first": edge.first, "last": edge.last}
+            held = {"first": edge.first, "last": edge.last, "look": _number(edge.observation)}
+            return "relations", ends | {"name": edge.name} | held | {"written": edge.write}
 
 
-def _described(look: ObservationRow) -> dict[str, Any]:
-    """An observation as the model reads it."""
-    place = {"panorama": True} if look.width == WIDTH else {"angle_deg": look.angle}
-    return {"frame_id": f"{look.frame:06d}", **place}
-
-
-def _displayed(edge: Edge) -> dict[str, Any]:
-    """A belief as the model reads it, at the frame where it holds at one only; boxes in stitched pixels, x, y, w, h."""
-    source, target = name_of(edge.source), name_of(edge.target)
-    match edge:
-        case SightingRow():
-            box = [round(value, 1) for value in edge.box]
-            angle = round(edge.angle, 1)
-            return {"observation": target, "frame_id": f"{edge.frame:06d}", "angle_deg": angle, "box": box}
-        case AttributeRow():
-            value = edge.number if edge.name in NUMBERS else edge.value
-            frame = {} if edge.name in TIMELESS else {"frame_id": f"{edge.first:06d}"}
-            return {"name": edge.name, "value": value, **frame, "observation": target}
-        case RelationRow():
-            ends = {"source": source, "name": edge.name, "target": target}
-            return ends | {"frame_id": f"{edge.first:06d}", "observation": name_of(edge.observation)}
+def _number(observation: str) -> int:
+    """The number of an observation, from its key."""
+    return int(name_of(observation).removeprefix("o"))

@@ -15,23 +15,22 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, stitched_evidence
-from jrdb_avr.agent.perception.answer import Conclusion, conclude
+from jrdb_avr.agent.perception.answer import conclude
 from jrdb_avr.agent.perception.association import with_picture
 from jrdb_avr.agent.perception.attention import NextLook, next_look
-from jrdb_avr.agent.perception.geometry import DERIVED, SeenColumns, joined_looks
+from jrdb_avr.agent.perception.geometry import SeenColumns, joined_looks
 from jrdb_avr.agent.perception.readings import PersonReading
-from jrdb_avr.agent.perception.support import RankedHypothesis, frames_of, rank, slot_supports
+from jrdb_avr.agent.perception.support import RankedHypothesis, rank
 from jrdb_avr.agent.perception.votes import SETTLING, Tracks
 from jrdb_avr.agent.reference.perceive import Perceiver, fields_of
 from jrdb_avr.agent.reference.recognize import recognize
-from jrdb_avr.agent.reference.tool_calls import FINAL
 from jrdb_avr.schema.method import Observation, Prediction
-from jrdb_avr.schema.panorama import CROP, Box
+from jrdb_avr.schema.panorama import CROP
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
 if TYPE_CHECKING:
-    from jrdb_avr.agent.beliefs.world_model import BeliefEpisode
+    from jrdb_avr.agent.reference.belief_writer import BeliefWriter
 
 _TURN_DEG = 1.6
 """Degrees by which a look is turned aside if one at its angle was made before."""
@@ -44,14 +43,14 @@ _SEEKING = ("follow", "bracket", "absence")
 class DrivenEpisode:
     """The loop over one question.
 
-    world: what was read is written into it; without one the newest reading of everybody counts, whatever the ones
-    before it. seen: the pictures that were read, by name; tracks: all readings so far.
+    writer: of a world model; without one the newest reading of everybody counts, whatever the ones before it. seen: the
+    pictures that were read, by name; tracks: all readings so far.
     """
 
     attempt: Attempt
     plan: Plan
     looks: int
-    world: BeliefEpisode | None = None
+    writer: BeliefWriter | None = None
     seen: dict[str, Observation] = field(default_factory=dict)
     tracks: Tracks = field(default_factory=lambda: Tracks({}, {}))
 
@@ -77,16 +76,16 @@ class DrivenEpisode:
             angle = (angle + _TURN_DEG) % 360.0
         seen = self.attempt.look(look.frame, angle)
         name = f"o{len(self.attempt.made)}"
-        if self.world is not None:
-            name = self.world.observed(seen, self.attempt.steps - 1)
+        if self.writer is not None:
+            name = self.writer.world.observed(seen, self.attempt.steps - 1)
         people = perceiver.people(seen, name)
         if people is None:
             return
         self.seen[name] = seen
         recognized = self._recognized(look, target, seen, people)
         self.tracks = with_picture(self.tracks, look.frame, SeenColumns(seen.left, CROP), people, recognized)
-        if self.world is not None:
-            self._write(self.world, seen, people)
+        if self.writer is not None:
+            self.writer.picture(self.tracks, people, seen.left, self.attempt.steps - 1)
 
     def _recognized(
         self, look: NextLook, target: str | None, seen: Observation, people: Sequence[PersonReading]
@@ -102,74 +101,23 @@ class DrivenEpisode:
         number = recognize(self.attempt, known, self.seen[known.observation], seen, people)
         return {} if number is None else {target: number}
 
-    # -- the world model ----------------------------------------------------------------------------------------------
-
-    def _write(self, world: BeliefEpisode, seen: Observation, people: Sequence[PersonReading]) -> None:
-        """Write down what was read in a picture; what was denied is a vote, and no belief."""
-        step = self.attempt.steps - 1
-        entities = {
-            one.number: who
-            for who, readings in self.tracks.people.items()
-            for one in readings[-2:]
-            if people and one.observation == people[0].observation
-        }
-        for one in people:
-            place = {"entity": entities[one.number], "observation": one.observation}
-            self._sighting(entities[one.number], one, seen.left, step)
-            values: list[tuple[str, str | float]] = [(label.name, label.value) for label in one.labels if label.holds]
-            values += [] if one.metres is None else [("distance_m", one.metres)]
-            for name, value in values:
-                world.add("add_attribute", {**place, "name": name, "value": value}, step)
-        for one in people:
-            for tie in one.ties:
-                if tie.holds:
-                    ends = {"source": entities[one.number], "target": entities[tie.other]}
-                    call = {**ends, "name": tie.relation, "observation": one.observation}
-                    world.add("add_relation", call, step)
-
-    def _sighting(self, who: str, one: PersonReading, left: int, step: int, node: str = "") -> None:
-        assert self.world is not None, "sightings are written into a world model"
-        box = Box(one.box.x - left, *one.box[1:])
-        call = {"id": who, "kind": "person", "observation": one.observation, "box": [round(side) for side in box]}
-        self.world.add("add_entity", call | ({"node": node} if node else {}), step, box)
-
     # -- the end ------------------------------------------------------------------------------------------------------
 
     def _committed(self, hypotheses: Sequence[RankedHypothesis]) -> Prediction:
         started = time.perf_counter()
         task = self.attempt.task
         tracks = self.tracks
-        if self.world is None:
+        if self.writer is None:
             tracks = newest(tracks)
             hypotheses = rank(self.plan, tracks)
         found = conclude(self.plan, tracks, hypotheses, task.question.choices, task.sequence.frames)
         self.attempt.record("solve", {"conclude": self.plan.answer.read}, msgspec.to_builtins(found), started)
         if found is None:
             return self.attempt.prediction(ParsedReply(refusal="nobody was seen"))
-        if self.world is not None:
-            self._conclude(self.world, hypotheses, found)
         evidence = stitched_evidence(found.frame, found.box.box)
-        verdict = None if self.world is None else found.verdict
-        return self.attempt.prediction(ParsedReply(found.answer, evidence, verdict=verdict))
-
-    def _conclude(self, world: BeliefEpisode, hypotheses: Sequence[RankedHypothesis], found: Conclusion) -> None:
-        """Write down who the plan's people are, with the boxes agreed on, how they stand to each other, the answer."""
         step = self.attempt.steps - 1
-        best = next((one for one in hypotheses if one.nodes.get(self.plan.target) == found.entity), hypotheses[0])
-        for node, who in best.nodes.items():
-            frames = [found.frame] if who == found.entity else frames_of(self.plan, node)
-            for one in (self._agreed(who, self.tracks.met(frame)) for frame in frames):
-                if one is not None:
-                    self._sighting(who, one, self.seen[one.observation].left, step, node)
-        for part, support in slot_supports(self.plan, self.tracks, best):
-            if part.name in DERIVED and support.log_odds > 0:
-                source, target = (best.nodes[node] for node in part.nodes)
-                seen = self._agreed(source, self.tracks.met(part.frame or 0))
-                if seen is not None:
-                    ends = {"source": source, "target": target}
-                    world.add("add_relation", ends | {"name": part.name, "observation": seen.observation}, step)
-        answer = {"answer": msgspec.to_builtins(found.answer), "entity": found.entity}
-        world.noted(FINAL, answer, step, True)
+        verdict = None if self.writer is None else self.writer.concluded(tracks, hypotheses, found, step)
+        return self.attempt.prediction(ParsedReply(found.answer, evidence, verdict=verdict))
 
     def _doubt(self, who: str, frame: int) -> int:
         """Frames by which a single box of somebody counts as farther than one that two readings agree on."""

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, get_args
 
 import msgspec
 
+from jrdb_avr.agent.beliefs.display import shown_graph
 from jrdb_avr.agent.beliefs.solver import NEAR_FRAMES
 from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, stitched_evidence
 from jrdb_avr.agent.model import decode
@@ -92,7 +93,7 @@ class GraphMemory:
             self.heading,
             *(pictures if self.fixed else []),
             f"Plan: {canonical(self.plan)}",
-            f"Graph: {compact_json(self.world.graph(self._weighed()[1].missing))}",
+            f"Graph: {compact_json(shown_graph(self.world.rows(), self._weighed()[1].missing))}",
             turn.result_lines(),
             *([] if self.fixed else pictures),
             turn.state(),
@@ -162,8 +163,9 @@ class GraphMemory:
         belief = self._solved()
         if reason := self.solver.fault(self.plan, belief, self.proposed, self.entity):
             raise DecodeError(reason)
-        self.world.noted(FINAL, call.arguments, step, True)
-        return _parsed(self.proposed, belief, self._verdict(belief))
+        verdict = self._verdict(belief)
+        self.world.answered(call.arguments, step, verdict)
+        return _parsed(self.proposed, belief, verdict)
 
     def commit(self) -> ParsedReply:
         """Return the answer that counts where no final answer was taken; nothing where nobody is in the graph."""

@@ -11,6 +11,7 @@ from jrdb_avr.agent.methods.attempt import Attempt, heading, history_settings, s
 from jrdb_avr.agent.model.client import Chat
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention
 from jrdb_avr.agent.model.prompts import frame_ranges, mode_text, render
+from jrdb_avr.agent.reference.belief_writer import BeliefWriter
 from jrdb_avr.agent.reference.chat_memory import ChatMemory
 from jrdb_avr.agent.reference.driven import DrivenEpisode
 from jrdb_avr.agent.reference.episode import LIMITS, Episode, Limits, Memory
@@ -89,7 +90,9 @@ class ReferenceAgent:
         world = self.world.episode(attempt.task.question, attempt.task.record_write)
         with world.together():
             plan = make_plan(attempt, self.limits.repairs, find_believed, world)
-            return DrivenEpisode(attempt, plan, self.limits.looks, world).play()
+            solver = self.solving(self.world, attempt.task.question)
+            writer = BeliefWriter(world, solver, plan, attempt.task, {})
+            return DrivenEpisode(attempt, plan, self.limits.looks, writer).play()
 
     def _play(self, attempt: Attempt, memory: Memory) -> Prediction:
         episode = Episode(attempt, memory, self.looks, self.limits)

@@ -25,6 +25,7 @@ from jrdb_avr.schema.beliefs import (
     EntityRow,
     EpisodeRow,
     Fact,
+    HypothesisRow,
     ObservationRow,
     RelationRow,
     SightingRow,
@@ -66,6 +67,7 @@ class EpisodeRows:
         self.slots: dict[str, SlotRow] = {}
         self.observations: dict[str, ObservationRow] = {}
         self.entities: dict[str, EntityRow] = {}
+        self.hypotheses: dict[str, HypothesisRow] = {}
         self.edges: dict[int, Edge] = {}
         self.until: dict[int, int] = {}
 
@@ -76,11 +78,15 @@ class EpisodeRows:
         if number != self.written:
             raise self._broken(f"has no write {self.written}, or has it twice")
         self.written += 1
+        if number == 0 and (fact is None or fact.episode is None):
+            raise self._broken("does not begin as its own")
         if fact is None:
             return
         self.begun = fact.episode or self.begun
         for slot in fact.slots:
             self._add(self.slots, slot)
+        for hypothesis in fact.hypotheses:
+            self._add(self.hypotheses, hypothesis)
         if fact.observation is not None:
             self._add(self.observations, fact.observation)
         for freed in fact.freed:
@@ -103,7 +109,7 @@ class EpisodeRows:
                 raise self._broken(f"replaces write {replaced}, which made nothing")
             self.until[replaced] = step
 
-    def _add(self, rows: dict[str, Any], row: ObservationRow | EntityRow | SlotRow) -> None:
+    def _add(self, rows: dict[str, Any], row: ObservationRow | EntityRow | SlotRow | HypothesisRow) -> None:
         if row.id in rows:
             raise self._broken(f"makes {row.id[:80]!r} twice")
         rows[row.id] = row
@@ -122,6 +128,7 @@ class EpisodeRows:
             ("Observation", "Made", self.observations, (episode_hash(self.key),)),
             ("Entity", "Holds", self.entities, (episode_hash(self.key),)),
             ("Slot", "Asks", self.slots, ()),
+            ("Hypothesis", "Ranks", self.hypotheses, ()),
         )
         for node, edge, rows, hashed in nodes:
             for key, row in rows.items():
@@ -156,11 +163,14 @@ class EpisodeRows:
         if first == 0:
             yield read_statement("world/begin.cypher"), msgspec.structs.asdict(self.begun)
         elif any(fact.episode for fact in facts):
-            yield read_statement("world/plan.cypher"), {"id": self.key, "plan": self.begun.plan}
+            known = {"plan": self.begun.plan, "verdict": self.begun.verdict}
+            yield read_statement("world/episode.cypher"), {"id": self.key, **known}
         new = dict.fromkeys(fact.entity.id for fact in facts if fact.entity is not None)
         older = [fact.changed.id for fact in facts if fact.changed is not None]
         older += [key for fact in facts for key in fact.freed]
         yield from self._rows("slot", [msgspec.structs.asdict(slot) for fact in facts for slot in fact.slots])
+        ranked = [msgspec.structs.asdict(one) for fact in facts for one in fact.hypotheses]
+        yield from self._rows("hypothesis", ranked)
         looks = [fact.observation for fact in facts if fact.observation is not None]
         yield from self._rows("observation", [msgspec.structs.asdict(look) for look in looks])
         yield from self._rows("entity", [msgspec.structs.asdict(self.entities[key]) for key in new])

@@ -163,7 +163,7 @@ def drop_world(graph: Graph, run_id: str, questions: Sequence[str] | None = None
     """Take a run's episodes out of a graph: all, or those of some questions."""
     # An empty list is no parameter that the engine can bind.
     values = {"run": run_id, "whole": questions is None, "questions": list(questions or ("",))}
-    for what in ("writes", "entities", "observations", "slots", "episodes"):
+    for what in ("writes", "entities", "observations", "slots", "hypotheses", "episodes"):
         graph.execute(read_statement(f"record/drop_{what}.cypher"), values)
 
 

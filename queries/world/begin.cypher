@@ -1,2 +1,2 @@
 // An episode begins.
-CREATE (:Episode {id: $id, run: $run, question: $question, sequence: $sequence, plan: $plan})
+CREATE (:Episode {id: $id, run: $run, question: $question, sequence: $sequence, plan: $plan, verdict: $verdict})

@@ -6,4 +6,4 @@ WHERE n.number = r.source_number
 MATCH (o:Observation {episode_hash: UUID($hash)})
 WITH r, n, o
 WHERE o.number = r.target_number
-CREATE (n)-[:Has {episode: $episode, write: r.write, step: r.step, name: r.name, value: r.value, number: r.number, first: r.first, last: r.last, current: r.current, until: r.until, who: r.who}]->(o)
+CREATE (n)-[:Has {episode: $episode, write: r.write, step: r.step, votes: r.votes, against: r.against, origin: r.origin, name: r.name, value: r.value, number: r.number, first: r.first, last: r.last, current: r.current, until: r.until, who: r.who}]->(o)

@@ -6,4 +6,4 @@ WHERE n.number = r.source_number
 MATCH (m:Entity {episode_hash: UUID($hash)})
 WITH r, n, m
 WHERE m.number = r.target_number
-CREATE (n)-[:Related {episode: $episode, write: r.write, step: r.step, name: r.name, observation: r.observation, first: r.first, last: r.last, current: r.current, until: r.until, who: r.who, whom: r.whom}]->(m)
+CREATE (n)-[:Related {episode: $episode, write: r.write, step: r.step, votes: r.votes, against: r.against, origin: r.origin, name: r.name, observation: r.observation, first: r.first, last: r.last, current: r.current, until: r.until, who: r.who, whom: r.whom}]->(m)

@@ -6,4 +6,4 @@ WHERE n.number = r.source_number
 MATCH (o:Observation {episode_hash: UUID($hash)})
 WITH r, n, o
 WHERE o.number = r.target_number
-CREATE (n)-[:Sighted {episode: $episode, write: r.write, step: r.step, frame: r.frame, box: {x: r.x, y: r.y, w: r.w, h: r.h}, angle: r.angle, current: r.current, until: r.until, who: r.who}]->(o)
+CREATE (n)-[:Sighted {episode: $episode, write: r.write, step: r.step, votes: r.votes, against: r.against, origin: r.origin, frame: r.frame, box: {x: r.x, y: r.y, w: r.w, h: r.h}, angle: r.angle, current: r.current, until: r.until, who: r.who}]->(o)

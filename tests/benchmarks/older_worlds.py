@@ -17,6 +17,8 @@ from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.tables import RUNS
 
 PER_EPISODE = 10
+READ = (1, 0, "model")
+"""Votes for and against, and the origin."""
 
 
 def older_record(entities, run="older"):
@@ -32,19 +34,21 @@ def older_record(entities, run="older"):
 
 
 def _facts(key, run, question):
-    yield Fact(episode=EpisodeRow(key, run, question, "s", ""))
+    yield Fact(episode=EpisodeRow(key, run, question, "s", "", ""))
     seen = ObservationRow(f"{key}/o1", key, 1, 1, 15, 180.0, 1640, 480)
     yield Fact(observation=seen)
     number, before = 2, ""
     for n in range(PER_EPISODE):
         entity = EntityRow(f"{key}/p{n}", key, f"p{n}", n + 1, "person", "", number)
-        sighted = SightingRow(entity.id, seen.id, key, number, number, 15, Box(1.0, 2.0, 3.0, 4.0), 180.0)
+        sighted = SightingRow(entity.id, seen.id, key, number, number, *READ, 15, Box(1.0, 2.0, 3.0, 4.0), 180.0)
         yield Fact(entity=entity, sighted=sighted)
         number += 1
         for name, value in (("gender", "female"), ("action", "sitting"), ("sector", "front")):
-            yield Fact(has=AttributeRow(entity.id, seen.id, key, number, number, name, value, 0.0, 15, 15))
+            yield Fact(has=AttributeRow(entity.id, seen.id, key, number, number, *READ, name, value, 0.0, 15, 15))
             number += 1
         if before:
-            yield Fact(related=RelationRow(entity.id, before, key, number, number, "conversation", seen.id, 15, 15))
+            yield Fact(
+                related=RelationRow(entity.id, before, key, number, number, *READ, "conversation", seen.id, 15, 15)
+            )
             number += 1
         before = entity.id

@@ -280,4 +280,4 @@ def test_check_world_names_what_is_there():
         "sighted",
         "observation",
     }
-    assert len(WORLD_NODES) + len(WORLD_RELS) == 12
+    assert len(WORLD_NODES) + len(WORLD_RELS) == 14

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from belief_runs import ASKED
 from believing import BELIEF_QUERIES, Believer
+from world_play import PLAN, begin, join, seen_twice
 
 from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.engine.run import answering
@@ -192,6 +193,74 @@ def test_what_was_unresolved_at_a_step(world, step):
         found += len(slots) - len(expected)
         assert [row[0] for row in ask(graph, "unresolved_at_step", run=run, question=question, step=step)] == expected
     assert step < 20 or found > 3
+
+
+def test_which_beliefs_bear_on_the_plan(world):
+    graph, record = world
+    found = Counter()
+    for (run, question), rows in record.items():
+        expected = []
+        for slot in (slot for _, fact in facts(rows) for slot in fact.get("slots", ())):
+            kind = {"condition": "has", "edge": "related"}.get(slot["kind"])
+            for e, until in edges(rows, kind) if kind else ():
+                alike = e["name"] == slot["name"] and (kind == "related" or e["value"] == slot["value"])
+                there = slot["frame"] < 0 or e["first"] <= slot["frame"] <= e["last"]
+                if until is None and alike and there:
+                    ends = (short(e["source"]), short(e["target"]) if kind == "related" else "")
+                    frame = None if e["last"] == ALWAYS else e["first"]
+                    part = tuple(slot[name] for name in ("number", "node", "other", "name", "value"))
+                    expected.append((*part, *ends, frame, e["votes"], e["against"], e["origin"]))
+                    found[kind] += 1
+        assert Counter(ask(graph, "belief_plan", run=run, question=question)) == Counter(expected)
+    assert found["has"] > 2
+
+
+def test_a_relation_bears_on_the_plan():
+    with WorldGraph.memory() as graph:
+        episode, _ = begin(graph, 5)
+        episode.plan(PLAN, 0)
+        seen_twice(episode, 15, 30)
+        assert join(episode, "conversation", "p2", "p1").accepted and join(episode, "hugging").accepted
+        assert join(episode, "conversation", "p1", "p2", "o2").accepted
+        (row,) = ask(graph, "belief_plan", run="run", question=f"{5:016x}")
+        assert row[1:] == ("a", "b", "conversation", "", "p2", "p1", 15, 1, 0, "model")
+
+
+def test_who_the_plans_people_may_be(world):
+    graph, record = world
+    some = 0
+    for (run, question), rows in record.items():
+        verdict = next((fact["episode"]["verdict"] for _, fact in reversed(facts(rows)) if "episode" in fact), "")
+        held = [(e, until) for e, until in edges(rows, "sighted") if until is None]
+        expected = []
+        for h in (h for _, fact in facts(rows) for h in fact.get("hypotheses", ())):
+            for e, _ in held:
+                if (short(e["source"]), e["frame"]) == (h["entity"], h["frame"]):
+                    said = (h["rank"], h["entity"], h["nodes"], round(h["log_odds"], 2), h["answer"])
+                    box = tuple(round(side, 1) for side in e["box"])
+                    expected.append((*said, verdict if h["rank"] == 1 else "", h["step"], 15, *box, e["votes"]))
+        some += len(expected)
+        listed = ask(graph, "belief_hypotheses", run=run, question=question)
+        assert [row[:8] for row in listed] == [row[:8] for row in expected]
+        for row, wanted in zip(listed, expected, strict=True):
+            assert row[8:] == pytest.approx(wanted[8:], abs=0.051)
+    assert some > 5
+
+
+def test_what_was_read_of_somebody(world):
+    graph, record = world
+    for (run, question), rows in record.items():
+        for who in entities(rows):
+            expected = [
+                (
+                    *(None if e["last"] == ALWAYS else e["first"], e["write"], int(short(e["target"])[1:])),
+                    *(e[name] for name in ("votes", "against", "name", "value", "origin")),
+                    until is None,
+                )
+                for e, until in edges(rows, "has")
+                if short(e["source"]) == who
+            ]
+            assert Counter(ask(graph, "belief_votes", run=run, question=question, entity=who)) == Counter(expected)
 
 
 def test_where_two_runs_differ(world):

@@ -2,7 +2,7 @@
 
 import random
 
-from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS
+from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS, HypothesisRow
 from jrdb_avr.schema.method import Observation, Panorama, Prediction
 from jrdb_avr.schema.panorama import FOV_DEG, Box, crop_left
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
@@ -18,6 +18,7 @@ PLAN = Plan(
 BELIEF_QUERIES = {
     *("world_runs", "writes", "refused_writes", "looks", "seen_when"),
     *("beliefs_at_step", "unresolved_at_step", "belief_differences"),
+    *("belief_plan", "belief_hypotheses", "belief_votes"),
 }
 """The kept queries that ask the world tables."""
 
@@ -81,7 +82,16 @@ class Believer:
                 episode.add(tool, rng.choice(WILD), step, Box(0, 0, 5, 5))
             else:
                 episode.noted("get_graph", {}, step, True)
-        episode.noted("final_answer", {"answer": 1, "entity": "p1"}, self.turns, rng.random() < 0.5, "not yet")
+        said = {"answer": 1, "entity": "p1"}
+        if rng.random() < 0.5:
+            episode.noted("final_answer", said, self.turns, False, "not yet")
+        else:
+            likely = list(enumerate(dict.fromkeys(people), 1))
+            ranked = [
+                HypothesisRow(f"{episode.key}/h{n}", episode.key, self.turns, n, who, f"b={who}", -n / 3, "{}", 15)
+                for n, who in likely
+            ]
+            episode.answered(said, self.turns, "supported", ranked)
         return Prediction("invalid")
 
 

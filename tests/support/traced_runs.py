@@ -20,12 +20,16 @@ def entity(name, number, step, node=""):
     return EntityRow(f"e/{name}", "e", name, number, "person", node, step)
 
 
+READ = (1, 0, "model")
+"""Votes for and against, and the origin."""
+
+
 def sighted(name, write, step, frame, x):
-    return SightingRow(f"e/{name}", "e/o1", "e", write, step, frame, Box(x, 200.0, 40.0, 90.0), x / 3760 * 360)
+    return SightingRow(f"e/{name}", "e/o1", "e", write, step, *READ, frame, Box(x, 200.0, 40.0, 90.0), x / 3760 * 360)
 
 
 def has(name, write, step, value, frame):
-    return AttributeRow(f"e/{name}", "e/o1", "e", write, step, "action", value, 0.0, frame, frame)
+    return AttributeRow(f"e/{name}", "e/o1", "e", write, step, *READ, "action", value, 0.0, frame, frame)
 
 
 def world_rows(frame):
@@ -40,7 +44,7 @@ def world_rows(frame):
             5,
             "add_relation",
             "",
-            Fact(related=RelationRow("e/p1", f"e/{HOSTILE}", "e", 5, 5, "conversation", "o1", frame, frame)),
+            Fact(related=RelationRow("e/p1", f"e/{HOSTILE}", "e", 5, 5, *READ, "conversation", "o1", frame, frame)),
         ),
     ]
     return [

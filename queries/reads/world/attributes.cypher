@@ -1,5 +1,5 @@
 // What is believed of somebody, at the frames at which it holds.
-MATCH (:Episode {id: $scope})-[:Holds]->(n:Entity)-[h:Has]->(:Observation)
+MATCH (:Episode {id: $scope})-[:Holds]->(n:Entity)-[h:Has]->(o:Observation)
 RETURN n.name AS who, h.name AS name, h.value AS value, h.number AS number, h.first AS first, h.last AS last,
-       h.current AS current
+       o.number AS look, h.write AS written, h.current AS current
 ORDER BY first, who, name, value

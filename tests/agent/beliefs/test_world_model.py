@@ -27,6 +27,7 @@ from world_play import (
     whole,
 )
 
+from jrdb_avr.agent.beliefs.display import shown_graph
 from jrdb_avr.agent.beliefs.world_model import MOST_ENTITIES, MOST_WRITES
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.schema.labels import POSES
@@ -111,7 +112,7 @@ def test_boxes_are_put_into_the_panorama(graph, episode):
     assert plain["box"]["x"] == 3750.0 and plain["angle"] == pytest.approx(3755 / 3760 * 360)
     first, second = sorted(rows_of(graph, "Observation", belongs(episode.key)), key=lambda row: row["number"])
     assert (first["left"], first["width"]) == (3520, 480) and (second["left"], second["width"]) == (0, 3760)
-    assert episode.graph()["observations"] == [
+    assert shown_graph(episode.rows())["observations"] == [
         {"observation": "o1", "frame_id": "000000", "angle_deg": 0.0},
         {"observation": "o2", "frame_id": "000015", "panorama": True},
     ]
@@ -141,7 +142,7 @@ def test_a_later_claim_takes_a_node(graph, episode):
         assert add(episode, name, node=node).accepted
     people = {row["name"]: row["node"] for row in rows_of(graph, "Entity", belongs(episode.key))}
     assert people == {"p1": "", "p2": "a"}
-    assert [entity.get("node") for entity in episode.graph()["entities"]] == [None, "a"]
+    assert [entity.get("node") for entity in shown_graph(episode.rows())["entities"]] == [None, "a"]
 
 
 def test_gender_holds_always_and_poses_at_their_frame(graph, episode):
@@ -157,7 +158,7 @@ def test_gender_holds_always_and_poses_at_their_frame(graph, episode):
         ("distance_m", 3, "o1"),
     ):
         assert say(episode, name, value, observation=observation).accepted
-    shown = episode.graph()["entities"][0]["attributes"]
+    shown = shown_graph(episode.rows())["entities"][0]["attributes"]
     assert shown == [
         {"name": "gender", "value": "female", "observation": "o2"},
         {"name": "action", "value": "reading", "frame_id": "000015", "observation": "o1"},
@@ -179,7 +180,7 @@ def test_a_relation_that_holds_shift_frames_is_one(graph, episode):
         ("p1", FIRST_LEFT, "p3"),
     ):
         assert join(episode, name, source, target).accepted
-    shown = [(r["source"], r["name"], r["target"]) for r in episode.graph()["relations"]]
+    shown = [(r["source"], r["name"], r["target"]) for r in shown_graph(episode.rows())["relations"]]
     assert shown == [("p2", "conversation", "p1"), ("p2", FIRST_LEFT, "p1"), ("p1", FIRST_LEFT, "p3")]
 
 
@@ -218,7 +219,7 @@ def test_an_interrupted_try_is_taken_away(graph):
     assert {table: len(rows) for table, rows in tables.items() if rows} == {"Episode": 1, "Write": 1, "Wrote": 1}
     assert tables == replay(writes, second.key)
     assert tables_of(graph, lambda row: not belongs(first.key)(row)) == others
-    assert second.graph() == {"observations": [], "entities": [], "relations": [], "missing": []}
+    assert shown_graph(second.rows()) == {"observations": [], "entities": [], "relations": [], "missing": []}
 
 
 def test_long_and_unreadable_arguments_are_kept_as_texts(episode):

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from world_calls import calls_of, play
 from world_play import PLAN, add, begin, belongs, look, replay, rows_of, say, tables_of
 
+from jrdb_avr.agent.beliefs.display import shown_graph
 from jrdb_avr.agent.beliefs.world_model import MOST_WAITING
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.statements import read_statement
@@ -32,11 +33,18 @@ def test_an_episode_believes_what_its_tables_say(graph, seed):
         turn, calls = calls[: (most := rng.randrange(1, 20))], calls[most:]
         with episode.together():
             play(episode, turn)
-    for name, rows in episode.rows().items():
+    told, held = episode.rows(), {}
+    for name, rows in told.items():
         found = graph.query(read_statement(f"reads/world/{name}.cypher"), {"scope": episode.key}).to_pylist()
-        held = [{key: row[key] for key in row if key != "current"} for row in found if row.get("current", True)]
-        assert sorted(map(repr, held)) == sorted(map(repr, ({k: row[k] for k in held[0]} for row in rows)))
+        held[name] = [{key: row[key] for key in row if key != "current"} for row in found if row.get("current", True)]
+        assert all(row.keys() == held[name][0].keys() for row in rows)
+        assert sorted(map(sorted_repr, held[name])) == sorted(map(sorted_repr, rows))
+    assert shown_graph(held) == shown_graph(told)
     assert tables_of(graph, belongs(episode.key)) == replay(writes, episode.key)
+
+
+def sorted_repr(row):
+    return repr(sorted(row.items()))
 
 
 def test_writes_together_are_made_together(graph):

@@ -1,0 +1,13 @@
+// Which current beliefs of one question bear on which parts of its plan: of whom, and how many votes are for and against.
+// A relation is listed as it is believed, also where it holds both ways. A belief at no one frame (null) holds at any.
+// param run: text
+// param question: text
+MATCH (e:Episode)-[:Asks]->(s:Slot), (e)-[:Holds]->(n:Entity)-[r:Has|Related]->(m:Observation:Entity)
+WHERE e.id = concat($run, '/', $question) AND r.current AND r.name = s.name
+  AND ((s.kind = 'condition' AND label(r) = 'Has' AND r.value = s.value) OR (s.kind = 'edge' AND label(r) = 'Related'))
+  AND (s.frame < 0 OR (r.first <= s.frame AND s.frame <= r.last))
+RETURN s.number AS part, s.node AS node, s.other AS other, s.name AS name, s.value AS value,
+       n.name AS entity, CASE label(r) WHEN 'Related' THEN m.name ELSE '' END AS other_entity,
+       CASE WHEN r.last >= 10000000 THEN NULL ELSE r.first END AS frame, r.votes AS votes, r.against AS against,
+       r.origin AS origin
+ORDER BY part, frame, votes, against, entity, other_entity, node, other, name, value, origin;

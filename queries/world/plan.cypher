@@ -1,3 +1,0 @@
-// The plan of an episode.
-MATCH (e:Episode {id: $id})
-SET e.plan = $plan
