@@ -128,11 +128,11 @@ class Perception:
 
     def _box(self, picture: PictureMarks, reading: Reading) -> Box:
         """The box with its sides moved; a whole one stays inside the picture."""
-        scale, box = self.knobs.jitter, reading.box
-        if not scale:
+        scale, coarse, box = self.knobs.jitter, self.knobs.coarse / 1000, reading.box
+        if not scale and not coarse:
             return box
         draws = self._draws(picture, reading.mark.identity)
-        across, down = scale * box.w, scale * box.h
+        across, down = (scale * side + coarse * whole for side, whole in zip(box[2:], picture.size, strict=True))
         left, right = (edge + across * _heavy_tailed(draws, side) for side, edge in enumerate((box.x, box.x + box.w)))
         top, bottom = (edge + down * _heavy_tailed(draws, side) for side, edge in enumerate((box.y, box.y + box.h), 2))
         if box.x >= 0 and box.x + box.w <= picture.size[0]:

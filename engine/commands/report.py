@@ -103,6 +103,11 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
         else:
             _print_table(name, found.table(name), title)
     note(f"percent of n; evidence scores from IoU {iou:g} on; [95 % interval]; n/a: no answer scored")
+    if paper and "ablation" in names:
+        from jrdb_avr.engine.report.directions import direction_lines
+
+        for line in direction_lines(found.table("ablation")):
+            note(line)
     if found.synthetic:
         note("synthetic: the simulated model or the sample world, no result about JRDB")
 

@@ -149,19 +149,31 @@ def _shares(n: int, answer: int, evidence: int, combined: int, invalid: int) -> 
 
 
 def ablation_rows(runs: Sequence[ScoredRun], *, published: bool = False) -> list[Row]:
-    """The four cells, active observation by world model, of every model that ran one of them."""
-    settings = distinguishing_settings(runs)
+    """The cells, active observation by world model by policy, of every model that ran one of them."""
     places = list(_CELLS)
     among = [run for run in runs if run.manifest.method in places]
-    # The cells of a model stand together, and of those the ones of one setting.
-    among.sort(key=lambda run: (run.manifest.model, settings[run.manifest.run_id], places.index(run.manifest.method)))
-    rows: list[Row] = []
-    for run in among:
-        own = {"setting": settings[run.manifest.run_id]}
-        rows.append(_CELLS[run.manifest.method] | _head(run) | own | _shares(*_totals(run)))
+    settings: dict[str, str] = {}
+    for policy in {_policy(run) for run in among}:
+        # A policy brings settings of its own, which tell no more than its column does.
+        settings |= distinguishing_settings([run for run in among if _policy(run) == policy])
+    rows = [
+        _CELLS[run.manifest.method]
+        | {"policy": _policy(run)}
+        | _head(run)
+        | {"setting": settings[run.manifest.run_id]}
+        | _shares(*_totals(run))
+        for run in among
+    ]
+    # The cells of a model stand together, and of those the ones of one setting, the passive ones first.
+    rows.sort(key=lambda row: (row["model"], row["setting"], places.index(row["method"]), row["policy"]))
     if published:
-        rows += [cell | _published(ABLATION[method]) for method, cell in _CELLS.items()]
+        rows += [cell | {"policy": "model"} | _published(ABLATION[method]) for method, cell in _CELLS.items()]
     return rows
+
+
+def _policy(run: ScoredRun) -> str:
+    """Who chose the looks of an agent's run."""
+    return str(run.manifest.settings.get("method", {}).get("policy", "model"))
 
 
 # -- pairs ------------------------------------------------------------------------------------------------------------

@@ -37,8 +37,10 @@ from agent_bounds import (
 )
 
 import jrdb_avr
-from jrdb_avr.agent.simulated.knobs import Knobs
+from jrdb_avr.agent.simulated.knobs import PROFILES, Knobs
 from jrdb_avr.engine.generate.run import generate
+from jrdb_avr.engine.report.comparison import report
+from jrdb_avr.engine.report.directions import direction_lines
 from jrdb_avr.engine.report.scoring import read_truth, score_run
 from jrdb_avr.engine.run.evaluate import evaluate
 from jrdb_avr.loaders.load import load
@@ -64,6 +66,7 @@ SETTINGS: Final = {
     "noise-0.2": noise(0.2),
     "correlated": noise(0.1, correlated=0.6),
     "ids-off": noise(0.1, ids=False),
+    "small-vlm": PROFILES["small-vlm"],
 }
 
 SMALL, FULL = (300, 14, 2), (600, 18, 3)
@@ -273,6 +276,11 @@ def main() -> None:
     print_figures(measured)
     print("\nPaired differences in points with 95 % intervals, and the bounds")
     print_bounds(measured)
+    for store in {run.store for run in runs if run.setting == "small-vlm"}:
+        found = report(Store(store), [run.run_id for run in runs if run.store == store and run.setting == "small-vlm"])
+        print(f"\nsmall-vlm (synthetic), {store.name}: active, world model and policy beside the paper's ablation")
+        for line in direction_lines(found.table("ablation")):
+            print(line)
 
 
 if __name__ == "__main__":

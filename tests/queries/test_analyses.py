@@ -209,7 +209,10 @@ def test_hallucination(world):
 
 def test_ablation(world):
     own = by_run(world[3])
-    heads = {"one": {"active": "on", "world_model": "on"}, "two": {"active": "off", "world_model": "on"}}
+    heads = {
+        "one": {"active": "on", "world_model": "on", "policy": "model"},
+        "two": {"active": "off", "world_model": "on", "policy": "model"},
+    }
     assert ask(world, "ablation") == [
         heads[run] | {"run_id": run, "model": "m", "label": ""} | shares(own[run]) for run in ("two", "one")
     ]

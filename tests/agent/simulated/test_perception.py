@@ -285,6 +285,15 @@ def test_of_one_message_that_names_the_newest_each_picture_was_a_turn():
     assert ages([line(0), line(1), line(2)], last="Newest picture: 3") == [2, 1, 0]
 
 
+def test_coarse_boxes_err_more_in_a_larger_picture():
+    def error(scale, size):
+        boxes = [seen(Knobs(coarse=scale), picture(n, (HER, BOX), size=size))[0].box for n in range(N)]
+        return float(np.median([abs(box.w - BOX.w) for box in boxes]))
+
+    assert 0 < 1.5 * error(2.0, (480, 480)) < error(2.0, (1920, 480))
+    assert error(4.0, (480, 480)) == pytest.approx(2 * error(2.0, (480, 480)), rel=0.1)
+
+
 def test_a_picture_that_is_sent_no_more_shows_nobody():
     """Its line alone is a look all the same, and nothing is seen there that is not."""
     parts = [MessagePart(HEADING), *map(MessagePart, (line(0), line(5))), grey(), MessagePart(STAGE)]
