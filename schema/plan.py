@@ -1,9 +1,9 @@
-"""The graph plan: a question's program, as a small typed pattern over people, relations and times.
+"""The graph plan: a question's program, as a small typed pattern over people, things, relations and times.
 
-One schema for the gold program of every question and for what an agent plans. Nodes are people; conditions and edges
-hold at named times; a time is a stated frame or an event found in the data; the answer says what is read, of whom and
-when. `parse_plan` and `validate` refuse what cannot be run, naming the field; `canonical` is the byte-stable text that
-is hashed and stored.
+One schema for the gold program of every question and for what an agent plans. Nodes are people, or things that people
+have to do with; conditions and edges hold at named times; a time is a stated frame or an event found in the data; the
+answer says what is read, of whom and when. `parse_plan` and `validate` refuse what cannot be run, naming the field;
+`canonical` is the byte-stable text that is hashed and stored.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from jrdb_avr.schema.answers import AnswerMode
 from jrdb_avr.schema.beliefs import TIMELESS, free_value
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.labels import POSES
-from jrdb_avr.schema.plan_hints import hint, hint_for
+from jrdb_avr.schema.plan_hints import FREE, hint, hint_for
 
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern="^[a-z][a-z0-9_]*$")]
 Label = Annotated[str, msgspec.Meta(min_length=1, max_length=120)]
@@ -127,20 +127,35 @@ class Condition(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_
         return "interaction", self.interaction or ""
 
 
+PERSON: Final = "person"
+
+
 class Node(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A person of the pattern. All nodes of a plan are different people."""
+    """A person of the pattern, or a thing of a `kind` (its category). All nodes of a plan are different ones.
+
+    The conditions of a thing are free attributes.
+    """
 
     id: Name
     conditions: Annotated[tuple[Condition, ...], msgspec.Meta(max_length=8)] = ()
+    kind: Label | msgspec.UnsetType = msgspec.UNSET
 
 
 class Edge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A relation from `source` to `target` at a time."""
+    """A relation from `source` to `target` at a time.
+
+    To a thing it is what the person does with it (a verb), a window of the robot's view, or free words, as "next to".
+    """
 
     source: Name
     relation: Label
     target: Name
     at: Name
+
+    @property
+    def wanted(self) -> str:
+        """The name of the relation that fulfils it, as an agent writes it."""
+        return free_value(self.relation)
 
 
 class AnswerSpec(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
@@ -172,6 +187,19 @@ class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     nodes: Annotated[tuple[Node, ...], msgspec.Meta(min_length=1, max_length=16)]
     edges: Annotated[tuple[Edge, ...], msgspec.Meta(max_length=32)]
     answer: AnswerSpec
+
+    @property
+    def things(self) -> dict[str, str]:
+        """The nodes that are things, each with its kind."""
+        return {node.id: node.kind for node in self.nodes if node.kind and node.kind != PERSON}
+
+    @property
+    def ways(self) -> list[tuple[str, str]]:
+        """From which node to which edges lead: from source to target, and from a thing back as well."""
+        things = self.things
+        return [(e.source, e.target) for e in self.edges] + [
+            (e.target, e.source) for e in self.edges if e.target in things
+        ]
 
 
 # Made at import: threads that meet a type first at the same time crash the decoder.
@@ -224,16 +252,22 @@ def validate(plan: Plan) -> None:
             raise PlanError(f"nodes[{position}].id", f"{identifier!r} is used twice")
     for name, value in (("root", plan.root), ("target", plan.target)):
         _known(name, value, ids, "node")
+    if plan.target in plan.things:
+        raise PlanError("target", f"{plan.target!r} is a thing, and answers are about people")
     _check_times(plan, ids)
     for i, node in enumerate(plan.nodes):
         for j, condition in enumerate(node.conditions):
             _check_condition(f"nodes[{i}].conditions[{j}]", condition, plan)
+            if node.id in plan.things and condition.kind != "free":
+                raise PlanError(f"nodes[{i}].conditions[{j}]", f"is said of people; of a thing use {FREE}")
     for i, edge in enumerate(plan.edges):
         _known(f"edges[{i}].source", edge.source, ids, "node")
         _known(f"edges[{i}].target", edge.target, ids, "node")
         _known(f"edges[{i}].at", edge.at, list(plan.times), "time")
         if edge.source == edge.target:
             raise PlanError(f"edges[{i}].target", "an edge joins two different nodes")
+        if edge.source in plan.things:
+            raise PlanError(f"edges[{i}].source", f"{edge.source!r} is a thing; use an edge from the person to it")
     _check_reach(plan)
     _check_answer(plan, ids)
 
@@ -257,7 +291,7 @@ def _check_times(plan: Plan, ids: list[str]) -> None:
             continue
         if time.of is None or time.after is None:
             raise PlanError(field, "an event needs 'of' and 'after'")
-        _known(f"{field}.of", time.of, ids, "node")
+        _known(f"{field}.of", time.of, [name for name in ids if name not in plan.things], "person")
         _known(f"{field}.after", time.after, list(plan.times), "time")
         unnamed = time.event == "end" and plan.answer.read == "next_action" and name in plan.answer.times
         if time.action is None and time.event in ("start", "end") and not unnamed:
@@ -305,7 +339,7 @@ def _check_attribute(field: str, name: str | None) -> None:
 def _check_reach(plan: Plan) -> None:
     reached = {plan.root}
     for _ in plan.nodes:
-        reached |= {edge.target for edge in plan.edges if edge.source in reached}
+        reached |= {target for source, target in plan.ways if source in reached}
     for i, node in enumerate(plan.nodes):
         if node.id not in reached:
             field = "target" if node.id == plan.target else f"nodes[{i}].id"
@@ -314,7 +348,7 @@ def _check_reach(plan: Plan) -> None:
 
 def _check_answer(plan: Plan, ids: list[str]) -> None:
     answer = plan.answer
-    _known("answer.of", answer.of, ids, "node")
+    _known("answer.of", answer.of, [name for name in ids if name not in plan.things], "person")
     times = plan.answer.times
     for name in times:
         _known("answer.at", name, list(plan.times), "time")

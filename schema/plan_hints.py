@@ -11,10 +11,13 @@ Place = Literal["attribute", "relation", "read", "event", "key"]
 _ACTION: Final = '{"action": "sitting", "at": "t0"}'
 _THING: Final = '{"object": "bag", "verb": "holding", "at": "t0"}'
 _WITH: Final = '{"interaction": "conversation", "at": "t0"} for anybody, an edge for one person'
-_BESIDE: Final = '"first to the left of (robot view)", or the target\'s place seen from the source, as "left, close"'
+_BESIDE: Final = (
+    '"first to the left of (robot view)", or the target\'s place seen from the source, as "left, close"; free words '
+    'only to a thing, a node with "kind": "table"'
+)
 _SIDE: Final = '"first to the {side} of (robot view)" or "within 30 degrees to the {side} of (robot view)"'
 _SECTOR: Final = '"sector" for the side of the robot, "distance" for how far away'
-_FREE: Final = '{"attribute": "shirt", "value": "red", "at": "t0"} for what has no labels'
+FREE: Final = '{"attribute": "shirt", "value": "red", "at": "t0"} for what has no labels'
 
 _INSTEAD: Final[dict[Place, dict[str, str]]] = {
     "attribute": {
@@ -60,10 +63,11 @@ _INSTEAD: Final[dict[Place, dict[str, str]]] = {
         **dict.fromkeys(("disappears", "exits", "leave"), '"leaves"'),
     },
     "key": {
-        **dict.fromkeys(("color", "colour", "clothing", "hair", "name"), _FREE),
+        **dict.fromkeys(("color", "colour", "clothing", "hair", "name"), FREE),
         **dict.fromkeys(("gender", "age", "sector", "distance", "group_size"), '"attribute" and "value"'),
         **dict.fromkeys(("relation", "relations"), '"edges"'),
         **dict.fromkeys(("frame", "time", "when"), '"at" with the name of a time'),
+        **dict.fromkeys(("category", "type"), '"kind"'),
         **dict.fromkeys(("negated", "negation", "not"), "only what is so: a plan denies nothing"),
         **dict.fromkeys(("or", "any_of", "either"), "one value: a plan has no alternatives"),
     },

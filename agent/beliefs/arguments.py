@@ -41,7 +41,7 @@ _NAME: Final = re.compile(r"[A-Za-z0-9_ ]{1,40}")
 def read_entity(arguments: object) -> tuple[str, str, str, str]:
     """Read `add_entity` but for its box: id, kind, node ("" where there is none), observation. Raises DecodeError."""
     part = _part(arguments, ("id", "kind", "observation", "box"), ("node",))
-    entity, kind = _id(part["id"], "id"), _name(part["kind"], "kind")
+    entity, kind = _id(part["id"], "id"), _kind(part["kind"])
     node = "" if part.get("node") is None else _text(part["node"], "node")
     return entity, kind, node, _text(part["observation"], "observation")
 
@@ -79,7 +79,7 @@ def read_relation(arguments: object) -> tuple[str, str, str, str]:
     if source == target:
         raise DecodeError("a relation joins two different entities")
     name = _text(part["name"], "name")
-    return source, _RELATIONS.get(plain(name), name), target, _text(part["observation"], "observation")
+    return source, _RELATIONS.get(plain(name)) or free_value(name), target, _text(part["observation"], "observation")
 
 
 def as_json(arguments: object) -> str:
@@ -121,7 +121,7 @@ _WORDS: Final[dict[str, tuple[Callable[[str], str], tuple[str, ...]]]] = {
 NUMBERS: Final = {"group_size": (1.0, 1000.0, True), "distance_m": (0.0, 1000.0, False)}
 """Attributes whose value is a number: least, most, and whether it is a whole one."""
 
-_RELATIONS: Final = {plain(label): label for label in RELATIONS}
+_RELATIONS: Final = {plain(label): label for label in (*VERBS, *RELATIONS)}
 
 
 def _part(arguments: object, required: Collection[str], optional: Collection[str] = ()) -> Mapping[str, Any]:
@@ -141,6 +141,12 @@ def _name(value: object, what: str) -> str:
     if not name:
         raise DecodeError(f"{what} must be 1 to 40 letters, digits, blanks and '_'")
     return name
+
+
+def _kind(value: object) -> str:
+    """The kind of an entity; a thing's in the vocabulary's spelling."""
+    category = normal_category(value) if isinstance(value, str) else ""
+    return category if category in OBJECTS else _name(value, "kind")
 
 
 def _text(value: object, what: str) -> str:

@@ -6,7 +6,7 @@ What was not written down is unknown, and what is unknown is no match.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from typing import Any, Final, NamedTuple
 
@@ -48,6 +48,7 @@ class PlanMatch:
     def __init__(self, reader: BeliefReader, plan: Plan) -> None:
         """Match the parts of a plan with an episode's rows. Raises PlanError where a part holds at no stated frame."""
         seen = reader.all("sighted")
+        kinds = {row["who"]: row["kind"] for row in reader.all("entities")} if plan.things else {}
         self.plan = plan
         self.own: dict[str, list[_Part]] = {}
 
@@ -58,12 +59,21 @@ class PlanMatch:
         def joined(relation: str, frame: int) -> frozenset[tuple[str, str]]:
             return frozenset((row["source"], row["target"]) for row in held("relations", frame, name=relation))
 
+        def part(nodes: tuple[str, ...], fits: Iterable[tuple[str, ...]], lack: str, counts: bool = True) -> _Part:
+            may = (fit for fit in fits if all(may_be(node, who) for node, who in zip(nodes, fit, strict=True)))
+            return _Part(nodes, frozenset(may), lack, counts)
+
+        def may_be(node: str, who: str) -> bool:
+            """Whether an entity is a thing of the node's kind, or for a person no thing of the plan's kinds."""
+            kind = kinds.get(who)
+            return kind == plan.things[node] if node in plan.things else kind not in plan.things.values()
+
         for node in plan.nodes:
             times, parts = times_of(plan, node.id), self.own.setdefault(node.id, [])
             for time in times:
                 frame = stated_frame(plan, time)
-                there = frozenset((row["who"],) for row in seen if row["frame"] == frame)
-                parts.append(_Part((node.id,), there, f"not seen at frame {frame:06d}", counts=False))
+                there = ((row["who"],) for row in seen if row["frame"] == frame)
+                parts.append(part((node.id,), there, f"not seen at frame {frame:06d}", counts=False))
             for condition in node.conditions:
                 frame = stated_frame(plan, condition.at or times[0])
                 name, value = condition.wanted
@@ -71,16 +81,16 @@ class PlanMatch:
                 if condition.interaction is not None:
                     who.update((end,) for pair in joined(value, frame) for end in pair)
                 when = "" if condition.at is None else f" at frame {frame:06d}"
-                parts.append(_Part((node.id,), frozenset(who), f"{name} {value} is not known{when}"))
+                parts.append(part((node.id,), who, f"{name} {value} is not known{when}"))
         self.edges = []
         for edge in plan.edges:
             frame = stated_frame(plan, edge.at)
-            found = joined(edge.relation, frame)
+            found = joined(edge.wanted, frame)
             fits = found | {(b, a) for a, b in found} if edge.relation in SYMMETRIC else found
             self.edges.append(
-                _Part((edge.source, edge.target), fits, f"{edge.relation} is not known at frame {frame:06d}")
+                part((edge.source, edge.target), fits, f"{edge.relation} is not known at frame {frame:06d}")
             )
-        self.people = tuple(sorted({row["who"] for row in seen}))
+        self.people = tuple(sorted({row["who"] for row in seen if may_be(plan.target, row["who"])}))
 
     @cached_property
     def bindings(self) -> list[dict[str, str]] | None:

@@ -13,6 +13,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, NamedTuple
 
+import msgspec
+
 from jrdb_avr.agent.methods.attempt import Attempt
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.conventions import Convention
@@ -26,9 +28,9 @@ from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.labels import AGES, GENDERS, INTERACTIONS, OTHER_ACTIONS, POSES
 from jrdb_avr.schema.method import Observation
 from jrdb_avr.schema.panorama import CROP, from_crop
-from jrdb_avr.schema.plan import ATTRIBUTES, Plan, canonical
-from jrdb_avr.schema.relations import QUESTION_RELATIONS, SAME_GROUP
-from jrdb_avr.schema.things import OBJECTS
+from jrdb_avr.schema.plan import ATTRIBUTES, Condition, Edge, Node, Plan, canonical
+from jrdb_avr.schema.relations import QUESTION_RELATIONS, RELATIONS, SAME_GROUP
+from jrdb_avr.schema.things import OBJECTS, VERBS
 
 MOST_PEOPLE: Final = 10
 """People of one reply."""
@@ -82,6 +84,31 @@ class Field(NamedTuple):
         if self.kind == "words":
             return {"type": "string", "minLength": 1, "maxLength": _LONGEST_WORDS}
         return {"type": "string", "enum": list(self.words)}
+
+
+def without_things(plan: Plan) -> Plan:
+    """A plan of the people alone, as boxes are read of people only: what joins somebody to a thing is a condition.
+
+    That two people have to do with one and the same thing is left out, and so is where a thing is seen by the robot.
+    """
+    things = plan.things
+    if not things:
+        return plan
+    people = [node for node in plan.nodes if node.id not in things]
+    joins = [edge for edge in plan.edges if edge.target in things and edge.relation not in RELATIONS]
+    nodes = tuple(
+        Node(node.id, (*node.conditions, *(_of_thing(e, things[e.target]) for e in joins if e.source == node.id)))
+        for node in people
+    )
+    root = plan.target if plan.root in things else plan.root
+    edges = tuple(edge for edge in plan.edges if edge.target not in things)
+    return msgspec.structs.replace(plan, root=root, nodes=nodes, edges=edges)
+
+
+def _of_thing(edge: Edge, kind: str) -> Condition:
+    if edge.relation in VERBS:
+        return Condition(object=kind, verb=edge.relation, at=edge.at)
+    return Condition(attribute=edge.wanted.replace(" ", "_"), value=kind, at=edge.at)
 
 
 def fields_of(plan: Plan) -> tuple[Field, ...]:

@@ -51,7 +51,7 @@ from jrdb_avr.schema.relations import (
     WINDOW_DEGREES,
     person_frame_label,
 )
-from jrdb_avr.schema.things import OBJECT_PHRASES, OBJECTS, VERB_PHRASES, VERBS
+from jrdb_avr.schema.things import OBJECT_PHRASES, OBJECTS, PERSON_CATEGORIES, VERB_PHRASES, VERBS
 from jrdb_avr.schema.wording.phrases import FAR_AWAY
 
 if TYPE_CHECKING:
@@ -188,6 +188,9 @@ _LEFT_OUT: Final = frozenset({"title", "description", "default", "propertyNames"
 
 # -- labels -----------------------------------------------------------------------------------------------------------
 
+THINGS: Final = tuple(category for category in OBJECTS if category not in PERSON_CATEGORIES)
+"""The kinds of nodes that are no people."""
+
 _LABELS: Final = {"action": ACTIONS, "interaction": INTERACTIONS, "object": OBJECTS, "verb": VERBS}
 """The labels of a condition's fields."""
 
@@ -254,8 +257,12 @@ def check_labels(plan: Plan) -> None:
     for i, node in enumerate(plan.nodes):
         for j, condition in enumerate(node.conditions):
             _check_condition(f"nodes[{i}].conditions[{j}]", condition)
+        _check(f"nodes[{i}].kind", plan.things.get(node.id), THINGS)
     for i, edge in enumerate(plan.edges):
-        _check(f"edges[{i}].relation", edge.relation, QUESTION_RELATIONS)
+        if edge.target not in plan.things:
+            _check(f"edges[{i}].relation", edge.relation, QUESTION_RELATIONS)
+        elif edge.relation in INTERACTIONS:
+            raise PlanError(f"edges[{i}].relation", f"{edge.relation!r} joins two people; use a verb or words of yours")
     for name, moment in plan.times.items():
         _check(f"times.{name}.action", moment.action, ACTIONS)
     _check("answer.relation", plan.answer.relation, RELATIONS_OF["count"])

@@ -45,12 +45,20 @@ class _Pattern:
             own = self.nodes[node] = f"n{len(others)}"
             bound = ", ".join([*others, own])
             first, *parts = self._parts(node, edges)
-            lines.append("".join([first, *(f" AND id({own}) <> id({other})" for other in others)]))
+            lines.append("".join([first, *(f" AND id({own}) <> id({other})" for other in others), self._kind(node)]))
             lines += [f"WITH {bound}\n{part}" for part in parts]
             lines.append(f"WITH DISTINCT {bound}")
         names = (f"{variable}.name AS who{place}" for place, variable in enumerate(self.nodes.values()))
         lines[-1] = f"RETURN DISTINCT {', '.join(names)}"
         return Find("\n".join(lines), tuple(self.nodes), self.row)
+
+    def _kind(self, node: str) -> str:
+        """The test that a thing is of its kind, and that nobody is of the kind of one of the plan's things."""
+        things, own = self.plan.things, self.nodes[node]
+        if not things:
+            return ""
+        self.row |= {f"{own}_kind": things[node]} if node in things else {"kinds": sorted({*things.values()})}
+        return f" AND {own}.kind = ${own}_kind" if node in things else f" AND NOT {own}.kind IN $kinds"
 
     def _parts(self, node: str, edges: Edges) -> Iterator[str]:
         """What must be believed of a node and of the edges to those before; the first part introduces its variable."""
@@ -67,7 +75,7 @@ class _Pattern:
             yield self._condition(f"{own}_c{i}", own, condition, stated_frame(self.plan, at))
 
     def _edge(self, key: str, edge: Edge, new: str) -> str:
-        self.row |= {f"{key}_name": edge.relation, f"{key}_frame": stated_frame(self.plan, edge.at)}
+        self.row |= {f"{key}_name": edge.wanted, f"{key}_frame": stated_frame(self.plan, edge.at)}
         ends = {"x": edge.source, "y": edge.target}
         source, target = (self.nodes[node] if node == new else end for end, node in ends.items())
         way = "-" if edge.relation in SYMMETRIC else "->"

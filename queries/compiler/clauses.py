@@ -85,6 +85,11 @@ def within(here: str, there: str) -> Clause:
     )
 
 
+def seen_with(pattern: str, there: str, edge: Clause) -> Clause:
+    """An edge to a thing: it holds with a sighting `z` of the thing by `pattern` that is `there`."""
+    return Clause(*(f"EXISTS {{{{ MATCH {pattern} WHERE {there} AND {text} }}}}" for text in edge))
+
+
 def towards(angle: str) -> Clause:
     """A condition by the panorama angle of a person: it lies near the axis `v` of a sector."""
     off = f"({angle} - {{v}} + 180.0)"

@@ -13,7 +13,15 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 from jrdb_avr.queries.compiler.clauses import Clause, Variables
-from jrdb_avr.queries.compiler.mapping import PersonId, SchemaMapping, condition_values, edge_kind, edge_values
+from jrdb_avr.queries.compiler.mapping import (
+    PersonId,
+    SchemaMapping,
+    ThingMapping,
+    condition_values,
+    edge_kind,
+    edge_values,
+    thing_edge_kind,
+)
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.plan import ATTRIBUTES, Condition, Edge, Plan, validate
 
@@ -51,6 +59,7 @@ class _Pattern:
         self.nodes: list[str] = []
         self.row: dict[str, Any] = {}
         self.times = {name: f"t{i}" for i, name in enumerate(sorted(plan.times))}
+        self.things = plan.things
 
     def compiled(self) -> Find:
         people = [self._person(node, edges) for node, edges in search_order(self.plan)]
@@ -63,26 +72,39 @@ class _Pattern:
             lines += [f"MATCH {match}", f"WHERE {where}", f"WITH {', '.join([*bound, *certain])}"]
             bound += holds
             sure += holds
-        who = [f"{self.mapping.who.format(n=f'n{i}')} AS who{i}" for i in range(len(self.nodes))]
+        things = [i for i, node in enumerate(self.nodes) if node in self.things]
+        who = [f"{self._space(node).who.format(n=f'n{i}')} AS who{i}" for i, node in enumerate(self.nodes)]
         # Each by itself: the engine cannot put the results of several EXISTS together.
         certain = [f"{name} AS sure{i}" for i, name in enumerate(sure)]
         lines.append(f"RETURN {', '.join(['id', *who, *certain])}")
-        lines.append(f"ORDER BY {', '.join(['id', *(f'who{i}' for i in range(len(self.nodes)))])}")
+        # Names last: the engine orders numbers after a text wrongly.
+        order = [i for i in range(len(self.nodes)) if i not in things] + things
+        lines.append(f"ORDER BY {', '.join(['id', *(f'who{i}' for i in order)])}")
         return Find("\n".join(lines), tuple(self.nodes), self.row)
 
     def _person(self, node: str, edges: Edges) -> tuple[str, str, list[str], dict[str, str]]:
         """The parts of a node's MATCH: pattern, tests that unsure facts pass, sightings, named tests of certainty."""
         self.nodes.append(node)
-        place = len(self.nodes) - 1
-        bound = [self._at(node, time) for time in times_of(self.plan, node)]
-        where = [self.mapping.there.format(**at) for at in reversed(bound)]
+        place, space = len(self.nodes) - 1, self._space(node)
+        times = times_of(self.plan, node)
+        # Nothing is asked of a thing at a time alone.
+        bound = [self._at(node, time) for time in (times[:1] if node in self.things else times)]
+        where = [space.there.format(**at) for at in reversed(bound)]
         where += [f"n{place}.id <> n{other}.id" for other in range(place)]
         holds: dict[str, str] = {}
         for name, clause, at in self._clauses(node, edges):
             where.append(clause.could.format(**at))
             holds[f"{name}_sure"] = clause.sure.format(**at)
-        match = ", ".join(self.mapping.pattern.format(**at) for at in bound)
-        return match, " AND ".join(where), [at["s"] for at in bound], holds
+        match = ", ".join(space.pattern.format(**at) for at in bound)
+        return match, " AND ".join(where), [] if node in self.things else [at["s"] for at in bound], holds
+
+    def _space(self, node: str) -> SchemaMapping | ThingMapping:
+        """The mapping of people, or that of things."""
+        if node not in self.things:
+            return self.mapping
+        if self.mapping.things is None:
+            raise PlanError(f"nodes.{node}", "there are no things; use conditions of people")
+        return self.mapping.things
 
     def _clauses(self, node: str, edges: Edges) -> Iterator[tuple[str, Clause, Variables]]:
         """Clauses of a node's conditions and of the edges to earlier nodes, by name, with their variables."""
@@ -92,10 +114,18 @@ class _Pattern:
                 raise PlanError(f"conditions of {node}", f"{condition.attribute!r} is not labelled; {_LABELLED}")
             at = self._at(node, condition.at or times_of(self.plan, node)[0])
             yield name, self.mapping.conditions[condition.kind], at | self._values(name, condition_values(condition))
+        space = self._space(node)
+        if isinstance(space, ThingMapping):
+            name, at = f"k{self.nodes.index(node)}", self._at(node, times_of(self.plan, node)[0])
+            yield name, space.kind, at | self._values(name, {"v": self.things[node]})
         for i, edge in edges:
             to, at = self._at(edge.target, edge.at), self._at(edge.source, edge.at)
             at |= {"m": to["n"], "z": to["s"]} | self._values(f"e{i}", edge_values(edge.relation))
-            yield f"e{i}", self.mapping.edges[edge_kind(edge.relation)], at
+            if edge.target in self.things:
+                kind = thing_edge_kind(f"edges[{i}].relation", edge.relation)
+            else:
+                kind = edge_kind(edge.relation)
+            yield f"e{i}", self._space(edge.target).edges[kind], at
 
     def _at(self, node: str, time: str) -> Variables:
         place, t = self.nodes.index(node), self.times[time]
@@ -119,10 +149,14 @@ def conditions_of(plan: Plan, node: str) -> tuple[Condition, ...]:
 
 
 def search_order(plan: Plan) -> list[tuple[str, Edges]]:
-    """Nodes from the root on, each with the edges, by their places, that join it to those before."""
+    """Nodes from the root on, each with the edges, by their places, that join it to those before.
+
+    A node to which nothing leads comes where nothing else does, as in a plan from which things were taken.
+    """
     known = [plan.root]
     while len(known) < len(plan.nodes):
-        known.append(next(e.target for e in plan.edges if e.source in known and e.target not in known))
+        reached = [target for source, target in plan.ways if source in known]
+        known.append(next(node for node in (*reached, *(one.id for one in plan.nodes)) if node not in known))
     return joined(plan, known)
 
 

@@ -14,6 +14,7 @@ from jrdb_avr.queries.compiler.clauses import (
     Clause,
     in_column,
     in_rows,
+    seen_with,
     to_anybody,
     towards,
     unless_both_listed,
@@ -24,6 +25,7 @@ from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.labels import ROBOT_SECTORS, may_be_called
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import RELATIONS, SAME_GROUP
+from jrdb_avr.schema.things import VERBS
 
 PersonId = int | str
 """A person in a scope: the number of a track, or the name of an entity."""
@@ -35,7 +37,7 @@ class SchemaMapping:
 
     pattern, there: a person `n` with a sighting `s`, and the condition for one at frame `t` of `scope`; who: the
     person's number or name in its scope; conditions, edges: clauses by kind, see `Condition.kind` and `edge_kind`;
-    reads: folder of the statements that read answers.
+    reads: folder of the statements that read answers; things: the things `n` of `scope`, None where there are none.
     """
 
     pattern: str
@@ -44,6 +46,21 @@ class SchemaMapping:
     conditions: Mapping[str, Clause]
     edges: Mapping[str, Clause]
     reads: str
+    things: ThingMapping | None = None
+
+
+@dataclass(frozen=True)
+class ThingMapping:
+    """The things of a namespace: pattern, condition and name as those of people, but without a sighting.
+
+    kind: the clause of a thing's kind `v`; edges: clauses of edges from a person to a thing, by kind.
+    """
+
+    pattern: str
+    there: str
+    who: str
+    kind: Clause
+    edges: Mapping[str, Clause]
 
 
 def condition_values(condition: Condition) -> dict[str, str | float | list[str]]:
@@ -69,6 +86,17 @@ def edge_kind(relation: str) -> str:
     return row.side if row.kind == "window" else row.kind
 
 
+def thing_edge_kind(field: str, relation: str) -> str:
+    """Kind of an edge to a thing. Raises PlanError for a relation that nothing is labelled with."""
+    if relation in VERBS:
+        return "handles"
+    row = RELATIONS.get(relation)
+    if row is None or row.kind != "window":
+        use = "use a verb, as 'holding', or 'within 30 degrees to the left of (robot view)'"
+        raise PlanError(field, f"{relation!r} to a thing is not labelled; {use}")
+    return row.side
+
+
 def edge_values(relation: str) -> dict[str, str | float]:
     """The values that an edge's clause compares with, by variable: none for the same group, a window's degrees, and
     otherwise the label.
@@ -87,6 +115,7 @@ _HANDLES: Final = in_rows("({n})-[r:Handles]->(x:Object)", {"r.verb": "w"}, {"x.
 _BESIDE: Final = in_rows("({n})-[r:Beside]->({m})", {"r.label": "v"})
 _GROUPED: Final = in_rows("({n})-[r:MemberOf]->(g:SocialGroup)", then=in_rows("(g)<-[o:MemberOf]-({m})", span="o"))
 _MEMBER: Final = "EXISTS {{ MATCH ({n})-[r:MemberOf]->(:SocialGroup) WHERE r.first <= {t} AND r.last >= {t} }}"
+_THING_SEEN: Final = ("({m})-[{z}:SeenIn]->(:Frame)", _THERE.replace("{s}", "{z}"))
 _SOCIAL: Final = unless_both_listed(in_rows("({n})-[r:Interacts]->({m})", {"r.label": "v"}), "{s}.interactions_listed")
 
 SCENE: Final = SchemaMapping(
@@ -114,5 +143,16 @@ SCENE: Final = SchemaMapping(
         "right": within("{z}.angle", "{s}.angle"),
     },
     reads="reads/scene",
+    things=ThingMapping(
+        pattern="({n}:Object)",
+        there="{n}.sequence = {scope}",
+        who="{n}.id",
+        kind=in_column("{n}.category"),
+        edges={
+            "handles": unless_listed(in_rows("({n})-[r:Handles]->({m})", {"r.verb": "v"}), "{s}.handles_listed"),
+            "left": seen_with(*_THING_SEEN, within("{s}.angle", "{z}.angle")),
+            "right": seen_with(*_THING_SEEN, within("{z}.angle", "{s}.angle")),
+        },
+    ),
 )
-"""The scene namespace: the annotations. `scope` is the sequence, `who` the track."""
+"""The scene namespace: the annotations. `scope` is the sequence, `who` the track, or the key of a thing."""

@@ -6,7 +6,7 @@ import random
 from collections import Counter
 
 import pytest
-from believed import Story, parsed, write
+from believed import Story, parsed, planned, write
 from effort import DEEP, examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -95,7 +95,8 @@ def rows_of(story, rng):
         "relations": [{**r, "first": r["frame"], "last": r["frame"]} for r in story.rows["relations"]],
         "looks": [{**o, "edge": o["left"]} for o in story.rows["observations"]],
         "entities": [
-            {"who": who, "node": story.nodes.get(who, "")} for who in {s["entity"] for s in story.rows["sightings"]}
+            {"who": who, "node": story.nodes.get(who, ""), "kind": story.kinds.get(who, "person")}
+            for who in {s["entity"] for s in story.rows["sightings"]}
         ],
     }
     rows = {name: [row for row in found if row.get("current", True)] for name, found in rows.items()}
@@ -117,6 +118,75 @@ def test_each_read_was_known_and_unknown(graph):
     assert SEEN["guess", "defined"] > 2 and SEEN["guess", "unknown"] > 2, SEEN
     for outcome in ("unknown", "ambiguous", "empty"):
         assert sum(SEEN[read, outcome] for read in ALL_READS) >= 4, SEEN
+
+
+RELATED = ("next to", "holding", "conversation")
+
+
+def story_with_things(rng):
+    story = Story()
+    names = [f"p{n}" for n in range(1, 5)] + ["x1", "x2", "x3"]
+    for who in names:
+        if who[0] == "x":
+            story.is_a(who, rng.choice(("table", "bag", "chair/sofa", "person")))
+        for frame in (0, 30):
+            if rng.random() < 0.9:
+                story.sees(who, frame, action=rng.choice(("sitting", "standing")))
+                if rng.random() < 0.4:
+                    story.has(who, "color", rng.choice(("red", "blue")), frame)
+    there = {(one["entity"], one["frame"]) for one in story.rows["sightings"]}
+    for source, target, frame in itertools.product(names, names, (0, 30)):
+        if source != target and {(source, frame), (target, frame)} <= there and rng.random() < 0.4:
+            story.tie(source, rng.choice(RELATED), target, frame, current=rng.random() < 0.9)
+    return story
+
+
+def plan_with_things(rng):
+    kind = rng.choice(("table", "bag", "chair/sofa"))
+    nodes = {"a": [{"action": rng.choice(("sitting", "standing")), "at": "t0"}] * rng.randrange(2), "t": []}
+    if rng.random() < 0.3:
+        nodes["t"] = [{"attribute": "color", "value": rng.choice(("red", "Blue")), "at": "t0"}]
+    edges = [("a", rng.choice(("next to", "Next  To", "holding")), "t", "t0")]
+    if rng.random() < 0.5:
+        # Reached through the thing, maybe at another time.
+        nodes["b"] = []
+        edges.append(("b", rng.choice(RELATED[:2]), "t", rng.choice(("t0", "t1"))))
+        if rng.random() < 0.3:
+            edges.append(("a", "conversation", "b", "t0"))
+    plan = planned("action", "t0", None, nodes, edges, target=rng.choice([name for name in nodes if name != "t"]))
+    plan["nodes"][1]["kind"] = kind
+    plan["nodes"][0] |= {"kind": "person"} if rng.random() < 0.2 else {}
+    plan["root"] = rng.choice(("a", "t"))
+    return plan
+
+
+@settings(max_examples=examples(12), suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(seed=st.integers(0, 10**9))
+def test_things_are_found_as_by_brute_force(graph, seed):
+    compare_things(graph, seed)
+
+
+def compare_things(graph, seed):
+    rng = random.Random(seed)
+    key, story = f"things {next(RUNS)}", story_with_things(rng)
+    write(graph, {key: story})
+    mind = Mind(story.rows, kinds=story.kinds)
+    for _ in range(6):
+        plan = plan_with_things(rng)
+        lower = {**plan, "edges": [{**e, "relation": " ".join(e["relation"].lower().split())} for e in plan["edges"]]}
+        expected = mind.solve(lower)
+        belief = BeliefSolver(graph, key, rules=RULES).solve(parsed(plan))
+        assert told(belief) == expected, (seed, plan, expected)
+        assert BeliefSolver(None, "", rules=RULES).weigh(parsed(plan), rows_of(story, rng)) == belief, (seed, plan)
+        guess = BeliefSolver(graph, key, rules=RULES).guess(parsed(plan))
+        assert mind.kinds.get(guess.people[plan["target"]]) != next(n for n in plan["nodes"] if n["id"] == "t")["kind"]
+        SEEN["things", belief.outcome] += 1
+
+
+def test_plans_with_things_had_each_outcome(graph):
+    for seed in range(10):
+        compare_things(graph, seed)
+    assert all(SEEN["things", outcome] for outcome in ("defined", "ambiguous", "empty")), SEEN
 
 
 def test_an_episode_without_beliefs_is_empty(graph):

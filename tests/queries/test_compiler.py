@@ -11,7 +11,7 @@ import pytest
 from lively_worlds import form, lively_world, sociable_world
 from oracle_people import EMPTY, FIRST, GROUP, MAYBE, NO, PLACES, SEVERAL, TOGETHER, WINDOWS, YES
 from oracle_questions import World
-from oracle_words import AGES
+from oracle_words import AGES, VERBS
 from other_words import in_other_words
 from quick_store import memory_store
 from random_worlds import random_world
@@ -139,6 +139,108 @@ def test_edges_of_every_kind_lead_where_brute_force_says(sites):
     for kind in kinds:
         assert seen[kind, "one"] and seen[kind, MAYBE] and seen[kind, EMPTY], seen
         assert kind == "first" or seen[kind, SEVERAL], seen
+
+
+# -- things -------------------------------------------------------------------------------------------------------
+
+
+def with_thing(world, rng, frame):
+    """A person, or two, who have to do with a thing; now and then by where the robot sees it. Often somebody has."""
+    kinds = sorted({what for what in world.things.values() if what is not None}) or ["bag"]
+    here = [thing for thing, what in boxes_of_things(world).get(frame, {}).items() if world.things[thing] is not None]
+    held = [
+        (row["verb"], world.things[row["object"], row["category_id"]])
+        for row in world.rows["handles"]
+        if row["first"] <= frame <= row["last"] and row["verb"] in VERBS
+    ]
+    verb, kind = rng.choice([(verb, kind) for verb, kind in held if kind] or [("holding", rng.choice(kinds))])
+    if here and rng.random() < 0.5:
+        kind, verb = world.things[rng.choice(here)], rng.choice(tuple(WINDOWS))
+    kind = rng.choice((kind, kind, kind, rng.choice(kinds)))
+    edges = [("a", verb, "t")]
+    if rng.random() < 0.4:
+        edges.append(("b", rng.choice((*WINDOWS, *(verb for verb, what in held * 8 if what == kind))), "t"))
+    names = sorted({name for source, _, target in edges for name in (source, target)})
+    return {
+        "root": rng.choice(("a", "t")),
+        "target": rng.choice([name for name in names if name != "t"]),
+        "times": {"t0": {"frame": frame}},
+        "nodes": [{"id": name} | ({"kind": kind} if name == "t" else {}) for name in names],
+        "edges": [{"source": a, "relation": label, "target": t, "at": "t0"} for a, label, t in edges],
+    }
+
+
+def boxes_of_things(world):
+    """{frame: {thing: middle of its box in degrees}}"""
+    found = defaultdict(dict)
+    for row in world.rows["object_sightings"]:
+        found[row["frame"]][row["object"], row["category_id"]] = (row["x"] + row["w"] / 2) / 3760 * 360
+    return found
+
+
+def to_thing(world, frame, track, label, thing):
+    """Whether a relation to a thing is true, false or unknown."""
+    if label in WINDOWS:
+        there = boxes_of_things(world).get(frame, {}).get(thing)
+        if there is None:
+            return NO
+        degrees, side = WINDOWS[label]
+        here = world.angle(frame, track)
+        turn = (here - there if side == "left" else there - here) % 360
+        if min(turn, 360 - turn) <= 1 or abs(turn - degrees) <= 1:
+            return MAYBE
+        return YES if turn < degrees else NO
+    rows = [
+        row["certain"]
+        for row in world.handled.get(track, ())
+        if (row["object"], row["category_id"], row["verb"]) == (*thing, label) and row["first"] <= frame <= row["last"]
+    ]
+    return YES if any(rows) else MAYBE if rows or not world.sights[frame, track]["handles_listed"] else NO
+
+
+def bound_with_thing(world, plan):
+    """The outcome of a plan with one thing, and who is found, over every binding."""
+    frame, kind = plan["times"]["t0"]["frame"], next(n["kind"] for n in plan["nodes"] if "kind" in n)
+    people = [node["id"] for node in plan["nodes"] if "kind" not in node]
+    values = {}
+    for thing, what in world.things.items():
+        facts = {
+            track: [to_thing(world, frame, track, edge["relation"], thing) for edge in plan["edges"]]
+            for track in world.in_frame(frame)
+        }
+        for tracks in itertools.permutations(facts, len(people)):
+            who = dict(zip(people, tracks, strict=True))
+            own = [facts[who[edge["source"]]][i] for i, edge in enumerate(plan["edges"])]
+            values[tracks, thing] = [MAYBE if what is None else YES if what == kind else NO, *own]
+    only = world.only(values)
+    return only if only in (EMPTY, SEVERAL, MAYBE) else dict(zip(people, only[0], strict=True))
+
+
+def test_things_people_have_to_do_with_are_found_as_by_brute_force(sites):
+    rng, seen = random.Random(3), Counter()
+    for site in sites:
+        world, plans, expected = site.world, [], []
+        frames = sorted({frame for frame, _ in world.people})
+        # Few worlds have things of a known kind.
+        shown = [frame for frame in frames if frame in boxes_of_things(world)] * 5
+        for _ in range(150 if shown else 10):
+            plan = with_thing(world, rng, rng.choice(frames + shown))
+            plan["answer"] = {"mode": "multiple_choice", "read": "action", "of": plan["target"], "at": "t0"}
+            plans.append(json.dumps(plan))
+            expected.append(bound_with_thing(world, plan))
+        for plan, solution, outcome in zip(plans, site.solve(plans), expected, strict=True):
+            people = {node: who for node, who in solution.people.items() if node != "t"}
+            assert (people or found(solution)) == outcome, plan
+            seen["one" if isinstance(outcome, dict) else outcome] += 1
+    assert all(seen[kind] for kind in ("one", MAYBE, EMPTY, SEVERAL)), seen
+
+
+def test_a_relation_to_a_thing_without_labels_is_refused_with_what_to_use():
+    nodes = [{"id": "a"}, {"id": "b"}, {"id": "t", "kind": "table"}]
+    edges = [{"source": "a", "relation": "next to", "target": "t", "at": "t0"}]
+    edges += [{"source": "b", "relation": "holding", "target": "t", "at": "t0"}]
+    with pytest.raises(PlanError, match=r"edges\[0\]\.relation: 'next to' to a thing is not labelled; use a verb"):
+        compile_find(two_nodes(nodes=nodes, edges=edges), SCENE)
 
 
 # -- reads --------------------------------------------------------------------------------------------------------

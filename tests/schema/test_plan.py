@@ -63,6 +63,11 @@ def changed(**changes):
 
 DROP = object()
 HAIR = {"attribute": "hair", "value": "x", "at": "t0"}
+TABLE = {
+    "nodes__3": {"id": "t", "kind": "table", "conditions": []},
+    "edges__2": {"source": "c", "relation": "next to", "target": "t", "at": "t0"},
+}
+NODDING = {"action": "nodding", "at": "t0"}
 VALUE = {"mode": "multiple_choice", "read": "attribute", "of": "c", "at": "t0"}
 
 
@@ -119,6 +124,13 @@ def test_the_example_is_valid_and_comes_back():
             )
             for size in ("3", -1, 2**63)
         ),
+        ({"nodes__2__kind": "table"}, "target"),
+        ({"nodes__0__kind": "table"}, "nodes[0].conditions[0]"),
+        ({"nodes__1__kind": "table"}, "edges[1].source"),
+        ({"nodes__3": {"id": "t", "kind": "table"}}, "nodes[3].id"),
+        ({**TABLE, "nodes__3": {"id": "t", "kind": "table", "conditions": [HAIR, NODDING]}}, "nodes[3].conditions[1]"),
+        ({**TABLE, "answer__of": "t"}, "answer.of"),
+        ({**TABLE, "times__t1__of": "t"}, "times.t1.of"),
         ({"times__t0": {}}, "times.t0"),
         ({"times__t0__event": "start"}, "times.t0"),
         ({"times__t0__of": "a"}, "times.t0.of"),
@@ -166,6 +178,7 @@ def test_a_fault_is_refused_by_its_field(changes, field):
         ({"answer": VALUE | {"read": "duration"}}, '"seconds_between"'),
         ({"answer": VALUE | {"attribute": "side"}}, '"sector"'),
         ({"times__t1__event": "enters"}, '"returns"'),
+        ({"nodes__1__category": "table"}, '"kind"'),
     ],
 )
 def test_a_common_wrong_word_is_told_what_to_use(changes, instead):
@@ -183,6 +196,15 @@ def test_what_is_used_instead_is_no_wrong_word_itself():
         for word in words:
             assert hint(place, word.upper()) == f"; use {words[word]}"
     assert hint("attribute", "shirt") == "" and hint("relation", "hugging") == ""
+
+
+def test_things_lead_on_to_people_and_keep_their_kind():
+    further = {"nodes__4": {"id": "d", "kind": "person"}}
+    further["edges__3"] = {"source": "d", "relation": "next to", "target": "t", "at": "t0"}
+    plan = parse_plan(changed(**TABLE, **further))
+    assert plan.things == {"t": "table"} and '"kind":"table"' in canonical(plan)
+    assert parse_plan(canonical(plan)) == plan
+    assert '"kind"' not in canonical(parse_plan(json.dumps(EXAMPLE)))
 
 
 def test_a_free_attribute_is_compared_in_lower_case():

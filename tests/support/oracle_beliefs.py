@@ -16,7 +16,8 @@ PRESENCE = {(1, 1): "both times", (1, 0): "only at the first time", (0, 1): "onl
 class Mind:
     """What is believed in one episode; `resolved` frames at most lie between the looks that enclose a moment."""
 
-    def __init__(self, episode, resolved=30):
+    def __init__(self, episode, resolved=30, kinds=None):
+        self.kinds = kinds or {}
         self.resolved = resolved
         self.sighted = {(s["entity"], s["frame"]): s for s in episode["sightings"] if s["current"]}
         self.people = sorted({entity for entity, _ in self.sighted})
@@ -54,9 +55,9 @@ class Mind:
     def holds(self, who, condition, frame):
         if "attribute" in condition:
             key = "number" if condition["attribute"] == "group_size" else "value"
-            if condition["attribute"] == "shirt":
+            if condition["attribute"] in ("shirt", "color"):
                 wanted = " ".join(condition["value"].lower().split())
-                return wanted in [a["value"] for a in self.has(who, "shirt", frame)]
+                return wanted in [a["value"] for a in self.has(who, condition["attribute"], frame)]
             return condition["value"] in [a[key] for a in self.has(who, condition["attribute"], frame)]
         if "action" in condition:
             return condition["action"] in self.does(who, frame)
@@ -86,8 +87,13 @@ class Mind:
         for people in itertools.permutations(self.people, len(nodes)):
             bound = dict(zip(nodes, people, strict=True))
             there = all((bound[node], frame) in self.sighted for node in nodes for frame in needed(plan, node))
-            if there and all(self.parts(plan, bound)):
+            if there and all(self.parts(plan, bound)) and all(self.may_be(plan, *pair) for pair in bound.items()):
                 yield bound
+
+    def may_be(self, plan, node, who):
+        kinds = {one["id"]: one["kind"] for one in plan["nodes"] if one.get("kind", "person") != "person"}
+        kind = self.kinds.get(who, "person")
+        return kind == kinds[node] if node in kinds else kind not in kinds.values()
 
     def likeliest(self, plan):
         """Who comes nearest to being the target."""

@@ -1,6 +1,7 @@
 """The policy `driven`: what is asked of a picture, what is read from a reply, and games of the simulated model."""
 
 import json
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
@@ -20,7 +21,14 @@ from jrdb_avr.agent.perception.readings import ReadLabel, ReadTie
 from jrdb_avr.agent.perception.votes import Tracks
 from jrdb_avr.agent.reference.driven import DrivenEpisode, newest
 from jrdb_avr.agent.reference.method import ReferenceAgent
-from jrdb_avr.agent.reference.perceive import CANNOT_TELL, Perceiver, fields_of, perceive_schema, read_people
+from jrdb_avr.agent.reference.perceive import (
+    CANNOT_TELL,
+    Perceiver,
+    fields_of,
+    perceive_schema,
+    read_people,
+    without_things,
+)
 from jrdb_avr.agent.simulated.knobs import Knobs
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.queries.beliefs.graph import WorldGraph
@@ -95,6 +103,20 @@ def test_free_attributes_are_asked_for_without_the_value_that_is_wanted():
         spec = AnswerSpec("multiple_choice", "attribute", "a", "t0", attribute=read)
         asked = {field.key.split(" ")[0] for field in fields_of(Plan("a", "a", SHIRT.times, (Node("a"),), (), spec))}
         assert asked == {"gender", "age", *keys}
+
+
+def test_what_joins_a_person_to_a_thing_is_read_of_the_person():
+    nodes = (Node("t", kind="table"), Node("a"), Node("b", kind="person"))
+    edges = tuple(Edge(who, label, "t", "t0") for who, label in (("a", "sitting"), ("b", "Next to"), ("b", FRONT)))
+    plan = without_things(Plan("t", "b", WOMAN.times, nodes, edges, WOMAN.answer))
+    assert (plan.root, plan.edges, [node.id for node in plan.nodes]) == ("b", (), ["a", "b"])
+    assert plan.nodes[0].conditions == (Condition(object="table", verb="sitting", at="t0"),)
+    assert plan.nodes[1].conditions == (Condition(attribute="next_to", value="table", at="t0"),)
+    assert {"object sitting: table", "attribute next_to"} <= {field.key for field in fields_of(plan)}
+    assert without_things(WOMAN) is WOMAN
+
+
+FRONT = "within 30 degrees to the left of (robot view)"
 
 
 @pytest.mark.parametrize("said", ["", " ", 3, None, "x" * 41])
@@ -264,6 +286,29 @@ def test_attributes_are_answered(world, beliefs, name, choices, choice):
     prediction = DrivenEpisode(Attempt(task, Chat(Knobs()), CONTRACT), plan, looks=16).play()
     assert prediction.answer == Choice(choice)
     assert iou(Box(*prediction.evidence.box), READER.box(150)) > 0.5
+
+
+def test_a_person_at_a_thing_is_played_without_a_fault(world, beliefs):
+    plan = {
+        "root": "a",
+        "target": "b",
+        "times": {"t0": {"frame": 150}},
+        "nodes": [
+            {"id": "a", "conditions": [{"action": "reading", "at": "t0"}]},
+            {"id": "b"},
+            {"id": "t", "kind": "table"},
+        ],
+        "edges": [{"source": who, "relation": "next to", "target": "t", "at": "t0"} for who in "ab"],
+        "answer": {"mode": "multiple_choice", "read": "action", "of": "b", "at": "t0"},
+    }
+    chat = Chat(Knobs())
+    first = Scripted([plan])
+    both = SimpleNamespace(complete=lambda *asked: (chat if first.requests else first).complete(*asked))
+    writes = []
+    task = world.task("Who?", "multiple_choice", CHOICES, [], writes)
+    prediction = ReferenceAgent(both, world=beliefs, policy="driven").answer(task)
+    assert prediction.answer is not None and prediction.evidence is not None
+    assert all(write.accepted for write in writes)
 
 
 def test_a_passive_agent_cannot_be_driven():

@@ -31,6 +31,17 @@ def with_edge(relation):
     return PLAN | {"nodes": nodes, "edges": [edge]}
 
 
+def to_thing(relation, kind):
+    plan = with_edge(relation)
+    return plan | {"nodes": [plan["nodes"][0], plan["nodes"][1] | {"kind": kind}]}
+
+
+@pytest.mark.parametrize("relation", ["next to", "sitting", "within 30 degrees to the left of (robot view)"])
+def test_a_thing_is_taken(relation):
+    plan = read_plan(json.dumps(to_thing(relation, "table")), task())
+    assert plan.things == {"b": "table"}
+
+
 REFUSED = [
     (PLANS["frame"], "answer.mode: the question asks for 'multiple_choice', not 'frame'"),
     (PLAN | {"times": {"t0": {"frame": 300}}}, "times.t0.frame: the last frame of the video is 299"),
@@ -55,7 +66,11 @@ REFUSED = [
         | {"nodes": [{"id": n, "conditions": [{"action": "sitting", "at": "t0"}] * 4} for n in "ab"]},
         "plan: at most 32 conditions and edges are taken, not 33",
     ),
-    (PLAN | {"answer": PLAN["answer"] | {"of": "b"}}, "answer.of: unknown node 'b'"),
+    (with_edge("next to"), "edges[0].relation: 'next to' is none of the labels; use \"first to the left of"),
+    (to_thing("next to", "tables"), "nodes[1].kind: 'tables' is none of the labels; perhaps 'table'"),
+    (to_thing("next to", "pedestrian"), "nodes[1].kind: 'pedestrian' is none of the labels"),
+    (to_thing("conversation", "table"), "edges[0].relation: 'conversation' joins two people; use a verb"),
+    (PLAN | {"answer": PLAN["answer"] | {"of": "b"}}, "answer.of: unknown person 'b'"),
 ]
 
 
