@@ -15,7 +15,8 @@ class RunManifest(msgspec.Struct, frozen=True):
 
     `synthetic` marks runs of the simulated model or on the sample world: their scores are labelled so wherever they are
     printed. `settings` holds what else shaped the run (budget, sampling, box convention), as plain JSON. `created` is
-    an ISO 8601 time.
+    an ISO 8601 time. `world` counts the statements that read and wrote the world model, `reads` and `writes`, of a run
+    that has ended; a resumed one adds to them.
     """
 
     run_id: str
@@ -26,6 +27,7 @@ class RunManifest(msgspec.Struct, frozen=True):
     synthetic: bool
     settings: dict[str, Any]
     created: str
+    world: dict[str, int] = {}
 
 
 def questions_hash(store: Store) -> str:

@@ -165,13 +165,13 @@ class BeliefWriter:
                 if support.log_odds <= 0:
                     continue
                 backing = Backing(max(support.votes, 1), support.against, "derived")
-                observation = {"observation": self._agreed(tracks, people[0], at).observation}
+                call: dict[str, str | int] = {"observation": self._agreed(tracks, people[0], at).observation}
                 if len(people) == 2:
-                    call = {"source": people[0], "name": part.name, "target": people[1], **observation}
+                    call |= {"source": people[0], "name": part.name, "target": people[1]}
                     self.world.add("add_relation", call, step, backing=backing)
                 else:
                     value = int(part.value) if part.name == "group_size" else part.value
-                    call = {"entity": people[0], "name": part.name, "value": value, **observation}
+                    call |= {"entity": people[0], "name": part.name, "value": value}
                     self.world.add("add_attribute", call, step, backing=backing)
 
     def _proved(self, entity: str) -> bool:

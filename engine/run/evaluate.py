@@ -45,7 +45,7 @@ from jrdb_avr.engine.run.methods import (
     open_world,
 )
 from jrdb_avr.engine.run.opaque import key_fingerprint, opaque_names
-from jrdb_avr.engine.run.resume import check_manifest, has_manifest, run_questions
+from jrdb_avr.engine.run.resume import add_world_counts, check_manifest, has_manifest, run_questions
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.questions import read_sequences
 from jrdb_avr.queries.runs import RunManifest, questions_hash
@@ -173,6 +173,9 @@ def evaluate(
         advance = step_counter(progress, f"{name}, {model}", len(chosen))
         answer_all(runner, public, infos, observer, observer.stored, journal, concurrency, advance)
         entries = [journal.finished[question.question_id] for question in chosen]
+        if world is not None:
+            # Before the tables: a run that has predictions is complete.
+            add_world_counts(store, run_id, world.graph.counts)
         predictions = write_tables(store, run_id, entries)
         if endpoint is not None and (changed := endpoint.changed()):
             warnings.warn(changed, AvrWarning, stacklevel=2)

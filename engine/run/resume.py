@@ -10,6 +10,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
+
 from jrdb_avr.queries.questions import read_questions
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, write_run_manifest
 from jrdb_avr.queries.store import Store
@@ -38,6 +40,13 @@ def check_manifest(store: Store, manifest: RunManifest) -> None:
             raise StoreError(
                 f"run {manifest.run_id!r} had another {what}: resume it as it was, or give another --run-id"
             )
+
+
+def add_world_counts(store: Store, run_id: str, counts: Mapping[str, int]) -> None:
+    """Add the reads and writes of a world model to those that a run's manifest tells."""
+    manifest = read_run_manifest(store, run_id)
+    total = {kind: manifest.world.get(kind, 0) + number for kind, number in counts.items()}
+    write_run_manifest(store, msgspec.structs.replace(manifest, world=total))
 
 
 def has_manifest(store: Store, run_id: str) -> bool:

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import contextlib
 import re
+import threading
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Self
@@ -36,11 +38,13 @@ Statement = tuple[str, Mapping[str, Any]]
 
 class WorldGraph:
     """The world tables of a graph. Made by `WorldGraph.open` or `WorldGraph.memory`; a context manager; closed once
-    used. May be used from any number of threads, which take turns.
+    used. May be used from any number of threads, which take turns. counts: statements that read and that wrote.
     """
 
     def __init__(self, graph: Graph) -> None:
         self.graph = graph
+        self.counts: Counter[str] = Counter(reads=0, writes=0)
+        self._counting = threading.Lock()
         self._checked: set[tuple[str, bool]] = set()
 
     @classmethod
@@ -72,6 +76,7 @@ class WorldGraph:
         beyond the world tables.
         """
         self._check(cypher, params or {}, writes=False)
+        self._count("reads", 1)
         return self.graph.query(cypher, params, **options)
 
     def write(self, *transactions: Sequence[Statement]) -> None:
@@ -87,6 +92,11 @@ class WorldGraph:
             with self.graph.transaction() if len(statements) > 1 else contextlib.nullcontext():
                 for cypher, params in statements:
                     self.graph.execute(cypher, params)
+            self._count("writes", len(statements))
+
+    def _count(self, kind: str, statements: int) -> None:
+        with self._counting:
+            self.counts[kind] += statements
 
     def _check(self, cypher: str, params: Mapping[str, Any], *, writes: bool) -> None:
         """Let a statement through both checks. Raises QueryError."""

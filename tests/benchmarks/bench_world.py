@@ -4,8 +4,10 @@
 sightings, attributes and relations of four people by the agent's own class, and solves its plan after every turn. The
 plans are of the twelve templates' shapes, at times that differ; all are solved in the end.
 
-The time of a turn is that of its writes and its solve by the clock, without its wait for the engine, which serves one
-episode at a time; beside it the time of single statements (a write makes one row or many), and the wait of a turn.
+Between two turns of an episode a second passes, as a model call would take, so that 64 turns come in a second. The time
+of a turn is that of its writes and its solve by the clock, without its wait for the engine, which serves one episode at
+a time; beside it the wait of a turn, both together (`whole`), and the time of single statements (a write makes one row
+or many). The last column is the share of the model call.
 `processor` is what this process had of the processors for each turn: it leaves out the disk and what other processes
 and, on a rented machine, other tenants take (`stolen`, of this machine's time while the episodes run). `other shapes`
 are the first reads of plans of shapes that no template has, as a model may make: each takes longer once in a run.
@@ -33,7 +35,7 @@ from jrdb_avr.schema.panorama import FOV_DEG, Box, crop_left
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
 from jrdb_avr.schema.relations import FIRST_RIGHT
 
-IN_FLIGHT, TURNS, OLDER, BAR_MS = 64, 8, 20_000, 50.0
+IN_FLIGHT, TURNS, OLDER, BAR_MS, MODEL_S = 64, 8, 20_000, 50.0, 1.0
 TALK, RIGHT = "conversation", FIRST_RIGHT
 CHAIN = (("a", TALK, "b"), ("b", RIGHT, "c"), ("c", TALK, "d"))
 FORK = (("a", TALK, "b"), ("a", RIGHT, "c"), ("b", RIGHT, "d"), ("c", TALK, "d"))
@@ -64,7 +66,7 @@ def plan_of(number, edges):
     )
 
 
-TIMES = {"turn": [], "wait": [], "write": [], "read": []}
+TIMES = {"turn": [], "wait": [], "whole": [], "write": [], "read": []}
 WAITED = threading.local()
 
 
@@ -87,8 +89,9 @@ class TimedLock:
 def timed_turn():
     WAITED.seconds, began = 0.0, time.perf_counter()
     yield
-    TIMES["turn"].append(time.perf_counter() - began - WAITED.seconds)
-    TIMES["wait"].append(WAITED.seconds)
+    whole = time.perf_counter() - began
+    for kind, seconds in (("turn", whole - WAITED.seconds), ("wait", WAITED.seconds), ("whole", whole)):
+        TIMES[kind].append(seconds)
 
 
 class TimedGraph(Graph):
@@ -121,8 +124,10 @@ def play(world, number, start, played):
     plan = plan_of(number, SHAPES[number % len(SHAPES)])
     episode.plan(plan, 0)
     start.wait()
+    time.sleep(MODEL_S * number / IN_FLIGHT)
     with episode.together():
         for step in range(1, TURNS + 1):
+            time.sleep(MODEL_S)
             with timed_turn():
                 write_turn(episode, step)
                 episode.settle()
@@ -169,10 +174,11 @@ def main():
             episode, solver = played[0]
             for edges in OTHERS:
                 solver.solve(plan_of(0, edges), episode.rows())
-    print("       calls  seconds    ms: p50      p99  p99 / bar")
+    print("       calls  seconds    ms: p50      p99  p99 / bar  p99 / model call")
     for kind, noted in times.items():
         middle, late = 1000 * np.percentile(noted, (50, 99))
-        print(f"{kind:6} {len(noted):5} {sum(noted):8.1f} {middle:10.2f} {late:8.2f} {late / BAR_MS:10.2f}")
+        shares = f"{late / BAR_MS:10.2f} {100 * late / 1000 / MODEL_S:15.1f} %"
+        print(f"{kind:6} {len(noted):5} {sum(noted):8.1f} {middle:10.2f} {late:8.2f} {shares}")
     print(f"processor: {1000 * worked / len(times['turn']):.1f} ms a turn")
     print("other shapes:", *(f"{1000 * one:.1f}" for one in TIMES["read"][-len(OTHERS) :]), "ms")
     print(f"stolen: {100 * stolen / max(whole, 1):.1f} %")

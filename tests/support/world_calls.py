@@ -57,9 +57,9 @@ SCAFFOLD = [
 """Observations and people that calls may name, so that many of them are grounded."""
 
 
-def calls_of(rng):
-    """Thirty calls: good ones, good ones with one part replaced, added or left out, and junk."""
-    return [*SCAFFOLD, *(_call(rng) for _ in range(30))]
+def calls_of(rng, most=30):
+    """Calls: good ones, good ones with one part replaced, added or left out, and junk."""
+    return [*SCAFFOLD, *(_call(rng) for _ in range(most))]
 
 
 def _call(rng):

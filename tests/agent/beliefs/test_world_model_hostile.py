@@ -9,9 +9,10 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from world_calls import VICTIM, calls_of, play
-from world_play import PLAN, begin, believe, belongs, beside_scene, replay, tables_of
+from world_play import PLAN, begin, believe, belongs, beside_scene, replay, rows_of, tables_of
 
 from jrdb_avr.agent.beliefs.display import shown_graph
+from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.schema.beliefs import ALWAYS
 from jrdb_avr.schema.labels import INTERACTIONS, POSES
 from jrdb_avr.schema.relations import FIRST_LEFT, SAME_GROUP
@@ -44,6 +45,59 @@ def test_whatever_is_called_nothing_ungrounded_is_written(graph, seed):
     for text in [result.text for result in said] + [json.dumps(shown_graph(episode.rows())).replace("secret/1", "")]:
         assert "secret/" not in text.replace("secret/1", "")
         text.encode()
+
+
+UNGROUNDED = {
+    "an edge of another episode than its entity or its look": "MATCH (n:Entity)-[r:Sighted|Has]->(o:Observation) "
+    "WHERE r.episode <> n.episode OR o.episode <> n.episode RETURN count(*) AS n",
+    "a look that its episode did not make": "MATCH (n:Entity)-[r:Sighted|Has]->(o:Observation) "
+    "WHERE NOT EXISTS { MATCH (e:Episode)-[:Made]->(o) WHERE e.id = n.episode } RETURN count(*) AS n",
+    "a sighting at another frame than its look's": "MATCH (n:Entity)-[r:Sighted]->(o:Observation) "
+    "WHERE r.frame <> o.frame RETURN count(*) AS n",
+    "a belief about somebody who is not sighted at the look's frame": "MATCH (n:Entity)-[r:Has]->(o:Observation) "
+    "WHERE NOT EXISTS { MATCH (n)-[s:Sighted]->(:Observation) WHERE s.frame = o.frame } RETURN count(*) AS n",
+    # In stitched pixels, which go on beyond the seam.
+    "a box outside its look": "MATCH (n:Entity)-[r:Sighted]->(o:Observation) WHERE NOT (r.box.x >= o.left "
+    "AND r.box.y >= 0.0 AND r.box.w > 0.0 AND r.box.x + r.box.w <= o.left + o.width + 0.001 AND r.box.h > 0.0 "
+    "AND r.box.y + r.box.h <= 480.001) RETURN count(*) AS n",
+    "a number that is none": "MATCH (:Entity)-[r:Has]->(:Observation) "
+    "WHERE NOT (r.number >= -1e308 AND r.number <= 1e308) RETURN count(*) AS n",
+    "a relation of two episodes, or of one with itself": "MATCH (n:Entity)-[r:Related]->(m:Entity) "
+    "WHERE n.episode <> m.episode OR r.episode <> n.episode OR n.id = m.id RETURN count(*) AS n",
+}
+"""Statements that count what nothing may be."""
+RELATED = (
+    "MATCH (n:Entity)-[r:Related]->(m:Entity) RETURN r.observation AS look, r.first AS frame, n.id AS source, "
+    "m.id AS target, n.episode AS episode"
+)
+MADE = "MATCH (e:Episode)-[:Made]->(o:Observation) RETURN e.id AS episode, o.id AS look, o.frame AS frame"
+SEEN = "MATCH (n:Entity)-[s:Sighted]->(:Observation) RETURN DISTINCT n.id AS who, s.frame AS frame"
+
+
+def test_ten_thousand_calls_write_nothing_that_names_no_observation_made():
+    rng = random.Random(19)
+    with WorldGraph.memory() as world:
+        believe(world, 999)
+        episodes, calls = 20, 500
+        said = []
+        for number in range(episodes):
+            episode, writes = begin(world, number)
+            episode.plan(PLAN, 0)
+            with episode.together():
+                said += play(episode, calls_of(rng, calls))
+            looks = [write for write in writes if write.tool == "observe"]
+            assert len(rows_of(world, "Observation", belongs(episode.key))) == len(looks)
+        written = world.query("MATCH (w:Write) WHERE w.accepted = true RETURN count(*) AS n")["n"][0].as_py()
+        assert written > 2000 and sum(not one.accepted for one in said) > 2000, "both happen often"
+        for what, statement in UNGROUNDED.items():
+            assert world.query(statement)["n"].to_pylist() == [0], what
+        made = {tuple(row.values()) for row in world.query(MADE, ordered=False).to_pylist()}
+        seen = {tuple(row.values()) for row in world.query(SEEN, ordered=False).to_pylist()}
+        related = world.query(RELATED, ordered=False).to_pylist()
+        assert len(related) > 500
+        for row in related:
+            assert (row["episode"], row["look"], row["frame"]) in made
+            assert {(row["source"], row["frame"]), (row["target"], row["frame"])} <= seen
 
 
 def check_grounded(tables, key):

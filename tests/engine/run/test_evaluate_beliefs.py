@@ -17,10 +17,11 @@ from scene_tables import table_store
 from jrdb_avr.engine.cli import group
 from jrdb_avr.engine.run import journal as journals
 from jrdb_avr.engine.run.methods import open_world
+from jrdb_avr.engine.run.resume import add_world_counts
 from jrdb_avr.queries.beliefs.graph import WorldGraph, make_world_tables
 from jrdb_avr.queries.beliefs.record import merge_world, read_record, replayed, restore_world
 from jrdb_avr.queries.graph.handle import Graph
-from jrdb_avr.queries.runs import RunManifest, write_run_manifest
+from jrdb_avr.queries.runs import RunManifest, read_run_manifest, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError, LockedError, StoreError
 
@@ -130,6 +131,16 @@ def test_a_dropped_run_leaves_the_graph_and_keeps_its_record(store, live):
     assert dump(store.graph_path) == of_run(live, "two")
     jrdb_avr("world", "merge", "one", "--store", store.path)
     assert dump(store.graph_path) == live
+
+
+def test_a_runs_manifest_counts_reads_and_writes_of_its_world_model(store):
+    with WorldGraph.memory() as graph:
+        graph.write([("CREATE (:Episode {id: 'r/q'})", {})], [("CREATE (:Episode {id: 'r/p'})", {})])
+        graph.query("MATCH (e:Episode) RETURN count(*) AS n")
+        assert graph.counts == {"reads": 1, "writes": 2}
+        for resumed in (1, 2):
+            add_world_counts(store, "one", graph.counts)
+            assert read_run_manifest(store, "one").world == {"reads": resumed, "writes": 2 * resumed}
 
 
 def test_merging_what_is_not_there_is_one_line(store, live, tmp_path):
