@@ -68,7 +68,7 @@ _READS: Final[dict[Read, _ReadRule]] = {
 
 
 class Time(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
-    """A stated frame, or the first event of a kind after another time.
+    """A stated frame, the first event of a kind after another time, or some moment `before` or `after` stated frames.
 
     `start` and `end` name the `action` that starts or ends; `leaves` and `returns` are of the person alone. Only where
     `next_action` is read an `end` names no action: it is the end of the pose held at the time `after`.
@@ -79,6 +79,12 @@ class Time(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_field
     of: Name | None = None
     action: Label | None = None
     after: Name | None = None
+    before: Name | None = None
+
+    @property
+    def is_moment(self) -> bool:
+        """Whether it is any one frame between others, at which all that the plan says of the time holds together."""
+        return self.frame is None and self.event is None
 
 
 class Condition(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
@@ -282,8 +288,13 @@ def _check_times(plan: Plan, ids: list[str]) -> None:
         raise PlanError("times", "at least one time is needed")
     for name, time in plan.times.items():
         field = f"times.{name}"
-        if (time.frame is None) == (time.event is None):
+        if time.frame is not None and time.event is not None:
             raise PlanError(field, "give either a frame or an event")
+        if time.is_moment:
+            _check_moment(field, time, plan)
+            continue
+        if time.before is not None:
+            raise PlanError(f"{field}.before", 'belongs to a moment; use {"before": "t0"} alone')
         if time.frame is not None:
             for key in ("of", "action", "after"):
                 if getattr(time, key) is not None:
@@ -292,7 +303,7 @@ def _check_times(plan: Plan, ids: list[str]) -> None:
         if time.of is None or time.after is None:
             raise PlanError(field, "an event needs 'of' and 'after'")
         _known(f"{field}.of", time.of, [name for name in ids if name not in plan.things], "person")
-        _known(f"{field}.after", time.after, list(plan.times), "time")
+        _known(f"{field}.after", time.after, [name for name in plan.times if not plan.times[name].is_moment], "time")
         unnamed = time.event == "end" and plan.answer.read == "next_action" and name in plan.answer.times
         if time.action is None and time.event in ("start", "end") and not unnamed:
             raise PlanError(f"{field}.action", "is needed by start and end (but for the end before a next_action)")
@@ -306,6 +317,18 @@ def _check_times(plan: Plan, ids: list[str]) -> None:
                 raise PlanError(f"times.{name}.after", "events wait for each other in a circle")
             seen.add(after)
             after = plan.times[after].after
+
+
+def _check_moment(field: str, time: Time, plan: Plan) -> None:
+    if time.before is None and time.after is None:
+        raise PlanError(field, "give a frame, an event, or the time before or after which it is")
+    for key in ("of", "action"):
+        if getattr(time, key) is not None:
+            raise PlanError(f"{field}.{key}", "belongs to an event, as start")
+    for key in ("before", "after"):
+        if getattr(time, key) is not None:
+            stated = [name for name in plan.times if plan.times[name].frame is not None]
+            _known(f"{field}.{key}", getattr(time, key), stated, "stated frame")
 
 
 def _check_condition(field: str, condition: Condition, plan: Plan) -> None:
@@ -352,6 +375,8 @@ def _check_answer(plan: Plan, ids: list[str]) -> None:
     times = plan.answer.times
     for name in times:
         _known("answer.at", name, list(plan.times), "time")
+        if plan.times[name].is_moment:
+            raise PlanError("answer.at", f"{name!r} is some moment; use a stated frame, or an event")
     rule = _READS[answer.read]
     if rule.mode != answer.mode:
         raise PlanError("answer.mode", f"{answer.mode!r} does not fit the read {answer.read!r}; use {rule.mode!r}")

@@ -15,6 +15,7 @@ _BESIDE: Final = (
     '"first to the left of (robot view)", or the target\'s place seen from the source, as "left, close"; free words '
     'only to a thing, a node with "kind": "table"'
 )
+_ORDER: Final = 'a time {{"{word}": "t0"}} for what holds at some moment {word} t0'
 _SIDE: Final = '"first to the {side} of (robot view)" or "within 30 degrees to the {side} of (robot view)"'
 _SECTOR: Final = '"sector" for the side of the robot, "distance" for how far away'
 FREE: Final = '{"attribute": "shirt", "value": "red", "at": "t0"} for what has no labels'
@@ -44,6 +45,9 @@ _INSTEAD: Final[dict[Place, dict[str, str]]] = {
         "in front of": '"front, close", the target seen from the source',
         **dict.fromkeys(("talking to", "talks to", "talks with", "talking with"), '"conversation"'),
         **dict.fromkeys(("group", "same group", "with", "together with"), '"in the same group as"'),
+        **{word: _ORDER.format(word=word) for word in ("before", "after")},
+        **dict.fromkeys(("earlier than", "precedes"), _ORDER.format(word="before")),
+        **dict.fromkeys(("follows", "later than", "then"), _ORDER.format(word="after")),
         **dict.fromkeys(("is", "same as", "same person"), "one node, which is the same person at all times"),
     },
     "read": {

@@ -6,13 +6,13 @@ What was not written down is unknown, and what is unknown is no match.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Set
 from functools import cached_property
 from typing import Any, Final, NamedTuple
 
 from jrdb_avr.queries.compiler.beliefs import BeliefReader
-from jrdb_avr.queries.compiler.find import search_order, stated_frame, times_of
-from jrdb_avr.schema.plan import Plan
+from jrdb_avr.queries.compiler.find import limits, search_order, stated_frame, times_of
+from jrdb_avr.schema.plan import Condition, Edge, Plan
 from jrdb_avr.schema.relations import SYMMETRIC
 
 _MOST_STEPS: Final = 2_000
@@ -22,9 +22,15 @@ _MOST_ROWS: Final = 50_000
 """Rows that a compiled plan may make: the engine serves one episode at a time, and takes about 1 µs for each."""
 
 
+_Found = Set[tuple[str, ...]]
+_Fits = Callable[[int], _Found]
+"""Who fits a part at a frame."""
+
+
 class _Part(NamedTuple):
     """A condition, sighting or edge of a plan: the entities that satisfy it, and what to report if none do.
 
+    nodes: those that it is about, and "@" with the name of the moment at which it holds; of a moment its frame fits.
     counts: whether it is a condition or an edge, not only a sighting of the node.
     """
 
@@ -34,7 +40,7 @@ class _Part(NamedTuple):
     counts: bool = True
 
     def holds(self, bound: Mapping[str, str]) -> bool:
-        """Whether it is satisfied under a binding of nodes to people."""
+        """Whether it is satisfied under a binding of nodes to people, and of moments to frames."""
         return tuple(map(bound.get, self.nodes)) in self.fits
 
 
@@ -46,9 +52,10 @@ class PlanMatch:
     """
 
     def __init__(self, reader: BeliefReader, plan: Plan) -> None:
-        """Match the parts of a plan with an episode's rows. Raises PlanError where a part holds at no stated frame."""
+        """Match the parts of a plan with an episode's rows. Raises PlanError where a part holds at an event."""
         seen = reader.all("sighted")
         kinds = {row["who"]: row["kind"] for row in reader.all("entities")} if plan.things else {}
+        looked = sorted({row["frame"] for row in seen})
         self.plan = plan
         self.own: dict[str, list[_Part]] = {}
 
@@ -59,37 +66,52 @@ class PlanMatch:
         def joined(relation: str, frame: int) -> frozenset[tuple[str, str]]:
             return frozenset((row["source"], row["target"]) for row in held("relations", frame, name=relation))
 
-        def part(nodes: tuple[str, ...], fits: Iterable[tuple[str, ...]], lack: str, counts: bool = True) -> _Part:
-            may = (fit for fit in fits if all(may_be(node, who) for node, who in zip(nodes, fit, strict=True)))
-            return _Part(nodes, frozenset(may), lack, counts)
-
         def may_be(node: str, who: str) -> bool:
             """Whether an entity is a thing of the node's kind, or for a person no thing of the plan's kinds."""
             kind = kinds.get(who)
             return kind == plan.things[node] if node in plan.things else kind not in plan.things.values()
 
+        def part(nodes: tuple[str, ...], time: str, fits: _Fits, lack: str, counts: bool = True) -> _Part:
+            """What fits at a time: at its frame, or at each frame that a moment may be, with the frame."""
+
+            def at(frame: int) -> Iterator[tuple[str, ...]]:
+                return (fit for fit in fits(frame) if all(map(may_be, nodes, fit)))
+
+            within = limits(plan, time)
+            if within is None:
+                frame = stated_frame(plan, time)
+                return _Part(nodes, frozenset(at(frame)), lack.format(f"at frame {frame:06d}"), counts)
+            frames = [frame for frame in looked if within[0] < frame < within[1]]
+            found = frozenset((*fit, f"{time}@{frame}") for frame in frames for fit in at(frame))
+            return _Part((*nodes, f"@{time}"), found, lack.format(f"at a moment {time}"), counts)
+
+        def sighted(frame: int) -> _Found:
+            return {(row["who"],) for row in seen if row["frame"] == frame}
+
         for node in plan.nodes:
             times, parts = times_of(plan, node.id), self.own.setdefault(node.id, [])
-            for time in times:
-                frame = stated_frame(plan, time)
-                there = ((row["who"],) for row in seen if row["frame"] == frame)
-                parts.append(part((node.id,), there, f"not seen at frame {frame:06d}", counts=False))
+            parts += [part((node.id,), time, sighted, "not seen {}", counts=False) for time in times]
             for condition in node.conditions:
-                frame = stated_frame(plan, condition.at or times[0])
-                name, value = condition.wanted
-                who = {(row["who"],) for row in held("attributes", frame, name=name, value=value)}
-                if condition.interaction is not None:
-                    who.update((end,) for pair in joined(value, frame) for end in pair)
-                when = "" if condition.at is None else f" at frame {frame:06d}"
-                parts.append(part((node.id,), who, f"{name} {value} is not known{when}"))
+
+                def described(frame: int, condition: Condition = condition) -> _Found:
+                    name, value = condition.wanted
+                    who = {(row["who"],) for row in held("attributes", frame, name=name, value=value)}
+                    if condition.interaction is not None:
+                        who.update((end,) for pair in joined(value, frame) for end in pair)
+                    return who
+
+                said = " ".join(condition.wanted)
+                lack = f"{said.replace('{', '{{').replace('}', '}}')} is not known" + " {}" * (condition.at is not None)
+                parts.append(part((node.id,), condition.at or times[0], described, lack))
         self.edges = []
         for edge in plan.edges:
-            frame = stated_frame(plan, edge.at)
-            found = joined(edge.wanted, frame)
-            fits = found | {(b, a) for a, b in found} if edge.relation in SYMMETRIC else found
-            self.edges.append(
-                part((edge.source, edge.target), fits, f"{edge.relation} is not known at frame {frame:06d}")
-            )
+
+            def related(frame: int, edge: Edge = edge) -> _Found:
+                found = joined(edge.wanted, frame)
+                return found | {(b, a) for a, b in found} if edge.relation in SYMMETRIC else found
+
+            lack = f"{edge.relation.replace('{', '{{').replace('}', '}}')} is not known {{}}"
+            self.edges.append(part((edge.source, edge.target), edge.at, related, lack))
         self.people = tuple(sorted({row["who"] for row in seen if may_be(plan.target, row["who"])}))
 
     @cached_property
@@ -97,25 +119,39 @@ class PlanMatch:
         """Every assignment of different people to the plan's nodes that satisfies all its conditions and edges.
 
         None where the compiled plan would make more rows than `_MOST_ROWS`. This goes the same way as it: each node is
-        found by its first edge, the root by its first sighting.
+        found by its first edge, the root by its first sighting, and a moment by the first sighting at it.
         """
         found: list[dict[str, str]] = [{}]
-        rows = 0
-        for node, edges in search_order(self.plan):
-            joining = [self.edges[i] for i, _ in edges]
-            by = joining[0] if joining else self.own[node][0]
-            other = next((one for one in by.nodes if one != node), "")
-            reached: dict[str, list[str]] = defaultdict(list)
-            for fit in by.fits:
-                ends = dict(zip(by.nodes, fit, strict=True))
-                reached[ends.get(other, "")].append(ends[node])
-            rows += sum(len(reached[bound.get(other, "")]) for bound in found)
+        rows, known = 0, set[str]()
+        for name, first in self._order():
+            known.add(name)
+            parts = [one for one in self._parts if name in one.nodes and {*one.nodes} <= known]
+            others = [one for one in first.nodes if one in known and one != name]
+            place = [first.nodes.index(one) for one in others]
+            reached: dict[tuple[str, ...], set[str]] = defaultdict(set)
+            for fit in first.fits:
+                reached[tuple(fit[at] for at in place)].add(fit[first.nodes.index(name)])
+            tried = [bound | {name: who} for bound in found for who in reached[tuple(bound[one] for one in others)]]
+            rows += len(tried)
             if rows > _MOST_ROWS:
                 return None
-            parts = [*self.own[node], *joining]
-            tried = (bound | {node: who} for bound in found for who in reached[bound.get(other, "")])
             found = [b for b in tried if len({*b.values()}) == len(b) and all(part.holds(b) for part in parts)]
-        return found
+        return [{name: who for name, who in bound.items() if name in self.own} for bound in found]
+
+    def _order(self) -> Iterator[tuple[str, _Part]]:
+        """The nodes and moments in the order of the search, each with the part by which it is found."""
+        moments = set[str]()
+        for node, edges in search_order(self.plan):
+            yield node, self.edges[edges[0][0]] if edges else self.own[node][0]
+            for one in self.own[node]:
+                moment = one.nodes[-1]
+                if moment not in moments and moment != node:
+                    moments.add(moment)
+                    yield moment, one
+
+    @cached_property
+    def _parts(self) -> list[_Part]:
+        return [*(part for parts in self.own.values() for part in parts), *self.edges]
 
     @cached_property
     def counted(self) -> list[_Part]:
@@ -126,10 +162,11 @@ class PlanMatch:
         """A binding of nodes to different people, those `named` among them, under which most conditions and edges hold,
         and how many do. Of equal ones the first is taken, in the order of names; nobody is bound who adds nothing.
         """
-        order, free = [*named], [node.id for node in self.plan.nodes if node.id not in named]
+        names = [*self.own, *dict.fromkeys(name for part in self._parts for name in part.nodes if name not in self.own)]
+        order, free = [*named], [name for name in names if name not in named]
         while free:
             # Along edges, so that what joins a person to the rest is known when it is chosen.
-            near = [n for n in free if any({n, o} == {*edge.nodes} for edge in self.edges for o in order)]
+            near = [n for n in free if any({n, o} <= {*edge.nodes} for edge in self.edges for o in order)]
             order.append((near or free)[0])
             free.remove(order[-1])
         place = {node: at for at, node in enumerate(order)}
@@ -175,5 +212,5 @@ class PlanMatch:
             lines += [f"{named[node]}: {part.lack}" for part in lacking]
         for edge in self.edges:
             if not edge.holds(bound):
-                lines.append(f"edge {' -> '.join(named[node] for node in edge.nodes)}: {edge.lack}")
+                lines.append(f"edge {' -> '.join(named[node] for node in edge.nodes[:2])}: {edge.lack}")
         return lines

@@ -38,10 +38,15 @@ _MOST_RANKED: Final = 5
 
 @dataclass(frozen=True)
 class BeliefWriter:
-    """Writes an episode; lefts: the first column of each picture that was read, by name, which grows with them."""
+    """Writes an episode.
+
+    asked: the plan that is proved; plan: the same as pictures are read for it; lefts: the first column of each picture
+    that was read, by name, which grows with them.
+    """
 
     world: BeliefEpisode
     solver: BeliefSolver
+    asked: Plan
     plan: Plan
     task: Task
     lefts: dict[str, int]
@@ -177,7 +182,7 @@ class BeliefWriter:
     def _proved(self, entity: str) -> bool:
         self.world.settle()
         rows = self.world.rows()
-        for plan in self.solver.placements(self.plan, rows, anywhere=False):
+        for plan in self.solver.placements(self.asked, rows, anywhere=False):
             if self.solver.weigh(plan, rows).people.get(plan.target) == entity:
                 return self.solver.solve(plan, rows).people.get(plan.target) == entity
         return False

@@ -16,7 +16,7 @@ from jrdb_avr.agent.reference.chat_memory import ChatMemory
 from jrdb_avr.agent.reference.driven import DrivenEpisode
 from jrdb_avr.agent.reference.episode import LIMITS, Episode, Limits, Memory
 from jrdb_avr.agent.reference.graph_memory import GraphMemory
-from jrdb_avr.agent.reference.perceive import MOST_PEOPLE, without_things
+from jrdb_avr.agent.reference.perceive import MOST_PEOPLE, perceivable
 from jrdb_avr.agent.reference.planning import make_plan
 from jrdb_avr.agent.reference.tool_calls import MOST_PER_TURN
 from jrdb_avr.queries.compiler.believed import find_believed
@@ -86,13 +86,14 @@ class ReferenceAgent:
     def _drive(self, attempt: Attempt) -> Prediction:
         if self.world is None:
             plan = make_plan(attempt, self.limits.repairs, find_believed)
-            return DrivenEpisode(attempt, without_things(plan), self.limits.looks).play()
+            return DrivenEpisode(attempt, perceivable(plan), self.limits.looks).play()
         world = self.world.episode(attempt.task.question, attempt.task.record_write)
         with world.together():
             plan = make_plan(attempt, self.limits.repairs, find_believed, world)
             solver = self.solving(self.world, attempt.task.question)
-            writer = BeliefWriter(world, solver, plan, attempt.task, {})
-            return DrivenEpisode(attempt, without_things(plan), self.limits.looks, writer).play()
+            read = perceivable(plan)
+            writer = BeliefWriter(world, solver, plan, read, attempt.task, {})
+            return DrivenEpisode(attempt, read, self.limits.looks, writer).play()
 
     def _play(self, attempt: Attempt, memory: Memory) -> Prediction:
         episode = Episode(attempt, memory, self.looks, self.limits)

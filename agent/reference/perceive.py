@@ -23,13 +23,15 @@ from jrdb_avr.agent.model.messages import Message, Part, metadata_line, picture_
 from jrdb_avr.agent.model.prompts import render
 from jrdb_avr.agent.perception.geometry import DERIVED
 from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel, ReadTie, topic_of
-from jrdb_avr.schema.beliefs import free_value
+from jrdb_avr.queries.compiler.find import limits
+from jrdb_avr.schema.beliefs import ALWAYS, free_value
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.labels import AGES, GENDERS, INTERACTIONS, OTHER_ACTIONS, POSES
 from jrdb_avr.schema.method import Observation
 from jrdb_avr.schema.panorama import CROP, from_crop
-from jrdb_avr.schema.plan import ATTRIBUTES, Condition, Edge, Node, Plan, canonical
+from jrdb_avr.schema.plan import ATTRIBUTES, Condition, Edge, Node, Plan, Time, canonical
 from jrdb_avr.schema.relations import QUESTION_RELATIONS, RELATIONS, SAME_GROUP
+from jrdb_avr.schema.rules import FPS
 from jrdb_avr.schema.things import OBJECTS, VERBS
 
 MOST_PEOPLE: Final = 10
@@ -37,6 +39,7 @@ MOST_PEOPLE: Final = 10
 
 CANNOT_TELL: Final = "cannot tell"
 _LONGEST_WORDS: Final = 40
+_AWAY: Final = round(2 * FPS)
 PEOPLE_LINE: Final = "The people in the picture, as one JSON object:"
 
 _LABELS: Final = {"gender": GENDERS, "age": AGES, "pose": POSES}
@@ -86,12 +89,15 @@ class Field(NamedTuple):
         return {"type": "string", "enum": list(self.words)}
 
 
-def without_things(plan: Plan) -> Plan:
-    """A plan of the people alone, as boxes are read of people only: what joins somebody to a thing is a condition.
+def perceivable(plan: Plan) -> Plan:
+    """A plan as pictures can be read for it: of people alone, as boxes are read of people only, and at stated frames.
 
-    That two people have to do with one and the same thing is left out, and so is where a thing is seen by the robot.
+    What joins somebody to a thing is a condition; that two people have to do with one and the same thing is left out,
+    and so is where a thing is seen by the robot. A moment is a frame two seconds before or after that of its bound, or
+    in the middle of both.
     """
-    things = plan.things
+    things, stated = plan.things, {n: Time(frame=_frame(plan, n)) for n, time in plan.times.items() if time.is_moment}
+    plan = msgspec.structs.replace(plan, times=plan.times | stated)
     if not things:
         return plan
     people = [node for node in plan.nodes if node.id not in things]
@@ -103,6 +109,13 @@ def without_things(plan: Plan) -> Plan:
     root = plan.target if plan.root in things else plan.root
     edges = tuple(edge for edge in plan.edges if edge.target not in things)
     return msgspec.structs.replace(plan, root=root, nodes=nodes, edges=edges)
+
+
+def _frame(plan: Plan, moment: str) -> int:
+    after, before = limits(plan, moment) or (-1, ALWAYS)
+    if before < ALWAYS:
+        return (after + before) // 2 if after >= 0 else max(0, before - _AWAY)
+    return after + _AWAY
 
 
 def _of_thing(edge: Edge, kind: str) -> Condition:

@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, Final
 
-from jrdb_avr.queries.compiler.find import Edges, Find, conditions_of, search_order, stated_frame, times_of
+from jrdb_avr.queries.compiler.find import Edges, Find, conditions_of, limits, search_order, stated_frame, times_of
 from jrdb_avr.schema.plan import Condition, Edge, Plan, validate
 from jrdb_avr.schema.relations import SYMMETRIC
 
 _PERSON: Final = "({}:Entity {{episode_hash: UUID($hash)}})"
-_HOLDS: Final = "r.current AND r.first <= ${0}_frame AND r.last >= ${0}_frame"
+_HOLDS: Final = "r.current AND r.first <= {0} AND r.last >= {0}"
 _IS: Final = "r.name = ${0}_name AND r.value = ${0}_value"
 
 
@@ -36,6 +36,8 @@ class _Pattern:
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
         self.nodes: dict[str, str] = {}
+        # The variable of each moment: the frame of a sighting at it.
+        self.moments: dict[str, str] = {}
         self.row: dict[str, Any] = {}
 
     def compiled(self) -> Find:
@@ -43,11 +45,15 @@ class _Pattern:
         for node, edges in search_order(self.plan):
             others = list(self.nodes.values())
             own = self.nodes[node] = f"n{len(others)}"
-            bound = ", ".join([*others, own])
-            first, *parts = self._parts(node, edges)
-            lines.append("".join([first, *(f" AND id({own}) <> id({other})" for other in others), self._kind(node)]))
-            lines += [f"WITH {bound}\n{part}" for part in parts]
-            lines.append(f"WITH DISTINCT {bound}")
+            distinct = [f" AND id({own}) <> id({other})" for other in others]
+            known = list(self.moments.values())
+            for place, part in enumerate(self._parts(node, edges)):
+                lines.append(part if place else "".join([part, *distinct, self._kind(node)]))
+                new = [frame for frame in self.moments.values() if frame not in known]
+                carried = [*others, own, *known, *(f"r.frame AS {frame}" for frame in new)]
+                lines.append(f"WITH {', '.join(carried)}")
+                known += new
+            lines[-1] = lines[-1].replace("WITH", "WITH DISTINCT", 1)
         names = (f"{variable}.name AS who{place}" for place, variable in enumerate(self.nodes.values()))
         lines[-1] = f"RETURN DISTINCT {', '.join(names)}"
         return Find("\n".join(lines), tuple(self.nodes), self.row)
@@ -66,32 +72,48 @@ class _Pattern:
         for place, (i, edge) in enumerate(edges):
             yield self._edge(f"e{i}", edge, new="" if place else node)
         for i, time in enumerate(times_of(self.plan, node)):
-            key = f"{own}_s{i}"
-            self.row[f"{key}_frame"] = stated_frame(self.plan, time)
             pattern = f"{_PERSON.format('x' if i or edges else own)}-[r:Sighted]->(:Observation)"
-            yield f"MATCH {pattern}\nWHERE {_same(x=own) if i or edges else ''}r.current AND r.frame = ${key}_frame"
+            same = _same(x=own) if i or edges else ""
+            yield f"MATCH {pattern}\nWHERE {same}r.current AND {self._sighted(f'{own}_s{i}', time)}"
         for i, condition in enumerate(conditions_of(self.plan, node)):
-            at = condition.at or times_of(self.plan, node)[0]
-            yield self._condition(f"{own}_c{i}", own, condition, stated_frame(self.plan, at))
+            yield self._condition(f"{own}_c{i}", own, condition, condition.at or times_of(self.plan, node)[0])
+
+    def _frame(self, key: str, time: str) -> str:
+        """The frame of a time: a parameter, or of a moment the variable that a sighting bound."""
+        if time in self.moments:
+            return self.moments[time]
+        self.row[f"{key}_frame"] = stated_frame(self.plan, time)
+        return f"${key}_frame"
+
+    def _sighted(self, key: str, time: str) -> str:
+        """The test of a sighting's frame; the first sighting at a moment binds it."""
+        within = limits(self.plan, time)
+        if within is None or time in self.moments:
+            return f"r.frame = {self._frame(key, time)}"
+        self.moments[time] = f"f{len(self.moments)}"
+        self.row |= {f"{key}_after": within[0], f"{key}_before": within[1]}
+        return f"r.frame > ${key}_after AND r.frame < ${key}_before"
 
     def _edge(self, key: str, edge: Edge, new: str) -> str:
-        self.row |= {f"{key}_name": edge.wanted, f"{key}_frame": stated_frame(self.plan, edge.at)}
+        self.row[f"{key}_name"] = edge.wanted
         ends = {"x": edge.source, "y": edge.target}
         source, target = (self.nodes[node] if node == new else end for end, node in ends.items())
         way = "-" if edge.relation in SYMMETRIC else "->"
         same = _same(**{end: self.nodes[node] for end, node in ends.items() if node != new})
         pattern = f"{_PERSON.format(source)}-[r:Related]{way}{_PERSON.format(target)}"
-        return f"MATCH {pattern}\nWHERE {same}{_HOLDS.format(key)} AND r.name = ${key}_name"
+        holds = _HOLDS.format(self._frame(key, edge.at))
+        return f"MATCH {pattern}\nWHERE {same}{holds} AND r.name = ${key}_name"
 
-    def _condition(self, key: str, own: str, condition: Condition, frame: int) -> str:
+    def _condition(self, key: str, own: str, condition: Condition, time: str) -> str:
         name, value = condition.wanted
-        self.row |= {f"{key}_name": name, f"{key}_value": value, f"{key}_frame": frame}
+        self.row |= {f"{key}_name": name, f"{key}_value": value}
         edge, fits = "-[r:Has]->(:Observation)", _IS.format(key)
         if condition.interaction is not None:
             # What joins somebody to anybody stands for an attribute of both.
             edge = "-[r:Has|Related]-(:Observation:Entity)"
             fits = f"(label(r) = 'Has' AND {fits} OR label(r) = 'Related' AND r.name = ${key}_value)"
-        return f"MATCH {_PERSON.format('x')}{edge}\nWHERE {_same(x=own)}{_HOLDS.format(key)} AND {fits}"
+        holds = _HOLDS.format(self._frame(key, time))
+        return f"MATCH {_PERSON.format('x')}{edge}\nWHERE {_same(x=own)}{holds} AND {fits}"
 
 
 def _same(**ends: str) -> str:

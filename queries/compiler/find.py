@@ -22,6 +22,7 @@ from jrdb_avr.queries.compiler.mapping import (
     edge_values,
     thing_edge_kind,
 )
+from jrdb_avr.schema.beliefs import ALWAYS
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.plan import ATTRIBUTES, Condition, Edge, Plan, validate
 
@@ -60,6 +61,7 @@ class _Pattern:
         self.row: dict[str, Any] = {}
         self.times = {name: f"t{i}" for i, name in enumerate(sorted(plan.times))}
         self.things = plan.things
+        self.moments: dict[str, str] = {}
 
     def compiled(self) -> Find:
         people = [self._person(node, edges) for node, edges in search_order(self.plan)]
@@ -90,6 +92,7 @@ class _Pattern:
         # Nothing is asked of a thing at a time alone.
         bound = [self._at(node, time) for time in (times[:1] if node in self.things else times)]
         where = [space.there.format(**at) for at in reversed(bound)]
+        where += [text for time, at in zip(times, bound, strict=False) for text in self._begun(node, time, at)]
         where += [f"n{place}.id <> n{other}.id" for other in range(place)]
         holds: dict[str, str] = {}
         for name, clause, at in self._clauses(node, edges):
@@ -129,8 +132,22 @@ class _Pattern:
 
     def _at(self, node: str, time: str) -> Variables:
         place, t = self.nodes.index(node), self.times[time]
-        self.row[t] = stated_frame(self.plan, time)
-        return {"n": f"n{place}", "s": f"s{place}_{t}", "t": t, "scope": "scope"}
+        bound = {"n": f"n{place}", "s": f"s{place}_{t}", "t": t, "scope": "scope"}
+        if limits(self.plan, time) is None:
+            self.row[t] = stated_frame(self.plan, time)
+        elif node not in self.things or time in self.moments:
+            # The sighting of the first person at a moment says which frame it is.
+            bound["t"] = self.moments.setdefault(time, f"{bound['s']}.frame")
+        return bound
+
+    def _begun(self, node: str, time: str, at: Variables) -> list[str]:
+        """The tests of the frame of a moment that a sighting of the node decides."""
+        within = limits(self.plan, time)
+        if within is None or node in self.things or at["t"] != f"{at['s']}.frame":
+            return []
+        names = [f"{self.times[time]}_{name}" for name in ("after", "before")]
+        self.row |= dict(zip(names, within, strict=True))
+        return [f"{at['t']} > {names[0]}", f"{at['t']} < {names[1]}"]
 
     def _values(self, prefix: str, values: Mapping[str, Any]) -> Variables:
         self.row |= {f"{prefix}_{variable}": value for variable, value in values.items()}
@@ -177,6 +194,15 @@ def stated_frame(plan: Plan, time: str) -> int:
     return frame
 
 
+def limits(plan: Plan, time: str) -> tuple[int, int] | None:
+    """The frames after which and before which a moment is; None for a time that is none."""
+    moment = plan.times[time]
+    if not moment.is_moment:
+        return None
+    after, before = (None if name is None else plan.times[name].frame for name in (moment.after, moment.before))
+    return -1 if after is None else after, ALWAYS if before is None else before
+
+
 def times_of(plan: Plan, node: str) -> list[str]:
     """Names of the times at which something holds of a node; where nothing does, the first stated one.
 
@@ -203,12 +229,17 @@ def people_of(find: Find, row: Mapping[str, Any]) -> dict[str, PersonId]:
 
 def outcome_of_people(find: Find, rows: Sequence[Mapping[str, Any]]) -> Agreed:
     """The outcome where one binding must be certain, and no other one possible."""
-    certain = sum(all(row[name] for name in row if name.startswith("sure")) for row in rows)
+    # Several rows of the same people are of different moments, of which one is enough.
+    sure: dict[tuple[PersonId, ...], bool] = {}
+    for row in rows:
+        who = tuple(people_of(find, row).values())
+        sure[who] = sure.get(who, False) or all(row[name] for name in row if name.startswith("sure"))
+    certain = sum(sure.values())
     if certain > 1:
         return "ambiguous", {}
     if not rows:
         return "empty", {}
-    return ("defined", people_of(find, rows[0])) if len(rows) == certain else ("unknown", {})
+    return ("defined", people_of(find, rows[0])) if len(sure) == certain else ("unknown", {})
 
 
 def outcome_of_target(plan: Plan, people: Sequence[Mapping[str, PersonId]]) -> Agreed:

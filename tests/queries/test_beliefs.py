@@ -189,6 +189,49 @@ def test_plans_with_things_had_each_outcome(graph):
     assert all(SEEN["things", outcome] for outcome in ("defined", "ambiguous", "empty")), SEEN
 
 
+def at_moments(rng, plan):
+    """Conditions and edges moved from their frames to moments."""
+    bounds = ({"after": "t0"}, {"before": "t1"}, {"before": "t0"}, {"after": "t0", "before": "t1"})
+    plan["times"] |= {name: rng.choice(bounds) for name in ("u", "v")}
+    for part in [*(c for node in plan["nodes"] for c in node["conditions"] if "at" in c), *plan["edges"]]:
+        part["at"] = rng.choice((part["at"], "u", "u", "v"))
+    return plan
+
+
+def compare_moments(graph, seed):
+    rng = random.Random(seed)
+    key, story = f"moments {next(RUNS)}", random_story(rng)
+    write(graph, {key: story})
+    mind = Mind(story.rows)
+    for _ in range(5):
+        outcome = rng.choice(OUTCOMES)
+        for _ in range(30):
+            plan = at_moments(rng, random_plan(rng, mind, "action"))
+            expected = mind.solve(plan)
+            if expected[0] == outcome:
+                break
+        belief = BeliefSolver(graph, key, rules=RULES).solve(parsed(plan))
+        assert told(belief) == expected, (seed, plan, expected)
+        assert bool(belief.missing) == (belief.outcome != "defined"), (seed, plan)
+        assert BeliefSolver(None, "", rules=RULES).weigh(parsed(plan), rows_of(story, rng)) == belief, (seed, plan)
+        if rng.random() < 0.3:
+            guess = BeliefSolver(graph, key, rules=RULES).guess(parsed(plan))
+            assert told(guess) == Mind(story.rows, math.inf).guess(plan), (seed, plan)
+        SEEN["moments", belief.outcome] += 1
+
+
+@settings(max_examples=examples(6), suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(seed=st.integers(0, 10**9))
+def test_what_holds_before_or_after_a_frame_is_found_as_by_brute_force(graph, seed):
+    compare_moments(graph, seed)
+
+
+def test_moments_had_each_outcome(graph):
+    for seed in range(6):
+        compare_moments(graph, seed)
+    assert all(SEEN["moments", outcome] for outcome in OUTCOMES), SEEN
+
+
 def test_an_episode_without_beliefs_is_empty(graph):
     rng = random.Random(1)
     story = random_story(rng)

@@ -243,6 +243,89 @@ def test_a_relation_to_a_thing_without_labels_is_refused_with_what_to_use():
         compile_find(two_nodes(nodes=nodes, edges=edges), SCENE)
 
 
+# -- moments ------------------------------------------------------------------------------------------------------
+
+
+def at_a_moment(world, rng, values):
+    """A person of whom something is true at a frame and something before or after it, maybe together with another."""
+    frames = sorted({frame for frame, _ in world.people})
+    t0, t1 = sorted(rng.sample(frames, 2))
+    own = rng.sample(values, 2)
+    label = rng.choice((*TOGETHER, GROUP, *FIRST)) if rng.random() < 0.5 else None
+    nodes = {"a": world.plain(own[:1], "t0") + world.plain(own[1:], "m")}
+    if label:
+        nodes["b"] = world.plain([rng.choice(values)], "m") if rng.random() < 0.3 else []
+    bounds = rng.choice(({"after": "t0"}, {"before": "t0"}, {"after": "t0", "before": "t1"}, {"before": "t1"}))
+    plan = {
+        "root": "a",
+        "target": rng.choice(sorted(nodes)),
+        "times": {"t0": {"frame": t0}, "t1": {"frame": t1}, "m": bounds},
+        "nodes": [{"id": name, "conditions": conditions} for name, conditions in nodes.items()],
+        "edges": [{"source": "a", "relation": label, "target": "b", "at": "m"}] if label else [],
+    }
+    return plan | {"answer": {"mode": "multiple_choice", "read": "action", "of": plan["target"], "at": "t0"}}
+
+
+def bound_at_a_moment(world, plan):
+    """The outcome, and who is found, over every binding and every frame of the moment."""
+    bounds = plan["times"]["m"]
+    low, high = (
+        plan["times"][bounds[k]]["frame"] if k in bounds else end for k, end in (("after", -1), ("before", 10**9))
+    )
+    names = [node["id"] for node in plan["nodes"]]
+    moments = any(
+        part.get("at") == "m" for part in [*(c for n in plan["nodes"] for c in n["conditions"]), *plan["edges"]]
+    )
+    frames = sorted({frame for frame, _ in world.people if low < frame < high}) if moments else [-1]
+    values = defaultdict(list)
+    for frame in frames:
+        at = {"t0": plan["times"]["t0"]["frame"], "m": frame}
+        needed = {n["id"]: {c["at"] for c in n["conditions"] if "at" in c} for n in plan["nodes"]}
+        for edge in plan["edges"]:
+            needed[edge["source"]].add(edge["at"])
+            needed[edge["target"]].add(edge["at"])
+        could = {
+            n: [t for t in world.told if all((at[k], t) in world.people for k in needed[n] or {"t0"})] for n in names
+        }
+        for tracks in itertools.product(*could.values()):
+            who = dict(zip(names, tracks, strict=True))
+            if len({*tracks}) == len(names):
+                facts = [holds_of(world, c, at[c.get("at", next(iter(needed[n["id"]] or {"t0"})))], who[n["id"]])
+                         for n in plan["nodes"] for c in n["conditions"]]  # fmt: skip
+                facts += [world.related(at[e["at"]], who["a"], e["relation"], who["b"]) for e in plan["edges"]]
+                values[tracks].append(facts)
+    sure = {tracks: any({*facts} <= {YES} for facts in every) for tracks, every in values.items()}
+    possible = [tracks for tracks, every in values.items() if any(NO not in facts for facts in every)]
+    if sum(sure.values()) > 1:
+        return SEVERAL
+    if len(possible) == 1 and sure[possible[0]]:
+        return dict(zip(names, possible[0], strict=True))
+    return MAYBE if possible else EMPTY
+
+
+def holds_of(world, condition, frame, track):
+    """Whether a plan's condition is true, false or unknown."""
+    if "attribute" in condition:
+        return world.value((condition["attribute"], condition["value"]), frame, track)
+    if "object" in condition:
+        return world.value(("object", (condition["object"], condition["verb"])), frame, track)
+    kind = "interaction" if "interaction" in condition else "action"
+    return world.value((kind, condition[kind]), frame, track)
+
+
+def test_what_holds_before_or_after_a_frame_is_found_as_by_brute_force(sites):
+    rng, seen = random.Random(5), Counter()
+    for site in sites[:4]:
+        world = site.world
+        values = sorted({c for frame, track in site.moments(11) for c in world.conditions(frame, track)}, key=str)
+        plans = [at_a_moment(world, rng, values) for _ in range(40)]
+        expected = [bound_at_a_moment(world, plan) for plan in plans]
+        for plan, solution, outcome in zip(plans, site.solve(map(json.dumps, plans)), expected, strict=True):
+            assert (dict(solution.people) or found(solution)) == outcome, plan
+            seen["one" if isinstance(outcome, dict) else outcome] += 1
+    assert all(seen[kind] for kind in ("one", MAYBE, EMPTY, SEVERAL)), seen
+
+
 # -- reads --------------------------------------------------------------------------------------------------------
 
 

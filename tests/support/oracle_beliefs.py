@@ -13,6 +13,9 @@ BOTH_WAYS = {"conversation", "hugging", "in the same group as"}
 PRESENCE = {(1, 1): "both times", (1, 0): "only at the first time", (0, 1): "only at the second time"}
 
 
+ENDS = {"after": -1, "before": 10**9}
+
+
 class Mind:
     """What is believed in one episode; `resolved` frames at most lie between the looks that enclose a moment."""
 
@@ -82,7 +85,22 @@ class Mind:
             a, b = bound.get(edge["source"]), bound.get(edge["target"])
             yield None not in (a, b) and self.related(a, edge["relation"], b, frame_of(edge["at"]))
 
+    def at_moments(self, plan):
+        """The plan with every frame that its moments may be, and with none."""
+        moments = {name: time for name, time in plan["times"].items() if not {"frame", "event"} & {*time}}
+        frames = []
+        for time in moments.values():
+            low, high = (plan["times"][time[key]]["frame"] if key in time else end for key, end in ENDS.items())
+            frames.append([-5, *sorted({frame for _, frame in self.sighted if low < frame < high})])
+        for chosen in itertools.product(*frames):
+            stated = {name: {"frame": frame} for name, frame in zip(moments, chosen, strict=True)}
+            yield {**plan, "times": plan["times"] | stated}
+
     def bindings(self, plan):
+        found = [bound for one in self.at_moments(plan) for bound in self.bindings_at(one)]
+        yield from [bound for place, bound in enumerate(found) if bound not in found[:place]]
+
+    def bindings_at(self, plan):
         nodes = [node["id"] for node in plan["nodes"]]
         for people in itertools.permutations(self.people, len(nodes)):
             bound = dict(zip(nodes, people, strict=True))
@@ -104,7 +122,7 @@ class Mind:
             bound = {node: who for node, who in zip(nodes, people, strict=True) if who is not None}
             if len(set(named)) == len(named) and plan["target"] in bound:
                 who = bound[plan["target"]]
-                fits[who] = max(fits[who], sum(self.parts(plan, bound)))
+                fits[who] = max(fits[who], *(sum(self.parts(one, bound)) for one in self.at_moments(plan)))
         if not fits:
             return None
         return min(self.people, key=lambda who: (-fits[who], -len(self.frames(who)), who))

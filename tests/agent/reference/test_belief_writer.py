@@ -48,7 +48,7 @@ class Played:
         task = SimpleNamespace(
             question=SimpleNamespace(choices=POSES), sequence=SimpleNamespace(frames=tuple(range(0, 60, 15)))
         )
-        self.writer = BeliefWriter(self.episode, BeliefSolver(graph, self.episode.key), plan, task, {})
+        self.writer = BeliefWriter(self.episode, BeliefSolver(graph, self.episode.key), plan, plan, task, {})
         self.plan, self.tracks = plan, Tracks({}, {})
 
     def see(self, *people):

@@ -25,9 +25,9 @@ from jrdb_avr.agent.reference.perceive import (
     CANNOT_TELL,
     Perceiver,
     fields_of,
+    perceivable,
     perceive_schema,
     read_people,
-    without_things,
 )
 from jrdb_avr.agent.simulated.knobs import Knobs
 from jrdb_avr.agent.simulated.server import Server
@@ -108,12 +108,22 @@ def test_free_attributes_are_asked_for_without_the_value_that_is_wanted():
 def test_what_joins_a_person_to_a_thing_is_read_of_the_person():
     nodes = (Node("t", kind="table"), Node("a"), Node("b", kind="person"))
     edges = tuple(Edge(who, label, "t", "t0") for who, label in (("a", "sitting"), ("b", "Next to"), ("b", FRONT)))
-    plan = without_things(Plan("t", "b", WOMAN.times, nodes, edges, WOMAN.answer))
+    plan = perceivable(Plan("t", "b", WOMAN.times, nodes, edges, WOMAN.answer))
     assert (plan.root, plan.edges, [node.id for node in plan.nodes]) == ("b", (), ["a", "b"])
     assert plan.nodes[0].conditions == (Condition(object="table", verb="sitting", at="t0"),)
     assert plan.nodes[1].conditions == (Condition(attribute="next_to", value="table", at="t0"),)
     assert {"object sitting: table", "attribute next_to"} <= {field.key for field in fields_of(plan)}
-    assert without_things(WOMAN) is WOMAN
+    assert perceivable(WOMAN) == WOMAN
+
+
+THING = {"id": "t", "kind": "table"}
+
+
+def test_a_moment_is_looked_for_near_its_bound():
+    times = {"t0": Time(frame=150), "t1": Time(frame=20), "u": Time(before="t0"), "v": Time(before="t1")}
+    times |= {"w": Time(after="t0"), "x": Time(after="t1", before="t0")}
+    plan = perceivable(Plan("a", "a", times, (Node("a"),), (), WOMAN.answer))
+    assert [time.frame for time in plan.times.values()] == [150, 20, 120, 0, 180, 85]
 
 
 FRONT = "within 30 degrees to the left of (robot view)"
@@ -288,17 +298,14 @@ def test_attributes_are_answered(world, beliefs, name, choices, choice):
     assert iou(Box(*prediction.evidence.box), READER.box(150)) > 0.5
 
 
-def test_a_person_at_a_thing_is_played_without_a_fault(world, beliefs):
+def test_a_person_at_a_thing_at_a_moment_is_played_without_a_fault(world, beliefs):
+    at = {"a": "t0", "b": "t1"}
     plan = {
         "root": "a",
         "target": "b",
-        "times": {"t0": {"frame": 150}},
-        "nodes": [
-            {"id": "a", "conditions": [{"action": "reading", "at": "t0"}]},
-            {"id": "b"},
-            {"id": "t", "kind": "table"},
-        ],
-        "edges": [{"source": who, "relation": "next to", "target": "t", "at": "t0"} for who in "ab"],
+        "times": {"t0": {"frame": 150}, "t1": {"before": "t0"}},
+        "nodes": [{"id": "a", "conditions": [{"action": "reading", "at": "t0"}]}, {"id": "b"}, THING],
+        "edges": [{"source": who, "relation": "next to", "target": "t", "at": time} for who, time in at.items()],
         "answer": {"mode": "multiple_choice", "read": "action", "of": "b", "at": "t0"},
     }
     chat = Chat(Knobs())
