@@ -13,6 +13,8 @@ from typing import Final, Literal
 import numpy as np
 
 from jrdb_avr.engine.report.bootstrap import Interval, intervals, mean_ratio
+from jrdb_avr.engine.report.directions import direction_lines
+from jrdb_avr.engine.report.paper import ABLATION
 
 SCORES: Final = ("answer", "evidence", "combined")
 
@@ -142,12 +144,35 @@ def print_figures(cells: Cells) -> None:
 
 
 def print_bounds(cells: Cells) -> None:
-    """Print each bound with what was measured, and whether it holds."""
+    """Print each bound that was measured, the value, and whether it holds."""
     words = {"above by": "at least {:+.0f}, interval above 0", "not below": "interval holds 0 or lies above"}
     words |= {"at most half": "less half of the other's: at most 0", "answered": "at least {:.0f} % answered"}
     words |= {"certain": "at least {:.0f} % where certain"}
     for bound in BOUNDS:
         found = judge(bound, cells)
+        if found is None:
+            continue
         what = f"{bound.method}{f' - {bound.other}' if bound.other else ''}, {bound.score}"
-        value, verdict = ("", "not measured") if found is None else (found[0], "holds" if found[1] else "DOES NOT HOLD")
+        value, verdict = found[0], "holds" if found[1] else "DOES NOT HOLD"
         print(f"{bound.setting:<11}{what:<58}{words[bound.kind].format(100 * bound.least):<38}{value:<24}{verdict}")
+
+
+def print_ablation(cells: Cells, setting: str) -> None:
+    """Print active observation by world model by policy beside the paper's figures, and which directions agree."""
+    rows = []
+    print(f"{setting}, synthetic: answer / evidence / combined / hallucination; the paper's")
+    for (_, method), own in ((cell, own) for cell, own in cells.items() if cell[0] == setting):
+        name, _, policy = method.partition(" ")
+        if name not in ABLATION:
+            continue
+        shares = {score: 100 * own.share(score) for score in SCORES} | {"hallucination": 100 * own.hallucination}
+        paper = ABLATION[name]
+        row = {"active": "off" if "passive" in name else "on", "world_model": "off" if "no-world" in name else "on"}
+        row |= {"policy": policy or "model", "model": setting, "setting": "", "label": "synthetic"}
+        rows.append(row | shares)
+        print(
+            f"{method:<24}{' / '.join(f'{value:.1f}' for value in shares.values()):<28}"
+            f"{paper.answer:.1f} / {paper.evidence:.1f} / {paper.combined:.1f} / {paper.hallucination:.1f}"
+        )
+    for line in direction_lines(rows):
+        print(line)

@@ -32,6 +32,7 @@ from agent_bounds import (
     PASSIVE_NO_WORLD,
     REACT,
     Measured,
+    print_ablation,
     print_bounds,
     print_figures,
 )
@@ -39,8 +40,6 @@ from agent_bounds import (
 import jrdb_avr
 from jrdb_avr.agent.simulated.knobs import PROFILES, Knobs
 from jrdb_avr.engine.generate.run import generate
-from jrdb_avr.engine.report.comparison import report
-from jrdb_avr.engine.report.directions import direction_lines
 from jrdb_avr.engine.report.scoring import read_truth, score_run
 from jrdb_avr.engine.run.evaluate import evaluate
 from jrdb_avr.loaders.load import load
@@ -276,11 +275,9 @@ def main() -> None:
     print_figures(measured)
     print("\nPaired differences in points with 95 % intervals, and the bounds")
     print_bounds(measured)
-    for store in {run.store for run in runs if run.setting == "small-vlm"}:
-        found = report(Store(store), [run.run_id for run in runs if run.store == store and run.setting == "small-vlm"])
-        print(f"\nsmall-vlm (synthetic), {store.name}: active, world model and policy beside the paper's ablation")
-        for line in direction_lines(found.table("ablation")):
-            print(line)
+    if "small-vlm" in settings:
+        print()
+        print_ablation(measured, "small-vlm")
 
 
 if __name__ == "__main__":
