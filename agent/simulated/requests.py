@@ -193,8 +193,8 @@ def _pictures(parts: UserMessage, reader: Reader) -> Iterator[tuple[_Metadata, s
     place: _Metadata | None = None
     name = ""
     for part in parts:
-        announced = _ANNOUNCED.fullmatch(part.text.rpartition("\n")[2])
-        if announced:
+        # A message without pictures is one text.
+        for announced in filter(None, map(_ANNOUNCED.fullmatch, part.text.split("\n"))):
             if place is not None:
                 yield place, name, _NO_LONGER_SENT
             try:
@@ -202,7 +202,7 @@ def _pictures(parts: UserMessage, reader: Reader) -> Iterator[tuple[_Metadata, s
             except msgspec.DecodeError as error:
                 raise DecodeError(f"a picture's line cannot be read: {error}") from None
             name = announced[1] or ""
-        elif part.image_url is not None and place is not None:
+        if part.image_url is not None and place is not None:
             yield place, name, reader.picture(part.image_url.url, wrap=place.angle_deg is None)
             place = None
     if place is not None:

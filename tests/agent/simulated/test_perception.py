@@ -296,8 +296,13 @@ def test_coarse_boxes_err_more_in_a_larger_picture():
 
 def test_a_picture_that_is_sent_no_more_shows_nobody():
     """Its line alone is a look all the same, and nothing is seen there that is not."""
-    parts = [MessagePart(HEADING), *map(MessagePart, (line(0), line(5))), grey(), MessagePart(STAGE)]
-    request = read_request([parts], Reader(), [STAGE], lambda *about: Perception(Knobs(ghosts=1.0), *about))
+    parts = [MessagePart(line(5)), grey(), MessagePart(STAGE)]
+    request = read_request(
+        [[MessagePart(f"{HEADING}\n{line(0)}\nLooks made: 1")], parts],
+        Reader(),
+        [STAGE],
+        lambda *about: Perception(Knobs(ghosts=1.0), *about),
+    )
     assert [(look.frame, len(look.sightings)) for look in request.looks] == [(0, 0), (5, 1)]
 
 
