@@ -57,8 +57,8 @@ def _line(cells: Mapping[_Cell, _Row], about: str) -> str:
     count = len(_CHANGES) * len(_SCORES)
     agreeing = sum(_alike(cells, *ends, name) for ends in _CHANGES.values() for name in _SCORES)
     label = " (synthetic)" if any(row["label"] for row in cells.values()) else ""
-    unlike = f"; others: {'; '.join(others)}" if others else ""
-    return f"{about}{label}: {agreeing} of {count} directions are the paper's{unlike}"
+    rest = f"; others: {'; '.join(others)}" if others else ""
+    return f"{about}{label}: {agreeing} of {count} directions are the paper's{rest}"
 
 
 def _alike(cells: Mapping[_Cell, _Row], before: _Cell, after: _Cell, name: str) -> bool:
