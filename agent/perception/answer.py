@@ -63,10 +63,13 @@ def conclude(
 
     hypotheses: the best first; frames: the legal ones.
     """
-    best = {one.nodes[plan.target]: one for one in reversed(hypotheses) if plan.target in one.nodes}
+    best: dict[str, RankedHypothesis] = {}
+    for one in hypotheses:
+        if plan.target in one.nodes:
+            best.setdefault(one.nodes[plan.target], one)
     if not best:
         return None
-    order = sorted(best, key=lambda who: -best[who].log_odds)
+    order = [*best]
     reads = {who: _Reader(plan, tracks, who, choices, frames).read() for who in order}
     near = (who for who in order if best[who].log_odds >= best[order[0]].log_odds - UNIT)
     who = next((who for who in near if reads[who].answer is not None), order[0])

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import bisect
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
 from jrdb_avr.agent.perception.association import expected_place
-from jrdb_avr.agent.perception.geometry import CIRCLE, Arc, around, deciding_arc, gaps
+from jrdb_avr.agent.perception.geometry import CIRCLE, DERIVED, Arc, around, covered, deciding_arc, gaps
 from jrdb_avr.agent.perception.moments import Bracket, brackets, presence
 from jrdb_avr.agent.perception.readings import USUAL
 from jrdb_avr.agent.perception.support import RankedHypothesis, frames_of, parts_of, slot_supports
-from jrdb_avr.agent.perception.votes import Tracks, settled
+from jrdb_avr.agent.perception.votes import EDGE_DEG, UNIT, Tracks, settled
 from jrdb_avr.schema.labels import ROBOT_SECTORS
 from jrdb_avr.schema.panorama import CROP, FOV_DEG, WIDTH, angle_error, clockwise
 from jrdb_avr.schema.plan import Plan, Read
@@ -42,13 +42,18 @@ RESERVES: Final[dict[Read, int]] = {
 SAME_FRAME_RESERVE: Final = 3
 """The same for an action or attribute at the frame of the description."""
 
+_LAST: Final = 4
+"""Looks that are kept for it where the target is not known."""
+
 LEAST_BITS: Final = 0.05
 """A look that is expected to tell less is not made."""
 
 MOST_READINGS: Final = 3
 """Of one person at one frame; more tell nothing new."""
 
-_RIVALS: Final = 5
+_RIVALS: Final = 8
+_ASIDE_DEG: Final = 12.0
+_LEAST_NEW: Final = 0.2
 _ANSWER_BITS: Final = 2.0
 _OVERLAP_DEG: Final = 6.0
 _APART_DEG: Final = 1.5
@@ -70,7 +75,10 @@ _CLOSE_FRAMES: Final = 28
 _TRIES: Final = 3
 """Looks at one frame for somebody who is followed; then a later one is tried."""
 
-_STEP: Final = round(2 * FPS)
+_NEARBY: Final = 16
+"""Frames after which somebody is still near the place where they were seen."""
+
+_STEP: Final = round(3 * FPS)
 _WAIT: Final = round(3 * FPS)
 _SECTOR_REACH: Final = LoadRules().sector_false_deg
 
@@ -95,7 +103,7 @@ def next_look(
         return None
     view = _Attention(plan, tracks, hypotheses, left, frames)
     who, reading = [*view.identify(), *view.verify()], [*view.read(), *view.evidence()]
-    order = (who, reading) if left > view.reserve else (reading, who)
+    order = (who, reading) if left > (view.reserve if view.identified else _LAST) else (reading, who)
     for looks in order:
         best = max(looks, key=lambda look: look.bits, default=None)
         if best is not None and best.bits >= LEAST_BITS:
@@ -121,6 +129,13 @@ class _Attention:
         if answer.read in ("action", "attribute") and self.legal(self.plan.times[answer.times[0]].frame or 0) in here:
             return SAME_FRAME_RESERVE
         return RESERVES[answer.read]
+
+    @property
+    def identified(self) -> bool:
+        """Whether something speaks for every part of the plan, and the likeliest target is clearly the likeliest."""
+        if not self.hypotheses or self.hypotheses[0].margin < UNIT / 2:
+            return False
+        return all(one.support.log_odds > 0 for one in slot_supports(self.plan, self.tracks, self.hypotheses[0]))
 
     @property
     def target(self) -> str | None:
@@ -191,13 +206,39 @@ class _Attention:
                 for who in {one.nodes.get(node, "") for node in part.nodes} - {""}:
                     frame = frames_of(self.plan, part.nodes[0])[0] if part.frame is None else part.frame
                     bits[who, self.legal(frame)] = bits.get((who, self.legal(frame)), 0.0) + told
-        for (who, frame), told in bits.items():
-            if len(self.tracks.at(who, frame)) < MOST_READINGS:
-                seen = self.tracks.box(who, frame)
-                if seen is not None:
-                    yield NextLook(frame, self._angle(who, frame), "verify", told)
-                elif (found := self._search(who, frame, told, "verify")) is not None:
+        for frame in {frame for _, frame in bits}:
+            yield from self._views(frame, {who: told for (who, at), told in bits.items() if at == frame})
+        yield from self._together()
+
+    def _views(self, frame: int, bits: Mapping[str, float]) -> Iterator[NextLook]:
+        """Looks at people who are worth these bits: one may show several of them."""
+        places = {}
+        for who, told in bits.items():
+            if self.tracks.box(who, frame) is None:
+                if (found := self._search(who, frame, told, "verify")) is not None:
                     yield found
+            elif self.tracks.shown(who, frame) < MOST_READINGS:
+                places[who] = self._angle(who, frame)
+        for angle in {place + turn for place in places.values() for turn in (0.0, -_ASIDE_DEG, _ASIDE_DEG)}:
+            shown = [who for who, place in places.items() if angle_error(angle, place) < FOV_DEG / 2 - EDGE_DEG]
+            yield NextLook(frame, angle % 360.0, "verify", sum(bits[who] for who in shown))
+
+    def _together(self) -> Iterator[NextLook]:
+        """Looks that show whoever a relation leads from in one picture with those beside them, who may be its end."""
+        for part, support in slot_supports(self.plan, self.tracks, self.hypotheses[0]) if self.hypotheses else ():
+            if len(part.nodes) < 2 or part.name in DERIVED or support.log_odds > 0:
+                continue
+            for who in (self.hypotheses[0].nodes.get(node, "") for node in part.nodes[:1]):
+                frame = self.legal(part.frame or 0)
+                if self.tracks.box(who, frame) is None:
+                    continue
+                angle, half = self._angle(who, frame), FOV_DEG / 2 - EDGE_DEG
+                shown = [one for one in self.tracks.looks.get(frame, ()) if covered([one], around(angle, EDGE_DEG))]
+                for turn in (half, -half):
+                    side = Arc((angle + min(0.0, 2 * turn)) % 360.0, 2 * half)
+                    new = sum(gap.span for gap in gaps(shown, side)) / side.span
+                    if new > _LEAST_NEW:
+                        yield NextLook(frame, (angle + turn) % 360.0, "verify", new * _ANSWER_BITS * _learned(0.3))
 
     # -- what is read of the target -------------------------------------------------------------------------------
 
@@ -247,17 +288,11 @@ class _Attention:
 
     def _bracket(self, who: str, event: Bracket) -> Iterator[NextLook]:
         """Step on until the change was passed, halve the bracket, then read its two ends again."""
-        low, high, last = event.low, event.high, self.frames[-1]
+        low, high = event.low, event.high
         close = _CLOSE.get(self.plan.answer.read, _CLOSE_FRAMES)
         tried = self.tracks.looks
         if high is None:
-            beyond = max([low, *(at for at in tried if at > low and not self.tracks.at(who, at))])
-            step = max(_STEP, round((last - beyond) / (2 * max(self.left - 3, 1))))
-            # Whoever was missed is searched beside, or later.
-            again = {beyond} if len(tried.get(beyond, ())) < _TRIES else set()
-            for at in again | {self.legal(min(beyond + step, last))} - {low}:
-                if (found := self._search(who, at, 1.0, "bracket")) is not None:
-                    yield found
+            yield from self._step(who, low, self.frames[-1])
             return
         if high - low > close:
             inside = [self.legal(low + share * (high - low)) for share in (0.5, 0.35, 0.65)]
@@ -268,6 +303,19 @@ class _Attention:
         for end in (low, high):
             if 0 < len(self.tracks.at(who, end)) < 2:
                 yield NextLook(end, self._angle(who, end), "verify", _ANSWER_BITS * _learned(USUAL))
+
+    def _step(self, who: str, low: int, last: int) -> Iterator[NextLook]:
+        """Follow somebody on from a frame; whoever was lost is looked for at an earlier frame, then beside."""
+        seen = max(low, *(one.frame for one in self.tracks.people[who]))
+        lost = sorted(at for at in self.tracks.looks if at > seen)
+        step = max(_STEP, round((last - max([seen, *lost])) / (2 * max(self.left - 3, 1))))
+        at = self.legal(min(max([seen, *lost]) + step, last))
+        if lost and lost[0] - seen > _NEARBY:
+            at = self.legal((seen + lost[0]) / 2)
+        elif lost and len(self.tracks.looks[lost[0]]) < _TRIES:
+            at = lost[0]
+        if at > low and (found := self._search(who, at, 1.0, "bracket")) is not None:
+            yield found
 
     # -- the box --------------------------------------------------------------------------------------------------
 

@@ -32,7 +32,10 @@ Side = Literal["left", "right", ""]
 
 _RULES: Final = LoadRules()
 
-DERIVED: Final = frozenset(label for label, row in RELATIONS.items() if row.kind in ("first", "window"))
+FIRST: Final = frozenset(label for label, row in RELATIONS.items() if row.kind == "first")
+"""The relations that lead from everybody to one person."""
+
+DERIVED: Final = FIRST | {label for label, row in RELATIONS.items() if row.kind == "window"}
 """The relations that boxes decide."""
 
 

@@ -14,18 +14,15 @@ from functools import cache
 from typing import Final, NamedTuple
 
 from jrdb_avr.agent.perception.association import expected_place
-from jrdb_avr.agent.perception.geometry import around, covered
+from jrdb_avr.agent.perception.geometry import FIRST, around, covered
 from jrdb_avr.agent.perception.readings import topic_of
-from jrdb_avr.agent.perception.votes import MOST_VOTES, UNIT, SlotState, Support, Tracks
+from jrdb_avr.agent.perception.votes import EDGE_DEG, MOST_VOTES, UNIT, SlotState, Support, Tracks
 from jrdb_avr.queries.compiler.find import conditions_of, search_order, stated_frame, times_of
 from jrdb_avr.schema.plan import Plan
 
 BEAM: Final = 32
 """Hypotheses that are kept at each node."""
 
-
-_EDGE_DEG: Final = 5.0
-"""Whoever stands nearer to the edge of a look may not be recognized in it."""
 
 _HOLDS: Final = {1: 0.4, 2: 0.2}
 """Prior share of people for whom a condition is true (1), and of pairs for whom an edge is (2)."""
@@ -52,7 +49,9 @@ class PlanPart(NamedTuple):
     def evidence(self, tracks: Tracks, people: Sequence[str]) -> float:
         """The log-odds that it gives for these people being the ones who are meant."""
         often = _RARELY if topic_of(self.name, self.value) not in _CLOSED and len(people) == 1 else _HOLDS[len(people)]
-        return -math.log(often + (1 - often) * math.exp(-self.support(tracks, people).log_odds))
+        told = -math.log(often + (1 - often) * math.exp(-self.support(tracks, people).log_odds))
+        # Somebody is the first beside everybody, so that this does not tell who the source is.
+        return told + math.log(often) if self.name in FIRST else told
 
 
 @dataclass(frozen=True)
@@ -142,7 +141,7 @@ def _margin(beam: Sequence[tuple[float, dict[str, str]]], target: str, at: int) 
 def _absence(tracks: Tracks, who: str, frame: int) -> float:
     """Log-odds against a person who is missing from looks that should show the person at a frame."""
     place = expected_place(tracks.people[who], frame)
-    where = around(place.angle, max(place.angle_spread, _EDGE_DEG))
+    where = around(place.angle, max(place.angle_spread, EDGE_DEG))
     looks, readings = tracks.looks.get(frame, ()), len(tracks.at(who, frame))
     missed = sum(covered([look], where) for look in looks) - readings
     if not readings:

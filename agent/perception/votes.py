@@ -16,11 +16,20 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, Literal, NamedTuple
 
-from jrdb_avr.agent.perception.geometry import DERIVED, SeenColumns, at_distance, covered, in_sector, standing
+from jrdb_avr.agent.perception.geometry import (
+    DERIVED,
+    SeenColumns,
+    angle_of,
+    around,
+    at_distance,
+    covered,
+    in_sector,
+    standing,
+)
 from jrdb_avr.agent.perception.readings import USUAL, PersonReading, ReadLabel, has_one_value, topic_of
 from jrdb_avr.schema.beliefs import TIMELESS
 from jrdb_avr.schema.labels import may_be_called
-from jrdb_avr.schema.panorama import Box, iou
+from jrdb_avr.schema.panorama import WIDTH, Box, iou
 from jrdb_avr.schema.relations import SAME_GROUP, SYMMETRIC
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
@@ -34,6 +43,9 @@ MOST_VOTES: Final = 1.5
 
 SETTLING: Final = 2
 """Number of agreeing readings that settles a fact, if they outnumber those that disagree."""
+
+EDGE_DEG: Final = 5.0
+"""Whoever stands nearer to the edge of a look may not be recognized in it."""
 
 SAME_BOX: Final = 0.5
 """IoU from which on two boxes are of one cluster, as scores want it."""
@@ -158,9 +170,21 @@ class Tracks:
         return FusedBox(best.box, agreement(best)[0], best.observation)
 
     def boxes(self, frame: int) -> dict[str, Box]:
-        """Everybody's box at a frame."""
+        """The boxes of those who are likely to be there at a frame: more looks at their place show them than do not."""
         found = {who: self.box(who, frame) for who in self.people}
-        return {who: fused.box for who, fused in found.items() if fused is not None}
+        return {who: box.box for who, box in found.items() if box is not None and self.missed(who, frame) <= 0}
+
+    def missed(self, who: str, frame: int) -> int:
+        """By how many more looks somebody was missed than seen, at the place where most readings have them."""
+        return self.shown(who, frame) - 2 * len(self.at(who, frame))
+
+    def shown(self, who: str, frame: int) -> int:
+        """How many looks show the place where most readings have somebody at a frame."""
+        box = self.box(who, frame)
+        if box is None:
+            return 0
+        place = around(angle_of(box.box), box.box.w * 180.0 / WIDTH)
+        return sum(covered([look], place) for look in self.looks.get(frame, ()))
 
     def met(self, frame: int) -> int:
         """The frame that stands for a stated one: of those looked at the nearest, itself where there is none."""
@@ -176,10 +200,10 @@ class Tracks:
         return _support([(at, vote) for *tie, at, vote in self._tied if tuple(tie) in ways], frame)
 
     def _derived(self, source: str, relation: str, target: str, at: int, frame: int) -> Support:
-        first, second = self.box(source, at), self.box(target, at)
-        if first is None or second is None:
+        first, second, boxes = self.box(source, at), self.box(target, at), self._boxes_at(at)
+        if first is None or second is None or not boxes.keys() >= {source, target}:
             return Support()
-        holds = standing(relation, self._boxes_at(at), source, target, self.looks.get(at, ()))
+        holds = standing(relation, boxes, source, target, self.looks.get(at, ()))
         if holds is None:
             return Support()
         votes = min(first.votes, second.votes)

@@ -8,6 +8,7 @@ so that a wish to please confirms nothing. What a reply denies is a reading too,
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -28,7 +29,7 @@ from jrdb_avr.schema.beliefs import ALWAYS, free_value
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.labels import AGES, GENDERS, INTERACTIONS, OTHER_ACTIONS, POSES
 from jrdb_avr.schema.method import Observation
-from jrdb_avr.schema.panorama import CROP, from_crop
+from jrdb_avr.schema.panorama import CROP, from_crop, iou
 from jrdb_avr.schema.plan import ATTRIBUTES, Condition, Edge, Node, Plan, Time, canonical
 from jrdb_avr.schema.relations import QUESTION_RELATIONS, RELATIONS, SAME_GROUP
 from jrdb_avr.schema.rules import FPS
@@ -36,6 +37,9 @@ from jrdb_avr.schema.things import OBJECTS, VERBS
 
 MOST_PEOPLE: Final = 10
 """People of one reply."""
+
+SAME_PLACE: Final = 0.95
+"""IoU from which on two people of one reply have the same box."""
 
 CANNOT_TELL: Final = "cannot tell"
 _LONGEST_WORDS: Final = 40
@@ -179,7 +183,7 @@ class Perceiver:
 
     def people(self, seen: Observation, name: str) -> tuple[PersonReading, ...] | None:
         """The people read in a picture; None where neither of two replies could be read."""
-        fault = ""
+        fault, sound = "", None
         for _ in range(2):
             again = [f"Your last reply could not be used: {fault}"] if fault else []
             place = (f"Picture: {metadata_line(seen)}", picture_of(seen))
@@ -187,10 +191,18 @@ class Perceiver:
             messages = [Message("system", (perceive_prompt(self.fields),)), Message("user", user)]
             try:
                 reply = self.attempt.ask_object(messages, perceive_schema(self.fields))
-                return read_people(reply, self.fields, seen, name, self.attempt.convention)
+                people = read_people(reply, self.fields, seen, name, self.attempt.convention)
             except DecodeError as error:
                 fault = str(error)
-        return None
+                continue
+            twice = [(one, other) for one, other in itertools.combinations(people, 2) if _alike(one, other)]
+            if not twice:
+                return people
+            fault = "; ".join(f"{one.number} and {other.number} have the same box" for one, other in twice)
+            # Which of two people has the box of the other cannot be told.
+            doubtful = {one.number for pair in twice for one in pair}
+            sound = tuple(one for one in people if one.number not in doubtful)
+        return sound
 
 
 def perceive_prompt(fields: Sequence[Field]) -> str:
@@ -207,6 +219,10 @@ def perceive_schema(fields: Sequence[Field]) -> dict[str, Any]:
     """The JSON Schema of a reply with these fields."""
     person = decode.closed_object({"box": BOX_SCHEMA, **{field.key: field.schema() for field in fields}})
     return decode.closed_object({"people": {"type": "array", "maxItems": MOST_PEOPLE, "items": person}})
+
+
+def _alike(one: PersonReading, other: PersonReading) -> bool:
+    return iou(one.box, other.box) >= SAME_PLACE
 
 
 # -- a reply ----------------------------------------------------------------------------------------------------------
