@@ -312,8 +312,8 @@ class _Attention:
         at = self.legal(min(max([seen, *lost]) + step, last))
         if lost and lost[0] - seen > _NEARBY:
             at = self.legal((seen + lost[0]) / 2)
-        elif lost and len(self.tracks.looks[lost[0]]) < _TRIES:
-            at = lost[0]
+        elif lost and len(self.tracks.looks[lost[-1]]) < _TRIES:
+            at = lost[-1]
         if at > low and (found := self._search(who, at, 1.0, "bracket")) is not None:
             yield found
 
