@@ -42,8 +42,8 @@ _WIDEST_DEG: Final = 120.0
 _LONGEST: Final = 60
 """Frames for which somebody is expected to go on as they did."""
 
-_GOES_ON: Final = 0.5
-"""The share of their speed at which they are expected to do so: some stop, and some turn back."""
+_SLOWED: Final = 45
+"""Frames after which half of the way at their speed is expected: some stop, and some turn back."""
 
 _ASTRAY: Final = 0.05
 """The chance that a box is wrong or a person has done the unexpected; they are then this near all the same."""
@@ -92,7 +92,8 @@ def expected_place(readings: Sequence[PersonReading], frame: int) -> ExpectedPla
     if second is not None and abs(second - first) <= 2 * _LONGEST:
         passed = (frame - first) / (second - first)
         if passed < 0:
-            passed = _GOES_ON * max(passed, -_LONGEST / abs(second - first))
+            longest = min(gap, _LONGEST)
+            passed = -(0.5 ** (longest / _SLOWED)) * longest / abs(second - first)
         turn = (seen[second].angle - angle + 180.0) % 360.0 - 180.0
         angle += passed * turn
         drift = min(_DRIFT, _TURNING + _EXACT_DEG / abs(second - first))

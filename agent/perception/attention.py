@@ -219,7 +219,7 @@ class _Attention:
                     yield found
             elif self.tracks.shown(who, frame) < MOST_READINGS:
                 places[who] = self._angle(who, frame)
-        for angle in {place + turn for place in places.values() for turn in (0.0, -_ASIDE_DEG, _ASIDE_DEG)}:
+        for angle in [place + turn for turn in (0.0, -_ASIDE_DEG, _ASIDE_DEG) for place in places.values()]:
             shown = [who for who, place in places.items() if angle_error(angle, place) < FOV_DEG / 2 - EDGE_DEG]
             yield NextLook(frame, angle % 360.0, "verify", sum(bits[who] for who in shown))
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, NamedTuple
 
 import msgspec
@@ -201,7 +201,7 @@ class Perceiver:
             fault = "; ".join(f"{one.number} and {other.number} have the same box" for one, other in twice)
             # Which of two people has the box of the other cannot be told.
             doubtful = {one.number for pair in twice for one in pair}
-            sound = tuple(one for one in people if one.number not in doubtful)
+            sound = tuple(_without(one, doubtful) for one in people if one.number not in doubtful)
         return sound
 
 
@@ -223,6 +223,11 @@ def perceive_schema(fields: Sequence[Field]) -> dict[str, Any]:
 
 def _alike(one: PersonReading, other: PersonReading) -> bool:
     return iou(one.box, other.box) >= SAME_PLACE
+
+
+def _without(one: PersonReading, others: Collection[int]) -> PersonReading:
+    """The reading without its relations to some of the others."""
+    return replace(one, ties=tuple(tie for tie in one.ties if tie.other not in others))
 
 
 # -- a reply ----------------------------------------------------------------------------------------------------------

@@ -40,13 +40,18 @@ def test_nobody_is_assigned_where_nobody_is_read():
     assert assign([]) == [] and match_people(Tracks({}, {}), []) == []
 
 
-@given(st.floats(0, 359), st.floats(-2, 2), st.integers(0, 40), st.integers(41, 60))
-def test_constant_speed_over_the_seam(start, speed, between, beyond):
+@given(st.floats(0, 359), st.floats(-2, 2), st.integers(0, 40), st.integers(41, 100))
+def test_constant_speed_over_the_seam_and_less_of_it_beyond(start, speed, between, beyond):
     readings = [read((start + speed * frame) % 360, frame, height=100.0 + frame) for frame in (0, 40)]
-    for frame in (0, between, 40, beyond):
+    last = expected_place(readings, 40)
+    for frame in (0, between, 40):
         place = expected_place(readings, frame)
         assert angle_error(place.angle, start + speed * frame) < 1e-6
-        assert place.angle_spread >= expected_place(readings, 40).angle_spread
+        assert place.angle_spread >= last.angle_spread
+    later = expected_place(readings, beyond)
+    way = angle_error(later.angle, last.angle)
+    assert 0.39 * abs(speed) * min(beyond - 40, 60) - 1e-6 <= way <= abs(speed) * min(beyond - 40, 60) + 1e-6
+    assert angle_error(later.angle, start + speed * beyond) <= abs(speed) * (beyond - 40) + 1e-6
     assert np.log(100) <= expected_place(readings, between).log_height <= np.log(140)
 
 
