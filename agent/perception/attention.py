@@ -75,7 +75,7 @@ _CLOSE_FRAMES: Final = 28
 _TRIES: Final = 3
 """Looks at one frame for somebody who is followed; then a later one is tried."""
 
-_NEARBY: Final = 16
+_NEARBY: Final = 24
 """Frames after which somebody is still near the place where they were seen."""
 
 _STEP: Final = round(3 * FPS)
@@ -147,6 +147,19 @@ class _Attention:
         place = bisect.bisect_left(self.frames, frame)
         return min(self.frames[max(place - 1, 0) : place + 1], key=lambda at: abs(at - frame))
 
+    @property
+    def _unseen(self) -> float:
+        """How many people no look shows at the frame at which the plan first describes its root."""
+        frame = self.legal(frames_of(self.plan, self.plan.root)[0])
+        return self._crowd(frame)[1]
+
+    def _crowd(self, frame: int) -> tuple[float, float]:
+        """How many people are expected all round at a frame, and how many of them in what was not seen yet."""
+        unseen = sum(gap.span for gap in gaps(self.tracks.looks.get(frame, ()), CIRCLE)) / 360.0
+        here = sum(bool(self.tracks.at(who, frame)) for who in self.tracks.people)
+        crowd = here / (1 - unseen) if here else _PEOPLE * max(unseen, 0.2)
+        return crowd, crowd * unseen
+
     # -- who is meant ---------------------------------------------------------------------------------------------
 
     def identify(self) -> Iterator[NextLook]:
@@ -154,15 +167,13 @@ class _Attention:
         for node in (one.id for one in self.plan.nodes):
             for frame in map(self.legal, frames_of(self.plan, node)):
                 seen = self.tracks.looks.get(frame, ())
-                unseen = sum(gap.span for gap in gaps(seen, CIRCLE)) / 360.0
-                here = sum(bool(self.tracks.at(who, frame)) for who in self.tracks.people)
-                crowd = here / (1 - unseen) if here else _PEOPLE * max(unseen, 0.2)
+                crowd, unseen = self._crowd(frame)
                 known = sum(math.exp(min(odds, 20.0)) for odds in self._odds(node).values())
                 arc = self._arc(node, frame)
                 for gap in gaps(seen, arc):
                     span = min(gap.span, FOV_DEG - _OVERLAP_DEG / 2)
                     share = crowd * span / 360.0 * 360.0 / arc.span
-                    bits = _learned(share / (share + known + _MISSED + crowd * (unseen - span / 360.0)))
+                    bits = _learned(share / (share + known + _MISSED + unseen - crowd * span / 360.0))
                     yield NextLook(frame, gap.start - _OVERLAP_DEG / 2 + FOV_DEG / 2, "identify", 2 * bits)
 
     def _odds(self, node: str) -> dict[str, float]:
@@ -197,8 +208,9 @@ class _Attention:
         rivals = {one.nodes.get(self.plan.target, ""): one for one in reversed(self.hypotheses)}
         best = sorted(rivals.values(), key=lambda one: -one.log_odds)[:_RIVALS]
         odds = [math.exp(min(one.log_odds, 20.0)) for one in best]
+        others = _MISSED + self._unseen
         bits: dict[tuple[str, int], float] = {}
-        for one, chance in zip(best, (each / (sum(odds) + _MISSED) for each in odds), strict=True):
+        for one, chance in zip(best, (each / (sum(odds) + others) for each in odds), strict=True):
             for part, support in slot_supports(self.plan, self.tracks, one):
                 if support.settled:
                     continue
@@ -305,15 +317,22 @@ class _Attention:
                 yield NextLook(end, self._angle(who, end), "verify", _ANSWER_BITS * _learned(USUAL))
 
     def _step(self, who: str, low: int, last: int) -> Iterator[NextLook]:
-        """Follow somebody on from a frame; whoever was lost is looked for at an earlier frame, then beside."""
+        """Follow somebody on from a frame.
+
+        Whoever is missed is looked for where the newest sighting leads, and halfway; after a sighting just before they
+        are taken for hidden, after two misses for lost: they are then looked for to the sides.
+        """
         seen = max(low, *(one.frame for one in self.tracks.people[who]))
         lost = sorted(at for at in self.tracks.looks if at > seen)
-        step = max(_STEP, round((last - max([seen, *lost])) / (2 * max(self.left - 3, 1))))
-        at = self.legal(min(max([seen, *lost]) + step, last))
-        if lost and lost[0] - seen > _NEARBY:
-            at = self.legal((seen + lost[0]) / 2)
-        elif lost and len(self.tracks.looks[lost[-1]]) < _TRIES:
-            at = lost[-1]
+        newest = max([seen, *lost])
+        at = min(newest + max(_STEP, round((last - newest) / (2 * max(self.left - 3, 1)))), last)
+        if lost and not covered(self.tracks.looks[lost[0]], around(self._angle(who, lost[0]), EDGE_DEG)):
+            at = lost[0]
+        elif lost and lost[0] - seen > _NEARBY:
+            at = (seen + lost[0]) // 2
+        elif len(lost) > 1 and len(self.tracks.looks[newest]) < _TRIES:
+            at = newest
+        at = self.legal(at)
         if at > low and (found := self._search(who, at, 1.0, "bracket")) is not None:
             yield found
 
