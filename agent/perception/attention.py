@@ -325,10 +325,11 @@ class _Attention:
         seen = max(low, *(one.frame for one in self.tracks.people[who]))
         lost = sorted(at for at in self.tracks.looks if at > seen)
         newest = max([seen, *lost])
-        at = min(newest + max(_STEP, round((last - newest) / (2 * max(self.left - 3, 1)))), last)
+        even = (last - newest) // (2 * self.left)
+        at = min(newest + min(max(_STEP, even), 2 * _STEP), last)
         if lost and not covered(self.tracks.looks[lost[0]], around(self._angle(who, lost[0]), EDGE_DEG)):
             at = lost[0]
-        elif lost and lost[0] - seen > _NEARBY:
+        elif len(lost) == 1 and lost[0] - seen > _NEARBY:
             at = (seen + lost[0]) // 2
         elif len(lost) > 1 and len(self.tracks.looks[newest]) < _TRIES:
             at = newest
