@@ -26,7 +26,7 @@ BEAM: Final = 32
 
 _HOLDS: Final = {1: 0.4, 2: 0.2}
 """Prior share of people for whom a condition is true (1), and of pairs for whom an edge is (2)."""
-_RARELY: Final = 0.1
+_RARELY: Final = 0.03
 """Prior share of people for whom an action, object or interaction is true: there are many of each."""
 
 _CLOSED: Final = frozenset({"gender", "age", "pose", "sector", "distance", "group_size"})
