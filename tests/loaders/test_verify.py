@@ -28,6 +28,7 @@ from jrdb_avr.queries.graph.file import PAGE, check_fingerprint, fingerprint_of,
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.named import named_queries
 from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.beliefs import EpisodeRow
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS
 from jrdb_avr.schema.rules import LoadRules, Rules
@@ -282,7 +283,7 @@ def test_tables_beside_the_scene_do_no_harm(small):
     with Graph.open(small.graph_path) as graph:
         make_world_tables(graph)
         ids = [f"r/{n}" for n in range(3_000)]
-        graph.copy("Episode", pa.table(dict.fromkeys(("id", "run", "question", "sequence", "plan"), ids)))
+        graph.copy("Episode", pa.table(dict.fromkeys(EpisodeRow.__struct_fields__, ids)))
     now, built = fingerprint_of(small.graph_path), check_fingerprint(small.graph_path)
     assert now.crc32 != built.crc32
     assert now.size > built.size

@@ -16,7 +16,7 @@ from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel
 from jrdb_avr.agent.perception.support import rank
 from jrdb_avr.agent.perception.votes import Tracks
 from jrdb_avr.schema.panorama import WIDTH, Box, angle_error, iou
-from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time, validate
+from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time, validate
 
 FRAMES = range(300)
 ALL = (SeenColumns(0, WIDTH),)
@@ -90,6 +90,40 @@ def test_with_few_looks_left_the_answer_comes_first():
     # The last looks are for a second box.
     assert look(PRESENCE, tracks, left=2).purpose == "evidence"
     assert look(WOMAN, Tracks(tracks.people, {15: ALL}), frames=[30, 60]).frame == 30
+
+
+def test_whoever_a_relation_leads_from_is_shown_with_those_beside():
+    edge = Edge("a", "conversation", "b", "t0")
+    plan = Plan("a", "b", WOMAN.times, (*WOMAN.nodes, Node("b")), (edge,), WOMAN.answer)
+    alone = Tracks({**known_woman().people, "p2": (read(15, angle=130.0),) * 2}, {15: ALL})
+    crops = tuple(seen_from(angle) for angle in range(0, 360, 40))
+    tracks = Tracks(alone.people, {15: (*crops, *crops, *crops)})
+    made = [look(plan, tracks)]
+    tracks = Tracks(tracks.people, {15: (*tracks.looks[15], seen_from(made[0].angle))})
+    made.append(look(plan, tracks))
+    assert [one.purpose for one in made] == ["verify", "verify"]
+    assert sorted(round((one.angle - 100.0 + 180) % 360 - 180) for one in made) == [-18, 18]
+
+
+@pytest.mark.parametrize(
+    ("looks", "frame", "aside"),
+    [
+        ({}, 60, 0),
+        # Missed once after a long step: halfway; just after a sighting: hidden, so on.
+        ({60: 1}, 37, 0),
+        ({30: 1}, 75, 0),
+        # Missed twice: beside, and on after three looks.
+        ({37: 1, 60: 1}, 60, 40),
+        ({37: 1, 60: 3}, 105, 0),
+    ],
+)
+def test_whoever_is_missed_is_looked_for_halfway_beside_and_on(looks, frame, aside):
+    tracks = known_woman()
+    shown = [(seen_from(100.0),), (seen_from(140.0),), (seen_from(60.0),)]
+    made = {at: tuple(one for place in shown[:count] for one in place) for at, count in looks.items()}
+    found = look(START, Tracks(tracks.people, {**tracks.looks, **made}), left=10)
+    assert (found.frame, found.purpose) == (frame, "bracket")
+    assert round(angle_error(found.angle, 100.0)) == aside
 
 
 def test_an_absence_is_shown_again_within_a_second():

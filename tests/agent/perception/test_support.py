@@ -88,6 +88,15 @@ def test_slots_say_what_is_open_supported_certain_or_contradicted():
     assert rank(HOP, Tracks({}, {}))[0].nodes == {}
 
 
+def test_a_neighbour_tells_nothing_of_whose_it_is():
+    people = {f"p{n}": (read(n, 100 - 10 * n, ties=(ReadTie("conversation", 3 - n),)),) * 2 for n in (1, 2)}
+    beside, talk = (part for part in parts_of(FORK) if part.name in (FIRST_LEFT, "conversation"))
+    pair = ("p1", "p2")
+    assert beside.support(Tracks(people, ALL), pair).settled and talk.support(Tracks(people, ALL), pair).settled
+    assert -0.3 < beside.evidence(Tracks(people, ALL), pair) <= 0 < talk.evidence(Tracks(people, ALL), pair)
+    assert beside.evidence(Tracks(people, {}), pair) < -1
+
+
 def test_whoever_is_not_where_they_should_be_is_less_likely():
     earlier = PersonReading("o1", 1, 0, Box(toward(100), 100, 50, 150), (ReadLabel("gender", "female"),))
     there = read(1, 300, ("gender", "female"))

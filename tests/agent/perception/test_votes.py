@@ -121,6 +121,17 @@ def test_relations_are_read_of_either_person_or_follow_from_boxes():
         assert seen.statement(who, "interaction", "conversation", 15).votes == votes
 
 
+def test_whoever_most_looks_at_the_place_do_not_show_stands_between_nobody():
+    crop = SeenColumns(toward(100.0) - 200, 480)
+    between = tracks({15: (crop,)}, p=[read()], g=[read(angle=105.0)], q=[read(angle=110.0)])
+    assert between.relation("q", FIRST_LEFT, "g", 15).log_odds > 0
+    again = tracks({15: (crop,) * 3}, p=[read()] * 3, g=[read(angle=105.0)], q=[read(angle=110.0)] * 3)
+    assert (again.shown("g", 15), again.missed("g", 15), again.missed("p", 15)) == (3, 1, -3)
+    assert set(again.boxes(15)) == {"p", "q"}
+    assert again.relation("q", FIRST_LEFT, "p", 15).log_odds > 0
+    assert again.relation("q", FIRST_LEFT, "g", 15).state == "open"
+
+
 def test_a_reading_keeps_to_the_vocabularies():
     for label in (
         ("gender", "woman"),

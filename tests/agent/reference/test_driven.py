@@ -58,6 +58,12 @@ def person(box=(100, 100, 300, 900), **said):
     return {"box": list(box), **unknown, **said}
 
 
+def tied(fields, others, left=100):
+    """One of the people of a reply with these fields, in a conversation with these others."""
+    said = {field.key: None if field.kind in ("metres", "relation") else CANNOT_TELL for field in fields}
+    return {"box": [left, 100, left + 200, 900], **said, "relation conversation": others}
+
+
 def people(*listed):
     return read_people({"people": list(listed)}, FIELDS, SEEN, "o1", CONTRACT)
 
@@ -196,6 +202,18 @@ def test_a_malformed_reply_is_asked_again_once(tmp_path):
     chat = Scripted(["nothing"])
     assert Perceiver(Attempt(task, chat, CONTRACT), FIELDS).people(SEEN, "o1") is None
     assert len(chat.requests) == 2 and "could not be used" in text_of(chat.requests[1])
+
+
+def test_two_people_with_one_box_are_asked_for_again_and_left_out_if_they_stay(tmp_path):
+    fields = fields_of(WORDY)
+    lines = [{**tied(fields, [2, 3])}, {**tied(fields, []), "box": [100, 101, 300, 900]}, tied(fields, [], left=600)]
+    task = World(tmp_path, [], FRAMES).task("Who?", "multiple_choice", CHOICES)
+    chat = Scripted([{"people": lines}, {"people": lines[2:]}])
+    assert len(Perceiver(Attempt(task, chat, CONTRACT), fields).people(SEEN, "o1")) == 1
+    assert "1 and 2 have the same box" in text_of(chat.requests[1])
+    chat = Scripted([{"people": lines}])
+    (left,) = Perceiver(Attempt(task, chat, CONTRACT), fields).people(SEEN, "o1")
+    assert (left.number, len(chat.requests)) == (3, 2) and not left.ties
 
 
 # -- games ------------------------------------------------------------------------------------------------------------
