@@ -71,12 +71,14 @@ class PlanMatch:
             kind = kinds.get(who)
             return kind == plan.things[node] if node in plan.things else kind not in plan.things.values()
 
-        def part(nodes: tuple[str, ...], time: str, fits: _Fits, lack: str, counts: bool = True) -> _Part:
-            """What fits at a time: at its frame, or at each frame that a moment may be, with the frame."""
+        def part(nodes: tuple[str, ...], time: str | None, fits: _Fits, lack: str, counts: bool = True) -> _Part:
+            """What fits at a time: at its frame, or at each that a moment may be, with the frame; None: always."""
 
             def at(frame: int) -> Iterator[tuple[str, ...]]:
                 return (fit for fit in fits(frame) if all(map(may_be, nodes, fit)))
 
+            if time is None:
+                return _Part(nodes, frozenset(at(0)), lack.format(), counts)
             within = limits(plan, time)
             if within is None:
                 frame = stated_frame(plan, time)
@@ -102,7 +104,7 @@ class PlanMatch:
 
                 said = " ".join(condition.wanted)
                 lack = f"{said.replace('{', '{{').replace('}', '}}')} is not known" + " {}" * (condition.at is not None)
-                parts.append(part((node.id,), condition.at or times[0], described, lack))
+                parts.append(part((node.id,), condition.at, described, lack))
         self.edges = []
         for edge in plan.edges:
 

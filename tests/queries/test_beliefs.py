@@ -8,7 +8,7 @@ from collections import Counter
 import pytest
 from believed import Story, parsed, planned, write
 from effort import DEEP, examples
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from oracle_beliefs import Mind, plain
 from random_beliefs import READS, random_plan, random_story
@@ -222,6 +222,8 @@ def compare_moments(graph, seed):
 
 @settings(max_examples=examples(6), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 10**9))
+# A guess where no frame was looked at that the moment may be: somebody's age, which holds at any time, still counts.
+@example(seed=178825)
 def test_what_holds_before_or_after_a_frame_is_found_as_by_brute_force(graph, seed):
     compare_moments(graph, seed)
 
