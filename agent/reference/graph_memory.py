@@ -169,19 +169,30 @@ class GraphMemory:
 
     def commit(self) -> ParsedReply:
         """Return the answer that counts where no final answer was taken; nothing where nobody is in the graph."""
+        parsed, entity = self._likeliest()
+        if parsed.verdict is not None:
+            arguments = {"answer": msgspec.to_builtins(parsed.answer), "entity": entity}
+            self.world.answered(arguments, self.attempt.steps - 1, parsed.verdict)
+        return parsed
+
+    def _likeliest(self) -> tuple[ParsedReply, str]:
+        """The answer to commit to, and the entity that it is of, "" where it is of none."""
+        target = self.plan.target
         belief = self._solved()
         answer, verdict = self.solver.answer(self.plan, belief), self._verdict(belief)
         if answer is not None and verdict != "guess":
-            return _parsed(answer, belief, verdict)
+            return _parsed(answer, belief, verdict), belief.people[target]
         likeliest = self._guess("")
         if likeliest is None:
-            return ParsedReply(self.proposed, verdict=None if self.proposed is None else "guess")
+            return ParsedReply(self.proposed, verdict=None if self.proposed is None else "guess"), ""
         answer = self.solver.answer(self.plan, likeliest)
         if answer is not None and likeliest.held > _MOST:
-            return _parsed(answer, likeliest, "supported")
+            return _parsed(answer, likeliest, "supported"), likeliest.people[target]
         if self.proposed is not None:
-            return _parsed(self.proposed, self._guess(self.entity) or likeliest, "guess")
-        return _parsed(answer or self.solver.prior(self.plan, likeliest), likeliest, "guess")
+            likeliest = self._guess(self.entity) or likeliest
+            return _parsed(self.proposed, likeliest, "guess"), likeliest.people[target]
+        answer = answer or self.solver.prior(self.plan, likeliest)
+        return _parsed(answer, likeliest, "guess"), likeliest.people[target]
 
     def _guess(self, entity: str) -> Belief | None:
         """What is read of an entity, or of the likeliest one for "", at the frames nearest to the stated ones."""
