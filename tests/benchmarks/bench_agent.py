@@ -12,6 +12,7 @@ code (see `code_hash`): what has changed is measured anew.
 from __future__ import annotations
 
 import argparse
+import functools
 import hashlib
 import json
 import os
@@ -100,10 +101,17 @@ class Run:
         return path.exists() and "error" not in read_table(path)["status"].to_pylist()
 
 
+@functools.cache
 def code_hash(method: str) -> str:
-    """A hash of the sources of `agent/`; those that only the policy driven uses count for methods of that policy."""
+    """A hash of the sources of `agent/` at the start; those that only the policy driven uses count for methods of that policy."""
     root = Path(jrdb_avr.__file__).parent / "agent"
-    own = ("perception/", "reference/driven.py", "reference/perceive.py", "reference/recognize.py")
+    own = (
+        "perception/",
+        "reference/belief_writer.py",
+        "reference/driven.py",
+        "reference/perceive.py",
+        "reference/recognize.py",
+    )
     found = hashlib.sha256()
     for path in sorted(root.rglob("*.*")):
         name = path.relative_to(root).as_posix()
