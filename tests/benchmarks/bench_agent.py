@@ -103,7 +103,7 @@ class Run:
 
 @functools.cache
 def code_hash(method: str) -> str:
-    """A hash of the sources of `agent/` at the start; those that only the policy driven uses count for methods of that policy."""
+    """A hash of the sources of `agent/` at the start; those of the policy driven alone count for its methods alone."""
     root = Path(jrdb_avr.__file__).parent / "agent"
     own = (
         "perception/",
