@@ -7,7 +7,7 @@ from collections import Counter
 
 import pytest
 from believed import Story, parsed, planned, write
-from effort import DEEP, examples
+from effort import examples
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from oracle_beliefs import Mind, plain
@@ -23,7 +23,7 @@ RULES = Rules()
 ALL_READS = (*READS, "count")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def graph():
     with Graph.memory(prepares=True) as made:
         for statement in table_ddl(WORLD_NODES, WORLD_RELS):
@@ -112,7 +112,7 @@ def test_random_plans_over_random_beliefs_come_to_what_brute_force_finds(graph, 
 
 
 def test_each_read_was_known_and_unknown(graph):
-    for seed in range(4 if not DEEP else 200):
+    for seed in range(examples(4)):
         compare(graph, seed, ("defined",) if seed < 2 else OUTCOMES[1:])
     assert sum(SEEN[read, "defined"] > 0 for read in ALL_READS) >= 8, SEEN
     assert SEEN["guess", "defined"] > 2 and SEEN["guess", "unknown"] > 2, SEEN
