@@ -546,7 +546,9 @@ def test_trap_functions_crash_once_there_is_a_macro():
 
 
 def test_trap_the_last_of_several_results_crashes(memory):
-    assert crashes("import gc\nlast = c.execute('RETURN 1; RETURN 2')[-1]\ngc.collect()\nlast.get_all()"), MENDED
+    # Freed memory is read: now and then what it held is still there.
+    freed = "import gc\nlast = c.execute('RETURN 1; RETURN 2')[-1]\ngc.collect()\nlast.get_all()"
+    assert any(crashes(freed) for _ in range(4)), MENDED
     with pytest.raises(QueryError, match="one statement"):
         memory.query("RETURN 1 AS a; RETURN 2 AS b")
 
