@@ -338,7 +338,7 @@ def test_a_map_comes_as_it_is_or_an_error_says_what_to_return(store, without_pro
 def test_a_statement_that_runs_on_is_stopped(store):
     # The engine does not look at its clock inside range(); the process is ended, by the clock or, where the list grows
     # fast, by its memory.
-    with pytest.raises(QueryError, match="stopped (after|at 2 GB)"):
+    with pytest.raises(QueryError, match=r"stopped (after|at 2 GB)"):
         query_graph(store.graph_path, "UNWIND range(1, 1000000000) AS i RETURN count(*) AS n", timeout_s=-9.0)
 
 
