@@ -158,7 +158,7 @@ class BeliefEpisode:
     def answered(
         self, arguments: object, step: int, verdict: Verdict, hypotheses: Sequence[HypothesisRow] = ()
     ) -> None:
-        """Take the answer that counts, its verdict, and whom the plan's people may be. To be called once."""
+        """Write the final answer of the episode with its verdict and the ranked hypotheses. To be called once."""
         fact = Fact(episode=self._changed(verdict=verdict), hypotheses=tuple(hypotheses))
         self._write("final_answer", arguments, step, fact)
 

@@ -14,7 +14,7 @@ from jrdb_avr.agent.perception.association import expected_place
 from jrdb_avr.agent.perception.geometry import around, covered
 from jrdb_avr.agent.perception.moments import Bracket, absence, brackets, change
 from jrdb_avr.agent.perception.readings import is_value
-from jrdb_avr.agent.perception.support import RankedHypothesis, slot_supports
+from jrdb_avr.agent.perception.support import RankedHypothesis, best_of_each, slot_supports
 from jrdb_avr.agent.perception.votes import SETTLING, UNIT, FusedBox, SlotState, Tally, Tracks, settled
 from jrdb_avr.queries.compiler.beliefs import DISTANCE_CUT_M
 from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, FrameViewpoint, Number, Span, uninformed_answer
@@ -63,10 +63,7 @@ def conclude(
 
     hypotheses: the best first; frames: the legal ones.
     """
-    best: dict[str, RankedHypothesis] = {}
-    for one in hypotheses:
-        if plan.target in one.nodes:
-            best.setdefault(one.nodes[plan.target], one)
+    best = best_of_each(hypotheses, plan.target)
     if not best:
         return None
     order = [*best]

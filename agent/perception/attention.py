@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
 from jrdb_avr.agent.perception.association import expected_place
-from jrdb_avr.agent.perception.geometry import CIRCLE, DERIVED, Arc, around, covered, deciding_arc, gaps
+from jrdb_avr.agent.perception.geometry import CIRCLE, DERIVED, EDGE_DEG, Arc, around, covered, deciding_arc, gaps
 from jrdb_avr.agent.perception.moments import Bracket, brackets, presence
 from jrdb_avr.agent.perception.readings import USUAL
-from jrdb_avr.agent.perception.support import RankedHypothesis, frames_of, parts_of, slot_supports
-from jrdb_avr.agent.perception.votes import EDGE_DEG, UNIT, Tracks, settled
+from jrdb_avr.agent.perception.support import RankedHypothesis, best_of_each, frames_of, parts_of, slot_supports
+from jrdb_avr.agent.perception.votes import UNIT, Tracks, settled
 from jrdb_avr.schema.labels import ROBOT_SECTORS
 from jrdb_avr.schema.panorama import CROP, FOV_DEG, WIDTH, angle_error, clockwise
 from jrdb_avr.schema.plan import Plan, Read
@@ -52,8 +52,17 @@ MOST_READINGS: Final = 3
 """Of one person at one frame; more tell nothing new."""
 
 _RIVALS: Final = 8
+"""Hypotheses that are verified, each with another target."""
+
 _ASIDE_DEG: Final = 12.0
+"""Degrees by which a look may be turned aside from one person to show others as well."""
+
+_BESIDE: Final = 0.3
+"""The chance that whomever a relation leads to stands on one side, and near."""
+
 _LEAST_NEW: Final = 0.2
+"""Share of such a side that a look must show for the first time together with the person."""
+
 _ANSWER_BITS: Final = 2.0
 _OVERLAP_DEG: Final = 6.0
 _APART_DEG: Final = 1.5
@@ -172,7 +181,7 @@ class _Attention:
                 arc = self._arc(node, frame)
                 for gap in gaps(seen, arc):
                     span = min(gap.span, FOV_DEG - _OVERLAP_DEG / 2)
-                    share = crowd * span / 360.0 * 360.0 / arc.span
+                    share = crowd * span / arc.span
                     bits = _learned(share / (share + known + _MISSED + unseen - crowd * span / 360.0))
                     yield NextLook(frame, gap.start - _OVERLAP_DEG / 2 + FOV_DEG / 2, "identify", 2 * bits)
 
@@ -205,8 +214,7 @@ class _Attention:
 
     def verify(self) -> Iterator[NextLook]:
         """More readings of the people of the likeliest hypotheses with different targets, as readings may be wrong."""
-        rivals = {one.nodes.get(self.plan.target, ""): one for one in reversed(self.hypotheses)}
-        best = sorted(rivals.values(), key=lambda one: -one.log_odds)[:_RIVALS]
+        best = [*best_of_each(self.hypotheses, self.plan.target).values()][:_RIVALS]
         odds = [math.exp(min(one.log_odds, 20.0)) for one in best]
         others = _MISSED + self._unseen
         bits: dict[tuple[str, int], float] = {}
@@ -215,10 +223,10 @@ class _Attention:
                 if support.settled:
                     continue
                 told = max(_learned(chance), chance * _learned(1 / (1 + math.exp(-support.log_odds))))
-                for who in {one.nodes.get(node, "") for node in part.nodes} - {""}:
+                for who in (one.nodes[node] for node in part.nodes if node in one.nodes):
                     frame = frames_of(self.plan, part.nodes[0])[0] if part.frame is None else part.frame
                     bits[who, self.legal(frame)] = bits.get((who, self.legal(frame)), 0.0) + told
-        for frame in {frame for _, frame in bits}:
+        for frame in dict.fromkeys(frame for _, frame in bits):
             yield from self._views(frame, {who: told for (who, at), told in bits.items() if at == frame})
         yield from self._together()
 
@@ -226,7 +234,7 @@ class _Attention:
         """Looks at people who are worth these bits: one may show several of them."""
         places = {}
         for who, told in bits.items():
-            if self.tracks.box(who, frame) is None:
+            if not self.tracks.at(who, frame):
                 if (found := self._search(who, frame, told, "verify")) is not None:
                     yield found
             elif self.tracks.shown(who, frame) < MOST_READINGS:
@@ -240,17 +248,16 @@ class _Attention:
         for part, support in slot_supports(self.plan, self.tracks, self.hypotheses[0]) if self.hypotheses else ():
             if len(part.nodes) < 2 or part.name in DERIVED or support.log_odds > 0:
                 continue
-            for who in (self.hypotheses[0].nodes.get(node, "") for node in part.nodes[:1]):
-                frame = self.legal(part.frame or 0)
-                if self.tracks.box(who, frame) is None:
-                    continue
-                angle, half = self._angle(who, frame), FOV_DEG / 2 - EDGE_DEG
-                shown = [one for one in self.tracks.looks.get(frame, ()) if covered([one], around(angle, EDGE_DEG))]
-                for turn in (half, -half):
-                    side = Arc((angle + min(0.0, 2 * turn)) % 360.0, 2 * half)
-                    new = sum(gap.span for gap in gaps(shown, side)) / side.span
-                    if new > _LEAST_NEW:
-                        yield NextLook(frame, (angle + turn) % 360.0, "verify", new * _ANSWER_BITS * _learned(0.3))
+            who, frame = self.hypotheses[0].nodes.get(part.nodes[0], ""), self.legal(part.frame or 0)
+            if not self.tracks.at(who, frame):
+                continue
+            angle, half = self._angle(who, frame), FOV_DEG / 2 - EDGE_DEG
+            shown = [one for one in self.tracks.looks.get(frame, ()) if covered([one], around(angle, EDGE_DEG))]
+            for turn in (half, -half):
+                side = Arc((angle + min(0.0, 2 * turn)) % 360.0, 2 * half)
+                new = sum(gap.span for gap in gaps(shown, side)) / side.span
+                if new > _LEAST_NEW:
+                    yield NextLook(frame, (angle + turn) % 360.0, "verify", new * _ANSWER_BITS * _learned(_BESIDE))
 
     # -- what is read of the target -------------------------------------------------------------------------------
 

@@ -32,6 +32,9 @@ Side = Literal["left", "right", ""]
 
 _RULES: Final = LoadRules()
 
+EDGE_DEG: Final = 5.0
+"""Whoever stands nearer to the edge of a look may not be recognized in it."""
+
 FIRST: Final = frozenset(label for label, row in RELATIONS.items() if row.kind == "first")
 """The relations that lead from everybody to one person."""
 

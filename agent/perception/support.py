@@ -14,9 +14,9 @@ from functools import cache
 from typing import Final, NamedTuple
 
 from jrdb_avr.agent.perception.association import expected_place
-from jrdb_avr.agent.perception.geometry import FIRST, around, covered
+from jrdb_avr.agent.perception.geometry import EDGE_DEG, FIRST, around, covered
 from jrdb_avr.agent.perception.readings import topic_of
-from jrdb_avr.agent.perception.votes import EDGE_DEG, MOST_VOTES, UNIT, SlotState, Support, Tracks
+from jrdb_avr.agent.perception.votes import MOST_VOTES, UNIT, SlotState, Support, Tracks
 from jrdb_avr.queries.compiler.find import conditions_of, search_order, stated_frame, times_of
 from jrdb_avr.schema.plan import Plan
 
@@ -147,6 +147,15 @@ def _absence(tracks: Tracks, who: str, frame: int) -> float:
     if not readings:
         return -UNIT if covered(looks, where) else 0.0
     return max(-MOST_VOTES * UNIT, min(0.0, readings - 1 - missed) * UNIT)
+
+
+def best_of_each(hypotheses: Sequence[RankedHypothesis], node: str) -> dict[str, RankedHypothesis]:
+    """The best hypothesis for each person who may be a node, in the order of the hypotheses, the best first."""
+    found: dict[str, RankedHypothesis] = {}
+    for one in hypotheses:
+        if node in one.nodes:
+            found.setdefault(one.nodes[node], one)
+    return found
 
 
 def shares(hypotheses: Sequence[RankedHypothesis], node: str) -> dict[str, float]:

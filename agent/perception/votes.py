@@ -44,9 +44,6 @@ MOST_VOTES: Final = 1.5
 SETTLING: Final = 2
 """Number of agreeing readings that settles a fact, if they outnumber those that disagree."""
 
-EDGE_DEG: Final = 5.0
-"""Whoever stands nearer to the edge of a look may not be recognized in it."""
-
 SAME_BOX: Final = 0.5
 """IoU from which on two boxes are of one cluster, as scores want it."""
 
@@ -82,11 +79,10 @@ class Tally(NamedTuple):
 
 
 class FusedBox(NamedTuple):
-    """The box that most readings of a person at a frame agree on, how many, and the observation it is from."""
+    """The box that most readings of a person at a frame agree on, and how many do."""
 
     box: Box
     votes: int
-    observation: str
 
 
 @dataclass(frozen=True)
@@ -156,18 +152,27 @@ class Tracks:
         """The readings of somebody at exactly this frame."""
         return [one for one in self.people.get(who, ()) if one.frame == frame]
 
-    def box(self, who: str, frame: int) -> FusedBox | None:
-        """The box of somebody at a frame: of the largest cluster a whole one, as near to the others as possible."""
+    def agreed(self, who: str, frame: int) -> PersonReading | None:
+        """The reading of somebody at a frame whose box overlaps most of the others' boxes; None where there is none.
+
+        Of the largest cluster it is a whole one, as near to the others as possible.
+        """
         readings = self.at(who, frame)
 
         def agreement(one: PersonReading) -> tuple[int, bool, float]:
             shares = [share for other in readings if (share := iou(one.box, other.box)) >= SAME_BOX]
             return len(shares), one.whole, sum(shares)
 
-        if not readings:
-            return None
-        best = max(readings, key=agreement)
-        return FusedBox(best.box, agreement(best)[0], best.observation)
+        return max(readings, key=agreement, default=None)
+
+    def agreeing(self, one: PersonReading, who: str) -> int:
+        """How many readings of somebody at the frame of one of them, it included, have the same box."""
+        return sum(iou(one.box, other.box) >= SAME_BOX for other in self.at(who, one.frame))
+
+    def box(self, who: str, frame: int) -> FusedBox | None:
+        """The box of the reading of somebody at a frame that most readings agree with; None where there is none."""
+        best = self.agreed(who, frame)
+        return None if best is None else FusedBox(best.box, self.agreeing(best, who))
 
     def boxes(self, frame: int) -> dict[str, Box]:
         """The boxes of those who are likely to be there at a frame: more looks at their place show them than do not."""
@@ -175,11 +180,11 @@ class Tracks:
         return {who: box.box for who, box in found.items() if box is not None and self.missed(who, frame) <= 0}
 
     def missed(self, who: str, frame: int) -> int:
-        """By how many more looks somebody was missed than seen, at the place where most readings have them."""
+        """How many more looks at somebody's place do not show them at a frame than do."""
         return self.shown(who, frame) - 2 * len(self.at(who, frame))
 
     def shown(self, who: str, frame: int) -> int:
-        """How many looks show the place where most readings have somebody at a frame."""
+        """How many looks at a frame show the place at which most readings have somebody."""
         box = self.box(who, frame)
         if box is None:
             return 0
@@ -201,7 +206,7 @@ class Tracks:
 
     def _derived(self, source: str, relation: str, target: str, at: int, frame: int) -> Support:
         first, second, boxes = self.box(source, at), self.box(target, at), self._boxes_at(at)
-        if first is None or second is None or not boxes.keys() >= {source, target}:
+        if first is None or second is None or source not in boxes or target not in boxes:
             return Support()
         holds = standing(relation, boxes, source, target, self.looks.get(at, ()))
         if holds is None:

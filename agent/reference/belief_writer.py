@@ -17,12 +17,12 @@ from jrdb_avr.agent.beliefs.world_model import Backing
 from jrdb_avr.agent.perception.answer import Conclusion, conclude
 from jrdb_avr.agent.perception.geometry import DERIVED
 from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel
-from jrdb_avr.agent.perception.support import RankedHypothesis, frames_of, parts_of
-from jrdb_avr.agent.perception.votes import SAME_BOX, Tracks
+from jrdb_avr.agent.perception.support import RankedHypothesis, best_of_each, frames_of, parts_of
+from jrdb_avr.agent.perception.votes import Tracks
 from jrdb_avr.schema.answers import encode_answer
 from jrdb_avr.schema.beliefs import HypothesisRow
 from jrdb_avr.schema.method import Task, Verdict
-from jrdb_avr.schema.panorama import Box, iou
+from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan
 
 if TYPE_CHECKING:
@@ -80,18 +80,17 @@ class BeliefWriter:
                 self.world.add("add_relation", call, step, backing=backing)
 
     def _sighting(self, tracks: Tracks, who: str, one: PersonReading, step: int) -> None:
-        best = self._agreed(tracks, who, one.frame)
+        best = tracks.agreed(who, one.frame)
         self._place(tracks, who, one, step, Backing(wins=best is one))
-        if best is not one:
+        if best is not None and best is not one:
             self._place(tracks, who, best, step, Backing(origin="derived"))
 
     def _place(self, tracks: Tracks, who: str, one: PersonReading, step: int, backing: Backing, node: str = "") -> None:
-        """A sighting, with the number of boxes that agree with it and of those that do not."""
-        boxes = [other.box for other in tracks.at(who, one.frame)]
-        votes = sum(iou(one.box, box) >= SAME_BOX for box in boxes)
+        """Write a sighting, with how many boxes of the person at its frame are the same as its own and how many not."""
+        votes = tracks.agreeing(one, who)
         box = Box(one.box.x - self.lefts[one.observation], *one.box[1:])
         call = {"id": who, "kind": "person", "observation": one.observation, "box": [round(side) for side in box]}
-        backing = backing._replace(votes=votes, against=len(boxes) - votes)
+        backing = backing._replace(votes=votes, against=len(tracks.at(who, one.frame)) - votes)
         self.world.add("add_entity", call | ({"node": node} if node else {}), step, box, backing)
 
     def _labels(self, tracks: Tracks, who: str, one: PersonReading, step: int) -> None:
@@ -149,8 +148,8 @@ class BeliefWriter:
         for node, who in best.nodes.items():
             frames = [found.frame] if who == found.entity else [tracks.met(f) for f in frames_of(self.plan, node)]
             for frame in frames:
-                if tracks.at(who, frame):
-                    self._place(tracks, who, self._agreed(tracks, who, frame), step, Backing(origin="derived"), node)
+                if (seen := tracks.agreed(who, frame)) is not None:
+                    self._place(tracks, who, seen, step, Backing(origin="derived"), node)
         verdict = found.verdict
         if verdict == "certain" and not self._proved(found.entity):
             verdict = "supported"
@@ -164,13 +163,13 @@ class BeliefWriter:
             if part.name not in _FROM_BOXES | DERIVED:
                 continue
             at = tracks.met(part.frame or 0)
-            seen = [who for who in tracks.people if tracks.at(who, at)]
+            seen = {who: one for who in tracks.people if (one := tracks.agreed(who, at)) is not None}
             for people in permutations(seen, len(part.nodes)):
                 support = part.support(tracks, people)
                 if support.log_odds <= 0:
                     continue
                 backing = Backing(max(support.votes, 1), support.against, "derived")
-                call: dict[str, str | int] = {"observation": self._agreed(tracks, people[0], at).observation}
+                call: dict[str, str | int] = {"observation": seen[people[0]].observation}
                 if len(people) == 2:
                     call |= {"source": people[0], "name": part.name, "target": people[1]}
                     self.world.add("add_relation", call, step, backing=backing)
@@ -191,8 +190,7 @@ class BeliefWriter:
         self, tracks: Tracks, hypotheses: Sequence[RankedHypothesis], best: RankedHypothesis, step: int
     ) -> list[HypothesisRow]:
         """The likeliest hypotheses, first the one that is answered by, each of another target."""
-        ranked = {one.nodes[self.plan.target]: one for one in reversed(hypotheses) if self.plan.target in one.nodes}
-        order = [best, *sorted(ranked.values(), key=lambda one: -one.log_odds)]
+        order = [best, *best_of_each(hypotheses, self.plan.target).values()]
         rows: dict[str, HypothesisRow] = {}
         for one in order:
             entity = one.nodes[self.plan.target]
@@ -206,11 +204,6 @@ class BeliefWriter:
                 f"{key}/h{rank}", key, step, rank, entity, nodes, one.log_odds, answer, found.frame
             )
         return list(rows.values())
-
-    def _agreed(self, tracks: Tracks, who: str, frame: int) -> PersonReading:
-        """The reading of somebody at a frame whose box most readings agree on."""
-        box = tracks.box(who, frame)
-        return next(one for one in tracks.at(who, frame) if box is not None and one.observation == box.observation)
 
 
 def _states(label: ReadLabel, stated: ReadLabel) -> bool:

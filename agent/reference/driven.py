@@ -94,7 +94,7 @@ class DrivenEpisode:
         if target is None or not people or look.purpose not in _SEEKING:
             return {}
         frames = {one.frame for one in self.tracks.people[target]}
-        agreed = [one for one in (self._agreed(target, frame) for frame in frames) if one is not None]
+        agreed = [one for one in (self.tracks.agreed(target, frame) for frame in frames) if one is not None]
         known = min(
             agreed, key=lambda one: (not one.whole, self._doubt(target, one.frame) + abs(one.frame - look.frame))
         )
@@ -123,12 +123,6 @@ class DrivenEpisode:
         """Frames by which a single box of somebody counts as farther than one that two readings agree on."""
         box = self.tracks.box(who, frame)
         return 0 if box is not None and box.votes >= SETTLING else KEYFRAME_STEP * 2
-
-    def _agreed(self, who: str, frame: int) -> PersonReading | None:
-        """The reading of somebody at a frame whose box most readings agree on."""
-        box = self.tracks.box(who, frame)
-        readings = self.tracks.at(who, frame)
-        return next((one for one in readings if box is not None and one.observation == box.observation), None)
 
 
 def newest(tracks: Tracks) -> Tracks:

@@ -43,7 +43,11 @@ SAME_PLACE: Final = 0.95
 
 CANNOT_TELL: Final = "cannot tell"
 _LONGEST_WORDS: Final = 40
+"""Characters of a free attribute's value."""
+
 _AWAY: Final = round(2 * FPS)
+"""Frames between a stated frame and the one that is looked at for a moment before or after it."""
+
 PEOPLE_LINE: Final = "The people in the picture, as one JSON object:"
 
 _LABELS: Final = {"gender": GENDERS, "age": AGES, "pose": POSES}

@@ -43,7 +43,7 @@ def check_manifest(store: Store, manifest: RunManifest) -> None:
 
 
 def add_world_counts(store: Store, run_id: str, counts: Mapping[str, int]) -> None:
-    """Add the reads and writes of a world model to those that a run's manifest tells."""
+    """Add how often this session read and wrote the world model to the counts in the run's manifest."""
     manifest = read_run_manifest(store, run_id)
     total = {kind: manifest.world.get(kind, 0) + number for kind, number in counts.items()}
     write_run_manifest(store, msgspec.structs.replace(manifest, world=total))

@@ -45,7 +45,7 @@ class Measured:
 
     @property
     def hallucination(self) -> float:
-        """The share of the right answers whose evidence is wrong; NaN without any right answer."""
+        """The hallucination rate: the share of right answers whose box is wrong; NaN where no answer is right."""
         answer = self.share("answer")
         return 1 - self.share("combined") / answer if answer else float("nan")
 

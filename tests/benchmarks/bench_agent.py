@@ -51,7 +51,7 @@ from jrdb_avr.queries.workers import map_shards
 from jrdb_avr.schema.panorama import CROP, WIDTH, Box, iou
 
 METHODS: Final = (AGENT, CONTROL, "agent", NO_WORLD, REACT, PASSIVE, PASSIVE_NO_WORLD)
-"""Names of methods, with the policy after those that are driven."""
+"""The methods, each by its name, or by its name and the word driven for that policy."""
 
 
 def noise(share: float, **more: float) -> Knobs:

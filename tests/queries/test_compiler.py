@@ -247,7 +247,7 @@ def test_a_relation_to_a_thing_without_labels_is_refused_with_what_to_use():
 
 
 def at_a_moment(world, rng, values):
-    """A person of whom something is true at a frame and something before or after it, maybe together with another."""
+    """A plan of a person with one condition at a stated frame and one at a moment before or after it."""
     frames = sorted({frame for frame, _ in world.people})
     t0, t1 = sorted(rng.sample(frames, 2))
     own = rng.sample(values, 2)
