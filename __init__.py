@@ -20,6 +20,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from jrdb_avr.agent.methods.episode import Episode as Episode
     from jrdb_avr.agent.model.conventions import Options as Options
     from jrdb_avr.engine.generate.run import Generation as Generation
     from jrdb_avr.engine.generate.run import generate as generate
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     from jrdb_avr.schema.errors import ObserveError as ObserveError
     from jrdb_avr.schema.errors import PlanError as PlanError
     from jrdb_avr.schema.errors import QueryError as QueryError
+    from jrdb_avr.schema.errors import RefusedError as RefusedError
     from jrdb_avr.schema.errors import StoreError as StoreError
     from jrdb_avr.schema.method import Method as Method
     from jrdb_avr.schema.method import Observation as Observation
@@ -78,6 +80,7 @@ _NAMES: Final = {
     "engine.run.live_scores": ("LiveScore",),
     "schema.rules": ("Rules", "LoadRules"),
     "agent.model.conventions": ("Options",),
+    "agent.methods.episode": ("Episode",),
     "schema.method": (
         "Method",
         "Task",
@@ -97,6 +100,7 @@ _NAMES: Final = {
         "QueryError",
         "PlanError",
         "ObserveError",
+        "RefusedError",
         "DecodeError",
         "EndpointError",
         "AvrWarning",

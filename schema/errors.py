@@ -7,6 +7,7 @@
     ├── QueryError               a Cypher or SQL statement is refused or fails
     ├── PlanError                a graph plan is not valid
     ├── ObserveError             an observation is refused
+    ├── RefusedError             an episode does not carry out a move
     ├── DecodeError              a model's reply cannot be read
     └── EndpointError            a model server cannot be used
 
@@ -57,6 +58,10 @@ class PlanError(AvrError):
 
 class ObserveError(AvrError):
     """An observation is refused: unknown sequence, frame without an image, angle that is no number."""
+
+
+class RefusedError(AvrError):
+    """A move of an episode is not carried out, or an answer not taken; the message is the reason."""
 
 
 class DecodeError(AvrError):

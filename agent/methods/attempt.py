@@ -193,7 +193,9 @@ class Attempt:
     """One question; used by one thread."""
 
     task: Task
-    chat: Chat
+    chat: Chat | None
+    """None for a player that makes its calls elsewhere."""
+
     convention: Convention
     looks: int = 0
     calls: int = 0
@@ -208,6 +210,7 @@ class Attempt:
 
     def ask(self, messages: Sequence[Message], schema: Mapping[str, Any]) -> Reply:
         """One model call. What the server refuses is the client's EndpointError."""
+        assert self.chat is not None, "a player without a chat makes no calls here"
         started = time.perf_counter()
         reply = self.chat.complete(messages, schema)
         self.calls += 1

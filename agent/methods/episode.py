@@ -1,0 +1,201 @@
+"""One question being played: looks and answers under the benchmark's rules, whoever makes the moves.
+
+The first move must look; a look within 1 degree of an earlier one of the same frame is refused; a malformed move costs
+a move; the evidence is a box in the newest crop. An answer that is not taken ends the question only where it is sent
+again as it was. At the end the newest readable answer and box count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
+
+from jrdb_avr.agent.methods.attempt import Attempt, ImageFrame, ParsedReply, final_parts, heading, on_crop
+from jrdb_avr.agent.model import decode
+from jrdb_avr.agent.model.client import Chat
+from jrdb_avr.agent.model.conventions import CONTRACT, Convention
+from jrdb_avr.agent.model.prompts import frame_ranges, mode_text, render
+from jrdb_avr.agent.model.reply import Reply
+from jrdb_avr.schema.errors import DecodeError, RefusedError
+from jrdb_avr.schema.method import Observation, Prediction, Question, Task
+from jrdb_avr.schema.panorama import CROP
+
+BUDGET: Final = 24
+"""Looks that a question allows."""
+
+_NO_PICTURE: Final = ImageFrame((), CROP, CROP, 0)
+"""Stands for the newest picture before the first look: every box in an answer is refused."""
+
+
+def most_moves(budget: int) -> int:
+    """Moves that a question with this budget of looks allows."""
+    return 2 * budget + 2
+
+
+class Left(NamedTuple):
+    """Looks and moves that an episode still allows."""
+
+    looks: int
+    moves: int
+
+
+class Episode:
+    """One question being played by moves: a look or an answer each. Used by one thread at a time.
+
+    `task`: the question, and the function that observes; any method receives one. `budget`: looks at most.
+    `convention`: how the player writes boxes. `chat`: of a method that makes its calls through `attempt`.
+
+    `turns`: one line per move so far; `error`: why the last move was malformed, "" where it was not.
+
+        episode = Episode(task)
+        seen = episode.observe(150, 180.0)
+        episode.submit(2, [{"frame_id": seen.frame_id, "bbox": [427, 250, 573, 708]}])
+        prediction = episode.finished()
+    """
+
+    def __init__(
+        self, task: Task, *, budget: int = BUDGET, convention: Convention = CONTRACT, chat: Chat | None = None
+    ) -> None:
+        self.attempt = Attempt(task, chat, convention)
+        self.budget = budget
+        self.turns: list[str] = []
+        self.error = ""
+        self._ended = False
+        self._kept = ParsedReply()
+        self._refused: Mapping[str, Any] | None = None
+        self._newest = _NO_PICTURE
+
+    # -- what the player gets -----------------------------------------------------------------------------------------
+
+    @property
+    def question(self) -> Question:
+        """The public columns of the question."""
+        return self.attempt.task.question
+
+    @property
+    def frames(self) -> tuple[int, ...]:
+        """The frames that can be observed, ascending."""
+        return self.attempt.task.sequence.frames
+
+    @property
+    def prompt(self) -> str:
+        """Rules and question for a player with the tools `observe` and `submit_answer`."""
+        return f"{self.rules('episode_tools')}\n\n{self.text}"
+
+    def rules(self, turns: str) -> str:
+        """The rules; `turns` names the prompt that says in which form a move is written."""
+        task = self.attempt.task
+        text = mode_text(task.question.answer_mode, task.sequence.frame_count)
+        return render(
+            "episode_rules",
+            turns=render(turns, answer_form=text.form),
+            fps=f"{task.sequence.fps:g}",
+            answer_rule=text.rule,
+            budget=self.budget,
+            calls=most_moves(self.budget),
+        )
+
+    @property
+    def text(self) -> str:
+        """The question with its choices, the legal frames, and a line of advice."""
+        task = self.attempt.task
+        advice = mode_text(task.question.answer_mode, task.sequence.frame_count).advice
+        return render("episode_task", heading=heading(self.question), frames=frame_ranges(self.frames), advice=advice)
+
+    @property
+    def answer_schema(self) -> dict[str, Any]:
+        """The JSON Schema of the arguments of `submit`."""
+        return decode.closed_object(final_parts(self.question))
+
+    @property
+    def left(self) -> Left:
+        """Looks and moves left; none after the end."""
+        if self._ended:
+            return Left(0, 0)
+        return Left(self.budget - self.attempt.looks, most_moves(self.budget) - len(self.turns))
+
+    @property
+    def over(self) -> bool:
+        """Whether no further move is taken."""
+        return self.left.moves <= 0
+
+    # -- moves --------------------------------------------------------------------------------------------------------
+
+    def observe(self, frame: int | str, angle: float) -> Observation:
+        """Look at a frame, a number or a six-digit id, at an angle in degrees.
+
+        Raises RefusedError with the reason, after which the move is spent; ObserveError for a picture that is broken.
+        """
+        frame_id = frame if isinstance(frame, str) else f"{frame:06d}"
+        seen = self._move(lambda: {"action": "observe", "frame_id": frame_id, "angle_deg": angle})
+        assert seen is not None, "a look that is not refused returns what it shows"
+        return seen
+
+    def submit(self, answer: object, evidence: object) -> None:
+        """Give the final answer and its `evidence_bboxes`, both as `answer_schema` has them.
+
+        Raises RefusedError with the reason where it is not taken; what can be read of it is kept.
+        """
+        self._move(lambda: {"action": "answer", "answer": answer, "evidence_bboxes": evidence})
+
+    def reply(self, reply: Reply) -> Observation | None:
+        """Make the move that a model's reply states as one JSON object; return what a look shows.
+
+        Raises RefusedError, also for a reply that cannot be read.
+        """
+        return self._move(lambda: decode.reply_object(reply, self.attempt.convention))
+
+    def _move(self, read: Callable[[], dict[str, Any]]) -> Observation | None:
+        if self.over:
+            raise RefusedError("the question is finished: no further move is taken")
+        self.error = ""
+        try:
+            move = read()
+            match move.get("action"):
+                case "observe":
+                    return self._observe(move)
+                case "answer":
+                    self._answer(move)
+                    return None
+                case _:
+                    raise DecodeError('"action" must be "observe" or "answer"')
+        except DecodeError as error:
+            self.error = str(error)
+            self._kept = replace(self._kept, faults=(self.error,))
+            self.turns.append(f"malformed: {self.error}")
+            raise RefusedError(self.error) from None
+
+    def _observe(self, move: Mapping[str, Any]) -> Observation:
+        decode.only_keys(move, ("action", "frame_id", "angle_deg"), "an observe turn")
+        frame, angle = self.attempt.read_look(move)
+        if not self.left.looks:
+            raise DecodeError("no looks are left: answer now")
+        look = f"look at frame {frame:06d}, angle {angle:g}"
+        if reason := self.attempt.duplicate(frame, angle):
+            self.turns.append(f"{look}: refused, {reason}")
+            raise RefusedError(reason)
+        observation = self.attempt.look(frame, angle)
+        self._newest = on_crop(observation)
+        self._refused = None
+        self.turns.append(f"{look}: picture {self.attempt.looks}")
+        return observation
+
+    def _answer(self, move: dict[str, Any]) -> None:
+        """Take the answer, or keep what can be read of it. Raises DecodeError."""
+        del move["action"]
+        again, self._refused = move == self._refused, move
+        parsed = self.attempt.parse_final(move, self._newest)
+        self._kept = parsed.over(self._kept)
+        self._ended = again or not parsed.faults
+        if parsed.faults:
+            raise DecodeError("; ".join(parsed.faults) if self.attempt.looks else "the first turn must look")
+        self.turns.append("answer")
+
+    # -- the end ------------------------------------------------------------------------------------------------------
+
+    def finished(self) -> Prediction:
+        """The prediction if no further move were made; may be called at any time. A move counts as a model call."""
+        refusal = "" if self._ended else f"no answer was taken within {len(self.turns)} turns"
+        found = self.attempt.prediction(replace(self._kept, refusal=refusal))
+        return replace(found, n_model_calls=len(self.turns))
