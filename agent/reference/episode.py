@@ -68,7 +68,7 @@ Memory = ChatMemory | GraphMemory
 
 
 @dataclass
-class Episode:
+class AgentEpisode:
     """The loop over one question.
 
     refused: the last final answer that was not taken, where nothing has been looked at or written since; refusal: why

@@ -14,7 +14,7 @@ from jrdb_avr.agent.model.prompts import frame_ranges, mode_text, render
 from jrdb_avr.agent.reference.belief_writer import BeliefWriter
 from jrdb_avr.agent.reference.chat_memory import ChatMemory
 from jrdb_avr.agent.reference.driven import DrivenEpisode
-from jrdb_avr.agent.reference.episode import LIMITS, Episode, Limits, Memory
+from jrdb_avr.agent.reference.episode import LIMITS, AgentEpisode, Limits, Memory
 from jrdb_avr.agent.reference.graph_memory import GraphMemory
 from jrdb_avr.agent.reference.perceive import MOST_PEOPLE, perceivable
 from jrdb_avr.agent.reference.planning import make_plan
@@ -96,7 +96,7 @@ class ReferenceAgent:
             return DrivenEpisode(attempt, read, self.limits.looks, writer).play()
 
     def _play(self, attempt: Attempt, memory: Memory) -> Prediction:
-        episode = Episode(attempt, memory, self.looks, self.limits)
+        episode = AgentEpisode(attempt, memory, self.looks, self.limits)
         if not self.looks:
             episode.show(attempt.panoramas(self.limits.panoramas))
         return episode.play()
