@@ -33,13 +33,15 @@ COMMANDS: Final[dict[str, str]] = {
     "score": "Score the predictions of runs.",
     "report": "Compare runs in a table.",
     "trace": "Show what a run did with a question, step by step.",
+    "export": "Write predictions in the forms of other tools.",
+    "submit": "Write a run as a bundle, to be scored elsewhere.",
     "inspect": "Show questions on a page, for a person to judge.",
     "demo": "Run everything once on a synthetic world.",
 }
 """Every command with its short help, which must not need the command's module."""
 
 
-_MODULES: Final = {"cypher": "query", "sql": "query", "stats": "generate", "score": "report"}
+_MODULES: Final = {"cypher": "query", "sql": "query", "stats": "generate", "score": "report", "submit": "export"}
 """The modules of commands that share one; each command there has its own name."""
 
 

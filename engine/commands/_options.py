@@ -14,7 +14,8 @@ FILE: Final = click.Path(dir_okay=False, path_type=Path)
 FOLDER: Final = click.Path(file_okay=False, path_type=Path)
 
 
-def _open_store(ctx: click.Context, parameter: click.Parameter, path: Path | None) -> Any:
+def open_store(ctx: click.Context, parameter: click.Parameter, path: Path | None) -> Any:
+    """The store at a path that an option or argument names."""
     from jrdb_avr.queries.store import Store
 
     return None if path is None else Store(path)
@@ -22,7 +23,7 @@ def _open_store(ctx: click.Context, parameter: click.Parameter, path: Path | Non
 
 def store_option(required: bool = True) -> Callable[[_C], _C]:
     """Add the option `--store` as a Store."""
-    return click.option("--store", required=required, type=FOLDER, callback=_open_store, help="Folder of the store.")
+    return click.option("--store", required=required, type=FOLDER, callback=open_store, help="Folder of the store.")
 
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON array of objects.")

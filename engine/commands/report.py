@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from jrdb_avr.engine.commands._options import FILE, iou_option, json_option, store_option
+from jrdb_avr.engine.commands._options import FILE, FOLDER, iou_option, json_option, store_option
 from jrdb_avr.engine.console import note, print_json, print_rows, warnings_as_notes
 
 if TYPE_CHECKING:
@@ -25,17 +25,40 @@ _MACRO: Final = "_macro_"
 _runs_argument = click.argument("runs", nargs=-1, metavar="[RUN]...")
 
 
-@click.command(epilog="Example: jrdb-avr score --store S react-marker   (without a RUN: all runs)")
+_SCORE_EXAMPLE: Final = """\b
+Examples:
+  jrdb-avr score --store S react-marker           (without a RUN: all runs)
+  jrdb-avr score --store S --jsonl mine.jsonl     predictions made elsewhere, as the run 'mine'
+  jrdb-avr score --store S --bundle bundle        what 'submit' wrote
+"""
+
+
+@click.command(epilog=_SCORE_EXAMPLE)
 @_runs_argument
 @store_option()
+@click.option("--jsonl", type=FILE, help="Take predictions in as a run first, named RUN or like the file; score it.")
+@click.option("--bundle", type=FOLDER, help="Score a bundle; nothing is written.")
 @iou_option
 @json_option
-def score(runs: tuple[str, ...], store: Store, iou: float, as_json: bool) -> None:
+def score(
+    runs: tuple[str, ...], store: Store, iou: float, as_json: bool, jsonl: Path | None, bundle: Path | None
+) -> None:
     """Write runs/RUN/scores.parquet: answer, evidence and combined score of every question."""
     from jrdb_avr.engine.report import comparison
 
+    if (jsonl and len(runs) > 1) or (bundle and (runs or jsonl)):
+        raise click.UsageError("--jsonl takes one RUN at most, --bundle none and no --jsonl")
+    if jsonl is not None:
+        from jrdb_avr.engine.run.imported import import_predictions
+
+        runs = (import_predictions(store, jsonl, *runs),)
     with warnings_as_notes():
-        scores = comparison.score(store, runs, iou)
+        if bundle is not None:
+            from jrdb_avr.engine.report.leaderboard import score_bundles
+
+            scores = score_bundles(store, [bundle], iou)
+        else:
+            scores = comparison.score(store, runs, iou)
     print_rows(scores.rows, as_json=as_json)
     if not as_json:
         note(f"percent of n; evidence scores from IoU {iou:g} on")

@@ -1,12 +1,11 @@
 """Runs on multiple-choice questions of which every count is known."""
 
-import json
-
 import pyarrow as pa
 
 from jrdb_avr.engine.report.scored_runs import QuestionIndex, ScoredRun
 from jrdb_avr.engine.report.scoring import Truth, score_predictions
 from jrdb_avr.queries.runs import RunManifest
+from jrdb_avr.schema.answers import Choice, encode_answer
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
 from jrdb_avr.schema.templates import FAMILIES
 
@@ -72,7 +71,7 @@ class Benchmark:
                     "run_id": run_id,
                     "question_id": name,
                     "status": "answered" if choice and box else "invalid",
-                    "answer": None if choice is None else json.dumps({"choice": choice}),
+                    "answer": None if choice is None else encode_answer(Choice(choice)),
                     "evidence_frame": None if box is None else frame,
                     **{f"evidence_{key}": value for key, value in where.items()},
                     "n_model_calls": 3,

@@ -1,0 +1,116 @@
+"""Bundles: a run's predictions in a folder of their own, to be scored where the answers are.
+
+    DIR/run.json            the run's manifest: questions, method, model and settings
+    DIR/predictions.jsonl   the predictions, as `prediction_lines` writes them
+    DIR/SHA256SUMS          the hashes of both, as `sha256sum -c` reads them
+
+A bundle comes from anybody: these three files are read, bounded, as JSON and text, and what does not fit its hash is
+refused. The hashes show that a bundle arrived whole, not who made it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import pyarrow as pa
+
+from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE, parse_lines, read_regular, write_lines
+from jrdb_avr.engine.report.scoring import Truth, read_predictions, score_predictions
+from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest
+from jrdb_avr.queries.store import Store, is_plain_name, write_bytes
+from jrdb_avr.schema.errors import InputError, StoreError
+
+_MANIFEST: Final = "run.json"
+_PREDICTIONS: Final = "predictions.jsonl"
+_SUMS: Final = "SHA256SUMS"
+
+_LARGEST: Final = {_MANIFEST: 1 << 24, _PREDICTIONS: LARGEST_FILE}
+_LONGEST_NAME: Final = 200
+_LARGEST_SETTINGS: Final = 1 << 16
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """A bundle that is whole: its run's manifest and the table of its predictions."""
+
+    folder: Path
+    run: RunManifest
+    predictions: pa.Table
+
+    @property
+    def question_set(self) -> str:
+        """16 hex digits that are equal where two runs answered the same questions of the same file."""
+        return _sha256("\n".join([self.run.questions_sha256, *sorted(self.run.question_ids)]).encode())[:16]
+
+
+def write_bundle(store: Store | str | Path, run_id: str, folder: str | Path) -> Bundle:
+    """Write a finished run as a bundle into a new or empty folder. The address of the model's server stays out.
+
+    Raises StoreError where the run is missing or unfinished, InputError where the folder holds something.
+    """
+    store, folder = Store.of(store), Path(folder)
+    manifest = _without_address(read_run_manifest(store, run_id))
+    _, predictions = read_predictions(store, run_id)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder} is not empty: give the bundle a new folder", file=str(folder))
+    written = {
+        _MANIFEST: msgspec.json.format(msgspec.json.encode(manifest, order="sorted"), indent=1),
+        _PREDICTIONS: b"".join(write_lines(predictions)),
+    }
+    # The sums come last: a folder that has them is complete.
+    written[_SUMS] = "".join(f"{_sha256(data)}  {name}\n" for name, data in written.items()).encode()
+    for name, data in written.items():
+        write_bytes(folder / name, data)
+    return read_bundle(folder)
+
+
+def read_bundle(folder: str | Path) -> Bundle:
+    """Read a bundle. Raises InputError where a file is missing, altered, too large or of another form."""
+    folder = Path(folder)
+    data = {name: read_regular(folder / name, largest) for name, largest in _LARGEST.items()}
+    sums = read_regular(folder / _SUMS, 1 << 12).splitlines()
+    for name, own in data.items():
+        if f"{_sha256(own)}  {name}".encode() not in sums:
+            raise InputError(
+                f"{folder / name} is not what {_SUMS} says, it was altered: ask for the bundle again",
+                file=str(folder / name),
+            )
+    run = _manifest(data[_MANIFEST], folder / _MANIFEST)
+    return Bundle(folder, run, parse_lines(data[_PREDICTIONS], run.run_id, folder / _PREDICTIONS))
+
+
+def score_bundle(store: Store, truth: Truth, bundle: Bundle, iou: float) -> pa.Table:
+    """The `scores` table of a bundle. Raises StoreError where it is of other questions than the store's."""
+    if bundle.run.questions_sha256 != questions_hash(store):
+        raise StoreError(f"{bundle.folder} is of another questions file than this store's: score it in its own store")
+    return score_predictions(truth, bundle.run.run_id, bundle.run.question_ids, bundle.predictions, iou)
+
+
+def _manifest(data: bytes, path: Path) -> RunManifest:
+    try:
+        run = msgspec.json.decode(data, type=RunManifest)
+        if not is_plain_name(run.run_id) or max(map(len, (run.method, run.model, run.created))) > _LONGEST_NAME:
+            raise ValueError("its run, method or model has no usable name")
+        if not run.question_ids:
+            raise ValueError("it names no question")
+        if len(msgspec.json.encode(run.settings)) > _LARGEST_SETTINGS:
+            raise ValueError("its settings are too large")
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path} cannot be used: {error}", file=str(path)) from None
+    return run
+
+
+def _without_address(manifest: RunManifest) -> RunManifest:
+    endpoint = manifest.settings.get("endpoint")
+    if not isinstance(endpoint, dict):
+        return manifest
+    rest = {name: value for name, value in endpoint.items() if name != "base_url"}
+    return msgspec.structs.replace(manifest, settings=manifest.settings | {"endpoint": rest})
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()

@@ -1,0 +1,123 @@
+"""The leaderboard: bundles scored by one store's answers, ranked among those that answered the same questions."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from jrdb_avr.engine.report.bundle import Bundle, read_bundle, score_bundle
+from jrdb_avr.engine.report.comparison import Scores
+from jrdb_avr.engine.report.formats import with_intervals
+from jrdb_avr.engine.report.scored_runs import ScoredRun, read_index
+from jrdb_avr.engine.report.scoring import DEFAULT_IOU, read_truth
+from jrdb_avr.engine.report.tables import Row, main_rows, score_row
+from jrdb_avr.queries.display import Displayed, Tables
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A bundle in its place: its rank among those of its question set, its row of the main table, its settings."""
+
+    rank: int
+    question_set: str
+    bundle: Bundle
+    row: Row
+
+    def flat(self) -> dict[str, Any]:
+        """The entry as one row of plain values."""
+        place = {"rank": self.rank, "questions": self.question_set, "bundle": self.bundle.folder.name}
+        return place | {name: value for name, value in self.row.items() if "_macro_" not in name}
+
+
+@dataclass(frozen=True, repr=False)
+class Leaderboard(Displayed):
+    """Scored bundles: a list of entries per question set, the best combined score first; `iou` as in `score`."""
+
+    sets: list[list[Entry]]
+    iou: float
+
+    @property
+    def rows(self) -> list[Row]:
+        """Every entry as a row, set by set."""
+        return [entry.flat() for entries in self.sets for entry in entries]
+
+    @property
+    def synthetic(self) -> bool:
+        """Whether a bundle is of the simulated model or the sample world, and so no result about JRDB."""
+        return any(entry.bundle.run.synthetic for entries in self.sets for entry in entries)
+
+    def _summary(self) -> str:
+        return f"{len(self.rows)} bundles of {len(self.sets)} question sets, evidence from IoU {self.iou:g} on"
+
+    def _tables(self) -> Tables:
+        return {"Bundles in percent [95 % interval]": with_intervals(self.rows)}
+
+
+def leaderboard(store: Store | str | Path, folders: Sequence[str | Path], iou: float = DEFAULT_IOU) -> Leaderboard:
+    """Score bundles and rank them. One that cannot be used is left out with an AvrWarning.
+
+    Bundles that answered other questions of the store are ranked apart, the largest set first; equal scores share a
+    rank. Raises StoreError where no bundle is left.
+    """
+    sets: dict[str, list[tuple[Bundle, ScoredRun]]] = {}
+    for bundle, run in _scored(Store.of(store), folders, iou, strict=False):
+        sets.setdefault(bundle.question_set, []).append((bundle, run))
+    if not sets:
+        raise StoreError("none of the bundles can be scored: see the lines above")
+    index = read_index(Store.of(store))
+    ranked = []
+    for name, found in sets.items():
+        rows = main_rows(index, [run for _, run in found], iou)
+        pairs = sorted(zip((bundle for bundle, _ in found), rows, strict=True), key=_order)
+        scores = [row["combined"] for _, row in pairs]
+        ranked.append(
+            [
+                Entry(1 + scores.index(row["combined"]), name, bundle, row | {"run": bundle.run.run_id})
+                for bundle, row in pairs
+            ]
+        )
+    ranked.sort(key=lambda entries: (-entries[0].row["n"], entries[0].question_set))
+    return Leaderboard(ranked, iou)
+
+
+def score_bundles(store: Store | str | Path, folders: Sequence[str | Path], iou: float = DEFAULT_IOU) -> Scores:
+    """Score bundles by a store's answers; nothing is written.
+
+    Raises InputError for a bundle that is altered or broken, StoreError for one of other questions than the store's.
+    """
+    return Scores(
+        [
+            score_row(run, iou) | {"run": bundle.run.run_id}
+            for bundle, run in _scored(Store.of(store), folders, iou, strict=True)
+        ]
+    )
+
+
+def _scored(store: Store, folders: Sequence[str | Path], iou: float, strict: bool) -> list[tuple[Bundle, ScoredRun]]:
+    truth, index = read_truth(store), read_index(store)
+    found = []
+    for number, folder in enumerate(folders):
+        try:
+            bundle = read_bundle(folder)
+            scores = score_bundle(store, truth, bundle, iou)
+        except (InputError, StoreError) as error:
+            if strict:
+                raise
+            warnings.warn(f"left out: {error}", AvrWarning, stacklevel=3)
+            continue
+        # Two bundles may have one run id; here each has a number of its own.
+        manifest = msgspec.structs.replace(bundle.run, run_id=str(number))
+        found.append((bundle, ScoredRun(index, manifest, bundle.predictions, scores)))
+    return found
+
+
+def _order(pair: tuple[Bundle, Row]) -> tuple[float, float, str, str]:
+    bundle, row = pair
+    return -row["combined"], -row["answer"], bundle.run.run_id, str(bundle.folder)

@@ -1,0 +1,120 @@
+"""Predictions as lines of JSON: the form in which they leave a store and come into one.
+
+One object per line; only `question_id` is required. A line without `answer` and `evidence` is a question that was asked
+and not answered.
+
+    {"question_id": "0098303b6414dec4", "answer": {"choice": 2}, "evidence": {"frame": 150, "box": [10, 20, 60, 180]}}
+
+`answer` is a payload of `schema/answers.py`, `box` x, y, w, h in stitched pixels; the other keys are columns of the
+table `predictions`. Lines come from anybody, so that their number, size and every value are bounded.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import msgspec
+import pyarrow as pa
+
+from jrdb_avr.schema.answers import Evidence
+from jrdb_avr.schema.errors import InputError, StoreError
+from jrdb_avr.schema.method import Status, Verdict
+from jrdb_avr.schema.tables import RUNS
+
+LARGEST_FILE: Final = 1 << 28
+"""Bytes of predictions that are read: a thousand times those of 2,098 short replies."""
+
+LARGEST_LINE: Final = 1 << 20
+
+_Count = Annotated[int, msgspec.Meta(ge=0, le=2**31 - 1)]
+_Tokens = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
+_Seconds = Annotated[float, msgspec.Meta(ge=0, le=2.0**53)]
+_Id = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
+
+
+class PredictionLine(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """A prediction of one question; the keys after `evidence` say how it came about."""
+
+    question_id: _Id
+    status: Status = "answered"
+    answer: dict[str, int | float] | None = None
+    evidence: Evidence | None = None
+    raw: str = ""
+    reason: str = ""
+    verdict: Verdict | None = None
+    n_observations: _Count = 0
+    n_model_calls: _Count = 0
+    prompt_tokens: _Tokens = 0
+    completion_tokens: _Tokens = 0
+    seconds: _Seconds = 0.0
+
+
+_LINE: Final = msgspec.json.Decoder(PredictionLine)
+_BOX: Final = ("x", "y", "w", "h")
+_SAME: Final = tuple(name for name in PredictionLine.__struct_fields__ if name not in ("answer", "evidence"))
+
+
+def write_lines(predictions: pa.Table) -> Iterator[bytes]:
+    """The rows of a table `predictions` as lines that end in a newline. Raises StoreError for a row that is no line's.
+
+    The run's id is left out: whoever reads the lines names the run.
+    """
+    for row in predictions.to_pylist():
+        frame, box = row["evidence_frame"], [row[f"evidence_{side}"] for side in _BOX]
+        evidence = None if frame is None else {"frame": frame, "box": box}
+        try:
+            answer = None if row["answer"] is None else msgspec.json.decode(row["answer"])
+            own = {name: row[name] for name in _SAME} | {"answer": answer, "evidence": evidence}
+            yield msgspec.json.encode(msgspec.convert(own, PredictionLine)) + b"\n"
+        except msgspec.MsgspecError as error:
+            question = row["question_id"]
+            raise StoreError(f"the prediction of question {question} cannot be written as JSON: {error}") from None
+
+
+def parse_lines(data: bytes, run_id: str, file: Path) -> pa.Table:
+    """Lines as the table `predictions` of a run. Raises InputError naming file and line."""
+    rows = []
+    seen: set[str] = set()
+    for number, line in enumerate(data.split(b"\n"), 1):
+        if not line.strip():
+            continue
+        try:
+            if len(line) > LARGEST_LINE:
+                raise ValueError(f"it is longer than {LARGEST_LINE} bytes")
+            found = _LINE.decode(line)
+            if found.question_id in seen:
+                raise ValueError(f"question {found.question_id!a} comes twice")
+            seen.add(found.question_id)
+            rows.append(_row(found, run_id))
+        except (ValueError, RecursionError) as error:
+            raise InputError(f"{file}, line {number}: {error}", file=str(file), field=f"line {number}") from None
+    return pa.Table.from_pylist(rows, RUNS["predictions"])
+
+
+def _row(line: PredictionLine, run_id: str) -> dict[str, Any]:
+    row: dict[str, Any] = {"run_id": run_id, "answer": None} | {name: getattr(line, name) for name in _SAME}
+    if line.answer is not None:
+        row["answer"] = msgspec.json.encode(line.answer).decode()
+    if line.evidence is not None:
+        row["evidence_frame"] = line.evidence.frame
+        row |= {f"evidence_{side}": value for side, value in zip(_BOX, line.evidence.box, strict=True)}
+    return row
+
+
+def read_regular(path: Path, largest: int) -> bytes:
+    """The bytes of a file that is no link, pipe or folder. Raises InputError otherwise, or where it is too large."""
+    try:
+        # Opening a pipe would wait for whoever writes into it.
+        with os.fdopen(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise InputError(f"{path} is no plain file", file=str(path))
+            data = file.read(largest + 1)
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}", file=str(path)) from None
+    if len(data) > largest:
+        raise InputError(f"{path} is larger than {largest >> 20} MB", file=str(path))
+    return data

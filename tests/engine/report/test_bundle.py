@@ -1,0 +1,269 @@
+"""Predictions leave a store and come back as they were; bundles score elsewhere, and hostile ones are refused."""
+
+import hashlib
+import json
+import math
+import os
+import subprocess
+
+import msgspec
+import pyarrow as pa
+import pytest
+from entry import run
+from failing_runs import stored_failures
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jrdb_avr.engine.report.bundle import read_bundle, write_bundle
+from jrdb_avr.engine.report.comparison import score
+from jrdb_avr.engine.report.leaderboard import leaderboard, score_bundles
+from jrdb_avr.engine.report.prediction_lines import parse_lines, write_lines
+from jrdb_avr.engine.run.imported import import_predictions
+from jrdb_avr.queries.runs import read_run_manifest, write_run_manifest
+from jrdb_avr.queries.store import Store, read_table
+from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
+from jrdb_avr.schema.tables import RUNS
+
+ADDRESS = "http://10.1.2.3:8000/v1"
+SETTINGS = {"endpoint": {"base_url": ADDRESS, "seed": 3}, "method": {"panoramas": 8}}
+
+
+@pytest.fixture
+def store(tmp_path):
+    return stored_failures(tmp_path / "S", SETTINGS)[2]
+
+
+def predictions_of(store, name):
+    return read_table(store.run_path(name) / "predictions.parquet").drop(["run_id"]).sort_by("question_id")
+
+
+# -- lines ------------------------------------------------------------------------------------------------------------
+
+
+def test_predictions_come_back_as_they_left(store, tmp_path):
+    assert run("export", store.path, "r", "--jsonl", tmp_path / "again.jsonl")[0] == 0
+    code, out, err = run("score", "--store", store.path, "--jsonl", tmp_path / "again.jsonl", "--json")
+    assert code == 0, err
+    assert predictions_of(store, "again") == predictions_of(store, "r")
+    (row,) = json.loads(out)
+    (first,) = score(store, ["r"]).rows
+    assert row | {"run": "r"} == first and row["n"] == 13
+    # It is a run like any other.
+    assert [row["run"] for row in json.loads(run("report", "--store", store.path, "--json")[1])] == ["again", "r"]
+
+
+texts = st.text(st.characters(exclude_categories=("Cs",)), max_size=8)
+finite = st.floats(allow_nan=False, allow_infinity=False)
+rows = st.fixed_dictionaries(
+    {
+        "question_id": st.text(st.characters(exclude_categories=("Cs",)), min_size=1, max_size=8),
+        "status": st.sampled_from(["answered", "invalid", "error"]),
+        "answer": st.none()
+        | st.sampled_from(['{"choice":2}', '{"frame":150,"angle_deg":210.5}', '{"value":12.5}', '{"value":1e-7}']),
+        "box": st.none() | st.tuples(st.integers(0, 9_999_999), *[finite] * 4),
+        "raw": texts,
+        "reason": texts,
+        "verdict": st.none() | st.sampled_from(["certain", "supported", "guess"]),
+        "n_observations": st.integers(0, 2**31 - 1),
+        "n_model_calls": st.integers(0, 2**31 - 1),
+        "prompt_tokens": st.integers(0, 2**53),
+        "completion_tokens": st.integers(0, 2**53),
+        "seconds": st.floats(0, 2.0**53),
+    }
+)
+
+
+@given(st.lists(rows, max_size=4, unique_by=lambda row: row["question_id"]))
+def test_any_prediction_survives_the_lines(rows):
+    names = ("evidence_frame", *(f"evidence_{side}" for side in "xywh"))
+    flat = [{"run_id": "q", **row, **dict(zip(names, row["box"] or [None] * 5, strict=True))} for row in rows]
+    table = pa.Table.from_pylist(flat, RUNS["predictions"])
+    assert parse_lines(b"".join(write_lines(table)), "q", "file").equals(table)
+
+
+def test_a_line_needs_an_id_alone(store, tmp_path):
+    (tmp_path / "mine.jsonl").write_text(
+        '{"question_id": "scores"}\n\n{"question_id": "loose", "answer": {"choice": 1}}'
+    )
+    assert import_predictions(store, tmp_path / "mine.jsonl", "own") == "own"
+    (row,) = score(store, ["own"]).rows
+    assert (row["n"], row["answer"], row["evidence"], row["invalid"]) == (2, 50.0, 0.0, 0.0)
+
+
+BROKEN = {
+    "no JSON": (b"{", "line 1"),
+    "another key": (b'{"question_id": "loose", "score": 1}', "unknown field `score`"),
+    "no id": (b'{"answer": {"choice": 1}}', "question_id"),
+    "an unknown question": (b'{"question_id": "who"}', "not in the store"),
+    "twice": (b'{"question_id": "loose"}\n{"question_id": "loose"}', "line 2: question 'loose' comes twice"),
+    "half a character": (b'{"question_id": "loose", "raw": "\\ud800"}', "line 1"),
+    "bytes": (b'{"question_id": "loose", "raw": "\xff"}', "line 1"),
+    "a box of three": (b'{"question_id": "loose", "evidence": {"frame": 1, "box": [1, 2, 3]}}', "line 1"),
+    "no number": (b'{"question_id": "loose", "evidence": {"frame": 1, "box": [NaN, 2, 3, 4]}}', "line 1"),
+    "too large a number": (b'{"question_id": "loose", "n_model_calls": 3000000000}', "line 1"),
+    "deep": (b'{"question_id": "loose", "answer": ' + b'{"a":' * 100_000 + b"}", "line 1"),
+    "a long line": (b'{"question_id": "loose", "raw": "' + b"x" * (1 << 20) + b'"}', "longer than"),
+    "nothing": (b"\n", "holds no prediction"),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_broken_lines_are_refused_in_one_line_and_leave_nothing(store, tmp_path, case):
+    data, said = BROKEN[case]
+    (tmp_path / "own.jsonl").write_bytes(data)
+    code, out, err = run("score", "--store", store.path, "--jsonl", tmp_path / "own.jsonl")
+    assert (code, out) == (1, "") and said in err and err.count("\n") == 1, err
+    assert not store.run_path("own").exists()
+
+
+def test_an_import_never_replaces_a_run(store, tmp_path):
+    (tmp_path / "r.jsonl").write_text('{"question_id": "scores"}')
+    before = predictions_of(store, "r")
+    with pytest.raises(StoreError, match="'r' exists"):
+        import_predictions(store, tmp_path / "r.jsonl")
+    with pytest.raises(InputError, match="cannot be a run id"):
+        import_predictions(store, tmp_path / "r.jsonl", "../r")
+    assert predictions_of(store, "r") == before
+
+
+# -- bundles ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def bundle(store, tmp_path):
+    assert run("submit", store.path, "r", tmp_path / "B")[0] == 0
+    return tmp_path / "B"
+
+
+def test_a_bundle_scores_like_its_run(store, bundle):
+    code, out, err = run("score", "--store", store.path, "--bundle", bundle, "--json")
+    assert code == 0 and err == ""
+    assert json.loads(out) == score(store, ["r"]).rows
+    # Nothing of the run's own scores, and nothing of its server's address.
+    assert sorted(path.name for path in bundle.iterdir()) == ["SHA256SUMS", "predictions.jsonl", "run.json"]
+    assert not [path for path in bundle.iterdir() if ADDRESS in path.read_text()]
+    assert read_bundle(bundle).run.settings == {"endpoint": {"seed": 3}, "method": {"panoramas": 8}}
+    subprocess.run(
+        ["sha256sum", "--strict", "--check", "SHA256SUMS"], cwd=bundle, check=True, stdout=subprocess.DEVNULL
+    )
+
+
+def test_a_bundle_needs_a_folder_of_its_own(store, bundle):
+    code, _, err = run("submit", store.path, "r", bundle)
+    assert code == 1 and "not empty" in err
+    with pytest.raises(StoreError, match="no run 'x'"):
+        write_bundle(store, "x", bundle.parent / "C")
+    assert not (bundle.parent / "C").exists()
+
+
+@pytest.mark.parametrize("name", ["run.json", "predictions.jsonl"])
+def test_one_changed_character_is_refused(store, bundle, name):
+    data = (bundle / name).read_bytes()
+    for place in range(0, len(data), len(data) // 7):
+        changed = bytearray(data)
+        changed[place] ^= 1
+        (bundle / name).write_bytes(changed)
+        code, out, err = run("score", "--store", store.path, "--bundle", bundle)
+        assert (code, out) == (1, "") and f"{name} is not what SHA256SUMS says" in err and err.count("\n") == 1
+
+
+def resummed(bundle):
+    """Sums that fit again: whoever alters a bundle can do that too."""
+    lines = [
+        f"{hashlib.sha256((bundle / name).read_bytes()).hexdigest()}  {name}\n"
+        for name in ("run.json", "predictions.jsonl")
+    ]
+    (bundle / "SHA256SUMS").write_text("".join(lines))
+
+
+MANIFESTS = {
+    "a way out": {"run_id": "../../up"},
+    "no question": {"question_ids": []},
+    "a long name": {"model": "m" * 201},
+    "no text": {"method": 3},
+    "large settings": {"settings": {"a": "x" * 70_000}},
+    "a question twice": {"question_ids": ["scores", "scores"]},
+    "a question of nobody": {"question_ids": ["who"]},
+    "other predictions": {"question_ids": ["scores"]},
+    "other questions": {"questions_sha256": "0" * 64},
+}
+
+
+@pytest.mark.parametrize("case", MANIFESTS)
+def test_hostile_manifests_are_refused_in_one_line(store, bundle, case):
+    (bundle / "run.json").write_text(json.dumps(json.loads((bundle / "run.json").read_text()) | MANIFESTS[case]))
+    resummed(bundle)
+    code, out, err = run("score", "--store", store.path, "--bundle", bundle)
+    assert (code, out) == (1, "") and err.count("\n") == 1 and (str(bundle) in err or "run r " in err), err
+
+
+def test_a_manifest_that_is_too_deep_or_large_is_refused(bundle):
+    for data in (b'{"settings":' + b"[" * 200_000, b" " * ((1 << 24) + 1), b"\xff", b"[]"):
+        (bundle / "run.json").write_bytes(data)
+        resummed(bundle)
+        with pytest.raises(InputError):
+            read_bundle(bundle)
+
+
+def test_no_link_or_pipe_of_a_bundle_is_followed(store, bundle, tmp_path):
+    outside = tmp_path / "outside.jsonl"
+    (bundle / "predictions.jsonl").rename(outside)
+    with pytest.raises(InputError, match="cannot read"):
+        read_bundle(bundle)
+    (bundle / "predictions.jsonl").symlink_to(outside)
+    with pytest.raises(InputError, match="cannot read"):
+        read_bundle(bundle)
+    (bundle / "predictions.jsonl").unlink()
+    os.mkfifo(bundle / "predictions.jsonl")
+    with pytest.raises(InputError, match="no plain file"):
+        read_bundle(bundle)
+    with pytest.raises(InputError):
+        read_bundle(tmp_path / "none")
+
+
+# -- the leaderboard --------------------------------------------------------------------------------------------------
+
+
+def another(store, name, wrong=0, ids=None, **changes):
+    """A run like r under another name, its first answers wrong, perhaps of some of the questions alone."""
+    manifest = read_run_manifest(store, "r")
+    ids = manifest.question_ids if ids is None else ids
+    write_run_manifest(store, msgspec.structs.replace(manifest, run_id=name, question_ids=tuple(ids), **changes))
+    rows = [
+        row for row in read_table(store.run_path("r") / "predictions.parquet").to_pylist() if row["question_id"] in ids
+    ]
+    rows = [row | {"run_id": name} | ({"answer": '{"choice":2}'} if n < wrong else {}) for n, row in enumerate(rows)]
+    store.write_run(name, "predictions", pa.Table.from_pylist(rows, RUNS["predictions"]))
+    return name
+
+
+def test_bundles_are_ranked_among_those_of_the_same_questions(store, tmp_path):
+    ids = read_run_manifest(store, "r").question_ids
+    # Of few questions the best score of all, which is no reason to lead.
+    names = ["r", another(store, "worse", wrong=1), another(store, "same"), another(store, "few", ids=ids[:1])]
+    folders = [write_bundle(store, name, tmp_path / f"B-{name}").folder for name in names]
+    # Two of them with one run id, as two people may send.
+    board = leaderboard(store, [*folders, folders[0]])
+    found = [[(entry.rank, entry.row["run"], entry.row["n"]) for entry in entries] for entries in board.sets]
+    assert found == [[(1, "r", 13), (1, "r", 13), (1, "same", 13), (4, "worse", 13)], [(1, "few", 1)]]
+    assert len({entry.question_set for entry in board.sets[0]}) == 1
+    assert board.sets[0][0].question_set != board.sets[1][0].question_set
+    for entry in (entry for entries in board.sets for entry in entries):
+        (row,) = score_bundles(store, [entry.bundle.folder]).rows
+        assert {name: entry.row[name] for name in row if name != "label"} == {
+            k: v for k, v in row.items() if k != "label"
+        }
+
+
+def test_what_cannot_be_scored_is_left_out_of_a_leaderboard(store, bundle, tmp_path):
+    other = write_bundle(store, another(store, "other", questions_sha256="0" * 64), tmp_path / "other").folder
+    with pytest.warns(AvrWarning, match=r"left out: .*other.* of another questions file"):
+        assert [entry["bundle"] for entry in leaderboard(store, [other, bundle]).rows] == ["B"]
+    (bundle / "run.json").write_text("{}")
+    with pytest.warns(AvrWarning, match="altered"), pytest.raises(StoreError, match="none of the bundles"):
+        leaderboard(Store(store.path), [bundle])
+
+
+def test_the_score_of_a_bundle_follows_the_threshold(store, bundle):
+    assert math.isclose(score_bundles(store, [bundle], 0.45).rows[0]["evidence"], 200 / 13, abs_tol=0.01)
+    assert math.isclose(score_bundles(store, [bundle], 0.5).rows[0]["evidence"], 100 / 13, abs_tol=0.01)
