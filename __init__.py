@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from jrdb_avr.engine.run.evaluate import RunResult as RunResult
     from jrdb_avr.engine.run.evaluate import evaluate as evaluate
     from jrdb_avr.engine.run.live_scores import LiveScore as LiveScore
+    from jrdb_avr.engine.run.selection import QuestionSelection as QuestionSelection
     from jrdb_avr.engine.validate.checks import Validation as Validation
     from jrdb_avr.engine.validate.checks import validate as validate
     from jrdb_avr.loaders.load import load as load
@@ -78,6 +79,7 @@ _NAMES: Final = {
     "engine.observe.observer": ("Observer",),
     "loaders.result": ("LoadResult",),
     "engine.run.live_scores": ("LiveScore",),
+    "engine.run.selection": ("QuestionSelection",),
     "schema.rules": ("Rules", "LoadRules"),
     "agent.model.conventions": ("Options",),
     "agent.methods.episode": ("Episode",),

@@ -15,8 +15,9 @@ class RunManifest(msgspec.Struct, frozen=True):
 
     `synthetic` marks runs of the simulated model or on the sample world: their scores are labelled so wherever they are
     printed. `settings` holds what else shaped the run (budget, sampling, box convention), as plain JSON. `created` is
-    an ISO 8601 time. `world` counts the statements that read and wrote the world model, `reads` and `writes`, of a run
-    that has ended; a resumed one adds to them.
+    an ISO 8601 time. `selection` is how the questions were chosen, a `QuestionSelection` as plain JSON, empty for all.
+    `world` counts the statements that read and wrote the world model, `reads` and `writes`, of a run that has ended; a
+    resumed one adds to them.
     """
 
     run_id: str
@@ -27,6 +28,7 @@ class RunManifest(msgspec.Struct, frozen=True):
     synthetic: bool
     settings: dict[str, Any]
     created: str
+    selection: dict[str, Any] = {}
     world: dict[str, int] = {}
 
 

@@ -17,6 +17,8 @@ the thing it is about, so that a caller need not parse the message.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 
 class AvrError(Exception):
     """Root of every error that this package raises on purpose."""
@@ -74,3 +76,18 @@ class EndpointError(AvrError):
 
 class AvrWarning(UserWarning):
     """Something that a person should know and that ends nothing, such as questions left out of a run."""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """The end of a message about an unknown name: the nearest known one, or else what there is."""
+    import difflib
+
+    names = sorted(known)
+    near = difflib.get_close_matches(name, names, 1, 0.5)
+    if near:
+        return f": did you mean {near[0]}?"
+    return f": there are {', '.join(names[:_NAMED])}{', ...' if len(names) > _NAMED else ''}" if names else ""
+
+
+_NAMED = 12
+"""Names that a message lists at most."""

@@ -137,7 +137,7 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "family": (_S, "family of templates"),
     "template": (_S, "name of the template"),
     "question": (_S, "text of the question"),
-    "choices": (_list(_S), "the four answers to choose from; empty for frames and spans"),
+    "choices": (_list(_S), "the four answers to choose from, numbered from 1 in answers; empty for frames and spans"),
     "answer_mode": (_S, "kind of answer"),
     "answer": (_S, "the answer, as JSON"),
     "target_track": (_I, "track of the question's target"),

@@ -61,11 +61,20 @@ panoramas:
 @endpoint_options(optional=True)
 @click.option("--run-id", help="Name of the run; METHOD-MODEL if left out.")
 @click.option("--questions", "picked", help="Question ids with commas between, or a file with one id per line.")
-@click.option("--limit", type=click.IntRange(1), help="Ask at most this many.")
+@click.option("--family", "families", multiple=True, metavar="NAME", help="Only of this family; may be repeated.")
+@click.option("--template", "templates", multiple=True, metavar="NAME", help="Only of this template; may be repeated.")
+@click.option("--sequence", "sequences", multiple=True, metavar="NAME", help="Only of this sequence; may be repeated.")
+@click.option("--per-template", type=click.IntRange(1), metavar="N", help="At most N of each template.")
+@click.option("--limit", type=click.IntRange(1), metavar="N", help="At most N in all, of those that have panoramas.")
+@click.option("--seed", type=int, help="Draw the questions at random; without it the first ones are taken.")
 @click.option(
     "--concurrency", type=click.IntRange(1, 64), default=16, show_default=True, help="Questions in flight at a time."
 )
-@click.option("--resume", is_flag=True, help="Finish a run that was stopped, and ask again what ended in an error.")
+@click.option(
+    "--resume",
+    is_flag=True,
+    help="Finish a run that was stopped, ask again what ended in an error, and ask more where more are selected.",
+)
 @click.option(
     "--images",
     type=click.Path(file_okay=False, exists=True, path_type=Path),
@@ -105,6 +114,7 @@ def command(
     """
     from jrdb_avr.agent.simulated.knobs import PERFECT, parse, profile_of
     from jrdb_avr.engine.run.evaluate import check_arguments, evaluate
+    from jrdb_avr.engine.run.selection import QuestionSelection
 
     try:
         check_arguments(
@@ -120,7 +130,10 @@ def command(
         raise click.UsageError(str(error)) from None
     simulated = profile_of(options["model"])
     marker = parse(noise, simulated or PERFECT) if noise else None
-    questions = None if picked is None else _ids(picked)
+    names = {
+        name: options.pop(name) for name in ("families", "templates", "sequences", "per_template", "limit", "seed")
+    }
+    questions = QuestionSelection(questions=() if picked is None else _ids(picked), **names)
     terminal = sys.stderr.isatty()
     latest, printed = "", 0.0
 
@@ -138,13 +151,15 @@ def command(
     title = "Run (synthetic: the simulated model)" if simulated is not None else "Run"
     print_rows([row], title=title, as_json=as_json)
     if row["error"]:
-        note(f"{row['error']} questions ended in an error: run the same command with --resume to ask them again")
+        reason, times = run.commonest_error()
+        ended = f"{row['error']} of {row['n']} questions ended in an error, {times} of them so: {reason[:300]}"
+        note(f"{ended}; run the same command with --resume to ask them again")
         sys.exit(1)
     if not as_json:
         note(f"next: jrdb-avr score --store {store.path} {run.run_id} && jrdb-avr report --store {store.path}")
 
 
-def _ids(picked: str) -> list[str]:
+def _ids(picked: str) -> tuple[str, ...]:
     """Ids of the option `--questions`: a file's lines, or the text's parts."""
     text = picked
     if not re.fullmatch(r"[0-9a-f]{16}(,[0-9a-f]{16})*,?", picked):
@@ -156,4 +171,4 @@ def _ids(picked: str) -> list[str]:
     ids = [part.strip() for part in re.split(r"[,\n]", text) if part.strip()]
     if not ids:
         raise InputError("--questions names no question", field="questions")
-    return ids
+    return tuple(dict.fromkeys(ids))

@@ -5,10 +5,13 @@ from __future__ import annotations
 import contextlib
 import queue
 import sys
+import sysconfig
 import threading
 import time
+import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final, TypeVar, get_args
 
 from jrdb_avr.engine.run.journal import Finished, Journal, check_storable
@@ -36,6 +39,11 @@ _STOP_S: Final = 1.0
 
 _SWITCH_S: Final = 0.05
 """Interval at which Python lets another thread run: short turns only cost time where threads wait for a server."""
+
+
+_PACKAGE: Final = f"{__name__.partition('.')[0]}."
+_LIBRARIES: Final = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
+"""Folders of code that is neither this package's nor a method's own."""
 
 
 class _Stopped(BaseException):
@@ -80,11 +88,10 @@ def answer_one(
     try:
         finished = _finished(question, method.answer(task), steps, writes, time.perf_counter() - started)
     except Exception as error:
-        reason = " ".join(str(error).split()).encode("utf-8", "backslashreplace").decode()
         kinds = [step.kind for step in steps if isinstance(step, Step) and isinstance(step.kind, str)]
         failed = Prediction(
             status="error",
-            reason=reason if isinstance(error, AvrError) else f"{type(error).__name__}: {reason}",
+            reason=_reason(error),
             n_observations=calls["look"],
             n_model_calls=kinds.count("model"),
         )
@@ -95,6 +102,18 @@ def answer_one(
             # A step or a write is what cannot be stored.
             finished = _finished(question, failed, [], [], seconds)
     return finished
+
+
+def _reason(error: Exception) -> str:
+    """An exception in one line: its type, unless it is this package's, its message, and where a method raised it."""
+    text = " ".join(str(error).split()).encode("utf-8", "backslashreplace").decode()
+    frames = list(traceback.walk_tb(error.__traceback__))
+    outside = [(f.f_code, line) for f, line in frames if not str(f.f_globals.get("__name__")).startswith(_PACKAGE)]
+    own = [place for place in outside if not place[0].co_filename.startswith(_LIBRARIES)]
+    # What the package raises names its own remedy; a place in a library would not help.
+    places = own or ([] if isinstance(error, AvrError) else outside)
+    where = f" ({Path(places[-1][0].co_filename).name}:{places[-1][1]}, in {places[-1][0].co_name})" if places else ""
+    return (text if isinstance(error, AvrError) else f"{type(error).__name__}: {text}") + where
 
 
 def _finished(

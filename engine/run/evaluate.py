@@ -15,6 +15,7 @@ import contextlib
 import datetime
 import re
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -46,6 +47,7 @@ from jrdb_avr.engine.run.methods import (
 )
 from jrdb_avr.engine.run.opaque import key_fingerprint, opaque_names
 from jrdb_avr.engine.run.resume import add_world_counts, check_manifest, has_manifest, run_questions
+from jrdb_avr.engine.run.selection import QuestionSelection
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.questions import read_sequences
 from jrdb_avr.queries.runs import RunManifest, questions_hash
@@ -77,6 +79,12 @@ class RunResult(Displayed):
             "seconds": round(sums["seconds"], 3),
         }
 
+    def commonest_error(self) -> tuple[str, int]:
+        """The reason of most errors, and how many questions ended with it; "" and 0 without any."""
+        ended = self.predictions.filter(pc.equal(self.predictions["status"], "error"))
+        found = Counter(ended["reason"].to_pylist()).most_common(1)
+        return found[0] if found else ("", 0)
+
     def _summary(self) -> str:
         row = self.row()
         return ", ".join([self.run_id, *(f"{row[name]} {name}" for name in ("answered", "invalid", "error"))])
@@ -94,7 +102,7 @@ def evaluate(
     options: Options = DEFAULTS,
     marker: Knobs | None = None,
     run_id: str | None = None,
-    questions: Iterable[str] | None = None,
+    questions: QuestionSelection | Iterable[str] | None = None,
     limit: int | None = None,
     concurrency: int = 16,
     resume: bool = False,
@@ -110,8 +118,9 @@ def evaluate(
 
     `method`: a name of `METHODS`, a custom one as "FILE.py:NAME" or "MODULE:NAME", or a method itself. `model`: the
     server's id for it, at `base_url`; "simulated" or "simulated:PROFILE" is the built-in one, which reads marks, and
-    `marker` stands in place of its profile's knobs. `questions`: ids; all without. `images` and `world_db` stand in for
-    the store's panoramas and graph. `opaque`: whether the method gets opaque names of sequences (`run.opaque`).
+    `marker` stands in place of its profile's knobs. `questions`: ids, or a `QuestionSelection`; all without, at most
+    `limit`. `resume` finishes a run, and enlarges it where more questions are selected. `images` and `world_db` stand
+    in for the store's panoramas and graph. `opaque`: whether the method gets opaque names of sequences (`run.opaque`).
     `policy`: who chooses the looks of an agent, the model or, as "driven", the harness. `history`: how many of the
     newest pictures a method of `CHATS` sends in each turn; all without.
     `live_scores` is called from another thread with the scores so far.
@@ -129,7 +138,7 @@ def evaluate(
     run_id = run_id or default_run_id(name if policy == "model" else f"{name}-{policy}", model)
     folder = store.run_path(run_id)
     image_root = _image_root(store) if images is None else str(images)
-    chosen = run_questions(store, run_id, questions, limit, resume, image_root)
+    chosen, selection = run_questions(store, run_id, QuestionSelection.of(questions, limit), resume, image_root)
     sequences = read_sequences(store)
     names = opaque_names(store, sequences) if opaque else {name: name for name in sequences}
     infos = {names[name]: replace(info, sequence=names[name]) for name, info in sequences.items()}
@@ -166,6 +175,7 @@ def evaluate(
                 **({"opaque": key_fingerprint(store)} if opaque else {}),
             },
             created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            selection=selection,
         )
         check_manifest(store, manifest)
         if live_scores is not None:

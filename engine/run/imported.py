@@ -9,7 +9,7 @@ from typing import Final
 
 from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE, parse_lines, read_regular
 from jrdb_avr.engine.run.evaluate import is_of_sample
-from jrdb_avr.engine.run.resume import choose
+from jrdb_avr.engine.run.selection import QuestionSelection, matching
 from jrdb_avr.queries.questions import read_questions
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
@@ -34,7 +34,8 @@ def import_predictions(store: Store | str | Path, path: str | Path, run_id: str 
     predictions = parse_lines(data, run_id, path)
     if not len(predictions):
         raise InputError(f"{path} holds no prediction", file=str(path))
-    questions = choose(read_questions(store), predictions["question_id"].to_pylist(), None)
+    selection = QuestionSelection.of(predictions["question_id"].to_pylist())
+    questions = matching(read_questions(store), selection)
     manifest = RunManifest(
         run_id=run_id,
         method=IMPORTED,
