@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from jrdb_avr.schema.errors import PlanError as PlanError
     from jrdb_avr.schema.errors import QueryError as QueryError
     from jrdb_avr.schema.errors import RefusedError as RefusedError
+    from jrdb_avr.schema.errors import RunStoppedError as RunStoppedError
     from jrdb_avr.schema.errors import StoreError as StoreError
     from jrdb_avr.schema.method import Method as Method
     from jrdb_avr.schema.method import Observation as Observation
@@ -105,6 +106,7 @@ _NAMES: Final = {
         "RefusedError",
         "DecodeError",
         "EndpointError",
+        "RunStoppedError",
         "AvrWarning",
     ),
 }

@@ -10,6 +10,7 @@
     ├── RefusedError             an episode does not carry out a move
     ├── DecodeError              a model's reply cannot be read
     └── EndpointError            a model server cannot be used
+        └── RunStoppedError      no further question of the run can be answered now
 
 Every message is one line and says what to do; the command line prints it and exits with 1. Each error carries
 the thing it is about, so that a caller need not parse the message.
@@ -72,6 +73,10 @@ class DecodeError(AvrError):
 
 class EndpointError(AvrError):
     """A model server cannot be reached, or does not keep the protocol."""
+
+
+class RunStoppedError(EndpointError):
+    """No further question can be answered now: the run ends, and is resumed later. No question is spent on it."""
 
 
 class AvrWarning(UserWarning):

@@ -1,60 +1,56 @@
 """Client of OpenAI-compatible chat servers.
 
 A call is a pure function of its request (temperature 0), so a call that finishes cleanly is stored under the sha256 of
-the whole request and never paid for twice. The client repeats what the transport or the server breaks (no connection,
-timeout, cut-off or unreadable reply, 5xx) and waits longer for a busy server (429). Any other refusal is an
-EndpointError at once. The key comes from the environment and goes only into the request's header.
+the whole request and never paid for twice. The client repeats what the transport or the server breaks (timeout, cut-off
+or unreadable reply, 5xx) and waits longer for a server that is busy (429, 503, 529) or not there. Any other refusal is
+an EndpointError at once. The key comes from the environment and goes only into the request's header.
 """
 
 from __future__ import annotations
 
-import functools
-import ipaddress
 import math
-import os
-import queue
 import random
-import re
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
 from urllib.parse import urlsplit
 
 import msgspec
 
 from jrdb_avr.agent.model.cache import Calls
 from jrdb_avr.agent.model.conventions import CONTRACT, DEFAULTS, Convention, Options
+from jrdb_avr.agent.model.gate import Gate
 from jrdb_avr.agent.model.messages import Message, fingerprint, wire
-from jrdb_avr.agent.model.reply import Reply, read_completion, spoken
-from jrdb_avr.schema.errors import EndpointError
+from jrdb_avr.agent.model.reply import ErrorReply, Reply, read_completion, server_reason, spoken
+from jrdb_avr.agent.model.transport import (
+    CONNECT_S,
+    KEY_VARIABLE,
+    checked_url,
+    environment_key,
+    exchange,
+    open_connection,
+    retry_after,
+    secret_pattern,
+    within,
+)
+from jrdb_avr.schema.errors import EndpointError, RunStoppedError
 
 if TYPE_CHECKING:
-    import ssl
-
     import httpx2
-
-T = TypeVar("T")
-
-KEY_VARIABLE: Final = "OPENAI_API_KEY"
-MOST_BYTES: Final = 16 << 20
-"""Longest reply accepted; a few thousand tokens take some kilobytes."""
 
 _LONGEST_PAUSE_S: Final = 60.0
 _LONGEST_BUSY_S: Final = 4.0
 """Longest pause before the next try at a busy server that names none: a place is free as soon as any reply ends."""
 _BUSY_S: Final = 120.0
-"""Sum of the pauses that one call grants a busy server: each of many calls in flight waits for the others."""
+"""Sum of the pauses that one call grants a server that is busy or not there: others may fill it, or it restarts."""
 _LEAST_PAUSE_S: Final = 0.5
-_CONNECT_S: Final = 20.0
 _PROBE_TIMEOUT_S: Final = 180.0
 _PROBE_RETRIES: Final = 1
 _VERSION_TIMEOUT_S: Final = 5.0
-_SECRET: Final = 16
-"""Shortest key that is hidden; shorter ones, such as "EMPTY" or "x", are words that a reply may hold."""
+_BUSY: Final = (429, 503, 529)
+"""Statuses of a server that will take the request later: too many of them, a model that loads, an overload."""
 _NO_CREDIT: Final = "insufficient_quota"
 """The error code of a 429 that waiting does not mend."""
 _REMEDIES: Final = {
@@ -63,6 +59,15 @@ _REMEDIES: Final = {
     404: "; check --base-url (most end in /v1) and --model",
     429: "; the key's account has no credit left",
 }
+
+_Fault = Literal["unreachable", "busy", "timeout", "broken"]
+_NEXT: Final[Mapping[_Fault, str]] = {
+    "unreachable": "start the server or correct --base-url, then run again (evaluate with --resume)",
+    "busy": "run again when it is less busy, or with a smaller --concurrency (evaluate with --resume)",
+    "timeout": "run again with a smaller --concurrency or a larger --timeout (evaluate with --resume)",
+    "broken": "look into the server's log, then run again (evaluate with --resume)",
+}
+"""What a person does about a fault that stays."""
 
 
 class Chat(Protocol):
@@ -73,11 +78,16 @@ class Chat(Protocol):
 
 @dataclass
 class _BrokenError(Exception):
-    """A failed try that may be repeated; `pause` is the server's Retry-After in seconds, `busy` marks a 429."""
+    """A failed try that may be repeated; `pause` is the server's Retry-After in seconds."""
 
     reason: str
+    fault: _Fault = "broken"
     pause: float | None = None
-    busy: bool = False
+
+    @property
+    def passing(self) -> bool:
+        """Whether the server may be well again soon, so that the call waits for it."""
+        return self.fault in ("unreachable", "busy")
 
 
 class Client:
@@ -97,18 +107,20 @@ class Client:
         cache: Path | None = None,
         pause: Callable[[float], None] = time.sleep,
     ) -> None:
-        self.base_url = _checked_url(base_url)
+        self.base_url = checked_url(base_url)
         self.model = model
         self.options = options
         self.convention = convention
         self._calls = None if cache is None else Calls(cache)
-        self._key = _environment_key()
-        self._secret = _secret_pattern(self._key)
+        self._key = environment_key()
+        self._secret = secret_pattern(self._key)
         self._pause = pause
         self._served: dict[str, None] = {}
+        self._gate = Gate()
+        self._replies = 0
         # One connection per call in flight: the library's pool inspects all of its connections twice a call. The first
         # one is made at once, because the environment may be unusable.
-        self._idle = [_connection(self.base_url)]
+        self._idle = [open_connection(self.base_url)]
 
     def settings(self) -> dict[str, Any]:
         """Server and sampling settings for a run's manifest; they hold no secret."""
@@ -127,7 +139,8 @@ class Client:
     def complete(self, messages: Sequence[Message], schema: Mapping[str, Any] | None = None) -> Reply:
         """Complete a chat, from the cache where the same request has finished cleanly before.
 
-        Raises EndpointError when the server cannot be reached after all retries or refuses the request.
+        Raises EndpointError when the server refuses the request or breaks after all retries; a RunStoppedError where
+        it could not be reached, or was busy, for two minutes in which no other call succeeded either.
         """
         request = self._request(schema)
         digest = ""
@@ -161,8 +174,8 @@ class Client:
         parts = urlsplit(self.base_url)
 
         def get() -> tuple[httpx2.Response, bytes]:
-            with _connection(self.base_url) as http:
-                return _exchange(http, _VERSION_TIMEOUT_S, "GET", f"{parts.scheme}://{parts.netloc}/version")
+            with open_connection(self.base_url) as http:
+                return exchange(http, _VERSION_TIMEOUT_S, "GET", f"{parts.scheme}://{parts.netloc}/version")
 
         try:
             response, data = within(_VERSION_TIMEOUT_S, get)
@@ -189,6 +202,7 @@ class Client:
         # A busy server does not delay a probe either, or a call without retries.
         patience_s = _BUSY_S if retries and most_s == math.inf else 0.0
         tries = broken_tries = 0
+        replies = self._replies
         while True:
             try:
                 return self._try(body, timeout_s)
@@ -196,234 +210,83 @@ class Client:
                 tries += 1
                 wait = broken.pause
                 if wait is None:
-                    wait = min(0.5 * 2.0 ** min(tries - 1, 10), _LONGEST_BUSY_S if broken.busy else _LONGEST_PAUSE_S)
+                    longest = _LONGEST_BUSY_S if broken.passing else _LONGEST_PAUSE_S
+                    wait = min(0.5 * 2.0 ** min(tries - 1, 10), longest)
                 # The random share spreads calls that were refused together.
                 wait = min(max(wait, _LEAST_PAUSE_S), _LONGEST_PAUSE_S) * random.uniform(1, 1.5)  # noqa: S311
-                if broken.busy and patience_s > 0:
+                if broken.passing and patience_s > 0:
                     patience_s -= wait
                 elif broken_tries < retries:
                     broken_tries += 1
                 else:
-                    raise EndpointError(
-                        f"{self.base_url}: {broken.reason} ({tries} tries): "
-                        "start the server or correct --base-url, then run again (evaluate with --resume)"
+                    # Where no other call got through meanwhile, the next question would fare no better.
+                    gone = broken.passing and self._replies == replies
+                    raise (RunStoppedError if gone else EndpointError)(
+                        f"{self.base_url}: {broken.reason} ({tries} {'try' if tries == 1 else 'tries'}): "
+                        f"{_NEXT[broken.fault]}"
                     ) from None
                 self._pause(wait)
 
     def _try(self, body: bytes, timeout_s: float) -> Reply:
         import httpx2
 
-        try:
-            # Sending the request, waiting for the reply and reading it may each take the whole time.
-            response, data = within(min(timeout_s, _CONNECT_S) + 3 * timeout_s, lambda: self._post(body, timeout_s))
-        except TimeoutError:
-            raise _BrokenError(f"no whole reply within {timeout_s:g} s") from None
-        except httpx2.ConnectTimeout:
-            raise _BrokenError("cannot reach the server (it accepts no connection)") from None
-        except httpx2.TimeoutException:
-            raise _BrokenError(f"no reply within {timeout_s:g} s") from None
-        except httpx2.HTTPError as error:
-            raise _BrokenError(f"cannot reach the server, or its reply broke off ({self._one_line(error)})") from None
-        except EndpointError as error:
-            raise EndpointError(f"{self.base_url}: {error}") from None
+        with self._gate.admitted() as own:
+            try:
+                # Sending the request, waiting for the reply and reading it may each take the whole time.
+                response, data = within(min(timeout_s, CONNECT_S) + 3 * timeout_s, lambda: self._post(body, timeout_s))
+            except httpx2.ConnectTimeout:
+                raise _BrokenError("cannot reach the server (it accepts no connection)", "unreachable") from None
+            except (TimeoutError, httpx2.TimeoutException) as error:
+                self._gate.timed_out(own)
+                whole = "" if isinstance(error, httpx2.TimeoutException) else " whole"
+                beside = f" with {own.others} other calls in flight" if own.others else ""
+                raise _BrokenError(f"no{whole} reply within {timeout_s:g} s{beside}", "timeout") from None
+            except (httpx2.ConnectError, httpx2.ProxyError) as error:
+                raise _BrokenError(f"cannot reach the server ({self._one_line(error)})", "unreachable") from None
+            except httpx2.HTTPError as error:
+                raise _BrokenError(f"the reply broke off ({self._one_line(error)})") from None
+            except EndpointError as error:
+                raise EndpointError(f"{self.base_url}: {error}") from None
         if self._secret is not None:
             # A server may echo its request, and replies are stored.
             data = self._secret.sub(lambda found: found[1] or b"[key]", data)
         if not response.is_success:
-            raise self._refusal(response, data)
+            raise self._refusal(response, response.status_code, *server_reason(data))
         try:
-            return read_completion(data)
+            reply = read_completion(data)
+        except ErrorReply as error:
+            # Some servers, and what stands before them, send an error with the status of a success.
+            status = error.code if isinstance(error.code, int) and 400 <= error.code < 600 else 502
+            raise self._refusal(response, status, str(error), error.code) from None
         except ValueError as error:
             kind = self._one_line(response.headers.get("content-type", "bytes").partition(";")[0])
             raise _BrokenError(f"the reply is no chat completion but {kind[:40]} ({self._one_line(error)})") from None
+        self._replies += 1
+        self._gate.replied()
+        return reply
 
     def _post(self, body: bytes, timeout_s: float) -> tuple[httpx2.Response, bytes]:
         try:
             connection = self._idle.pop()
         except IndexError:
-            connection = _connection(self.base_url)
+            connection = open_connection(self.base_url)
         headers = {"Content-Type": "application/json"} | ({"Authorization": f"Bearer {self._key}"} if self._key else {})
         try:
             url = f"{self.base_url}/chat/completions"
-            return _exchange(connection, timeout_s, "POST", url, content=body, headers=headers)
+            return exchange(connection, timeout_s, "POST", url, content=body, headers=headers)
         finally:
             self._idle.append(connection)
 
-    def _refusal(self, response: httpx2.Response, data: bytes) -> Exception:
-        """Return the error for an unsuccessful HTTP response."""
-        status, message, code = response.status_code, data.decode(errors="replace"), None
-        try:
-            match msgspec.json.decode(data):
-                case {"error": dict(error)} | dict(error):
-                    code = error.get("code")
-                    message = error["message"] if isinstance(error.get("message"), str) else message
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-            pass
+    def _refusal(self, response: httpx2.Response, status: int, message: str, code: object) -> Exception:
+        """Return the error for a reply that is one, by its HTTP status, message and code."""
         reason = f"HTTP {status}: {self._one_line(message.strip() or 'the server gives no reason')}"
-        busy = status == 429 and code != _NO_CREDIT
+        busy = status in _BUSY and code != _NO_CREDIT
         if busy or status >= 500:
-            return _BrokenError(reason, _retry_after(response.headers.get("retry-after")), busy)
+            pause = retry_after(response.headers.get("retry-after"))
+            return _BrokenError(reason, "busy" if busy else "broken", pause)
         return EndpointError(f"{self.base_url}: {reason}{_REMEDIES.get(status, '')}")
 
     def _one_line(self, error: object) -> str:
         # The key goes before the text is cut, or its beginning could stay.
         text = str(error).replace(self._key, "[key]") if self._key else str(error)
         return " ".join(text.split())[:300] or type(error).__name__
-
-
-# -- one exchange over HTTP -------------------------------------------------------------------------------------------
-
-
-def _connection(base_url: str) -> httpx2.Client:
-    import httpx2
-
-    # A proxy of the environment cannot reach this machine's own loopback address.
-    environment = not _is_loopback(base_url)
-    try:
-        return httpx2.Client(
-            trust_env=environment,
-            verify=_certificates(environment),
-            follow_redirects=False,
-            headers={"Accept": "application/json", "Accept-Encoding": "identity"},
-        )
-    except (httpx2.InvalidURL, ValueError, ImportError):
-        raise EndpointError(
-            "the environment names a proxy that cannot be used: correct HTTP_PROXY, HTTPS_PROXY or ALL_PROXY"
-        ) from None
-
-
-@functools.cache
-def _certificates(environment: bool) -> ssl.SSLContext:
-    """The trusted certificates, shared by all connections: loading them takes as long as many calls."""
-    import httpx2
-
-    return httpx2.create_ssl_context(trust_env=environment)
-
-
-def _exchange(
-    http: httpx2.Client, timeout_s: float, method: str, url: str, **sent: Any
-) -> tuple[httpx2.Response, bytes]:
-    """Send a request and read the whole reply.
-
-    Raises EndpointError for a redirect, which would take the request and its key elsewhere, for a reply over 16 MB and
-    for a compressed one, of which few bytes may become many. Raises httpx2.ReadTimeout for a reply that has not ended
-    in time: the library's timeouts bound each wait for bytes only.
-    """
-    import httpx2
-
-    timeout = httpx2.Timeout(timeout_s, connect=min(timeout_s, _CONNECT_S))
-    with http.stream(method, url, timeout=timeout, **sent) as response:
-        if response.has_redirect_location:
-            raise EndpointError(
-                f"the server redirects to another address (HTTP {response.status_code}): give that one as --base-url"
-            )
-        if response.headers.get("content-encoding", "").strip().lower() not in ("", "identity"):
-            raise EndpointError("the reply is compressed, but the request accepts no compression: switch it off there")
-        data, end = bytearray(), time.monotonic() + timeout_s
-        for chunk in response.iter_raw():
-            data += chunk
-            if len(data) > MOST_BYTES:
-                raise EndpointError(f"the reply is longer than {MOST_BYTES >> 20} MB: is this a chat server?")
-            if time.monotonic() > end:
-                raise httpx2.ReadTimeout(f"the reply did not end within {timeout_s:g} s")
-        return response, bytes(data)
-
-
-def within(seconds: float, work: Callable[[], T]) -> T:
-    """Run `work` in another thread and return its result, or raise what it raises.
-
-    Raises TimeoutError where it does not end in time, and abandons the thread. The library's timeouts do not bound how
-    many bytes the head of a reply and the announcements before it (102 Processing) may have.
-    """
-    done: Future[T] = Future()
-    try:
-        # Threads are reused: starting one takes longer than much of a call.
-        tasks = _idle_threads.pop()
-    except IndexError:
-        tasks = queue.SimpleQueue()
-        threading.Thread(target=_serve, args=(tasks,), daemon=True).start()
-    tasks.put((work, done))
-    return done.result(seconds)
-
-
-_Tasks = queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]]
-
-_idle_threads: Final[list[_Tasks]] = []
-"""The queues that idle threads wait for."""
-
-# A forked process has none of the threads.
-os.register_at_fork(after_in_child=_idle_threads.clear)
-
-
-def _serve(tasks: _Tasks) -> None:
-    while True:
-        work, done = tasks.get()
-        finish: Callable[[], None]
-        try:
-            finish = functools.partial(done.set_result, work())
-        except BaseException as error:
-            finish = functools.partial(done.set_exception, error)
-        # Idle before the caller goes on, which may have more work at once.
-        _idle_threads.append(tasks)
-        finish()
-        # Results do not stay alive while the thread waits.
-        del work, done, finish
-
-
-# -- address and key --------------------------------------------------------------------------------------------------
-
-_SECRETIVE: Final = re.compile(r"[?#]|^([^/]*//)?[^/]*@")
-"""Parts of an address that may hold a password: user info, query, fragment."""
-
-
-def _checked_url(base_url: str) -> str:
-    import httpx2
-
-    if _SECRETIVE.search(base_url):
-        # The address is printed and stored with the run.
-        raise EndpointError(f"--base-url must hold no password, query or fragment: put the key into ${KEY_VARIABLE}")
-    try:
-        parts = urlsplit(base_url)
-        sound = parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0
-        (parts.hostname or "").encode("idna")
-        httpx2.URL(base_url)
-    except (ValueError, httpx2.InvalidURL):
-        sound = False
-    if not sound or not base_url.isprintable() or " " in base_url:
-        raise EndpointError(f"{base_url!a} is no server address: give one like http://localhost:8000/v1")
-    return base_url.rstrip("/")
-
-
-def _is_loopback(base_url: str) -> bool:
-    host = urlsplit(base_url).hostname or ""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
-
-
-def _environment_key() -> str:
-    """The key of the environment. Raises EndpointError, without it, for one that a header cannot hold."""
-    key = os.environ.get(KEY_VARIABLE, "").strip()
-    if not all("!" <= character <= "~" for character in key):
-        raise EndpointError(
-            f"${KEY_VARIABLE} holds a character that no key has (a space, a line end, a letter beyond ASCII)"
-        )
-    return key
-
-
-def _secret_pattern(key: str) -> re.Pattern[bytes] | None:
-    """Matches the key in a reply, also with JSON's escapes, as some servers write / and +; None for a short key.
-
-    Also matches an escaped backslash, as group 1, so that its second half is not taken for the escape of the key.
-    """
-    forms = (rf"(?:\\?{re.escape(character)}|\\u00(?i:{ord(character):02x}))" for character in key)
-    return re.compile(("".join(forms) + r"|(\\\\)").encode()) if len(key) >= _SECRET else None
-
-
-def _retry_after(value: str | None) -> float | None:
-    try:
-        seconds = float(value or "")
-    except ValueError:
-        return None
-    return seconds if seconds >= 0 else None

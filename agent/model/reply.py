@@ -1,4 +1,4 @@
-"""A server's reply: its fields, how to read it from a chat completion, and its text without the thinking."""
+"""A server's reply: its fields, how to read it or the reason of an error from a body, and its text without thinking."""
 
 from __future__ import annotations
 
@@ -33,8 +33,16 @@ class Reply(msgspec.Struct, frozen=True, omit_defaults=True):
         return self.finish_reason == "stop" and not self.refusal
 
 
+class ErrorReply(ValueError):  # noqa: N818 - it is a reply
+    """A reply that reports an error in place of a completion; `code` is the error's own."""
+
+    def __init__(self, reason: str, code: object = None) -> None:
+        super().__init__(reason)
+        self.code = code
+
+
 class _Text(msgspec.Struct):
-    content: str | None = None
+    content: str | list[Any] | None = None
     reasoning: Any = None
     reasoning_content: Any = None
     refusal: Any = None
@@ -43,9 +51,21 @@ class _Text(msgspec.Struct):
 class _Choice(msgspec.Struct):
     message: _Text
     finish_reason: str | None = None
+    error: Any = None
 
 
-class _Completion(msgspec.Struct):
+class _Failure(msgspec.Struct):
+    """What a body that reports an error holds, whatever its HTTP status."""
+
+    error: Any = None
+    object: Any = None
+
+    @property
+    def told(self) -> bool:
+        return bool(self.error) or self.object == "error"
+
+
+class _Completion(_Failure, kw_only=True):
     choices: list[_Choice]
     model: str | None = None
     usage: Any = None
@@ -53,27 +73,110 @@ class _Completion(msgspec.Struct):
 
 # Made at import: threads that meet a type first at the same time crash the decoder.
 _COMPLETION: Final = msgspec.json.Decoder(_Completion)
+_FAILURE: Final = msgspec.json.Decoder(_Failure)
+
+_FAILED: Final = ("error", "abort")
+"""Finish reasons of a reply that the server itself broke off."""
+
+_ENDS: Final = {
+    "stop": "stop",
+    "length": "length",
+    "eos": "stop",
+    "eos_token": "stop",
+    "end_turn": "stop",
+    "stop_sequence": "stop",
+    "max_tokens": "length",
+    "max_output_tokens": "length",
+    "model_length": "length",
+    "safety": "content_filter",
+}
+"""Finish reasons of other protocols, which some servers pass on, in the words of chat completions."""
 
 
 def read_completion(data: bytes) -> Reply:
-    """The first choice of a chat completion. Raises ValueError with the reason for anything else."""
+    """The first choice of a chat completion. Raises ErrorReply for an error, ValueError for anything else."""
     try:
         completion = _COMPLETION.decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        if _tells_failure(data):
+            raise ErrorReply(*server_reason(data)) from None
         raise ValueError(str(error) or "nested too deep") from None
+    if completion.told:
+        raise ErrorReply(*server_reason(data))
     if not completion.choices:
         raise ValueError("it holds no choice")
     choice = completion.choices[0]
+    ended = (choice.finish_reason or "").strip()
+    ended = _ENDS.get(ended.lower(), ended)
+    if choice.error or ended in _FAILED:
+        words, code = _reason(choice.error)
+        raise ErrorReply(words or f"the reply ended with finish_reason {ended!a}", code)
     text = choice.message
+    content, thinking = _parts(text.content)
     return Reply(
-        content=text.content or "",
-        reasoning=_text(text.reasoning_content) or _text(text.reasoning),
-        finish_reason=choice.finish_reason or "",
+        content=content,
+        reasoning=_text(text.reasoning_content) or _text(text.reasoning) or thinking,
+        finish_reason=ended,
         model=(completion.model or "")[:_LONGEST_NAME],
         prompt_tokens=_tokens(completion.usage, "prompt_tokens"),
         completion_tokens=_tokens(completion.usage, "completion_tokens"),
         refusal=_text(text.refusal),
     )
+
+
+def server_reason(data: bytes) -> tuple[str, object]:
+    """The reason that the body of an error gives, its text where it gives none that is known, and the error's code.
+
+    Known are `error`, `message`, `detail` and `msg`, one within the other, and the first element of a list of them.
+    """
+    text = data.decode(errors="replace")
+    try:
+        words, code = _reason(msgspec.json.decode(data))
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return text, None
+    return text if words is None else words, code
+
+
+def _reason(value: object) -> tuple[str | None, object]:
+    match value:
+        case str():
+            return value, None
+        case [first, *_]:
+            return _reason(first)
+        case {"msg": str(fault), "loc": [*place]}:
+            return f"{'.'.join(map(str, place))}: {fault}", None
+        case dict():
+            found = [_reason(value.get(key)) for key in ("error", "message", "detail", "msg")]
+            codes = [value.get("code"), *(code for _, code in found)]
+            words = next((words for words, _ in found if words is not None), None)
+            return words, next((code for code in codes if code is not None), None)
+    return None, None
+
+
+def _tells_failure(data: bytes) -> bool:
+    try:
+        return _FAILURE.decode(data).told
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return False
+
+
+def _parts(content: str | list[Any] | None) -> tuple[str, str]:
+    """The text of a reply, and the thinking in it: some servers send both as a list of parts."""
+    if not isinstance(content, list):
+        return content or "", ""
+    texts: list[str] = []
+    thoughts: list[str] = []
+    for part in content:
+        match part:
+            case str():
+                texts.append(part)
+            case {"type": "text" | "output_text", "text": str(text)}:
+                texts.append(text)
+            case {"type": "thinking" | "reasoning", "thinking": str(text)}:
+                thoughts.append(text)
+            case {"type": "thinking" | "reasoning", "thinking": [*inner]}:
+                thoughts.append(_parts(inner)[0])
+    return "".join(texts), "".join(thoughts)
 
 
 def _text(value: object) -> str:

@@ -17,7 +17,7 @@ from typing import Any, Final, TypeVar, get_args
 from jrdb_avr.engine.run.journal import Finished, Journal, check_storable
 from jrdb_avr.schema.answers import decode_answer, encode_answer
 from jrdb_avr.schema.beliefs import Write
-from jrdb_avr.schema.errors import AvrError
+from jrdb_avr.schema.errors import AvrError, RunStoppedError
 from jrdb_avr.schema.method import (
     GetPanorama,
     Method,
@@ -59,7 +59,7 @@ def answer_one(
     stopped: Callable[[], bool] = lambda: False,
 ) -> Finished:
     """Have a method answer one question. An exception, or a result that is no prediction, becomes an `error` with the
-    reason."""
+    reason. Raises RunStoppedError where no question can be answered now."""
     steps: list[Step] = []
     writes: list[Write] = []
     calls: Counter[str] = Counter()
@@ -87,6 +87,8 @@ def answer_one(
     started = time.perf_counter()
     try:
         finished = _finished(question, method.answer(task), steps, writes, time.perf_counter() - started)
+    except RunStoppedError:
+        raise
     except Exception as error:
         kinds = [step.kind for step in steps if isinstance(step, Step) and isinstance(step.kind, str)]
         failed = Prediction(
@@ -187,10 +189,10 @@ def answer_all(
     """Answer the questions that the journal lacks, or holds as an error; `concurrency` of them are in flight at a time.
 
     The threads are daemons and one thread writes: an interrupt ends the process within seconds, and loses only what is
-    in flight.
+    in flight. Raises RunStoppedError where no further question can be answered now, once those in flight have ended.
     """
     waiting: queue.SimpleQueue[Question] = queue.SimpleQueue()
-    done: queue.SimpleQueue[Finished | BaseException] = queue.SimpleQueue()
+    done: queue.SimpleQueue[Finished | BaseException | None] = queue.SimpleQueue()
     held = {name for name, entry in journal.finished.items() if not entry.failed}
     due = [question for question in questions if question.question_id not in held]
     advance(len(questions) - len(due))
@@ -198,27 +200,38 @@ def answer_all(
         waiting.put(question)
 
     stop = threading.Event()
+    stopped: list[RunStoppedError] = []
 
     def work() -> None:
         try:
-            while not stop.is_set():
+            while not stop.is_set() and not stopped:
                 question = waiting.get_nowait()
                 done.put(answer_one(method, question, sequences[question.sequence], observe, panorama, stop.is_set))
         except (queue.Empty, _Stopped):
-            return
+            pass
+        except RunStoppedError as error:
+            stopped.append(error)
         except BaseException as error:
             done.put(error)
+        finally:
+            done.put(None)
 
     threads = [threading.Thread(target=work, daemon=True) for _ in range(min(concurrency, len(due)))]
     for thread in threads:
         thread.start()
     try:
-        for _ in due:
+        working = len(threads)
+        while working:
             entry = done.get()
             if isinstance(entry, BaseException):
                 raise entry
-            journal.append(entry)
-            advance(1)
+            if entry is None:
+                working -= 1
+            else:
+                journal.append(entry)
+                advance(1)
+        if stopped:
+            raise stopped[0]
     finally:
         # A thread inside the image decoder when the interpreter ends would abort the process; one that waits for a
         # server would not, and gets no more than the deadline.

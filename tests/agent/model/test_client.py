@@ -4,6 +4,7 @@ import contextlib
 import gzip
 import json
 import logging
+import re
 import socket
 import subprocess
 import sys
@@ -22,7 +23,7 @@ from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import Options, convention_of
 from jrdb_avr.agent.model.messages import Message, Picture, fingerprint, transcript, wire
 from jrdb_avr.agent.model.reply import Reply, read_completion
-from jrdb_avr.schema.errors import EndpointError, StoreError
+from jrdb_avr.schema.errors import EndpointError, RunStoppedError, StoreError
 
 ASK = [Message("user", ("hello",))]
 SECRET = "sk-very-secret-0123456789"
@@ -113,11 +114,11 @@ def test_the_pause_that_a_server_asks_for(asked, waited):
 @pytest.mark.parametrize(
     ("fault", "words"),
     [
-        (Status(503, "later"), "HTTP 503: .*later.* \\(5 tries\\)"),
-        (CutOff("hi"), "cannot reach the server|broke off"),
+        (Status(500, "later"), "HTTP 500: later \\(5 tries\\): look into the server's log"),
+        (CutOff("hi"), "the reply broke off"),
         (Body(b"<html>bad gateway</html>", "text/html; charset=utf-8"), "no chat completion but text/html"),
         (Body(b'{"choices": []}'), "no chat completion but application/json \\(it holds no choice\\)"),
-        (Body(b'{"error": {"message": "loading"}}'), "missing required field `choices`"),
+        (Body(b'{"model": "x"}'), "missing required field `choices`"),
         (Body(b"\x00\x1b[2J", "text/\x01plain"), "no chat completion but"),
     ],
 )
@@ -128,23 +129,110 @@ def test_what_never_gets_better_is_told_in_one_line(fault, words):
             made.complete(ASK)
     assert len(server.requests) == 5
     assert "\n" not in str(caught.value)
+    assert "--base-url" not in str(caught.value), "the address is right: there is a server"
+
+
+@pytest.mark.parametrize(
+    ("body", "reason"),
+    [
+        (b'{"error": {"message": "no such model", "type": "x"}}', "no such model"),
+        (b'{"error": "no such model"}', "no such model"),
+        (b'{"object": "error", "message": "no such model", "code": 400}', "no such model"),
+        (b'{"detail": "no such model"}', "no such model"),
+        (b'{"detail": [{"loc": ["body", "seed"], "msg": "is no number"}, {"msg": "y"}]}', "body.seed: is no number"),
+        (b'{"error": {"detail": ["no such", "model"]}}', "no such"),
+        (b'[{"error": {"code": 400, "message": "no such model"}}]', "no such model"),
+        (b"no such\nmodel", "no such model"),
+        (b'{"reason": "odd"}', '{"reason": "odd"}'),
+        (b"[]", r"\[\]"),
+    ],
+)
+def test_the_servers_reason_is_told(body, reason):
+    """In each form that servers send: nothing of the form itself is printed where the reason is found."""
+    with FakeServer(sequence_of(Body(body, code=400))) as server, pytest.raises(EndpointError) as caught:
+        client(server)[0].complete(ASK)
+    assert re.search(f"HTTP 400: {reason}$", str(caught.value))
+
+
+@pytest.mark.parametrize(
+    ("body", "words", "tries"),
+    [
+        ({"error": {"message": "context too long", "code": 400}}, "HTTP 400: context too long", 1),
+        ({"error": {"message": "upstream died", "code": "odd"}}, "HTTP 502: upstream died", 5),
+        ({"error": "upstream died", "choices": []}, "HTTP 502: upstream died", 5),
+        ({"object": "error", "message": "context too long", "code": 400}, "HTTP 400: context too long", 1),
+        (completion("hal", "abort"), "finish_reason 'abort'", 5),
+        (
+            {"choices": [{"message": {"content": "hal"}, "finish_reason": "error", "error": {"message": "gone"}}]},
+            "HTTP 502: gone",
+            5,
+        ),
+    ],
+)
+def test_an_error_with_the_status_of_a_success(body, words, tries):
+    with FakeServer(sequence_of(body)) as server, pytest.raises(EndpointError, match=words):
+        client(server)[0].complete(ASK)
+    assert len(server.requests) == tries
+
+
+def test_a_busy_reply_with_the_status_of_a_success_is_waited_for():
+    busy = {"error": {"message": "rate limited", "code": 429}}
+    with FakeServer(sequence_of(*[busy] * 7, "hi")) as server:
+        assert client(server, retries=1)[0].complete(ASK).content == "hi"
+
+
+@pytest.mark.parametrize(
+    ("content", "read", "reasoning"),
+    [
+        ([{"type": "text", "text": '{"a"'}, {"type": "text", "text": ": 1}"}], '{"a": 1}', ""),
+        (
+            [{"type": "thinking", "thinking": [{"type": "text", "text": "hm"}]}, {"type": "text", "text": "x"}],
+            "x",
+            "hm",
+        ),
+        ([{"type": "thinking", "thinking": "hm"}, "x", {"type": "image"}, 5, None], "x", "hm"),
+        ([], "", ""),
+        (None, "", ""),
+    ],
+)
+def test_content_that_is_a_list_of_parts(content, read, reasoning):
+    reply = read_completion(json.dumps(completion(content)).encode())
+    assert (reply.content, reply.reasoning) == (read, reasoning)
+
+
+@pytest.mark.parametrize(
+    ("sent", "read"),
+    [
+        ("eos_token", "stop"),
+        ("STOP", "stop"),
+        ("end_turn", "stop"),
+        ("MAX_TOKENS", "length"),
+        ("content_filter", "content_filter"),
+        ("SAFETY", "content_filter"),
+        ("odd", "odd"),
+        (None, ""),
+    ],
+)
+def test_finish_reasons_of_other_protocols(sent, read):
+    assert read_completion(json.dumps(completion("x", sent)).encode()).finish_reason == read
 
 
 # -- a busy server ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("code", [429, 503, 529])
 @pytest.mark.parametrize("headers", [(), (("Retry-After", "0"),), (("Retry-After", "5"),)], ids=str)
-def test_a_busy_server_is_waited_for_but_not_for_ever(headers):
-    """Longer than a broken one: it says that it is there. Two minutes of pauses at least, and an end."""
-    with FakeServer(sequence_of(Status(429, "later", headers))) as server:
+def test_a_busy_server_is_waited_for_but_not_for_ever(headers, code):
+    """Longer than a broken one: it says that it is there. Two minutes of pauses at least, and an end of the run."""
+    with FakeServer(sequence_of(Status(code, "later", headers))) as server:
         made, pauses = client(server)
-        with pytest.raises(EndpointError, match=r"HTTP 429: .*later"):
+        with pytest.raises(RunStoppedError, match=rf"HTTP {code}: later .*less busy"):
             made.complete(ASK)
         assert 120 <= sum(pauses) < 180
         assert len(server.requests) == len(pauses) + 1
         for soon in (client(server, retries=0)[0].complete, client(server)[0].probe):
             before = len(server.requests)
-            with pytest.raises(EndpointError, match="HTTP 429"):
+            with pytest.raises(EndpointError, match=f"HTTP {code}"):
                 soon(ASK)
             assert len(server.requests) - before <= 2
 
@@ -190,7 +278,7 @@ def test_json_of_another_content_type_is_heard():
 
 
 def test_a_reply_without_end_is_not_read_to_its_end(monkeypatch):
-    monkeypatch.setattr("jrdb_avr.agent.model.client.MOST_BYTES", 100_000)
+    monkeypatch.setattr("jrdb_avr.agent.model.transport.MOST_BYTES", 100_000)
     with FakeServer(sequence_of("x" * 90_000, "x" * 200_000)) as server:
         made, _ = client(server)
         assert len(made.complete(ASK).content) == 90_000
@@ -230,7 +318,7 @@ def test_a_reply_that_never_begins_is_given_up(said, monkeypatch):
 
         threading.Thread(target=serve, daemon=True).start()
         made = Client(f"http://127.0.0.1:{listening.getsockname()[1]}/v1", "x", Options(timeout_s=0.2, retries=0))
-        with pytest.raises(EndpointError, match=r"no whole reply within 0.2 s \(1 tries\)"):
+        with pytest.raises(EndpointError, match=r"no whole reply within 0.2 s \(1 try\): .*--concurrency"):
             made.complete(ASK)
         monkeypatch.setattr("jrdb_avr.agent.model.client._VERSION_TIMEOUT_S", 0.2)
         began = time.monotonic()
@@ -280,19 +368,60 @@ def test_slow_replies_time_out_and_are_tried_again():
         assert made.complete(ASK).content == "hi"
 
 
+def test_a_server_that_is_too_slow_gets_fewer_calls():
+    """Eight calls time out together: of their repetitions, four and what replies win back are sent at a time."""
+    lock, inside, most = threading.Lock(), set(), []
+
+    def script(request, n):
+        if n < 8:
+            return Slow(1.0, "late")
+        with lock:
+            inside.add(n)
+            most.append(len(inside))
+        time.sleep(0.05)
+        with lock:
+            inside.remove(n)
+        return "hi"
+
+    with FakeServer(script) as server, ThreadPoolExecutor(8) as pool:
+        made = Client(server.url, "fake", Options(timeout_s=0.5), pause=lambda seconds: None)
+        assert {reply.content for reply in pool.map(made.complete, [ASK] * 8)} == {"hi"}
+    assert len(most) == 8 and max(most) <= 5
+
+
+def test_a_call_that_times_out_beside_others_says_how_many():
+    with FakeServer(sequence_of(Slow(0.6, "late"))) as server, ThreadPoolExecutor(4) as pool:
+        made, _ = client(server, timeout_s=0.2, retries=0)
+        failed = [job.exception() for job in [pool.submit(made.complete, ASK) for _ in range(4)]]
+    told = " ".join(map(str, failed))
+    assert re.search(r"no reply within 0.2 s with [123] other calls in flight .*--concurrency", told)
+
+
 def test_nobody_there_is_one_line():
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         url = f"http://127.0.0.1:{free.getsockname()[1]}/v1"
-    made = Client(url, "fake", pause=lambda seconds: None)
-    with pytest.raises(EndpointError, match="cannot reach the server") as caught:
+    pauses = []
+    made = Client(url, "fake", pause=pauses.append)
+    words = r"cannot reach the server .*: start the server or correct --base-url"
+    with pytest.raises(RunStoppedError, match=words) as e:
         made.complete(ASK)
-    assert "\n" not in str(caught.value)
+    assert "\n" not in str(e.value)
+    assert 120 <= sum(pauses) < 180, "it may be restarting"
+
+
+def test_who_alone_is_refused_does_not_stop_the_run():
+    """A server that stays busy for one request, while others are replied to, is that question's trouble alone."""
+    with FakeServer(lambda request, n: Status(503) if "poison" in json.dumps(request) else "hi") as server:
+        made = Client(server.url, "fake", pause=lambda seconds: made.complete(ASK))
+        with pytest.raises(EndpointError) as caught:
+            made.complete([Message("user", ("poison",))])
+    assert not isinstance(caught.value, RunStoppedError)
 
 
 def test_a_host_that_takes_no_connection_is_not_waited_for_as_for_a_reply(monkeypatch):
     """A full queue of connections: the kernel answers no further one."""
-    monkeypatch.setattr("jrdb_avr.agent.model.client._CONNECT_S", 0.3)
+    monkeypatch.setattr("jrdb_avr.agent.model.transport.CONNECT_S", 0.3)
     with socket.socket() as full, contextlib.ExitStack() as stack:
         full.bind(("127.0.0.1", 0))
         full.listen(0)

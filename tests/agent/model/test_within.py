@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from jrdb_avr.agent.model.client import within
+from jrdb_avr.agent.model.transport import within
 
 
 def workers():

@@ -29,7 +29,7 @@ from jrdb_avr.engine.run import journal as journals
 from jrdb_avr.engine.run.evaluate import default_run_id, is_of_sample
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice, Evidence, Number
-from jrdb_avr.schema.errors import AvrError, LockedError, StoreError
+from jrdb_avr.schema.errors import AvrError, LockedError, RunStoppedError, StoreError
 from jrdb_avr.schema.method import Prediction, SequenceInfo, Step
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
@@ -181,6 +181,30 @@ def test_errors_are_rows_and_are_asked_again(store):
         broken = False
         (row,) = json.loads(evaluate(store, *options, "--resume").stdout)
         assert (row["error"], row["invalid"]) == (0, 3)
+
+
+@pytest.mark.parametrize("gone", [Status(503, "loading model"), Status(429, "later")], ids=["loading", "busy"])
+def test_a_server_that_is_gone_ends_the_run_and_spends_no_question(store, gone):
+    """Nothing is on record of the questions that it cannot answer; resumed, the run asks them for the first time."""
+    away = True
+
+    def script(request, n):
+        if away and n > 30:
+            return gone
+        return json.dumps({"action": "observe", "frame_id": "000000", "angle_deg": 10 * (n % 36)})
+
+    with FakeServer(sound(script)) as server:
+        options = ("--model", "fake", "--base-url", server.url, "--limit", "4", "--concurrency", "1", "--json")
+        result = evaluate(store, *options, "--retries", "0", ok=False)
+        assert isinstance(result.exception, RunStoppedError)
+        assert gone.message in str(result.exception) and "--resume" in str(result.exception)
+        folder = store.run_path("react-fake")
+        kept = [json.loads(line) for line in (folder / "journal.jsonl").read_text().splitlines()]
+        assert len(kept) < 4 and not any(entry["prediction"]["status"] == "error" for entry in kept)
+        assert not (folder / "predictions.parquet").exists()
+        away = False
+        (row,) = json.loads(evaluate(store, *options, "--resume").stdout)
+        assert (row["n"], row["error"]) == (4, 0)
 
 
 def test_resume_refuses_another_run(store):
