@@ -18,6 +18,7 @@ Examples:
   jrdb-avr report --store S                             all runs
   jrdb-avr report --store S --table template --table pairs
   jrdb-avr report --store S --paper --latex             beside the paper's rows
+  jrdb-avr report --store S --leaderboard B1 B2 --html leaderboard.html
 """
 
 _MACRO: Final = "_macro_"
@@ -82,6 +83,7 @@ def score(
 @click.option("--markdown", "as_markdown", is_flag=True, help="Print Markdown.")
 @click.option("--latex", "as_latex", is_flag=True, help="Print LaTeX, for the package booktabs.")
 @click.option("--html", type=FILE, help="Write everything as one page.")
+@click.option("--leaderboard", is_flag=True, help="Rank bundles, the folders given in place of runs, by question set.")
 def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html: Path | None, **options: Any) -> None:
     """Compare runs: answer, evidence, combined, hallucination and invalid in percent of the n questions.
 
@@ -91,6 +93,12 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
     as_json, as_csv, as_markdown, as_latex = (options[f"as_{form}"] for form in ("json", "csv", "markdown", "latex"))
     if as_json + as_csv + as_markdown + as_latex + (html is not None) > 1:
         raise click.UsageError("choose one of --json, --csv, --markdown, --latex and --html")
+
+    if options["leaderboard"]:
+        if tables or paper or as_csv or as_markdown or as_latex:
+            raise click.UsageError("--leaderboard goes with --iou, --json and --html only")
+        _leaderboard(store, options["runs"], iou, html, as_json)
+        return
 
     from jrdb_avr.engine.report import comparison, formats
     from jrdb_avr.engine.report.tables import TABLES
@@ -133,6 +141,25 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
             note(line)
     if found.synthetic:
         note("synthetic: the simulated model or the sample world, no result about JRDB")
+
+
+def _leaderboard(store: Store, folders: tuple[str, ...], iou: float, html: Path | None, as_json: bool) -> None:
+    """Score and rank bundles, as a page, as JSON or as a table."""
+    from jrdb_avr.engine.report.formats import filled, with_intervals
+    from jrdb_avr.engine.report.leaderboard import leaderboard
+
+    if not folders:
+        raise click.UsageError("--leaderboard ranks bundles: name their folders")
+    with warnings_as_notes():
+        board = leaderboard(store, folders, iou)
+    if html is not None:
+        from jrdb_avr.engine.pages.leaderboard import leaderboard_page
+        from jrdb_avr.engine.pages.page import write_page
+
+        write_page(html, leaderboard_page(board))
+        note(f"wrote {html}")
+        return
+    print_rows(board.rows if as_json else filled(with_intervals(board.rows)), as_json=as_json)
 
 
 def _print_table(name: str, rows: list[dict[str, Any]], title: str) -> None:

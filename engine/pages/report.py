@@ -50,9 +50,8 @@ def report_page(comparison: Comparison) -> str:
         perturbations=sorted(perturbations, key=lambda name: (-perturbations[name], name)),
         apart=distinguishing_settings(runs),
         labels={row["run"]: row["label"] for row in own},
-        ticks=(0, 20, 40, 60, 80, 100),
         kinds=SCORES,
-        settings=[(run.manifest.run_id, _pretty(run.manifest.settings)) for run in runs],
+        settings=[(run.manifest.run_id, settings_text(run.manifest.settings)) for run in runs],
     )
 
 
@@ -84,5 +83,6 @@ class Crossed:
             self.rows = [(value, [own.get(run) for run in names]) for value, own in cells.items()]
 
 
-def _pretty(settings: Row) -> str:
+def settings_text(settings: Row) -> str:
+    """A run's settings as JSON that people can read."""
     return msgspec.json.format(msgspec.json.encode(settings, order="sorted"), indent=2).decode()

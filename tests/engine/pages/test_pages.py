@@ -30,8 +30,11 @@ from jrdb_avr.engine.pages.inspect import (
 from jrdb_avr.engine.pages.page import environment, readable, render, write_page
 from jrdb_avr.engine.pages.report import Crossed, pivot
 from jrdb_avr.engine.pages.svg import PlanGraph, scatter, wrapped
+from jrdb_avr.engine.report.bundle import write_bundle
 from jrdb_avr.engine.validate.reviews import read_reviews
 from jrdb_avr.queries.questions import read_sequences
+from jrdb_avr.queries.runs import read_run_manifest, write_run_manifest
+from jrdb_avr.queries.store import read_table
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import parse_plan
 
@@ -158,6 +161,43 @@ def contrast(first, second):
 
     dark, light = sorted((luminance(first), luminance(second)))
     return (light + 0.05) / (dark + 0.05)
+
+
+# -- the leaderboard --------------------------------------------------------------------------------------------------
+
+
+def test_the_leaderboard_ranks_and_shows_texts_of_bundles_as_text(opened, tmp_path):
+    driver, _ = opened
+    _, _, store = stored_failures(tmp_path / "S", settings={"model": HOSTILE, HOSTILE: 1})
+    manifest = read_run_manifest(store, "r")
+    for name, ids in (("hostile", manifest.question_ids), ("few", manifest.question_ids[:3])):
+        own = msgspec.structs.replace(
+            manifest, run_id=name, question_ids=ids, method=HOSTILE, model="<b>m", created=HOSTILE
+        )
+        write_run_manifest(store, own)
+        table = read_table(store.run_path("r") / "predictions.parquet")
+        store.write_run(name, "predictions", table.slice(0, len(ids)))
+        write_bundle(store, name, tmp_path / f"<i>{name}")
+    write_bundle(store, "r", tmp_path / "good")
+    bundles = [tmp_path / name for name in ("<i>few", "<i>hostile", "good")]
+    page = tmp_path / "board.html"
+    code, _, err = run("report", "--store", store.path, "--leaderboard", *bundles, "--html", page)
+    assert code == 0, err
+    visit(driver, page)
+    assert driver.title == "JRDB-AVR leaderboard" and not shown(driver, "img, i, tbody b b")
+    rows = [
+        [cell.text for cell in row.find_elements("css selector", "th, td")] for row in shown(driver, ".board tbody tr")
+    ]
+    board = json.loads(run("report", "--store", store.path, "--leaderboard", *bundles, "--json")[1])
+    # Each row says its rank, its scores and of which questions they are; the sets are apart.
+    assert [(row["rank"], row["run"], row["n"]) for row in board] == [(1, "hostile", 13), (1, "r", 13), (1, "few", 3)]
+    for cells, row in zip(rows, board, strict=True):
+        assert [cells[0], cells[1].split()[0], cells[2].split()[0]] == ["1", row["run"], f"{row['combined']:.2f}"]
+        assert cells[-1].split() == [str(row["n"]), row["questions"][:8]]
+    assert len({row["questions"] for row in board}) == len(shown(driver, ".board")) == 2
+    with narrow(driver):
+        visit(driver, page)
+        assert driver.execute_script("return document.documentElement.scrollWidth") == 400
 
 
 # -- inspect ----------------------------------------------------------------------------------------------------------
