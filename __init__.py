@@ -29,8 +29,10 @@ if TYPE_CHECKING:
     from jrdb_avr.engine.report.comparison import Scores as Scores
     from jrdb_avr.engine.report.comparison import report as report
     from jrdb_avr.engine.report.comparison import score as score
+    from jrdb_avr.engine.run.bench import Bench as Bench
     from jrdb_avr.engine.run.evaluate import RunResult as RunResult
     from jrdb_avr.engine.run.evaluate import evaluate as evaluate
+    from jrdb_avr.engine.run.judge import Judge as Judge
     from jrdb_avr.engine.run.live_scores import LiveScore as LiveScore
     from jrdb_avr.engine.run.selection import QuestionSelection as QuestionSelection
     from jrdb_avr.engine.validate.checks import Validation as Validation
@@ -84,6 +86,8 @@ _NAMES: Final = {
     "schema.rules": ("Rules", "LoadRules"),
     "agent.model.conventions": ("Options",),
     "agent.methods.episode": ("Episode",),
+    "engine.run.bench": ("Bench",),
+    "engine.run.judge": ("Judge",),
     "schema.method": (
         "Method",
         "Task",

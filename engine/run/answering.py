@@ -12,10 +12,9 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, TypeVar, get_args
+from typing import Any, Final, TypeVar
 
-from jrdb_avr.engine.run.journal import Finished, Journal, check_storable
-from jrdb_avr.schema.answers import decode_answer, encode_answer
+from jrdb_avr.engine.run.journal import Finished, Journal, finished_entry
 from jrdb_avr.schema.beliefs import Write
 from jrdb_avr.schema.errors import AvrError, RunStoppedError
 from jrdb_avr.schema.method import (
@@ -25,12 +24,9 @@ from jrdb_avr.schema.method import (
     Prediction,
     Question,
     SequenceInfo,
-    Status,
     Step,
     Task,
-    Verdict,
 )
-from jrdb_avr.schema.tables import RUNS
 
 R = TypeVar("R")
 
@@ -86,7 +82,7 @@ def answer_one(
     )
     started = time.perf_counter()
     try:
-        finished = _finished(question, method.answer(task), steps, writes, time.perf_counter() - started)
+        finished = finished_entry(question, method.answer(task), steps, writes, time.perf_counter() - started)
     except RunStoppedError:
         raise
     except Exception as error:
@@ -99,10 +95,10 @@ def answer_one(
         )
         seconds = time.perf_counter() - started
         try:
-            finished = _finished(question, failed, steps, writes, seconds)
+            finished = finished_entry(question, failed, steps, writes, seconds)
         except Exception:
             # A step or a write is what cannot be stored.
-            finished = _finished(question, failed, [], [], seconds)
+            finished = finished_entry(question, failed, [], [], seconds)
     return finished
 
 
@@ -116,48 +112,6 @@ def _reason(error: Exception) -> str:
     places = own or ([] if isinstance(error, AvrError) else outside)
     where = f" ({Path(places[-1][0].co_filename).name}:{places[-1][1]}, in {places[-1][0].co_name})" if places else ""
     return (text if isinstance(error, AvrError) else f"{type(error).__name__}: {text}") + where
-
-
-def _finished(
-    question: Question, prediction: Prediction, steps: Sequence[Step], writes: Sequence[Write], seconds: float
-) -> Finished:
-    """The journal's line. Raises ValueError and the like for values that journal and tables would not give back as they
-    are: a method may be anybody's."""
-    evidence, answer = prediction.evidence, prediction.answer
-    box: Sequence[float | None] = (None,) * 4 if evidence is None else evidence.box
-    row = _row(
-        "predictions",
-        prediction,
-        question_id=question.question_id,
-        answer=None if answer is None else encode_answer(answer),
-        evidence_frame=None if evidence is None else evidence.frame,
-        seconds=seconds,
-        **{f"evidence_{name}": value for name, value in zip("xywh", box, strict=True)},
-    )
-    transcript = [_row("steps", step, question_id=question.question_id, step=n) for n, step in enumerate(steps)]
-    world = [_row("world", write, question_id=question.question_id) for write in writes]
-    if prediction.status not in get_args(Status):
-        raise ValueError(f"{prediction.status!a} is no status of a prediction"[:120])
-    if prediction.verdict not in (None, *get_args(Verdict)):
-        raise ValueError(f"{prediction.verdict!a} is no verdict of a prediction"[:120])
-    if row["answer"] is not None:
-        decode_answer(question.answer_mode, row["answer"])
-    entry = Finished(question.question_id, row, transcript, world)
-    check_storable(entry)
-    return entry
-
-
-def _row(table: str, record: object, **known: Any) -> dict[str, Any]:
-    """A row of a table of `RUNS` without its run id: `known` values, and the record's attributes for all others."""
-    names = [name for name in RUNS[table].names if name not in known and name != "run_id"]
-    values = {name: getattr(record, name) for name in names}
-    # Lone surrogates, which UTF-8 cannot hold, are written out; in a short name they are a fault.
-    texts = {
-        name: value.encode("utf-8", "backslashreplace").decode()
-        for name, value in values.items()
-        if isinstance(value, str) and name not in ("kind", "tool")
-    }
-    return {**known, **values, **texts}
 
 
 @contextlib.contextmanager

@@ -1,9 +1,7 @@
 """Evaluate a method: have it answer a store's questions, with everything it does on record.
 
-    runs/<run_id>/run.json            the manifest, written first
-    runs/<run_id>/journal.jsonl       one line per finished question, synced as it finishes
+    runs/<run_id>/                    manifest, journal and tables (`Run`)
     runs/<run_id>/calls.jsonl         model calls that finished cleanly
-    runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from the journal at the end
 
 A run killed at any point loses nothing that is in the journal; resumed, it answers what is not, and what ended in an
 error. Only the public question tables and the panoramas are read.
@@ -12,12 +10,11 @@ error. Only the public question tables and the panoramas are read.
 from __future__ import annotations
 
 import contextlib
-import datetime
 import re
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,10 +25,10 @@ from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.conventions import DEFAULTS, Options
 from jrdb_avr.agent.reference.method import Policy
 from jrdb_avr.agent.simulated.knobs import PERFECT, Knobs, profile_of, turned
-from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.run.answering import answer_all
+from jrdb_avr.engine.run.bench import Bench, find_images
 from jrdb_avr.engine.run.endpoint import Endpoint, serving
-from jrdb_avr.engine.run.journal import Journal, world_rows, write_tables
+from jrdb_avr.engine.run.journal import world_rows
 from jrdb_avr.engine.run.live_scores import LiveScore, report_scores
 from jrdb_avr.engine.run.methods import (
     CHATS,
@@ -45,15 +42,13 @@ from jrdb_avr.engine.run.methods import (
     make_method,
     open_world,
 )
-from jrdb_avr.engine.run.opaque import key_fingerprint, opaque_names
-from jrdb_avr.engine.run.resume import add_world_counts, check_manifest, has_manifest, run_questions
+from jrdb_avr.engine.run.opaque import key_fingerprint
+from jrdb_avr.engine.run.run import Run, add_world_counts, run_questions
 from jrdb_avr.engine.run.selection import QuestionSelection
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
-from jrdb_avr.queries.questions import read_sequences
-from jrdb_avr.queries.runs import RunManifest, questions_hash
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError, StoreError
-from jrdb_avr.schema.method import ConfigurableMethod, Method, Question
+from jrdb_avr.schema.method import ConfigurableMethod, Method
 
 _SUMS: Final = ("n_model_calls", "n_observations", "prompt_tokens", "completion_tokens", "seconds")
 """Columns of `predictions` that a run adds up."""
@@ -137,23 +132,12 @@ def evaluate(
     name = method if isinstance(method, str) else method.name
     run_id = run_id or default_run_id(name if policy == "model" else f"{name}-{policy}", model)
     folder = store.run_path(run_id)
-    image_root = _image_root(store) if images is None else str(images)
+    image_root = find_images(store, images)
     chosen, selection = run_questions(store, run_id, QuestionSelection.of(questions, limit), resume, image_root)
-    sequences = read_sequences(store)
-    names = opaque_names(store, sequences) if opaque else {name: name for name in sequences}
-    infos = {names[name]: replace(info, sequence=names[name]) for name, info in sequences.items()}
-    public = [replace(question, sequence=names[question.sequence]) for question in chosen]
-    observer = Observer(
-        image_root,
-        [infos[sequence] for sequence in {question.sequence for question in public}],
-        folders={names[name]: name for name in sequences} if opaque else None,
-    )
+    bench = Bench(store, chosen, image_root, opaque)
     with contextlib.ExitStack() as stack:
-        journal = stack.enter_context(Journal(folder / "journal.jsonl"))
-        if journal.finished and not has_manifest(store, run_id):
-            # They may be another model's.
-            raise StoreError(f"{folder} holds answers and no run.json: delete it, or give another --run-id")
-        world = stack.enter_context(_world(store, run_id, name, world_db, journal))
+        run = stack.enter_context(Run(store, run_id))
+        world = stack.enter_context(_world(store, run_id, name, world_db, run))
         endpoint = None
         if model != NO_MODEL:
             url = stack.enter_context(serving(model, base_url, folder / "marker.jsonl", knobs))
@@ -161,32 +145,28 @@ def evaluate(
             for line in endpoint.warnings:
                 warnings.warn(f"preflight: {line}", AvrWarning, stacklevel=2)
         runner = _runner(method, endpoint, world, policy, history)
-        manifest = RunManifest(
-            run_id=run_id,
-            method=runner.name,
-            model=model,
-            questions_sha256=questions_hash(store),
-            question_ids=tuple(question.question_id for question in chosen),
-            synthetic=simulated is not None or any(map(is_of_sample, chosen)),
-            settings={
+        manifest = run.start(
+            runner.name,
+            model,
+            [question.question_id for question in chosen],
+            {
                 "method": runner.settings(),
                 **({} if endpoint is None else endpoint.settings),
                 **({"marker": turned(knobs)} if knobs != PERFECT else {}),
                 **({"opaque": key_fingerprint(store)} if opaque else {}),
             },
-            created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-            selection=selection,
+            simulated is not None or bench.synthetic,
+            selection,
         )
-        check_manifest(store, manifest)
         if live_scores is not None:
-            stack.enter_context(report_scores(store, run_id, live_scores))
+            run.listeners.append(stack.enter_context(report_scores(store, run.finished.values(), live_scores)))
         advance = step_counter(progress, f"{name}, {model}", len(chosen))
-        answer_all(runner, public, infos, observer, observer.stored, journal, concurrency, advance)
-        entries = [journal.finished[question.question_id] for question in chosen]
+        observer = bench.observer
+        answer_all(runner, bench.questions, bench.sequences, observer, observer.stored, run, concurrency, advance)
         if world is not None:
             # Before the tables: a run that has predictions is complete.
             add_world_counts(store, run_id, world.graph.counts)
-        predictions = write_tables(store, run_id, entries)
+        predictions = run.finish()
         if endpoint is not None and (changed := endpoint.changed()):
             warnings.warn(changed, AvrWarning, stacklevel=2)
     return RunResult(run_id, predictions, manifest.synthetic)
@@ -225,22 +205,8 @@ def default_run_id(method: str, model: str) -> str:
     return re.sub(r"[^A-Za-z0-9_-]+", "-", own).strip("-")[:80]
 
 
-def is_of_sample(question: Question) -> bool:
-    """Whether a question is about the synthetic world, whose sequences all have names that begin so."""
-    return question.sequence.startswith("sample-")
-
-
-def _image_root(store: Store) -> str | None:
-    """The store's folder of panoramas. Raises StoreError where the store has no manifest to name it."""
-    if store.question_path("questions").exists() and not (store.path / "store.json").exists():
-        raise StoreError(f"{store.path} has no store.json, which names the panoramas: give their folder by --images")
-    return store.manifest().image_root
-
-
 @contextlib.contextmanager
-def _world(
-    store: Store, run_id: str, method: str, world_db: Path | None, journal: Journal
-) -> Iterator[WorldModel | None]:
+def _world(store: Store, run_id: str, method: str, world_db: Path | None, run: Run) -> Iterator[WorldModel | None]:
     """The run's world model with the facts of the journal; None for a method without one."""
     if method not in WORLD_METHODS:
         yield None
@@ -251,7 +217,7 @@ def _world(
         )
     path = world_db or store.graph_path
     try:
-        with open_world(path, run_id, world_rows(run_id, journal.finished.values())) as world:
+        with open_world(path, run_id, world_rows(run_id, run.finished.values())) as world:
             yield world
     except LockedError as error:
         raise LockedError(

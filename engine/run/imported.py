@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE, parse_lines, read_regular
-from jrdb_avr.engine.run.evaluate import is_of_sample
+from jrdb_avr.engine.run.bench import is_of_sample
 from jrdb_avr.engine.run.selection import QuestionSelection, matching
 from jrdb_avr.queries.questions import read_questions
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest

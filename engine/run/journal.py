@@ -13,13 +13,16 @@ import fcntl
 import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, get_args
 
 import msgspec
 import pyarrow as pa
 
 from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.answers import decode_answer, encode_answer
+from jrdb_avr.schema.beliefs import Write
 from jrdb_avr.schema.errors import LockedError, StoreError
+from jrdb_avr.schema.method import Prediction, Question, Status, Step, Verdict
 from jrdb_avr.schema.tables import RUNS
 
 
@@ -69,6 +72,51 @@ def check_storable(entry: Finished) -> None:
     _STORABLE.decode(line)
     if _FINISHED.decode(line) != entry:
         raise ValueError("what the method returned or recorded holds a value that JSON changes, such as NaN")
+
+
+def finished_entry(
+    question: Question, prediction: Prediction, steps: Sequence[Step], writes: Sequence[Write], seconds: float
+) -> Finished:
+    """The journal's line of a question.
+
+    Raises ValueError and the like for values that journal and tables would not give back as they are: a method may be
+    anybody's.
+    """
+    evidence, answer = prediction.evidence, prediction.answer
+    box: Sequence[float | None] = (None,) * 4 if evidence is None else evidence.box
+    row = _row(
+        "predictions",
+        prediction,
+        question_id=question.question_id,
+        answer=None if answer is None else encode_answer(answer),
+        evidence_frame=None if evidence is None else evidence.frame,
+        seconds=seconds,
+        **{f"evidence_{name}": value for name, value in zip("xywh", box, strict=True)},
+    )
+    transcript = [_row("steps", step, question_id=question.question_id, step=n) for n, step in enumerate(steps)]
+    world = [_row("world", write, question_id=question.question_id) for write in writes]
+    if prediction.status not in get_args(Status):
+        raise ValueError(f"{prediction.status!a} is no status of a prediction"[:120])
+    if prediction.verdict not in (None, *get_args(Verdict)):
+        raise ValueError(f"{prediction.verdict!a} is no verdict of a prediction"[:120])
+    if row["answer"] is not None:
+        decode_answer(question.answer_mode, row["answer"])
+    entry = Finished(question.question_id, row, transcript, world)
+    check_storable(entry)
+    return entry
+
+
+def _row(table: str, record: object, **known: Any) -> dict[str, Any]:
+    """A row of a table of `RUNS` without its run id: `known` values, and the record's attributes for all others."""
+    names = [name for name in RUNS[table].names if name not in known and name != "run_id"]
+    values = {name: getattr(record, name) for name in names}
+    # Lone surrogates, which UTF-8 cannot hold, are written out; in a short name they are a fault.
+    texts = {
+        name: value.encode("utf-8", "backslashreplace").decode()
+        for name, value in values.items()
+        if isinstance(value, str) and name not in ("kind", "tool")
+    }
+    return {**known, **values, **texts}
 
 
 class Journal(contextlib.ExitStack):

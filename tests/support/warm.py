@@ -43,6 +43,7 @@ IMPORTED = (
     "jrdb_avr.engine.generate.run",
     "jrdb_avr.engine.run.evaluate",
     "jrdb_avr.engine.run.methods",
+    "jrdb_avr.engine.run.judge",
     "jrdb_avr.engine.run.live_scores",
     "jrdb_avr.engine.validate.checks",
     "jrdb_avr.loaders.load",

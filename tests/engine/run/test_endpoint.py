@@ -8,7 +8,7 @@ from fake_server import FakeServer, completion, sound, texts
 from jrdb_avr.agent.model.conventions import CONTRACT, Options
 from jrdb_avr.agent.model.messages import Message
 from jrdb_avr.engine.run.endpoint import Endpoint, serving
-from jrdb_avr.engine.run.resume import check_manifest
+from jrdb_avr.engine.run.run import check_manifest
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import EndpointError, StoreError

@@ -26,7 +26,8 @@ from painted_world import SEQUENCE
 from jrdb_avr.engine.commands.evaluate import command
 from jrdb_avr.engine.run import answering
 from jrdb_avr.engine.run import journal as journals
-from jrdb_avr.engine.run.evaluate import default_run_id, is_of_sample
+from jrdb_avr.engine.run.bench import is_of_sample
+from jrdb_avr.engine.run.evaluate import default_run_id
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice, Evidence, Number
 from jrdb_avr.schema.errors import AvrError, LockedError, RunStoppedError, StoreError

@@ -17,7 +17,7 @@ from scene_tables import table_store
 from jrdb_avr.engine.cli import group
 from jrdb_avr.engine.run import journal as journals
 from jrdb_avr.engine.run.methods import open_world
-from jrdb_avr.engine.run.resume import add_world_counts
+from jrdb_avr.engine.run.run import add_world_counts
 from jrdb_avr.queries.beliefs.graph import WorldGraph, make_world_tables
 from jrdb_avr.queries.beliefs.record import merge_world, read_record, replayed, restore_world
 from jrdb_avr.queries.graph.handle import Graph

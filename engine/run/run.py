@@ -1,15 +1,20 @@
-"""Start, resume or enlarge a run: the questions that it answers, and the check that it is still the same.
+"""A run on disk: its manifest, its journal, and the tables at its end.
 
-runs/<run_id>/run.json    the manifest: questions, method, model and settings; written first
+runs/<run_id>/run.json            the manifest: questions, method, model and settings; written first
+runs/<run_id>/journal.jsonl       one line per finished question, synced as it finishes
+runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from the journal at the end
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import datetime
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final
 
 import msgspec
+import pyarrow as pa
 
+from jrdb_avr.engine.run.journal import Finished, Journal, write_tables
 from jrdb_avr.engine.run.selection import QuestionSelection, matching, select_questions
 from jrdb_avr.queries.questions import read_questions
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, write_run_manifest
@@ -22,6 +27,68 @@ _PATIENCE: Final = ("base_url", "timeout_s", "retries")
 
 _MAY_BE_EMPTY: Final = ("server version",)
 """Settings that are empty where the server did not report them: too busy to answer once, it is no other server."""
+
+
+class Run(Journal):
+    """A run that answers are added to: `start` writes its manifest, `append` its journal, `finish` its tables.
+
+    listeners: called with each entry once it is on disk.
+
+        with Run(store, "mine") as run:
+            run.start("method", "model", ids, {}, False, {})
+            run.append(entry)
+            run.finish()
+    """
+
+    def __init__(self, store: Store, run_id: str) -> None:
+        """Take the run's lock. Raises LockedError, or StoreError for a run that is damaged."""
+        super().__init__(store.run_path(run_id) / "journal.jsonl")
+        self.store, self.run_id = store, run_id
+        self.listeners: list[Callable[[Finished], None]] = []
+        if self.finished and not has_manifest(store, run_id):
+            self.close()
+            # They may be another model's.
+            raise StoreError(
+                f"{store.run_path(run_id)} holds answers and no run.json: delete it, or give another --run-id"
+            )
+
+    def start(
+        self,
+        method: str,
+        model: str,
+        question_ids: Iterable[str],
+        settings: dict[str, Any],
+        synthetic: bool,
+        selection: dict[str, Any],
+    ) -> RunManifest:
+        """Write the manifest, or check that it is that of the run, which more questions enlarge.
+
+        Raises StoreError for another one. `selection`: `QuestionSelection.record()` of the questions.
+        """
+        manifest = RunManifest(
+            run_id=self.run_id,
+            method=method,
+            model=model,
+            questions_sha256=questions_hash(self.store),
+            question_ids=tuple(question_ids),
+            synthetic=synthetic,
+            settings=settings,
+            selection=selection,
+            created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        )
+        check_manifest(self.store, manifest)
+        return manifest
+
+    def append(self, entry: Finished) -> None:
+        """Add a finished question; returns when it is on disk."""
+        super().append(entry)
+        for listen in self.listeners:
+            listen(entry)
+
+    def finish(self) -> pa.Table:
+        """Write the tables of the run's questions that are finished; returns the predictions."""
+        ids = read_run_manifest(self.store, self.run_id).question_ids
+        return write_tables(self.store, self.run_id, [self.finished[name] for name in ids if name in self.finished])
 
 
 def check_manifest(store: Store, manifest: RunManifest) -> None:
