@@ -36,7 +36,9 @@ MAY_IMPORT = {
     "engine.pages": PAGES,
     "engine.validate": PAGES,
     "engine.run": PAGES | {"agent"},
-    "engine.commands": PAGES | {"engine.cli", "engine.pages", "engine.validate", "engine.run", "agent"},
+    "engine.integrations": PAGES | {"engine.run", "agent"},
+    "engine.commands": PAGES
+    | {"engine.cli", "engine.pages", "engine.validate", "engine.run", "engine.integrations", "agent"},
 }
 LARGEST = 450
 SMALL = 40

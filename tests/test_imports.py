@@ -15,7 +15,7 @@ MAY_IMPORT = {
     "engine": {"schema", "queries", "loaders", "engine"},
 }
 # The run and command-line edge: only here a method is picked and handed its questions.
-AGENT_USERS = ("engine/run/", "engine/commands/")
+AGENT_USERS = ("engine/run/", "engine/integrations/", "engine/commands/")
 
 
 def imported(path):

@@ -9,13 +9,15 @@ import click
 
 from jrdb_avr.engine.commands._options import FILE, FOLDER, open_store
 from jrdb_avr.engine.console import note
+from jrdb_avr.schema.card import CREATOR, HOME
 
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 _EXAMPLE: Final = """\b
 Examples:
-  jrdb-avr export S react-marker --jsonl predictions.jsonl   predictions of a run
+  jrdb-avr export S --hf folder --url https://huggingface.co/datasets/ME/QUESTIONS
+  jrdb-avr export S react-marker --jsonl predictions.jsonl
 """
 
 store_argument = click.argument("store", type=FOLDER, callback=open_store)
@@ -25,12 +27,26 @@ store_argument = click.argument("store", type=FOLDER, callback=open_store)
 @store_argument
 @click.argument("run", required=False)
 @click.option("--jsonl", type=FILE, help="Write the predictions of RUN, a line each; 'score --jsonl' reads them.")
-def export(store: Store, run: str | None, jsonl: Path | None) -> None:
-    """Write what STORE holds in the forms of other tools."""
-    if jsonl is None:
-        raise click.UsageError("say what to write: --jsonl")
-    if run is None:
-        raise click.UsageError("--jsonl writes the predictions of a run: name the RUN")
+@click.option("--hf", type=FOLDER, help="Write the questions as DIR/public, for Hugging Face, and DIR/private.")
+@click.option("--creator", default=CREATOR, show_default=True, help="Of --hf: who publishes the questions.")
+@click.option("--url", default=HOME, show_default=True, help="Of --hf: where they will be published.")
+def export(store: Store, run: str | None, jsonl: Path | None, hf: Path | None, creator: str, url: str) -> None:
+    """Write what STORE holds in the forms of other tools.
+
+    --hf writes two folders: a public one with questions, opaque names of sequences, a card and Croissant metadata, and
+    a private one with answers and evidence. Pictures are in neither.
+    """
+    if jsonl is None and hf is None:
+        raise click.UsageError("say what to write: --hf, --jsonl")
+    if (run is None) is (jsonl is not None):
+        raise click.UsageError("--jsonl writes the predictions of a RUN, the others need none")
+    if hf is not None:
+        from jrdb_avr.engine.integrations.huggingface import export_folders
+
+        public, private = export_folders(store, hf, creator, url)
+        note(f"wrote {public}, to be published, and {private}, which is not")
+    if jsonl is None or run is None:
+        return
     from jrdb_avr.engine.report.prediction_lines import write_lines
     from jrdb_avr.engine.report.scoring import read_predictions
     from jrdb_avr.queries.store import write_bytes

@@ -15,6 +15,7 @@ from jrdb_avr.engine.run.opaque import opaque_names
 from jrdb_avr.engine.run.selection import QuestionSelection, select_questions
 from jrdb_avr.queries.questions import read_questions, read_sequences
 from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.card import is_of_sample
 from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.method import Question, Record, RecordWrite, Task
 
@@ -35,7 +36,7 @@ class Bench:
         names = opaque_names(store, found) if opaque else {name: name for name in found}
         self.sequences = {names[name]: replace(info, sequence=names[name]) for name, info in found.items()}
         self.questions = [replace(question, sequence=names[question.sequence]) for question in questions]
-        self.synthetic = any(map(is_of_sample, questions))
+        self.synthetic = any(is_of_sample(question.sequence) for question in questions)
         self._by_id = {question.question_id: question for question in self.questions}
         self.observer = Observer(
             image_root,
@@ -83,11 +84,6 @@ class Bench:
     def episode(self, question_id: str, *, budget: int = BUDGET, record: Record = lambda step: None) -> Episode:
         """Begin to play a question. Raises InputError for an unknown id."""
         return Episode(self.task(question_id, record), budget=budget)
-
-
-def is_of_sample(question: Question) -> bool:
-    """Whether a question is about the synthetic world, whose sequences all have names that begin so."""
-    return question.sequence.startswith("sample-")
 
 
 def find_images(store: Store, images: str | Path | None) -> str | None:

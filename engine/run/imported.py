@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Final
 
 from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE, parse_lines, read_regular
-from jrdb_avr.engine.run.bench import is_of_sample
 from jrdb_avr.engine.run.selection import QuestionSelection, matching
 from jrdb_avr.queries.questions import read_questions
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.card import is_of_sample
 from jrdb_avr.schema.errors import InputError, StoreError
 
 IMPORTED: Final = "imported"
@@ -22,7 +22,7 @@ IMPORTED: Final = "imported"
 def import_predictions(store: Store | str | Path, path: str | Path, run_id: str | None = None) -> str:
     """Take a file of prediction lines into a store as a run, and return its id: that of the file's name without one.
 
-    The run's questions are those that the file has lines of, in its order. Raises InputError for a file that cannot be
+    The run's questions are those that the file has lines of. Raises InputError for a file that cannot be
     read or names a question that the store lacks, StoreError where the run exists.
     """
     store, path = Store.of(store), Path(path)
@@ -42,7 +42,7 @@ def import_predictions(store: Store | str | Path, path: str | Path, run_id: str 
         model="",
         questions_sha256=questions_hash(store),
         question_ids=tuple(question.question_id for question in questions),
-        synthetic=any(map(is_of_sample, questions)),
+        synthetic=any(is_of_sample(question.sequence) for question in questions),
         settings={"from": path.name, "sha256": hashlib.sha256(data).hexdigest()},
         created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     )

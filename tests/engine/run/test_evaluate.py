@@ -26,10 +26,10 @@ from painted_world import SEQUENCE
 from jrdb_avr.engine.commands.evaluate import command
 from jrdb_avr.engine.run import answering
 from jrdb_avr.engine.run import journal as journals
-from jrdb_avr.engine.run.bench import is_of_sample
 from jrdb_avr.engine.run.evaluate import default_run_id
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice, Evidence, Number
+from jrdb_avr.schema.card import is_of_sample
 from jrdb_avr.schema.errors import AvrError, LockedError, RunStoppedError, StoreError
 from jrdb_avr.schema.method import Prediction, SequenceInfo, Step
 from jrdb_avr.schema.panorama import Box
@@ -108,8 +108,8 @@ def test_predictions_do_not_depend_on_concurrency(store):
 def test_the_sample_is_known_by_its_sequences():
     from jrdb_avr.loaders.synthetic.write import sequence_name
 
-    assert all(is_of_sample(question(0, 90, sequence_name(index))) for index in range(30))
-    assert not is_of_sample(question(0, 90, "gates-ai-lab-2019-02-08_0"))
+    assert all(is_of_sample(sequence_name(index)) for index in range(30))
+    assert not is_of_sample("gates-ai-lab-2019-02-08_0")
 
 
 def test_questions_by_id_by_file_and_by_number(store, tmp_path):

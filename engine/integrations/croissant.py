@@ -1,0 +1,119 @@
+"""Croissant 1.1 metadata of a published folder, with the responsible-AI extension."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import pyarrow as pa
+
+from jrdb_avr.queries.store import file_hash
+from jrdb_avr.schema.card import CITE, HOME, RAI, SAMPLE, SUMMARY, SYNTHETIC, TITLE, Source, sentence
+from jrdb_avr.schema.tables import ABOUT, CANARY, QUESTIONS, column
+
+KEYS: Final = {"questions": "question_id", "sequences": "sequence"}
+"""The published tables, and the column that tells their rows apart."""
+
+_CONTEXT: Final[dict[str, Any]] = {
+    "@language": "en",
+    "@vocab": "https://schema.org/",
+    "cr": "http://mlcommons.org/croissant/",
+    "rai": "http://mlcommons.org/croissant/RAI/",
+    "dct": "http://purl.org/dc/terms/",
+    "sc": "https://schema.org/",
+    "conformsTo": "dct:conformsTo",
+    "data": {"@id": "cr:data", "@type": "@json"},
+    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
+    "description": {"@container": "@language"},
+    "name": {"@container": "@language"},
+    "examples": {"@id": "cr:examples", "@type": "@json"},
+} | {
+    term: f"cr:{term}"
+    for term in (
+        *("arrayShape", "citeAs", "column", "containedIn", "equivalentProperty", "extract", "field", "fileObject"),
+        *("fileProperty", "fileSet", "format", "includes", "isArray", "isLiveDataset", "jsonPath", "key", "md5"),
+        *("parentField", "path", "recordSet", "references", "regex", "repeated", "replace", "samplingRate"),
+        *("separator", "source", "subField", "transform"),
+    )
+}
+
+_TYPES: Final = {pa.string(): "sc:Text", pa.int32(): "sc:Integer", pa.float64(): "sc:Float"}
+
+
+class Release(NamedTuple):
+    """What the publisher says of a question set: its version, the day, and who publishes it where."""
+
+    version: str
+    published: datetime.date
+    creator: str
+    url: str
+
+
+def croissant(folder: Path, files: Mapping[str, str], sources: Sequence[Source], release: Release) -> dict[str, Any]:
+    """The metadata of the tables in a folder; `files`: each table's path in it."""
+    return {
+        "@context": _CONTEXT,
+        "@type": "sc:Dataset",
+        "conformsTo": ["http://mlcommons.org/croissant/1.1", "http://mlcommons.org/croissant/RAI/1.0"],
+        "name": TITLE,
+        "description": " ".join([SUMMARY, *([SYNTHETIC] if SAMPLE in sources else []), CANARY]),
+        "version": release.version,
+        "datePublished": release.published.isoformat(),
+        "creator": {"@type": "sc:Organization", "name": release.creator},
+        "url": release.url,
+        "citeAs": CITE,
+        "inLanguage": "en",
+        "keywords": ["active vision", "visual question answering", "360-degree video", "people", "robot"],
+        "license": sorted({source.licence_url for source in sources}),
+        "isBasedOn": [
+            {"@type": "sc:CreativeWork", "name": source.name, "url": HOME, "license": source.licence_url}
+            for source in sources
+        ],
+        **{f"rai:{name}": text for name, text in RAI.items()},
+        "distribution": [_file(folder, table, path) for table, path in files.items()],
+        "recordSet": [_records(table) for table in files],
+    }
+
+
+def _file(folder: Path, table: str, path: str) -> dict[str, Any]:
+    return {
+        "@type": "cr:FileObject",
+        "@id": f"{table}-file",
+        "name": path,
+        "description": ABOUT[table],
+        "contentUrl": path,
+        "contentSize": f"{(folder / path).stat().st_size} B",
+        # Not the registered type of Parquet: mlcroissant accepts that and then cannot load the file.
+        "encodingFormat": "application/x-parquet",
+        "sha256": file_hash(folder / path),
+    }
+
+
+def _records(table: str) -> dict[str, Any]:
+    return {
+        "@type": "cr:RecordSet",
+        "@id": table,
+        "name": table,
+        "description": ABOUT[table],
+        "key": {"@id": f"{table}/{KEYS[table]}"},
+        "field": [_field(table, field) for field in QUESTIONS[table]],
+    }
+
+
+def _field(table: str, field: pa.Field) -> dict[str, Any]:
+    is_list = pa.types.is_list(field.type)
+    found = {
+        "@type": "cr:Field",
+        "@id": f"{table}/{field.name}",
+        "name": field.name,
+        "description": sentence(column(table, field.name)[1]),
+        "dataType": _TYPES[field.type.value_type if is_list else field.type],
+        "source": {"fileObject": {"@id": f"{table}-file"}, "extract": {"column": field.name}},
+    }
+    if is_list:
+        found |= {"isArray": True, "arrayShape": "-1"}
+    if (table, field.name) == ("questions", "sequence"):
+        found["references"] = {"field": {"@id": "sequences/sequence"}}
+    return found

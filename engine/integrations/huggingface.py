@@ -1,0 +1,171 @@
+"""A question set as two folders: a public one that Hugging Face's `datasets` loads, and a private one with the answers.
+
+    DIR/public/README.md                      the card; its configs name the files
+    DIR/public/croissant.json                 the same for machines
+    DIR/public/data/questions.parquet, sequences.parquet
+    DIR/private/README.md
+    DIR/private/data/answers.parquet, evidence.parquet, names.parquet
+
+They are two folders because every file of a published one can be fetched, whatever its configs name. Sequences have
+their opaque names in the public folder, and `names` says which they are. No picture is in either.
+"""
+
+from __future__ import annotations
+
+import datetime
+import shutil
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import pyarrow as pa
+import yaml
+
+from jrdb_avr import __version__
+from jrdb_avr.engine.integrations.croissant import Release, croissant
+from jrdb_avr.engine.run.opaque import opaque_names
+from jrdb_avr.queries.store import Store, write_atomic, write_bytes, write_table
+from jrdb_avr.schema import card
+from jrdb_avr.schema.errors import InputError
+from jrdb_avr.schema.tables import ABOUT, CANARY, GENERATION_KEY, QUESTIONS, column
+
+_COPIED: Final = ("answers", "evidence")
+_NAMES: Final = pa.schema([pa.field("sequence", pa.string(), False), pa.field("name", pa.string(), False)])
+_ABOUT_NAMES: Final = (
+    "The recording behind each sequence of the public folder.",
+    [("sequence", "Its opaque name."), ("name", "Its name in JRDB.")],
+)
+
+_SIZES: Final = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
+
+
+def export_folders(
+    store: Store | str | Path,
+    folder: str | Path,
+    creator: str = card.CREATOR,
+    url: str = card.HOME,
+    published: datetime.date | None = None,
+) -> tuple[Path, Path]:
+    """Write a store's questions as a public and a private folder; returns both. `published`: today without it.
+
+    Raises StoreError where the store has no questions, InputError where the folder holds something.
+    """
+    store, folder = Store.of(store), Path(folder)
+    questions, sequences, *_ = store.question_tables("questions", "sequences", *_COPIED)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder} is not empty: export to a new folder", file=str(folder))
+    public, private = folder / "public", folder / "private"
+    names = opaque_names(store, sequences["sequence"].to_pylist())
+    sources = _sources(store, names)
+    unclear = len(names.keys() & set(store.without_occlusion()))
+    generation = (questions.schema.metadata or {}).get(GENERATION_KEY.encode(), b"").decode()
+    metadata = {"canary": CANARY, GENERATION_KEY: generation}
+    day = published or datetime.datetime.now(datetime.UTC).date()
+    release = Release(f"{__version__}+{generation[:12]}", day, creator, url)
+
+    for name in _COPIED:
+        source = store.question_path(name)
+        write_atomic(private / _path(name), lambda path, source=source: shutil.copyfile(source, path))  # type: ignore[misc]
+    known = pa.table({"sequence": list(names.values()), "name": list(names)}, _NAMES)
+    write_table(private / _path("names"), known.sort_by("sequence"), _NAMES, metadata)
+    shared = {"title": card.TITLE, "release": release, "canary": CANARY, "n": len(questions)}
+    about = _columns(_COPIED) | {"names": _ABOUT_NAMES}
+    write_bytes(private / "README.md", _render("private_card.md", head=_front(_configs(about)), tables=about, **shared))
+
+    # Rows in the order of the ids and of the opaque names: that of the real names would tell which is which.
+    tables = {
+        "questions": _renamed(questions, names).sort_by("question_id"),
+        "sequences": _renamed(sequences, names).sort_by("sequence"),
+    }
+    for name, table in tables.items():
+        write_table(public / _path(name), table, QUESTIONS[name], metadata)
+    described = croissant(public, {name: _path(name) for name in tables}, sources, release)
+    write_bytes(public / "croissant.json", msgspec.json.format(msgspec.json.encode(described), indent=2) + b"\n")
+    text = _render(
+        "card.md",
+        head=_front(_head(len(questions), sources) | _configs(tables)),
+        synthetic=card.SYNTHETIC if card.SAMPLE in sources else "",
+        summary=card.SUMMARY,
+        sequences=len(sequences),
+        counts={title: _counts(questions[name]) for name, title in (("family", "family"), ("answer_mode", "answer"))},
+        tables=_columns(tables),
+        unclear=unclear,
+        sources=sources,
+        home=card.HOME,
+        rai=card.RAI,
+        cite=card.CITE,
+        **shared,
+    )
+    write_bytes(public / "README.md", text)
+    return public, private
+
+
+def _path(table: str) -> str:
+    return f"data/{table}.parquet"
+
+
+def _renamed(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
+    """The table with opaque names of sequences."""
+    own = pa.array([names[name] for name in table["sequence"].to_pylist()], pa.string())
+    return table.set_column(table.column_names.index("sequence"), table.schema.field("sequence"), own)
+
+
+def _sources(store: Store, sequences: Iterable[str]) -> list[card.Source]:
+    """The sources of the sequences' layers; the sample world is one of its own."""
+    known = store.manifest().sequences
+    real = [name for name in sequences if not card.is_of_sample(name)]
+    layers = {layer for name in real for layer in known[name].layers}
+    return card.sources_of(layers) + ([card.SAMPLE] if any(map(card.is_of_sample, sequences)) else [])
+
+
+# -- the cards --------------------------------------------------------------------------------------------------------
+
+
+def _head(n: int, sources: list[card.Source]) -> dict[str, Any]:
+    """The front matter of the public card, without its configs."""
+    return {
+        "pretty_name": card.TITLE,
+        "license": card.licence_of(sources),
+        "language": ["en"],
+        "task_categories": ["visual-question-answering"],
+        "tags": ["croissant", "active-vision", "robotics", *(["synthetic"] if card.SAMPLE in sources else [])],
+        "size_categories": [next((name for most, name in _SIZES if n < most), "n>1M")],
+    }
+
+
+def _configs(tables: Iterable[str]) -> dict[str, Any]:
+    """The part of the front matter from which `load_dataset` finds the files; the first table is the default."""
+    configs: list[dict[str, Any]] = [
+        {"config_name": name, "data_files": [{"split": "test", "path": _path(name)}]} for name in tables
+    ]
+    configs[0]["default"] = True
+    return {"configs": configs}
+
+
+def _front(head: Mapping[str, Any]) -> str:
+    text: str = yaml.safe_dump(dict(head), sort_keys=False, allow_unicode=True)
+    return text
+
+
+def _counts(column: pa.ChunkedArray) -> list[tuple[str, int]]:
+    return sorted(Counter(column.to_pylist()).items())
+
+
+def _columns(tables: Iterable[str]) -> dict[str, tuple[str, list[tuple[str, str]]]]:
+    """What each table holds, and a sentence per column."""
+    return {
+        table: (ABOUT[table], [(name, card.sentence(column(table, name)[1])) for name in QUESTIONS[table].names])
+        for table in tables
+    }
+
+
+def _render(name: str, **values: Any) -> bytes:
+    import jinja2
+
+    text = files(__package__).joinpath(name).read_text("utf-8")
+    # Markdown, nothing of which a browser runs as it stands.
+    template = jinja2.Environment(undefined=jinja2.StrictUndefined, trim_blocks=True, keep_trailing_newline=True)  # noqa: S701
+    return template.from_string(text).render(values).encode()

@@ -1,0 +1,138 @@
+"""Facts for the card of a published question set: sources, licences, citation, and what its users should know.
+
+The card in Markdown and the Croissant metadata both state them, so they stand here once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Final, NamedTuple
+
+HOME: Final = "https://jrdb.erc.monash.edu/"
+"""Where JRDB and its extensions are published."""
+
+CREATOR: Final = "The JRDB-AVR developers"
+
+TITLE: Final = "JRDB-AVR questions"
+
+SUMMARY: Final = (
+    "Questions about people in 360-degree video that a mobile robot recorded, to be answered by choosing where "
+    "and when to look. Each has one proven answer and a person whose box is the visual evidence; both stay with "
+    "whoever scores."
+)
+
+
+class Source(NamedTuple):
+    """Data that questions are made of: its name, the layers that come from it, its licence, and whom to cite.
+
+    licence: short identifier as Hugging Face and SPDX write it, and its address.
+    """
+
+    name: str
+    layers: tuple[str, ...]
+    licence: str
+    licence_url: str
+    citation: str
+
+
+_JRDB: Final = ("cc-by-nc-sa-3.0", "https://creativecommons.org/licenses/by-nc-sa/3.0/")
+
+SOURCES: Final = (
+    Source("JRDB", ("2d", "3d", "timestamps", "images"), *_JRDB, "Martín-Martín et al., JRDB, IEEE TPAMI"),
+    Source("JRDB-Act", ("actions", "groups"), *_JRDB, "Ehsanpour et al., JRDB-Act, CVPR 2022"),
+    Source(
+        "JRDB-Social",
+        ("demographics", "interactions", "group_info"),
+        *_JRDB,
+        "Jahangard et al., JRDB-Social, CVPR 2024",
+    ),
+    Source("JRDB-Pose", ("pose",), *_JRDB, "Vendrow et al., JRDB-Pose, CVPR 2023"),
+    Source("JRDB-PanoTrack", ("panoptic",), *_JRDB, "Le et al., JRDB-PanoTrack, CVPR 2024"),
+    Source("JRDB-Reasoning", ("handles",), *_JRDB, "Jahangard et al., JRDB-Reasoning"),
+)
+"""JRDB and its extensions. Their site states the licence and the further terms, which go before what stands here."""
+
+SAMPLE: Final = Source(
+    "the synthetic sample world of jrdb-avr",
+    (),
+    "apache-2.0",
+    "https://www.apache.org/licenses/LICENSE-2.0",
+    "none: it shows nobody, and results on it say nothing about JRDB",
+)
+
+SYNTHETIC: Final = "Synthetic: questions of the sample world. Results on it say nothing about JRDB."
+
+CITE: Final = """\
+@misc{jrdb-avr,
+  title = {JRDB-AVR},
+  author = {The authors of the JRDB-AVR paper}
+}
+@article{jrdb,
+  title = {JRDB: A Dataset and Benchmark of Egocentric Robot Visual Perception of Humans in Built Environments},
+  author = {Martín-Martín, Roberto and Patel, Mihir and Rezatofighi, Hamid and Shenoi, Abhijeet and Gwak, JunYoung and
+            Frankel, Eric and Sadeghian, Amir and Savarese, Silvio},
+  journal = {IEEE Transactions on Pattern Analysis and Machine Intelligence}
+}"""
+RAI: Final[dict[str, str]] = {
+    "dataCollection": (
+        "A robot with a ring of cameras drove and stood among people on a university campus, indoors and "
+        "outdoors. The questions were made by a program from the annotations of that video; no person wrote or "
+        "answered one."
+    ),
+    "dataCollectionRawData": ("The panoramas are JRDB's and are not part of this data: obtain them from JRDB."),
+    "dataAnnotationProtocol": (
+        "Annotators of JRDB and its extensions drew boxes and named actions, groups and attributes. A fact that "
+        "they found hard, or left open, is unknown here: no question rests on it."
+    ),
+    "dataPreprocessingProtocol": (
+        "A program searches the annotations for facts that single out one person, states them in words, and keeps"
+        " a question only if its answer is proven unique and changes when a stated time or relation is dropped. A"
+        " second program derives every answer again."
+    ),
+    "dataLimitations": (
+        "The answers are as good as the annotations. Wording comes from templates. Without occlusion attributes a"
+        " box counts as a clear view, so that somebody may be hidden. Questions can be guessed better than by "
+        "chance; publish the score of a guesser beside results."
+    ),
+    "dataBiases": (
+        "One campus and one robot: places, clothes and habits of few people. Gender and age are what annotators saw, "
+        "not what people said of themselves; ethnicity is left out unless the publisher's rules take it in."
+    ),
+    "personalSensitiveInformation": (
+        "Questions describe people by visible gender, age, pose and actions. They name nobody. Do not use them to"
+        " identify a person."
+    ),
+    "dataUseCases": (
+        "Measuring how models look for visual evidence and answer from it. Not for training, not for "
+        "surveillance, and not for the identification of people."
+    ),
+    "dataSocialImpact": (
+        "Systems that find and follow people by description can help robots to behave among people, and can be "
+        "misused to watch them."
+    ),
+    "dataReleaseMaintenancePlan": (
+        "Each generation of questions has a version of its own; scores of different versions do not compare."
+    ),
+}
+"""Responsible-AI fields by their Croissant name."""
+
+
+def sources_of(layers: Collection[str]) -> list[Source]:
+    """The sources that these layers come from."""
+    return [source for source in SOURCES if set(source.layers) & set(layers)]
+
+
+def licence_of(sources: Collection[Source]) -> str:
+    """The identifier of the one licence of all sources, "other" where they have several."""
+    found = {source.licence for source in sources}
+    return found.pop() if len(found) == 1 else "other"
+
+
+def sentence(text: str) -> str:
+    """A note on a column as a sentence."""
+    return text[:1].upper() + text[1:] + "."
+
+
+def is_of_sample(sequence: str) -> bool:
+    """Whether a sequence is of the synthetic sample world, whose names all begin so."""
+    return sequence.startswith("sample-")
