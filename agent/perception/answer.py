@@ -12,10 +12,10 @@ from typing import Final, NamedTuple
 
 from jrdb_avr.agent.perception.association import expected_place
 from jrdb_avr.agent.perception.geometry import around, covered
-from jrdb_avr.agent.perception.moments import Bracket, absence, brackets, change
+from jrdb_avr.agent.perception.moments import Bracket, absence, brackets, change, postures
 from jrdb_avr.agent.perception.readings import is_value
 from jrdb_avr.agent.perception.support import RankedHypothesis, best_of_each, slot_supports
-from jrdb_avr.agent.perception.votes import SETTLING, UNIT, FusedBox, SlotState, Tally, Tracks, settled
+from jrdb_avr.agent.perception.votes import SETTLING, UNIT, FusedBox, SlotState, Tracks, settled
 from jrdb_avr.queries.compiler.beliefs import DISTANCE_CUT_M
 from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, FrameViewpoint, Number, Span, uninformed_answer
 from jrdb_avr.schema.beliefs import free_value
@@ -153,16 +153,13 @@ class _Reader:
         """The first other posture that is one of the choices."""
         bracket = self._bracket(0)
         after = self._stated(0) if bracket is None else bracket.low
-        held = next((one.value for one in self.tracks.values(self.who, "pose", self._began(0))), "")
-        for at in sorted({one.frame for one in self.tracks.people[self.who] if one.frame > after}):
-            tallies = self.tracks.values(self.who, "pose", at)
-            found = next((one for one in tallies if one.value != held and self._counts(one)), None)
-            if found is not None:
-                return ReadAnswer(self._choice(found.value), at, "certain" if settled(tallies) else "supported")
+        course = postures(self.tracks, self.who, self._began(0))
+        held = next(iter(course.values()), "")
+        for at, posture in course.items():
+            if at > after and posture != held and (choice := self._choice(posture)) is not None:
+                state = settled(self.tracks.values(self.who, "pose", at))
+                return ReadAnswer(choice, at, "certain" if state else "supported")
         return ReadAnswer(None, after, "open")
-
-    def _counts(self, tally: Tally) -> bool:
-        return tally.weight > 0 and self._choice(tally.value) is not None
 
     def _presence(self) -> ReadAnswer:
         times = [self._stated(0), self._stated(1)]
@@ -211,8 +208,10 @@ class _Reader:
             case "span":
                 answer = Span(first, max(first, last))
             case _:
-                known = all(one is not None and one.high is not None for one in found)
-                answer = Number(max((moments[-1] - moments[0]) / FPS, 1.0) if known else _LIKELY_S)
+                seen = [one is not None and one.high is not None for one in found]
+                passed = (moments[-1] - moments[0]) / FPS
+                least = _LIKELY_S if not seen[-1] else 1.0
+                answer = Number(max(passed, least) if seen[0] else _LIKELY_S)
         return ReadAnswer(answer, shown, state)
 
     def _moment(self, place: int, bracket: Bracket | None) -> float:

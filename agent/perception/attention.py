@@ -15,9 +15,10 @@ from typing import Final, Literal, NamedTuple
 from jrdb_avr.agent.perception.association import expected_place
 from jrdb_avr.agent.perception.geometry import CIRCLE, DERIVED, EDGE_DEG, Arc, around, covered, deciding_arc, gaps
 from jrdb_avr.agent.perception.moments import Bracket, brackets, presence
-from jrdb_avr.agent.perception.readings import USUAL
+from jrdb_avr.agent.perception.readings import USUAL, PersonReading
 from jrdb_avr.agent.perception.support import RankedHypothesis, best_of_each, frames_of, parts_of, slot_supports
-from jrdb_avr.agent.perception.votes import UNIT, Tracks, settled
+from jrdb_avr.agent.perception.votes import SETTLING, UNIT, Tracks, settled
+from jrdb_avr.queries.compiler.beliefs import DISTANCE_CUT_M
 from jrdb_avr.schema.labels import ROBOT_SECTORS
 from jrdb_avr.schema.panorama import CROP, FOV_DEG, WIDTH, angle_error, clockwise
 from jrdb_avr.schema.plan import Plan, Read
@@ -280,7 +281,8 @@ class _Attention:
         if readings:
             topic = {"action": "pose", "attribute": self.plan.answer.attribute}.get(self.plan.answer.read)
             told = topic is not None and settled(self.tracks.values(who, topic, frame))
-            if not told and len(readings) < (MOST_READINGS if topic else 2):
+            most = MOST_READINGS if topic or self._unlike(readings) else SETTLING
+            if not told and len(readings) < most:
                 yield NextLook(frame, self._angle(who, frame), "verify", _ANSWER_BITS * _learned(USUAL))
             return
         if (found := self._search(who, frame, _ANSWER_BITS, "follow")) is not None:
@@ -292,6 +294,11 @@ class _Attention:
                 found = self._search(who, at, _ANSWER_BITS / 2, "absence")
                 if found is not None:
                     yield found
+
+    def _unlike(self, readings: Sequence[PersonReading]) -> bool:
+        """Whether distances that were read for one answer are too far apart for both to be right."""
+        read = [one.metres for one in readings if one.metres is not None]
+        return self.plan.answer.read == "distance_change" and bool(read) and max(read) - min(read) >= DISTANCE_CUT_M / 2
 
     def _beside_known(self, who: str, frame: int) -> bool:
         near = [at for at in self.tracks.looks if 0 < abs(at - frame) <= KEYFRAME_STEP]

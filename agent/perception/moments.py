@@ -11,10 +11,13 @@ from typing import Final, NamedTuple
 
 from jrdb_avr.agent.perception.association import expected_place
 from jrdb_avr.agent.perception.geometry import around, covered
-from jrdb_avr.agent.perception.votes import SlotState, Tracks
+from jrdb_avr.agent.perception.votes import UNIT, SlotState, Tracks
 from jrdb_avr.queries.compiler.beliefs import RESOLVED_FRAMES
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import KEYFRAME_STEP
+
+CHANGE: Final = 0.75 * UNIT
+"""Log-odds against a change between two frames: a reading that two others belie is none, the last one may be."""
 
 ABSENT_REACH: Final = 60.0
 """Degrees to either side of the expected angle that looks must show before somebody counts as absent."""
@@ -68,9 +71,40 @@ def presence(tracks: Tracks, who: str, frame: int) -> bool | None:
 
 def performs_at(tracks: Tracks, who: str, action: str, frame: int) -> bool | None:
     """Whether the readings at exactly this frame say that somebody performs an action; None where they do not tell."""
-    here = Tracks({who: tuple(tracks.at(who, frame))}, {})
-    odds = here.statement(who, "action", action, frame).log_odds
+    odds = _here(tracks, who, frame).statement(who, "action", action, frame).log_odds
     return None if odds == 0 else odds > 0
+
+
+def _here(tracks: Tracks, who: str, frame: int) -> Tracks:
+    """Nothing but the readings of somebody at exactly this frame."""
+    return Tracks({who: tuple(tracks.at(who, frame))}, {})
+
+
+def _frames(tracks: Tracks, who: str, after: int) -> list[int]:
+    return sorted({one.frame for one in tracks.people.get(who, ()) if one.frame >= after})
+
+
+def postures(tracks: Tracks, who: str, after: int) -> dict[int, str]:
+    """The posture of somebody at each frame read from one on, ascending: a single reading amid others is no change."""
+    read = {at: tracks.values(who, "pose", at) for at in _frames(tracks, who, after)}
+    return likeliest_course({at: {one.value: one.weight for one in tallies} for at, tallies in read.items() if tallies})
+
+
+def likeliest_course(votes: Mapping[int, Mapping[str, float]]) -> dict[int, str]:
+    """The value at each frame (ascending) that all votes bear out best if each change costs `CHANGE`; empty without votes."""
+    values = dict.fromkeys(value for told in votes.values() for value in told)
+    if not values:
+        return {}
+    best: dict[str, tuple[float, tuple[str, ...]]] = dict.fromkeys(values, (0.0, ()))
+    for told in votes.values():
+        change = max(best.values(), key=lambda one: one[0])
+        grown = {}
+        for value, own in best.items():
+            odds, course = own if own[0] >= change[0] - CHANGE else (change[0] - CHANGE, change[1])
+            grown[value] = odds + told.get(value, 0.0), (*course, value)
+        best = grown
+    course = max(best.values(), key=lambda one: one[0])[1]
+    return dict(zip(votes, course, strict=True))
 
 
 def change(states: Mapping[int, bool], after: int, wanted: bool) -> Bracket:
@@ -108,7 +142,19 @@ def _state_of(plan: Plan, tracks: Tracks, who: str, name: str, before: int) -> C
     time = plan.times[name]
     if time.event in ("leaves", "returns"):
         return lambda frame: presence(tracks, who, frame)
-    # The end without an action is that of the pose held before.
-    held = tracks.values(who, "pose", before)
-    action = time.action or (held[0].value if held else "")
-    return lambda frame: performs_at(tracks, who, action, frame)
+    if time.event == "start":
+        return lambda frame: performs_at(tracks, who, time.action or "", frame)
+    # Somebody is seldom taken to do what they do not, and often not to do what they do: one such reading ends nothing.
+    # The end without an action is that of the posture held before.
+    held = _spells(tracks, who, before, time.action)
+    return lambda frame: held[frame] == held[min(held)] if frame in held else None
+
+
+def _spells(tracks: Tracks, who: str, after: int, action: str | None) -> dict[int, str]:
+    """What somebody does at each frame read from one on: the action, as yes or no, or the posture where it is None."""
+    if action is None:
+        return postures(tracks, who, after)
+    odds = {
+        at: _here(tracks, who, at).statement(who, "action", action, at).log_odds for at in _frames(tracks, who, after)
+    }
+    return likeliest_course({at: {"yes": max(told, 0.0), "no": max(-told, 0.0)} for at, told in odds.items()})
