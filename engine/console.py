@@ -1,29 +1,39 @@
-"""Output of the commands: rows as a table or JSON, lines for people, and progress bars.
+"""Output of the commands: rows as a table, JSON or CSV, lines for people, and progress bars.
 
-Rows go to stdout, everything else to stderr. `--json` prints exactly one JSON array of row objects. Text from data
-files or models is stripped of control characters before it reaches a terminal.
+Rows go to stdout, everything else to stderr. `--json` prints exactly one JSON array of row objects, `--csv` the same
+rows under one heading. Text from data files or models is stripped of control characters before it reaches a terminal.
 """
 
 from __future__ import annotations
 
-import re
+import csv
+import io
+import os
+import shutil
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import click
 import msgspec
 
+from jrdb_avr.engine import text_table
+from jrdb_avr.engine.text_table import clean
 from jrdb_avr.schema.errors import AvrWarning
 
-_CONTROL: Final = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+_FORMULA: Final = ("=", "+", "-", "@", "\t")
+"""First characters of a formula in a spreadsheet; a carriage return is removed."""
 
+_WIDTH: Final = 100
+"""Characters in a line of output that is no terminal's."""
 
-def clean(value: object) -> str:
-    """The value as text that cannot move a terminal's cursor or change its colours."""
-    return _CONTROL.sub("", "" if value is None else str(value))
+_ROWS: Final = 100
+"""Rows of a table that are printed on a terminal."""
+
+RowFormat = Literal["", "json", "csv"]
+"""How a command prints its rows: tables for people, one JSON array, or CSV."""
 
 
 def print_json(rows: Iterable[Any]) -> None:
@@ -32,39 +42,65 @@ def print_json(rows: Iterable[Any]) -> None:
     click.echo(msgspec.json.Encoder(enc_hook=str, decimal_format="number").encode(list(rows)))
 
 
-def print_rows(
-    rows: Sequence[Mapping[str, Any]],
-    title: str = "",
-    columns: Sequence[str] = (),
-    width: int = 200,
-    as_json: bool = False,
-) -> None:
-    """Print rows as JSON, or as a table for people whose `columns` are printed also when there is no row.
+def csv_text(rows: Iterable[Mapping[str, Any]], columns: Sequence[str] = ()) -> str:
+    """CSV with a heading; an unknown value is empty, a list or node is JSON.
 
-    `width`: of the table at most, where the output is no terminal.
+    A text that a spreadsheet would take for a formula begins with an apostrophe: names of models are theirs to choose.
     """
-    if as_json:
+    rows = list(rows)
+    names = columns or list(dict.fromkeys(name for row in rows for name in row))
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    for line in (names, *([row.get(name) for name in names] for row in rows)):
+        writer.writerow(map(_in_csv, line))
+    return out.getvalue()
+
+
+def _in_csv(value: object) -> object:
+    if isinstance(value, list | dict):
+        return msgspec.json.encode(value, enc_hook=str).decode()
+    if not isinstance(value, str):
+        return value
+    text = clean(value)
+    return f"'{text}" if text.lstrip(" \n").startswith(_FORMULA) else text
+
+
+def print_data(rows: Iterable[Mapping[str, Any]], form: RowFormat, columns: Sequence[str] = ()) -> None:
+    """Print rows for programs, as JSON or CSV."""
+    if form == "csv":
+        click.echo(csv_text(rows, columns), nl=False)
+    else:
         print_json(rows)
+
+
+def print_rows(
+    rows: Sequence[Mapping[str, Any]], title: str = "", columns: Sequence[str] = (), form: RowFormat = ""
+) -> None:
+    """Print rows as a table for people, in another form where one is given; `columns` also where there is no row.
+
+    A table fits the terminal, or `COLUMNS`, or 100 characters; on a terminal the rows after the 100th are counted.
+    """
+    if form:
+        print_data(rows, form, columns)
         return
     from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
 
-    names = list(rows[0]) if rows else list(columns)
-    table = Table(title=title or None, title_justify="left")
-    for name in names:
-        values = [row[name] for row in rows if row[name] is not None]
-        numeric = bool(values) and all(isinstance(value, int | float) for value in values)
-        table.add_column(Text(clean(name)), justify="right" if numeric else "left", overflow="fold")
-    for row in rows:
-        table.add_row(*(Text(_cell(row[name])) for name in names))
-    Console(width=None if sys.stdout.isatty() else width, highlight=False).print(table)
+    terminal = sys.stdout.isatty()
+    width = shutil.get_terminal_size().columns if terminal else _columns()
+    printed = rows[:_ROWS] if terminal else rows
+    if title:
+        click.echo(clean(title))
+    for table in text_table.tables(printed, columns, width):
+        # The console would split what is wider than itself.
+        wide = sum((column.width or 0) + 3 for column in table.columns) + 1
+        Console(width=max(width, wide), highlight=False).print(table)
+    if len(printed) < len(rows):
+        click.echo(f"... {len(rows) - len(printed):,} more: --csv or --json prints all")
 
 
-def _cell(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.0f}" if 1e6 <= abs(value) < 1e15 else f"{value:.6g}"
-    return clean(value)
+def _columns() -> int:
+    text = os.environ.get("COLUMNS", "")
+    return int(text) if text.isdecimal() and 20 <= int(text) <= 10_000 else _WIDTH
 
 
 def note(message: object) -> None:

@@ -116,7 +116,7 @@ def recorded_model(noise: tuple[str, ...]):
 
 
 def figures(store: Path) -> str:
-    """Hash of the numbers, not the labels, of every report table but for times on the clock."""
+    """Hash of the numbers, not the labels nor the order of rows, of every report table but for times on the clock."""
 
     def numbers(value):
         if isinstance(value, dict):
@@ -128,7 +128,7 @@ def figures(store: Path) -> str:
         return [value] if value is None or isinstance(value, (int, float)) else []
 
     printed = json.loads(jrdb_avr("report", "--store", store, "--table", "all", "--json"))
-    return sha256(json.dumps([numbers(row) for row in printed]).encode())
+    return sha256("\n".join(sorted(json.dumps(numbers(row)) for row in printed)).encode())
 
 
 def benchmark(seed: int, folder: Path) -> Path:

@@ -12,7 +12,7 @@ PACKAGES = ("schema", "queries", "loaders", "agent", "engine")
 
 # Each room, and the rooms that it may import; its own modules are always allowed.
 ENGINE_LEAVES = {"schema", "queries"}
-STAGES = ENGINE_LEAVES | {"loaders", "engine.console", "engine.observe", "engine.rederive"}
+STAGES = ENGINE_LEAVES | {"loaders", "engine.text_table", "engine.console", "engine.observe", "engine.rederive"}
 PAGES = STAGES | {"engine.generate", "engine.report"}
 AGENT = {"schema", "queries"}
 MAY_IMPORT = {
@@ -27,7 +27,8 @@ MAY_IMPORT = {
     "agent.reference": AGENT | {"agent.model", "agent.perception", "agent.beliefs", "agent.methods"},
     "agent.simulated": AGENT | {"agent.model", "agent.policy"},
     "agent.preflight": AGENT | {"agent.model", "agent.methods", "agent.reference"},
-    "engine.console": {"schema"},
+    "engine.text_table": set(),
+    "engine.console": {"schema", "engine.text_table"},
     "engine.cli": {"schema", "engine.console"},
     "engine.rederive": {"schema", "queries.store"},
     "engine.observe": ENGINE_LEAVES,

@@ -91,7 +91,7 @@ def postures(tracks: Tracks, who: str, after: int) -> dict[int, str]:
 
 
 def likeliest_course(votes: Mapping[int, Mapping[str, float]]) -> dict[int, str]:
-    """The value at each frame (ascending) that all votes bear out best if each change costs `CHANGE`; empty without votes."""
+    """The value at each frame (ascending) that votes bear out best, each change costing `CHANGE`; empty without any."""
     values = dict.fromkeys(value for told in votes.values() for value in told)
     if not values:
         return {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -9,6 +10,8 @@ from typing import Any, Final, TypeVar
 import click
 
 _C = TypeVar("_C", bound=Callable[..., Any])
+
+STORE_VARIABLE: Final = "JRDB_AVR_STORE"
 
 FILE: Final = click.Path(dir_okay=False, path_type=Path)
 FOLDER: Final = click.Path(file_okay=False, path_type=Path)
@@ -22,11 +25,30 @@ def open_store(ctx: click.Context, parameter: click.Parameter, path: Path | None
 
 
 def store_option(required: bool = True) -> Callable[[_C], _C]:
-    """Add the option `--store` as a Store."""
-    return click.option("--store", required=required, type=FOLDER, callback=open_store, help="Folder of the store.")
+    """Add the option `--store` as a Store; the environment variable `JRDB_AVR_STORE` stands in for it."""
+    return click.option(
+        "--store",
+        "-s",
+        required=required,
+        type=FOLDER,
+        envvar=STORE_VARIABLE,
+        callback=open_store,
+        help=f"Folder of the store; without it the one that {STORE_VARIABLE} names.",
+    )
 
 
-json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON array of objects.")
+def form_option(function: _C) -> Callable[..., Any]:
+    """Add the options `--json` and `--csv`; the command gets `form`, "json", "csv" or "" for tables."""
+
+    @functools.wraps(function)
+    def command(*, as_json: bool, as_csv: bool, **values: Any) -> Any:
+        if as_json and as_csv:
+            raise click.UsageError("choose one of --json and --csv")
+        return function(**values, form="json" if as_json else "csv" if as_csv else "")
+
+    as_csv = click.option("--csv", "as_csv", is_flag=True, help="Print CSV.")
+    return click.option("--json", "as_json", is_flag=True, help="Print one JSON array of objects.")(as_csv(command))
+
 
 workers_option = click.option("--workers", type=click.IntRange(1, 256), default=2, show_default=True, help="Processes.")
 

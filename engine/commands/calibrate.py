@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from jrdb_avr.engine.commands._endpoint import endpoint_options
-from jrdb_avr.engine.commands._options import json_option, store_option
-from jrdb_avr.engine.console import note, print_rows, progress_bar
+from jrdb_avr.engine.commands._options import form_option, store_option
+from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 )
 @store_option()
 @endpoint_options()
-@json_option
-def command(store: Store, model: str, base_url: str | None, options: Any, as_json: bool) -> None:
+@form_option
+def command(store: Store, model: str, base_url: str | None, options: Any, form: RowFormat) -> None:
     """Find out in which order and scale a model writes boxes, from 50 drawn rectangles that belong to no question.
 
     What is found is stored, and taken by every later run of the model with the same response format and thinking. Exit
@@ -48,7 +48,7 @@ def command(store: Store, model: str, base_url: str | None, options: Any, as_jso
     rows = [msgspec.structs.asdict(score) for score in found.scores]
     title = f"Readings of {found.readable} boxes by {model} (overlap with {found.asked} drawn rectangles)"
     columns = ("key", "order", "scale", "n", "median_iou", "share", "chosen")
-    print_rows(rows, title=title, columns=columns, as_json=as_json)
+    print_rows(rows, title=title, columns=columns, form=form)
     if found.reason:
         note(f"jrdb-avr: nothing is stored: {found.reason}")
         sys.exit(1)

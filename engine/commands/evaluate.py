@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from jrdb_avr.engine.commands._endpoint import endpoint_options
-from jrdb_avr.engine.commands._options import FILE, json_option, store_option
-from jrdb_avr.engine.console import note, print_rows, progress_bar
+from jrdb_avr.engine.commands._options import FILE, form_option, store_option
+from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 from jrdb_avr.engine.run.methods import METHODS, POLICIES
 from jrdb_avr.schema.errors import InputError
 
@@ -103,9 +103,9 @@ panoramas:
     default=None,
     help="Scores so far, from a process of their own; beside the bar on a terminal, as lines elsewhere.",
 )
-@json_option
+@form_option
 def command(
-    store: Store, picked: str | None, noise: tuple[str, ...], scores: bool | None, as_json: bool, **options: Any
+    store: Store, picked: str | None, noise: tuple[str, ...], scores: bool | None, form: RowFormat, **options: Any
 ) -> None:
     """Ask a model the questions of a store, and keep every step.
 
@@ -149,13 +149,13 @@ def command(
         run = evaluate(store, questions=questions, marker=marker, progress=progress, live_scores=live_scores, **options)
     row = run.row()
     title = "Run (synthetic: the simulated model)" if simulated is not None else "Run"
-    print_rows([row], title=title, as_json=as_json)
+    print_rows([row], title=title, form=form)
     if row["error"]:
         reason, times = run.commonest_error()
         ended = f"{row['error']} of {row['n']} questions ended in an error, {times} of them so: {reason[:300]}"
         note(f"{ended}; run the same command with --resume to ask them again")
         sys.exit(1)
-    if not as_json:
+    if not form:
         note(f"next: jrdb-avr score --store {store.path} {run.run_id} && jrdb-avr report --store {store.path}")
 
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from jrdb_avr.engine.commands._options import FILE, json_option, pairs_option, store_option, workers_option
-from jrdb_avr.engine.console import note, print_json, print_rows, progress_bar
+from jrdb_avr.engine.commands._options import FILE, form_option, pairs_option, store_option, workers_option
+from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar
 
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
@@ -43,9 +43,9 @@ _blind_option = click.option(
 @click.option("--exclude-rejected", is_flag=True, help="Leave out what a reviewer rejected (see inspect --import).")
 @pairs_option("--rule", "overrides", "Override a rule; may be repeated.")
 @_blind_option
-@json_option
+@form_option
 def generate(
-    store: Store, exclude_rejected: bool, overrides: list[tuple[str, str]], blind: str, as_json: bool, **options: Any
+    store: Store, exclude_rejected: bool, overrides: list[tuple[str, str]], blind: str, form: RowFormat, **options: Any
 ) -> None:
     """Search every sequence of STORE for questions, keep those whose proofs hold, and write them to STORE/questions.
 
@@ -62,8 +62,8 @@ def generate(
     excluded = rejected(store) if exclude_rejected else frozenset()
     with progress_bar() as progress:
         made = run.generate(store, rules, excluded=excluded, learned=blind == "learned", progress=progress, **options)
-    if as_json:
-        print_json(made.rows())
+    if form:
+        print_data(made.rows(), form)
     else:
         # A column per template: there are more rules than fit on a line.
         names = [name for name in made.templates[0] if name not in ("family", "template")]
@@ -84,18 +84,18 @@ def generate(
 @store_option()
 @click.option("--picture", type=FILE, help="Also draw the distributions into this SVG file.")
 @_blind_option
-@json_option
+@form_option
 @click.option(
     "--latex", "as_latex", is_flag=True, help="Print the paper's table of generators, for the package booktabs."
 )
-def stats(store: Store, picture: Path | None, blind: str, as_json: bool, as_latex: bool) -> None:
+def stats(store: Store, picture: Path | None, blind: str, form: RowFormat, as_latex: bool) -> None:
     """Count the questions of STORE by family, template, sequence, answer; score guessers that see no image.
 
     Says for each template what became of its candidates and, where there are few questions, why. With --json each row
     object names its table under "table".
     """
-    if as_json and as_latex:
-        raise click.UsageError("choose one of --json and --latex")
+    if form and as_latex:
+        raise click.UsageError(f"choose one of --{form} and --latex")
 
     from jrdb_avr.engine.generate.diagnostics import REFUSALS
     from jrdb_avr.engine.generate.learned import learned_guesser
@@ -109,8 +109,8 @@ def stats(store: Store, picture: Path | None, blind: str, as_json: bool, as_late
 
         write_page(picture, stats_svg(tables))
         note(f"picture: {picture}")
-    if as_json:
-        print_json({"table": name, **row} for name, rows in tables.items() for row in rows)
+    if form:
+        print_data(({"table": name, **row} for name, rows in tables.items() for row in rows), form)
         return
     if as_latex:
         click.echo(latex(generator_rows(tables)), nl=False)
@@ -139,7 +139,9 @@ def _print_table(rows: Sequence[Mapping[str, Any]], title: str) -> None:
     rounded = [
         {name: round(cell, 3) if isinstance(cell, float) else cell for name, cell in row.items()} for row in rows
     ]
-    print_rows([{name: row[name] for name in row if name not in _REASONS} for row in rounded], title=title)
+    empty = {name for name in rounded[0] if all(row[name] is None for row in rounded)} if rounded else set()
+    left_out = {*_REASONS, *empty}
+    print_rows([{name: row[name] for name in row if name not in left_out} for row in rounded], title=title)
     _print_reasons(rows)
 
 

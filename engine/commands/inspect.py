@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jrdb_avr.engine.commands._options import FILE, json_option, page_option, store_option
-from jrdb_avr.engine.console import note, print_json, print_rows, progress_bar
+from jrdb_avr.engine.commands._options import FILE, form_option, page_option, store_option
+from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar
 
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 @page_option("inspect.html")
 @click.option("--import", "decisions", type=FILE, help="Store a page's decisions.")
 @click.option("--reviewer", help="Who decided; with --import.")
-@json_option
+@form_option
 def command(
-    questions: tuple[str, ...], store: Store, sample: int | None, seed: int, out: Path, as_json: bool, **review: Any
+    questions: tuple[str, ...], store: Store, sample: int | None, seed: int, out: Path, form: RowFormat, **review: Any
 ) -> None:
     """Write a page that shows questions with their answers, plans, proofs and views, or store what was decided on it.
 
@@ -40,7 +40,7 @@ def command(
     if decisions is not None:
         if questions or sample is not None:
             raise click.UsageError("--import takes no QUESTION and no --sample")
-        _import(store, decisions, reviewer.strip(), as_json)
+        _import(store, decisions, reviewer.strip(), form)
         return
     if bool(questions) == (sample is not None):
         raise click.UsageError("give QUESTION ids or --sample N")
@@ -56,12 +56,12 @@ def command(
     with progress_bar() as progress:
         advance = step_counter(progress, "inspect", len(found))
         write_page(out, inspect_page(found, Observer.of(store), questions_hash(store), advance))
-    if as_json:
-        print_json([{"question_id": name} for name in chosen])
+    if form:
+        print_data([{"question_id": name} for name in chosen], form)
     note(f"wrote {out}: {len(found)} questions")
 
 
-def _import(store: Store, decisions: Path, reviewer: str, as_json: bool) -> None:
+def _import(store: Store, decisions: Path, reviewer: str, form: RowFormat) -> None:
     from jrdb_avr.engine.validate.reviews import agreements, import_decisions, read_decisions
 
     if not 1 <= len(reviewer) <= 80 or not reviewer.isprintable():
@@ -69,8 +69,8 @@ def _import(store: Store, decisions: Path, reviewer: str, as_json: bool) -> None
     read = read_decisions(decisions, store)
     reviews = import_decisions(store, reviewer, read.decisions)
     rows = agreements(store)
-    if as_json:
-        print_json(rows)
+    if form:
+        print_data(rows, form)
     elif rows:
         print_rows([{**row, "kappa": None if row["kappa"] is None else round(row["kappa"], 3)} for row in rows])
     note(f"{len(read.decisions)} decisions of {reviewer} stored; {reviews.num_rows} reviews in all")

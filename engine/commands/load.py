@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from jrdb_avr.engine.commands._options import json_option, pairs_option, store_option, workers_option
-from jrdb_avr.engine.console import clean, note, print_json, print_rows, progress_bar
+from jrdb_avr.engine.commands._options import form_option, pairs_option, store_option, workers_option
+from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar
+from jrdb_avr.engine.text_table import clean
 from jrdb_avr.schema.rules import LoadRules, Rules, override
 
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
-WIDTH: Final = 120
-"""Columns of the report where it goes to a file."""
 MAX_ROWS: Final = 50
 """Printed rows of a table whose length depends on the files."""
 
@@ -36,8 +35,8 @@ MAX_ROWS: Final = 50
 @click.option("--strict", is_flag=True, help="Exit with 1 if anything was refused or skipped.")
 @pairs_option("--rule", "overrides", "Override a load rule; may be repeated.")
 @workers_option
-@json_option
-def command(root: Path | None, store: Store, strict: bool, workers: int, as_json: bool, **options: Any) -> None:
+@form_option
+def command(root: Path | None, store: Store, strict: bool, workers: int, form: RowFormat, **options: Any) -> None:
     """Load the JRDB root ROOT: stitched 2D boxes with actions and groups, 3D boxes, social and reasoning labels, poses,
     panoptic things, timestamps, calibration, panoramas.
 
@@ -50,15 +49,15 @@ def command(root: Path | None, store: Store, strict: bool, workers: int, as_json
     if (root is not None) + options["rebuild"] + options["verify"] != 1:
         raise click.UsageError("give one of ROOT, --rebuild and --verify")
     if options["verify"]:
-        _verify(store, as_json)
+        _verify(store, form)
         return
     if root is None:
         loading.resume(store)
         rules = _rules(options["overrides"], store.manifest().load_rules)
         with progress_bar() as progress:
             entries = loading.rebuild(store, rules, workers, progress)
-        if as_json:
-            print_json([{"sequence": name, "layers": entry.layers} for name, entry in entries.items()])
+        if form:
+            print_data([{"sequence": name, "layers": entry.layers} for name, entry in entries.items()], form)
         else:
             click.echo(f"{len(entries)} sequences rebuilt in {clean(store.path)}")
         return
@@ -69,31 +68,31 @@ def command(root: Path | None, store: Store, strict: bool, workers: int, as_json
         result = loading.load(
             root, store, _rules(options["overrides"], LoadRules()), workers, layer_dirs=folders, progress=progress
         )
-    if as_json:
-        print_json(result.rows())
+    if form:
+        print_data(result.rows(), form)
     else:
         for part in result.parts():
             if isinstance(part, str):
                 click.echo(clean(part))
                 continue
             title, rows = part
-            printed = rows[:MAX_ROWS] if title not in ("Loaded", "Checks") else rows
-            print_rows(printed, title=title, width=WIDTH)
+            printed = rows if title in ("Loaded", "Checks") else rows[:MAX_ROWS]
+            print_rows(printed, title=title)
             if len(printed) < len(rows):
-                click.echo(f"... and {len(rows) - MAX_ROWS:,} more: --json lists all")
+                click.echo(f"... {len(rows) - MAX_ROWS:,} more: --csv or --json prints all")
         click.echo(clean(totals(result.reports)))
     if strict and result.refused:
         note("something was refused or skipped, and --strict is set")
         sys.exit(1)
 
 
-def _verify(store: Store, as_json: bool) -> None:
+def _verify(store: Store, form: RowFormat) -> None:
     from jrdb_avr.loaders.verify import VERIFY_STEPS, checks_of
     from jrdb_avr.queries.display import step_counter
 
     with progress_bar() as progress:
         checks = checks_of(store, step_counter(progress, "verifying", VERIFY_STEPS))
-    print_rows([{"what": c.what, "checked": c.checked, "fault": c.fault} for c in checks], as_json=as_json)
+    print_rows([{"what": c.what, "checked": c.checked, "fault": c.fault} for c in checks], form=form)
     faults = [check for check in checks if check.fault]
     if faults:
         way = "ROOT" if any(check.reload for check in faults) else "--rebuild"

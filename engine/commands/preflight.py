@@ -8,16 +8,16 @@ from typing import Any
 import click
 
 from jrdb_avr.engine.commands._endpoint import endpoint_options
-from jrdb_avr.engine.commands._options import json_option
-from jrdb_avr.engine.console import note, print_json, print_rows
+from jrdb_avr.engine.commands._options import form_option
+from jrdb_avr.engine.console import RowFormat, note, print_rows
 
 
 @click.command(
     epilog="Example: jrdb-avr preflight --model Qwen/Qwen3-VL-8B-Instruct --base-url http://localhost:8000/v1"
 )
 @endpoint_options()
-@json_option
-def command(model: str, base_url: str | None, options: Any, as_json: bool) -> None:
+@form_option
+def command(model: str, base_url: str | None, options: Any, form: RowFormat) -> None:
     """Check a model's server: text, JSON schema, pictures, thinking, and what its replies say of themselves.
 
     'evaluate' makes the same checks before a run. Exit code 1 where one fails that a run needs.
@@ -33,13 +33,13 @@ def command(model: str, base_url: str | None, options: Any, as_json: bool) -> No
     rows: list[dict[str, Any]] = []
     for check in checks:
         remedy = "" if check.passed else check.remedy
-        if as_json:
+        if form:
             row = {"passed": check.passed, "needed": check.needed, "seen": check.seen, "remedy": remedy}
         else:
             result = "passed" if check.passed else "failed" if check.needed else "warning"
             row = {"result": result, "seen": check.seen, "what to do": remedy}
         rows.append({"check": check.name, **row})
-    print_json(rows) if as_json else print_rows(rows, title=f"Preflight of {model}")
+    print_rows(rows, title=f"Preflight of {model}", form=form)
     try:
         require(checks)
     except EndpointError as error:

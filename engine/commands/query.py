@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import itertools
+import re
+import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import click
-import msgspec
 
-from jrdb_avr.engine.commands._options import FILE, json_option, pairs_option, store_option
-from jrdb_avr.engine.console import print_json, print_rows
-from jrdb_avr.schema.errors import QueryError
+from jrdb_avr.engine.commands._options import FILE, form_option, pairs_option, store_option
+from jrdb_avr.engine.console import print_rows
+from jrdb_avr.schema.errors import InputError, QueryError
 
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
-_C = TypeVar("_C", bound=Callable[..., Any])
 Language = Literal["cypher", "sql"]
 
+_LONGEST: Final = 1 << 20
+"""Bytes of a statement in a file."""
 
-def _query_options(function: _C) -> _C:
+
+def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add the argument and the options of a query."""
     for decorate in (
         click.argument("query", required=False),
@@ -31,8 +32,7 @@ def _query_options(function: _C) -> _C:
         pairs_option("--param", "params", "A parameter; JSON or text."),
         click.option("--timeout", type=click.FloatRange(0.1, 86_400), default=60.0, show_default=True, help="Seconds."),
         click.option("--list", "listing", is_flag=True, help="List the named queries."),
-        click.option("--csv", "as_csv", is_flag=True, help="Print CSV."),
-        json_option,
+        form_option,
         click.option("--parquet", type=FILE, help="Write a Parquet file."),
     ):
         function = decorate(function)
@@ -45,7 +45,8 @@ def _query_options(function: _C) -> _C:
 )
 @_query_options
 def cypher(**options: Any) -> None:
-    """Query the graph: QUERY is one reading Cypher statement, or the name of a saved query (see --list)."""
+    """Query the graph: QUERY is one reading Cypher statement, the name of a saved query (see --list), FILE.cypher, or -
+    for standard input."""
     _run("cypher", **options)
 
 
@@ -56,7 +57,8 @@ def cypher(**options: Any) -> None:
 )
 @_query_options
 def sql(**options: Any) -> None:
-    """Ask the Parquet tables: QUERY is one SELECT over the store's views, or the name of a saved query (see --list)."""
+    """Ask the Parquet tables: QUERY is one SELECT over the store's views, the name of a saved query (see --list),
+    FILE.sql, or - for standard input."""
     _run("sql", **options)
 
 
@@ -65,16 +67,17 @@ def _run(
 ) -> None:
     from jrdb_avr.queries.named import named_queries, parse_value
 
-    as_csv, as_json, parquet = options["as_csv"], options["as_json"], options["parquet"]
-    if as_csv + as_json + (parquet is not None) > 1:
+    form, parquet = options["form"], options["parquet"]
+    if form and parquet is not None:
         raise click.UsageError("choose one of --csv, --json and --parquet")
     if options["listing"]:
         known = named_queries(language).values()
         rows = [{"name": own.name, "answers": own.answers, "parameters": own.takes} for own in known]
-        print_rows(rows, as_json=as_json)
+        print_rows(rows, form=form)
         return
     if query is None:
         raise click.UsageError("give a QUERY or the NAME of one (--list shows them)")
+    query = _statement(language, query)
     try:
         "".join((query, *(text for pair in params for text in pair))).encode()
     except UnicodeEncodeError:
@@ -93,12 +96,20 @@ def _run(
         rows = table.to_pylist()
     except (OverflowError, ValueError) as error:
         raise QueryError(f"the result holds a time that cannot be printed ({error}): cast it to text") from None
-    if as_json:
-        print_json(rows)
-    elif as_csv:
-        click.echo(_csv(rows, table.column_names), nl=False)
-    else:
-        print_rows(rows, columns=table.column_names)
+    print_rows(rows, columns=table.column_names, form=form)
+
+
+def _statement(language: Language, query: str) -> str:
+    """The query itself, or the text of the file or standard input that it names. Raises InputError for a broken one."""
+    if query != "-" and not re.fullmatch(rf"\S+\.{language}", query):
+        return query
+    try:
+        text = sys.stdin.buffer.read(_LONGEST + 1) if query == "-" else Path(query).read_bytes()
+        if len(text) > _LONGEST:
+            raise InputError(f"{query} is no statement: it is longer than {_LONGEST:,} bytes", file=query)
+        return text.decode("utf-8")
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot read {query}: {getattr(error, 'strerror', None) or error}", file=query) from None
 
 
 def _unique_names(table: Any) -> Any:
@@ -121,15 +132,3 @@ def _write_parquet(table: Any, path: Path) -> None:
     except pa.ArrowException as error:
         raise QueryError(f"Parquet does not hold this result ({error}): cast the column to text") from None
     click.echo(f"{table.num_rows} rows -> {path}", err=True)
-
-
-def _csv(rows: list[dict[str, Any]], columns: list[str]) -> str:
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(columns)
-    for row in rows:
-        writer.writerow(
-            msgspec.json.encode(cell, enc_hook=str).decode() if isinstance(cell, list | dict) else cell
-            for cell in row.values()
-        )
-    return out.getvalue()

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from jrdb_avr.engine.commands._options import FILE, FOLDER, iou_option, json_option, store_option
-from jrdb_avr.engine.console import note, print_json, print_rows, warnings_as_notes
+from jrdb_avr.engine.commands._options import FILE, FOLDER, form_option, iou_option, store_option
+from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, warnings_as_notes
 
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
@@ -40,9 +40,9 @@ Examples:
 @click.option("--jsonl", type=FILE, help="Take predictions in as a run first, named RUN or like the file; score it.")
 @click.option("--bundle", type=FOLDER, help="Score a bundle; nothing is written.")
 @iou_option
-@json_option
+@form_option
 def score(
-    runs: tuple[str, ...], store: Store, iou: float, as_json: bool, jsonl: Path | None, bundle: Path | None
+    runs: tuple[str, ...], store: Store, iou: float, form: RowFormat, jsonl: Path | None, bundle: Path | None
 ) -> None:
     """Write runs/RUN/scores.parquet: answer, evidence and combined score of every question."""
     from jrdb_avr.engine.report import comparison
@@ -60,8 +60,8 @@ def score(
             scores = score_bundles(store, [bundle], iou)
         else:
             scores = comparison.score(store, runs, iou)
-    print_rows(scores.rows, as_json=as_json)
-    if not as_json:
+    print_rows(scores.rows, form=form)
+    if not form:
         note(f"percent of n; evidence scores from IoU {iou:g} on")
 
 
@@ -78,8 +78,7 @@ def score(
 )
 @click.option("--paper", is_flag=True, help="Add the paper's figures as rows, labelled 'paper'.")
 @iou_option
-@json_option
-@click.option("--csv", "as_csv", is_flag=True, help="Print CSV.")
+@form_option
 @click.option("--markdown", "as_markdown", is_flag=True, help="Print Markdown.")
 @click.option("--latex", "as_latex", is_flag=True, help="Print LaTeX, for the package booktabs.")
 @click.option("--html", type=FILE, help="Write everything as one page.")
@@ -90,24 +89,26 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
     Intervals are 95 %, from 10,000 seeded draws of whole sequences. Macro averages are over the seven families and the
     paper's five groups.
     """
-    as_json, as_csv, as_markdown, as_latex = (options[f"as_{form}"] for form in ("json", "csv", "markdown", "latex"))
-    if as_json + as_csv + as_markdown + as_latex + (html is not None) > 1:
+    form, as_markdown, as_latex = options["form"], options["as_markdown"], options["as_latex"]
+    if bool(form) + as_markdown + as_latex + (html is not None) > 1:
         raise click.UsageError("choose one of --json, --csv, --markdown, --latex and --html")
 
     if options["leaderboard"]:
-        if tables or paper or as_csv or as_markdown or as_latex:
-            raise click.UsageError("--leaderboard goes with --iou, --json and --html only")
-        _leaderboard(store, options["runs"], iou, html, as_json)
+        if tables or paper or as_markdown or as_latex:
+            raise click.UsageError("--leaderboard goes with --iou, --json, --csv and --html only")
+        _leaderboard(store, options["runs"], iou, html, form)
         return
 
-    from jrdb_avr.engine.report import comparison, formats
+    from jrdb_avr.engine.report import comparison
+    from jrdb_avr.engine.report.formats import MARK, with_intervals
     from jrdb_avr.engine.report.tables import TABLES
+    from jrdb_avr.schema.errors import did_you_mean
 
     names = TABLES if "all" in tables else tables or ("main",)
     for name in names:
         if name not in TABLES:
-            raise click.UsageError(f"no table {name!r}; there are {', '.join(TABLES)}, all")
-    if as_csv and len(names) > 1:
+            raise click.UsageError(f"no table {name!r}{did_you_mean(name, (*TABLES, 'all'))}")
+    if form == "csv" and len(names) > 1:
         raise click.UsageError("--csv prints one table: give one --table")
     with warnings_as_notes():
         found = comparison.report(store, options["runs"], iou=iou, paper=paper)
@@ -118,22 +119,25 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
         write_page(html, report_page(found))
         note(f"wrote {html}")
         return
-    if as_json:
+    if form == "csv":
+        print_data(found.table(names[0]), form)
+        return
+    if form:
         settings = {run.manifest.run_id: {"settings": run.manifest.settings} for run in found.runs}
         rows = [{"table": name, **row} for name in names for row in found.table(name)]
-        print_json({**row, **(settings.get(row["run"], {}) if row["table"] == "main" else {})} for row in rows)
+        print_data(({**row, **(settings.get(row["run"], {}) if row["table"] == "main" else {})} for row in rows), form)
         return
     for name in names:
         title = name if len(names) > 1 else ""
-        if as_csv:
-            click.echo(formats.csv_text(found.table(name)), nl=False)
-        elif as_markdown:
+        if as_markdown:
             click.echo((f"### {title}\n\n" if title else "") + found.markdown(name), nl=False)
         elif as_latex:
             click.echo((f"% {title}\n" if title else "") + found.latex(name), nl=False)
         else:
             _print_table(name, found.table(name), title)
     note(f"percent of n; evidence scores from IoU {iou:g} on; [95 % interval]; n/a: no answer scored")
+    if MARK in "".join(str(row.get("n")) for name in names for row in with_intervals(found.table(name))):
+        note(f"{MARK} another number of questions than most runs: --table pairs compares on those that two share")
     if paper and "ablation" in names:
         from jrdb_avr.engine.report.directions import direction_lines
 
@@ -143,8 +147,8 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
         note("synthetic: the simulated model or the sample world, no result about JRDB")
 
 
-def _leaderboard(store: Store, folders: tuple[str, ...], iou: float, html: Path | None, as_json: bool) -> None:
-    """Score and rank bundles, as a page, as JSON or as a table."""
+def _leaderboard(store: Store, folders: tuple[str, ...], iou: float, html: Path | None, form: RowFormat) -> None:
+    """Score and rank bundles, as a page, as rows for programs or as a table."""
     from jrdb_avr.engine.report.formats import filled, with_intervals
     from jrdb_avr.engine.report.leaderboard import leaderboard
 
@@ -159,18 +163,19 @@ def _leaderboard(store: Store, folders: tuple[str, ...], iou: float, html: Path 
         write_page(html, leaderboard_page(board))
         note(f"wrote {html}")
         return
-    print_rows(board.rows if as_json else filled(with_intervals(board.rows)), as_json=as_json)
+    print_rows(board.rows if form else filled(with_intervals(board.rows)), form=form)
 
 
 def _print_table(name: str, rows: list[dict[str, Any]], title: str) -> None:
     from jrdb_avr.engine.report.formats import filled, with_intervals
 
     cells = with_intervals(rows)
-    if name != "main":
-        print_rows(filled(cells), title=title)
-        return
-    left_out = ("iou", "sequences")
+    # The id of a run names method and model; rows of the paper have none.
+    known = () if any(row.get("run") == "" for row in cells) else ("method", "model")
+    empty = (own for own in ("label", "setting") if not any(row.get(own) for row in cells))
+    left_out = {"iou", *known, *empty}
     plain = [{k: v for k, v in row.items() if _MACRO not in k and k not in left_out} for row in cells]
     print_rows(filled(plain), title=title)
-    macro = [{k.replace(_MACRO, " over "): v for k, v in row.items() if k == "run" or _MACRO in k} for row in cells]
-    print_rows([row for row in macro if len(row) > 1], title="macro averages")
+    if name == "main":
+        macro = [{k.replace(_MACRO, " over "): v for k, v in row.items() if k == "run" or _MACRO in k} for row in cells]
+        print_rows([row for row in macro if len(row) > 1], title="macro averages")

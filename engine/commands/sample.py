@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from jrdb_avr.engine.commands._options import json_option, workers_option
-from jrdb_avr.engine.console import note, print_rows, progress_bar
+from jrdb_avr.engine.commands._options import form_option, workers_option
+from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 
 
 @click.command()
@@ -27,8 +27,8 @@ from jrdb_avr.engine.console import note, print_rows, progress_bar
 )
 @click.option("--full-scale", is_flag=True, help="27 sequences sized like the JRDB test split, without images.")
 @workers_option
-@json_option
-def command(folder: Path, seed: int, images: str, workers: int, as_json: bool, **options: Any) -> None:
+@form_option
+def command(folder: Path, seed: int, images: str, workers: int, form: RowFormat, **options: Any) -> None:
     """Write a synthetic JRDB root: label files and panoramas of marked people.
 
     \b
@@ -48,7 +48,7 @@ def command(folder: Path, seed: int, images: str, workers: int, as_json: bool, *
             done.append(written)
             progress("sequences", len(done), len(orders))
     done.sort(key=lambda written: written.name)
-    print_rows(rows(done), title="The sample beside JRDB (synthetic)", as_json=as_json)
-    if not as_json:
+    print_rows(rows(done), title="The sample beside JRDB (synthetic)", form=form)
+    if not form:
         boxes, images_made = sum(written.boxes for written in done), sum(written.images for written in done)
         note(f"{folder}: {len(done)} sequences, {boxes} boxes, {images_made} panoramas")

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from jrdb_avr.engine.commands._options import json_option, pairs_option, store_option, workers_option
-from jrdb_avr.engine.console import note, print_json, print_rows, progress_bar
+from jrdb_avr.engine.commands._options import form_option, pairs_option, store_option, workers_option
+from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar
 
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 @click.option("--replay", is_flag=True, help="Also run every proof again, and every plan as Cypher on the graph.")
 @workers_option
 @pairs_option("--rule", "overrides", "As in the call of generate.")
-@json_option
-def command(store: Store, replay: bool, workers: int, overrides: list[tuple[str, str]], as_json: bool) -> None:
+@form_option
+def command(store: Store, replay: bool, workers: int, overrides: list[tuple[str, str]], form: RowFormat) -> None:
     """Check the questions of STORE: files, ids, choices, answers, texts, evidence; derive answers and proofs again.
 
     The second derivation reads the annotation tables and nothing that generation made. With --replay all proofs of
@@ -34,8 +34,8 @@ def command(store: Store, replay: bool, workers: int, overrides: list[tuple[str,
     with progress_bar() as progress:
         rules = override(Rules(), dict(overrides))
         found = validate(store, rules, replay_proofs=replay, workers=workers, progress=progress)
-    if as_json:
-        print_json(found.rows())
+    if form:
+        print_data(found.rows(), form)
     else:
         # Faults follow below, one to a line.
         print_rows([{name: row[name] for name in row if name != "first fault"} for row in found.rows()])

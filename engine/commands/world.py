@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jrdb_avr.engine.commands._options import json_option, store_option
-from jrdb_avr.engine.console import note, print_rows, progress_bar
+from jrdb_avr.engine.commands._options import form_option, store_option
+from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -31,8 +31,8 @@ def command() -> None:
 @command.command(epilog="Example: jrdb-avr world merge agent-marker agent-passive-marker --store S")
 @click.argument("run_ids", nargs=-1, required=True, metavar="RUN...")
 @store_option()
-@json_option
-def merge(run_ids: tuple[str, ...], store: Store, as_json: bool) -> None:
+@form_option
+def merge(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
     """Bring the world models of finished runs into the store's graph, in place of what it holds of them."""
     from jrdb_avr.queries.beliefs.graph import open_graph
     from jrdb_avr.queries.beliefs.record import merge_world
@@ -44,14 +44,14 @@ def merge(run_ids: tuple[str, ...], store: Store, as_json: bool) -> None:
             merge_world(graph, run_id, record)
             rows.append(_row(graph, run_id))
             progress("merging", len(rows), len(records))
-    print_rows(rows, as_json=as_json)
+    print_rows(rows, form=form)
 
 
 @command.command(epilog="Example: jrdb-avr world drop agent-marker --store S")
 @click.argument("run_ids", nargs=-1, required=True, metavar="RUN...")
 @store_option()
-@json_option
-def drop(run_ids: tuple[str, ...], store: Store, as_json: bool) -> None:
+@form_option
+def drop(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
     """Take runs' world models out of the store's graph. Their records stay, and the next load brings them back."""
     from jrdb_avr.queries.beliefs.graph import open_graph
     from jrdb_avr.queries.beliefs.record import drop_world
@@ -64,8 +64,8 @@ def drop(run_ids: tuple[str, ...], store: Store, as_json: bool) -> None:
         for number, row in enumerate(rows, 1):
             drop_world(graph, row["run"])
             progress("dropping", number, len(rows))
-    print_rows(rows, as_json=as_json)
-    if not as_json:
+    print_rows(rows, form=form)
+    if not form:
         note("dropped; 'jrdb-avr load --rebuild' frees the space")
 
 

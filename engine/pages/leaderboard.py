@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from jrdb_avr.engine.pages.page import render
 from jrdb_avr.engine.pages.report import settings_text
+from jrdb_avr.engine.report.bootstrap import LEAST_CLUSTERS
+from jrdb_avr.engine.report.formats import without_rough
 from jrdb_avr.engine.report.leaderboard import Leaderboard
+from jrdb_avr.engine.report.tables import TOO_FEW
 
 
 def leaderboard_page(board: Leaderboard) -> str:
     """The page's HTML. Everything in a bundle comes from its submitter, and is shown as text."""
-    return render("leaderboard.html", board=board, count=len(board.rows), settings=settings_text)
+    sets = [[replace(own, row=without_rough([own.row])[0]) for own in entries] for entries in board.sets]
+    return render(
+        "leaderboard.html",
+        board=replace(board, sets=sets),
+        count=len(board.rows),
+        settings=settings_text,
+        too_few=TOO_FEW,
+        least=LEAST_CLUSTERS,
+    )

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from jrdb_avr.engine.console import clean
 from jrdb_avr.engine.pages.svg import NODE_WIDTH, shortened
 from jrdb_avr.engine.report.formats import cell
 from jrdb_avr.engine.report.scoring import read_answer
+from jrdb_avr.engine.text_table import clean
 from jrdb_avr.queries.store import write_bytes
 from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.method import Image

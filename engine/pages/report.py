@@ -10,10 +10,11 @@ import msgspec
 
 from jrdb_avr.engine.pages.page import render
 from jrdb_avr.engine.pages.svg import SQUARE, scatter
+from jrdb_avr.engine.report.bootstrap import LEAST_CLUSTERS
 from jrdb_avr.engine.report.comparison import Comparison
-from jrdb_avr.engine.report.formats import filled
+from jrdb_avr.engine.report.formats import filled, without_rough
 from jrdb_avr.engine.report.scored_runs import DIMENSIONS, SCORES, distinguishing_settings
-from jrdb_avr.engine.report.tables import TABLES, Row
+from jrdb_avr.engine.report.tables import TABLES, TOO_FEW, Row
 
 _TITLES: Final = {name: name.replace("_", " ") for name in DIMENSIONS} | {
     "group": "the paper's groups",
@@ -25,7 +26,7 @@ _TITLES: Final = {name: name.replace("_", " ") for name in DIMENSIONS} | {
 def report_page(comparison: Comparison) -> str:
     """The page's HTML."""
     runs = comparison.runs
-    tables = {name: comparison.table(name) for name in TABLES}
+    tables = {name: without_rough(comparison.table(name)) for name in TABLES}
     names = [run.manifest.run_id for run in runs]
     own = [row for row in tables["main"] if row["run"]]
     dots, tags = scatter(own)
@@ -50,6 +51,8 @@ def report_page(comparison: Comparison) -> str:
         perturbations=sorted(perturbations, key=lambda name: (-perturbations[name], name)),
         apart=distinguishing_settings(runs),
         labels={row["run"]: row["label"] for row in own},
+        too_few=TOO_FEW,
+        least=LEAST_CLUSTERS,
         kinds=SCORES,
         settings=[(run.manifest.run_id, settings_text(run.manifest.settings)) for run in runs],
     )

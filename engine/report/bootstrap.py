@@ -21,6 +21,8 @@ from jrdb_avr.schema.arrays import Floats, Ints
 DRAWS: Final = 10_000
 SEED: Final = 0
 LEVEL: Final = 0.95
+LEAST_CLUSTERS: Final = 10
+"""Below so many sequences the draws say little of others: tables show no interval."""
 
 _BATCH: Final = 32
 """Comparisons drawn at a time: 10 MB."""

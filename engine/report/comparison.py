@@ -22,6 +22,7 @@ from jrdb_avr.engine.report.tables import (
     pair_rows,
     published_groups,
     published_rows,
+    ranked,
     score_row,
 )
 from jrdb_avr.queries.display import Displayed, Tables
@@ -98,17 +99,20 @@ class Comparison(Displayed):
         return formats.latex(self._for_paper(name))
 
     def _for_paper(self, name: str) -> list[Row]:
-        """The table without intervals and macro averages, sorted by model."""
-        rows = self.table(name)
+        """The table with its intervals, without macro averages; the runs of a model together, the best model first."""
+        rows: list[Row] = formats.with_intervals(self.table(name))
         if name != "main":
-            return [{key: value for key, value in row.items() if not key.endswith(("_low", "_high"))} for row in rows]
-        rows = sorted(rows, key=lambda row: (str(row["model"]), str(row.get("setting", ""))))
+            return rows
+        models = [row["model"] for row in rows]
+        rows = sorted(rows, key=lambda row: models.index(row["model"]))
         names = [(row["model"], row["method"], row.get("setting", "")) for row in rows]
         settings = ["setting"] if any(row.get("setting") for row in rows) else []
         # Rows that are alike in all of these are distinguished by the ids of their runs.
         ids = ["run"] if len(set(names)) < len(names) else []
-        columns = ["model", "method", *settings, *ids, *_PRINTED]
-        return [{key: row.get(key, "") if key == "setting" else row.get(key) for key in columns} for row in rows]
+        few = ["interval"] if any("interval" in row for row in rows) else []
+        columns = ["model", "method", *settings, *ids, *_PRINTED, *few]
+        texts = ("setting", "interval")
+        return [{key: row.get(key, "" if key in texts else None) for key in columns} for row in rows]
 
     def _summary(self) -> str:
         return f"{len(self.runs)} runs, evidence from IoU {self.iou:g} on"
@@ -142,7 +146,7 @@ def report(store: Store | str | Path, runs: Sequence[str] = (), *, iou: float = 
 
 
 def _scored(store: Store, index: QuestionIndex, names: Sequence[str], iou: float) -> list[tuple[ScoredRun, pa.Table]]:
-    """Each run with its scores table, by method, model and id."""
+    """Each run with its scores table, the best run first."""
     truth, known = read_truth(store), run_ids(store)
     if not known:
         raise StoreError(f"{store.path} has no runs yet: run 'jrdb-avr evaluate --store {store.path} ...'")
@@ -159,4 +163,5 @@ def _scored(store: Store, index: QuestionIndex, names: Sequence[str], iou: float
         done.append((ScoredRun(index, manifest, predictions, scores), scores))
     if not done:
         raise StoreError(f"no run of {store.path} can be scored: evaluate on the store's present questions")
-    return sorted(done, key=lambda pair: (pair[0].manifest.method, pair[0].manifest.model, pair[0].manifest.run_id))
+    tables = {run.manifest.run_id: scores for run, scores in done}
+    return [(run, tables[run.manifest.run_id]) for run in ranked([run for run, _ in done])]

@@ -1,13 +1,13 @@
-"""Rows as text: Markdown, CSV, LaTeX (booktabs), and cells as a person reads them."""
+"""Rows as text: Markdown, LaTeX (booktabs), and cells as a person reads them."""
 
 from __future__ import annotations
 
-import csv
-import io
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from jrdb_avr.engine.console import clean
+from jrdb_avr.engine.report.tables import TOO_FEW
+from jrdb_avr.engine.text_table import clean
 from jrdb_avr.queries.display import columns_of
 
 Rows = Sequence[Mapping[str, Any]]
@@ -28,8 +28,11 @@ _LATEX: Final = str.maketrans(
 
 _MARKDOWN: Final = str.maketrans({letter: f"\\{letter}" for letter in "\\`*[]|"} | {"&": "&amp;", "<": "&lt;"})
 
-_FORMULA: Final = ("=", "+", "-", "@", "\t", "\r")
-"""First characters of a formula in a spreadsheet."""
+MARK: Final = "*"
+"""Behind the n of a run that has another number of questions than most."""
+
+_SHARE: Final = re.compile(r"n/a|<?-?\d[\d.]*\*?( \[.*\])?")
+"""A cell of a column of numbers."""
 
 _LEAST_P: Final = 0.0001
 
@@ -44,15 +47,42 @@ def cell(value: object, column: str = "") -> str:
 
 
 def with_intervals(rows: Rows) -> list[dict[str, str]]:
-    """Format rows with a share and its interval in one column, `12.50 [8.10, 17.20]`."""
+    """Format rows with a share and its interval in one column, `12.50 [8.10, 17.20]`.
+
+    Rows of too few sequences have no intervals, and a column `interval` says so. In tables of runs, `n` has a mark
+    where it is another one than that of most runs.
+    """
+    rows = without_rough(rows)
+    few = any(row.get("interval") == TOO_FEW for row in rows)
+    runs = [row["n"] for row in rows if row.get("run") and "n" in row] if _of_runs(rows) else []
+    most = max(sorted(set(runs), reverse=True), key=runs.count, default=None)
     return [
         {
-            name: cell(value, name) + _bounds(row.get(f"{name}_low"), row.get(f"{name}_high"))
+            name: cell(value, name)
+            + (MARK if name == "n" and value in runs and value != most else "")
+            + _bounds(row.get(f"{name}_low"), row.get(f"{name}_high"))
             for name, value in row.items()
-            if not name.endswith(("_low", "_high"))
+            if not name.endswith(("_low", "_high")) and (few or name != "interval")
         }
         for row in rows
     ]
+
+
+def without_rough(rows: Rows) -> list[dict[str, Any]]:
+    """The rows, without the bounds of intervals in those of too few sequences."""
+    return [
+        {
+            name: None if name.endswith(("_low", "_high")) and row.get("interval") == TOO_FEW else value
+            for name, value in row.items()
+        }
+        for row in rows
+    ]
+
+
+def _of_runs(rows: Rows) -> bool:
+    """Whether each run has one row at most."""
+    names = [row["run"] for row in rows if row.get("run")]
+    return len(set(names)) == len(names)
 
 
 def _bounds(low: object, high: object) -> str:
@@ -95,24 +125,6 @@ def _numbered(rows: Rows) -> tuple[Rows, list[str]]:
     return [{**row, "setting": places.get(row.get("setting", ""), "")} for row in rows], notes
 
 
-def csv_text(rows: Rows) -> str:
-    """CSV with a heading; an unknown value is empty.
-
-    A text that a spreadsheet would take for a formula begins with an apostrophe: names of models are theirs to choose.
-    """
-    file = io.StringIO()
-    writer = csv.DictWriter(file, columns_of(rows), lineterminator="\n", restval="")
-    writer.writeheader()
-    writer.writerows({name: _in_csv(value) for name, value in row.items()} for row in rows)
-    return file.getvalue()
-
-
-def _in_csv(value: object) -> object:
-    if not isinstance(value, str):
-        return value
-    return clean(f"'{value}" if value.startswith(_FORMULA) else value)
-
-
 def _latex_row(cells: Sequence[str]) -> str:
     return " & ".join(_escaped(text, _LATEX) for text in cells) + r" \\"
 
@@ -124,7 +136,8 @@ def _escaped(text: str, letters: dict[int, str]) -> str:
 
 def _is_number(rows: Rows, name: str) -> bool:
     values = [row.get(name) for row in rows if row.get(name) is not None]
-    return bool(values) and all(isinstance(value, int | float) for value in values)
+    numbers = (isinstance(value, int | float) or _SHARE.fullmatch(str(value)) for value in values)
+    return bool(values) and all(numbers)
 
 
 def filled(rows: Rows) -> list[dict[str, Any]]:

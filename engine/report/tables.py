@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from jrdb_avr.engine.report.bootstrap import Interval, compare, intervals, mean_ratio, numbered_sums
+from jrdb_avr.engine.report.bootstrap import LEAST_CLUSTERS, Interval, compare, intervals, mean_ratio, numbered_sums
 from jrdb_avr.engine.report.paper import ABLATION, GROUPS, MAIN, Published
 from jrdb_avr.engine.report.scored_runs import (
     DIMENSIONS,
@@ -24,6 +24,9 @@ from jrdb_avr.engine.report.scored_runs import (
 )
 
 Row = dict[str, Any]
+
+INTERVALS: Final = "95 %"
+TOO_FEW: Final = "too few sequences for an interval"
 
 _CELLS: Final[dict[str, Row]] = {
     "agent-passive-no-world": {"active": "off", "world_model": "off"},
@@ -61,13 +64,18 @@ def _main_row(index: QuestionIndex, run: ScoredRun, iou: float, setting: str) ->
         column += 4 * count
     shares = intervals(np.concatenate(sums, axis=1), tuple(statistics.values()))
     bounds = {name: _with_bounds(name, share) for name, share in zip(statistics, shares, strict=True)}
-    row = _head(run) | {"setting": setting, "n": run.n, "sequences": len(found)}
+    row = _head(run) | {"setting": setting, "n": run.n, "sequences": len(found), "interval": interval_label(len(found))}
     for name in (*SCORES, "hallucination"):
         row |= bounds.pop(name)
     row |= {"invalid": percent_of(int(run.invalid.sum()), run.n), "errors": percent_of(run.errors, run.n)}
     for macro in bounds.values():
         row |= macro
     return row | {"iou": iou}
+
+
+def interval_label(sequences: int) -> str:
+    """What the intervals of a row are: at 95 %, or `TOO_FEW`, with which tables for people leave them out."""
+    return INTERVALS if sequences >= LEAST_CLUSTERS else TOO_FEW
 
 
 def _head(run: ScoredRun) -> Row:
@@ -182,18 +190,32 @@ def _policy(run: ScoredRun) -> str:
 def pair_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[Row]:
     """For each two runs and score, on their common questions: the exact McNemar test and the difference."""
     pairs, shared = [], []
-    for first, second in combinations(runs, 2):
+    # Which of two is the first does not depend on their scores, so that a difference keeps its sign.
+    for first, second in combinations(sorted(runs, key=_name), 2):
         common, mine, yours = np.intersect1d(first.rows, second.rows, assume_unique=True, return_indices=True)
         if len(common):
-            pairs.append({"first": first.manifest.run_id, "second": second.manifest.run_id, "n": len(common)})
-            shared.append((index.labels["sequence"].numbers[common], first.scores[mine], second.scores[yours]))
+            clusters = index.labels["sequence"].numbers[common]
+            label = interval_label(len(np.unique(clusters)))
+            ids = {"first": first.manifest.run_id, "second": second.manifest.run_id}
+            pairs.append(ids | {"n": len(common), "interval": label})
+            shared.append((clusters, first.scores[mine], second.scores[yours]))
     return [
         {"first": pair["first"], "second": pair["second"], "score": name, "n": pair["n"]}
         | {"only_first": only_first, "only_second": only_second, "p": p}
         | _with_bounds("difference", difference)
+        | {"interval": pair["interval"]}
         for pair, found in zip(pairs, compare(shared), strict=True)
         for name, (only_first, only_second, p, difference) in zip(SCORES, found, strict=True)
     ]
+
+
+def _name(run: ScoredRun) -> tuple[str, str, str]:
+    return run.manifest.method, run.manifest.model, run.manifest.run_id
+
+
+def ranked(runs: Sequence[ScoredRun]) -> list[ScoredRun]:
+    """The runs by their share of combined, the best first; equal ones by method, model and id."""
+    return sorted(runs, key=lambda run: (-run.scores[:, 2].mean() if run.n else 0.0, *_name(run)))
 
 
 TABLES: Final = ("main", *DIMENSIONS, "ablation", "pairs", "wrong_choices", "evidence_failures", "cost")

@@ -49,4 +49,4 @@ def test_the_report_fits_a_page_and_says_each_thing_once(tmp_path, world):
 def test_what_a_file_may_hold_without_end_is_not_printed_without_end(tmp_path):
     social = {0: [member(1, BOX, interactions=[(2, {f"label {i}": "1" for i in range(300)})])]}
     text = run(tmp_path, {NAMES[0]: {"2d": {0: [person(1, BOX)]}, "social": social}})
-    assert text.count("H-interaction") == 50 and "... and 250 more: --json lists all" in text
+    assert text.count("H-interaction") == 50 and "... 250 more: --csv or --json prints all" in text

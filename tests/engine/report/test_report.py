@@ -16,9 +16,10 @@ from failing_runs import CASES, stored_failures
 from known_runs import BOX, ELSEWHERE, Benchmark, table
 from places import SUPPORT
 
+from jrdb_avr.engine.console import csv_text
 from jrdb_avr.engine.report.comparison import report, score
 from jrdb_avr.engine.report.directions import direction_lines
-from jrdb_avr.engine.report.formats import cell, csv_text, latex, markdown, with_intervals
+from jrdb_avr.engine.report.formats import cell, latex, markdown, with_intervals
 from jrdb_avr.engine.report.paper import ABLATION, GROUPS
 from jrdb_avr.engine.report.scored_runs import distinguishing_settings
 from jrdb_avr.engine.report.tables import (
