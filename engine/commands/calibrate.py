@@ -32,7 +32,7 @@ def command(store: Store, model: str, base_url: str | None, options: Any, form: 
     from jrdb_avr.agent.model.calibrate import PICTURES, calibrate
     from jrdb_avr.agent.model.client import Client
     from jrdb_avr.agent.model.conventions import convention_of
-    from jrdb_avr.agent.preflight import preflight, require
+    from jrdb_avr.agent.preflight import preflight
     from jrdb_avr.engine.run.endpoint import serving, write_calibration
     from jrdb_avr.queries.display import step_counter
 
@@ -41,9 +41,9 @@ def command(store: Store, model: str, base_url: str | None, options: Any, form: 
         store.manifest()
     with serving(model, base_url) as url, progress_bar() as progress:
         client = Client(url, model, options, convention=convention_of(model))
-        # Calibration sends one picture at a time: what only methods need may fail.
-        for warning in require(preflight(client), "calibrate"):
-            note(f"warning: {warning}")
+        for check in preflight(client):
+            if not check.passed:
+                note(f"warning: {check.line}")
         found = calibrate(client, advance=step_counter(progress, f"calibrate {model}", PICTURES))
     rows = [msgspec.structs.asdict(score) for score in found.scores]
     title = f"Readings of {found.readable} boxes by {model} (overlap with {found.asked} drawn rectangles)"

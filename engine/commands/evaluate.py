@@ -99,6 +99,11 @@ panoramas:
     "docs/models.md lists. May be repeated.",
 )
 @click.option(
+    "--strict-preflight",
+    is_flag=True,
+    help="Refuse the run where a check of the server fails that the method needs; without, it is a warning on record.",
+)
+@click.option(
     "--scores/--no-scores",
     default=None,
     help="Scores so far, from a process of their own; beside the bar on a terminal, as lines elsewhere.",

@@ -20,7 +20,8 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows
 def command(model: str, base_url: str | None, options: Any, form: RowFormat) -> None:
     """Check a model's server: text, JSON schema, pictures, thinking, and what its replies say of themselves.
 
-    'evaluate' makes the same checks before a run. Exit code 1 where one fails that a run needs.
+    'evaluate' makes the same checks before a run, warns of failed ones and records them. Exit code 1 where one fails
+    that a run needs.
     """
     from jrdb_avr.agent.model.client import Client
     from jrdb_avr.agent.model.conventions import convention_of

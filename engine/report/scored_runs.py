@@ -96,7 +96,7 @@ def _first_number(value: str) -> float:
         return -1.0
 
 
-_ADDRESS: Final = ("endpoint", "base_url")
+_NO_SETTINGS: Final = (("endpoint", "base_url"), ("preflight",))
 
 Path = tuple[str, ...]
 
@@ -104,8 +104,8 @@ Path = tuple[str, ...]
 def distinguishing_settings(runs: Sequence[ScoredRun]) -> dict[str, str]:
     """Summarise, per run, the settings in which it differs from others of its method and model; "" without any.
 
-    Settings of one part follow its name (`marker: seed 3, wrong_box 0.1`). The server's address is left out: it differs
-    whenever a server is restarted.
+    Settings of one part follow its name (`marker: seed 3, wrong_box 0.1`). The server's address is left out, which
+    differs whenever a server is restarted, and what its checks found.
     """
     leaves = [(run.manifest, dict(_leaves((), run.manifest.settings))) for run in runs]
     alike: dict[tuple[str, str], list[dict[Path, str]]] = {}
@@ -117,7 +117,7 @@ def distinguishing_settings(runs: Sequence[ScoredRun]) -> dict[str, str]:
 def _in_words(own: dict[Path, str], others: Sequence[dict[Path, str]]) -> str:
     parts: dict[Path, list[str]] = {}
     for path, value in sorted(own.items()):
-        if path != _ADDRESS and any(other.get(path) != value for other in others):
+        if path not in _NO_SETTINGS and any(other.get(path) != value for other in others):
             parts.setdefault(path[:-1], []).append(f"{path[-1]} {value}")
     return "; ".join(
         f"{' '.join(above)}: {', '.join(own)}" if above else ", ".join(own) for above, own in parts.items()

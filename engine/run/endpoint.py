@@ -24,9 +24,9 @@ from jrdb_avr.schema.errors import EndpointError, StoreError
 
 
 class Endpoint:
-    """A server that passed its preflight. `warnings`: lines on faults that do not prevent a run.
+    """A server after its preflight. `warnings`: the lines of the checks that failed.
 
-    `settings` are plain JSON for a run's manifest: a resumed run needs equal ones but for address, timeout and retries.
+    `settings` are plain JSON for a run's manifest: a resumed run needs equal ones but for what `resume` leaves out.
     """
 
     def __init__(
@@ -37,18 +37,22 @@ class Endpoint:
         options: Options = DEFAULTS,
         cache: Path | None = None,
         method: str | None = None,
+        strict: bool = False,
     ) -> None:
-        """Check a server. `cache`: the file for finished calls. `method`: a check that it does not need may fail;
-        without, all must pass.
+        """Check a server. `cache`: the file for finished calls. `method`: whose run is refused, if `strict`, where a
+        check fails that it needs; without a method, where any fails.
 
         The convention is the model's declared one, with the store's calibration if there is one. Raises EndpointError
-        where a check fails, or where the calibration was made with other options.
+        where the server does not reply, or the calibration was made with other options.
         """
         declared = convention_of(model)
         found = None if store is None else read_calibration(store, model)
         self.convention = declared if found is None else found.convention(declared)
         self.client = Client(base_url, model, options, convention=self.convention, cache=cache)
-        self.warnings = require(preflight(self.client), method)
+        checks = preflight(self.client)
+        if strict:
+            require(checks, method)
+        self.warnings = [check.line for check in checks if not check.passed]
         self.served = self.client.served[0]
         if store is not None and found is not None:
             wanted = (options.response_format, options.thinking, self.served)
@@ -66,6 +70,7 @@ class Endpoint:
             "server_version": self.client.server_version(),
             "convention": self.convention.settings() | calibrated,
             "decoder": decode.VERSION,
+            "preflight": self.warnings,
         }
 
     def changed(self) -> str:

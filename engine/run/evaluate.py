@@ -106,6 +106,7 @@ def evaluate(
     opaque: bool = False,
     policy: Policy = "model",
     history: int | None = None,
+    strict_preflight: bool = False,
     progress: Progress | None = None,
     live_scores: Callable[[LiveScore], None] | None = None,
 ) -> RunResult:
@@ -117,7 +118,8 @@ def evaluate(
     `limit`. `resume` finishes a run, and enlarges it where more questions are selected. `images` and `world_db` stand
     in for the store's panoramas and graph. `opaque`: whether the method gets opaque names of sequences (`run.opaque`).
     `policy`: who chooses the looks of an agent, the model or, as "driven", the harness. `history`: how many of the
-    newest pictures a method of `CHATS` sends in each turn; all without.
+    newest pictures a method of `CHATS` sends in each turn; all without. `strict_preflight`: whether a failed check of
+    the server refuses the run; else it is a warning, and in the manifest.
     `live_scores` is called from another thread with the scores so far.
     Problems that do not end the run are AvrWarnings.
 
@@ -130,7 +132,8 @@ def evaluate(
     simulated = profile_of(model)
     knobs = marker or simulated or PERFECT
     name = method if isinstance(method, str) else method.name
-    run_id = run_id or default_run_id(name if policy == "model" else f"{name}-{policy}", model)
+    player = name if policy == "model" else f"{name}-{policy}"
+    run_id = run_id or default_run_id(player, model)
     folder = store.run_path(run_id)
     image_root = find_images(store, images)
     chosen, selection = run_questions(store, run_id, QuestionSelection.of(questions, limit), resume, image_root)
@@ -141,7 +144,7 @@ def evaluate(
         endpoint = None
         if model != NO_MODEL:
             url = stack.enter_context(serving(model, base_url, folder / "marker.jsonl", knobs))
-            endpoint = Endpoint(store, model, url, options, folder / "calls.jsonl", name)
+            endpoint = Endpoint(store, model, url, options, folder / "calls.jsonl", player, strict_preflight)
             for line in endpoint.warnings:
                 warnings.warn(f"preflight: {line}", AvrWarning, stacklevel=2)
         runner = _runner(method, endpoint, world, policy, history)

@@ -131,6 +131,8 @@ def _shaping(manifest: RunManifest) -> dict[str, Any]:
     """What shapes the predictions of a run, by the words of the message about a difference."""
     settings = dict(manifest.settings)
     endpoint: Mapping[str, Any] = settings.pop("endpoint", {})
+    # What the checks found is known of the server that the run began with.
+    settings.pop("preflight", None)
     return {
         "method": manifest.method,
         "model": manifest.model,

@@ -8,17 +8,19 @@ import pytest
 from click.testing import CliRunner
 from fake_server import FakeServer, Status, completion, images, schema_of, seeing, texts
 
+from jrdb_avr.agent.demands import AGENTS, CROPS, DRIVEN, FIXED_CONTEXT, LOOKING, PLANNING, demands
 from jrdb_avr.agent.methods.attempt import PANORAMAS
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import Options, convention_of
-from jrdb_avr.agent.preflight import AGENTS, CROPS, FIXED_CONTEXT, LOOKING, PLANNING, demands, preflight, require
+from jrdb_avr.agent.preflight import preflight, require
 from jrdb_avr.agent.simulated.knobs import Knobs
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.engine.cli import group
 from jrdb_avr.engine.run.methods import METHODS
 from jrdb_avr.schema.errors import EndpointError
 
-NAMES = ["text", "schema", "picture", "panoramas", "crops", "plan", "thinking", "finish", "tokens", "model"]
+NAMES = ["text", "system", "schema", "picture", "panoramas", "crops", "plan", "perception"]
+NAMES += ["thinking", "finish", "tokens", "model"]
 
 
 def checks(script, model="fake", **options):
@@ -46,13 +48,15 @@ def said(text, **message):
 def test_a_sound_server_passes(response_format):
     found, server = checks(seeing, response_format=response_format)
     strict = response_format == "json_schema"
-    assert list(found) == [name for name in NAMES if strict or name != "plan"]
+    assert list(found) == [name for name in NAMES if strict or name not in ("plan", "perception")]
     assert failed(found) == []
     assert require(list(found.values())) == []
-    assert len(server.requests) == 9 - (not strict)
-    assert [len(images(request)) for request in server.requests[2:8]] == [1, 1, 1, 1, PANORAMAS, CROPS]
+    assert len(server.requests) == 11 - 2 * (not strict)
+    assert [len(images(request)) for request in server.requests[3:9]] == [1, 1, 1, 1, PANORAMAS, CROPS]
+    roles = [[message["role"] for message in request["messages"]] for request in server.requests]
+    assert roles == [["user"], *[["system", "user"]] * (len(roles) - 1)]
     formats = sum("response_format" in request for request in server.requests)
-    assert formats == {"json_schema": 8, "json_object": 7, "none": 0}[response_format]
+    assert formats == {"json_schema": 9, "json_object": 7, "none": 0}[response_format]
 
 
 def is_picture(request):
@@ -198,13 +202,58 @@ def test_a_response_format_that_keeps_a_model_from_thinking():
     assert failed(found) == ["thinking"]
 
 
+def test_a_format_without_thinking_is_what_is_declared_off():
+    """Its free text alone thinks. What helps where thinking is declared on ends in a server that passes."""
+    script = changed(lambda q, r: r if "response_format" in q else thinking()(q, r))
+    assert failed(checks(script, "fake", thinking="off")[0]) == []
+    found, _ = checks(script, "fake", thinking="on")
+    assert "--thinking off, or --response-format none" in found["thinking"].remedy
+    assert failed(checks(script, "fake", thinking="on", response_format="none")[0]) == []
+
+
+@pytest.mark.parametrize(
+    ("cut", "name"), [("prose", "schema"), ("The corner", "picture"), ("The people in the picture", "perception")]
+)
+def test_a_reply_that_was_cut_off_is_not_blamed_on_the_server(cut, name):
+    found, _ = checks(changed(lambda q, r: completion('{"a', "length", "fake") if cut in texts(q) else r))
+    assert failed(found) == [name]
+    assert "cut off" in found[name].seen and found[name].remedy == "give a larger --max-tokens"
+
+
+def test_a_chat_template_without_a_system_role():
+    """As some templates refuse it: each question of a run would end in this error."""
+
+    def script(request, n):
+        no = request["messages"][0]["role"] == "system"
+        return Status(400, "System role not supported") if no else seeing(request)
+
+    found, _ = checks(script)
+    assert failed(found) == ["system"]
+    assert "System role not supported" in found["system"].seen
+    with pytest.raises(EndpointError, match="chat template"):
+        require(list(found.values()), "monolithic")
+
+
+def test_what_the_policy_driven_sends_is_checked():
+    """Its methods bear the policy's name: they need the plan and the schema of perception, and no turns of an agent."""
+    found, _ = checks(refuses("people"))
+    assert failed(found) == ["perception"]
+    assert set(found["perception"].methods) == set(DRIVEN)
+    found, _ = checks(refuses("anyOf"))
+    assert all("panoramas" not in check.name or not set(check.methods) & set(DRIVEN) for check in found.values())
+    (request,) = [one for one in checks(seeing)[1].requests if "The people in the picture" in texts(one)]
+    system, user = request["messages"]
+    assert system["content"].startswith("You list the people in one picture.")
+    assert '"action walking": ["yes", "no", "cannot tell"]' in user["content"][0]["text"]
+
+
 def test_a_server_without_json_schema_is_refused_at_once():
     def script(request, n):
         return Status(400, "response_format is not supported") if "response_format" in request else seeing(request)
 
     found, server = checks(script)
     assert failed(found) == ["schema"]
-    assert len(server.requests) == 2, "each picture would be refused for the same reason"
+    assert len(server.requests) == 3, "each picture would be refused for the same reason"
     with pytest.raises(EndpointError, match="--response-format json_object"):
         require(list(found.values()))
     found, _ = checks(script, response_format="none")
@@ -297,12 +346,12 @@ def dull(request, n):
         (takes(PANORAMAS), ["crops"], LOOKING),
         (takes(CROPS - 1), ["crops"], LOOKING),
         (takes_bytes(1 << 20), ["panoramas"], FIXED_CONTEXT),
-        (refuses("anyOf"), ["panoramas", "crops", "plan"], {*AGENTS, "react"}),
+        (refuses("anyOf"), ["panoramas", "crops", "plan"], {*AGENTS, *DRIVEN, "react"}),
         (refuses("$ref"), ["plan"], PLANNING),
         (plain_roots, ["crops", "plan"], {*PLANNING, "react"}),
         (passing_on(slice(1)), ["panoramas"], FIXED_CONTEXT),
         (passing_on(slice(-1, None)), ["panoramas"], FIXED_CONTEXT),
-        (dull, ["panoramas", "crops", "plan"], {*AGENTS, "react"}),
+        (dull, ["panoramas", "crops", "plan"], {*AGENTS, *DRIVEN, "react"}),
     ],
 )
 def test_a_server_that_the_largest_requests_are_too_much_for(script, refused, methods):
@@ -312,7 +361,7 @@ def test_a_server_that_the_largest_requests_are_too_much_for(script, refused, me
     assert [name for name in failed(found) if found[name].needed] == refused
     suffering = {method for name in refused for method in found[name].methods}
     assert suffering == set(methods)
-    for method in METHODS:
+    for method in (*METHODS, *DRIVEN):
         if method not in suffering:
             assert require(checked, method)
             continue
@@ -349,7 +398,7 @@ def test_a_server_without_schemas_is_not_blamed_for_them():
 def test_every_method_has_its_largest_request_tried():
     senders = [method for demand in demands() if demand.pictures for method in demand.pictures.methods]
     assert sorted(senders) == sorted(METHODS)
-    assert {method for demand in demands() for method in demand.form.methods} == {*AGENTS, "react"}
+    assert {method for demand in demands() for method in demand.form.methods} == {*AGENTS, *DRIVEN, "react"}
 
 
 # -- the command ------------------------------------------------------------------------------------------------------

@@ -82,10 +82,24 @@ def test_another_model_than_asked_is_a_warning():
     assert "fake-AWQ" in warning
 
 
-def test_a_server_that_fails_a_check_is_no_endpoint():
-    with FakeServer(lambda request, n: "I would rather talk.") as server, pytest.raises(EndpointError) as caught:
-        Endpoint(None, "fake", server.url)
+def test_a_server_that_fails_a_check_is_warned_of_and_refused_only_where_it_is_wanted():
+    with FakeServer(lambda request, n: "I would rather talk.") as server:
+        endpoint = Endpoint(None, "fake", server.url)
+        with pytest.raises(EndpointError) as caught:
+            Endpoint(None, "fake", server.url, strict=True)
+    assert endpoint.warnings[0].startswith("schema: json_schema is not followed")
+    assert endpoint.settings["preflight"] == endpoint.warnings
     assert str(caught.value).startswith("preflight: schema: json_schema is not followed")
+
+
+def test_a_run_is_resumed_whatever_the_checks_found_before(tmp_path):
+    """A model that misses a corner once is no other model."""
+
+    def terms(lines):
+        return RunManifest("r", "react", "fake", "0", (), False, {"preflight": lines}, "")
+
+    check_manifest(Store(tmp_path), terms(["picture: 2 of 4 drawn pictures were seen right"]))
+    check_manifest(Store(tmp_path), terms([]))
 
 
 def test_no_address_is_an_address_of_the_marker_alone():
