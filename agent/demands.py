@@ -17,7 +17,8 @@ from functools import cache
 from typing import Any, Final, NamedTuple
 
 from jrdb_avr.agent.methods.attempt import PANORAMAS, panorama_parts
-from jrdb_avr.agent.methods.react import BUDGET, react_turn_schema
+from jrdb_avr.agent.methods.episode import BUDGET
+from jrdb_avr.agent.methods.react import react_turn_schema
 from jrdb_avr.agent.model.messages import Part, Picture
 from jrdb_avr.agent.model.probes import (
     CORNERS,

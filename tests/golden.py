@@ -8,7 +8,8 @@ runs-7, runs-11             prompts, a scored run and report figures of ten ques
 real                        questions from real annotations, in `$JRDB_REAL` or `../shared/jrdb-real`; skipped if absent
 
 The prompts are the bodies of all HTTP requests that ten questions of each method send to the simulated model, images
-included. Bytes of Parquet and JPEG depend on the installed libraries, so their versions are recorded too.
+included, without the checks of the server before them. Bytes of Parquet and JPEG depend on the installed libraries, so
+their versions are recorded too.
 """
 
 from __future__ import annotations
@@ -164,9 +165,14 @@ def runs(seed: int, folder: Path) -> dict[str, object]:
         # Some methods are noisy in the second world: replies that have to be repaired have prompts of their own.
         noise = NOISE if seed != 7 and method in ("react", "agent", "search-recognize") else ()
         with recorded_model(noise) as (url, bodies):
-            options = ("--store", store, "--method", method, "--model", "marker", "--base-url", url)
-            jrdb_avr("evaluate", *options, "--run-id", method, "--questions", ids, "--no-scores")
-            prompts[method] = sha256(*(body.encode() for body in sorted(bodies)))
+            model = ("--model", "marker", "--base-url", url)
+            jrdb_avr("preflight", *model)
+            checks = set(bodies)
+            jrdb_avr(
+                *("evaluate", "--store", store, "--method", method, *model),
+                *("--run-id", method, "--questions", ids, "--no-scores"),
+            )
+            prompts[method] = sha256(*(body.encode() for body in sorted(bodies) if body not in checks))
     jrdb_avr("score", "--store", store)
     order = "ORDER BY run_id, question_id"
     return {
