@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from jrdb_avr.agent.methods.episode import Episode as Episode
-    from jrdb_avr.agent.model.conventions import Options as Options
+    from jrdb_avr.agent.model.options import Options as Options
     from jrdb_avr.engine.generate.run import Generation as Generation
     from jrdb_avr.engine.generate.run import generate as generate
     from jrdb_avr.engine.observe.observer import Observer as Observer
@@ -84,7 +84,7 @@ _NAMES: Final = {
     "engine.run.live_scores": ("LiveScore",),
     "engine.run.selection": ("QuestionSelection",),
     "schema.rules": ("Rules", "LoadRules"),
-    "agent.model.conventions": ("Options",),
+    "agent.model.options": ("Options",),
     "agent.methods.episode": ("Episode",),
     "engine.run.bench": ("Bench",),
     "engine.run.judge": ("Judge",),

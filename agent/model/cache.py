@@ -8,6 +8,7 @@ and makes them again. Requests hold no key, so the file holds none.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import threading
@@ -71,6 +72,16 @@ class Calls:
             return entry.reply if entry.request == digest else None
         except _UNREADABLE:
             return None
+
+    def tokens(self) -> tuple[int, int]:
+        """The prompt and completion tokens of all calls in the file."""
+        prompt = completion = 0
+        with contextlib.suppress(OSError), self._path.open("rb") as lines:
+            for line in lines:
+                with contextlib.suppress(*_UNREADABLE):
+                    reply = _ENTRY.decode(line).reply
+                    prompt, completion = prompt + reply.prompt_tokens, completion + reply.completion_tokens
+        return prompt, completion
 
     def append(self, digest: str, reply: Reply) -> None:
         """Append a reply. Raises StoreError where the disk refuses."""

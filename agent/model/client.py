@@ -1,18 +1,19 @@
 """Client of OpenAI-compatible chat servers.
 
-A call is a pure function of its request (temperature 0), so a call that finishes cleanly is stored under the sha256 of
-the whole request and never paid for twice. The client repeats what the transport or the server breaks (timeout, cut-off
-or unreadable reply, 5xx) and waits longer for a server that is busy (429, 503, 529) or not there. Any other refusal is
-an EndpointError at once. The key comes from the environment and goes only into the request's header.
+A call that finishes cleanly is stored under the sha256 of the whole request and never paid for twice. The client
+repeats what the transport or the server breaks (timeout, cut-off or unreadable reply, 5xx) and waits longer for a
+server that is busy (429, 503, 529) or not there. Any other refusal is an EndpointError at once. Keys come from the
+environment and go only into the request's headers.
 """
 
 from __future__ import annotations
 
 import math
 import random
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
 from urllib.parse import urlsplit
@@ -20,19 +21,23 @@ from urllib.parse import urlsplit
 import msgspec
 
 from jrdb_avr.agent.model.cache import Calls
-from jrdb_avr.agent.model.conventions import CONTRACT, DEFAULTS, Convention, Options
+from jrdb_avr.agent.model.conventions import CONTRACT, Convention
 from jrdb_avr.agent.model.gate import Gate
+from jrdb_avr.agent.model.limits import RateLimit
 from jrdb_avr.agent.model.messages import Message, fingerprint, wire
+from jrdb_avr.agent.model.options import DEFAULTS, Options
 from jrdb_avr.agent.model.reply import ErrorReply, Reply, read_completion, server_reason, spoken
 from jrdb_avr.agent.model.transport import (
     CONNECT_S,
-    KEY_VARIABLE,
+    address_of,
     checked_url,
+    environment_header,
     environment_key,
     exchange,
     open_connection,
     retry_after,
     secret_pattern,
+    secrets_of,
     within,
 )
 from jrdb_avr.schema.errors import EndpointError, RunStoppedError
@@ -54,11 +59,14 @@ _BUSY: Final = (429, 503, 529)
 _NO_CREDIT: Final = "insufficient_quota"
 """The error code of a 429 that waiting does not mend."""
 _REMEDIES: Final = {
-    401: f"; put the server's key into ${KEY_VARIABLE}",
-    403: f"; put a key that may use the model into ${KEY_VARIABLE}",
+    401: "; put the server's key into ${key}",
+    403: "; put a key that may use the model into ${key}",
     404: "; check --base-url (most end in /v1) and --model",
     429: "; the key's account has no credit left",
 }
+
+_LONGER_NAME: Final = "max_completion_tokens"
+"""The newer name of `max_tokens`; a server that takes no other says so."""
 
 _Fault = Literal["unreachable", "busy", "timeout", "broken"]
 _NEXT: Final[Mapping[_Fault, str]] = {
@@ -90,6 +98,10 @@ class _BrokenError(Exception):
         return self.fault in ("unreachable", "busy")
 
 
+class _OtherNameError(EndpointError):
+    """The server refuses the limit of a reply by its older name."""
+
+
 class Client:
     """Completes chats at `base_url` with `model`; safe for many threads at once.
 
@@ -106,17 +118,30 @@ class Client:
         convention: Convention = CONTRACT,
         cache: Path | None = None,
         pause: Callable[[float], None] = time.sleep,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.base_url = checked_url(base_url)
         self.model = model
         self.options = options
         self.convention = convention
         self._calls = None if cache is None else Calls(cache)
-        self._key = environment_key()
-        self._secret = secret_pattern(self._key)
+        self._headers = {"Content-Type": "application/json"}
+        own = {name: environment_header(name, variable) for name, variable in options.headers.items()}
+        key = environment_key(options.api_key_env)
+        if key and "authorization" not in map(str.lower, own):
+            self._headers["Authorization"] = f"Bearer {key}"
+        self._headers |= own
+        self._secrets = secrets_of(key, own.values())
+        self._secret = secret_pattern(self._secrets)
+        self._limit = RateLimit(options.rpm, options.tpm, clock, pause)
+        self._spent = 0.0
+        if options.price is not None and self._calls is not None:
+            self._spent = options.price.cost(*self._calls.tokens())
+        self._longer_name = False
         self._pause = pause
         self._served: dict[str, None] = {}
         self._gate = Gate()
+        self._lock = threading.Lock()
         self._replies = 0
         # One connection per call in flight: the library's pool inspects all of its connections twice a call. The first
         # one is made at once, because the environment may be unusable.
@@ -124,12 +149,7 @@ class Client:
 
     def settings(self) -> dict[str, Any]:
         """Server and sampling settings for a run's manifest; they hold no secret."""
-        return {
-            "base_url": self.base_url,
-            "temperature": 0,
-            **asdict(self.options),
-            "chat_template_kwargs": self.options.template(self.convention),
-        }
+        return {"base_url": self.base_url, **self.options.settings(self.convention)}
 
     @property
     def served(self) -> tuple[str, ...]:
@@ -142,7 +162,7 @@ class Client:
         Raises EndpointError when the server refuses the request or breaks after all retries; a RunStoppedError where
         it could not be reached, or was busy, for two minutes in which no other call succeeded either.
         """
-        request = self._request(schema)
+        request = self.options.request(self.model, self.convention, schema)
         digest = ""
         if self._calls is not None:
             digest = self._calls.digest({**request, "messages": fingerprint(messages)})
@@ -164,7 +184,7 @@ class Client:
 
         Raises EndpointError, as `complete`.
         """
-        request = {**self._request(schema), "messages": wire(messages)}
+        request = {**self.options.request(self.model, self.convention, schema), "messages": wire(messages)}
         return self._noted(self._send(request, _PROBE_RETRIES, _PROBE_TIMEOUT_S))
 
     def server_version(self) -> str:
@@ -189,23 +209,32 @@ class Client:
         self._served.setdefault(reply.model)
         return reply
 
-    def _request(self, schema: Mapping[str, Any] | None) -> dict[str, Any]:
-        request: dict[str, Any] = {"model": self.model, "temperature": 0, "max_tokens": self.options.max_tokens}
-        if template := self.options.template(self.convention):
-            request["chat_template_kwargs"] = template
-        return request if schema is None else {**request, **self.options.response(schema)}
+    def _check_cost(self) -> None:
+        most = self.options.max_cost
+        if most is not None and self._spent >= most:
+            raise RunStoppedError(
+                f"the calls have cost {self._spent:.4g} dollars, and --max-cost is {most:g}: "
+                "give more, then run again with --resume"
+            )
 
     def _send(self, request: Mapping[str, Any], retries: int, most_s: float = math.inf) -> Reply:
         # Encoded once and sent as bytes: a request may hold megabytes of pictures.
-        body = msgspec.json.encode(request)
+        longer = self._longer_name
+        body = _encoded(request, longer)
         timeout_s = min(self.options.timeout_s, most_s)
         # A busy server does not delay a probe either, or a call without retries.
         patience_s = _BUSY_S if retries and most_s == math.inf else 0.0
         tries = broken_tries = 0
         replies = self._replies
         while True:
+            self._check_cost()
             try:
                 return self._try(body, timeout_s)
+            except _OtherNameError:
+                if longer:
+                    raise
+                self._longer_name = longer = True
+                body = _encoded(request, longer)
             except _BrokenError as broken:
                 tries += 1
                 wait = broken.pause
@@ -230,6 +259,7 @@ class Client:
     def _try(self, body: bytes, timeout_s: float) -> Reply:
         import httpx2
 
+        sent = self._limit.admit()
         with self._gate.admitted() as own:
             try:
                 # Sending the request, waiting for the reply and reading it may each take the whole time.
@@ -263,6 +293,10 @@ class Client:
             raise _BrokenError(f"the reply is no chat completion but {kind[:40]} ({self._one_line(error)})") from None
         self._replies += 1
         self._gate.replied()
+        self._limit.count(sent, reply.prompt_tokens + reply.completion_tokens)
+        if (price := self.options.price) is not None:
+            with self._lock:
+                self._spent += price.cost(reply.prompt_tokens, reply.completion_tokens)
         return reply
 
     def _post(self, body: bytes, timeout_s: float) -> tuple[httpx2.Response, bytes]:
@@ -270,10 +304,9 @@ class Client:
             connection = self._idle.pop()
         except IndexError:
             connection = open_connection(self.base_url)
-        headers = {"Content-Type": "application/json"} | ({"Authorization": f"Bearer {self._key}"} if self._key else {})
         try:
-            url = f"{self.base_url}/chat/completions"
-            return exchange(connection, timeout_s, "POST", url, content=body, headers=headers)
+            url = address_of(self.base_url, "/chat/completions")
+            return exchange(connection, timeout_s, "POST", url, content=body, headers=self._headers)
         finally:
             self._idle.append(connection)
 
@@ -284,9 +317,22 @@ class Client:
         if busy or status >= 500:
             pause = retry_after(response.headers.get("retry-after"))
             return _BrokenError(reason, "busy" if busy else "broken", pause)
-        return EndpointError(f"{self.base_url}: {reason}{_REMEDIES.get(status, '')}")
+        remedy = _REMEDIES.get(status, "").format(key=self.options.api_key_env)
+        if self.options.temperature is not None and "temperature" in message:
+            remedy = "; if the model takes none, give --temperature none"
+        other = self.options.names_itself and _LONGER_NAME in message
+        return (_OtherNameError if other else EndpointError)(f"{self.base_url}: {reason}{remedy}")
 
     def _one_line(self, error: object) -> str:
         # The key goes before the text is cut, or its beginning could stay.
-        text = str(error).replace(self._key, "[key]") if self._key else str(error)
+        text = str(error)
+        for secret in self._secrets:
+            text = text.replace(secret, "[key]")
         return " ".join(text.split())[:300] or type(error).__name__
+
+
+def _encoded(request: Mapping[str, Any], longer: bool) -> bytes:
+    """A request's body, the limit of the reply by its older or its `longer` name."""
+    if longer:
+        request = {_LONGER_NAME if name == "max_tokens" else name: value for name, value in request.items()}
+    return msgspec.json.encode(request)

@@ -4,8 +4,6 @@ The contract of the prompts is the same for all: `bbox`, x1 y1 x2 y2, in thousan
 under which other keys a backbone writes its boxes out of habit, and in which order and scale the numbers of each key
 are to be read. Nothing here is ever chosen by looking at a true box: a convention is declared, or found by
 `calibrate` on drawn rectangles that belong to no question.
-
-What is set of an endpoint beside its address and model: part of a run's manifest, never changed while it runs.
 """
 
 from __future__ import annotations
@@ -13,14 +11,11 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal
 
 Order = Literal["xyxy", "yxyx"]
 Scale = Literal["thousandths", "unit", "pixels", "resized"]
 """The numbers of full width and height: 1000, 1, the image's sides, or its sides after the model's own resizing."""
-
-ResponseFormat = Literal["json_schema", "json_object", "none"]
-Thinking = Literal["off", "on", "template"]
 
 SCALE: Final = 1000
 TOLERANCE: Final = 0.02
@@ -115,45 +110,3 @@ def convention_of(model: str) -> Convention:
     """The convention of a backbone whose name the model id holds, however it is spelled; CONTRACT for any other."""
     plain = re.sub(r"[\s_:/]+", "-", model.lower())
     return next((convention for pattern, convention in _FAMILIES if pattern.search(plain)), CONTRACT)
-
-
-RESPONSE_FORMATS: Final[tuple[ResponseFormat, ...]] = get_args(ResponseFormat)
-THINKING: Final[tuple[Thinking, ...]] = get_args(Thinking)
-
-
-@dataclass(frozen=True)
-class Options:
-    """Request settings of a server, stored in a run's manifest and never changed while it runs.
-
-    `response_format`: what makes the reply JSON: the schema itself, the promise of some JSON object, or the prompt
-    alone. `thinking`: off or on, or as the server's template has it. `max_tokens` bounds a reply, thinking included;
-    `timeout_s` bounds each wait for a reply; `retries` is how often a broken try is repeated.
-    """
-
-    response_format: ResponseFormat = "json_schema"
-    thinking: Thinking = "off"
-    max_tokens: int = 2048
-    timeout_s: float = 300.0
-    retries: int = 4
-
-    def thinks(self, convention: Convention) -> bool | None:
-        """Whether replies are declared to hold thinking; None where nothing is declared."""
-        return convention.thinks if self.thinking == "template" else self.thinking == "on"
-
-    def template(self, convention: Convention) -> dict[str, Any]:
-        """The request's `chat_template_kwargs`: sent only where they change what the template does by itself."""
-        thinks = self.thinking == "on"
-        changes = convention.switches and self.thinking != "template" and convention.thinks != thinks
-        return {"enable_thinking": thinks} if changes else {}
-
-    def response(self, schema: Mapping[str, Any]) -> dict[str, Any]:
-        """The request's `response_format` for a schema; empty where none is sent."""
-        if self.response_format == "none":
-            return {}
-        form: dict[str, Any] = {"type": self.response_format}
-        if self.response_format == "json_schema":
-            form["json_schema"] = {"name": "reply", "schema": dict(schema), "strict": True}
-        return {"response_format": form}
-
-
-DEFAULTS: Final = Options()

@@ -12,7 +12,7 @@ import queue
 import re
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 from urllib.parse import urlsplit
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-KEY_VARIABLE: Final = "OPENAI_API_KEY"
 MOST_BYTES: Final = 16 << 20
 """Longest reply accepted; a few thousand tokens take some kilobytes."""
 CONNECT_S: Final = 20.0
@@ -133,17 +132,28 @@ def _serve(tasks: _Tasks) -> None:
 
 # -- address and key --------------------------------------------------------------------------------------------------
 
-_SECRETIVE: Final = re.compile(r"[?#]|^([^/]*//)?[^/]*@")
-"""Parts of an address that may hold a password: user info, query, fragment."""
+_SECRETIVE: Final = re.compile(r"#|^([^/]*//)?[^/?]*@")
+"""Parts of an address that may hold a password: user info, fragment."""
+
+_SECRET_NAME: Final = re.compile(r"(?i)key|token|secret|pass|pw|sig|auth|cred|code")
+_LONGEST_VALUE: Final = 40
+"""Longest value of a query's parameter; longer ones may be keys."""
 
 
 def checked_url(base_url: str) -> str:
     """The address without a slash at its end. Raises EndpointError for one that cannot be used or holds a password."""
     import httpx2
 
-    if _SECRETIVE.search(base_url):
+    query = base_url.partition("?")[2].partition("#")[0]
+    named = [part.partition("=") for part in re.split("[&;]", query) if part]
+    if _SECRETIVE.search(base_url) or any(
+        _SECRET_NAME.search(name) or len(value) > _LONGEST_VALUE for name, _, value in named
+    ):
         # The address is printed and stored with the run.
-        raise EndpointError(f"--base-url must hold no password, query or fragment: put the key into ${KEY_VARIABLE}")
+        raise EndpointError(
+            "--base-url must hold no password, key or fragment: put the key into an environment variable, and give its "
+            "name by --api-key-env or --header"
+        )
     try:
         parts = urlsplit(base_url)
         sound = parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0
@@ -153,7 +163,13 @@ def checked_url(base_url: str) -> str:
         sound = False
     if not sound or not base_url.isprintable() or " " in base_url:
         raise EndpointError(f"{base_url!a} is no server address: give one like http://localhost:8000/v1")
-    return base_url.rstrip("/")
+    return parts._replace(path=parts.path.rstrip("/")).geturl()
+
+
+def address_of(base_url: str, path: str) -> str:
+    """The address of a path below a base address, whose query it keeps."""
+    parts = urlsplit(base_url)
+    return parts._replace(path=parts.path + path).geturl()
 
 
 def _is_loopback(base_url: str) -> bool:
@@ -164,23 +180,42 @@ def _is_loopback(base_url: str) -> bool:
         return host == "localhost"
 
 
-def environment_key() -> str:
-    """The key of the environment. Raises EndpointError, without it, for one that a header cannot hold."""
-    key = os.environ.get(KEY_VARIABLE, "").strip()
+def environment_key(variable: str) -> str:
+    """The key that an environment variable holds. Raises EndpointError, without it, for one that no header can hold."""
+    key = os.environ.get(variable, "").strip()
     if not all("!" <= character <= "~" for character in key):
         raise EndpointError(
-            f"${KEY_VARIABLE} holds a character that no key has (a space, a line end, a letter beyond ASCII)"
+            f"${variable} holds a character that no key has (a space, a line end, a letter beyond ASCII)"
         )
     return key
 
 
-def secret_pattern(key: str) -> re.Pattern[bytes] | None:
-    """Matches the key in a reply, also with JSON's escapes, as some servers write / and +; None for a short key.
+def environment_header(name: str, variable: str) -> str:
+    """A header's value from the environment. Raises EndpointError where there is none, or no header can hold it."""
+    value = os.environ.get(variable, "").strip()
+    if not value or not all(" " <= character <= "~" for character in value):
+        raise EndpointError(f"--header {name}={variable}: ${variable} holds no value that a header can have")
+    return value
 
-    Also matches an escaped backslash, as group 1, so that its second half is not taken for the escape of the key.
+
+def secrets_of(key: str, headers: Iterable[str]) -> list[str]:
+    """What is to be hidden of a key and of the values of headers, the longest first."""
+    words = {word for value in headers for word in (value, *value.split()) if len(word) >= _SECRET // 2}
+    return sorted({key, *words} - {""}, key=lambda word: (-len(word), word))
+
+
+def secret_pattern(secrets: Sequence[str]) -> re.Pattern[bytes] | None:
+    """Matches secrets in a reply, also with JSON's escapes, as some servers write / and +; None without a long one.
+
+    Also matches an escaped backslash, as group 1, so that its second half is not taken for the escape of a secret.
     """
-    forms = (rf"(?:\\?{re.escape(character)}|\\u00(?i:{ord(character):02x}))" for character in key)
-    return re.compile(("".join(forms) + r"|(\\\\)").encode()) if len(key) >= _SECRET else None
+    long = ["".join(map(_forms, secret)) for secret in secrets if len(secret) >= _SECRET]
+    return re.compile(("|".join(long) + r"|(\\\\)").encode()) if long else None
+
+
+def _forms(character: str) -> str:
+    """A character as a server may write it."""
+    return rf"(?:\\?{re.escape(character)}|\\u00(?i:{ord(character):02x}))"
 
 
 def retry_after(value: str | None) -> float | None:

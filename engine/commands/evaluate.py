@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -59,6 +60,17 @@ panoramas:
     "All without.",
 )
 @endpoint_options(optional=True)
+@click.option(
+    "--prices",
+    type=FILE,
+    help="TOML file of prices: a table per model with input and output, in dollars per million tokens.",
+)
+@click.option(
+    "--max-cost",
+    type=click.FloatRange(0, min_open=True),
+    metavar="DOLLARS",
+    help="Stop once the run's calls have cost so much; more, and --resume, go on. Calls in flight may exceed it.",
+)
 @click.option("--run-id", help="Name of the run; METHOD-MODEL if left out.")
 @click.option("--questions", "picked", help="Question ids with commas between, or a file with one id per line.")
 @click.option("--family", "families", multiple=True, metavar="NAME", help="Only of this family; may be repeated.")
@@ -110,13 +122,21 @@ panoramas:
 )
 @form_option
 def command(
-    store: Store, picked: str | None, noise: tuple[str, ...], scores: bool | None, form: RowFormat, **options: Any
+    store: Store,
+    picked: str | None,
+    noise: tuple[str, ...],
+    scores: bool | None,
+    form: RowFormat,
+    prices: Path | None,
+    max_cost: float | None,
+    **options: Any,
 ) -> None:
     """Ask a model the questions of a store, and keep every step.
 
     The model's key is read from the environment (OPENAI_API_KEY). Its server is checked first, as by 'preflight'. The
     run can be stopped at any time and resumed. Exit code 1 while any question ends in an error.
     """
+    from jrdb_avr.agent.model.prices import read_price
     from jrdb_avr.agent.simulated.knobs import PERFECT, parse, profile_of
     from jrdb_avr.engine.run.evaluate import check_arguments, evaluate
     from jrdb_avr.engine.run.selection import QuestionSelection
@@ -131,6 +151,11 @@ def command(
             options["policy"],
             options["history"],
         )
+    except InputError as error:
+        raise click.UsageError(str(error)) from None
+    price = None if prices is None else read_price(prices, options["model"])
+    try:
+        options["options"] = replace(options["options"], price=price, max_cost=max_cost)
     except InputError as error:
         raise click.UsageError(str(error)) from None
     simulated = profile_of(options["model"])

@@ -20,8 +20,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.agent.methods.attempt import PANORAMAS, uniform_frames
-from jrdb_avr.agent.model.conventions import DEFAULTS, convention_of
+from jrdb_avr.agent.model.conventions import convention_of
 from jrdb_avr.agent.model.messages import Message, Picture
+from jrdb_avr.agent.model.options import DEFAULTS
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.engine.report.prediction_lines import line_of
 from jrdb_avr.engine.run.bench import Bench, find_images

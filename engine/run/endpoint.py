@@ -16,7 +16,8 @@ import msgspec
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.calibrate import Calibration
 from jrdb_avr.agent.model.client import Client
-from jrdb_avr.agent.model.conventions import DEFAULTS, Options, convention_of
+from jrdb_avr.agent.model.conventions import convention_of
+from jrdb_avr.agent.model.options import DEFAULTS, Options
 from jrdb_avr.agent.preflight import preflight, require
 from jrdb_avr.agent.simulated.knobs import Knobs, profile_of
 from jrdb_avr.queries.store import Store, is_plain_name, write_json

@@ -22,7 +22,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.agent.beliefs.world_model import WorldModel
-from jrdb_avr.agent.model.conventions import DEFAULTS, Options
+from jrdb_avr.agent.model.options import DEFAULTS, Options
+from jrdb_avr.agent.model.prices import Price
 from jrdb_avr.agent.reference.method import Policy
 from jrdb_avr.agent.simulated.knobs import PERFECT, Knobs, profile_of, turned
 from jrdb_avr.engine.run.answering import answer_all
@@ -52,18 +53,23 @@ from jrdb_avr.schema.method import ConfigurableMethod, Method
 
 _SUMS: Final = ("n_model_calls", "n_observations", "prompt_tokens", "completion_tokens", "seconds")
 """Columns of `predictions` that a run adds up."""
+_TOKENS: Final = ("prompt_tokens", "completion_tokens")
 
 
 @dataclass(frozen=True, repr=False)
 class RunResult(Displayed):
-    """A finished run: its id and its rows of `predictions`. `synthetic`: of the built-in model or the sample world."""
+    """A finished run: its id and its rows of `predictions`. `synthetic`: of the built-in model or the sample world.
+
+    `price`: the model's, if it is known.
+    """
 
     run_id: str
     predictions: pa.Table
     synthetic: bool
+    price: Price | None = None
 
     def row(self) -> dict[str, Any]:
-        """Counts by status, and sums of calls, looks, tokens and seconds."""
+        """Counts by status, sums of calls, looks, tokens and seconds, and the dollars of the tokens if known."""
         status = self.predictions["status"].to_pylist()
         sums = {name.removeprefix("n_"): pc.sum(self.predictions[name]).as_py() or 0 for name in _SUMS}
         return {
@@ -72,6 +78,7 @@ class RunResult(Displayed):
             **{name: status.count(name) for name in ("answered", "invalid", "error")},
             **sums,
             "seconds": round(sums["seconds"], 3),
+            **({} if self.price is None else {"dollars": round(self.price.cost(*(sums[name] for name in _TOKENS)), 6)}),
         }
 
     def commonest_error(self) -> tuple[str, int]:
@@ -172,7 +179,7 @@ def evaluate(
         predictions = run.finish()
         if endpoint is not None and (changed := endpoint.changed()):
             warnings.warn(changed, AvrWarning, stacklevel=2)
-    return RunResult(run_id, predictions, manifest.synthetic)
+    return RunResult(run_id, predictions, manifest.synthetic, options.price)
 
 
 def check_arguments(

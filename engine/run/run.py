@@ -22,7 +22,10 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.method import Question
 
-_PATIENCE: Final = ("base_url", "timeout_s", "retries")
+_ACCESS: Final = (
+    *("base_url", "timeout_s", "retries", "token_parameter", "headers", "api_key_env"),
+    *("rpm", "tpm", "price", "max_cost"),
+)
 """Settings of an endpoint that do not shape replies: a server may have moved, or need more time."""
 
 _MAY_BE_EMPTY: Final = ("server version",)
@@ -137,7 +140,7 @@ def _shaping(manifest: RunManifest) -> dict[str, Any]:
         "method": manifest.method,
         "model": manifest.model,
         "settings": settings.pop("method", {}),
-        "request settings": {name: value for name, value in endpoint.items() if name not in _PATIENCE},
+        "request settings": {name: value for name, value in endpoint.items() if name not in _ACCESS},
         **{name.replace("_", " "): value for name, value in settings.items()},
     }
 

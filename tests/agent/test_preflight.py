@@ -11,7 +11,8 @@ from fake_server import FakeServer, Status, completion, images, schema_of, seein
 from jrdb_avr.agent.demands import AGENTS, CROPS, DRIVEN, FIXED_CONTEXT, LOOKING, PLANNING, demands
 from jrdb_avr.agent.methods.attempt import PANORAMAS
 from jrdb_avr.agent.model.client import Client
-from jrdb_avr.agent.model.conventions import Options, convention_of
+from jrdb_avr.agent.model.conventions import convention_of
+from jrdb_avr.agent.model.options import Options
 from jrdb_avr.agent.preflight import preflight, require
 from jrdb_avr.agent.simulated.knobs import Knobs
 from jrdb_avr.agent.simulated.server import Server

@@ -77,6 +77,7 @@ class FakeServer:
         self.version = version
         self.requests = []
         self.headers = []
+        self.paths = []
         self._lock = threading.Lock()
         self._idle, self._connections = threading.Condition(), 0
         fake = self
@@ -91,6 +92,7 @@ class FakeServer:
                 with fake._lock:
                     number = len(fake.requests)
                     fake.requests.append(body)
+                    fake.paths.append(self.path)
                     fake.headers.append({name.lower(): value for name, value in self.headers.items()})
                 self.answer(fake.script(body, number))
 

@@ -11,8 +11,9 @@ from fake_server import FakeServer, Status, completion, images, marked, sound, t
 
 from jrdb_avr.agent.model.calibrate import calibrate, request
 from jrdb_avr.agent.model.client import Client
-from jrdb_avr.agent.model.conventions import CONTRACT, Options, Reading, convention_of
+from jrdb_avr.agent.model.conventions import CONTRACT, Reading, convention_of
 from jrdb_avr.agent.model.messages import wire
+from jrdb_avr.agent.model.options import Options
 from jrdb_avr.agent.model.probes import CORNERS, CROP_SIZE, drawn_picture, drawn_rectangles
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.engine.cli import group

@@ -20,8 +20,9 @@ from hypothesis import strategies as st
 
 from jrdb_avr.agent.model.cache import Calls
 from jrdb_avr.agent.model.client import Client
-from jrdb_avr.agent.model.conventions import Options, convention_of
+from jrdb_avr.agent.model.conventions import convention_of
 from jrdb_avr.agent.model.messages import Message, Picture, fingerprint, transcript, wire
+from jrdb_avr.agent.model.options import Options
 from jrdb_avr.agent.model.reply import Reply, read_completion
 from jrdb_avr.schema.errors import EndpointError, RunStoppedError, StoreError
 

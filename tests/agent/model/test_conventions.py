@@ -8,8 +8,9 @@ from backbones import BACKBONES
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from jrdb_avr.agent.model.conventions import CONTRACT, Convention, Options, convention_of
+from jrdb_avr.agent.model.conventions import CONTRACT, Convention, convention_of
 from jrdb_avr.agent.model.decode import box_key, read_box, write_box
+from jrdb_avr.agent.model.options import Options
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box
 

@@ -5,8 +5,9 @@ import json
 import pytest
 from fake_server import FakeServer, completion, sound, texts
 
-from jrdb_avr.agent.model.conventions import CONTRACT, Options
+from jrdb_avr.agent.model.conventions import CONTRACT
 from jrdb_avr.agent.model.messages import Message
+from jrdb_avr.agent.model.options import Options
 from jrdb_avr.engine.run.endpoint import Endpoint, serving
 from jrdb_avr.engine.run.run import check_manifest
 from jrdb_avr.queries.runs import RunManifest

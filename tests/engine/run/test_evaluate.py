@@ -208,6 +208,51 @@ def test_a_server_that_is_gone_ends_the_run_and_spends_no_question(store, gone):
         assert (row["n"], row["error"]) == (4, 0)
 
 
+def test_a_run_that_reaches_its_cost_stops_and_goes_on_with_more(store, tmp_path, monkeypatch):
+    """Ten tokens read and five written a call, at a dollar each: the checks alone cost 165."""
+    monkeypatch.setenv("MINE", "a-secret-of-the-header")
+    (tmp_path / "prices.toml").write_text("[fake]\ninput = 1000000\noutput = 1000000\n")
+    turn = json.dumps({"action": "observe", "frame_id": "000000", "angle_deg": 10})
+    with FakeServer(sound(lambda request, n: turn)) as server:
+        options = ("--model", "fake", "--base-url", f"{server.url}?api-version=1", "--limit", "4", "--json")
+        options += ("--temperature", "none", "--header", "X-Mine=MINE", "--extra-body", '{"seed": 3}')
+        options += ("--prices", str(tmp_path / "prices.toml"), "--concurrency", "1")
+        result = evaluate(store, *options, "--max-cost", "400", ok=False)
+        assert isinstance(result.exception, RunStoppedError) and "--max-cost is 400" in str(result.exception)
+        reached = len(server.requests)
+        assert 400 <= 15 * reached < 400 + 15
+        (row,) = json.loads(evaluate(store, *options, "--max-cost", "90000", "--resume").stdout)
+        again = server.requests[reached:]
+    assert (row["n"], row["error"]) == (4, 0)
+    assert row["dollars"] == row["prompt_tokens"] + row["completion_tokens"] > 400
+    assert all("temperature" not in request and request["seed"] == 3 for request in server.requests)
+    assert again and all(header["x-mine"] == "a-secret-of-the-header" for header in server.headers)
+    manifest = (store.run_path("react-fake") / "run.json").read_text()
+    endpoint = json.loads(manifest)["settings"]["endpoint"]
+    assert endpoint["headers"] == {"X-Mine": "MINE"} and "a-secret" not in manifest
+    assert endpoint["price"] == {"input": 1e6, "output": 1e6} and endpoint["base_url"].endswith("/v1?api-version=1")
+    assert (endpoint["temperature"], endpoint["extra_body"]) == (None, {"seed": 3})
+
+
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        (("--max-cost", "3"), "--prices FILE"),
+        (("--extra-body", "[1]"), "must be a JSON object"),
+        (("--extra-body", "{"), "no JSON"),
+        (("--extra-body", '{"model": "x"}'), "give --model"),
+        (("--header", "novalue"), "NAME=ENV"),
+        (("--header", "Host=MINE"), "no header of this name"),
+        (("--temperature", "warm"), "nor 'none'"),
+        (("--temperature", "nan"), "--temperature"),
+    ],
+)
+def test_wrong_request_settings_are_usage_errors(store, option, words):
+    result = evaluate(store, *option, ok=False)
+    assert result.exit_code == 2
+    assert words in " ".join(result.output.replace("│", " ").split())
+
+
 def test_resume_refuses_another_run(store):
     evaluate(store, "--limit", "2")
     other = evaluate(store, "--resume", "--limit", "1", ok=False)
