@@ -82,4 +82,4 @@ def submit(store: Store, run: str, folder: Path) -> None:
     from jrdb_avr.engine.report.bundle import write_bundle
 
     bundle = write_bundle(store, run, folder)
-    note(f"wrote {folder}: {len(bundle.run.question_ids)} questions, set {bundle.question_set}")
+    note(f"wrote {folder}: {len(bundle.run.question_ids)} questions")

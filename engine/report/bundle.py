@@ -31,6 +31,7 @@ _SUMS: Final = "SHA256SUMS"
 _LARGEST: Final = {_MANIFEST: 1 << 24, _PREDICTIONS: LARGEST_FILE}
 _LONGEST_NAME: Final = 200
 _LARGEST_SETTINGS: Final = 1 << 16
+_DEEPEST_SETTINGS: Final = 32
 
 
 @dataclass(frozen=True)
@@ -99,9 +100,19 @@ def _manifest(data: bytes, path: Path) -> RunManifest:
             raise ValueError("it names no question")
         if len(msgspec.json.encode(run.settings)) > _LARGEST_SETTINGS:
             raise ValueError("its settings are too large")
+        _check_depth(run.settings, _DEEPEST_SETTINGS)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} cannot be used: {error}", file=str(path)) from None
     return run
+
+
+def _check_depth(value: object, most: int) -> None:
+    """Raises ValueError for settings that are nested deeper: whoever shows them goes down with them."""
+    if not most:
+        raise ValueError("its settings are nested too deeply")
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    for own in inner:
+        _check_depth(own, most - 1)
 
 
 def _without_address(manifest: RunManifest) -> RunManifest:

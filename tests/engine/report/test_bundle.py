@@ -198,7 +198,11 @@ def test_hostile_manifests_are_refused_in_one_line(store, bundle, case):
 
 
 def test_a_manifest_that_is_too_deep_or_large_is_refused(bundle):
-    for data in (b'{"settings":' + b"[" * 200_000, b" " * ((1 << 24) + 1), b"\xff", b"[]"):
+    whole = (bundle / "run.json").read_bytes()
+    assert whole.count(b'"panoramas"') == 1
+    nested = [b'"panoramas": ' + b"[" * deep + b"]" * deep + b', "n"' for deep in (33, 900, 985)]
+    broken = [b'{"settings":' + b"[" * 200_000, b" " * ((1 << 24) + 1), b"\xff", b"[]"]
+    for data in (*broken, *(whole.replace(b'"panoramas"', own) for own in nested)):
         (bundle / "run.json").write_bytes(data)
         resummed(bundle)
         with pytest.raises(InputError):
