@@ -57,7 +57,7 @@ class _Header(click.ParamType[tuple[str, str]]):
         return name, variable
 
 
-_REQUEST: Final[dict[str, tuple[str, click.ParamType[Any], str]]] = {
+REQUEST: Final[dict[str, tuple[str, click.ParamType[Any], str]]] = {
     "response_format": (
         "--response-format",
         click.Choice(RESPONSE_FORMATS),
@@ -97,43 +97,49 @@ _REQUEST: Final[dict[str, tuple[str, click.ParamType[Any], str]]] = {
 def endpoint_options(optional: bool = False) -> Callable[[_C], Callable[..., Any]]:
     """Add the options of a model's server; the command gets `model`, `base_url`, and all others as one `options`.
 
-    A model without an address is a usage error, unless it is the built-in one or, where a model is `optional`, none.
+    A model without an address is a usage error, unless it is the built-in one. Where a model is `optional`, the command
+    checks that itself (`check_address`).
     """
     models = ", 'none' for a method of your own without any." if optional else "."
     server = [
         click.option(
             "--model",
-            required=True,
+            required=not optional,
             help=f"Id of the model; 'simulated:PROFILE' is the built-in one, and 'marker' its perfect profile{models}",
         ),
         click.option("--base-url", help="An OpenAI-compatible server, as http://localhost:8000/v1."),
     ]
-    request = [_option(name, flag, kind, text) for name, (flag, kind, text) in _REQUEST.items()]
+    request = [_option(name, flag, kind, text) for name, (flag, kind, text) in REQUEST.items()]
 
     def decorate(function: _C) -> Callable[..., Any]:
         @functools.wraps(function)
         def command(**values: Any) -> Any:
-            settings = {name: values.pop(name) for name in _REQUEST}
+            settings = {name: values.pop(name) for name in REQUEST}
             try:
                 options = Options(**settings | {"headers": dict(settings["headers"])})
             except InputError as error:
                 raise click.UsageError(str(error)) from None
             if math.isnan(options.timeout_s):
                 raise click.UsageError("--timeout must be a number of seconds")
-            from jrdb_avr.agent.simulated.knobs import profile_of
-
-            model = values["model"]
-            try:
-                simulated = profile_of(model) is not None
-            except InputError as error:
-                raise click.UsageError(str(error)) from None
-            if values["base_url"] is None and not simulated and not (optional and model == "none"):
-                raise click.UsageError(f"--model {model} needs --base-url, the address of the server that has it")
+            if not optional:
+                check_address(values["model"], values["base_url"])
             return function(**values, options=options)
 
         return functools.reduce(lambda inner, option: option(inner), reversed(server + request), command)
 
     return decorate
+
+
+def check_address(model: str, base_url: str | None) -> None:
+    """Raises UsageError for a model that has no address and is not built in."""
+    from jrdb_avr.agent.simulated.knobs import profile_of
+
+    try:
+        simulated = profile_of(model) is not None
+    except InputError as error:
+        raise click.UsageError(str(error)) from None
+    if base_url is None and not simulated:
+        raise click.UsageError(f"--model {model} needs --base-url, the address of the server that has it")
 
 
 def _option(name: str, flag: str, kind: click.ParamType[Any], text: str) -> Callable[[_C], _C]:

@@ -11,13 +11,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from jrdb_avr.engine.commands._endpoint import endpoint_options
+from jrdb_avr.engine.commands._endpoint import check_address, endpoint_options
+from jrdb_avr.engine.commands._matrix import matrix_runs
 from jrdb_avr.engine.commands._options import FILE, form_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
-from jrdb_avr.engine.run.methods import METHODS, POLICIES
-from jrdb_avr.schema.errors import InputError
+from jrdb_avr.engine.run.methods import METHODS, NO_MODEL, POLICIES
+from jrdb_avr.schema.errors import AvrError, InputError
 
 if TYPE_CHECKING:
+    from jrdb_avr.engine.run.evaluate import RunResult
     from jrdb_avr.engine.run.live_scores import LiveScore
     from jrdb_avr.queries.store import Store
 
@@ -29,6 +31,7 @@ Examples:
   jrdb-avr evaluate --store S --method react --model marker
   jrdb-avr evaluate --store S --method agent --model Qwen3-VL-8B --base-url http://localhost:8000/v1
   jrdb-avr evaluate --store S --method agent --model marker --resume
+  jrdb-avr evaluate --store S --matrix runs.toml --limit 100
 \b
 A machine without labels needs a folder with questions/questions.parquet and questions/sequences.parquet, and the
 panoramas:
@@ -40,7 +43,6 @@ panoramas:
 @store_option()
 @click.option(
     "--method",
-    required=True,
     metavar="METHOD",
     help=f"How questions are answered: {', '.join(METHODS)}; or one of your own, as FILE.py:NAME or MODULE:NAME.",
 )
@@ -120,46 +122,93 @@ panoramas:
     default=None,
     help="Scores so far, from a process of their own; beside the bar on a terminal, as lines elsewhere.",
 )
+@click.option(
+    "--epochs",
+    type=click.IntRange(1, 1000),
+    metavar="N",
+    help="Ask each question N times, in runs RUN-1 to RUN-N; 'report --table epochs' has pass@k and the majority.",
+)
+@click.option(
+    "--matrix",
+    type=FILE,
+    help="TOML file of several runs: a table [[run]] with options, by their names; a list is a run for each value.",
+)
 @form_option
-def command(
-    store: Store,
-    picked: str | None,
-    noise: tuple[str, ...],
-    scores: bool | None,
-    form: RowFormat,
-    prices: Path | None,
-    max_cost: float | None,
-    **options: Any,
-) -> None:
+def command(store: Store, matrix: Path | None, form: RowFormat, **options: Any) -> None:
     """Ask a model the questions of a store, and keep every step.
 
     The model's key is read from the environment (OPENAI_API_KEY). Its server is checked first, as by 'preflight'. The
     run can be stopped at any time and resumed. Exit code 1 while any question ends in an error.
     """
+    from jrdb_avr.agent.simulated.knobs import profile_of
+    from jrdb_avr.engine.report.formats import filled
+
+    runs = [options] if matrix is None else matrix_runs(matrix, click.get_current_context(), options)
+    runs = [_checked(run) for run in runs]
+    epochs = [epoch for run in runs for epoch in _epochs(**run)]
+    results: list[RunResult] = []
+    for epoch in epochs:
+        try:
+            results.append(_evaluate(store, **epoch))
+        except AvrError as error:
+            if matrix is None:
+                raise
+            # One server that is away leaves the others their runs.
+            note(f"jrdb-avr: {epoch['method']}, {epoch['model']}: {error}")
+    simulated = any(profile_of(run["model"]) is not None for run in runs)
+    title = "Run" if len(epochs) == 1 else "Runs"
+    rows = filled([run.row() for run in results])
+    print_rows(rows, title=f"{title} (synthetic: the simulated model)" if simulated else title, form=form)
+    for run, row in zip(results, rows, strict=True):
+        if row["error"]:
+            reason, times = run.commonest_error()
+            about = f"{run.run_id}: " if len(epochs) > 1 else ""
+            ended = f"{row['error']} of {row['n']} questions ended in an error, {times} of them so: {reason[:300]}"
+            note(f"{about}{ended}; run the same command with --resume to ask them again")
+    if len(results) < len(epochs) or any(row["error"] for row in rows):
+        sys.exit(1)
+    if not form:
+        names = " ".join(run.run_id for run in results)
+        note(f"next: jrdb-avr score --store {store.path} {names} && jrdb-avr report --store {store.path}")
+
+
+def _checked(run: dict[str, Any]) -> dict[str, Any]:
+    """The options of a run with its price. Raises UsageError where they contradict each other."""
     from jrdb_avr.agent.model.prices import read_price
+    from jrdb_avr.engine.run.evaluate import check_arguments
+
+    for name in ("method", "model"):
+        if run[name] is None:
+            raise click.UsageError(f"Missing option '--{name}'.")
+    if run["model"] != NO_MODEL:
+        check_address(run["model"], run["base_url"])
+    prices, max_cost = run.pop("prices"), run.pop("max_cost")
+    price = None if prices is None else read_price(prices, run["model"])
+    try:
+        checked = {name: run[name] for name in ("method", "model", "base_url", "world_db", "policy", "history")}
+        check_arguments(**checked, noisy=bool(run["noise"]))
+        return run | {"options": replace(run["options"], price=price, max_cost=max_cost)}
+    except InputError as error:
+        raise click.UsageError(str(error)) from None
+
+
+def _epochs(epochs: int | None, **run: Any) -> list[dict[str, Any]]:
+    """The options of each epoch of a run."""
+    if epochs is None:
+        return [run]
+    if epochs > 1 and run["options"].temperature == 0 and run["base_url"] is not None:
+        note("warning: at temperature 0 epochs repeat each other: give --temperature")
+    return [run | {"epoch": epoch} for epoch in range(1, epochs + 1)]
+
+
+def _evaluate(
+    store: Store, picked: str | None, noise: tuple[str, ...], scores: bool | None, **options: Any
+) -> RunResult:
     from jrdb_avr.agent.simulated.knobs import PERFECT, parse, profile_of
-    from jrdb_avr.engine.run.evaluate import check_arguments, evaluate
+    from jrdb_avr.engine.run.evaluate import evaluate
     from jrdb_avr.engine.run.selection import QuestionSelection
 
-    try:
-        check_arguments(
-            options["method"],
-            options["model"],
-            options["base_url"],
-            bool(noise),
-            options["world_db"],
-            options["policy"],
-            options["history"],
-        )
-    except InputError as error:
-        raise click.UsageError(str(error)) from None
-    price = None if prices is None else read_price(prices, options["model"])
-    try:
-        options["options"] = replace(options["options"], price=price, max_cost=max_cost)
-    except InputError as error:
-        raise click.UsageError(str(error)) from None
-    simulated = profile_of(options["model"])
-    marker = parse(noise, simulated or PERFECT) if noise else None
+    marker = parse(noise, profile_of(options["model"]) or PERFECT) if noise else None
     names = {
         name: options.pop(name) for name in ("families", "templates", "sequences", "per_template", "limit", "seed")
     }
@@ -176,17 +225,9 @@ def command(
 
     live_scores = report if scores or (scores is None and terminal) else None
     with progress_bar(lambda: latest) as progress:
-        run = evaluate(store, questions=questions, marker=marker, progress=progress, live_scores=live_scores, **options)
-    row = run.row()
-    title = "Run (synthetic: the simulated model)" if simulated is not None else "Run"
-    print_rows([row], title=title, form=form)
-    if row["error"]:
-        reason, times = run.commonest_error()
-        ended = f"{row['error']} of {row['n']} questions ended in an error, {times} of them so: {reason[:300]}"
-        note(f"{ended}; run the same command with --resume to ask them again")
-        sys.exit(1)
-    if not form:
-        note(f"next: jrdb-avr score --store {store.path} {run.run_id} && jrdb-avr report --store {store.path}")
+        return evaluate(
+            store, questions=questions, marker=marker, progress=progress, live_scores=live_scores, **options
+        )
 
 
 def _ids(picked: str) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from typing import Final
 import pyarrow as pa
 
 from jrdb_avr.engine.report import formats
+from jrdb_avr.engine.report.epochs import epoch_rows
 from jrdb_avr.engine.report.scored_runs import QuestionIndex, ScoredRun, read_index
 from jrdb_avr.engine.report.scoring import read_truth, score_run, write_scores
 from jrdb_avr.engine.report.tables import (
@@ -79,6 +80,8 @@ class Comparison(Displayed):
                 return ablation_rows(runs, published=self.paper)
             case "pairs":
                 return pair_rows(index, runs)
+            case "epochs":
+                return epoch_rows(runs)
             case "wrong_choices" | "evidence_failures" | "cost":
                 return self._query(name)
         return breakdown_rows(index, runs, name) + (published_groups() if self.paper and name == "group" else [])

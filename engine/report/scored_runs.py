@@ -57,8 +57,8 @@ class QuestionIndex:
 class ScoredRun:
     """A run with its scores: one row per question of the run, in the run's order.
 
-    rows: of `QuestionIndex`; scores: 0 or 1 for answer, evidence and combined, (n, 3); invalid: 0 or 1; errors: the
-    number of questions that ended in an error or have no prediction.
+    rows: of `QuestionIndex`; scores: 0 or 1 for answer, evidence and combined, (n, 3); invalid: 0 or 1; answers: texts,
+    None without one; errors: the number of questions that ended in an error or have no prediction.
     """
 
     def __init__(self, index: QuestionIndex, manifest: RunManifest, predictions: pa.Table, scores: pa.Table) -> None:
@@ -67,6 +67,8 @@ class ScoredRun:
         self.rows = row_numbers(scores["question_id"].combine_chunks(), index.ids)
         self.scores = np.stack([scores[f"{name}_score"].to_numpy().astype(np.int64) for name in SCORES], axis=1)
         self.invalid: Ints = scores["invalid"].to_numpy(zero_copy_only=False).astype(np.int64)
+        given = dict(zip(*(predictions[name].to_pylist() for name in ("question_id", "answer")), strict=True))
+        self.answers: list[str | None] = [given.get(name) for name in scores["question_id"].to_pylist()]
         self.errors = self.n - int(np.count_nonzero(is_judged(predictions["status"])))
 
 

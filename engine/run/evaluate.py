@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -114,6 +115,7 @@ def evaluate(
     policy: Policy = "model",
     history: int | None = None,
     strict_preflight: bool = False,
+    epoch: int | None = None,
     progress: Progress | None = None,
     live_scores: Callable[[LiveScore], None] | None = None,
 ) -> RunResult:
@@ -126,7 +128,8 @@ def evaluate(
     in for the store's panoramas and graph. `opaque`: whether the method gets opaque names of sequences (`run.opaque`).
     `policy`: who chooses the looks of an agent, the model or, as "driven", the harness. `history`: how many of the
     newest pictures a method of `CHATS` sends in each turn; all without. `strict_preflight`: whether a failed check of
-    the server refuses the run; else it is a warning, and in the manifest.
+    the server refuses the run; else it is a warning, and in the manifest. `epoch`: the number of the run among those
+    that answer the same questions again, which ends its id; the simulated model's seed moves with it.
     `live_scores` is called from another thread with the scores so far.
     Problems that do not end the run are AvrWarnings.
 
@@ -138,9 +141,13 @@ def evaluate(
     check_arguments(method, model, base_url, marker is not None, world_db, policy, history)
     simulated = profile_of(model)
     knobs = marker or simulated or PERFECT
+    if epoch is not None:
+        knobs = msgspec.structs.replace(knobs, seed=knobs.seed + epoch - 1)
     name = method if isinstance(method, str) else method.name
     player = name if policy == "model" else f"{name}-{policy}"
     run_id = run_id or default_run_id(player, model)
+    if epoch is not None:
+        run_id = f"{run_id}-{epoch}"
     folder = store.run_path(run_id)
     image_root = find_images(store, images)
     chosen, selection = run_questions(store, run_id, QuestionSelection.of(questions, limit), resume, image_root)
@@ -164,6 +171,7 @@ def evaluate(
                 **({} if endpoint is None else endpoint.settings),
                 **({"marker": turned(knobs)} if knobs != PERFECT else {}),
                 **({"opaque": key_fingerprint(store)} if opaque else {}),
+                **({"epoch": epoch} if epoch is not None else {}),
             },
             simulated is not None or bench.synthetic,
             selection,

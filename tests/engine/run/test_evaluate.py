@@ -30,7 +30,7 @@ from jrdb_avr.engine.run.evaluate import default_run_id
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice, Evidence, Number
 from jrdb_avr.schema.card import is_of_sample
-from jrdb_avr.schema.errors import AvrError, LockedError, RunStoppedError, StoreError
+from jrdb_avr.schema.errors import AvrError, InputError, LockedError, RunStoppedError, StoreError
 from jrdb_avr.schema.method import Prediction, SequenceInfo, Step
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
@@ -157,6 +157,90 @@ def test_a_run_is_not_overwritten(store):
 def test_default_run_ids_are_names():
     assert default_run_id("react", "Qwen/Qwen3-VL-8B:latest") == "react-Qwen-Qwen3-VL-8B-latest"
     assert default_run_id("react", "../..") == "react"
+
+
+# -- several runs -----------------------------------------------------------------------------------------------------
+
+
+def test_epochs_are_runs_of_their_own(store):
+    options = ("--epochs", "3", "--limit", "4", "--marker", "wrong_attribute=0.6", "--json")
+    rows = json.loads(evaluate(store, *options).stdout)
+    assert [row["run_id"] for row in rows] == ["react-marker-1", "react-marker-2", "react-marker-3"]
+    answers = [predictions(store, row["run_id"])["answer"].to_pylist() for row in rows]
+    assert len({tuple(own) for own in answers}) > 1, "the simulated model draws anew"
+    manifests = [json.loads((store.run_path(row["run_id"]) / "run.json").read_bytes()) for row in rows]
+    assert [manifest["settings"]["epoch"] for manifest in manifests] == [1, 2, 3]
+    assert len(json.loads(evaluate(store, *options, "--resume").stdout)) == 3
+
+
+def test_a_matrix_is_several_runs(store, tmp_path):
+    matrix = tmp_path / "runs.toml"
+    matrix.write_text(
+        """
+        [[run]]
+        method = ["react", "monolithic"]
+        model = ["marker", "simulated:noisy"]
+        [[run]]
+        model = "fake"
+        base-url = "URL"
+        temperature = "none"
+        header = ["X-Mine=HOME", "X-Other=HOME"]
+        extra-body = {seed = 3, nested = {a = [1]}}
+        limit = 1
+        run-id = "mine"
+        """
+    )
+    with FakeServer(sound(lambda request, n: "{}")) as server:
+        matrix.write_text(matrix.read_text().replace("URL", server.url))
+        shared = ("--store", str(store.path), "--matrix", str(matrix), "--method", "react", "--limit", "3", "--json")
+        result = CliRunner().invoke(command, shared)
+        assert result.exception is None, result.output
+    rows = json.loads(result.stdout)
+    assert [(row["run_id"], row["n"]) for row in rows] == [
+        ("react-marker", 3),
+        ("react-simulated-noisy", 3),
+        ("monolithic-marker", 3),
+        ("monolithic-simulated-noisy", 3),
+        ("mine", 1),
+    ]
+    endpoint = json.loads((store.run_path("mine") / "run.json").read_bytes())["settings"]["endpoint"]
+    assert endpoint["headers"] == {"X-Mine": "HOME", "X-Other": "HOME"} and endpoint["temperature"] is None
+    assert server.requests[-1]["seed"] == 3 and "temperature" not in server.requests[-1]
+
+
+def test_a_run_of_a_matrix_that_fails_leaves_the_others(store, tmp_path):
+    matrix = tmp_path / "runs.toml"
+    matrix.write_text('[[run]]\nmodel = "x"\nbase-url = "http://127.0.0.1:9/v1"\n[[run]]\nmodel = "marker"\n')
+    options = ("--store", str(store.path), "--matrix", str(matrix), "--method", "react", "--limit", "1", "--json")
+    result = CliRunner().invoke(command, options)
+    assert result.exit_code == 1
+    assert [row["run_id"] for row in json.loads(result.stdout)] == ["react-marker"]
+    assert "react, x: " in result.stderr and "cannot reach the server" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[", "cannot read"),
+        ("", "holds no run"),
+        ("run = 3", "holds no run"),
+        ("[[run]]\nmodell = 'marker'", "run 1: no option 'modell': did you mean model?"),
+        ("[[run]]\nstore = 'other'", "run 1: no option 'store'"),
+        ("[[run]]\nmodel = 'marker'\n[[run]]\nlimit = 'many'", "run 2: Invalid value for '--limit'"),
+        ("[[run]]\nmodel = 'x'", "needs --base-url"),
+        ("[[run]]\nmethod = 'react'", "Missing option '--model'"),
+        ("[[run]]\nmodel = 'marker'\nmax-cost = 3", "--prices"),
+        ("[[run]]\nmodel = 'marker'\nextra-body = {n = 3}", "run 1: --extra-body must not hold 'n'"),
+    ],
+)
+def test_a_matrix_that_cannot_be_run_starts_nothing(store, tmp_path, text, words):
+    (tmp_path / "runs.toml").write_text(text)
+    options = ("--store", str(store.path), "--matrix", str(tmp_path / "runs.toml"), "--method", "react")
+    result = CliRunner().invoke(command, options)
+    told = " ".join((result.output + str(result.exception)).split())
+    assert result.exit_code in (1, 2) and words in told
+    assert isinstance(result.exception, SystemExit | InputError)
+    assert not (store.path / "runs").exists()
 
 
 # -- resuming ---------------------------------------------------------------------------------------------------------
