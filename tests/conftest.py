@@ -70,6 +70,7 @@ DEAREST = (
     "test_load_facts",
     "test_react",
     "test_pose",
+    "test_huggingface",
 )
 """Files of 2.5 seconds and more: begun first, so that the workers, who take a file at a time, end together."""
 

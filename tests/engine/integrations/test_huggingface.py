@@ -10,6 +10,7 @@ import yaml
 from entry import run
 
 from jrdb_avr.engine.integrations.huggingface import export_folders
+from jrdb_avr.engine.run.opaque import key_path
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.card import RAI, SAMPLE, SOURCES, licence_of, sources_of
 from jrdb_avr.schema.errors import InputError
@@ -21,11 +22,12 @@ PUBLIC = ("questions", "sequences")
 
 @pytest.fixture(scope="module")
 def store(sample_benchmark, tmp_path_factory):
-    """The store, with a key of its own, which the export makes."""
+    """The store, with a key of its own, by which the opaque names come in another order than the real ones."""
     folder = tmp_path_factory.mktemp("published") / "store"
     folder.mkdir()
     for path in sample_benchmark.path.iterdir():
         (folder / path.name).symlink_to(path)
+    key_path(Store(folder)).write_text("00" * 32)
     return Store(folder)
 
 
@@ -128,6 +130,8 @@ def test_nothing_private_is_in_the_public_folder(store, folders):
     for name in PUBLIC:
         key = pq.read_table(public / "data" / f"{name}.parquet").column(0).to_pylist()
         assert key == sorted(key)
+    names = sorted(pq.read_table(folders[1] / "data" / "names.parquet").to_pylist(), key=lambda row: row["name"])
+    assert [row["sequence"] for row in names] != key
 
 
 def test_the_card_states_licence_canary_and_occlusion(store, folders, monkeypatch, tmp_path):
