@@ -29,6 +29,7 @@ COMMANDS: Final[dict[str, str]] = {
     "preflight": "Check a model's server before a run.",
     "calibrate": "Find out how a model writes boxes.",
     "evaluate": "Run a method on the questions.",
+    "mcp": "Let an agent that speaks MCP answer the questions.",
     "world": "Bring runs' world models into the graph, or drop them.",
     "score": "Score the predictions of runs.",
     "report": "Compare runs in a table.",

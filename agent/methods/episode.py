@@ -116,6 +116,11 @@ class Episode:
         return Left(self.budget - self.attempt.looks, most_moves(self.budget) - len(self.turns))
 
     @property
+    def answered(self) -> bool:
+        """Whether an answer ended the question."""
+        return self._ended
+
+    @property
     def over(self) -> bool:
         """Whether no further move is taken."""
         return self.left.moves <= 0
@@ -127,8 +132,8 @@ class Episode:
 
         Raises RefusedError with the reason, after which the move is spent; ObserveError for a picture that is broken.
         """
-        frame_id = frame if isinstance(frame, str) else f"{frame:06d}"
-        seen = self._move(lambda: {"action": "observe", "frame_id": frame_id, "angle_deg": angle})
+        frame_id = f"{frame:06d}" if isinstance(frame, int) else frame
+        seen = self.move({"action": "observe", "frame_id": frame_id, "angle_deg": angle})
         assert seen is not None, "a look that is not refused returns what it shows"
         return seen
 
@@ -137,16 +142,31 @@ class Episode:
 
         Raises RefusedError with the reason where it is not taken; what can be read of it is kept.
         """
-        self._move(lambda: {"action": "answer", "answer": answer, "evidence_bboxes": evidence})
+        self.move({"action": "answer", "answer": answer, "evidence_bboxes": evidence})
+
+    def move(self, move: Mapping[str, Any]) -> Observation | None:
+        """Make a move as a model writes it, `{"action": "observe", "frame_id": ..., ...}`; return what a look shows.
+
+        Raises RefusedError, also for one that is not written so.
+        """
+        return self._carry_out(lambda: dict(move))
 
     def reply(self, reply: Reply) -> Observation | None:
         """Make the move that a model's reply states as one JSON object; return what a look shows.
 
         Raises RefusedError, also for a reply that cannot be read.
         """
-        return self._move(lambda: decode.reply_object(reply, self.attempt.convention))
+        return self._carry_out(lambda: decode.reply_object(reply, self.attempt.convention))
 
-    def _move(self, read: Callable[[], dict[str, Any]]) -> Observation | None:
+    def malformed(self, reason: str) -> None:
+        """Spend a move on what is none, such as a reply that calls no tool. Raises RefusedError with the reason."""
+
+        def read() -> dict[str, Any]:
+            raise DecodeError(reason)
+
+        self._carry_out(read)
+
+    def _carry_out(self, read: Callable[[], dict[str, Any]]) -> Observation | None:
         if self.over:
             raise RefusedError("the question is finished: no further move is taken")
         self.error = ""

@@ -1,9 +1,9 @@
 """Function calling: requests with tools as those of ReAct are read, and replies as calls of the declared tools.
 
-Another harness declares `observe` (frame_id, angle_deg) and `answer` or `final_answer` (answer, evidence_bboxes), and
-sends the lines of a question's heading: `Question:`, `Choices:` and `Legal frames:`. The result of a call of `observe`
-holds the picture, in its own message or in a user message after it; the call's arguments place it. Without a line
-`Looks made: 3, left: 21` the budget is 24 looks.
+Another harness declares `observe` (frame_id, angle_deg) and `answer`, `final_answer` or `submit_answer` (answer,
+evidence_bboxes), and sends the lines of a question's heading: `Question:`, `Choices:` and `Legal frames:`. The result
+of a call of `observe` holds the picture, in its own message or in a user message after it; the call's arguments place
+it. Without a line `Looks made: 3, left: 21` the budget is 24 looks.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import crop_left
 
 _OBSERVE: Final = "observe"
-_ANSWERS: Final = ("answer", "final_answer")
+_ANSWERS: Final = ("answer", "final_answer", "submit_answer")
 _BUDGET: Final = 24
 _NEXT_TURN: Final = "Your next turn, as one JSON object:"
 _ANSWER_NOW: Final = "Your answer, as one JSON object:"

@@ -1,0 +1,260 @@
+"""Questions as tasks of Inspect: `inspect eval jrdb_avr/react -T store=STORE --model ...`
+
+    jrdb_avr/react    ReAct with this benchmark's prompts; another method by `--solver jrdb_avr/method -S name=NAME`
+    jrdb_avr/tools    Inspect's own agent with the tools `observe` and `submit_answer`
+    jrdb_avr/judged   the scorer: answer, evidence, combined and hallucination
+
+The target of every sample is empty, as solvers and logs see it: the scorer sends the prediction to the `Judge`, a
+process of its own, and gets four digits back. On a machine without answers: `inspect eval --no-score`, and where they
+are `inspect score LOG --scorer jrdb_avr/judged -S store=STORE`. Needs the extra `inspect`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import anyio.from_thread
+import anyio.to_thread
+from inspect_ai import Task, task
+from inspect_ai.agent import AgentState, run
+from inspect_ai.agent import react as react_agent
+from inspect_ai.dataset import MemoryDataset, Sample
+from inspect_ai.model import (
+    ChatMessage,
+    ChatMessageSystem,
+    ChatMessageUser,
+    ContentImage,
+    ContentText,
+    GenerateConfig,
+    Model,
+    ModelOutput,
+    ResponseSchema,
+    get_model,
+)
+from inspect_ai.scorer import Metric, SampleScore, Score, Scorer, Target, mean, metric, scorer, stderr
+from inspect_ai.solver import Generate, Solver, TaskState, solver
+from inspect_ai.tool import Content, ToolDef, ToolError, ToolParams
+from inspect_ai.util import JSONSchema
+
+from jrdb_avr.agent.methods.episode import Episode
+from jrdb_avr.agent.model.conventions import convention_of
+from jrdb_avr.agent.model.decode import FRAME_ID_SCHEMA
+from jrdb_avr.agent.model.messages import Message, Part, metadata_line, picture_of
+from jrdb_avr.agent.model.reply import Reply
+from jrdb_avr.engine.run.bench import Bench
+from jrdb_avr.engine.run.journal import finished_entry
+from jrdb_avr.engine.run.judge import Judge
+from jrdb_avr.engine.run.methods import METHODS, WORLD_METHODS, make_method
+from jrdb_avr.schema.errors import AvrError, InputError, RefusedError
+from jrdb_avr.schema.method import Observation, Prediction, Question
+
+PREDICTION: Final = "jrdb_avr:prediction"
+"""Key of a sample's store: its row of `predictions` so far."""
+
+_LOOK: Final = "Look at a frame in a direction: a picture 46 degrees wide; 180 is ahead, 90 left, 0 behind, 270 right."
+_SUBMIT: Final = "Give the final answer, with one box round the person in the newest picture, in thousandths of it."
+_GO_ON: Final = "Your last turn called no tool, and cost a turn. Call observe, or submit_answer."
+_AT_ONCE: Final = 64
+"""Methods that play at the same time, each in a thread of its own."""
+
+_SCORES: Final = ("answer", "evidence", "combined")
+_STOPPED: Final = {"max_tokens": "length", "model_length": "length", "tool_calls": "stop", "unknown": ""}
+"""Inspect's reasons to stop in the words of chat completions, where they differ."""
+
+
+# -- tasks ------------------------------------------------------------------------------------------------------------
+
+
+@task
+def react(store: str, limit: int | None = None, images: str | None = None, opaque: bool = False) -> Task:
+    """ReAct with this benchmark's own prompts over the evaluated model."""
+    return _task(store, method("react", store, images, opaque), limit, images, opaque)
+
+
+@task
+def tools(store: str, limit: int | None = None, images: str | None = None, opaque: bool = False) -> Task:
+    """Inspect's own agent loop with the tools `observe` and `submit_answer`."""
+    return _task(store, tool_agent(store, images, opaque), limit, images, opaque)
+
+
+def _task(store: str, player: Solver, limit: int | None, images: str | None, opaque: bool) -> Task:
+    bench = _bench(store, images, opaque)
+    samples = [_sample(bench, question) for question in bench.questions[:limit]]
+    config = GenerateConfig(temperature=0)
+    return Task(MemoryDataset(samples, "jrdb_avr"), solver=player, scorer=judged(store), config=config)
+
+
+def _sample(bench: Bench, question: Question) -> Sample:
+    text = bench.episode(question.question_id).text
+    public = ("sequence", "family", "template", "answer_mode")
+    return Sample(text, id=question.question_id, metadata={name: getattr(question, name) for name in public})
+
+
+@cache
+def _bench(store: str, images: str | None, opaque: bool) -> Bench:
+    """Shared by the samples of a process: it holds decoded panoramas."""
+    return Bench.open(Path(store), images=images, opaque=opaque)
+
+
+# -- players ----------------------------------------------------------------------------------------------------------
+
+
+@solver
+def method(name: str, store: str, images: str | None = None, opaque: bool = False) -> Solver:
+    """A method of this benchmark, by the name that `evaluate --method` takes; not one with a world model."""
+    if name not in METHODS or name in WORLD_METHODS:
+        known = ", ".join(own for own in METHODS if own not in WORLD_METHODS)
+        raise InputError(f"{name!r} is none of {known}", field="name")
+    bench = _bench(store, images, opaque)
+    # Of its own: a method that waits must not keep Inspect from a thread.
+    threads = anyio.CapacityLimiter(_AT_ONCE)
+
+    async def solve(state: TaskState, generate: Generate) -> TaskState:
+        task, model = bench.task(str(state.sample_id)), get_model()
+        player = make_method(name, _InspectChat(model), convention_of(model.name))
+        prediction = await anyio.to_thread.run_sync(player.answer, task, limiter=threads)
+        _keep(state, task.question, prediction)
+        state.output = ModelOutput.from_content(str(model), prediction.raw)
+        return state
+
+    return solve
+
+
+@solver
+def tool_agent(store: str, images: str | None = None, opaque: bool = False) -> Solver:
+    """Inspect's `react` with the tools of an episode, until its question is over."""
+    bench = _bench(store, images, opaque)
+
+    async def solve(state: TaskState, generate: Generate) -> TaskState:
+        episode = bench.episode(str(state.sample_id))
+
+        async def go_on(turn: AgentState) -> bool | str:
+            if turn.output.message.tool_calls or episode.over:
+                return not episode.over
+            with contextlib.suppress(RefusedError):
+                episode.malformed("the reply calls no tool")
+            _keep(state, episode.question, episode.finished())
+            return not episode.over and _GO_ON
+
+        _keep(state, episode.question, episode.finished())
+        agent = react_agent(prompt=None, tools=_tools(state, episode), submit=False, on_continue=go_on)
+        rules = ChatMessageSystem(content=episode.rules("episode_tools"))
+        played = await run(agent, [rules, *state.messages])
+        state.messages, state.output = played.messages, played.output
+        return state
+
+    return solve
+
+
+def _tools(state: TaskState, episode: Episode) -> list[ToolDef]:
+    """The tools of an episode, under the schema of its own answer."""
+
+    async def observe(frame_id: Any, angle_deg: Any) -> list[Content]:
+        seen = _move(state, episode, {"action": "observe", "frame_id": frame_id, "angle_deg": angle_deg})
+        assert seen is not None, "a look that is not refused returns what it shows"
+        left = f"Looks left: {episode.left.looks}, turns left: {episode.left.moves}"
+        return [ContentText(text=f"{metadata_line(seen)}\n{left}"), ContentImage(image=picture_of(seen).uri)]
+
+    async def submit_answer(answer: Any, evidence_bboxes: Any) -> str:
+        _move(state, episode, {"action": "answer", "answer": answer, "evidence_bboxes": evidence_bboxes})
+        return "taken"
+
+    look = {"frame_id": FRAME_ID_SCHEMA, "angle_deg": {"type": "number"}}
+    answer = episode.answer_schema["properties"]
+    return [
+        ToolDef(observe, "observe", _LOOK, _parameters(look), max_output=0),
+        ToolDef(submit_answer, "submit_answer", _SUBMIT, _parameters(answer)),
+    ]
+
+
+def _parameters(properties: Mapping[str, Any]) -> ToolParams:
+    described = {name: {"description": name, **schema} for name, schema in properties.items()}
+    return ToolParams.model_validate({"properties": described, "required": list(properties)})
+
+
+def _move(state: TaskState, episode: Episode, move: Mapping[str, Any]) -> Observation | None:
+    """Make a move; the prediction is stored after it, as a limit may end the sample at any time.
+
+    Raises ToolError with the reason of a refusal.
+    """
+    try:
+        return episode.move(move)
+    except AvrError as error:
+        raise ToolError(f"refused: {error}") from None
+    finally:
+        _keep(state, episode.question, episode.finished())
+
+
+def _keep(state: TaskState, question: Question, prediction: Prediction) -> None:
+    state.store.set(PREDICTION, finished_entry(question, prediction, (), (), 0.0).prediction)
+
+
+class _InspectChat:
+    """A `Chat` over Inspect's model, called from a method's thread."""
+
+    def __init__(self, model: Model) -> None:
+        self._model = model
+
+    def complete(self, messages: Sequence[Message], schema: Mapping[str, Any] | None = None) -> Reply:
+        sent = [_message(message) for message in messages]
+        # Without the schema a server decodes otherwise.
+        form = None if schema is None else ResponseSchema(name="reply", json_schema=JSONSchema(**schema), strict=True)
+        config = GenerateConfig(response_schema=form)
+        output = anyio.from_thread.run(lambda: self._model.generate(sent, config=config))
+        usage = output.usage
+        return Reply(
+            content=output.completion,
+            finish_reason=_STOPPED.get(output.stop_reason, output.stop_reason),
+            model=output.model,
+            prompt_tokens=usage.input_tokens if usage else 0,
+            completion_tokens=usage.output_tokens if usage else 0,
+        )
+
+
+def _message(message: Message) -> ChatMessage:
+    kind = ChatMessageSystem if message.role == "system" else ChatMessageUser
+    return kind(content=[_content(part) for part in message.parts])
+
+
+def _content(part: Part) -> Content:
+    return ContentText(text=part) if isinstance(part, str) else ContentImage(image=part.uri)
+
+
+# -- scores -----------------------------------------------------------------------------------------------------------
+
+
+@metric
+def hallucination() -> Metric:
+    """Share of right answers whose evidence is wrong."""
+
+    def compute(scores: list[SampleScore]) -> float:
+        right = [own.score.value for own in scores if own.score.value["answer"]]
+        return sum(1 - value["combined"] for value in right) / len(right) if right else 0.0
+
+    return compute
+
+
+@scorer(
+    metrics=[{name: [mean(), stderr(cluster="sequence")] for name in _SCORES}, hallucination()],
+)
+def judged(store: str) -> Scorer:
+    """Scores of the stored prediction, from the store's answers; a sample without a prediction scores 0."""
+    judges: list[Judge] = []
+    lock = anyio.Lock()
+
+    async def score(state: TaskState, target: Target) -> Score:
+        row = state.store.get(PREDICTION)
+        if row is None:
+            return Score(value=dict.fromkeys(_SCORES, 0), explanation="no prediction")
+        async with lock:
+            if not judges:
+                judges.append(await anyio.to_thread.run_sync(Judge.open, store))
+            found = await anyio.to_thread.run_sync(judges[0].score_row, row)
+        value = {name: getattr(found, name) for name in _SCORES}
+        return Score(value=value, answer=row["answer"], explanation=row["reason"] or row["status"])
+
+    return score

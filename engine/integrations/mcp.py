@@ -1,0 +1,236 @@
+"""Questions for any agent that speaks MCP: the tools `next_question`, `observe` and `submit_answer`.
+
+What the agent plays becomes a run of the store. There are no sessions: a question is named by an opaque token, which
+travels in each call. Only the public half of the store is read; the tools return a question's text, its legal frames,
+crops with where and when they were taken, and why a move was refused. Needs the extra `mcp`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hmac
+import secrets
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import uvicorn
+from mcp.server.mcpserver import MCPServer
+from mcp.server.mcpserver.exceptions import ToolError
+from mcp.server.mcpserver.utilities.types import Image
+from mcp.server.transport_security import TransportSecuritySettings
+from pydantic import WithJsonSchema
+
+from jrdb_avr.agent.methods.episode import BUDGET, Episode
+from jrdb_avr.agent.model.decode import EVIDENCE_SCHEMA, FRAME_ID_SCHEMA
+from jrdb_avr.agent.model.messages import metadata_line, picture_of
+from jrdb_avr.engine.run.bench import Bench, find_images
+from jrdb_avr.engine.run.evaluate import default_run_id
+from jrdb_avr.engine.run.journal import finished_entry
+from jrdb_avr.engine.run.opaque import key_fingerprint
+from jrdb_avr.engine.run.run import Run, run_questions
+from jrdb_avr.engine.run.selection import QuestionSelection
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import AvrError, InputError
+from jrdb_avr.schema.method import Step
+from jrdb_avr.schema.tables import PRIVATE
+
+METHOD: Final = "mcp"
+"""The method of such a run; which agent played, `model` says."""
+
+MOST_OPEN: Final = 64
+"""Questions that may be begun and not finished."""
+
+_HOW: Final = (
+    "Answer questions about a video. Call next_question for a question, observe to look at the video, and "
+    "submit_answer with your answer and the box that proves it; then next_question again, until none is left."
+)
+
+# Types that say what is expected and take anything: a malformed move costs a move, and the episode says why.
+_FrameId = Annotated[Any, WithJsonSchema(FRAME_ID_SCHEMA)]
+_Angle = Annotated[Any, WithJsonSchema({"type": "number"})]
+_Answer = Annotated[Any, WithJsonSchema({"description": "as the question's answer_schema has it"})]
+_Boxes = Annotated[Any, WithJsonSchema(EVIDENCE_SCHEMA)]
+
+
+@dataclass
+class _Play:
+    """A question that was handed out."""
+
+    episode: Episode
+    steps: list[Step]
+    started: float = field(default_factory=time.perf_counter)
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+
+class Desk:
+    """Hands out the questions of a run that are not answered yet, carries out moves, and records what is finished."""
+
+    def __init__(self, bench: Bench, run: Run, budget: int = BUDGET) -> None:
+        self._bench, self._run, self._budget = bench, run, budget
+        held = {name for name, entry in run.finished.items() if not entry.failed}
+        self._due = [own.question_id for own in reversed(bench.questions) if own.question_id not in held]
+        self._open: dict[str, _Play] = {}
+        self._lock = threading.Lock()
+
+    def server(self) -> MCPServer:
+        """The MCP server of this desk."""
+        server = MCPServer("jrdb-avr", instructions=_HOW, log_level="WARNING")
+        server.add_tool(self.next_question)
+        # A list that holds a picture has no structured form.
+        server.add_tool(self.observe, structured_output=False)
+        server.add_tool(self.submit_answer)
+        return server
+
+    def next_question(self) -> dict[str, Any]:
+        """Begin the next question: its text with the rules, the schema of its answer, and the token of its episode."""
+        with self._lock:
+            if len(self._open) >= MOST_OPEN:
+                raise ToolError(f"{MOST_OPEN} questions are begun and not finished: finish one of them first")
+            if not self._due:
+                return {"done": True, "message": "no question is left"}
+            steps: list[Step] = []
+            episode = self._bench.episode(self._due.pop(), budget=self._budget, record=lambda step: steps.append(step))
+            token = secrets.token_urlsafe(12)
+            self._open[token] = _Play(episode, steps)
+        schema = episode.answer_schema["properties"]["answer"]
+        return {"done": False, "episode": token, "prompt": episode.prompt, "answer_schema": schema}
+
+    def observe(self, episode: str, frame_id: _FrameId, angle_deg: _Angle) -> list[Any]:
+        """Look at a frame in a direction: a picture 46 degrees wide; 180 is ahead, 90 left, 0 behind, 270 right."""
+        with self._playing(episode) as own:
+            seen = own.move({"action": "observe", "frame_id": frame_id, "angle_deg": angle_deg})
+            left = own.left
+        assert seen is not None, "a look that is not refused returns what it shows"
+        where = f"{metadata_line(seen)}\nLooks left: {left.looks}, turns left: {left.moves}"
+        return [where, Image(data=picture_of(seen).data, format="jpeg")]
+
+    def submit_answer(self, episode: str, answer: _Answer, evidence_bboxes: _Boxes) -> str:
+        """Give the final answer, with one box round the person in the newest picture, in thousandths of its sides."""
+        with self._playing(episode) as own:
+            own.move({"action": "answer", "answer": answer, "evidence_bboxes": evidence_bboxes})
+        return "taken; call next_question for another question"
+
+    @contextlib.contextmanager
+    def _playing(self, token: str) -> Iterator[Episode]:
+        """The episode of a token, for one move; one that is over afterwards is recorded.
+
+        Raises ToolError with the reason of any refusal: of other errors an agent would not be told.
+        """
+        play = self._open.get(token)
+        if play is None:
+            raise ToolError("no such episode is being played: next_question begins one")
+        with play.lock:
+            episode = play.episode
+            try:
+                yield episode
+            except AvrError as error:
+                left = f"looks left: {episode.left.looks}, turns left: {episode.left.moves}"
+                raise ToolError(f"refused: {error} ({'the question is over' if episode.over else left})") from None
+            finally:
+                if episode.over:
+                    self._finish(token, play)
+
+    def _finish(self, token: str, play: _Play) -> None:
+        with self._lock:
+            if self._open.pop(token, None) is not None:
+                seconds = time.perf_counter() - play.started
+                prediction = play.episode.finished()
+                self._run.append(finished_entry(play.episode.question, prediction, play.steps, (), seconds))
+
+
+# -- a server over a store --------------------------------------------------------------------------------------------
+
+
+def serve(
+    store: Store | str | Path,
+    *,
+    port: int | None = None,
+    trusted: bool = False,
+    model: str = "agent",
+    run_id: str | None = None,
+    limit: int | None = None,
+    resume: bool = False,
+    images: str | Path | None = None,
+    opaque: bool = False,
+    ready: Callable[[str, str], None] = lambda url, token: None,
+) -> str:
+    """Serve a store's questions until the agent or the user ends it, and write the tables; returns the run's id.
+
+    Over standard input and output, or with a `port` over HTTP on 127.0.0.1 (0: a free one); `ready` gets the address
+    and the token that requests carry. `trusted`: serve over standard input and output also where the store holds
+    answers or labels, which the agent, a program of the same user, could read.
+
+    Raises InputError for a store that is refused, StoreError or InputError where something else does not fit.
+    """
+    store = Store.of(store)
+    if port is None and not trusted and (held := private_parts(store)):
+        raise InputError(
+            f"{store.path} holds {held[0]}, which an agent over stdio could read: serve a store without, or over "
+            "--http to an agent that has no access to these files, or add --i-trust-the-agent",
+            field="store",
+        )
+    run_id = run_id or default_run_id(METHOD, model)
+    image_root = find_images(store, images)
+    chosen, selection = run_questions(store, run_id, QuestionSelection.of(None, limit), resume, image_root)
+    bench = Bench(store, chosen, image_root, opaque)
+    with Run(store, run_id) as run:
+        settings = {"method": {"budget": BUDGET}, **({"opaque": key_fingerprint(store)} if opaque else {})}
+        ids = [question.question_id for question in chosen]
+        run.start(METHOD, model, ids, settings, bench.synthetic, selection)
+        server = Desk(bench, run).server()
+        try:
+            if port is None:
+                server.run("stdio")
+            else:
+                _serve_http(server, port, ready)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            if run.finished:
+                run.finish()
+    return run_id
+
+
+def private_parts(store: Store) -> list[str]:
+    """What a store holds that an agent must not read: names of its files and folders."""
+    labels = (store.graph_path, store.path / "annotations", store.path / "intervals")
+    places = [*map(store.question_path, PRIVATE), *labels, *store.path.glob("runs/*/scores.parquet")]
+    return [str(place.relative_to(store.path)) for place in places if place.exists()]
+
+
+def _serve_http(server: MCPServer, port: int, ready: Callable[[str, str], None]) -> None:
+    token = secrets.token_urlsafe(32)
+    with socket.socket() as listener:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind(("127.0.0.1", port))
+            listener.listen()
+        except OSError as error:
+            raise InputError(f"port {port} cannot be used ({error.strerror}): give another", field="port") from None
+        hosts = [f"{name}:{listener.getsockname()[1]}" for name in ("127.0.0.1", "localhost")]
+        # A page in the user's browser could reach the port, under a name of its own or from an origin of its own.
+        security = TransportSecuritySettings(allowed_hosts=hosts, allowed_origins=[f"http://{host}" for host in hosts])
+        app = server.streamable_http_app(stateless_http=True, json_response=True, transport_security=security)
+        config = uvicorn.Config(_with_token(app, token), log_level="warning", access_log=False)
+        ready(f"http://{hosts[0]}/mcp", token)
+        uvicorn.Server(config).run(sockets=[listener])
+
+
+def _with_token(app: Any, token: str) -> Any:
+    """The ASGI application for requests that carry the token; others are answered 401."""
+    expected = f"Bearer {token}".encode()
+
+    async def checked(scope: Any, receive: Any, send: Any) -> None:
+        sent = dict(scope.get("headers", ())).get(b"authorization", b"")
+        if scope["type"] == "lifespan" or hmac.compare_digest(sent, expected):
+            await app(scope, receive, send)
+        elif scope["type"] == "http":
+            await send({"type": "http.response.start", "status": 401, "headers": [(b"www-authenticate", b"Bearer")]})
+            await send({"type": "http.response.body", "body": b"this server takes requests with its token only\n"})
+
+    return checked

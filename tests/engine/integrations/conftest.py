@@ -1,0 +1,69 @@
+"""What the tests of the integrations share: the simulated model, a store as a machine without answers has it."""
+
+import shutil
+import threading
+
+import pyarrow.parquet as pq
+import pytest
+
+from jrdb_avr.agent.simulated.server import Server
+from jrdb_avr.queries.store import Store
+
+PLAYED = ("status", "answer", "evidence_frame", *(f"evidence_{side}" for side in "xywh"), "reason", "verdict")
+COUNTED = ("n_observations", "n_model_calls")
+
+
+@pytest.fixture(scope="module")
+def model():
+    """The address of a simulated model, and the bodies of all requests."""
+    server, sent = Server(), []
+    reply = server.reply
+    server.reply = lambda body: (sent.append(body), reply(body))[1]
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield server.url, sent
+    server.shutdown()
+    server.server_close()
+
+
+@pytest.fixture(scope="session")
+def by_evaluate(small_demo):
+    """Predictions of ReAct with the simulated model, by `evaluate`: {question id: row}."""
+    rows = pq.read_table(small_demo[0] / "store" / "runs" / "react-marker" / "predictions.parquet").to_pylist()
+    assert len(rows) == 6 and {row["status"] for row in rows} == {"answered"}
+    return {row["question_id"]: row for row in rows}
+
+
+@pytest.fixture
+def public_store(small_demo, tmp_path):
+    """A store without answers and labels, and the folder of its panoramas."""
+    whole, bare = Store(small_demo[0] / "store"), Store(tmp_path / "public")
+    (bare.path / "questions").mkdir(parents=True)
+    for name in ("questions", "sequences"):
+        shutil.copy(whole.question_path(name), bare.question_path(name))
+    return bare, whole.manifest().image_root
+
+
+@pytest.fixture
+def same(by_evaluate):
+    """Compare predictions with those of `evaluate`."""
+
+    def check(rows, counts=COUNTED):
+        assert rows
+        for row in rows:
+            expected = by_evaluate[row["question_id"]]
+            for name in (*PLAYED, *counts):
+                assert row[name] == expected[name], (row["question_id"], name)
+
+    return check
+
+
+@pytest.fixture(scope="session")
+def secrets(small_demo):
+    """Texts of the private tables that nothing public holds."""
+    store = Store(small_demo[0] / "store")
+    answers, evidence = (pq.read_table(store.question_path(name)).to_pylist() for name in ("answers", "evidence"))
+    boxes = {f"{row[side]!r}" for row in evidence for side in "xywh" if len(f"{row[side]!r}") > 12}
+    plans = {row[name] for row in answers for name in ("plan", "distractors", "bindings", "proofs")}
+    found = {text for text in boxes | plans if len(text) > 12}
+    assert len(found) > 20
+    return {*found, "target_track", "distractor"}

@@ -1,0 +1,140 @@
+"""The tasks of Inspect, run by its own `eval`: predictions as by `evaluate`, and nothing private in a log."""
+
+import os
+import shutil
+
+import pyarrow.parquet as pq
+import pytest
+from extras import needs
+
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import AvrError
+from jrdb_avr.schema.tables import PRIVATE
+
+inspect_ai = needs("inspect_ai")
+needs("openai")
+
+
+@pytest.fixture
+def run(model, tmp_path, monkeypatch):
+    """Run a task on the simulated model, or another; returns the log."""
+    from inspect_ai.model import get_model
+
+    monkeypatch.setenv("SIMULATED_API_KEY", "none")
+
+    def run(task, own=None, **options):
+        own = own or get_model("openai-api/simulated/marker", base_url=model[0])
+        options = {"log_dir": str(tmp_path / "logs"), "display": "none", **options}
+        (log,) = inspect_ai.eval(task, model=own, **options)
+        assert log.status == "success", log.error
+        return log
+
+    return run
+
+
+@pytest.fixture
+def blocked(small_demo, tmp_path):
+    """A whole store whose private files are pipes that whoever opens them waits at for ever."""
+    shutil.copytree(small_demo[0] / "store", tmp_path / "store", ignore=shutil.ignore_patterns("runs"))
+    store = Store(tmp_path / "store")
+    for place in [*map(store.question_path, PRIVATE), store.graph_path, *store.path.glob("annotations/**/*.parquet")]:
+        if place.is_file():
+            place.unlink()
+        os.mkfifo(place)
+    return str(store.path)
+
+
+def rows_of(log):
+    from jrdb_avr.engine.integrations.inspect_ai import PREDICTION
+
+    return [sample.store[PREDICTION] for sample in log.samples]
+
+
+def metrics(log):
+    return {(score.name, name): own.value for score in log.results.scores for name, own in score.metrics.items()}
+
+
+@pytest.mark.parametrize("name", ["react", "tools"])
+def test_the_simulated_model_plays_as_in_evaluate_without_anything_private(
+    blocked, run, same, small_demo, secrets, model, name
+):
+    """Scored afterwards, where the answers are."""
+    from jrdb_avr.engine.integrations import inspect_ai as door
+
+    log = run(getattr(door, name)(blocked, limit=3), score=False)
+    rows = rows_of(log)
+    same(rows)
+    assert len(rows) == 3 and {sample.target for sample in log.samples} == {""}
+    text = log.model_dump_json()
+    assert not [secret for secret in secrets if secret in text or any(secret.encode() in own for own in model[1])]
+    scored = inspect_ai.score(log, door.judged(str(small_demo[0] / "store")), display="none")
+    found = metrics(scored)
+    assert {found[part, "mean"] for part in ("answer", "evidence", "combined")} == {1.0}
+    assert found["judged", "hallucination"] == 0.0
+    assert not [secret for secret in secrets if secret in scored.model_dump_json()]
+
+
+def test_other_methods_play_too_and_unknown_ones_are_refused(small_demo, run):
+    from jrdb_avr.engine.integrations import inspect_ai as door
+
+    store = str(small_demo[0] / "store")
+    log = run(door.react(store, limit=1), solver=door.method("monolithic", store))
+    (row,) = rows_of(log)
+    assert (row["status"], row["n_observations"], row["n_model_calls"]) == ("answered", 8, 1)
+    for name in ("agent", "nope"):
+        with pytest.raises(AvrError, match="is none of monolithic"):
+            door.method(name, store)
+
+
+def test_a_limit_ends_a_sample_and_keeps_what_was_played(small_demo, run):
+    from jrdb_avr.engine.integrations import inspect_ai as door
+
+    log = run(door.tools(str(small_demo[0] / "store"), limit=1), message_limit=6)
+    (row,) = rows_of(log)
+    assert log.samples[0].limit.type == "message" and row["n_observations"] >= 1 and row["answer"] is None
+    assert metrics(log)["combined", "mean"] == 0.0
+
+
+def test_replies_that_call_no_tool_cost_turns_and_end(small_demo, run):
+    from inspect_ai.model import ModelOutput, ModelUsage, get_model
+
+    from jrdb_avr.engine.integrations import inspect_ai as door
+
+    def reply(*_):
+        output = ModelOutput.from_content("mockllm/model", "I think it is 2.")
+        output.usage = ModelUsage(input_tokens=1, output_tokens=1, total_tokens=2)
+        return output
+
+    log = run(door.tools(str(small_demo[0] / "store"), limit=1), get_model("mockllm/model", custom_outputs=reply))
+    (row,) = rows_of(log)
+    assert (row["status"], row["n_model_calls"], row["n_observations"]) == ("invalid", 50, 0)
+    assert row["reason"] == "the reply calls no tool"
+
+
+def test_hallucination_is_the_share_of_right_answers_with_wrong_evidence():
+    from inspect_ai.scorer import SampleScore, Score
+
+    from jrdb_avr.engine.integrations.inspect_ai import hallucination
+
+    def scores(*pairs):
+        return [SampleScore(score=Score(value={"answer": a, "evidence": 1, "combined": c})) for a, c in pairs]
+
+    assert hallucination()(scores((1, 1), (1, 0), (0, 0), (1, 0))) == pytest.approx(2 / 3)
+    assert hallucination()(scores((0, 0))) == 0.0
+
+
+def test_the_installed_package_offers_the_tasks():
+    from importlib.metadata import entry_points
+
+    if found := [own for own in entry_points(group="inspect_ai") if own.name == "jrdb_avr"]:
+        assert {"react", "tools", "judged", "method"} <= vars(found[0].load()).keys()
+    else:
+        assert not os.environ.get("REQUIRE_EXTRAS")
+
+
+def test_the_run_of_evaluate_has_rows_of_the_same_columns(small_demo, by_evaluate):
+    """What is stored with a sample is a row of `predictions`."""
+    from jrdb_avr.schema.tables import RUNS
+
+    table = pq.read_table(small_demo[0] / "store" / "runs" / "react-marker" / "predictions.parquet")
+    assert set(table.column_names) == set(RUNS["predictions"].names)
