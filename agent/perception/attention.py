@@ -102,23 +102,30 @@ class NextLook(NamedTuple):
     bits: float
 
 
-def next_look(
-    plan: Plan, tracks: Tracks, hypotheses: Sequence[RankedHypothesis], left: int, frames: Sequence[int]
-) -> NextLook | None:
-    """The next look at one of the legal frames (ascending), None to stop.
+def next_looks(
+    plan: Plan, tracks: Tracks, hypotheses: Sequence[RankedHypothesis], left: int, frames: Sequence[int], most: int = 1
+) -> tuple[NextLook, ...]:
+    """At most so many different looks at the legal frames (ascending), the one that tells most first; none to stop.
 
     hypotheses: those of `rank`, the best first; left: looks that may still be made.
     """
     if left <= 0 or not frames:
-        return None
+        return ()
     view = _Attention(plan, tracks, hypotheses, left, frames)
     who, reading = [*view.identify(), *view.verify()], [*view.read(), *view.evidence()]
     order = (who, reading) if left > (view.reserve if view.identified else _LAST) else (reading, who)
     for looks in order:
-        best = max(looks, key=lambda look: look.bits, default=None)
-        if best is not None and best.bits >= LEAST_BITS:
-            return best._replace(angle=_fresh(tracks, best.frame, best.angle))
-    return None
+        found: list[NextLook] = []
+        for look in sorted(looks, key=lambda look: -look.bits):
+            if len(found) < most and look.bits >= LEAST_BITS and not any(_alike(look, other) for other in found):
+                found.append(look)
+        if found:
+            return tuple(look._replace(angle=_fresh(tracks, look.frame, look.angle)) for look in found)
+    return ()
+
+
+def _alike(one: NextLook, other: NextLook) -> bool:
+    return one.frame == other.frame and bool(angle_error(one.angle, other.angle) < FOV_DEG / 2)
 
 
 @dataclass(frozen=True)

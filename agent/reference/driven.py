@@ -1,4 +1,4 @@
-"""The policy `driven`: the harness decides where to look, the model reads one picture at a time.
+"""The policies `driven` and `guided`: the harness finds where to look, the model reads one picture at a time.
 
 Plan, then look where attention expects to learn the most, have the people of the picture read, and find out who they
 are, until nothing more is worth a look or all looks are made; then commit to the best supported answer. Nothing but the
@@ -17,11 +17,12 @@ import msgspec
 from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, stitched_evidence
 from jrdb_avr.agent.perception.answer import conclude
 from jrdb_avr.agent.perception.association import with_picture
-from jrdb_avr.agent.perception.attention import NextLook, next_look
+from jrdb_avr.agent.perception.attention import NextLook, next_looks
 from jrdb_avr.agent.perception.geometry import SeenColumns, joined_looks
 from jrdb_avr.agent.perception.readings import PersonReading
 from jrdb_avr.agent.perception.support import RankedHypothesis, rank
 from jrdb_avr.agent.perception.votes import SETTLING, Tracks
+from jrdb_avr.agent.reference.guided import MOST_LOOKS, pick_look
 from jrdb_avr.agent.reference.perceive import Perceiver, fields_of
 from jrdb_avr.agent.reference.recognize import recognize
 from jrdb_avr.schema.method import Observation, Prediction
@@ -44,13 +45,14 @@ class DrivenEpisode:
     """The loop over one question.
 
     writer: of a world model; without one the newest reading of everybody counts, whatever the ones before it. seen: the
-    pictures that were read, by name; tracks: all readings so far.
+    pictures that were read, by name; tracks: all readings so far. guided: whether the model picks among the best looks.
     """
 
     attempt: Attempt
     plan: Plan
     looks: int
     writer: BeliefWriter | None = None
+    guided: bool = False
     seen: dict[str, Observation] = field(default_factory=dict)
     tracks: Tracks = field(default_factory=lambda: Tracks({}, {}))
 
@@ -61,12 +63,14 @@ class DrivenEpisode:
         hypotheses = rank(self.plan, self.tracks)
         while (left := self.looks - len(self.attempt.made)) > 0:
             started = time.perf_counter()
-            look = next_look(self.plan, self.tracks, hypotheses, left, frames)
-            self.attempt.record("solve", {"next look": left}, look and look._asdict(), started)
-            if look is None:
+            most = MOST_LOOKS if self.guided else 1
+            looks = next_looks(self.plan, self.tracks, hypotheses, left, frames, most)
+            self.attempt.record("solve", {"next look": left}, [look._asdict() for look in looks], started)
+            if not looks:
                 break
-            who = hypotheses[0].nodes.get(self.plan.target) if hypotheses else None
-            self._look(look, perceiver, who)
+            best = hypotheses[0] if hypotheses else None
+            look = pick_look(self.attempt, looks, best, left) if len(looks) > 1 else looks[0]
+            self._look(look, perceiver, None if best is None else best.nodes.get(self.plan.target))
             hypotheses = rank(self.plan, self.tracks)
         return self._committed(hypotheses)
 

@@ -27,15 +27,15 @@ from jrdb_avr.schema.method import Prediction, Question, Task
 if TYPE_CHECKING:
     from jrdb_avr.agent.beliefs.world_model import WorldModel
 
-Policy = Literal["model", "driven"]
-"""Who chooses the looks."""
+Policy = Literal["model", "guided", "driven"]
+"""Who chooses the looks: the model, the model among the best that the harness finds, or the harness."""
 
 
 @dataclass(frozen=True)
 class ReferenceAgent:
     """looks: whether it chooses where to look, or is sent panoramas; remembers: whether it has a plan and a world
-    model, `world`, or a chat history in their place. policy: who chooses the looks: the model, or the harness, which
-    has the model read one picture at a time; history: how many of the newest pictures a chat holds, None for all.
+    model, `world`, or a chat history in their place. policy: who chooses the looks; where the harness finds them the
+    model reads one picture at a time; history: how many of the newest pictures a chat holds, None for all.
     Raises InputError for a harness that has no looks to choose.
     """
 
@@ -49,8 +49,13 @@ class ReferenceAgent:
     history: int | None = None
 
     def __post_init__(self) -> None:
-        if self.policy == "driven" and not self.looks:
-            raise InputError("the policy 'driven' chooses looks, which a passive agent has none of", field="policy")
+        if self.driven and not self.looks:
+            raise InputError(f"policy {self.policy!r}: a passive agent has no looks to choose", field="policy")
+
+    @property
+    def driven(self) -> bool:
+        """Whether the harness finds the looks."""
+        return self.policy != "model"
 
     @property
     def remembers(self) -> bool:
@@ -63,7 +68,7 @@ class ReferenceAgent:
     def settings(self) -> dict[str, Any]:
         """What the manifest of a run says of the method."""
         variant = {"active_observation": self.looks, "world_model": self.remembers, "policy": self.policy}
-        if self.policy == "driven":
+        if self.driven:
             budgets = {"looks": self.limits.looks, "repairs": self.limits.repairs, "people": MOST_PEOPLE}
             return variant | budgets | shared_settings(self.convention)
         variant |= history_settings(self.history)
@@ -72,7 +77,7 @@ class ReferenceAgent:
     def answer(self, task: Task) -> Prediction:
         """Play one question, within `limits.model_calls` model calls."""
         attempt = Attempt(task, self.chat, self.convention)
-        if self.policy == "driven":
+        if self.driven:
             return self._drive(attempt)
         system = system_prompt(task, self.limits, self.looks, self.remembers)
         heading = task_heading(task, self.limits, self.looks)
@@ -84,16 +89,17 @@ class ReferenceAgent:
             return self._play(attempt, GraphMemory(attempt, world, solver, plan, system, heading, fixed=not self.looks))
 
     def _drive(self, attempt: Attempt) -> Prediction:
+        guided = self.policy == "guided"
         if self.world is None:
             plan = make_plan(attempt, self.limits.repairs, find_believed)
-            return DrivenEpisode(attempt, perceivable(plan), self.limits.looks).play()
+            return DrivenEpisode(attempt, perceivable(plan), self.limits.looks, guided=guided).play()
         world = self.world.episode(attempt.task.question, attempt.task.record_write)
         with world.together():
             plan = make_plan(attempt, self.limits.repairs, find_believed, world)
             solver = self.solving(self.world, attempt.task.question)
             read = perceivable(plan)
             writer = BeliefWriter(world, solver, plan, read, attempt.task, {})
-            return DrivenEpisode(attempt, read, self.limits.looks, writer).play()
+            return DrivenEpisode(attempt, read, self.limits.looks, writer, guided).play()
 
     def _play(self, attempt: Attempt, memory: Memory) -> Prediction:
         episode = AgentEpisode(attempt, memory, self.looks, self.limits)

@@ -89,6 +89,8 @@ def with_wrong_policy(reply: Mapping[str, Any], knobs: Knobs, draws: Draws) -> M
 
     if reply.get("action") == "observe":
         return turned(0, reply)
+    if reply.get("look") == 1 and draws.happens(knobs.policy, "pick"):
+        return {**reply, "look": 2}
     lists = ((name, change) for name, change in (("calls", turned), ("edges", replaced)) if reply.get(name))
     return {**reply, **{name: [change(n, part) for n, part in enumerate(reply[name])] for name, change in lists}}
 

@@ -184,6 +184,11 @@ def _recognize(request: Request) -> StageReply:
     return StageReply({"person": next(same, 0)})
 
 
+def _pick_look(request: Request) -> StageReply:
+    """The first of the proposed looks."""
+    return StageReply({"look": 1})
+
+
 STAGES: Final[dict[str, Play]] = {
     "Your answer, as one JSON object:": _answer_at_once,
     "Your facts, as one JSON object:": _write_facts,
@@ -194,6 +199,7 @@ STAGES: Final[dict[str, Play]] = {
     "Your plan, as one JSON object:": _plan,
     fields.STAGE: _list_people,
     fields.SAME_STAGE: _recognize,
+    "Your choice of look, as one JSON object:": _pick_look,
     "Your next calls, as one JSON object:": agent_turn,
 }
 """Every stage by the last line of its prompt."""

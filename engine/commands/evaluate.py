@@ -49,10 +49,8 @@ panoramas:
 @click.option(
     "--policy",
     type=click.Choice(POLICIES),
-    default="model",
-    show_default=True,
-    help="Who chooses the looks of an agent: the model, or 'driven', the program, which has the model read one picture "
-    "at a time.",
+    help="Who chooses the looks of agent and agent-no-world: 'driven', the program, unless another is named; 'guided', "
+    "the model among the program's best; 'model', the model alone. The first two have it read one picture at a time.",
 )
 @click.option(
     "--history",

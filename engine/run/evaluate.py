@@ -39,6 +39,7 @@ from jrdb_avr.engine.run.methods import (
     NO_MODEL,
     WORLD_METHODS,
     CustomMethod,
+    default_policy,
     is_custom,
     load_custom_method,
     make_method,
@@ -112,7 +113,7 @@ def evaluate(
     images: str | Path | None = None,
     world_db: Path | None = None,
     opaque: bool = False,
-    policy: Policy = "model",
+    policy: Policy | None = None,
     history: int | None = None,
     strict_preflight: bool = False,
     epoch: int | None = None,
@@ -126,7 +127,7 @@ def evaluate(
     `marker` stands in place of its profile's knobs. `questions`: ids, or a `QuestionSelection`; all without, at most
     `limit`. `resume` finishes a run, and enlarges it where more questions are selected. `images` and `world_db` stand
     in for the store's panoramas and graph. `opaque`: whether the method gets opaque names of sequences (`run.opaque`).
-    `policy`: who chooses the looks of an agent, the model or, as "driven", the harness. `history`: how many of the
+    `policy`: who chooses the looks of an agent: the harness, as "driven", if none is named. `history`: how many of the
     newest pictures a method of `CHATS` sends in each turn; all without. `strict_preflight`: whether a failed check of
     the server refuses the run; else it is a warning, and in the manifest. `epoch`: the number of the run among those
     that answer the same questions again, which ends its id; the simulated model's seed moves with it.
@@ -144,7 +145,7 @@ def evaluate(
     if epoch is not None:
         knobs = msgspec.structs.replace(knobs, seed=knobs.seed + epoch - 1)
     name = method if isinstance(method, str) else method.name
-    player = name if policy == "model" else f"{name}-{policy}"
+    player = name if policy in (None, default_policy(method)) else f"{name}-{policy}"
     run_id = run_id or default_run_id(player, model)
     if epoch is not None:
         run_id = f"{run_id}-{epoch}"
@@ -196,7 +197,7 @@ def check_arguments(
     base_url: str | None,
     noisy: bool,
     world_db: Path | None,
-    policy: Policy = "model",
+    policy: Policy | None = None,
     history: int | None = None,
 ) -> None:
     """Raises InputError, in the words of the command's options, for arguments that contradict each other."""
@@ -209,9 +210,10 @@ def check_arguments(
             "--marker sets how the simulated model plays: give it with --model simulated or marker alone",
             field="marker",
         )
-    if policy != "model" and method not in DRIVABLE:
+    chosen = policy or default_policy(method)
+    if chosen != "model" and method not in DRIVABLE:
         raise InputError(f"--policy {policy}: of the methods {' and '.join(DRIVABLE)} only", field="policy")
-    if history is not None and (method not in CHATS or policy != "model"):
+    if history is not None and (method not in CHATS or chosen != "model"):
         raise InputError(f"--history: of the methods {' and '.join(CHATS)} with --policy model only", field="history")
     if world_db is not None and method not in WORLD_METHODS:
         raise InputError(f"--world-db: {method} has no world model", field="world_db")
@@ -248,7 +250,7 @@ def _runner(
     method: str | Method,
     endpoint: Endpoint | None,
     world: WorldModel | None,
-    policy: Policy,
+    policy: Policy | None,
     history: int | None,
 ) -> ConfigurableMethod:
     if not isinstance(method, str):

@@ -42,17 +42,22 @@ METHODS: Final = (
     "agent-passive-no-world",
 )
 
-POLICIES: Final = ("model", "driven")
+POLICIES: Final = ("model", "guided", "driven")
 """Who chooses the looks of an agent."""
 
 DRIVABLE: Final = ("agent", "agent-no-world")
-"""Methods whose looks the harness may choose."""
+"""Methods whose looks the harness may choose, as it does unless something else is asked for."""
 
 CHATS: Final = ("react", "agent-no-world")
 """Methods that send their pictures again in every turn, if the model chooses the looks."""
 
 WORLD_METHODS: Final = ("agent", "agent-passive")
 """Methods that write into a world model."""
+
+
+def default_policy(method: object) -> Policy:
+    """The policy of a method where none is asked for."""
+    return "driven" if method in DRIVABLE else "model"
 
 
 @contextlib.contextmanager
@@ -77,7 +82,7 @@ def make_method(
     chat: Chat,
     convention: Convention,
     world: WorldModel | None = None,
-    policy: Policy = "model",
+    policy: Policy | None = None,
     history: int | None = None,
 ) -> ConfigurableMethod:
     """The method of a name in `METHODS`.
@@ -93,7 +98,9 @@ def make_method(
     if name in WORLD_METHODS and world is None:
         raise ValueError(f"the method {name!r} needs a world model")
     if name.startswith("agent"):
-        return ReferenceAgent(chat, convention, world, looks="passive" not in name, policy=policy, history=history)
+        return ReferenceAgent(
+            chat, convention, world, looks="passive" not in name, policy=policy or default_policy(name), history=history
+        )
     if name == ReAct.name:
         return ReAct(chat, convention, history=history)
     kinds = (Monolithic, ChainOfThought, SearchRecognize)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from jrdb_avr.agent.perception.association import with_picture
-from jrdb_avr.agent.perception.attention import next_look
+from jrdb_avr.agent.perception.attention import next_looks
 from jrdb_avr.agent.perception.geometry import SeenColumns, first_beside, seen_from
 from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel
 from jrdb_avr.agent.perception.support import rank
@@ -139,7 +139,8 @@ class ReadWorld:
         """Look as attention says: the tracks, the looks and the entity taken for the target."""
         tracks, made, self.truth = Tracks({}, {}), [], {}
         frames = range(len(next(iter(self.places.values()))))
-        while (look := next_look(plan, tracks, rank(plan, tracks), looks - len(made), frames)) is not None:
+        while found := next_looks(plan, tracks, rank(plan, tracks), looks - len(made), frames):
+            look = found[0]
             readings, names = self.picture(look.frame, look.angle, noise, f"o{len(made)}")
             self.truth |= {(one.observation, one.number): who for one, who in zip(readings, names, strict=True)}
             tracks = with_picture(tracks, look.frame, seen_from(look.angle), readings)

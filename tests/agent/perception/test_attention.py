@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from labelled_people import toward
 from read_worlds import POSES, Noise, ReadWorld, asked_of, reading_at
 
-from jrdb_avr.agent.perception.attention import RESERVES, next_look
+from jrdb_avr.agent.perception.attention import RESERVES, next_looks
 from jrdb_avr.agent.perception.geometry import SeenColumns, covered, seen_from
 from jrdb_avr.agent.perception.moments import Bracket, absence, brackets, change, performs_at, presence
 from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel
@@ -39,7 +39,7 @@ def read(frame, *labels, angle=100.0, observation="o"):
 
 
 def look(plan, tracks, left=24, frames=FRAMES):
-    return next_look(plan, tracks, rank(plan, tracks), left, frames)
+    return next(iter(next_looks(plan, tracks, rank(plan, tracks), left, frames)), None)
 
 
 def known_woman(frames=(15,), **looks):
