@@ -31,7 +31,7 @@ from pathlib import Path
 RECORD = Path(__file__).with_name("golden.json")
 REAL = Path(os.environ.get("JRDB_REAL", Path(__file__).parents[2] / "shared" / "jrdb-real"))
 MODEL_SERVER = "jrdb_avr.agent.simulated"
-METHODS = (
+METHODS = (  # with the options that choose a policy
     "monolithic",
     "chain-of-thought",
     "search-recognize",
@@ -40,6 +40,8 @@ METHODS = (
     "agent-passive",
     "agent-no-world",
     "agent-passive-no-world",
+    "agent --policy model",
+    "agent-no-world --policy model",
 )
 LIBRARIES = ("duckdb", "kuzu", "numpy", "opencv-python-headless", "pyarrow")
 NOISE = ("wrong_attribute=0.1", "wrong_box=0.1", "malformed=0.05", "seed=3")
@@ -162,15 +164,16 @@ def runs(seed: int, folder: Path) -> dict[str, object]:
     ids = ",".join(row["question_id"] for row in json.loads(jrdb_avr("sql", query, "--store", store, "--json")))
     prompts = {}
     for method in METHODS:
+        name, *policy = method.split()
         # Some methods are noisy in the second world: replies that have to be repaired have prompts of their own.
-        noise = NOISE if seed != 7 and method in ("react", "agent", "search-recognize") else ()
+        noise = NOISE if seed != 7 and name in ("react", "agent", "search-recognize") else ()
         with recorded_model(noise) as (url, bodies):
             model = ("--model", "marker", "--base-url", url)
             jrdb_avr("preflight", *model)
             checks = set(bodies)
             jrdb_avr(
-                *("evaluate", "--store", store, "--method", method, *model),
-                *("--run-id", method, "--questions", ids, "--no-scores"),
+                *("evaluate", "--store", store, "--method", name, *policy, *model),
+                *("--run-id", "-".join((name, *policy[1:])), "--questions", ids, "--no-scores"),
             )
             prompts[method] = sha256(*(body.encode() for body in sorted(bodies) if body not in checks))
     jrdb_avr("score", "--store", store)

@@ -336,9 +336,10 @@ def test_a_person_at_a_thing_at_a_moment_is_played_without_a_fault(world, belief
     assert all(write.accepted for write in writes)
 
 
-def test_a_passive_agent_cannot_be_driven():
+@pytest.mark.parametrize("policy", ["driven", "guided"])
+def test_a_passive_agent_has_no_looks_to_choose(policy):
     with pytest.raises(InputError, match="passive"):
-        ReferenceAgent(Scripted([]), looks=False, policy="driven")
+        ReferenceAgent(Scripted([]), looks=False, policy=policy)
 
 
 def test_the_newest_reading_of_a_frame_is_the_last():

@@ -38,9 +38,9 @@ sys.path.insert(0, sys.argv[1])
 import warm
 for name in warm.IMPORTED:
     importlib.import_module(name)
-from jrdb_avr.agent.model import client
+from jrdb_avr.agent.model import transport
 from jrdb_avr.engine import cli
-client._certificates(False)
+transport._certificates(False)
 for line in sys.stdin:
     child = os.fork()
     if child == 0:
@@ -128,6 +128,7 @@ class Counted:
 
 
 def start(launcher, store, url, method):
+    method += " --policy model" if method == "agent" else ""
     options = f"--method {method} --model fake --base-url {url} --run-id r --limit {ASKED}"
     launcher.stdin.write(f"evaluate --store {store.path} {options} --concurrency {AT_ONCE} --no-scores --resume\n")
     launcher.stdin.flush()
