@@ -26,7 +26,9 @@ if TYPE_CHECKING:
     from jrdb_avr.engine.generate.run import generate as generate
     from jrdb_avr.engine.observe.observer import Observer as Observer
     from jrdb_avr.engine.report.comparison import Comparison as Comparison
+    from jrdb_avr.engine.report.comparison import RunDifference as RunDifference
     from jrdb_avr.engine.report.comparison import Scores as Scores
+    from jrdb_avr.engine.report.comparison import diff as diff
     from jrdb_avr.engine.report.comparison import report as report
     from jrdb_avr.engine.report.comparison import score as score
     from jrdb_avr.engine.run.bench import Bench as Bench
@@ -77,7 +79,7 @@ _NAMES: Final = {
     "engine.generate.run": ("generate", "Generation"),
     "engine.validate.checks": ("validate", "Validation"),
     "engine.run.evaluate": ("evaluate", "RunResult"),
-    "engine.report.comparison": ("score", "report", "Scores", "Comparison"),
+    "engine.report.comparison": ("score", "report", "diff", "Scores", "Comparison", "RunDifference"),
     "queries.store": ("Store",),
     "engine.observe.observer": ("Observer",),
     "loaders.result": ("LoadResult",),

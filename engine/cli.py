@@ -10,27 +10,31 @@ import importlib
 import os
 import signal
 import sys
+from pathlib import Path
 from typing import Final
 
 import click
 
 from jrdb_avr import __version__
-from jrdb_avr.schema.errors import AvrError
+from jrdb_avr.schema.errors import AvrError, did_you_mean
 
 COMMANDS: Final[dict[str, str]] = {
     "sample": "Write a synthetic JRDB root with panoramas.",
     "load": "Read annotations into a store and build its graph.",
     "generate": "Find questions, prove them and write the benchmark.",
+    "rules": "List the thresholds of the benchmark.",
     "validate": "Check the question files against the annotations.",
     "stats": "Count questions; show what a blind guesser scores.",
     "cypher": "Ask the scene graph.",
     "sql": "Ask the Parquet tables.",
+    "schema": "Print the tables of graph and store, or draw them.",
     "observe": "Look: write a crop of a panorama as PNG.",
     "preflight": "Check a model's server before a run.",
     "calibrate": "Find out how a model writes boxes.",
     "evaluate": "Run a method on the questions.",
     "mcp": "Let an agent that speaks MCP answer the questions.",
     "world": "Bring runs' world models into the graph, or drop them.",
+    "runs": "List, show, compare or remove runs.",
     "score": "Score the predictions of runs.",
     "report": "Compare runs in a table.",
     "trace": "Show what a run did with a question, step by step.",
@@ -46,7 +50,18 @@ _MODULES: Final = {"cypher": "query", "sql": "query", "stats": "generate", "scor
 """The modules of commands that share one; each command there has its own name."""
 
 
-class LazyGroup(click.Group):
+class NamingGroup(click.Group):
+    """A group that names the nearest command to one that it does not have."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
+            raise click.UsageError(f"no command {args[0]!r}{did_you_mean(args[0], self.list_commands(ctx))}", ctx)
+        return super().resolve_command(ctx, args)
+
+
+class LazyGroup(NamingGroup):
     """A group whose commands are imported when called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -64,10 +79,21 @@ class LazyGroup(click.Group):
             formatter.write_dl(list(COMMANDS.items()))
 
 
-@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(
+    cls=LazyGroup,
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
 @click.version_option(__version__)
-def group() -> None:
-    """Active visual reasoning over JRDB: questions with proofs, observations, methods, scores."""
+@click.pass_context
+def group(ctx: click.Context) -> None:
+    """Active visual reasoning over JRDB: questions with proofs, observations, methods, scores.
+
+    Without a command: what there is here, and what comes next.
+    """
+    if ctx.invoked_subcommand is None:
+        steps = importlib.import_module("jrdb_avr.engine.commands._next").next_steps(Path.cwd())
+        click.echo("\n".join([*steps, "All commands: jrdb-avr --help"]))
 
 
 def main() -> None:

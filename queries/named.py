@@ -7,7 +7,6 @@ replace it: frame / 15, as in questions.
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from typing import Any, Final
 import msgspec
 
 from jrdb_avr.queries.graph.parameters import scalar
-from jrdb_avr.schema.errors import QueryError
+from jrdb_avr.schema.errors import QueryError, did_you_mean
 from jrdb_avr.schema.rules import FPS
 
 FOLDERS: Final = {"cypher": ("explore", "generators", "necessity", "search"), "sql": ("results",)}
@@ -98,9 +97,7 @@ def find_query(language: str, text: str, params: dict[str, Any]) -> tuple[str, d
     name = text.strip()
     query = known.get(name)
     if query is None:
-        near = difflib.get_close_matches(name, known, 1, 0.5)
-        guess = f"did you mean {near[0]}? " if near else ""
-        raise QueryError(f"no query is named {name!r}; {guess}--list shows all: {', '.join(known) or 'none'}")
+        raise QueryError(f"no query is named {name!r}{did_you_mean(name, known)} --list shows all")
     return query.text, query.values(params)
 
 

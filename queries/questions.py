@@ -8,7 +8,7 @@ import pyarrow as pa
 
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import ANSWER_TYPES
-from jrdb_avr.schema.errors import ObserveError, StoreError
+from jrdb_avr.schema.errors import ObserveError, StoreError, did_you_mean
 from jrdb_avr.schema.method import Question, SequenceInfo
 from jrdb_avr.schema.tables import QUESTIONS
 
@@ -45,7 +45,7 @@ def loaded_sequence(store: Store, name: str) -> SequenceInfo:
     """
     known = sorted(store.manifest().sequences)
     if name not in known:
-        raise ObserveError(f"no sequence {name[:100]!r}; there are: {', '.join(known) or 'none'}")
+        raise ObserveError(f"no sequence {name[:100]!r} is loaded{did_you_mean(name, known)}")
     row = store.interval("sequence", name).to_pylist()[0]
     frames = store.interval("frames", name)
     with_image = frames.filter(frames["image"])["frame"].to_pylist()

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 
 from jrdb_avr.queries.store import Store, file_hash, write_json
-from jrdb_avr.schema.errors import StoreError
+from jrdb_avr.schema.errors import StoreError, did_you_mean
 
 
 class RunManifest(msgspec.Struct, frozen=True):
@@ -54,8 +54,7 @@ def read_run_manifest(store: Store, run_id: str) -> RunManifest:
     try:
         manifest = msgspec.json.decode(path.read_bytes(), type=RunManifest)
     except FileNotFoundError:
-        known = ", ".join(run_ids(store)) or "none"
-        raise StoreError(f"{store.path} has no run {run_id!r}; runs: {known}") from None
+        raise StoreError(f"{store.path} has no run {run_id!r}{did_you_mean(run_id, run_ids(store))}") from None
     except (msgspec.DecodeError, UnicodeDecodeError, OSError) as error:
         raise StoreError(f"cannot read {path}: {error}; evaluate again under another run id") from None
     if manifest.run_id != run_id:

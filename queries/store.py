@@ -14,7 +14,6 @@ A file is written beside its place, synced and renamed in, so a reader sees the 
 from __future__ import annotations
 
 import contextlib
-import difflib
 import errno
 import fcntl
 import hashlib
@@ -36,7 +35,7 @@ from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.keyframes import STAMP, keyframe_values
 from jrdb_avr.queries.named import find_query
 from jrdb_avr.queries.sql import query_tables
-from jrdb_avr.schema.errors import InputError, LockedError, QueryError, StoreError
+from jrdb_avr.schema.errors import InputError, LockedError, QueryError, StoreError, did_you_mean
 from jrdb_avr.schema.rules import LoadRules, Rules
 from jrdb_avr.schema.tables import ANNOTATIONS, GENERATION_KEY, INTERVALS, QUESTIONS, RUNS
 
@@ -280,9 +279,7 @@ class Store(Displayed):
     def _check_sequence(self, name: object) -> None:
         """Raises QueryError for a sequence that is not loaded, naming the nearest that is."""
         if isinstance(name, str) and (self.path / "store.json").exists() and name not in self.manifest().sequences:
-            loaded = sorted(self.manifest().sequences)
-            near = difflib.get_close_matches(name, loaded, 1) or loaded[:1]
-            raise QueryError(f"no sequence {name[:100]!r} is loaded; is it {near[0]}? the query 'sequences' lists all")
+            raise QueryError(f"no sequence {name[:100]!r} is loaded{did_you_mean(name, self.manifest().sequences)}")
 
     # -- display ----------------------------------------------------------------------------------------------
 

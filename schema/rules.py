@@ -7,13 +7,16 @@ are seconds where a person would say seconds; the code compares frames (`frames(
 
 from __future__ import annotations
 
+import ast
 import hashlib
+import inspect
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Annotated, Any, Final, Literal
 
 import msgspec
 
-from jrdb_avr.schema.errors import InputError
+from jrdb_avr.schema.errors import InputError, did_you_mean
 
 FPS: Final = 15.0
 """Frames per second of every JRDB sequence."""
@@ -51,7 +54,7 @@ CONDITION_KINDS: Final = (
 
 
 class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What makes a fact true, false or unknown.
+    """What makes a fact true, false or unknown; the text below a rule is its meaning in `rule_rows`.
 
     Margins stay so small that at most two distance words meet anywhere.
     """
@@ -59,8 +62,11 @@ class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     gap_frames: Annotated[int, msgspec.Meta(ge=0, le=900)] = 7
     """Gaps of actions, memberships and relations up to this many frames are closed where the layer has every frame."""
     clear_min_width: Pixels = 12.0
+    """A narrower box is no clear view."""
     clear_min_height: Pixels = 40.0
+    """A lower box is no clear view."""
     clear_max_width: Pixels = 480.0
+    """A wider box is no clear view: no crop holds it."""
     sector_true_deg: Annotated[float, msgspec.Meta(gt=0, le=45)] = 40.0
     """A robot sector is true of whoever is at most this far off its axis."""
     sector_false_deg: Annotated[float, msgspec.Meta(ge=45, lt=180)] = 90.0
@@ -68,14 +74,17 @@ class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     distance_margin: Annotated[float, msgspec.Meta(ge=0, le=0.33)] = 0.10
     """Relative margin round each bound of the distance words."""
     pair_max_m: Metres = 5.0
+    """How far person-frame relations reach."""
     pair_margin_m: Metres = 0.5
-    """Person-frame relations reach 5 m; from 4.5 to 5.5 m they are unknown."""
+    """This near to their reach person-frame relations are unknown: from 4.5 to 5.5 m."""
     pair_vertical_m: Metres = 1.35
     """People farther apart in height are on different floors or steps: their person-frame relation is unknown."""
     neighbor_max_deg: Annotated[float, msgspec.Meta(ge=0, le=180)] = 60.0
+    """The first to the left or right is within this angle."""
     neighbor_margin_deg: Annotated[float, msgspec.Meta(ge=0, le=180)] = 1.0
-    """First to the left or right: within 60 degrees; unknown under 1 degree away or 1 degree ahead of the next."""
+    """Who is first to the left or right is unknown where somebody is nearer than this, or the next one follows so."""
     segment_min_s: Seconds = 2.0
+    """Least length of a stable segment of an action."""
     segment_edge_s: Seconds = 1.0
     """Before a stable segment (and after a closed one) the action is false and the person present for this long."""
     segment_quiet_s: Seconds = 3.0
@@ -89,6 +98,7 @@ class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     condition_order: tuple[str, ...] = CONDITION_KINDS
     """Ties between descriptions of equal length go to the earlier kinds."""
     max_conditions: Annotated[int, msgspec.Meta(ge=1, le=3)] = 3
+    """Most conditions of a description."""
     min_wait_s: Wait = 3.0
     """Least time from the description's time to the next time of a question, and between its later times."""
     long_wait_s: Wait = 10.0
@@ -106,8 +116,9 @@ class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     time_shift: Literal["either", "both"] = "either"
     """Which of the two shifts must change the answer: one is enough, or neither may leave it the same."""
     distance_changed_m: Metres = 1.5
+    """Somebody is closer or farther who moved by this or more."""
     distance_same_m: Metres = 0.5
-    """Closer or farther when it changes by 1.5 m or more, about the same below 0.5 m; in between no question."""
+    """Somebody is about as far as before who moved by less; in between there is no question."""
     visible_share: Share = 0.5
     """A view shows a box when at least this share of its width lies inside."""
     near_duplicate_s: Seconds = 2.0
@@ -133,6 +144,30 @@ def rules_hash(rules: Rules | LoadRules) -> str:
     return hashlib.sha256(msgspec.json.encode(rules, order="sorted")).hexdigest()[:16]
 
 
+def rule_rows(rules: Rules | None = None) -> list[dict[str, Any]]:
+    """A row per rule: the name that `override` takes, its value, and its meaning."""
+    rules = rules or Rules()
+    rows = []
+    for prefix, group in (("", rules), ("load.", rules.load)):
+        meanings = _meanings(type(group))
+        for name in group.__struct_fields__:
+            if name != "load":
+                rows.append({"rule": f"{prefix}{name}", "value": getattr(group, name), "meaning": meanings[name]})
+    return rows
+
+
+def _meanings(kind: type[msgspec.Struct]) -> dict[str, str]:
+    """The text that stands below each field in the source."""
+    (definition,) = ast.parse(inspect.getsource(kind)).body
+    assert isinstance(definition, ast.ClassDef)
+    return {
+        field.target.id: " ".join(str(below.value.value).split())
+        for field, below in pairwise(definition.body)
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+        if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
+    }
+
+
 def override(rules: Rules, changes: Mapping[str, str]) -> Rules:
     """Rules with `name=value` overrides applied; names of load rules are written `load.name`.
 
@@ -143,7 +178,8 @@ def override(rules: Rules, changes: Mapping[str, str]) -> Rules:
         part, _, key = name.rpartition(".")
         target = plain.get(part) if part else plain
         if not isinstance(target, dict) or key not in target or isinstance(target[key], dict):
-            raise InputError(f"there is no rule {name!r}; see Rules in jrdb_avr.schema.rules", field=name)
+            near = did_you_mean(name, (row["rule"] for row in rule_rows(rules)))
+            raise InputError(f"there is no rule {name!r}{near} 'jrdb-avr rules list' shows all", field=name)
         try:
             target[key] = msgspec.json.decode(text.encode())
         except UnicodeError:

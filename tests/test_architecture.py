@@ -45,7 +45,7 @@ MAY_IMPORT = {
 LARGEST = 450
 SMALL = 40
 MOST_SMALL = 9
-REPEATED = {"command", "main", "serve", "load", "generate", "validate", "evaluate", "score", "report"}
+REPEATED = {"command", "main", "serve", "load", "generate", "validate", "evaluate", "score", "report", "diff"}
 """Public names that may repeat: click commands, which are named like their functions, and entry points of processes."""
 
 

@@ -9,6 +9,8 @@ from typing import Any, Final, TypeVar
 
 import click
 
+from jrdb_avr.engine.commands._complete import complete_run
+
 _C = TypeVar("_C", bound=Callable[..., Any])
 
 STORE_VARIABLE: Final = "JRDB_AVR_STORE"
@@ -30,11 +32,18 @@ def store_option(required: bool = True) -> Callable[[_C], _C]:
         "--store",
         "-s",
         required=required,
+        # Before the others: completion of their values looks into it.
+        is_eager=True,
         type=FOLDER,
         envvar=STORE_VARIABLE,
         callback=open_store,
         help=f"Folder of the store; without it the one that {STORE_VARIABLE} names.",
     )
+
+
+def run_argument(name: str, **options: Any) -> Callable[[_C], _C]:
+    """Add an argument that names a run, or several."""
+    return click.argument(name, shell_complete=complete_run, **options)
 
 
 def form_option(function: _C) -> Callable[..., Any]:

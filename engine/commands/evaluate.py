@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
+from jrdb_avr.engine.commands._complete import complete_sequence
 from jrdb_avr.engine.commands._endpoint import check_address, endpoint_options
 from jrdb_avr.engine.commands._matrix import matrix_runs
 from jrdb_avr.engine.commands._options import FILE, form_option, store_option
@@ -75,7 +76,14 @@ panoramas:
 @click.option("--questions", "picked", help="Question ids with commas between, or a file with one id per line.")
 @click.option("--family", "families", multiple=True, metavar="NAME", help="Only of this family; may be repeated.")
 @click.option("--template", "templates", multiple=True, metavar="NAME", help="Only of this template; may be repeated.")
-@click.option("--sequence", "sequences", multiple=True, metavar="NAME", help="Only of this sequence; may be repeated.")
+@click.option(
+    "--sequence",
+    "sequences",
+    multiple=True,
+    metavar="NAME",
+    shell_complete=complete_sequence,
+    help="Only of this sequence; may be repeated.",
+)
 @click.option("--per-template", type=click.IntRange(1), metavar="N", help="At most N of each template.")
 @click.option("--limit", type=click.IntRange(1), metavar="N", help="At most N in all, of those that have panoramas.")
 @click.option("--seed", type=int, help="Draw the questions at random; without it the first ones are taken.")

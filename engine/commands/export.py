@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from jrdb_avr.engine.commands._options import FILE, FOLDER, open_store
+from jrdb_avr.engine.commands._options import FILE, FOLDER, run_argument, store_option
 from jrdb_avr.engine.console import note, warnings_as_notes
 from jrdb_avr.schema.card import CREATOR, HOME
 
@@ -16,17 +16,15 @@ if TYPE_CHECKING:
 
 _EXAMPLE: Final = """\b
 Examples:
-  jrdb-avr export S --hf folder --url https://huggingface.co/datasets/ME/QUESTIONS
-  jrdb-avr export S --lmms-eval tasks
-  jrdb-avr export S react-marker --jsonl predictions.jsonl
+  jrdb-avr export --store S --hf folder --url https://huggingface.co/datasets/ME/QUESTIONS
+  jrdb-avr export --store S --lmms-eval tasks
+  jrdb-avr export --store S react-marker --jsonl predictions.jsonl
 """
-
-store_argument = click.argument("store", type=FOLDER, callback=open_store)
 
 
 @click.command(epilog=_EXAMPLE)
-@store_argument
-@click.argument("run", required=False)
+@store_option()
+@run_argument("run", required=False)
 @click.option("--jsonl", type=FILE, help="Write the predictions of RUN, a line each; 'score --jsonl' reads them.")
 @click.option("--hf", type=FOLDER, help="Write the questions as DIR/public, for Hugging Face, and DIR/private.")
 @click.option("--lmms-eval", "lmms", type=FOLDER, help="Write tasks for lmms-eval: monolithic and chain of thought.")
@@ -35,7 +33,7 @@ store_argument = click.argument("store", type=FOLDER, callback=open_store)
 def export(
     store: Store, run: str | None, jsonl: Path | None, hf: Path | None, lmms: Path | None, creator: str, url: str
 ) -> None:
-    """Write what STORE holds in the forms of other tools.
+    """Write what the store holds in the forms of other tools.
 
     --hf writes two folders: a public one with questions, opaque names of sequences, a card and Croissant metadata, and
     a private one with answers and evidence. Pictures are in neither. --lmms-eval writes tasks that play two methods on
@@ -68,10 +66,10 @@ def export(
 
 
 @click.command(
-    epilog="Example: jrdb-avr submit S react-marker bundle   (then: jrdb-avr score --store S --bundle bundle)"
+    epilog="Example: jrdb-avr submit react-marker bundle --store S   (then: jrdb-avr score --store S --bundle bundle)"
 )
-@store_argument
-@click.argument("run")
+@store_option()
+@run_argument("run")
 @click.argument("folder", metavar="DIR", type=FOLDER)
 def submit(store: Store, run: str, folder: Path) -> None:
     """Write RUN as a bundle into the new folder DIR, to be scored by whoever has the answers.

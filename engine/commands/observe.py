@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from jrdb_avr.engine.commands._complete import complete_sequence
 from jrdb_avr.engine.commands._options import FILE, store_option
 from jrdb_avr.engine.console import note
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     epilog="Example: jrdb-avr observe gates-ai-lab-2019-02-08_0 15 180 --store S --out look.png  "
     "(180 is straight ahead, 90 the robot's left, 0 behind, 270 its right)",
 )
-@click.argument("sequence")
+@click.argument("sequence", shell_complete=complete_sequence)
 @click.argument("frame", type=int)
 @click.argument("angle", type=float, required=False)
 @store_option()

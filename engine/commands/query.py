@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import click
 
+from jrdb_avr.engine.commands._complete import complete_query
 from jrdb_avr.engine.commands._options import FILE, form_option, pairs_option, store_option
 from jrdb_avr.engine.console import print_rows
 from jrdb_avr.schema.errors import InputError, QueryError
@@ -27,7 +28,7 @@ _LONGEST: Final = 1 << 20
 def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add the argument and the options of a query."""
     for decorate in (
-        click.argument("query", required=False),
+        click.argument("query", required=False, shell_complete=complete_query),
         store_option(required=False),
         pairs_option("--param", "params", "A parameter; JSON or text."),
         click.option("--timeout", type=click.FloatRange(0.1, 86_400), default=60.0, show_default=True, help="Seconds."),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from jrdb_avr.engine.commands._options import FILE, FOLDER, form_option, iou_option, store_option
+from jrdb_avr.engine.commands._options import FILE, FOLDER, form_option, iou_option, run_argument, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, warnings_as_notes
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ Examples:
 
 _MACRO: Final = "_macro_"
 
-_runs_argument = click.argument("runs", nargs=-1, metavar="[RUN]...")
+_runs_argument = run_argument("runs", nargs=-1, metavar="[RUN]...")
 
 
 _SCORE_EXAMPLE: Final = """\b

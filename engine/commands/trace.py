@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from jrdb_avr.engine.commands._options import page_option, store_option
+from jrdb_avr.engine.commands._options import page_option, run_argument, store_option
 from jrdb_avr.engine.console import note
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @click.command(epilog="Example: jrdb-avr trace react-marker 0098303b6414dec4 --store S --out trace.html")
-@click.argument("run")
+@run_argument("run")
 @click.argument("question")
 @store_option()
 @page_option("trace.html")

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jrdb_avr.engine.commands._options import form_option, store_option
+from jrdb_avr.engine.cli import NamingGroup
+from jrdb_avr.engine.commands._options import form_option, run_argument, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 
 if TYPE_CHECKING:
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
 
 
 @click.group(
-    epilog="Examples: jrdb-avr world merge agent-marker --store S   |   jrdb-avr world drop agent-marker --store S"
+    cls=NamingGroup,
+    epilog="Examples: jrdb-avr world merge agent-marker --store S   |   jrdb-avr world drop agent-marker --store S",
 )
 def command() -> None:
     """What runs' agents believed, in the store's graph.
@@ -29,7 +31,7 @@ def command() -> None:
 
 
 @command.command(epilog="Example: jrdb-avr world merge agent-marker agent-passive-marker --store S")
-@click.argument("run_ids", nargs=-1, required=True, metavar="RUN...")
+@run_argument("run_ids", nargs=-1, required=True, metavar="RUN...")
 @store_option()
 @form_option
 def merge(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
@@ -48,7 +50,7 @@ def merge(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
 
 
 @command.command(epilog="Example: jrdb-avr world drop agent-marker --store S")
-@click.argument("run_ids", nargs=-1, required=True, metavar="RUN...")
+@run_argument("run_ids", nargs=-1, required=True, metavar="RUN...")
 @store_option()
 @form_option
 def drop(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:

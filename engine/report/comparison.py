@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.engine.report import formats
 from jrdb_avr.engine.report.epochs import epoch_rows
-from jrdb_avr.engine.report.scored_runs import QuestionIndex, ScoredRun, read_index
+from jrdb_avr.engine.report.scored_runs import SCORES, QuestionIndex, ScoredRun, read_index
 from jrdb_avr.engine.report.scoring import read_truth, score_run, write_scores
 from jrdb_avr.engine.report.tables import (
     TABLES,
@@ -24,6 +25,7 @@ from jrdb_avr.engine.report.tables import (
     published_groups,
     published_rows,
     ranked,
+    rows_of_pairs,
     score_row,
 )
 from jrdb_avr.queries.display import Displayed, Tables
@@ -31,7 +33,8 @@ from jrdb_avr.queries.named import named_queries
 from jrdb_avr.queries.runs import run_ids
 from jrdb_avr.queries.sql import query_tables
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
+from jrdb_avr.schema.arrays import Ints
+from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError, did_you_mean
 
 _PRINTED: Final = ("label", "n", "answer", "evidence", "combined", "hallucination", "invalid")
 
@@ -146,6 +149,71 @@ def report(store: Store | str | Path, runs: Sequence[str] = (), *, iou: float = 
     index = read_index(store)
     found, scores = zip(*_scored(store, index, runs, iou), strict=True)
     return Comparison(store, index, list(found), pa.concat_tables(scores), iou, paper)
+
+
+@dataclass(frozen=True, repr=False)
+class RunDifference(Displayed):
+    """Two scored runs on the questions that both have; `rows` holds a row per score, as the table `pairs`."""
+
+    index: QuestionIndex
+    first: ScoredRun
+    second: ScoredRun
+    rows: list[Row]
+
+    @property
+    def synthetic(self) -> bool:
+        """Whether a run is of the simulated model or on the sample world."""
+        return self.first.manifest.synthetic or self.second.manifest.synthetic
+
+    def questions(self, score: str = "combined") -> list[Row]:
+        """The questions that one run scores and the other does not, those of the first run before: a row each, with
+        what either gets right. Raises InputError for an unknown score."""
+        if score not in SCORES:
+            raise InputError(f"no score {score!r}{did_you_mean(score, SCORES)}", field="score")
+        common, mine, yours = np.intersect1d(self.first.rows, self.second.rows, return_indices=True)
+        first, second, place = self.first.scores[mine], self.second.scores[yours], SCORES.index(score)
+        names = (self.first.manifest.run_id, self.second.manifest.run_id)
+        found = []
+        for number in np.flatnonzero(first[:, place] != second[:, place]).tolist():
+            row = int(common[number])
+            labels = {name: own.names[own.numbers[row]] for name, own in self.index.labels.items()}
+            found.append(
+                {
+                    "question_id": self.index.ids[row].as_py(),
+                    "only": names[int(second[number, place])],
+                    "template": labels["template"],
+                    "sequence": labels["sequence"],
+                    **{f"{who} right": _right(own[number]) for who, own in (("first", first), ("second", second))},
+                }
+            )
+        return sorted(found, key=lambda own: (names.index(own["only"]), own["template"], own["question_id"]))
+
+    def _summary(self) -> str:
+        n = self.rows[0]["n"]
+        return f"{self.first.manifest.run_id} and {self.second.manifest.run_id} on {n} questions"
+
+    def _tables(self) -> Tables:
+        return {"Pair": formats.with_intervals(self.rows)}
+
+
+def _right(scores: Ints) -> str:
+    return (
+        " and ".join(name for name, own in zip(("answer", "evidence"), scores.tolist(), strict=False) if own) or "none"
+    )
+
+
+def diff(store: Store | str | Path, first: str, second: str, *, iou: float = 0.5) -> RunDifference:
+    """Compare two runs of a store question by question; nothing is written.
+
+    Raises StoreError for a run that is missing or cannot be scored, and for two without a common question.
+    """
+    store = Store.of(store)
+    index = read_index(store)
+    runs = {run.manifest.run_id: run for run, _ in _scored(store, index, (first, second), iou)}
+    rows = rows_of_pairs(index, [(runs[first], runs[second])])
+    if not rows:
+        raise StoreError(f"{first} and {second} have no question in common")
+    return RunDifference(index, runs[first], runs[second], rows)
 
 
 def _scored(store: Store, index: QuestionIndex, names: Sequence[str], iou: float) -> list[tuple[ScoredRun, pa.Table]]:

@@ -189,9 +189,14 @@ def _policy(run: ScoredRun) -> str:
 
 def pair_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[Row]:
     """For each two runs and score, on their common questions: the exact McNemar test and the difference."""
-    pairs, shared = [], []
     # Which of two is the first does not depend on their scores, so that a difference keeps its sign.
-    for first, second in combinations(sorted(runs, key=_name), 2):
+    return rows_of_pairs(index, list(combinations(sorted(runs, key=_name), 2)))
+
+
+def rows_of_pairs(index: QuestionIndex, of: Sequence[tuple[ScoredRun, ScoredRun]]) -> list[Row]:
+    """The rows of `pair_rows` for these pairs; none for one without common questions."""
+    pairs, shared = [], []
+    for first, second in of:
         common, mine, yours = np.intersect1d(first.rows, second.rows, assume_unique=True, return_indices=True)
         if len(common):
             clusters = index.labels["sequence"].numbers[common]

@@ -25,7 +25,8 @@ from jrdb_avr.queries.graph.file import (
     lock_graph,
     rebuild_hint,
 )
-from jrdb_avr.schema.errors import LockedError, QueryError, StoreError
+from jrdb_avr.schema.catalog import graph_tables
+from jrdb_avr.schema.errors import LockedError, QueryError, StoreError, did_you_mean
 
 _MEMORY_BYTES: Final = 1 << 30
 """Address space of an in-memory database; the engine's default of 8 TiB allows only a few in a process."""
@@ -138,6 +139,13 @@ def translated(error: RuntimeError, text: str, timeout_s: float | None, path: Pa
         return QueryError(f"needs more memory than its limit: narrow it (by sequence): {shortened(text)}")
     if "No space left" in message or "File too large" in message or "Cannot write to file" in message:
         return StoreError(f"cannot write the graph: {shortened(message)}; free some space and load again")
+    if unknown := re.search(r"Table (\w+) does not exist", message):
+        return QueryError(
+            f"no table {unknown[1]!r}{did_you_mean(unknown[1], (table.name for table in graph_tables()))}"
+        )
+    if unknown := re.search(r"Cannot find property (\w+) for (\w+)", message):
+        columns = {name for table in graph_tables() for name in table.columns}
+        return QueryError(f"{unknown[2]} has no property {unknown[1]!r}{did_you_mean(unknown[1], columns)}")
     # The parser lists everything it would have taken instead, and repeats the statement.
     return QueryError(shortened(re.sub(r" expecting \{.*", "", message), 300))
 

@@ -221,5 +221,5 @@ def test_the_store_answers_by_name_and_by_statement(store):
 
 
 def test_a_sequence_that_is_not_loaded_names_the_nearest(store):
-    with pytest.raises(QueryError, match="is it yard-1_0"):
+    with pytest.raises(QueryError, match="did you mean yard-1_0"):
         store.cypher("objects", sequence="yard-1")

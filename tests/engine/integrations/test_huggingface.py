@@ -166,8 +166,8 @@ def test_an_export_is_repeatable_and_replaces_nothing(store, folders, tmp_path):
         assert files == {path.relative_to(second): path.read_bytes() for path in second.rglob("*") if path.is_file()}
     with pytest.raises(InputError, match="not empty"):
         export_folders(store, tmp_path / "out")
-    code, out, err = run("export", store.path, "--hf", tmp_path / "cli")
+    code, out, err = run("export", "--store", store.path, "--hf", tmp_path / "cli")
     assert (code, out) == (0, "") and "to be published" in err
     assert (tmp_path / "cli" / "public" / "croissant.json").exists()
     for arguments in ((), ("r", "--hf", "x"), ("--jsonl", "x"), ("r",)):
-        assert run("export", store.path, *arguments)[0] == 2
+        assert run("export", "--store", store.path, *arguments)[0] == 2

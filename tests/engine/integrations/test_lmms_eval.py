@@ -27,7 +27,7 @@ BOX = [100, 200, 150, 700]
 def tasks(asked_world, tmp_path_factory):
     """The folder that the command writes, and its functions as lmms-eval imports them."""
     folder = tmp_path_factory.mktemp("lmms") / "tasks"
-    code, out, err = run("export", asked_world / "store", "--lmms-eval", folder)
+    code, out, err = run("export", "--store", asked_world / "store", "--lmms-eval", folder)
     assert (code, out) == (0, ""), err
     spec = importlib.util.spec_from_file_location("utils", folder / "utils.py")
     module = importlib.util.module_from_spec(spec)
@@ -156,7 +156,7 @@ def test_predictions_lead_back_into_a_store(asked_world, tasks, docs, store, tmp
 
 
 def test_the_tasks_need_a_folder_of_their_own_and_panoramas(asked_world, tasks, tmp_path):
-    code, _, err = run("export", asked_world / "store", "--lmms-eval", tasks[0])
+    code, _, err = run("export", "--store", asked_world / "store", "--lmms-eval", tasks[0])
     assert code == 1 and "not empty" in err
     with pytest.raises(StoreError, match="no question is left"):
         FixedContextTask("monolithic", tasks[0], tmp_path, "", bytes)

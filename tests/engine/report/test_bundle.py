@@ -41,7 +41,7 @@ def predictions_of(store, name):
 
 
 def test_predictions_come_back_as_they_left(store, tmp_path):
-    assert run("export", store.path, "r", "--jsonl", tmp_path / "again.jsonl")[0] == 0
+    assert run("export", "--store", store.path, "r", "--jsonl", tmp_path / "again.jsonl")[0] == 0
     code, out, err = run("score", "--store", store.path, "--jsonl", tmp_path / "again.jsonl", "--json")
     assert code == 0, err
     assert predictions_of(store, "again") == predictions_of(store, "r")
@@ -131,7 +131,7 @@ def test_an_import_never_replaces_a_run(store, tmp_path):
 
 @pytest.fixture
 def bundle(store, tmp_path):
-    assert run("submit", store.path, "r", tmp_path / "B")[0] == 0
+    assert run("submit", "--store", store.path, "r", tmp_path / "B")[0] == 0
     return tmp_path / "B"
 
 
@@ -149,7 +149,7 @@ def test_a_bundle_scores_like_its_run(store, bundle):
 
 
 def test_a_bundle_needs_a_folder_of_its_own(store, bundle):
-    code, _, err = run("submit", store.path, "r", bundle)
+    code, _, err = run("submit", "--store", store.path, "r", bundle)
     assert code == 1 and "not empty" in err
     with pytest.raises(StoreError, match="no run 'x'"):
         write_bundle(store, "x", bundle.parent / "C")

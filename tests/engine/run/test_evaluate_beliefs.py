@@ -151,7 +151,7 @@ def test_merging_what_is_not_there_is_one_line(store, live, tmp_path):
     for run_id in ("base", "silent"):
         journals.write_tables(store, run_id, [])
     for run_id, words in (
-        ("none", r"has no run 'none'; runs: base, half, one, silent, two"),
+        ("none", r"has no run 'none': did you mean one"),
         ("half", r"'half' is not finished: repeat its 'jrdb-avr evaluate' with --resume"),
         ("base", r"'base' has no world model: of the methods agent and agent-passive"),
         ("../one", r"cannot be a run id"),

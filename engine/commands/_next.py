@@ -1,0 +1,49 @@
+"""What to do next, as the commands to type: depends on how far the store is, if there is one."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from pathlib import Path
+
+from jrdb_avr.engine.commands._options import STORE_VARIABLE
+
+
+def next_steps(folder: Path) -> list[str]:
+    """Lines that say what is there and what comes next.
+
+    The store is that of the environment variable, or a folder in `folder`, or this itself.
+    """
+    named = os.environ.get(STORE_VARIABLE)
+    places = [Path(named)] if named else [folder, *sorted(path.parent for path in folder.glob("*/store.json"))]
+    stores = [place for place in places if (place / "store.json").exists()]
+    if not stores:
+        where = f"{named}, which {STORE_VARIABLE} names, is no store yet." if named else "There is no store here yet."
+        store = named or "store"
+        return [
+            where,
+            "  jrdb-avr demo                            everything once on a synthetic world, in a minute",
+            f"  jrdb-avr load ROOT --store {shlex.quote(store)}            your copy of JRDB",
+        ]
+    return [line for place in stores for line in _of_store(place, folder, bool(named))]
+
+
+def _of_store(store: Path, folder: Path, named: bool) -> list[str]:
+    """Lines about one store."""
+    runs = [path.parent for path in sorted(store.glob("runs/*/run.json"))]
+    open_runs = [run.name for run in runs if not (run / "predictions.parquet").exists()]
+    option = "" if named else f" --store {shlex.quote(str(store.relative_to(folder)))}"
+    model = "--method agent --model MODEL --base-url URL"
+    if not (store / "questions" / "questions.parquet").exists():
+        state, steps = "has annotations and no questions yet", [f"generate{option}", f"cypher --list{option}"]
+    elif not runs:
+        state = "has questions and no runs yet"
+        steps = [f"validate{option}", f"inspect --sample 20{option}", f"evaluate{option} {model}"]
+    elif open_runs:
+        state = f"has {len(runs)} runs, of which {len(open_runs)} are unfinished"
+        steps = [f"runs show {open_runs[0]}{option}", f"evaluate{option} --resume ... (as the run was begun)"]
+    else:
+        state = f"has {len(runs)} run{'s' if len(runs) > 1 else ''}"
+        steps = [f"score{option}", f"report{option}", f"evaluate{option} {model}"]
+    place = store if named else store.relative_to(folder.parent)
+    return [f"{place} {state}.", *(f"  jrdb-avr {step}" for step in steps)]

@@ -1,0 +1,26 @@
+"""`jrdb-avr rules`: the thresholds of the benchmark, which --rule overrides."""
+
+from __future__ import annotations
+
+import click
+
+from jrdb_avr.engine.cli import NamingGroup
+from jrdb_avr.engine.commands._options import form_option
+from jrdb_avr.engine.console import RowFormat, print_rows
+
+
+@click.group(cls=NamingGroup, epilog="Example: jrdb-avr rules list")
+def command() -> None:
+    """The rules of the benchmark: every threshold that a fact, a proof or a selection depends on."""
+
+
+@command.command(name="list", epilog="Example: jrdb-avr rules list --csv")
+@form_option
+def rules_list(form: RowFormat) -> None:
+    """List the rules with their values and meanings.
+
+    'load --rule NAME=VALUE' overrides those that begin with load, 'generate --rule NAME=VALUE' the others.
+    """
+    from jrdb_avr.schema.rules import rule_rows
+
+    print_rows(rule_rows(), form=form)

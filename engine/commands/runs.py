@@ -1,0 +1,118 @@
+"""`jrdb-avr runs`: the runs of a store, listed, shown, compared and removed."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from jrdb_avr.engine.cli import NamingGroup
+from jrdb_avr.engine.commands._options import form_option, iou_option, run_argument, store_option
+from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows
+
+if TYPE_CHECKING:
+    from jrdb_avr.queries.store import Store
+
+
+@click.group(
+    cls=NamingGroup, epilog="Examples: jrdb-avr runs list --store S   |   jrdb-avr runs diff react-a react-b --store S"
+)
+def command() -> None:
+    """The runs of a store: list them, show, compare or remove some."""
+
+
+@command.command(name="list", epilog="Example: jrdb-avr runs list --store S")
+@store_option()
+@form_option
+def runs_list(store: Store, form: RowFormat) -> None:
+    """List the runs: method, model, how many questions ended how, and whether the run is complete."""
+    from jrdb_avr.engine.run.overview import list_runs
+
+    rows = list_runs(store)
+    if rows or form:
+        print_rows(rows, form=form)
+    else:
+        note(f"no runs yet: jrdb-avr evaluate --store {store.path} --method METHOD --model MODEL")
+
+
+@command.command(epilog="Example: jrdb-avr runs show agent-marker --store S")
+@run_argument("run")
+@store_option()
+@form_option
+def show(run: str, store: Store, form: RowFormat) -> None:
+    """Show a run: its questions and how they were selected, its settings, and why answers are missing."""
+    from jrdb_avr.engine.run.overview import show_run
+
+    found = show_run(store, run)
+    if form:
+        print_data([found], form)
+        return
+    rows = [{"what": name, "value": value} for name, own in found.items() for name, value in _lines(name, own)]
+    print_rows([row for row in rows if row["value"] not in (None, "")])
+
+
+def _lines(name: str, value: Any) -> list[tuple[str, Any]]:
+    """A value by its name, the entries of a mapping or list each on a line."""
+    if isinstance(value, dict):
+        return [line for key, own in value.items() for line in _lines(f"{name}.{key}", own)]
+    if isinstance(value, list) and name.startswith("commonest"):
+        return [(name, own) for own in value]
+    return [(name, value)]
+
+
+@command.command(epilog="Example: jrdb-avr runs remove react-marker --store S --yes")
+@run_argument("run_ids", nargs=-1, required=True, metavar="RUN...")
+@store_option()
+@click.option("--yes", is_flag=True, help="Do not ask.")
+def remove(run_ids: tuple[str, ...], store: Store, yes: bool) -> None:
+    """Delete runs: their folders, and what the store's graph holds of their world models."""
+    from jrdb_avr.engine.run.overview import remove_run
+
+    if not yes:
+        if not sys.stdin.isatty():
+            raise click.UsageError("nobody is there to be asked: add --yes")
+        click.confirm(f"Delete {', '.join(run_ids)} of {store.path} for good?", abort=True)
+    for run_id in dict.fromkeys(run_ids):
+        remove_run(store, run_id)
+        note(f"removed {run_id}")
+
+
+@command.command(epilog="Example: jrdb-avr runs diff react-a agent-a --store S --score answer")
+@run_argument("first")
+@run_argument("second")
+@store_option()
+@click.option(
+    "--score",
+    type=click.Choice(["answer", "evidence", "combined"]),
+    default="combined",
+    show_default=True,
+    help="The score whose differing questions are listed.",
+)
+@iou_option
+@form_option
+def diff(first: str, second: str, store: Store, score: str, iou: float, form: RowFormat) -> None:
+    """Compare two runs on the questions that both have: who scores which, and the difference with its interval.
+
+    The difference is the second's share less the first's, in points; p is of the exact McNemar test. --json and --csv
+    print the questions that only one of them scores.
+    """
+    from jrdb_avr.engine.report.comparison import diff
+    from jrdb_avr.engine.report.formats import with_intervals
+    from jrdb_avr.engine.report.tables import TOO_FEW
+
+    found = diff(store, first, second, iou=iou)
+    questions = found.questions(score)
+    if form:
+        print_data(questions, form)
+        return
+    few = any(own["interval"] == TOO_FEW for own in found.rows)
+    left_out = ("first", "second", "interval")
+    rows = [{name: own[name] for name in own if name not in left_out} for own in with_intervals(found.rows)]
+    print_rows(rows, title=f"first: {first}, second: {second}" + (f"; {TOO_FEW}" if few else ""))
+    if questions:
+        print_rows(questions, title=f"Questions of which one scores {score}")
+    else:
+        note(f"no question is scored by one of them alone: {score}")
+    if found.synthetic:
+        note("synthetic: the simulated model or the sample world, no result about JRDB")

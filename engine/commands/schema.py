@@ -1,0 +1,37 @@
+"""`jrdb-avr schema`: the tables of the graph and of the store, and how they hang together."""
+
+from __future__ import annotations
+
+import click
+
+from jrdb_avr.engine.commands._options import form_option
+from jrdb_avr.engine.console import RowFormat, print_rows
+
+
+@click.command(
+    epilog="Examples: jrdb-avr schema graph scene   |   jrdb-avr schema tables predictions   |   "
+    "jrdb-avr schema graph --mermaid"
+)
+@click.argument("what", metavar="graph|tables", type=click.Choice(["graph", "tables"]))
+@click.argument("names", nargs=-1, metavar="[NAME]...")
+@click.option("--mermaid", is_flag=True, help="Print a diagram in Mermaid.")
+@form_option
+def command(what: str, names: tuple[str, ...], mermaid: bool, form: RowFormat) -> None:
+    """Print the tables of the graph, for 'cypher', or of the store, for 'sql'; of those with a NAME their columns.
+
+    NAMEs are tables, or parts: scene, keyframes and beliefs of the graph; annotations, intervals, questions and runs of
+    the store. Needs no store.
+    """
+    from jrdb_avr.schema import catalog
+
+    if form and mermaid:
+        raise click.UsageError(f"choose one of --{form} and --mermaid")
+    graph = what == "graph"
+    tables = catalog.named(catalog.graph_tables() if graph else catalog.store_tables(), names)
+    if mermaid:
+        click.echo((catalog.graph_diagram if graph else catalog.store_diagram)(tables), nl=False)
+    elif form or names:
+        print_rows(catalog.column_rows(tables), form=form)
+    else:
+        rows = catalog.table_rows(tables)
+        print_rows(rows if graph else [{name: row[name] for name in ("table", "part", "columns")} for row in rows])

@@ -1,0 +1,151 @@
+"""The runs of a store: which there are and how far they came, what one of them is, and its removal."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import shutil
+import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import pyarrow as pa
+
+from jrdb_avr.engine.run.methods import WORLD_METHODS
+from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, run_ids
+from jrdb_avr.queries.store import Store, read_table
+from jrdb_avr.schema.errors import LockedError, StoreError, did_you_mean
+
+_REASONS: Final = 3
+"""Commonest reasons that `show_run` lists of each status."""
+
+
+class _Line(msgspec.Struct):
+    """What is read of a line of the journal."""
+
+    question_id: str
+    prediction: dict[str, Any]
+
+
+def list_runs(store: Store | str | Path) -> list[dict[str, Any]]:
+    """A row per run, by id: method, model, label, state, questions by status, and when it began.
+
+    state: "complete", "unfinished", "other questions" where the store's are no longer those of the run, or "damaged".
+    """
+    store = Store.of(store)
+    if not run_ids(store):
+        store.manifest()  # A folder that is no store lacks more than runs.
+    return [_row(store, name) for name in run_ids(store)]
+
+
+def _row(store: Store, run_id: str) -> dict[str, Any]:
+    try:
+        manifest = read_run_manifest(store, run_id)
+        rows = _predictions(store, run_id)
+    except StoreError:
+        return {"run": run_id, "method": "", "model": "", "label": "", "state": "damaged", "n": None}
+    counts = Counter(row["status"] for row in rows)
+    return {
+        "run": run_id,
+        "method": manifest.method,
+        "model": manifest.model,
+        "label": "synthetic" if manifest.synthetic else "",
+        "state": _state(store, manifest),
+        "n": len(manifest.question_ids),
+        **{status: counts[status] for status in ("answered", "invalid", "error")},
+        "created": manifest.created,
+    }
+
+
+def _state(store: Store, manifest: RunManifest) -> str:
+    path = store.question_path("questions")
+    if path.exists() and questions_hash(store) != manifest.questions_sha256:
+        return "other questions"
+    return "complete" if (store.run_path(manifest.run_id) / "predictions.parquet").exists() else "unfinished"
+
+
+def show_run(store: Store | str | Path, run_id: str) -> dict[str, Any]:
+    """A run as plain values: its row of `list_runs`, how its questions were selected, its settings, the commonest
+    reasons of what is invalid or an error, and its folder.
+
+    Raises StoreError for a run that is missing or damaged.
+    """
+    store = Store.of(store)
+    _require(store, run_id)
+    manifest = read_run_manifest(store, run_id)
+    reasons = Counter((row["status"], row["reason"]) for row in _predictions(store, run_id) if row["reason"])
+    commonest = {
+        status: [f"{times} x {reason}" for (own, reason), times in reasons.most_common() if own == status][:_REASONS]
+        for status in ("invalid", "error")
+    }
+    return {
+        **_row(store, run_id),
+        "selection": manifest.selection,
+        "settings": manifest.settings,
+        **{f"commonest {status}": found for status, found in commonest.items() if found},
+        "folder": str(store.run_path(run_id)),
+    }
+
+
+def remove_run(store: Store | str | Path, run_id: str) -> None:
+    """Delete a run's folder, and what the store's graph holds of it.
+
+    Raises StoreError where there is no such run, LockedError while it runs or another process has the graph.
+    """
+    from jrdb_avr.queries.beliefs.graph import open_graph
+    from jrdb_avr.queries.beliefs.record import drop_world
+
+    store = Store.of(store)
+    _require(store, run_id)
+    folder = store.run_path(run_id)
+    with _idle(folder):
+        try:
+            believes = read_run_manifest(store, run_id).method in WORLD_METHODS
+        except StoreError:
+            believes = True
+        if believes and store.graph_path.exists():
+            with open_graph(store.graph_path) as graph:
+                drop_world(graph, run_id)
+        # Moved out of the runs at once: one that is deleted in part would be taken for a run.
+        trash = Path(tempfile.mkdtemp(prefix=".removed-", dir=store.path))
+        try:
+            shutil.move(folder, trash)
+            shutil.rmtree(trash)
+        except OSError as error:
+            raise StoreError(f"cannot remove {folder}: {error.strerror}") from None
+
+
+def _require(store: Store, run_id: str) -> None:
+    known = run_ids(store)
+    if run_id not in known:
+        raise StoreError(f"{store.path} has no run {run_id[:100]!r}{did_you_mean(run_id, known)}")
+
+
+@contextlib.contextmanager
+def _idle(folder: Path) -> Iterator[None]:
+    """Hold the run's lock. Raises LockedError while another process runs it."""
+    path = folder / "journal.jsonl"
+    with contextlib.ExitStack() as stack:
+        if path.exists():
+            file = stack.enter_context(path.open("rb"))
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                raise LockedError(f"{folder} is being run by another process: wait for it", holder=str(path)) from None
+        yield
+
+
+def _predictions(store: Store, run_id: str) -> list[dict[str, Any]]:
+    """Status and reason of each finished question, of an unfinished run from its journal."""
+    path, journal = (store.run_path(run_id) / name for name in ("predictions.parquet", "journal.jsonl"))
+    try:
+        if path.exists():
+            return read_table(path, ["status", "reason"]).to_pylist()
+        lines = journal.read_bytes().split(b"\n")[:-1] if journal.exists() else []
+        found = {line.question_id: line.prediction for line in (msgspec.json.decode(own, type=_Line) for own in lines)}
+        return [{"status": str(own.get("status", "")), "reason": str(own.get("reason", ""))} for own in found.values()]
+    except (msgspec.DecodeError, UnicodeDecodeError, OSError, pa.ArrowException, KeyError) as error:
+        raise StoreError(f"run {run_id}: its answers cannot be read ({str(error).splitlines()[0]})") from None
