@@ -143,7 +143,8 @@ def _predictions(store: Store, run_id: str) -> list[dict[str, Any]]:
     path, journal = (store.run_path(run_id) / name for name in ("predictions.parquet", "journal.jsonl"))
     try:
         if path.exists():
-            return read_table(path, ["status", "reason"]).to_pylist()
+            rows: list[dict[str, Any]] = read_table(path, ["status", "reason"]).to_pylist()
+            return rows
         lines = journal.read_bytes().split(b"\n")[:-1] if journal.exists() else []
         found = {line.question_id: line.prediction for line in (msgspec.json.decode(own, type=_Line) for own in lines)}
         return [{"status": str(own.get("status", "")), "reason": str(own.get("reason", ""))} for own in found.values()]
