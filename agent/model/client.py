@@ -320,8 +320,13 @@ class Client:
         remedy = _REMEDIES.get(status, "").format(key=self.options.api_key_env)
         if self.options.temperature is not None and "temperature" in message:
             remedy = "; if the model takes none, give --temperature none"
-        other = self.options.names_itself and _LONGER_NAME in message
-        return (_OtherNameError if other else EndpointError)(f"{self.base_url}: {reason}{remedy}")
+        kind = EndpointError
+        if status == 401 or code == _NO_CREDIT:
+            # The next question would be refused for the same reason.
+            kind = RunStoppedError
+        elif self.options.names_itself and _LONGER_NAME in message:
+            kind = _OtherNameError
+        return kind(f"{self.base_url}: {reason}{remedy}")
 
     def _one_line(self, error: object) -> str:
         # The key goes before the text is cut, or its beginning could stay.

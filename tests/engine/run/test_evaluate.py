@@ -268,7 +268,11 @@ def test_errors_are_rows_and_are_asked_again(store):
         assert (row["error"], row["invalid"]) == (0, 3)
 
 
-@pytest.mark.parametrize("gone", [Status(503, "loading model"), Status(429, "later")], ids=["loading", "busy"])
+@pytest.mark.parametrize(
+    "gone",
+    [Status(503, "loading model"), Status(429, "later"), Status(401, "the key has expired")],
+    ids=["loading", "busy", "no key"],
+)
 def test_a_server_that_is_gone_ends_the_run_and_spends_no_question(store, gone):
     """Nothing is on record of the questions that it cannot answer; resumed, the run asks them for the first time."""
     away = True
@@ -282,7 +286,8 @@ def test_a_server_that_is_gone_ends_the_run_and_spends_no_question(store, gone):
         options = ("--model", "fake", "--base-url", server.url, "--limit", "4", "--concurrency", "1", "--json")
         result = evaluate(store, *options, "--retries", "0", ok=False)
         assert isinstance(result.exception, RunStoppedError)
-        assert gone.message in str(result.exception) and "--resume" in str(result.exception)
+        assert gone.message in str(result.exception)
+        assert ("--resume" if gone.code != 401 else "OPENAI_API_KEY") in str(result.exception)
         folder = store.run_path("react-fake")
         kept = [json.loads(line) for line in (folder / "journal.jsonl").read_text().splitlines()]
         assert len(kept) < 4 and not any(entry["prediction"]["status"] == "error" for entry in kept)
