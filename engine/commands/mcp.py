@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from jrdb_avr.engine.commands._options import FOLDER, open_store
+from jrdb_avr.engine.commands._options import FOLDER, store_option
 from jrdb_avr.engine.console import note, warnings_as_notes
 from jrdb_avr.schema.errors import InputError
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 _EXAMPLE: Final = """\b
 Examples:
-  jrdb-avr mcp S --http 8765 --model claude        serve, and print address and token
-  jrdb-avr mcp S --images DIR                      started by an MCP client, over stdio
+  jrdb-avr mcp --store S --http 8765 --model claude   serve, and print address and token
+  jrdb-avr mcp --store S --images DIR                 started by an MCP client, over stdio
 """
 
 
 @click.command(epilog=_EXAMPLE)
-@click.argument("store", type=FOLDER, callback=open_store)
+@store_option()
 @click.option("--http", "port", type=click.IntRange(0, 65535), metavar="PORT", help="On 127.0.0.1; 0 is a free one.")
 @click.option("--i-trust-the-agent", "trusted", is_flag=True, help="Serve over stdio where the store holds answers.")
 @click.option("--model", default="agent", show_default=True, help="Name of the agent, for the run and its reports.")
@@ -43,7 +43,7 @@ def command(
     images: Path | None,
     opaque: bool,
 ) -> None:
-    """Serve the questions of STORE to an agent over MCP, and keep what it answers as a run.
+    """Serve the questions of a store to an agent over MCP, and keep what it answers as a run.
 
     Over standard input and output without --http. An agent that can read the store's answers proves nothing: over stdio
     such a store is refused. Needs the extra 'mcp'.

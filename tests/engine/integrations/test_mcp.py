@@ -156,7 +156,7 @@ HELD = ["questions/answers.parquet", "questions/reviews.parquet", "graph.kuzu", 
 def test_over_stdio_a_store_with_answers_or_labels_is_refused(public_store, held):
     store, images = public_store
     (store.path / held).mkdir(parents=True)
-    result = CliRunner().invoke(group, ["mcp", str(store.path), "--images", images])
+    result = CliRunner().invoke(group, ["mcp", "--store", str(store.path), "--images", images])
     assert isinstance(result.exception, InputError)
     assert f"holds {held}" in str(result.exception) and "--i-trust-the-agent" in str(result.exception)
     assert "\n" not in str(result.exception) and not (store.path / "runs" / "mcp-agent").exists()
@@ -262,6 +262,6 @@ def test_without_the_extra_one_line_says_what_to_install(public_store, monkeypat
     monkeypatch.setitem(sys.modules, "mcp", None)
     for name in [own for own in sys.modules if own.startswith(("mcp.", "jrdb_avr.engine.integrations.mcp"))]:
         monkeypatch.delitem(sys.modules, name)
-    result = CliRunner().invoke(group, ["mcp", str(public_store[0].path)])
+    result = CliRunner().invoke(group, ["mcp", "--store", str(public_store[0].path)])
     assert isinstance(result.exception, InputError)
     assert str(result.exception) == "the package mcp is missing: pip install 'jrdb-avr[mcp]'"

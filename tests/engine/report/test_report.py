@@ -29,6 +29,7 @@ from jrdb_avr.engine.report.tables import (
     main_rows,
     pair_rows,
     published_groups,
+    ranked,
 )
 from jrdb_avr.queries.runs import questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
@@ -313,6 +314,36 @@ def test_names_of_others_do_no_harm_in_any_format():
     # A bracket after the end of a row would be taken for the height of the gap below it.
     assert r"{[}0, 5) & 1 \\" in latex(rows)
     assert "\n[" not in latex(rows)
+
+
+def runs_over(sequences, **counts):
+    """An index, and runs of that many sequences: name=(questions, right of them)."""
+    ids = [(f"{n:02}", f"s{n % sequences:02}", "long_range") for n in range(40)]
+    benchmark = Benchmark(ids)
+    given = {name: [(1, BOX, 7)] * right + [(2, BOX, 7)] * (40 - right) for name, right in counts.items()}
+    return benchmark.index, [benchmark.run(own, name) for name, own in given.items()]
+
+
+def test_few_sequences_give_no_interval_but_say_so():
+    for sequences, enough in ((9, False), (10, True)):
+        index, runs = runs_over(sequences, one=33, two=18)
+        for rows, name in ((main_rows(index, runs, 0.5), "answer"), (pair_rows(index, runs), "difference")):
+            # The numbers stay for programs.
+            assert all(row[f"{name}_low"] < row[name] < row[f"{name}_high"] for row in rows if row[name])
+            texts = with_intervals(rows)
+            assert all(("[" in own[name]) == enough for own, row in zip(texts, rows, strict=True) if row[name])
+            labels = {own.get("interval") for own in texts}
+            assert labels == ({None} if enough else {"too few sequences for an interval"})
+            assert ("[" in latex(texts).replace("{[}", "[")) == ("[" in markdown(texts)) == enough
+
+
+def test_the_best_run_stands_first_and_another_n_is_marked(tmp_path):
+    _, runs = runs_over(3, low=10, high=35, middle=20)
+    assert [run.manifest.run_id for run in ranked(runs)] == ["high", "middle", "low"]
+    rows = [{"run": name, "n": n} for name, n in (("a", 40), ("b", 40), ("c", 9))] + [{"run": "", "n": 2098}]
+    assert [row["n"] for row in with_intervals(rows)] == ["40", "40", "9*", "2098"]
+    # In a breakdown the groups differ, not the runs.
+    assert [row["n"] for row in with_intervals([{"run": "a", "n": 4}, {"run": "a", "n": 5}])] == ["4", "5"]
 
 
 def test_a_p_value_is_not_rounded_to_nothing():
