@@ -82,7 +82,7 @@ def _turned(cells: Sequence[dict[str, str]], names: Sequence[str], width: int) -
     """A few rows as a table with a column for each, headed by its first cell; None where that does not fit either."""
     first, rest = names[0], names[1:]
     headings = [first, *(own[first] for own in cells)]
-    if len(cells) > _TURNED or len(set(headings)) < len(headings):
+    if not 1 <= len(cells) <= _TURNED or len(set(headings)) < len(headings):
         return None
     turned = [{first: name, **{own[first]: own[name] for own in cells}} for name in rest]
     fits = len(cells) == 1 or _least(turned, headings) <= width
