@@ -6,7 +6,7 @@ bear an answer out is its state: certain, supported, or open where nothing tells
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -14,7 +14,7 @@ from jrdb_avr.agent.perception.association import expected_place
 from jrdb_avr.agent.perception.geometry import around, covered
 from jrdb_avr.agent.perception.moments import Bracket, absence, brackets, change, postures
 from jrdb_avr.agent.perception.readings import is_value
-from jrdb_avr.agent.perception.support import RankedHypothesis, best_of_each, slot_supports
+from jrdb_avr.agent.perception.support import RankedHypothesis, best_of_each, frames_of, slot_supports
 from jrdb_avr.agent.perception.votes import SETTLING, UNIT, FusedBox, SlotState, Tracks, settled
 from jrdb_avr.queries.compiler.beliefs import DISTANCE_CUT_M
 from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, FrameViewpoint, Number, Span, uninformed_answer
@@ -32,9 +32,6 @@ _BESIDE_DEG: Final = 10.0
 
 _LIKELY_S: Final = 10.0
 """Seconds that are answered for the time between two events when one of them was not seen."""
-
-_NEAR: Final = round(2 * FPS)
-"""Frames from the answer's own within which its box is rather shown with a second reading."""
 
 
 class ReadAnswer(NamedTuple):
@@ -71,17 +68,24 @@ def conclude(
     near = (who for who in order if best[who].log_odds >= best[order[0]].log_odds - UNIT)
     who = next((who for who in near if reads[who].answer is not None), order[0])
     answer, frame, state = reads[who]
-    shown, box = _evidence(tracks, who, frame)
+    shown, box = _evidence(tracks, who, frame, [tracks.met(at) for at in frames_of(plan, plan.target)])
     if answer is None:
         answer = uninformed_answer(plan.answer.mode, frame, expected_place(tracks.people[who], frame).angle)
     return Conclusion(answer, who, shown, box, _verdict(plan, tracks, best[who], state, box))
 
 
-def _evidence(tracks: Tracks, who: str, frame: int) -> tuple[int, FusedBox]:
-    """The box at the frame nearest to the answer's, one that two readings agree on if there is one near."""
+def _evidence(tracks: Tracks, who: str, frame: int, described: Collection[int]) -> tuple[int, FusedBox]:
+    """The frame and box of somebody to be shown: any frame counts, so one on whose box two readings agree.
+
+    Of those one at which the plan describes the person, who had to be followed to all others; else the nearest to the
+    answer's frame.
+    """
     boxes = {one.frame: fused for one in tracks.people[who] if (fused := tracks.box(who, one.frame))}
-    agreed = {at for at, box in boxes.items() if box.votes >= SETTLING and abs(at - frame) <= _NEAR}
-    at = min(agreed or boxes, key=lambda at: (abs(at - frame), at))
+
+    def doubt(at: int) -> tuple[bool, bool, int, int]:
+        return boxes[at].votes < SETTLING, at not in described, abs(at - frame), at
+
+    at = min(boxes, key=doubt)
     return at, boxes[at]
 
 

@@ -97,6 +97,22 @@ def test_seconds_to_an_event_that_was_not_seen_go_to_the_middle_of_the_time_left
     assert answer(plan, woman(sits[0])) == Number(10.0)
 
 
+def test_the_box_is_one_that_two_readings_agree_on():
+    plan = reading_at(WOMAN, "action", "multiple_choice", 300)
+
+    def shown(*readings):
+        found = conclude(plan, tracks := woman(*readings), rank(plan, tracks), ("sitting", "walking"), FRAMES)
+        return found.answer, found.frame, found.box.votes
+
+    # The answer is read where it is asked for; the box may be of any frame.
+    described = [read(15, "standing"), read(15, "standing")]
+    assert shown(*described, read(300, "walking")) == (Choice(2), 15, 2)
+    assert shown(*described, read(300, "walking"), read(300, "walking")) == (Choice(2), 15, 2)
+    # Two readings that agree elsewhere are better than one at the frame of the description.
+    assert shown(described[0], read(300, "walking"), read(300, "walking")) == (Choice(2), 300, 2)
+    assert shown(described[0], read(300, "walking")) == (Choice(2), 15, 1)
+
+
 def test_distances_that_contradict_each_other_are_read_a_third_time():
     plan = reading_at(WOMAN, "distance_change", "multiple_choice", 15, 90)
     alike = [read(frame, metres=3.0) for frame in (15, 15, 90, 90)]
