@@ -182,6 +182,15 @@ class Card:
     frames: dict[int, list[Statement]] = field(default_factory=dict)
 
 
+def told(statements: list[Statement], new: Statement) -> None:
+    """Add a statement; one that is read again while it is believed goes on."""
+    for place, old in enumerate(statements):
+        if old.text == new.text and new.step <= old.until:
+            statements[place] = old._replace(until=max(old.until, new.until))
+            return
+    statements.append(new)
+
+
 def _cards(trace: Trace, names: Names) -> list[Card]:
     """Each entity with what was written of it."""
     cards: dict[str, Card] = {}
@@ -199,11 +208,11 @@ def _cards(trace: Trace, names: Names) -> list[Card]:
             cards[now.id].always.append(Statement(step, ALWAYS, text))
         if (seen := fact.sighted) is not None and seen.source in cards:
             place = Statement(step, until, f"at {seen.angle:.0f}\N{DEGREE SIGN}")
-            cards[seen.source].frames.setdefault(seen.frame, []).append(place)
+            told(cards[seen.source].frames.setdefault(seen.frame, []), place)
         if (has := fact.has) is not None and has.source in cards:
             card, text = cards[has.source], f"{has.name}: {has.value}"
             statements = card.frames.setdefault(has.first, []) if has.first == has.last else card.always
-            statements.append(Statement(step, until, text))
+            told(statements, Statement(step, until, text))
     return list(cards.values())
 
 
