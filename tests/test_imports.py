@@ -84,6 +84,11 @@ def test_the_command_line_starts_light():
     assert not loaded_after("import jrdb_avr.engine.cli")
 
 
+def test_no_public_name_needs_an_extra():
+    """Also where the extras are installed, importing the whole library loads none of them."""
+    assert not loaded_after("import jrdb_avr\n[getattr(jrdb_avr, name) for name in jrdb_avr.__all__]") & set(EXTRAS)
+
+
 def test_engines_are_imported_where_they_are_used():
     modules = ("queries.store", "queries.graph.guard", "queries.sql", "queries.graph.handle", "engine.observe.observer")
     loaded = loaded_after("\n".join(f"import jrdb_avr.{module}" for module in modules))

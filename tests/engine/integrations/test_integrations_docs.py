@@ -38,7 +38,7 @@ def shell(small_demo, tmp_path):
 
     def run(*command):
         done = subprocess.run(
-            command, cwd=tmp_path, env=os.environ | {"PATH": path}, capture_output=True, text=True, timeout=300
+            command, cwd=tmp_path, env=os.environ | {"PATH": path}, capture_output=True, text=True, timeout=600
         )
         assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
         return done.stdout + done.stderr
@@ -55,7 +55,7 @@ def test_inspect_runs_as_shown(shell):
     port = str(free_port())
     (block,) = [own for own in CONSOLE if "inspect eval" in own]
     serve, *rest = commands(block)
-    wait = "for i in $(seq 200); do grep -q ready served && break; sleep 0.1; done"
+    wait = "for i in $(seq 1000); do grep -q ready served && break; sleep 0.1; done"
     script = ["set -e", f"{serve.removesuffix(' &')} > served < /dev/null &", "trap 'kill $!' EXIT", wait, *rest]
     out = shell("bash", "-c", "\n".join(script).replace("8734", port))
     # Narrow terminals cut the last.
@@ -80,7 +80,7 @@ def test_mcp_over_http_starts_as_shown(shell, small_demo):
         form = r"http://127\.0\.0\.1:\d+/mcp [\w-]{43}"
         assert re.fullmatch(form, shown) and re.fullmatch(form, printed)
         process.send_signal(signal.SIGTERM)
-        assert process.wait(60) == 0
+        assert process.wait(300) == 0
 
 
 @pytest.mark.parametrize("number", range(len(PYTHON)))

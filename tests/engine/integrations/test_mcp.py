@@ -94,7 +94,7 @@ def http_server(*arguments):
             yield url, token, process
         finally:
             process.send_signal(signal.SIGTERM)
-            process.communicate(timeout=60)
+            process.communicate(timeout=300)
 
 
 def test_over_http_it_plays_as_in_evaluate_and_reads_nothing_private(small_demo, model, same, secrets, tmp_path):
@@ -116,7 +116,7 @@ def test_over_http_it_plays_as_in_evaluate_and_reads_nothing_private(small_demo,
         asyncio.run(main(url, token))
         same([json.loads(line)["prediction"] for line in (store.run_path("mine") / "journal.jsonl").open()])
         process.send_signal(signal.SIGTERM)
-        assert process.wait(60) == 0
+        assert process.wait(300) == 0
     rows = predictions(store, "mine")
     same(rows)
     assert len(rows) == 2 and read_run_manifest(store, "mine").model == "somebody"
