@@ -15,11 +15,12 @@ import numpy as np
 from jrdb_avr.engine.report.bootstrap import Interval, intervals, mean_ratio
 from jrdb_avr.engine.report.directions import direction_lines
 from jrdb_avr.engine.report.paper import ABLATION
+from jrdb_avr.engine.run.methods import default_policy
 
 SCORES: Final = ("answer", "evidence", "combined")
 
-AGENT, CONTROL = "agent driven", "agent-no-world driven"
-NO_WORLD, REACT = "agent-no-world", "react"
+AGENT, CONTROL = "agent", "agent-no-world"
+NO_WORLD, REACT = "agent-no-world model", "react"
 PASSIVE, PASSIVE_NO_WORLD = "agent-passive", "agent-passive-no-world"
 
 
@@ -168,7 +169,7 @@ def print_ablation(cells: Cells, setting: str) -> None:
         shares = {score: 100 * own.share(score) for score in SCORES} | {"hallucination": 100 * own.hallucination}
         paper = ABLATION[name]
         row = {"active": "off" if "passive" in name else "on", "world_model": "off" if "no-world" in name else "on"}
-        row |= {"policy": policy or "model", "model": setting, "setting": "", "label": "synthetic"}
+        row |= {"policy": policy or default_policy(name), "model": setting, "setting": "", "label": "synthetic"}
         rows.append(row | shares)
         print(
             f"{method:<24}{' / '.join(f'{value:.1f}' for value in shares.values()):<28}"

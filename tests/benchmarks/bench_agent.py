@@ -43,6 +43,7 @@ from jrdb_avr.agent.simulated.knobs import PROFILES, Knobs
 from jrdb_avr.engine.generate.run import generate
 from jrdb_avr.engine.report.scoring import read_truth, score_run
 from jrdb_avr.engine.run.evaluate import evaluate
+from jrdb_avr.engine.run.methods import default_policy
 from jrdb_avr.loaders.load import load
 from jrdb_avr.loaders.synthetic.write import plan, write
 from jrdb_avr.queries.questions import read_questions
@@ -50,8 +51,8 @@ from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.queries.workers import map_shards
 from jrdb_avr.schema.panorama import CROP, WIDTH, Box, iou
 
-METHODS: Final = (AGENT, CONTROL, "agent", NO_WORLD, REACT, PASSIVE, PASSIVE_NO_WORLD)
-"""The methods, each by its name, or by its name and the word driven for that policy."""
+METHODS: Final = (AGENT, CONTROL, "agent model", NO_WORLD, REACT, PASSIVE, PASSIVE_NO_WORLD)
+"""The methods, each by its name, and by a policy where that is not the method's own."""
 
 
 def noise(share: float, **more: float) -> Knobs:
@@ -101,21 +102,28 @@ class Run:
         return path.exists() and "error" not in read_table(path)["status"].to_pylist()
 
 
+def driven(method: str) -> bool:
+    """Whether the harness finds the looks of a method."""
+    name, _, policy = method.partition(" ")
+    return (policy or default_policy(name)) != "model"
+
+
 @functools.cache
 def code_hash(method: str) -> str:
-    """A hash of the sources of `agent/` at the start; those of the policy driven alone count for its methods alone."""
+    """A hash of the sources of `agent/` at the start; those of the harness that looks count for its methods alone."""
     root = Path(jrdb_avr.__file__).parent / "agent"
     own = (
         "perception/",
         "reference/belief_writer.py",
         "reference/driven.py",
+        "reference/guided.py",
         "reference/perceive.py",
         "reference/recognize.py",
     )
     found = hashlib.sha256()
     for path in sorted(root.rglob("*.*")):
         name = path.relative_to(root).as_posix()
-        if path.suffix in (".py", ".md") and (method.endswith(" driven") or not name.startswith(own)):
+        if path.suffix in (".py", ".md") and (driven(method) or not name.startswith(own)):
             found.update(name.encode() + path.read_bytes())
     return found.hexdigest()[:6]
 
@@ -148,7 +156,7 @@ def make_run(run: Run) -> None:
     run.path.mkdir(parents=True, exist_ok=True)
     world = run.path / "world.kuzu" if method in ("agent", "agent-passive") else None
     marker = msgspec.structs.replace(run.knobs, seed=run.seed)
-    names = {"run_id": run.run_id, "questions": run.questions, "policy": policy or "model", "resume": True}
+    names = {"run_id": run.run_id, "questions": run.questions, "policy": policy or None, "resume": True}
     evaluate(Store(run.store), method, "simulated", marker=marker, world_db=world, **names)
     if world is not None:
         # The run's own tables hold all of it.
@@ -273,7 +281,7 @@ def main() -> None:
         ]
     due = [run for run in runs if not run.done]
     print(f"{len(runs)} runs, {len(runs) - len(due)} of them are there", flush=True)
-    for done, (number, _) in enumerate(map_shards(make_run, due, given.workers, lambda run: "driven" in run.method), 1):
+    for done, (number, _) in enumerate(map_shards(make_run, due, given.workers, lambda run: driven(run.method)), 1):
         print(f"{done} of {len(due)}: {due[number].run_id}", flush=True)
     cells: dict[tuple[str, str], list[Run]] = defaultdict(list)
     for run in runs:

@@ -146,7 +146,7 @@ def measure(looks, name):
             with open_graph(Path(folder) / "world.kuzu") as graph:
                 merge_world(graph, "older", older_record(OLDER))
             world = stack.enter_context(open_world(Path(folder) / "world.kuzu", "r", RUNS["world"].empty_table()))
-        method = make_method(name, client, CONTRACT, world)
+        method = make_method(name, client, CONTRACT, world, "model")
         sizes.value = 0
         journal = stack.enter_context(Journal(Path(folder) / "journal.jsonl"))
         started, used = time.perf_counter(), time.process_time()
