@@ -45,14 +45,16 @@ CROPS: Final = max(BUDGET, LIMITS.looks)
 FIXED_CONTEXT: Final = ("monolithic", "chain-of-thought", "search-recognize", "agent-passive", "agent-passive-no-world")
 """The methods that send `PANORAMAS` panoramas at once."""
 
-LOOKING: Final = ("react", "agent", "agent-no-world")
-"""The methods that may send `CROPS` crops at once."""
+LOOKING: Final = ("react", "agent-model", "agent-no-world-model")
+"""The methods that may send `CROPS` crops at once; an agent's policy stands behind its name where it is not its own."""
 
-AGENTS: Final = ("agent", "agent-passive", "agent-no-world", "agent-passive-no-world")
-DRIVEN: Final = ("agent-driven", "agent-no-world-driven")
-"""The methods whose looks the program chooses, behind whose names the policy stands."""
+AGENTS: Final = ("agent-model", "agent-passive", "agent-no-world-model", "agent-passive-no-world")
+"""The agents that make every call themselves."""
 
-PLANNING: Final = ("agent", "agent-passive", *DRIVEN)
+DRIVEN: Final = ("agent", "agent-no-world", "agent-guided", "agent-no-world-guided")
+"""The agents for which the program finds the looks."""
+
+PLANNING: Final = ("agent-model", "agent-passive", *DRIVEN)
 
 _IN_PANORAMA: Final = Box(1500, 130, 180, 240)
 _FRAME_STEP: Final = 15
