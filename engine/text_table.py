@@ -9,6 +9,8 @@ from typing import Any, Final
 
 _CONTROL: Final = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
+_LONG: Final = re.compile(r"\S{41,}")
+
 _TURNED: Final = 3
 """A wide table of at most so many rows is printed with a row's values below each other."""
 
@@ -36,7 +38,8 @@ def cell_text(value: object) -> str:
         return f"[{', '.join(map(cell_text, value))}]"
     if isinstance(value, dict):
         return _graph_text(value)
-    return clean(value)
+    # What is so long is no word, but JSON or a list of names: lines may end at its commas.
+    return _LONG.sub(lambda found: found[0].replace(",", ", "), clean(value))
 
 
 def _graph_text(value: dict[str, Any]) -> str:

@@ -48,8 +48,11 @@ def show(run: str, store: Store, form: RowFormat) -> None:
     if form:
         print_data([found], form)
         return
+    note(f"in {found.pop('folder')}")
     rows = [{"what": name, "value": value} for name, own in found.items() for name, value in _lines(name, own)]
-    print_rows([row for row in rows if row["value"] not in (None, "")])
+    # The names of settings are long enough without where they stand.
+    rows = [{**row, "what": row["what"].removeprefix("settings.")} for row in rows if row["value"] not in (None, "")]
+    print_rows(rows)
 
 
 def _lines(name: str, value: Any) -> list[tuple[str, Any]]:

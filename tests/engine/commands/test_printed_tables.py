@@ -53,6 +53,7 @@ def test_every_word_stays_whole_and_every_line_fits(lines, width):
 
 def test_a_long_word_widens_its_table_instead_of_breaking():
     path = "/".join(["folder"] * 30)
+    assert max(map(len, printed([{"list": ",".join(["name"] * 60)}]).splitlines())) <= 80
     assert path in printed([{"n": 1, "path": path}] * 5) and path in printed([{"n": 1, "path": path}])
 
 
