@@ -27,7 +27,7 @@ from jrdb_avr.schema.tables import PRIVATE
 
 mcp = needs("mcp")
 
-PROGRAM = ["-c", "from jrdb_avr.engine.cli import main; main()", "mcp"]
+PROGRAM = ["-c", "from jrdb_avr.engine.cli import main; main()", "mcp", "--store"]
 
 
 def predictions(store, run_id="mcp-agent"):
