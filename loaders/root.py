@@ -149,14 +149,19 @@ class _Search:
         return found
 
     def label_files(self, folder: Path) -> list[Path]:
-        """The .json files of stitched labels in a folder, by name."""
+        """The .json files of stitched labels in a folder, one per sequence, by name; `.JSON` is the same."""
         entries = self._listing(folder)
         if entries is None:
             return []
-        names = [name for name in entries if name.endswith(".json") and not _ONE_CAMERA.fullmatch(name[:-5])]
-        if not names:
+        named = [name for name in entries if name.lower().endswith(".json") and not _ONE_CAMERA.fullmatch(name[:-5])]
+        if not named:
             self.notes.append(f"{self._shown(folder)} holds no label files of sequences")
-        return [folder / name for name in sorted(names)]
+        # X.json goes before X.JSON.
+        names: dict[str, str] = {}
+        for name in sorted(named, key=lambda name: (name[:-5], not name.endswith(".json"), name)):
+            if names.setdefault(name[:-5], name) != name:
+                self._refuse(name, f"in {self._shown(folder)}: {names[name[:-5]]} is the same sequence")
+        return [folder / name for name in names.values()]
 
     def sequence(self, file: Path) -> str | None:
         """The sequence of a label file; None, with the reason counted, where its name cannot be one."""

@@ -174,7 +174,7 @@ def serve(
             "--http to an agent that has no access to these files, or add --i-trust-the-agent",
             field="store",
         )
-    run_id = run_id or default_run_id(METHOD, model)
+    run_id = default_run_id(METHOD, model) if run_id is None else run_id
     image_root = find_images(store, images)
     chosen, selection = run_questions(store, run_id, QuestionSelection.of(None, limit), resume, image_root)
     bench = Bench(store, chosen, image_root, opaque)

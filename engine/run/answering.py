@@ -54,8 +54,8 @@ def answer_one(
     panorama: GetPanorama,
     stopped: Callable[[], bool] = lambda: False,
 ) -> Finished:
-    """Have a method answer one question. An exception, or a result that is no prediction, becomes an `error` with the
-    reason. Raises RunStoppedError where no question can be answered now."""
+    """Have a method answer one question. Whatever it raises, or a result that is no prediction, becomes an `error` with
+    the reason. Raises RunStoppedError where no question can be answered now, KeyboardInterrupt in the main thread."""
     steps: list[Step] = []
     writes: list[Write] = []
     calls: Counter[str] = Counter()
@@ -83,9 +83,12 @@ def answer_one(
     started = time.perf_counter()
     try:
         finished = finished_entry(question, method.answer(task), steps, writes, time.perf_counter() - started)
-    except RunStoppedError:
+    except (RunStoppedError, _Stopped):
         raise
-    except Exception as error:
+    except BaseException as error:
+        # Python interrupts the main thread alone: in any other one it is the method that raised it.
+        if isinstance(error, KeyboardInterrupt) and threading.current_thread() is threading.main_thread():
+            raise
         kinds = [step.kind for step in steps if isinstance(step, Step) and isinstance(step.kind, str)]
         failed = Prediction(
             status="error",
@@ -102,7 +105,7 @@ def answer_one(
     return finished
 
 
-def _reason(error: Exception) -> str:
+def _reason(error: BaseException) -> str:
     """An exception in one line: its type, unless it is this package's, its message, and where a method raised it."""
     text = " ".join(str(error).split()).encode("utf-8", "backslashreplace").decode()
     frames = list(traceback.walk_tb(error.__traceback__))

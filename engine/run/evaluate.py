@@ -146,10 +146,12 @@ def evaluate(
         knobs = msgspec.structs.replace(knobs, seed=knobs.seed + epoch - 1)
     name = method if isinstance(method, str) else method.name
     player = name if policy in (None, default_policy(method)) else f"{name}-{policy}"
-    run_id = run_id or default_run_id(player, model)
+    run_id = default_run_id(player, model) if run_id is None else run_id
+    # Before the epoch, which would make a name of none.
+    folder = store.run_path(run_id)
     if epoch is not None:
         run_id = f"{run_id}-{epoch}"
-    folder = store.run_path(run_id)
+        folder = store.run_path(run_id)
     image_root = find_images(store, images)
     chosen, selection = run_questions(store, run_id, QuestionSelection.of(questions, limit), resume, image_root)
     bench = Bench(store, chosen, image_root, opaque)

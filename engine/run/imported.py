@@ -26,7 +26,7 @@ def import_predictions(store: Store | str | Path, path: str | Path, run_id: str 
     read or names a question that the store lacks, StoreError where the run exists.
     """
     store, path = Store.of(store), Path(path)
-    run_id = run_id or path.stem
+    run_id = path.stem if run_id is None else run_id
     folder = store.run_path(run_id)
     if folder.exists():
         raise StoreError(f"run {run_id!r} exists: give the predictions another run id")

@@ -152,10 +152,11 @@ def load_custom_method(spec: str, chat: Chat | None) -> CustomMethod:
         raise InputError(f"{found['where']} has no {found['name']} that can be called", field="method")
     try:
         return CustomMethod(spec, make(chat))
-    except TypeError as error:
-        raise InputError(
-            f"{spec} cannot be made ({error}): it is called with the chat client", field="method"
-        ) from None
+    except InputError:
+        raise
+    except (Exception, SystemExit) as error:
+        why = error if isinstance(error, TypeError) else f"{type(error).__name__}: {error}"
+        raise InputError(f"{spec} cannot be made ({why}): it is called with the chat client", field="method") from None
 
 
 def _module(where: str) -> ModuleType:
@@ -170,6 +171,6 @@ def _module(where: str) -> ModuleType:
         spec.loader.exec_module(module)
     except FileNotFoundError:
         raise InputError(f"cannot read {where}: no such file", field="method") from None
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise InputError(f"cannot import {where} ({type(error).__name__}: {error})", field="method") from None
     return module

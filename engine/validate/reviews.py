@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 import pyarrow as pa
 
+from jrdb_avr.engine.report.prediction_lines import read_regular
 from jrdb_avr.queries.runs import questions_hash
 from jrdb_avr.queries.sql import query_tables
 from jrdb_avr.queries.statements import read_statement
@@ -37,12 +38,9 @@ class Decisions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 def read_decisions(path: Path, store: Store) -> Decisions:
     """Read a file of decisions. Raises InputError naming the file where it cannot be used with this store."""
+    data = read_regular(path, _MOST_BYTES)
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise InputError(f"{path} is over 64 MB: no file of decisions", file=str(path))
-        found = msgspec.json.decode(path.read_bytes(), type=Decisions)
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}", file=str(path)) from None
+        found = msgspec.json.decode(data, type=Decisions)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(
             f"{path} is no file of decisions ({error}): download it from the page", file=str(path)

@@ -75,6 +75,17 @@ def test_folders_of_single_cameras_and_heads_are_left_alone(tmp_path):
     assert (root.problems, root.notes) == ((), ())
 
 
+def test_an_ending_in_capitals_is_an_ending(tmp_path):
+    put(tmp_path, "labels_3d", NAME)
+    (tmp_path / "labels_3d" / f"{NAME}.JSON").write_text("{}")
+    (tmp_path / "labels_3d" / "other-1.JSON").write_text("{}")
+    root = find_root(tmp_path)
+    files = {files.sequence: files.labels["3d"].rpartition("/")[2] for files in root.sequences}
+    assert files == {NAME: f"{NAME}.json", "other-1": "other-1.JSON"}
+    (problem,) = root.problems
+    assert (problem.file, problem.reason) == (f"{NAME}.JSON", f"in labels_3d: {NAME}.json is the same sequence")
+
+
 def test_timestamps_and_calibration_belong_to_sequences_and_make_none(tmp_path):
     put(tmp_path, "labels_3d", NAME)
     for sequence in (NAME, "other-1"):

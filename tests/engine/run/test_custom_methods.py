@@ -75,12 +75,16 @@ BAD = {
     "builtins:repr": "is no method",
     "{tmp}/broken.py:X": "SyntaxError",
     "{tmp}/raises.py:X": "RuntimeError: not today",
+    "{tmp}/ends.py:X": "SystemExit: 0",
+    "{tmp}/makes.py:X": "cannot be made .SystemExit",
 }
 
 
 @pytest.mark.parametrize("spec", BAD)
 def test_what_is_no_method_is_refused_in_a_line(spec, tmp_path):
     (tmp_path / "broken.py").write_text("class X(:")
+    (tmp_path / "ends.py").write_text("raise SystemExit(0)")
+    (tmp_path / "makes.py").write_text("def X(chat): raise SystemExit")
     (tmp_path / "raises.py").write_text("raise RuntimeError('not today')")
     with pytest.raises(InputError, match=BAD[spec]) as error:
         load_custom_method(spec.format(tmp=tmp_path), None)

@@ -521,7 +521,10 @@ def no_look(sequence, frame_index, angle_deg):
     raise AssertionError("not asked for")
 
 
-@pytest.mark.parametrize("error", [ValueError("bad\nthing"), AvrError("no way"), RecursionError(), MemoryError()])
+@pytest.mark.parametrize(
+    "error",
+    [ValueError("bad\nthing"), AvrError("no way"), RecursionError(), MemoryError(), SystemExit(0), GeneratorExit()],
+)
 def test_whatever_a_method_raises_is_an_error_row(error):
     def behave(task):
         task.record(Step("model", "{}", "{}", 0.1))

@@ -178,12 +178,29 @@ def test_a_run_grows_and_keeps_what_is_there(store, evaluate):
 def test_a_run_that_grows_is_unfinished_until_it_is_answered(store, evaluate, tmp_path):
     evaluate("--limit", "2")
     file = tmp_path / "mine.py"
-    file.write_text(METHOD.replace("return self.deeper(task)", "raise KeyboardInterrupt"))
-    assert evaluate("--resume", "--limit", "4")[0] == 130
+    # Ctrl-C, while the method looks again and again.
+    stop = "__import__('signal').pthread_kill(__import__('threading').main_thread().ident, 2)"
+    file.write_text(METHOD.replace("return self.deeper(task)", f"{stop}\n        while True: task.record(None)"))
+    assert evaluate("--resume", "--limit", "4", "--concurrency", "1")[0] == 130
     assert not (store.run_path("r") / "predictions.parquet").exists()
     file.write_text(METHOD)
     code, (row,), _, asked = evaluate("--resume")
     assert (code, row["n"], len(asked)) == (0, 4, 2)
+
+
+@pytest.mark.parametrize("error", ["SystemExit(0)", "KeyboardInterrupt"])
+def test_a_method_that_would_end_the_program_ends_its_question(evaluate, tmp_path, error):
+    (tmp_path / "mine.py").write_text(METHOD.replace("return self.deeper(task)", f"raise {error}"))
+    code, (row,), err, asked = evaluate("--limit", "3")
+    assert (code, row["n"], row["error"], len(asked)) == (1, 3, 3, 3)
+    assert f"3 of them so: {error.partition('(')[0]}" in err and "(mine.py:8, in answer)" in err
+
+
+def test_a_run_id_of_no_letters_is_refused_in_a_line(store):
+    for more in ((), ("--epochs", "2")):
+        ask = ("--store", store.path, "--method", "react", "--model", "simulated", "--run-id", "", *more)
+        code, out, err = run("evaluate", *ask)
+        assert (code, out, err.count("\n")) == (1, "", 1) and "'' cannot be a run id" in err
 
 
 def test_an_exception_of_a_method_is_shown_with_its_place(store, evaluate, tmp_path):

@@ -1,6 +1,7 @@
 """What reviewers decide: imported, compared, and left out of the next generation."""
 
 import json
+import os
 import random
 from functools import cache
 
@@ -82,6 +83,16 @@ def test_a_file_that_cannot_be_used_is_refused_in_a_line(sample_benchmark, tmp_p
     assert (code, out) == (1, "")
     assert err.startswith("jrdb-avr: ") and err.count("\n") == 1 and "d.json" in err
     assert not store.question_path("reviews").exists()
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, lambda place: place.symlink_to("/dev/zero")])
+def test_what_is_no_plain_file_is_refused_and_never_waited_for(sample_benchmark, tmp_path, make):
+    make(tmp_path / "d.json")
+    code, out, err = run(
+        "inspect", "--import", tmp_path / "d.json", "--reviewer", "a", "--store", sample_benchmark.path
+    )
+    assert (code, out, err.count("\n")) == (1, "", 1) and "d.json" in err
+    assert run("inspect", "--import", "/dev/zero", "--reviewer", "a", "--store", sample_benchmark.path)[0] == 1
 
 
 def test_options_go_together(sample_benchmark, tmp_path):
