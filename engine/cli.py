@@ -38,6 +38,7 @@ COMMANDS: Final[dict[str, str]] = {
     "score": "Score the predictions of runs.",
     "report": "Compare runs in a table.",
     "trace": "Show what a run did with a question, step by step.",
+    "view": "Look at questions and runs in the browser.",
     "export": "Write predictions in the forms of other tools.",
     "submit": "Write a run as a bundle, to be scored elsewhere.",
     "inspect": "Show questions on a page, for a person to judge.",

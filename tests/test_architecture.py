@@ -12,7 +12,14 @@ PACKAGES = ("schema", "queries", "loaders", "agent", "engine")
 
 # Each room, and the rooms that it may import; its own modules are always allowed.
 ENGINE_LEAVES = {"schema", "queries"}
-STAGES = ENGINE_LEAVES | {"loaders", "engine.text_table", "engine.console", "engine.observe", "engine.rederive"}
+STAGES = ENGINE_LEAVES | {
+    "loaders",
+    "engine.local_server",
+    "engine.text_table",
+    "engine.console",
+    "engine.observe",
+    "engine.rederive",
+}
 PAGES = STAGES | {"engine.generate", "engine.report"}
 AGENT = {"schema", "queries"}
 MAY_IMPORT = {
@@ -29,6 +36,7 @@ MAY_IMPORT = {
     "agent.demands": AGENT | {"agent.model", "agent.methods", "agent.reference"},
     "agent.preflight": AGENT | {"agent.model", "agent.demands"},
     "engine.text_table": set(),
+    "engine.local_server": {"schema"},
     "engine.console": {"schema", "engine.text_table"},
     "engine.cli": {"schema", "engine.console"},
     "engine.rederive": {"schema", "queries.store"},

@@ -65,6 +65,10 @@ iou_option = click.option(
     "--iou", type=click.FloatRange(0.0, 1.0, min_open=True), default=0.5, show_default=True, help="Evidence."
 )
 
+port_option = click.option(
+    "--port", type=click.IntRange(0, 65535), default=0, show_default=True, help="On 127.0.0.1; 0 is a free one."
+)
+
 
 def page_option(default: str) -> Callable[[_C], _C]:
     """Add the option `--out` of a page."""

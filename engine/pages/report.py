@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import msgspec
@@ -23,8 +23,8 @@ _TITLES: Final = {name: name.replace("_", " ") for name in DIMENSIONS} | {
 }
 
 
-def report_page(comparison: Comparison) -> str:
-    """The page's HTML."""
+def report_page(comparison: Comparison, links: Callable[..., str] | None = None) -> str:
+    """The page's HTML; `links` makes the addresses of pages that `view` serves, to which runs and pairs then lead."""
     runs = comparison.runs
     tables = {name: without_rough(comparison.table(name)) for name in TABLES}
     names = [run.manifest.run_id for run in runs]
@@ -43,6 +43,8 @@ def report_page(comparison: Comparison) -> str:
         dots=dots,
         tags=tags,
         square=SQUARE,
+        links=links,
+        store=comparison.store.path.name,
         breakdowns=[(name, Crossed(tables[name], name, names)) for name in DIMENSIONS],
         ablation=filled(tables["ablation"]),
         causes=list(dict.fromkeys(row["cause"] for row in tables["evidence_failures"])),

@@ -14,7 +14,7 @@ from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.pages.page import jpeg_uri, on_strip, readable, render, unit_of
 from jrdb_avr.engine.pages.svg import shortened
 from jrdb_avr.engine.report.scoring import read_answer
-from jrdb_avr.engine.report.traces import Look, StoredRow, Trace
+from jrdb_avr.engine.report.traces import Look, StoredRow, Trace, Transcript
 from jrdb_avr.schema.answers import Answer, Choice
 from jrdb_avr.schema.beliefs import ALWAYS
 from jrdb_avr.schema.errors import ObserveError
@@ -76,7 +76,7 @@ def trace_page(trace: Trace, observer: Observer) -> str:
     )
 
 
-def evidence_box(trace: Trace) -> tuple[int, Box] | None:
+def evidence_box(trace: Transcript) -> tuple[int, Box] | None:
     """The frame and box of the run's evidence; None where there is none that can be drawn."""
     frame, sides = trace.prediction["evidence_frame"], [trace.prediction[f"evidence_{key}"] for key in "xywh"]
     if frame is None or any(side is None or not math.isfinite(side) for side in sides):

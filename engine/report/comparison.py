@@ -96,6 +96,14 @@ class Comparison(Displayed):
         rows = found.rename_columns({"run_id": "run"}).to_pylist()
         return sorted(rows, key=lambda row: ids.index(row["run"]))
 
+    def causes(self) -> dict[tuple[str, str], str]:
+        """Why each box that does not score fails, by run and question: what the table `evidence_failures` counts."""
+        # All of that query but the SELECT that counts.
+        judged, _, _ = named_queries("sql")["evidence_failures"].text.rpartition("\nSELECT ")
+        text = f"{judged}\nSELECT run_id, question_id, cause FROM judged JOIN causes USING (place)"
+        rows = query_tables(self.store.path, text, tables={"scores": self.scores}).to_pylist()
+        return {(row["run_id"], row["question_id"]): row["cause"] for row in rows}
+
     def markdown(self, name: str = "main") -> str:
         """A table in Markdown, in the columns of a paper."""
         return formats.markdown(self._for_paper(name))

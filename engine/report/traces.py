@@ -52,31 +52,25 @@ class Written:
     fact: Fact
 
 
-class Trace:
-    """One question of a run.
+class Transcript:
+    """What a run did with one question, from public files alone.
 
-    target: the boxes of the target by frame, (x, y, w, h); scores: its row of the `scores` table; refused: the writes
-    that the world model refused.
+    question, prediction: its rows of `questions` and `predictions`; refused: the writes that the world model refused.
     """
 
     def __init__(self, store: Store, run_id: str, question_id: str) -> None:
         """Gather a question of a run. Raises StoreError where the run is missing or unfinished, InputError for a
         question that is not one of the run."""
         self.manifest = read_run_manifest(store, run_id)
-        predictions = _own(read_predictions(store, run_id)[1], question_id)
-        if not predictions.num_rows:
+        self._predictions = _own(read_predictions(store, run_id)[1], question_id)
+        if not self._predictions.num_rows:
             raise InputError(f"run {run_id} does not have question {question_id[:40]!r}", field="question_id")
-        *tables, sequences = store.question_tables("questions", "answers", "evidence", "sequences")
-        questions, answers, evidence = (_own(table, question_id) for table in tables)
+        questions, sequences = store.question_tables("questions", "sequences")
+        questions = _own(questions, question_id)
         if not questions.num_rows:
             raise InputError(f"no question {question_id[:40]!r} in {store.path}", field="question_id")
-        (self.question,), (self.answer,), (self.prediction,) = (
-            table.to_pylist() for table in (questions, answers, predictions)
-        )
-        truth = Truth(questions, sequences, answers, evidence)
-        self.scores = score_predictions(truth, run_id, [question_id], predictions).to_pylist()[0]
+        (self.question,), (self.prediction,) = (table.to_pylist() for table in (questions, self._predictions))
         self.fps = {row["sequence"]: row["fps"] for row in sequences.to_pylist()}[self.question["sequence"]]
-        self.target = {row["frame"]: (row["x"], row["y"], row["w"], row["h"]) for row in evidence.to_pylist()}
         path = store.run_path(run_id)
         self.steps = _own(read_table(path / "steps.parquet"), question_id).sort_by("step").to_pylist()
         self.looks = [look for step in self.steps if (look := look_of(step)) is not None]
@@ -89,6 +83,23 @@ class Trace:
             for row, fact in zip(written, facts, strict=True)
         ]
         self.refused = [write for write in self.writes if not write.row["accepted"]]
+
+
+class Trace(Transcript):
+    """What a run did with one question, beside the truth.
+
+    answer: its row of `answers`; target: the boxes of the target by frame, (x, y, w, h); scores: its row of `scores`.
+    """
+
+    def __init__(self, store: Store, run_id: str, question_id: str) -> None:
+        """Gather a question of a run. Raises as `Transcript` does, and StoreError where a private file is missing."""
+        super().__init__(store, run_id, question_id)
+        *tables, sequences = store.question_tables("questions", "answers", "evidence", "sequences")
+        questions, answers, evidence = (_own(table, question_id) for table in tables)
+        (self.answer,) = answers.to_pylist()
+        truth = Truth(questions, sequences, answers, evidence)
+        self.scores = score_predictions(truth, run_id, [question_id], self._predictions).to_pylist()[0]
+        self.target = {row["frame"]: (row["x"], row["y"], row["w"], row["h"]) for row in evidence.to_pylist()}
 
 
 class _Shown(msgspec.Struct):

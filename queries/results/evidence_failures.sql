@@ -40,19 +40,19 @@ WITH boxes AS (
     FROM overlapping
     GROUP BY run_id, question_id
 ), judged AS (
-    SELECT run_id, count(*) AS times,
+    SELECT run_id, question_id,
            CASE WHEN readable IS NOT TRUE THEN 1 WHEN l.question_id IS NULL THEN 2 WHEN present IS NOT TRUE THEN 3
                 WHEN own > 0 AND own = overlap THEN 4 WHEN overlap > 0 THEN 5 ELSE 6 END AS place
     FROM boxes
     LEFT JOIN looked l USING (run_id, question_id)
     LEFT JOIN best USING (run_id, question_id)
-    GROUP BY ALL
 ), causes (place, cause) AS (
     VALUES (1, 'no box'), (2, 'never looked there'), (3, 'frame where the target is absent'),
            (4, 'right person, loose box'), (5, 'wrong person'), (6, 'nobody')
 )
-SELECT r.run_id, cause, n, coalesce(times, 0) AS times, round_even(100 * coalesce(times, 0) / n, 2) AS percent
+SELECT r.run_id, cause, n, count(j.question_id) AS times, round_even(100 * times / n, 2) AS percent
 FROM (SELECT run_id, count(*) AS n FROM scores GROUP BY run_id) r
 CROSS JOIN causes
 LEFT JOIN judged j ON j.run_id = r.run_id AND j.place = causes.place
+GROUP BY r.run_id, causes.place, cause, n
 ORDER BY r.run_id, causes.place;

@@ -1,0 +1,39 @@
+"""`jrdb-avr view`: look at questions and runs in the browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from jrdb_avr.engine.commands._options import FOLDER, iou_option, port_option, store_option
+from jrdb_avr.engine.console import note, warnings_as_notes
+
+if TYPE_CHECKING:
+    from jrdb_avr.queries.store import Store
+
+
+@click.command(epilog="Example: jrdb-avr view --store S --answers")
+@store_option()
+@click.option("--answers", is_flag=True, help="Also show true answers, targets, scores and causes: private files.")
+@click.option("--images", type=FOLDER, help="Folder with a folder of panoramas per sequence; the store's if left out.")
+@port_option
+@iou_option
+def command(store: Store, answers: bool, images: Path | None, port: int, iou: float) -> None:
+    """Serve a page over a store on this machine: runs side by side, each question with its frames, pairs of runs.
+
+    Prints the address to open, which holds a token; ends with Ctrl-C. Runs are read at the start.
+    """
+    from jrdb_avr.engine.local_server import LocalServer
+    from jrdb_avr.engine.pages.view import Viewer
+    from jrdb_avr.engine.report.comparison import report
+    from jrdb_avr.engine.run.bench import find_images
+
+    with warnings_as_notes():
+        comparison = report(store, iou=iou) if answers else None
+        viewer = Viewer(store, find_images(store, images), comparison)
+    with LocalServer(viewer.respond, port) as server:
+        click.echo(server.url)
+        note(f"open this address in a browser; {'it shows answers; ' if answers else ''}Ctrl-C ends")
+        server.serve_forever()

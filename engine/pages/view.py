@@ -1,0 +1,251 @@
+"""The pages of `view`: runs side by side, a question with its frames, and two runs against each other.
+
+Without scores only public files are read: no page then holds a true answer, the target's boxes, or whether anything is
+right.
+"""
+
+from __future__ import annotations
+
+import urllib.parse
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from jrdb_avr.engine.local_server import Request, Response
+from jrdb_avr.engine.observe.observer import Observer
+from jrdb_avr.engine.pages.page import readable, render
+from jrdb_avr.engine.pages.report import report_page
+from jrdb_avr.engine.pages.trace import trace_page
+from jrdb_avr.engine.pages.view_question import question_page
+from jrdb_avr.engine.report.comparison import Comparison
+from jrdb_avr.engine.report.scored_runs import SCORES, distinguishing_settings
+from jrdb_avr.engine.report.scoring import read_predictions
+from jrdb_avr.engine.report.traces import StoredRow, Trace, Transcript
+from jrdb_avr.queries.questions import read_questions, read_sequences
+from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, run_ids
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import InputError, StoreError
+from jrdb_avr.schema.method import Question
+
+RIGHTNESS: Final = ("both right", "answer only", "box only", "both wrong")
+"""What a run's scores of a question say."""
+
+_PER_PAGE: Final = 100
+_PUBLIC: Final = ("family", "template", "sequence")
+_PRIVATE: Final = ("outcome", "cause")
+
+
+@dataclass(frozen=True)
+class ViewedRun:
+    """A run as the pages show it. `outcomes` and `causes` by question, empty where there are no scores."""
+
+    manifest: RunManifest
+    predictions: Mapping[str, StoredRow]
+    scores: Mapping[str, Sequence[int]]
+    causes: Mapping[str, str]
+
+    @property
+    def name(self) -> str:
+        """The run's id."""
+        return self.manifest.run_id
+
+    def outcome(self, question_id: str) -> str:
+        """One of `RIGHTNESS`; "" where it is not known or the run does not have the question."""
+        if question_id not in self.scores:
+            return ""
+        answer, evidence, _ = self.scores[question_id]
+        return RIGHTNESS[2 * (not answer) + (not evidence)]
+
+    def mean(self, column: str) -> float | None:
+        """The mean of a column of `predictions` over the run's questions; None without predictions."""
+        values = [row[column] or 0 for row in self.predictions.values()]
+        return sum(values) / len(values) if values else None
+
+    def count(self, status: str) -> int:
+        """How many questions ended so."""
+        return sum(row["status"] == status for row in self.predictions.values())
+
+    def share(self, score: int) -> float | None:
+        """A score, by its place in `SCORES`, in percent; None without scores."""
+        return 100 * sum(own[score] for own in self.scores.values()) / len(self.scores) if self.scores else None
+
+
+class Viewer:
+    """Answers the requests of `view` from a store and its pictures; `comparison` brings scores, None without them."""
+
+    def __init__(self, store: Store, image_root: str | None, comparison: Comparison | None) -> None:
+        """Read questions and runs. Raises StoreError where a public file is missing."""
+        self.store, self.comparison = store, comparison
+        self.questions = read_questions(store)
+        self.sequences = read_sequences(store)
+        self.pictured = image_root is not None
+        self._observer = Observer(image_root, self.sequences.values())
+        self._by_id = {question.question_id: question for question in self.questions}
+        found = scored_runs(comparison) if comparison is not None else public_runs(store)
+        self.runs = {run.name: run for run in found}
+        self._pages: dict[str, Callable[[Request], Response]] = {
+            "": self._overview,
+            "question": self._question,
+            "compare": self._compare,
+            "panorama": self._panorama,
+        }
+        if comparison is not None:
+            self._pages |= {"report": self._report, "trace": self._trace}
+
+    def respond(self, request: Request) -> Response:
+        """The page or picture that a request names. Raises AvrError for what is not there."""
+        if request.method != "GET" or request.path not in self._pages:
+            raise InputError("there is no such page", field="path")
+        return self._pages[request.path](request)
+
+    def _html(self, name: str, **values: Any) -> Response:
+        return Response(render(name, viewer=self, at=address, **values).encode("utf-8", "replace"))
+
+    # -- pages --------------------------------------------------------------------------------------------------------
+
+    def _overview(self, request: Request) -> Response:
+        chosen = [self.runs[name] for name in dict.fromkeys(request.query.get("run", ())) if name in self.runs]
+        runs = chosen or list(self.runs.values())
+        names = _PUBLIC if self.comparison is None else _PUBLIC + _PRIVATE
+        wanted = {name: value for name in names if (value := request.value(name))}
+        found = [own for own in self.questions if _fits(own, wanted, runs)]
+        last = max(0, (len(found) - 1) // _PER_PAGE)
+        page = min(int(text) if (text := request.value("page")).isdecimal() and len(text) < 7 else 0, last)
+        options = {name: sorted({str(getattr(own, name)) for own in self.questions}) for name in _PUBLIC}
+        if self.comparison is not None:
+            options["outcome"] = list(RIGHTNESS)
+            options["cause"] = sorted({cause for run in self.runs.values() for cause in run.causes.values()})
+        return self._html(
+            "view.html",
+            runs=runs,
+            apart={} if self.comparison is None else distinguishing_settings(self.comparison.runs),
+            options=options,
+            wanted=wanted,
+            found=len(found),
+            questions=found[page * _PER_PAGE : (page + 1) * _PER_PAGE],
+            page=page,
+            last=last,
+            filters=[("run", run.name) for run in chosen] + list(wanted.items()),
+            kinds=SCORES,
+        )
+
+    def _question(self, request: Request) -> Response:
+        question = self._known(request.value("id"))
+        having = [run for run in self.runs.values() if question.question_id in run.manifest.question_ids]
+        wanted = request.value("run")
+        chosen = next((run for run in having if run.name == wanted), having[0] if having and not wanted else None)
+        transcript: Transcript | None = None
+        missing = "" if chosen or not wanted else f"run {wanted[:80]} does not have this question"
+        if chosen is not None:
+            read = Transcript if self.comparison is None else Trace
+            try:
+                transcript = read(self.store, chosen.name, question.question_id)
+            except (StoreError, InputError) as error:
+                missing = str(error)
+        place = self.questions.index(question)
+        near = [self.questions[at] if 0 <= at < len(self.questions) else None for at in (place - 1, place + 1)]
+        info = self.sequences[question.sequence]
+        page = question_page(question, info, having, chosen, transcript, missing, near, self.pictured, address)
+        return Response(page.encode("utf-8", "replace"))
+
+    def _compare(self, request: Request) -> Response:
+        names = [request.value(name) for name in ("first", "second")]
+        if unknown := [name for name in names if name not in self.runs]:
+            raise InputError(f"no run {unknown[0][:80]!r}", field="run")
+        first, second = (self.runs[name] for name in names)
+        score = request.value("score") if request.value("score") in SCORES else "combined"
+        both = set(first.manifest.question_ids) & set(second.manifest.question_ids)
+        shared = [own for own in self.questions if own.question_id in both]
+        groups: dict[str, list[Question]] = {}
+        if self.comparison is None:
+            groups = {"different answers": [], "the same answer": []}
+            for question in shared:
+                alike = self.answer_of(first, question) == self.answer_of(second, question)
+                groups["the same answer" if alike else "different answers"].append(question)
+        else:
+            titles = {(1, 0): "only the first", (0, 1): "only the second", (1, 1): "both", (0, 0): "neither"}
+            groups = {title: [] for title in titles.values()}
+            place = SCORES.index(score)
+            for question in shared:
+                mine, yours = (run.scores[question.question_id][place] for run in (first, second))
+                groups[titles[mine, yours]].append(question)
+        return self._html(
+            "view_compare.html", first=first, second=second, groups=groups, n=len(shared), kinds=SCORES, score=score
+        )
+
+    def _report(self, request: Request) -> Response:
+        assert self.comparison is not None, "a page with scores"
+        return Response(report_page(self.comparison, links=address).encode("utf-8", "replace"))
+
+    def _trace(self, request: Request) -> Response:
+        trace = Trace(self.store, request.value("run"), self._known(request.value("id")).question_id)
+        return Response(trace_page(trace, self._observer).encode("utf-8", "replace"))
+
+    def _panorama(self, request: Request) -> Response:
+        frame = request.value("frame")
+        if not (frame.isascii() and frame.isdecimal() and len(frame) < 8):
+            raise InputError("a frame is a number", field="frame")
+        picture = self._observer.stored(request.value("sequence"), int(frame))
+        return Response(picture.jpeg, "image/jpeg", lasting=True)
+
+    def _known(self, question_id: str) -> Question:
+        if question_id not in self._by_id:
+            raise InputError(f"no question {question_id[:40]!r}", field="question_id")
+        return self._by_id[question_id]
+
+    def answer_of(self, run: ViewedRun, question: Question) -> str:
+        """A run's answer in words, "" without one."""
+        row = run.predictions.get(question.question_id)
+        fps = self.sequences[question.sequence].fps
+        return "" if row is None else readable(question.answer_mode, row["answer"], question.choices, fps)
+
+
+def address(page: str, /, *pairs: tuple[str, str], **values: str) -> str:
+    """The relative address of a page with a query."""
+    return f"{page or './'}?{urllib.parse.urlencode([*pairs, *values.items()], errors='replace')}"
+
+
+def public_runs(store: Store) -> list[ViewedRun]:
+    """The finished runs of a store's questions, without scores."""
+    found = []
+    for name in run_ids(store):
+        try:
+            manifest = read_run_manifest(store, name)
+            predictions = read_predictions(store, name)[1]
+        except StoreError:
+            continue
+        if manifest.questions_sha256 == questions_hash(store):
+            found.append(ViewedRun(manifest, _by_question(predictions.to_pylist()), {}, {}))
+    return found
+
+
+def scored_runs(comparison: Comparison) -> list[ViewedRun]:
+    """The runs of a comparison, in its order."""
+    causes, columns = comparison.causes(), [f"{name}_score" for name in SCORES]
+    scores: dict[str, dict[str, list[int]]] = {}
+    for row in comparison.scores.to_pylist():
+        scores.setdefault(row["run_id"], {})[row["question_id"]] = [row[column] for column in columns]
+    return [
+        ViewedRun(
+            run.manifest,
+            _by_question(read_predictions(comparison.store, run.manifest.run_id)[1].to_pylist()),
+            scores.get(run.manifest.run_id, {}),
+            {question: cause for (name, question), cause in causes.items() if name == run.manifest.run_id},
+        )
+        for run in comparison.runs
+    ]
+
+
+def _by_question(rows: Iterable[StoredRow]) -> dict[str, StoredRow]:
+    return {row["question_id"]: row for row in rows}
+
+
+def _fits(question: Question, wanted: Mapping[str, str], runs: Sequence[ViewedRun]) -> bool:
+    """Whether a question is of the chosen family and so on, and one of the runs has the outcome and the cause."""
+    if any(getattr(question, name) != wanted[name] for name in _PUBLIC if name in wanted):
+        return False
+    private = {name: wanted[name] for name in _PRIVATE if name in wanted}
+    name = question.question_id
+    return not private or any(
+        private.items() <= {"outcome": run.outcome(name), "cause": run.causes.get(name, "")}.items() for run in runs
+    )

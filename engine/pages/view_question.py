@@ -1,0 +1,167 @@
+"""The page of a question in `view`: its frames with looks and boxes, what each run answered, beliefs, and steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NamedTuple, Protocol
+
+from jrdb_avr.engine.pages.page import readable, render, unit_of
+from jrdb_avr.engine.pages.trace import ROLES, evidence_box
+from jrdb_avr.engine.report.scoring import read_answer
+from jrdb_avr.engine.report.traces import StoredRow, Trace, Transcript, Written
+from jrdb_avr.queries.runs import RunManifest
+from jrdb_avr.schema.answers import Choice
+from jrdb_avr.schema.beliefs import ALWAYS
+from jrdb_avr.schema.method import Question, SequenceInfo
+from jrdb_avr.schema.panorama import HEIGHT, WIDTH, Box
+from jrdb_avr.schema.plan import parse_plan
+
+_LONGEST: Final = 4_000
+"""Characters of a text of a step; the page `trace` has more."""
+
+_MOST: Final = 3_000
+"""Beliefs, and steps, of a page: more than any run of the built-in methods has."""
+
+
+class Answered(Protocol):
+    """A run as this page needs it."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def manifest(self) -> RunManifest: ...
+
+
+class Belief(NamedTuple):
+    """A statement of the world model and its evidence: the frame, and the step of the look that shows it.
+
+    `until`: the step at which it was replaced, None while it stands. `votes`: readings for and against it.
+    """
+
+    who: str
+    role: int
+    text: str
+    step: int
+    until: int | None
+    frame: int | None
+    look: int | None
+    votes: tuple[int, int]
+
+
+def question_page(
+    question: Question,
+    info: SequenceInfo,
+    runs: Sequence[Any],
+    chosen: Any | None,
+    transcript: Transcript | None,
+    missing: str,
+    near: Sequence[Question | None],
+    pictured: bool,
+    address: Callable[..., str],
+) -> str:
+    """The page's HTML. `runs`: those that have the question; `transcript`: of the chosen one, a `Trace` with scores;
+    `missing`: why there is none; `near`: the questions before and after."""
+    trace = transcript if isinstance(transcript, Trace) else None
+    true = None if trace is None else trace.answer["answer"]
+    unit = "" if trace is None else unit_of(parse_plan(trace.answer["plan"]))
+    mode, fps = question.answer_mode, info.fps
+    given = {run.name: readable(mode, _answer(run, question), question.choices, fps, unit) for run in runs}
+    right = read_answer(mode, true)
+    own = None if chosen is None else read_answer(mode, _answer(chosen, question))
+    return render(
+        "view_question.html",
+        question=question,
+        info=info,
+        runs=runs,
+        chosen=chosen,
+        given=given,
+        right_text=readable(mode, true, question.choices, fps, unit),
+        right_choice=right.choice if isinstance(right, Choice) else None,
+        own_choice=own.choice if isinstance(own, Choice) else None,
+        beliefs=[] if transcript is None else beliefs(transcript.writes)[:_MOST],
+        refused=[] if transcript is None else transcript.refused[:_MOST],
+        steps=[] if transcript is None else [_step(step, transcript) for step in transcript.steps[:_MOST]],
+        looks=[] if transcript is None else transcript.looks,
+        scene=scene(info, transcript),
+        scored=trace is not None,
+        missing=missing,
+        near=near,
+        pictured=pictured,
+        at=address,
+    )
+
+
+def _answer(run: Any, question: Question) -> str | None:
+    row: StoredRow = run.predictions.get(question.question_id, {})
+    return row.get("answer")
+
+
+def scene(info: SequenceInfo, transcript: Transcript | None) -> dict[str, Any]:
+    """What the script draws over the panoramas: boxes in stitched pixels and spans of columns, by frame."""
+    found: dict[str, Any] = {"sequence": info.sequence, "fps": info.fps, "frames": info.frames}
+    found |= {"width": WIDTH, "height": HEIGHT, "start": info.frames[0] if info.frames else 0}
+    boxes: list[dict[str, Any]] = []
+    looks: list[dict[str, Any]] = []
+    if transcript is not None:
+        looks = [{"frame": look.frame, "step": look.step, "spans": look.spans} for look in transcript.looks]
+        boxes += _sightings(transcript.writes)
+        if isinstance(transcript, Trace):
+            boxes += [_drawn(Box(*own), frame, "target", "target") for frame, own in sorted(transcript.target.items())]
+        if (given := evidence_box(transcript)) is not None:
+            boxes.append(_drawn(given[1], given[0], "given", "box of the run"))
+        found["start"] = given[0] if given is not None else looks[0]["frame"] if looks else found["start"]
+    return found | {"boxes": boxes, "looks": looks}
+
+
+def _drawn(box: Box, frame: int, kind: str, name: str) -> dict[str, Any]:
+    return {"frame": frame, "box": list(box), "kind": kind, "name": name[:40]}
+
+
+def _names(writes: Sequence[Written]) -> dict[str, tuple[str, int]]:
+    """Name and colour of each entity by its key."""
+    made = [write.fact.entity for write in writes if write.fact.entity is not None]
+    return {entity.id: (entity.name, number % ROLES) for number, entity in enumerate(made)}
+
+
+def _sightings(writes: Sequence[Written]) -> list[dict[str, Any]]:
+    names, found = _names(writes), []
+    for write in writes:
+        if (seen := write.fact.sighted) is not None and seen.source in names:
+            name, role = names[seen.source]
+            found.append(_drawn(seen.box, seen.frame, f"role{role}", name))
+    return found
+
+
+def beliefs(writes: Sequence[Written]) -> list[Belief]:
+    """What was written to the world model, in order, each with its evidence."""
+    names = _names(writes)
+    taken = {write.fact.observation.id: write.fact.observation for write in writes if write.fact.observation}
+    found = []
+    for write in writes:
+        fact = write.fact
+        until = None if write.until == ALWAYS else write.until
+        rows: list[tuple[str, str, int | None, str, tuple[int, int]]] = []
+        if (seen := fact.sighted) is not None:
+            votes = (seen.votes, seen.against)
+            rows.append((seen.source, f"at {seen.angle:.0f}\N{DEGREE SIGN}", seen.frame, seen.target, votes))
+        if (has := fact.has) is not None:
+            frame = has.first if has.first == has.last else None
+            rows.append((has.source, f"{has.name}: {has.value}", frame, has.target, (has.votes, has.against)))
+        if (tie := fact.related) is not None:
+            text = f"{tie.name} \N{RIGHTWARDS ARROW} {names.get(tie.target, ('?', 0))[0]}"
+            rows.append((tie.source, text, tie.first, tie.observation, (tie.votes, tie.against)))
+        for entity, text, frame, observation, votes in rows:
+            look = taken.get(observation)
+            at = frame if frame is not None or look is None else look.frame
+            who, role = names.get(entity, ("?", 0))
+            found.append(Belief(who, role, text, write.step, until, at, None if look is None else look.step, votes))
+    return found
+
+
+def _step(step: StoredRow, transcript: Transcript) -> dict[str, Any]:
+    look = next((own for own in transcript.looks if own.step == step["step"]), None)
+    return {**step, "look": look, **{name: _cut(step[name] or "") for name in ("request", "response")}}
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}\n[{len(text) - _LONGEST} characters left out]"

@@ -1,0 +1,286 @@
+"""`view`: what is private stays so without answers, texts are texts, and questions, frames and winners are found."""
+
+import json
+import shutil
+
+import msgspec
+import pytest
+from browser import browser, complaints
+from failing_runs import CASES, stored_failures
+from known_runs import BOX, ELSEWHERE
+from local_pages import fetch, serving
+from traced_runs import HOSTILE, stored_run, trace_runs
+
+from jrdb_avr.engine.pages.view import RIGHTNESS, Viewer, address
+from jrdb_avr.engine.report.comparison import report
+from jrdb_avr.queries.runs import read_run_manifest, write_run_manifest
+from jrdb_avr.queries.store import Store, read_table
+from jrdb_avr.schema.errors import StoreError
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory):
+    with browser(tmp_path_factory.mktemp("browser")) as driver:
+        yield driver
+
+
+@pytest.fixture(scope="module")
+def hostile(sample_benchmark, tmp_path_factory):
+    """A store of runs with hostile texts, and its first question."""
+    path = tmp_path_factory.mktemp("hostile") / "S"
+    shutil.copytree(sample_benchmark.path, path)
+    store = Store(path)
+    return store, trace_runs(store)
+
+
+PRIVATE_PARTS = ("questions/answers.parquet", "questions/evidence.parquet", "annotations", "intervals", "graph.kuzu")
+
+
+def addresses(viewer, question):
+    """All kinds of pages of a store, and some that do not exist."""
+    runs = list(viewer.runs)
+    asked = [own.question_id for own in viewer.questions]
+    yield from (
+        "",
+        "?cause=wrong+person",
+        address("", outcome=RIGHTNESS[0])[2:],
+        f"?family={viewer.questions[0].family}",
+        "?page=9",
+    )
+    yield from (address("question", id=name) for name in asked[:5])
+    yield from (address("question", id=question, run=name) for name in [*runs, "none"])
+    yield from (address("compare", first=runs[0], second=name, score="answer") for name in [*runs, "none"])
+    yield from (address("trace", run=name, id=question) for name in runs)
+    yield from (
+        "report",
+        "answers.parquet",
+        "questions/answers.parquet",
+        "../answers.parquet",
+        "question?id=" + "x" * 99,
+    )
+
+
+def test_without_answers_nothing_private_is_opened(hostile, tmp_path):
+    """Byte for byte the same responses where the private files are gone."""
+    store, question = hostile
+    bare = Store(tmp_path / "bare")
+    shutil.copytree(store.path, bare.path)
+    for part in PRIVATE_PARTS:
+        (shutil.rmtree if (bare.path / part).is_dir() else (lambda path: path.unlink(missing_ok=True)))(
+            bare.path / part
+        )
+    with_scores = Viewer(store, None, report(store))
+    viewers = [Viewer(own, None, None) for own in (store, bare)]
+    told = 0
+    with (
+        serving(viewers[0].respond) as first,
+        serving(viewers[1].respond) as second,
+        serving(with_scores.respond) as all_,
+    ):
+        for path in addresses(viewers[0], question):
+            found = fetch(first, path)
+            assert found == fetch(second, path), path
+            told += found != fetch(all_, path)
+            assert not any(
+                mark in found[1] for mark in ("\N{CHECK MARK}", "\N{BALLOT X}", "true answer", '"target"')
+            ), path
+        assert told > 10, "the same pages tell more with answers"
+        assert fetch(first, "?outcome=both+right&cause=nobody") == fetch(first), "nobody can filter by what is private"
+        for page in ("report", address("trace", run="full", id=question)):
+            assert (fetch(first, page)[0], fetch(all_, page)[0]) == (404, 200)
+
+
+def test_no_path_leads_out_of_the_pictures(small_demo):
+    folder, _ = small_demo
+    store = Store(folder / "store")
+    viewer = Viewer(store, store.manifest().image_root, None)
+    name, info = next(iter(viewer.sequences.items()))
+    with serving(viewer.respond) as server:
+        picture = address("panorama", sequence=name, frame=str(info.frames[0]))
+        assert fetch(server, picture)[0] == 200
+        for sequence, frame in (("..", "0"), (f"../{name}", "0"), (f"{name}/../{name}", "0"), ("/etc", "0"), ("", "0")):
+            assert fetch(server, address("panorama", sequence=sequence, frame=frame))[0] == 404
+        for frame in ("-1", "1e0", "../0", "0.jpg", "9" * 30, "\u0663", ""):
+            assert fetch(server, address("panorama", sequence=name, frame=frame))[0] == 404
+        for path in ("../", "%2e%2e/", "..%2f..%2fetc/passwd", "store.json", "view.js", "question/../", "//etc/passwd"):
+            assert fetch(server, path)[0] == 404, path
+
+
+def test_texts_of_models_are_text(opened, hostile):
+    store, question = hostile
+    driver = opened
+    viewer = Viewer(store, None, report(store))
+    with serving(viewer.respond) as server:
+        for path in (
+            "",
+            *(address("question", id=question, run=name) for name in viewer.runs),
+            "compare?first=full&second=empty",
+        ):
+            driver.get(server.url + path)
+            assert complaints(driver) == [], path
+            assert "hit" not in driver.title and not driver.find_elements("css selector", "img"), path
+            assert driver.execute_script("return document.documentElement.scrollWidth <= innerWidth"), path
+        driver.get(server.url + address("question", id=question, run="full"))
+        text = driver.find_element("tag name", "main").text
+        assert "no pictures" in text and HOSTILE[:20] in text and "\u202e" not in driver.page_source
+        beliefs = driver.find_elements("css selector", "#beliefs tbody tr")
+        # Two sightings, two actions of which the second replaced the first, and a relation.
+        assert len(beliefs) == 5
+        assert [own.text for own in driver.find_elements("css selector", "#beliefs .gone")] == ["action: walking"]
+
+
+@pytest.fixture(scope="module")
+def failures(tmp_path_factory):
+    """Run r, which fails in each way once, and run s, which answers and boxes rightly only where r has no box."""
+    _, _, store = stored_failures(tmp_path_factory.mktemp("failures") / "S")
+    manifest = read_run_manifest(store, "r")
+    write_run_manifest(store, msgspec.structs.replace(manifest, run_id="s"))
+    rows = read_table(store.run_path("r") / "predictions.parquet").to_pylist()
+    for row in rows:
+        box = BOX if row["question_id"] == "no box" else ELSEWHERE
+        row |= {"run_id": "s", "evidence_frame": 7} | {f"evidence_{key}": v for key, v in zip("xywh", box, strict=True)}
+        row |= {"answer": '{"choice":1}' if row["question_id"] in ("no box", "loose") else '{"choice":2}'}
+    table = read_table(store.run_path("r") / "predictions.parquet")
+    store.write_run("s", "predictions", type(table).from_pylist(rows, table.schema))
+    store.write_run("s", "steps", read_table(store.run_path("r") / "steps.parquet").slice(0, 0))
+    return store
+
+
+def test_questions_are_found_by_outcome_and_cause(failures):
+    viewer = Viewer(failures, None, report(failures))
+    causes = {name: cause for name, (_, _, cause) in CASES.items() if cause}
+    assert viewer.runs["r"].causes == causes
+    assert viewer.runs["r"].outcome("scores") == "both right" and viewer.runs["r"].outcome("loose") == "answer only"
+    assert viewer.runs["s"].outcome("no box") == "both right" and viewer.runs["s"].outcome("nobody") == "both wrong"
+    assert viewer.runs["s"].outcome("unheard of") == ""
+    with serving(viewer.respond) as server:
+
+        def listed(**values):
+            page = fetch(server, address("", **values).removeprefix("./"))[1]
+            return {name for name in CASES if f'href="{address("question", id=name)}"'.replace("&", "&amp;") in page}
+
+        assert listed() == set(CASES)
+        for cause in set(causes.values()):
+            assert listed(run="r", cause=cause) == {name for name, own in causes.items() if own == cause}
+        assert listed(run="r", outcome="both right") == {"scores"}
+        assert listed(outcome="both right") == {"scores", "no box"}, "of any run on the page"
+        assert listed(run="s", outcome="answer only", cause="nobody") | {"loose"} == {"loose"}
+        assert listed(family="no such family") == set()
+
+
+def test_two_runs_are_compared_question_by_question(opened, failures):
+    driver = opened
+    with serving(Viewer(failures, None, report(failures)).respond) as server:
+
+        def counts(**values):
+            driver.get(server.url + address("compare", **values))
+            assert complaints(driver) == []
+            return [
+                int(cell.text) for cell in driver.find_elements("css selector", "table tbody tr:first-child td.num b")
+            ]
+
+        others = len(CASES) - 2
+        assert counts(first="r", second="s") == [1, 1, 0, others]
+        groups = driver.find_elements("css selector", "details.group")
+        assert [own.get_attribute("open") is not None for own in groups] == [True, True, False, False]
+        assert counts(first="s", second="r") == [1, 1, 0, others]
+        assert counts(first="r", second="s", score="answer") == [len(CASES) - 2, 0, 2, 0]
+    with serving(Viewer(failures, None, None).respond) as server:
+        assert counts(first="r", second="s") == [others, 2]
+        assert counts(first="r", second="r") == [0, len(CASES)]
+
+
+def test_a_question_is_looked_through_by_keyboard(opened, small_demo):
+    from selenium.webdriver import ActionChains, Keys
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    driver = opened
+    store = Store(small_demo[0] / "store")
+    viewer = Viewer(store, store.manifest().image_root, report(store))
+    (run,) = viewer.runs.values()
+    question = next(iter(run.predictions))
+    row = run.predictions[question]
+
+    def press(*keys):
+        ActionChains(driver).send_keys(*keys).perform()
+
+    def frame():
+        return int(driver.find_element("id", "frame").text.split()[1])
+
+    def until(condition):
+        WebDriverWait(driver, 30, 0.02).until(lambda _: condition())
+
+    def pictured():
+        return f"frame={frame()}" in (driver.find_element("id", "picture").get_attribute("href") or "").split("&")
+
+    with serving(viewer.respond) as server:
+        driver.get(server.url)
+        assert complaints(driver) == []
+        driver.find_element("css selector", f'a[href*="id={question}&run="], a[href*="id={question}"]').click()
+        until(lambda: driver.find_elements("id", "frame"))
+        frames = viewer.sequences[viewer.questions[0].sequence].frames
+        # It begins where the run has its box, with the box, the target's, and the looks of that frame.
+        assert frame() == row["evidence_frame"]
+        until(pictured)
+        assert driver.find_elements("css selector", "#overlay rect.given")
+        assert driver.find_elements("css selector", "#overlay rect.target")
+        assert driver.find_elements("css selector", "#overlay rect.look")
+        place = frames.index(frame())
+        press(Keys.ARROW_LEFT, Keys.ARROW_LEFT, Keys.ARROW_RIGHT)
+        assert frame() == frames[max(place - 2, 0) + 1]
+        driver.find_element("id", "scrub").send_keys(Keys.HOME)
+        until(lambda: frame() == frames[0])
+        press("n")
+        looked = sorted({json.loads(step["response"])["frame_id"] for step in _looks(store, run.name, question)})
+        assert frame() in {int(own) for own in looked}
+        # It plays on until it is stopped, and the end is the end.
+        driver.execute_script("scrub.value = arguments[0]; scrub.dispatchEvent(new Event('input'))", len(frames) - 3)
+        press(" ")
+        until(lambda: frame() == frames[-1] and driver.find_element("id", "play").text == "play")
+        until(pictured)
+        driver.execute_script("scrub.value = 0; scrub.dispatchEvent(new Event('input'))")
+        press(" ")
+        until(lambda: frame() != frames[0])
+        press(" ")
+        assert driver.find_element("id", "play").text == "play"
+        button = driver.find_elements("css selector", ".step button.jump")[-1]
+        driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", button)
+        button.click()
+        assert frame() == int(button.get_attribute("data-frame"))
+        top = driver.execute_script("return document.getElementById('stage').getBoundingClientRect().top")
+        assert abs(top) < 1, "the panorama stays in view below"
+        assert complaints(driver) == []
+
+
+def _looks(store, run, question):
+    rows = read_table(store.run_path(run) / "steps.parquet").to_pylist()
+    return [row for row in rows if row["question_id"] == question and row["kind"] == "observe"]
+
+
+def test_the_report_leads_to_runs_and_pairs(opened, failures):
+    driver = opened
+    with serving(Viewer(failures, None, report(failures)).respond) as server:
+        driver.get(server.url + "report")
+        driver.find_element("css selector", ".runs tbody a").click()
+        assert driver.title == "JRDB-AVR: runs"
+        driver.get(server.url + "report")
+        driver.find_element("css selector", "#pairs ~ details tbody a").click()
+        assert driver.find_element("tag name", "h1").text in ("r and s", "s and r")
+        assert complaints(driver) == []
+
+
+def test_what_is_missing_is_said(sample_benchmark, benchmark_copy):
+    viewer = Viewer(sample_benchmark, None, None)
+    name = viewer.questions[0].question_id
+    with serving(viewer.respond) as server:
+        status, text = fetch(server, address("question", id=name))
+        assert status == 200 and "no pictures" in text and "Steps" not in text
+        assert "does not have this question" in fetch(server, address("question", id=name, run="x"))[1]
+        assert fetch(server, "question", method="POST", body=b"")[0] == 404
+    with pytest.raises(StoreError, match="no runs yet"):
+        report(sample_benchmark)
+    stored_run(benchmark_copy, "mine", steps=[])
+    (benchmark_copy.run_path("mine") / "steps.parquet").unlink()
+    viewer = Viewer(benchmark_copy, None, None)
+    with serving(viewer.respond) as server:
+        assert "cannot read" in fetch(server, address("question", id=name, run="mine"))[1]
