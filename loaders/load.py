@@ -28,7 +28,7 @@ from jrdb_avr.loaders.intervals.persons import disagreements
 from jrdb_avr.loaders.intervals.spans import absent_partners
 from jrdb_avr.loaders.intervals.timeline import step_of
 from jrdb_avr.loaders.layers.calibration import cameras_check
-from jrdb_avr.loaders.problems import shorten
+from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.loaders.report import SequenceReport, frame_range, sequence_warnings
 from jrdb_avr.loaders.result import LoadResult
 from jrdb_avr.loaders.root import Root, SequenceFiles, find_root
@@ -162,7 +162,12 @@ def load_shard(shard: Shard) -> ShardResult:
         }
         if not found.frames:
             return ShardResult(SequenceReport(sequence, found.problems, files=files), None)
-        intervals = derive(sequence, found.tables, shard.rules)
+        try:
+            intervals = derive(sequence, found.tables, shard.rules)
+        except InputError as error:
+            refused = Problems(sequence)
+            refused.add("sequence", str(error))
+            return ShardResult(SequenceReport(sequence, [*found.problems, *refused.listed()], files=files), None)
         entry = _write(Store(shard.staging), sequence, found.tables, intervals)
         tables, cameras = found.tables, cameras_check(found.tables["calibration"])
         labels, images = frame_range(found.label_frames), frame_range(found.frames["images"][0])

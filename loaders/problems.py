@@ -13,7 +13,7 @@ class Problem(msgspec.Struct):
     """One reason with its count and its first example."""
 
     kind: str
-    """file, frame, record or field: how much was lost each time."""
+    """sequence, file, frame, record or field: how much was lost each time."""
     reason: str
     count: int
     file: str

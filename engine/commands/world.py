@@ -64,7 +64,9 @@ def drop(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
         if absent := [row["run"] for row in rows if not row["episodes"]]:
             raise StoreError(f"{store.graph_path} holds nothing of run {absent[0]!r}: see 'cypher world_runs'")
         for number, row in enumerate(rows, 1):
-            drop_world(graph, row["run"])
+            # A kill leaves each run whole or gone.
+            with graph.transaction():
+                drop_world(graph, row["run"])
             progress("dropping", number, len(rows))
     print_rows(rows, form=form)
     if not form:

@@ -30,7 +30,10 @@ _LABELS: Final = {"actions": "action", "interactions": "label", "handles": "verb
 
 
 def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules) -> dict[str, pa.Table]:
-    """Interval tables by kind. Layers that `annotations` lacks count as empty."""
+    """Interval tables by kind. Layers that `annotations` lacks count as empty.
+
+    Raises InputError where people are too many to be related to each other.
+    """
     tables = {layer: annotations.get(layer, schema.empty_table()) for layer, schema in ANNOTATIONS.items()}
     tables |= {layer: with_other_words(tables[layer], column) for layer, column in _LABELS.items()}
     people = read_people(tables, rules)

@@ -19,6 +19,7 @@ from jrdb_avr.loaders.intervals.spans import find_runs
 from jrdb_avr.loaders.intervals.timeline import Timeline
 from jrdb_avr.loaders.labelfiles.columns import paired, ragged, texts, unpaired
 from jrdb_avr.schema.arrays import Bools, Ints
+from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS, PERSON_SECTORS
 from jrdb_avr.schema.panorama import clockwise
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, RELATIONS
@@ -26,6 +27,10 @@ from jrdb_avr.schema.rules import KEYFRAME_STEP, SLACK, LoadRules
 
 _BLOCK: Final = 1_000_000
 """Pairs of people looked at in one go."""
+
+MAX_BESIDE: Final = 1_000_000
+"""Facts of a sequence before they are joined to rows, three times those of JRDB's fullest: they grow with the square of
+the people at a keyframe, and take half a kilobyte each here, more in the graph."""
 
 _PERSON_LABELS: Final = tuple(row.label for row in RELATIONS.values() if row.kind == "person")
 _LABELS: Final = tuple(sorted((*_PERSON_LABELS, FIRST_LEFT, FIRST_RIGHT)))
@@ -35,7 +40,10 @@ _RANK: Final = np.array([_LABELS.index(label) for label in _PERSON_LABELS]).resh
 
 
 def beside_table(line: Timeline, boxes: Boxes, located: Located, rules: LoadRules) -> pa.Table:
-    """All relations of a sequence, by source, label, first frame, target and certainty."""
+    """All relations of a sequence, by source, label, first frame, target and certainty.
+
+    Raises InputError where there are more than `MAX_BESIDE` of them.
+    """
     # Those seen by the robot are one row per keyframe.
     frame, source, target, certain, label = _joined(robot_view(line, boxes, rules))
     columns = {"source": source, "target": target, "label": label, "first": frame, "last": frame, "certain": certain}
@@ -61,7 +69,13 @@ _Facts = tuple[Ints, Ints, Ints, Bools, Ints]
 
 def _joined(blocks: Iterator[_Facts]) -> list[Ints]:
     """The columns of all blocks, as whole numbers."""
-    return list(np.hstack([np.empty((5, 0), np.int64), *(np.stack(block) for block in blocks)]))
+    found, count = [np.empty((5, 0), np.int64)], 0
+    for block in blocks:
+        count += len(block[0])
+        if count > MAX_BESIDE:
+            raise InputError(f"more than {MAX_BESIDE:,} facts of who is beside whom: too many people at a time")
+        found.append(np.stack(block))
+    return list(np.hstack(found))
 
 
 def robot_view(line: Timeline, boxes: Boxes, rules: LoadRules) -> Iterator[_Facts]:

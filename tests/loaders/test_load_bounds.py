@@ -10,8 +10,9 @@ import os
 
 import pytest
 from quick_store import NAME, load_root, read_store
-from worlds import member, person, write_root
+from worlds import load_reported, member, person, person_3d, write_root
 
+from jrdb_avr.loaders.intervals import neighbors
 from jrdb_avr.loaders.labelfiles import columns, facts, frames
 
 BOX = (100, 60, 50, 200)
@@ -29,6 +30,24 @@ def different(n):
 
 def talking(n):
     return {0: [member(0, BOX, interactions=[(t, {"conversation": "1"}) for t in range(1, n + 1)])]}
+
+
+def test_a_sequence_with_too_many_people_at_a_time_is_refused_and_the_rest_loads(monkeypatch, tmp_path):
+    """Whoever is within five metres of everybody is beside everybody: facts grow with the square."""
+    monkeypatch.setattr(neighbors, "MAX_BESIDE", 400)
+    crowd, few = (
+        {
+            "2d": {f: [person(t, (40 * t, 60, 30, 100)) for t in range(people)] for f in (0, 15)},
+            "3d": {f: [person_3d(t, 0.1 * t, 1.0) for t in range(people)] for f in (0, 15)},
+        }
+        for people in (20, 6)
+    )
+    store, reports = load_reported(tmp_path, {"crowd-1": crowd, "few-1": few})
+    assert sorted(store.manifest().sequences) == ["few-1"]
+    assert [(p.kind, p.file) for report in reports for p in report.problems] == [("sequence", "crowd-1")]
+    (problem,) = reports[0].problems
+    assert problem.reason == "more than 400 facts of who is beside whom: too many people at a time"
+    assert store.interval("beside", "few-1").num_rows
 
 
 def many_labels(n):

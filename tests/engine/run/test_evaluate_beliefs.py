@@ -1,16 +1,21 @@
 """World models of runs: what a live run wrote, write by write, is what its record gives back, row by row."""
 
+import contextlib
 import json
+import random
 import signal
 import subprocess
 import sys
+import time
 
 import pyarrow as pa
 import pytest
+import warm
 from asked_world import write_public
 from belief_runs import ASKED, run
 from believing import Believer, world_dump
 from click.testing import CliRunner
+from effort import examples
 from places import SUPPORT
 from scene_tables import table_store
 
@@ -130,6 +135,54 @@ def test_a_dropped_run_leaves_the_graph_and_keeps_its_record(store, live):
         jrdb_avr("world", "drop", "two", "one", "--store", store.path)
     assert dump(store.graph_path) == of_run(live, "two")
     jrdb_avr("world", "merge", "one", "--store", store.path)
+    assert dump(store.graph_path) == live
+
+
+KILLED_AT = """
+import os, signal, sys
+from jrdb_avr.engine.cli import main
+from jrdb_avr.queries.graph import handle
+steps, last, run = 0, int(sys.argv[1]), handle.Graph._run
+def counted(self, text, *more):
+    global steps
+    found = run(self, text, *more)
+    steps += not text.startswith("EXPLAIN") and any(word in text for word in ("DELETE", "COPY", "COMMIT"))
+    if steps == last:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return found
+handle.Graph._run = counted
+sys.argv = ["jrdb-avr", *sys.argv[2:]]
+main()
+"""
+
+
+@pytest.mark.parametrize(("what", "step"), [("drop", 3), ("drop", 7), ("merge", 9)])
+def test_a_kill_leaves_a_run_whole_or_gone_and_the_command_again_ends_it(store, live, what, step):
+    """Six statements take a run away, the seventh is the COMMIT, or the first of those that copy."""
+    done = warm.run(warm.script, KILLED_AT, step, "world", what, "one", "--store", store.path)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    kept, dropped = of_run(live, "one"), of_run(live, "nobody")
+    assert of_run(dump(store.graph_path), "one") == (dropped if step == 7 else kept)
+    if step == 7:
+        with pytest.raises(StoreError, match="holds nothing of run 'one'"):
+            jrdb_avr("world", what, "one", "--store", store.path)
+    else:
+        jrdb_avr("world", what, "one", "--store", store.path)
+    assert of_run(dump(store.graph_path), "one") == (kept if what == "merge" else dropped)
+    assert of_run(dump(store.graph_path), "two") == of_run(live, "two")
+
+
+@pytest.mark.parametrize("moment", range(examples(2)))
+def test_a_kill_at_any_moment_of_a_drop_leaves_a_graph_that_the_next_one_finishes(store, live, tmp_path, moment):
+    process = warm.started(warm.command_line, "world", "drop", "one", "two", "--store", store.path, folder=tmp_path)
+    time.sleep(random.uniform(0.05, 0.6))
+    process.kill()
+    process.join()
+    for name in ("one", "two"):
+        with contextlib.suppress(StoreError):
+            jrdb_avr("world", "drop", name, "--store", store.path)
+    assert not any(dump(store.graph_path).values())
+    assert jrdb_avr("world", "merge", "one", "two", "--store", store.path).exit_code == 0
     assert dump(store.graph_path) == live
 
 
