@@ -15,6 +15,12 @@ from jrdb_avr.schema.things import OBJECTS, VERBS
 USUAL: Final = 0.9
 """Confidence of a reading if the model states none."""
 
+LEAST_SIDE: Final = 0.1
+"""Pixels that a box must measure at least: sizes are compared by their ratios and areas, which smaller ones upset."""
+
+_MOST_DIGITS: Final = 5
+"""Of a number of people."""
+
 _WORDS: Final[dict[str, frozenset[str]]] = {
     "gender": frozenset(GENDERS),
     "age": frozenset(AGES),
@@ -29,7 +35,7 @@ _WORDS: Final[dict[str, frozenset[str]]] = {
 def is_value(name: str, value: str) -> bool:
     """Whether an attribute may have a value: one of its labels, a number of people, or any text of a free attribute."""
     if name == "group_size":
-        return value.isdecimal()
+        return value.isdecimal() and len(value) <= _MOST_DIGITS
     return value in _WORDS[name] if name in _WORDS else bool(value)
 
 
@@ -65,7 +71,7 @@ class PersonReading:
 
     observation: the picture's name; number: of the person among those read in it; box: stitched pixels; whole: whether
     the picture shows the box from side to side; metres: the distance from the robot as read. Raises DecodeError for a
-    label outside the vocabularies and for a box without an area.
+    label outside the vocabularies and for a box that is thinner than `LEAST_SIDE`.
     """
 
     observation: str
@@ -78,7 +84,7 @@ class PersonReading:
     whole: bool = True
 
     def __post_init__(self) -> None:
-        if not (self.box.w > 0 and self.box.h > 0):
+        if not (self.box.w >= LEAST_SIDE and self.box.h >= LEAST_SIDE):
             raise DecodeError("a box has a width and a height")
         for label in self.labels:
             if not is_value(label.name, label.value):

@@ -171,8 +171,10 @@ class Tracks:
 
     def box(self, who: str, frame: int) -> FusedBox | None:
         """The box of the reading of somebody at a frame that most readings agree with; None where there is none."""
-        best = self.agreed(who, frame)
-        return None if best is None else FusedBox(best.box, self.agreeing(best, who))
+        if (who, frame) not in self._fused:
+            best = self.agreed(who, frame)
+            self._fused[who, frame] = None if best is None else FusedBox(best.box, self.agreeing(best, who))
+        return self._fused[who, frame]
 
     def boxes(self, frame: int) -> dict[str, Box]:
         """The boxes of those who are likely to be there at a frame: more looks at their place show them than do not."""
@@ -201,8 +203,7 @@ class Tracks:
         """The support for a relation at a frame: from boxes where these decide, else from readings of either person."""
         if relation in DERIVED:
             return self._derived(source, relation, target, self.met(frame), frame)
-        ways = [(source, relation, target), (target, relation, source)][: 1 + (relation in SYMMETRIC)]
-        return _support([(at, vote) for *tie, at, vote in self._tied if tuple(tie) in ways], frame)
+        return _support(self._votes_of_ties.get(_tie_key(source, relation, target), ()), frame)
 
     def _derived(self, source: str, relation: str, target: str, at: int, frame: int) -> Support:
         first, second, boxes = self.box(source, at), self.box(target, at), self._boxes_at(at)
@@ -220,8 +221,20 @@ class Tracks:
         return self._boxes[frame]
 
     @cached_property
+    def _fused(self) -> dict[tuple[str, int], FusedBox | None]:
+        return {}
+
+    @cached_property
     def _boxes(self) -> dict[int, dict[str, Box]]:
         return {}
+
+    @cached_property
+    def _votes_of_ties(self) -> dict[tuple[str, str, str], list[tuple[int, float]]]:
+        """Frame and weight of each reading of a relation: everybody is ranked with everybody, in time for any crowd."""
+        found: dict[tuple[str, str, str], list[tuple[int, float]]] = defaultdict(list)
+        for source, relation, target, at, vote in self._tied:
+            found[_tie_key(source, relation, target)].append((at, vote))
+        return found
 
     @cached_property
     def _tied(self) -> list[tuple[str, str, str, int, float]]:
@@ -236,6 +249,12 @@ class Tracks:
         ]
 
 
+def _tie_key(source: str, relation: str, target: str) -> tuple[str, str, str]:
+    """The ends and the name of a relation, the same from both ends where it holds both ways."""
+    first, last = sorted((source, target)) if relation in SYMMETRIC else (source, target)
+    return first, relation, last
+
+
 def settled(tallies: Sequence[Tally]) -> bool:
     """Whether the first of these values is settled."""
     others = max((tally.votes for tally in tallies[1:]), default=0)
@@ -244,9 +263,11 @@ def settled(tallies: Sequence[Tally]) -> bool:
 
 def _support(votes: Sequence[tuple[int, float]], frame: int | None) -> Support:
     """Fuse votes, each with its frame: those of the frame nearest to this one, or all where there is none."""
-    nearest = min((at for at, _ in votes), key=lambda at: (abs(at - (frame or 0)), at), default=0)
+    if not votes:
+        return Support()
+    nearest = min((at for at, _ in votes), key=lambda at: (abs(at - (frame or 0)), at))
     given = [vote for at, vote in votes if frame is None or at == nearest]
-    gap = 0 if frame is None or not votes else abs(nearest - frame)
+    gap = 0 if frame is None else abs(nearest - frame)
     most = MOST_VOTES * UNIT
     log_odds = max(-most, min(most, sum(given))) * 0.5 ** (gap / KEYFRAME_STEP)
     if gap > KEYFRAME_STEP:

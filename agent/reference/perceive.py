@@ -60,6 +60,9 @@ _OTHERS: Final = {
 }
 """Statements that may stand beside those that a plan needs."""
 
+_TAKEN: Final = frozenset({*ATTRIBUTES, *_LABELS, *_OTHERS})
+"""Names of attributes that are never free."""
+
 
 class Field(NamedTuple):
     """One thing to be read of every person: an attribute by its labels or in free words, a statement, metres, or a
@@ -101,8 +104,8 @@ def perceivable(plan: Plan) -> Plan:
     """A plan as pictures can be read for it: of people alone, as boxes are read of people only, and at stated frames.
 
     What joins somebody to a thing is a condition; that two people have to do with one and the same thing is left out,
-    and so is where a thing is seen by the robot. A moment is a frame two seconds before or after that of its bound, or
-    in the middle of both.
+    and so is where a thing is seen by the robot, and words to a thing that name an attribute with labels, as "sector".
+    A moment is a frame two seconds before or after that of its bound, or in the middle of both.
     """
     things, stated = plan.things, {n: Time(frame=_frame(plan, n)) for n, time in plan.times.items() if time.is_moment}
     plan = msgspec.structs.replace(plan, times=plan.times | stated)
@@ -110,6 +113,7 @@ def perceivable(plan: Plan) -> Plan:
         return plan
     people = [node for node in plan.nodes if node.id not in things]
     joins = [edge for edge in plan.edges if edge.target in things and edge.relation not in RELATIONS]
+    joins = [edge for edge in joins if edge.relation in VERBS or _free_name(edge) not in _TAKEN]
     nodes = tuple(
         Node(node.id, (*node.conditions, *(_of_thing(e, things[e.target]) for e in joins if e.source == node.id)))
         for node in people
@@ -129,16 +133,23 @@ def _frame(plan: Plan, moment: str) -> int:
 def _of_thing(edge: Edge, kind: str) -> Condition:
     if edge.relation in VERBS:
         return Condition(object=kind, verb=edge.relation, at=edge.at)
-    return Condition(attribute=edge.wanted.replace(" ", "_"), value=kind, at=edge.at)
+    return Condition(attribute=_free_name(edge), value=kind, at=edge.at)
+
+
+def _free_name(edge: Edge) -> str:
+    return edge.wanted.replace(" ", "_")
 
 
 def fields_of(plan: Plan) -> tuple[Field, ...]:
-    """The fields that a plan needs, statements and relations among as many others, in an order that tells nothing."""
+    """The fields that a plan needs, statements and relations among as many others, in an order that tells nothing.
+
+    Where a plan needs most statements of a kind, there are fewer others.
+    """
     needed = dict.fromkeys(_needed(plan))
     stated = [field for field in needed if field.value]
     for field in stated:
         rest = [one for value in _OTHERS[field.name] if (one := field._replace(value=value)) not in needed]
-        needed[min(rest, key=lambda one: _shuffled(plan, one))] = None
+        needed |= dict.fromkeys(sorted(rest, key=lambda one: _shuffled(plan, one))[:1])
     order = sorted((field for field in needed if field.value), key=lambda one: _shuffled(plan, one))
     return (*(field for field in needed if not field.value), *order)
 
@@ -272,8 +283,8 @@ def _read_person(
             ties += _ties(said, field, number, count)
         elif field.kind == "words":
             text = free_value(said) if isinstance(said, str) else ""
-            if not 0 < len(text) <= _LONGEST_WORDS:
-                raise DecodeError(f"{field.key} must be a text of 1 to {_LONGEST_WORDS} characters")
+            if not (0 < len(text) <= _LONGEST_WORDS and text.isprintable()):
+                raise DecodeError(f"{field.key} must be a text of 1 to {_LONGEST_WORDS} printable characters")
             labels += [] if text == CANNOT_TELL else [ReadLabel(field.name, text)]
         elif said not in field.words:
             raise DecodeError(f"{field.key} must be one of {', '.join(field.words)}")

@@ -111,7 +111,7 @@ def make_plan(
 
 def smallest_plan(task: Task) -> Plan:
     """A plan of the target alone, of whom nothing is said, with the read that the answer's mode implies."""
-    mode, frames = task.question.answer_mode, task.sequence.frames
+    mode, frames = task.question.answer_mode, task.sequence.frames or (0,)
     times = {"t0": Time(frame=frames[0])}
     # Which action is meant is not known, nor which people are counted: the commonest stand for them.
     start = {"t1": Time(event="start", of="a", action="walking", after="t0")}

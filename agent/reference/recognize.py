@@ -42,7 +42,7 @@ def recognize(
         parts = (*user[:-1], *again, user[-1])
         try:
             reply = attempt.ask_object([Message("system", (render("agent_same"),)), Message("user", parts)], _SCHEMA)
-            return _read(reply, len(people))
+            return _read(reply, [one.number for one in people])
         except DecodeError as error:
             fault = str(error)
     return None
@@ -52,10 +52,11 @@ def _inside(one: PersonReading, seen: Observation) -> list[int]:
     return write_box(Box(one.box.x - seen.left, *one.box[1:]), (CROP, CROP))
 
 
-def _read(reply: Mapping[str, Any], count: int) -> int | None:
+def _read(reply: Mapping[str, Any], numbers: Sequence[int]) -> int | None:
     number = decode.only_keys(reply, ("person",), "the reply")["person"]
     if number is None:
         return None
-    if type(number) is not int or not NOBODY <= number <= count:
-        raise DecodeError(f"person must be a number from {NOBODY} to {count}, or null")
+    # Of people with one box none is left, so that numbers may be missing.
+    if type(number) is not int or number not in (NOBODY, *numbers):
+        raise DecodeError(f"person must be one of {', '.join(map(str, (NOBODY, *numbers)))}, or null")
     return number

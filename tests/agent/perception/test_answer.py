@@ -1,6 +1,7 @@
 """The answer that is read from fused readings, and the course of what somebody does, against every course there is."""
 
 import itertools
+from dataclasses import replace
 
 import pytest
 from effort import examples
@@ -111,6 +112,13 @@ def test_the_box_is_one_that_two_readings_agree_on():
     # Two readings that agree elsewhere are better than one at the frame of the description.
     assert shown(described[0], read(300, "walking"), read(300, "walking")) == (Choice(2), 300, 2)
     assert shown(described[0], read(300, "walking")) == (Choice(2), 15, 1)
+
+
+def test_a_choice_that_is_no_number_of_people_is_passed_over():
+    spec = AnswerSpec("multiple_choice", "attribute", "a", "t0", attribute="group_size")
+    plan = Plan("a", "a", WOMAN.times, WOMAN.nodes, (), spec)
+    alone = replace(read(15), labels=(ReadLabel("group_size", "1"),))
+    assert answer(plan, woman(alone), ("9" * 5000, "many", "1")) == Choice(3)
 
 
 def test_distances_that_contradict_each_other_are_read_a_third_time():

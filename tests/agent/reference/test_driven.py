@@ -1,6 +1,7 @@
 """The policy `driven`: what is asked of a picture, what is read from a reply, and games of the simulated model."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -13,7 +14,7 @@ from world_play import look as observation
 
 from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.methods.attempt import Attempt
-from jrdb_avr.agent.model.conventions import CONTRACT
+from jrdb_avr.agent.model.conventions import CONTRACT, Convention
 from jrdb_avr.agent.model.messages import wire
 from jrdb_avr.agent.model.reply import read_completion
 from jrdb_avr.agent.perception.geometry import DERIVED
@@ -29,11 +30,13 @@ from jrdb_avr.agent.reference.perceive import (
     perceive_schema,
     read_people,
 )
+from jrdb_avr.agent.reference.recognize import recognize
 from jrdb_avr.agent.simulated.knobs import Knobs
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.errors import DecodeError, InputError
+from jrdb_avr.schema.labels import OTHER_ACTIONS
 from jrdb_avr.schema.panorama import Box, iou
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
 from jrdb_avr.schema.relations import FIRST_LEFT, SAME_GROUP
@@ -122,6 +125,19 @@ def test_what_joins_a_person_to_a_thing_is_read_of_the_person():
     assert perceivable(WOMAN) == WOMAN
 
 
+@pytest.mark.parametrize("label", ["sector", "Group size", "distance", "action", "relation", "pose"])
+def test_words_to_a_thing_that_name_an_attribute_with_labels_are_left_out(label):
+    nodes, edge = (Node("a"), Node("t", kind="table")), Edge("a", label, "t", "t0")
+    plan = perceivable(Plan("a", "a", WOMAN.times, nodes, (edge,), WOMAN.answer))
+    assert plan.nodes == (Node("a"),) and plan.edges == ()
+
+
+def test_a_plan_that_needs_most_actions_leaves_fewer_others():
+    wanted = [Condition(action=action, at="t0") for action in OTHER_ACTIONS[:-1]]
+    fields = fields_of(Plan("a", "a", WOMAN.times, (Node("a", tuple(wanted)),), (), WOMAN.answer))
+    assert sorted(field.value for field in fields if field.name == "action") == sorted(OTHER_ACTIONS)
+
+
 THING = {"id": "t", "kind": "table"}
 
 
@@ -135,7 +151,7 @@ def test_a_moment_is_looked_for_near_its_bound():
 FRONT = "within 30 degrees to the left of (robot view)"
 
 
-@pytest.mark.parametrize("said", ["", " ", 3, None, "x" * 41])
+@pytest.mark.parametrize("said", ["", " ", 3, None, "x" * 41, "red\0"])
 def test_free_words_are_short(said):
     fields = [field for field in fields_of(SHIRT) if field.kind == "words"]
     line = {"box": [100, 100, 300, 900], "attribute shirt": "Dark  Red", "attribute shoes": CANNOT_TELL}
@@ -195,6 +211,14 @@ def test_any_json_is_read_or_refused(value):
     assert len(read) == len(value)
 
 
+@pytest.mark.parametrize("corner", [(1.0, 5e-324), (1e-200, 1e-200), (1e-200, 1.0)])
+def test_a_box_thinner_than_a_tenth_of_a_pixel_is_refused(corner):
+    line = {**person(), "box": [0.0, 0.0, *corner]}
+    unit = Convention("unit", {"bbox": "xyxy"}, scales={"bbox": "unit"})
+    with pytest.raises(DecodeError, match="a width and a height"):
+        read_people({"people": [line]}, FIELDS, SEEN, "o1", unit)
+
+
 def test_a_malformed_reply_is_asked_again_once(tmp_path):
     chat = Scripted(["nothing", {"people": [person()]}])
     task = World(tmp_path, [], FRAMES).task("Who?", "multiple_choice", CHOICES)
@@ -214,6 +238,14 @@ def test_two_people_with_one_box_are_asked_for_again_and_left_out_if_they_stay(t
     chat = Scripted([{"people": lines}])
     (left,) = Perceiver(Attempt(task, chat, CONTRACT), fields).people(SEEN, "o1")
     assert (left.number, len(chat.requests)) == (3, 2) and not left.ties
+
+
+@pytest.mark.parametrize("said, number", [(3, 3), (0, 0), (None, None), (2, None), (4, None)])
+def test_somebody_is_known_again_only_among_the_people_who_are_left(tmp_path, said, number):
+    first, _, third = people(*[person()] * 3)
+    task = World(tmp_path, [], FRAMES).task("Who?", "multiple_choice", CHOICES)
+    attempt = Attempt(task, Scripted([{"person": said}]), CONTRACT)
+    assert recognize(attempt, first, SEEN, SEEN, (first, third)) == number
 
 
 # -- games ------------------------------------------------------------------------------------------------------------
@@ -293,6 +325,13 @@ def test_a_model_that_says_nothing_legible_ends_with_no_answer(world):
     prediction = DrivenEpisode(attempt, WOMAN, looks=4).play()
     assert (prediction.answer, prediction.n_observations) == (None, 4)
     assert len(set(attempt.made)) == 4
+
+
+def test_a_sequence_without_legal_frames_ends_with_no_answer(world):
+    task = world.task("Who?", "multiple_choice", CHOICES)
+    blind = replace(task, sequence=replace(task.sequence, frames=()))
+    prediction = ReferenceAgent(Scripted(["?"]), policy="driven").answer(blind)
+    assert (prediction.answer, prediction.n_observations) == (None, 0)
 
 
 def test_the_value_of_a_free_attribute_is_answered(world):
