@@ -33,6 +33,7 @@ COMMANDS: Final[dict[str, str]] = {
     "calibrate": "Find out how a model writes boxes.",
     "evaluate": "Run a method on the questions.",
     "mcp": "Let an agent that speaks MCP answer the questions.",
+    "play": "Let a person answer the questions in the browser.",
     "world": "Bring runs' world models into the graph, or drop them.",
     "runs": "List, show, compare or remove runs.",
     "score": "Score the predictions of runs.",

@@ -74,7 +74,7 @@ def score(
     multiple=True,
     metavar="NAME",
     help="main; family, group, template, answer_mode, hops, time_gap_s, separation_deg or sequence (breakdowns); "
-    "ablation, pairs, epochs, wrong_choices, evidence_failures, cost; all. May be repeated.  [default: main]",
+    "ablation, pairs, people, epochs, wrong_choices, evidence_failures, cost; all. May be repeated.  [default: main]",
 )
 @click.option("--paper", is_flag=True, help="Add the paper's figures as rows, labelled 'paper'.")
 @iou_option

@@ -8,11 +8,8 @@ crops with where and when they were taken, and why a move was refused. Needs the
 from __future__ import annotations
 
 import contextlib
-import hmac
 import secrets
-import socket
 import threading
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,15 +25,13 @@ from pydantic import WithJsonSchema
 from jrdb_avr.agent.methods.episode import BUDGET, Episode
 from jrdb_avr.agent.model.decode import EVIDENCE_SCHEMA, FRAME_ID_SCHEMA
 from jrdb_avr.agent.model.messages import metadata_line, picture_of
-from jrdb_avr.engine.run.bench import Bench, find_images
+from jrdb_avr.engine.local_server import hosts_of, listen, new_token, same_token
+from jrdb_avr.engine.run.bench import Bench
 from jrdb_avr.engine.run.evaluate import default_run_id
-from jrdb_avr.engine.run.journal import finished_entry
-from jrdb_avr.engine.run.opaque import key_fingerprint
-from jrdb_avr.engine.run.run import Run, run_questions
-from jrdb_avr.engine.run.selection import QuestionSelection
+from jrdb_avr.engine.run.playing import Play, due_questions, played_run
+from jrdb_avr.engine.run.run import Run
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError, InputError
-from jrdb_avr.schema.method import Step
 from jrdb_avr.schema.tables import PRIVATE
 
 METHOD: Final = "mcp"
@@ -58,12 +53,10 @@ _Boxes = Annotated[Any, WithJsonSchema(EVIDENCE_SCHEMA)]
 
 
 @dataclass
-class _Play:
+class _Open:
     """A question that was handed out."""
 
-    episode: Episode
-    steps: list[Step]
-    started: float = field(default_factory=time.perf_counter)
+    play: Play
     lock: threading.Lock = field(default_factory=threading.Lock)
 
 
@@ -72,9 +65,8 @@ class Desk:
 
     def __init__(self, bench: Bench, run: Run, budget: int = BUDGET) -> None:
         self._bench, self._run, self._budget = bench, run, budget
-        held = {name for name, entry in run.finished.items() if not entry.failed}
-        self._due = [own.question_id for own in reversed(bench.questions) if own.question_id not in held]
-        self._open: dict[str, _Play] = {}
+        self._due = due_questions(bench, run)[::-1]
+        self._open: dict[str, _Open] = {}
         self._lock = threading.Lock()
 
     def server(self) -> MCPServer:
@@ -93,10 +85,9 @@ class Desk:
                 raise ToolError(f"{MOST_OPEN} questions are begun and not finished: finish one of them first")
             if not self._due:
                 return {"done": True, "message": "no question is left"}
-            steps: list[Step] = []
-            episode = self._bench.episode(self._due.pop(), budget=self._budget, record=lambda step: steps.append(step))
-            token = secrets.token_urlsafe(12)
-            self._open[token] = _Play(episode, steps)
+            play = Play.begin(self._bench, self._due.pop(), self._budget)
+            episode, token = play.episode, secrets.token_urlsafe(12)
+            self._open[token] = _Open(play)
         schema = episode.answer_schema["properties"]["answer"]
         return {"done": False, "episode": token, "prompt": episode.prompt, "answer_schema": schema}
 
@@ -121,11 +112,11 @@ class Desk:
 
         Raises ToolError with the reason of any refusal: of other errors an agent would not be told.
         """
-        play = self._open.get(token)
-        if play is None:
+        held = self._open.get(token)
+        if held is None:
             raise ToolError("no such episode is being played: next_question begins one")
-        with play.lock:
-            episode = play.episode
+        with held.lock:
+            episode = held.play.episode
             try:
                 yield episode
             except AvrError as error:
@@ -133,14 +124,12 @@ class Desk:
                 raise ToolError(f"refused: {error} ({'the question is over' if episode.over else left})") from None
             finally:
                 if episode.over:
-                    self._finish(token, play)
+                    self._finish(token, held.play)
 
-    def _finish(self, token: str, play: _Play) -> None:
+    def _finish(self, token: str, play: Play) -> None:
         with self._lock:
             if self._open.pop(token, None) is not None:
-                seconds = time.perf_counter() - play.started
-                prediction = play.episode.finished()
-                self._run.append(finished_entry(play.episode.question, prediction, play.steps, (), seconds))
+                play.record(self._run)
 
 
 # -- a server over a store --------------------------------------------------------------------------------------------
@@ -175,24 +164,13 @@ def serve(
             field="store",
         )
     run_id = default_run_id(METHOD, model) if run_id is None else run_id
-    image_root = find_images(store, images)
-    chosen, selection = run_questions(store, run_id, QuestionSelection.of(None, limit), resume, image_root)
-    bench = Bench(store, chosen, image_root, opaque)
-    with Run(store, run_id) as run:
-        settings = {"method": {"budget": BUDGET}, **({"opaque": key_fingerprint(store)} if opaque else {})}
-        ids = [question.question_id for question in chosen]
-        run.start(METHOD, model, ids, settings, bench.synthetic, selection)
+    playing = played_run(store, METHOD, model, run_id, limit=limit, resume=resume, images=images, opaque=opaque)
+    with playing as (bench, run):
         server = Desk(bench, run).server()
-        try:
-            if port is None:
-                server.run("stdio")
-            else:
-                _serve_http(server, port, ready)
-        except KeyboardInterrupt:
-            pass
-        finally:
-            if run.finished:
-                run.finish()
+        if port is None:
+            server.run("stdio")
+        else:
+            _serve_http(server, port, ready)
     return run_id
 
 
@@ -204,15 +182,9 @@ def private_parts(store: Store) -> list[str]:
 
 
 def _serve_http(server: MCPServer, port: int, ready: Callable[[str, str], None]) -> None:
-    token = secrets.token_urlsafe(32)
-    with socket.socket() as listener:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            listener.bind(("127.0.0.1", port))
-            listener.listen()
-        except OSError as error:
-            raise InputError(f"port {port} cannot be used ({error.strerror}): give another", field="port") from None
-        hosts = [f"{name}:{listener.getsockname()[1]}" for name in ("127.0.0.1", "localhost")]
+    token = new_token()
+    with listen(port) as listener:
+        hosts = hosts_of(listener)
         # A page in the user's browser could reach the port, under a name of its own or from an origin of its own.
         security = TransportSecuritySettings(allowed_hosts=hosts, allowed_origins=[f"http://{host}" for host in hosts])
         app = server.streamable_http_app(stateless_http=True, json_response=True, transport_security=security)
@@ -227,7 +199,7 @@ def _with_token(app: Any, token: str) -> Any:
 
     async def checked(scope: Any, receive: Any, send: Any) -> None:
         sent = dict(scope.get("headers", ())).get(b"authorization", b"")
-        if scope["type"] == "lifespan" or hmac.compare_digest(sent, expected):
+        if scope["type"] == "lifespan" or same_token(sent, expected):
             await app(scope, receive, send)
         elif scope["type"] == "http":
             await send({"type": "http.response.start", "status": 401, "headers": [(b"www-authenticate", b"Bearer")]})

@@ -13,6 +13,7 @@ import pyarrow as pa
 
 from jrdb_avr.engine.report import formats
 from jrdb_avr.engine.report.epochs import epoch_rows
+from jrdb_avr.engine.report.people import agreement_rows
 from jrdb_avr.engine.report.scored_runs import SCORES, QuestionIndex, ScoredRun, read_index
 from jrdb_avr.engine.report.scoring import read_truth, score_run, write_scores
 from jrdb_avr.engine.report.tables import (
@@ -83,6 +84,8 @@ class Comparison(Displayed):
                 return ablation_rows(runs, published=self.paper)
             case "pairs":
                 return pair_rows(index, runs)
+            case "people":
+                return agreement_rows(index, runs)
             case "epochs":
                 return epoch_rows(runs)
             case "wrong_choices" | "evidence_failures" | "cost":

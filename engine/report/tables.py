@@ -223,6 +223,9 @@ def ranked(runs: Sequence[ScoredRun]) -> list[ScoredRun]:
     return sorted(runs, key=lambda run: (-run.scores[:, 2].mean() if run.n else 0.0, *_name(run)))
 
 
-TABLES: Final = ("main", *DIMENSIONS, "ablation", "pairs", "epochs", "wrong_choices", "evidence_failures", "cost")
+TABLES: Final = (
+    *("main", *DIMENSIONS, "ablation", "pairs", "people", "epochs"),
+    *("wrong_choices", "evidence_failures", "cost"),
+)
 """`main`: shares with intervals and macro averages; a dimension's name: a breakdown by it; the last three: queries of
 `queries/results/`."""

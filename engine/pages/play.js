@@ -1,0 +1,260 @@
+"use strict";
+(() => {
+  const WIDTH = 3760;
+  const CROP = 480;
+  const THOUSAND = 1000;
+  const byId = (id) => document.getElementById(id);
+  const drawn = (name, values, text = "") => {
+    const element = document.createElementNS("http://www.w3.org/2000/svg", name);
+    for (const [key, value] of Object.entries(values)) element.setAttribute(key, value);
+    element.textContent = text;
+    return element;
+  };
+  const made = (name, values, text = "") => Object.assign(document.createElement(name), values, { textContent: text });
+  const frameId = (frame) => String(frame).padStart(6, "0");
+
+  let play = null;
+  let angle = 180;
+  let at = 0;
+  let box = null;
+  let busy = false;
+
+  // -- the next look ---------------------------------------------------------------------------------------------------
+
+  const left = () => (Math.round((angle / 360) * WIDTH) - CROP / 2 + WIDTH) % WIDTH;
+  const copies = (x) => [x - WIDTH, x].filter((own) => own < WIDTH && own + CROP > 0);
+  const picture = (number) => `look?${new URLSearchParams({ question: play.question_id, number })}`;
+
+  const aim = () => {
+    const frame = play.frames[at];
+    byId("scrub").value = at;
+    byId("place").textContent = `frame ${frame} · ${(frame / play.fps).toFixed(1)} s · ${angle.toFixed(0)}°`;
+    byId("strip").setAttribute("aria-valuenow", angle.toFixed(0));
+    byId("window").replaceChildren(
+      ...copies(left()).map((x) => drawn("rect", { class: "window", x: x + 5, y: 5, width: CROP - 10, height: CROP - 10 })),
+    );
+    const seen = play.looks.flatMap((look, number) =>
+      Number(look.frame_id) === frame
+        ? copies(look.left).map((x) => drawn("image", { href: picture(number), x, y: 0, width: CROP, height: CROP }))
+        : [],
+    );
+    byId("sofar").replaceChildren(...seen);
+  };
+  const turn = (degrees) => {
+    angle = (((angle + degrees) % 360) + 360) % 360;
+    aim();
+  };
+  const go = (place) => {
+    at = Math.min(Math.max(place, 0), play.frames.length - 1);
+    aim();
+  };
+
+  let dragged = null;
+  const strip = byId("strip");
+  const pointed = (event) => ((event.clientX - strip.getBoundingClientRect().left) / strip.clientWidth) * 360;
+  strip.addEventListener("pointerdown", (event) => {
+    strip.setPointerCapture(event.pointerId);
+    const start = pointed(event);
+    const off = Math.abs(((start - angle + 540) % 360) - 180);
+    // Inside the window it is dragged along; elsewhere it comes to the pointer.
+    if (off > (CROP / WIDTH) * 180) angle = ((start % 360) + 360) % 360;
+    dragged = { start, angle };
+    aim();
+  });
+  strip.addEventListener("pointermove", (event) => {
+    if (!dragged) return;
+    angle = (((dragged.angle + pointed(event) - dragged.start) % 360) + 360) % 360;
+    aim();
+  });
+  strip.addEventListener("pointerup", () => (dragged = null));
+  strip.addEventListener("pointercancel", () => (dragged = null));
+  for (const [degrees, word] of [[0, "behind"], [90, "left"], [180, "ahead"], [270, "right"]]) {
+    const x = (degrees / 360) * WIDTH;
+    byId("compass").append(drawn("line", { x1: x, x2: x, y1: 0, y2: 480 }), drawn("text", { x: x + 14, y: 466 }, `${degrees}° ${word}`));
+  }
+
+  // -- the box in the newest picture -----------------------------------------------------------------------------------
+
+  const view = byId("view");
+  const spot = (event) => {
+    const area = view.getBoundingClientRect();
+    return [(event.clientX - area.left) / area.width, (event.clientY - area.top) / area.height].map((part) =>
+      Math.round(THOUSAND * Math.min(Math.max(part, 0), 1)),
+    );
+  };
+  let corner = null;
+  const outline = () => {
+    const parts = [];
+    if (box) {
+      const [x1, y1, x2, y2] = box.map((value) => (value * CROP) / THOUSAND);
+      const place = { x: x1, y: y1, width: x2 - x1, height: y2 - y1 };
+      parts.push(drawn("rect", place), drawn("rect", { class: "drawn", ...place }));
+    }
+    byId("box").replaceChildren(...parts);
+    ready();
+  };
+  view.addEventListener("pointerdown", (event) => {
+    if (!play?.looks.length || play.over) return;
+    view.setPointerCapture(event.pointerId);
+    corner = spot(event);
+    box = null;
+    outline();
+  });
+  view.addEventListener("pointermove", (event) => {
+    if (!corner) return;
+    const [x, y] = spot(event);
+    const sides = [Math.min(x, corner[0]), Math.min(y, corner[1]), Math.max(x, corner[0]), Math.max(y, corner[1])];
+    box = sides[0] < sides[2] && sides[1] < sides[3] ? sides : null;
+    outline();
+  });
+  view.addEventListener("pointerup", () => (corner = null));
+  view.addEventListener("pointercancel", () => (corner = null));
+
+  // -- the answer ------------------------------------------------------------------------------------------------------
+
+  const FIELDS = {
+    frame: [["frame_id", "frame"]],
+    frame_viewpoint: [["frame_id", "frame"], ["angle_deg", "angle in degrees"]],
+    span: [["start_frame", "first frame"], ["end_frame", "last frame"]],
+    number: [["value", "number"]],
+  };
+  const field = (key) => byId("fields").querySelector(`[name="${key}"]`);
+  const fields = () => {
+    const parts = play.choices.map((text, place) => {
+      const label = made("label", {});
+      label.append(made("input", { type: "radio", name: "choice", value: String(place + 1) }), ` ${place + 1}. ${text}`);
+      return label;
+    });
+    for (const [key, word] of FIELDS[play.mode] ?? []) {
+      const label = made("label", {}, `${word} `);
+      label.append(made("input", { type: "text", inputMode: "decimal", name: key, autocomplete: "off" }));
+      if (key !== "value") {
+        const use = made("button", { type: "button" }, key === "angle_deg" ? "direction of the strip" : "frame of the slider");
+        use.addEventListener("click", () => {
+          field(key).value = key === "angle_deg" ? angle.toFixed(1) : play.frames[at];
+          ready();
+        });
+        label.append(" ", use);
+      }
+      parts.push(label);
+    }
+    byId("fields").replaceChildren(...parts);
+  };
+  /** The answer in the contract's form; null where a part is missing or is no number. */
+  const answer = () => {
+    if (play.mode === "multiple_choice") {
+      const chosen = byId("fields").querySelector("input:checked");
+      return chosen && Number(chosen.value);
+    }
+    const found = {};
+    for (const [key] of FIELDS[play.mode]) {
+      const text = field(key).value.trim();
+      const whole = key !== "value" && key !== "angle_deg";
+      if (!(whole ? /^\d{1,6}$/ : /^-?\d+(\.\d+)?$/).test(text)) return null;
+      found[key] = whole ? frameId(text) : key === "value" ? text : Number(text);
+    }
+    return found;
+  };
+  const ready = () => {
+    if (!play) return;
+    const lacking = [
+      ...(play.looks.length ? [] : ["a look"]),
+      ...(box ? [] : ["a box round the person, drawn in the newest picture"]),
+      ...(answer() === null ? ["the answer"] : []),
+    ];
+    byId("need").textContent = lacking.length ? `Still needed: ${lacking.join("; ")}.` : "";
+    byId("submit").disabled = busy || play.over || lacking.length > 0;
+    byId("look").disabled = busy || play.over || !play.left.looks;
+  };
+
+  // -- the server ------------------------------------------------------------------------------------------------------
+
+  const show = (state) => {
+    const before = play;
+    play = state.play ?? null;
+    const fresh = play && play.question_id !== before?.question_id;
+    byId("progress").textContent = `${state.questions - state.due} of ${state.questions} questions answered`;
+    byId("done").hidden = play !== null;
+    byId("playing").hidden = play === null || play.over;
+    byId("over").hidden = !play?.over;
+    byId("error").textContent = state.error;
+    if (!play) return;
+    byId("how").textContent = play.answered ? "The answer was taken." : "No turns are left: what could be read so far counts.";
+    byId("next").textContent = state.due ? "next question" : "finish";
+    if (fresh) {
+      byId("question").textContent = play.question;
+      byId("rule").textContent = `The answer: ${play.rule}`;
+      byId("advice").textContent = play.advice;
+      byId("scrub").max = play.frames.length - 1;
+      fields();
+      const last = play.looks.at(-1);
+      angle = last ? last.angle_deg : 180;
+      at = last ? Math.max(0, play.frames.indexOf(Number(last.frame_id))) : 0;
+    }
+    if (fresh || play.looks.length !== before.looks.length) {
+      box = null;
+      const newest = play.looks.length - 1;
+      if (newest < 0) byId("newest").removeAttribute("href");
+      else byId("newest").setAttribute("href", picture(newest));
+      const look = play.looks[newest];
+      byId("caption").textContent = look
+        ? `Newest picture: frame ${Number(look.frame_id)}, ${look.angle_deg.toFixed(0)}°. Draw the box of the person in it.`
+        : "No look yet: the first turn must look.";
+      byId("taken").replaceChildren(
+        ...play.looks.map((own) => {
+          const item = made("li", {});
+          const button = made("button", { type: "button" }, `frame ${Number(own.frame_id)}, ${own.angle_deg.toFixed(0)}°`);
+          button.addEventListener("click", () => {
+            angle = own.angle_deg;
+            go(play.frames.indexOf(Number(own.frame_id)));
+          });
+          item.append(button);
+          return item;
+        }),
+      );
+    }
+    byId("left").textContent = `${play.left.looks} looks, ${play.left.moves} turns left`;
+    aim();
+    outline();
+  };
+  const send = async (path, body = {}) => {
+    if (busy) return;
+    busy = true;
+    ready();
+    try {
+      const response = await fetch(path, { method: "POST", body: JSON.stringify(body) });
+      busy = false;
+      if (response.ok) show(await response.json());
+      else byId("error").textContent = await response.text();
+    } catch {
+      byId("error").textContent = "The server does not answer: has the command ended?";
+    }
+    busy = false;
+    ready();
+  };
+  const move = (own) => send("move", { question_id: play.question_id, move: own });
+  const look = () => move({ action: "observe", frame_id: frameId(play.frames[at]), angle_deg: Math.round(angle * 10) / 10 });
+
+  byId("look").addEventListener("click", look);
+  byId("scrub").addEventListener("input", () => go(Number(byId("scrub").value)));
+  byId("next").addEventListener("click", () => send("next"));
+  byId("answer").addEventListener("input", ready);
+  byId("answer").addEventListener("submit", (event) => {
+    event.preventDefault();
+    const bbox = box;
+    const frame_id = play.looks.at(-1).frame_id;
+    move({ action: "answer", answer: answer(), evidence_bboxes: [{ frame_id, bbox }] });
+  });
+  strip.addEventListener("keydown", (event) => {
+    const degrees = { ArrowLeft: -5, ArrowRight: 5 }[event.key];
+    if (!degrees || event.ctrlKey || event.metaKey || event.altKey) return;
+    event.preventDefault();
+    turn(degrees);
+  });
+  document.addEventListener("keydown", (event) => {
+    if (event.key !== "l" || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.target.closest('input[type="text"]') || byId("look").disabled || byId("playing").hidden) return;
+    look();
+  });
+  send("state");
+})();

@@ -1,0 +1,113 @@
+"""A person as a method: the requests of the page `play`, carried out as moves of an episode.
+
+The person gets what ReAct gets, the question, its legal frames and the crops that were looked at, under the same rules
+and budget. Only the public half of the store is read, and no response says whether an answer is right.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Any, Final
+
+import msgspec
+
+from jrdb_avr.agent.methods.episode import BUDGET
+from jrdb_avr.agent.model.messages import metadata_of, picture_of
+from jrdb_avr.agent.model.prompts import mode_text
+from jrdb_avr.engine.local_server import Request, Response
+from jrdb_avr.engine.run.bench import Bench
+from jrdb_avr.engine.run.playing import Play, due_questions
+from jrdb_avr.engine.run.run import Run
+from jrdb_avr.schema.errors import AvrError, InputError
+from jrdb_avr.schema.method import Observation
+
+
+class _Move(msgspec.Struct, forbid_unknown_fields=True):
+    """A move, and the question it is meant for: another window may have gone on."""
+
+    question_id: str
+    move: dict[str, Any]
+
+
+_MOVE: Final = msgspec.json.Decoder(_Move)
+
+
+class HumanDesk:
+    """Answers the requests of one person's page, who plays the questions of a run one after another."""
+
+    def __init__(self, bench: Bench, run: Run, page: str, budget: int = BUDGET) -> None:
+        self._bench, self._run, self._page, self._budget = bench, run, page, budget
+        self._due = due_questions(bench, run)
+        self._play: Play | None = None
+        self._seen: list[Observation] = []
+        self._lock = threading.Lock()
+
+    def respond(self, request: Request) -> Response:
+        """The page, the state of the question, or a picture. Raises AvrError for what is not there."""
+        with self._lock:
+            match request.method, request.path:
+                case "GET", "":
+                    return Response(self._page.encode())
+                case "GET", "look":
+                    return self._look(request.value("question"), request.value("number"))
+                case "POST", "state":
+                    return self._state()
+                case "POST", "next":
+                    if self._play is not None and self._play.episode.over:
+                        self._play = None
+                    return self._state()
+                case "POST", "move":
+                    return self._move(request.body)
+        raise InputError("there is no such page", field="path")
+
+    def _move(self, body: bytes) -> Response:
+        try:
+            sent = _MOVE.decode(body)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            raise InputError("a move is a JSON object with question_id and move", field="move") from None
+        play = self._play
+        if play is None or play.episode.over or play.episode.question.question_id != sent.question_id:
+            return self._state("this question is not being played any more")
+        error = ""
+        try:
+            seen = play.episode.move(sent.move)
+            if seen is not None:
+                self._seen.append(seen)
+        except AvrError as refused:
+            error = str(refused)
+        if play.episode.left.moves <= 0:
+            play.record(self._run)
+            self._due.remove(sent.question_id)
+        return self._state(error)
+
+    def _state(self, error: str = "") -> Response:
+        """What the page shows, as JSON; begins the next question where none is being played."""
+        if self._play is None and self._due:
+            self._play, self._seen = Play.begin(self._bench, self._due[0], self._budget), []
+        state: dict[str, Any] = {"due": len(self._due), "questions": len(self._bench.questions), "error": error}
+        if self._play is not None:
+            episode = self._play.episode
+            question, info = episode.question, episode.attempt.task.sequence
+            text = mode_text(question.answer_mode, info.frame_count)
+            state["play"] = {
+                "question_id": question.question_id,
+                "question": question.question,
+                "choices": question.choices,
+                "mode": question.answer_mode,
+                "rule": text.rule,
+                "advice": text.advice,
+                "frames": info.frames,
+                "fps": info.fps,
+                "frame_count": info.frame_count,
+                "looks": [metadata_of(seen) for seen in self._seen],
+                "left": episode.left._asdict(),
+                "over": episode.over,
+                "answered": episode.answered,
+            }
+        return Response(msgspec.json.encode(state), "application/json")
+
+    def _look(self, question_id: str, number: str) -> Response:
+        place = int(number) if number.isascii() and number.isdecimal() and len(number) < 5 else len(self._seen)
+        if self._play is None or self._play.episode.question.question_id != question_id or place >= len(self._seen):
+            raise InputError("there is no such look", field="number")
+        return Response(picture_of(self._seen[place]).data, "image/jpeg", lasting=True)
