@@ -111,8 +111,9 @@ def iou(a: Box, b: Box) -> float:
     columns = max(
         min(a.x + a.w, b.x + shift + b.w) - max(a.x, b.x + shift) for shift in (turn - WIDTH, turn, turn + WIDTH)
     )
-    if columns <= 0:
-        return 0.0
     overlap = columns * rows
+    # Neither of boxes whose area is too small for a float, nor of one whose row is no number.
+    if not overlap > 0:
+        return 0.0
     # Rounding may lift the share a hair above one for equal boxes.
     return min(1.0, overlap / (a.w * a.h + b.w * b.h - overlap))

@@ -99,7 +99,8 @@ def expected_place(readings: Sequence[PersonReading], frame: int) -> ExpectedPla
         drift = min(_DRIFT, _TURNING + _EXACT_DEG / abs(second - first))
         if passed > 0:
             height += passed * (math.log(seen[second].box.h) - height)
-    return ExpectedPlace(angle % 360.0, _spread(drift, gap), height, 0.15 + min(_GROWING * gap, 0.6))
+    # The second modulo catches a tiny negative angle, whose first modulo rounds to 360.
+    return ExpectedPlace(angle % 360.0 % 360.0, _spread(drift, gap), height, 0.15 + min(_GROWING * gap, 0.6))
 
 
 def match_people(

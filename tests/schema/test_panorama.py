@@ -171,6 +171,16 @@ def test_iou_equals_pycocotools_without_a_seam(a, dx, dy, fw, fh):
     assert iou(a, b) == pytest.approx(float(oracle), abs=1e-9)
 
 
+def test_iou_of_boxes_whose_area_no_float_holds_is_zero():
+    sliver = Box(0.0, 0.0, 1e-200, 1e-200)
+    assert iou(sliver, sliver) == 0.0
+
+
+def test_iou_of_a_box_at_no_row_is_zero():
+    boxes = Box(0, math.nan, 10, 10), Box(0, 0, 10, 10)
+    assert iou(*boxes) == iou(*reversed(boxes)) == 0.0
+
+
 @pytest.mark.parametrize(
     "empty", [Box(0, 0, 0, 5), Box(0, 0, 5, 0), Box(5, 5, -5, -5), Box(0, 0, math.nan, 5), Box(0, 0, 5, math.nan)]
 )

@@ -94,3 +94,8 @@ def test_people_are_kept_apart_on_walks(noise, least):
     for seed in range(6):
         counts += pairwise(*ReadWorld(random.Random(seed)).watched(LOOKS, noise))
     assert f1(*counts) > least
+
+
+def test_an_angle_that_rounds_to_a_whole_turn_is_0():
+    walked = [PersonReading("o1", 1, at, Box(left, 0.0, 50.0, 100.0)) for at, left in ((0, 3755.0), (9, 3710.0))]
+    assert expected_place(walked, 4).angle == 0.0
