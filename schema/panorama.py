@@ -105,15 +105,15 @@ def iou(a: Box, b: Box) -> float:
     if rows <= 0:
         return 0.0
     apart = (a.x + a.w / 2 - b.x - b.w / 2) / WIDTH
-    if not math.isfinite(apart):
+    if not all(map(math.isfinite, (apart, a.y, b.y))):
         return 0.0
     turn = round(apart) * WIDTH
     columns = max(
         min(a.x + a.w, b.x + shift + b.w) - max(a.x, b.x + shift) for shift in (turn - WIDTH, turn, turn + WIDTH)
     )
     overlap = columns * rows
-    # Neither of boxes whose area is too small for a float, nor of one whose row is no number.
-    if not overlap > 0:
+    # The area of a tiny box may be too small for a float.
+    if overlap <= 0:
         return 0.0
     # Rounding may lift the share a hair above one for equal boxes.
     return min(1.0, overlap / (a.w * a.h + b.w * b.h - overlap))
