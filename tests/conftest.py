@@ -71,6 +71,9 @@ DEAREST = (
     "test_react",
     "test_pose",
     "test_huggingface",
+    "test_view",
+    "test_human",
+    "test_served",
 )
 """Files of 2.5 seconds and more: begun first, so that the workers, who take a file at a time, end together."""
 

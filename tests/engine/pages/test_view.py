@@ -12,7 +12,7 @@ from local_pages import fetch, serving
 from traced_runs import HOSTILE, stored_run, trace_runs
 
 from jrdb_avr.engine.pages.view import RIGHTNESS, Viewer, address
-from jrdb_avr.engine.report.comparison import report
+from jrdb_avr.engine.report.comparison import report, score
 from jrdb_avr.queries.runs import read_run_manifest, write_run_manifest
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.errors import StoreError
@@ -65,6 +65,7 @@ def test_without_answers_nothing_private_is_opened(hostile, tmp_path):
     store, question = hostile
     bare = Store(tmp_path / "bare")
     shutil.copytree(store.path, bare.path)
+    score(store)
     for part in PRIVATE_PARTS:
         (shutil.rmtree if (bare.path / part).is_dir() else (lambda path: path.unlink(missing_ok=True)))(
             bare.path / part
