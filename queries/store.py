@@ -20,6 +20,7 @@ import hashlib
 import os
 import re
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -35,7 +36,8 @@ from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.keyframes import STAMP, keyframe_values
 from jrdb_avr.queries.named import find_query
 from jrdb_avr.queries.sql import query_tables
-from jrdb_avr.schema.errors import InputError, LockedError, QueryError, StoreError, did_you_mean
+from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError, QueryError, StoreError, did_you_mean
+from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY
 from jrdb_avr.schema.rules import LoadRules, Rules
 from jrdb_avr.schema.tables import ANNOTATIONS, GENERATION_KEY, INTERVALS, QUESTIONS, RUNS
 
@@ -189,6 +191,25 @@ class Store(Displayed):
                 f"run 'jrdb-avr generate --store {self.path}'"
             )
         return tables
+
+    def training_set(self) -> dict[str, str]:
+        """What the questions record where they are a training set: `profile`, and the generation of the questions that
+        they are `disjoint_from`. Empty for a benchmark. Raises StoreError where there are none, or they are broken."""
+        metadata = self.questions("questions", []).schema.metadata or {}
+        keys = (PROFILE_KEY, DISJOINT_KEY)
+        return {key: metadata[key.encode()].decode() for key in keys if key.encode() in metadata}
+
+    def warn_of_training(self) -> None:
+        """Give an AvrWarning where the questions are a training set."""
+        if about := self.training_set():
+            away = f", disjoint from generation {about[DISJOINT_KEY][:12]}" if about.get(DISJOINT_KEY) else ""
+            line = f"{self.path} holds a training set (profile {about[PROFILE_KEY]}{away}), not a benchmark"
+            warnings.warn(line, AvrWarning, stacklevel=3)
+
+    def refuse_training(self) -> None:
+        """Raise StoreError where the questions are a training set, which must not be published as a benchmark."""
+        if self.training_set():
+            raise StoreError(f"{self.path} holds a training set, not a benchmark: export the store of the benchmark")
 
     # -- the manifest -----------------------------------------------------------------------------------------
 

@@ -10,6 +10,12 @@ import msgspec
 from jrdb_avr.schema.answers import AnswerMode, Choice, decode_answer
 from jrdb_avr.schema.labels import answer_of_choice
 
+PROFILE_KEY: Final = "profile"
+"""Key in the metadata of question files: the profile of a training set; absent from a benchmark."""
+
+DISJOINT_KEY: Final = "disjoint_from"
+"""Likewise of a training set: the generation of the held-out questions that it keeps away from, or empty."""
+
 
 class Proof(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One proof: whether it holds (None: it is not run), how the program's answer compares, and that answer."""

@@ -130,13 +130,19 @@ class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     max_per_person_in_all: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 24
     """Questions of one person."""
     max_answer_share: Share = 0.34
-    """The most of one answer among the questions of a template with choices."""
+    """The most of one answer among the questions of a template with choices; at 1 no template has a limit."""
 
     def __post_init__(self) -> None:
         if sorted(self.condition_order) != sorted(CONDITION_KINDS):
             raise ValueError(f"condition_order holds each of {', '.join(CONDITION_KINDS)} once")
         if self.distance_same_m > self.distance_changed_m:
             raise ValueError("distance_same_m is at most distance_changed_m, or a change could be none")
+
+
+def training_rules(rules: Rules) -> Rules:
+    """The rules of a training set: no cap per person, and no limit on answers."""
+    most = 1_000_000
+    return msgspec.structs.replace(rules, max_per_person=most, max_per_person_in_all=most, max_answer_share=1.0)
 
 
 def rules_hash(rules: Rules | LoadRules) -> str:

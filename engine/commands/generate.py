@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from jrdb_avr.engine.commands._options import FILE, form_option, pairs_option, store_option, workers_option
-from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar
+from jrdb_avr.engine.commands._options import FILE, FOLDER, form_option, pairs_option, store_option, workers_option
+from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar, warnings_as_notes
 
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
@@ -29,10 +29,18 @@ _blind_option = click.option(
 @store_option()
 @click.option(
     "--profile",
-    type=click.Choice(["all", "paper"]),
+    type=click.Choice(["all", "paper", "train"]),
     default="all",
     show_default=True,
-    help="How many questions of each family: all that balance leaves, or the paper's numbers.",
+    help="How many questions of each family: all that balance leaves, or the paper's numbers; or a training set, with "
+    "no caps per person and no limits on answers.",
+)
+@click.option("--n", type=click.IntRange(1), help="With --profile train: at most so many questions.")
+@click.option(
+    "--disjoint-from",
+    type=FOLDER,
+    metavar="STORE",
+    help="With --profile train: no question needs a person of STORE's questions at the same time.",
 )
 @workers_option
 @click.option("--seed", type=int, default=0, show_default=True, help="Decides between equally good selections.")
@@ -51,7 +59,7 @@ def generate(
 
     Prints per template the candidates, how many each rule refused, the questions, why there are few, and what a blind
     guesser scores; with --profile paper also how many of each family were reached. The result is the same for any
-    number of workers.
+    number of workers. --profile train makes a training set: give it a store of its own.
     """
     from jrdb_avr.engine.generate import run
     from jrdb_avr.engine.generate.diagnostics import fillings
@@ -102,7 +110,8 @@ def stats(store: Store, picture: Path | None, blind: str, form: RowFormat, as_la
     from jrdb_avr.engine.report.formats import latex
     from jrdb_avr.engine.validate.statistics import TITLES, generator_rows, statistics
 
-    tables = statistics(store, learned_guesser() if blind == "learned" else None)
+    with warnings_as_notes():
+        tables = statistics(store, learned_guesser() if blind == "learned" else None)
     if picture is not None:
         from jrdb_avr.engine.pages.page import write_page
         from jrdb_avr.engine.pages.stats import stats_svg

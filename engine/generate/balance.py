@@ -136,7 +136,8 @@ class Form:
     def __init__(self, table: pa.Table, rows: Sequence[int], name: str, taken: Taken, seed: int) -> None:
         self.spec, rules = TEMPLATES[name].spec, taken.rules
         self.taken = taken
-        self.limit = LIMITS.get(self.spec.read) or Limit(rules.max_answer_share, strict=True)
+        aim = LIMITS.get(self.spec.read) if rules.max_answer_share < 1 else None
+        self.limit = aim or Limit(rules.max_answer_share, strict=True)
         self.options = sorted(
             _options(table, rows, name, seed), key=lambda option: (option.cell, option.set, option.order)
         )

@@ -42,6 +42,7 @@ MEANINGS: Final = {
     "hop.skip": "skipping a hop gives the same answer, or one not known to differ",
     "time.shift": "three seconds earlier or later the answer is not known to differ",
     "time.drop": "every other time gives the same answer",
+    "held_out": "a held-out question needs one of its people at the same time",
 }
 """Rules that refuse a candidate set-wise, in the order in which they are tried, with why each refuses."""
 

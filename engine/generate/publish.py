@@ -54,15 +54,16 @@ def evidence_blocks(store: Store, questions: pa.Table, answers: pa.Table) -> Ite
         yield pa.concat_tables(parts).cast(QUESTIONS["evidence"]).combine_chunks()
 
 
-def publish(store: Store, tables: Mapping[str, pa.Table]) -> None:
+def publish(store: Store, tables: Mapping[str, pa.Table], training: Mapping[str, str] | None = None) -> None:
     """Write the tables of a generation so that they are all there, or known to be incomplete. Under the writer lock.
 
-    `tables` holds all but the evidence, which follows from questions and answers.
+    `tables` holds all but the evidence, which follows from questions and answers. `training`: the metadata of a
+    training set, which stand in place of the canary.
     """
     digest = hashlib.sha256()
     for name in ("questions", "answers"):
         digest.update(msgspec.json.encode(tables[name].to_pylist(), order="sorted"))
-    metadata = {"canary": CANARY, GENERATION_KEY: digest.hexdigest()}
+    metadata = {**(training or {"canary": CANARY}), GENERATION_KEY: digest.hexdigest()}
     folder = store.question_path("questions").parent
     pending = folder / ".pending"
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 import warnings
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,17 +16,19 @@ import pyarrow.parquet as pq
 
 from jrdb_avr.engine.generate.blind import Guesser, blind_check, question_texts
 from jrdb_avr.engine.generate.diagnostics import REFUSALS, refusal_row, shortfalls, tallies
+from jrdb_avr.engine.generate.held_out import HeldOut, read_held_out
 from jrdb_avr.engine.generate.keyframe_graph import ensure_layer
 from jrdb_avr.engine.generate.learned import learned_guesser
 from jrdb_avr.engine.generate.publish import publish
-from jrdb_avr.engine.generate.selection import POOL, Selection, select
+from jrdb_avr.engine.generate.selection import POOL, TRAIN, Selection, select
 from jrdb_avr.engine.generate.sequence import EXAMPLES, SequenceJob, SequenceResult, search_sequence
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Manifest, Store, file_hash, write_atomic
 from jrdb_avr.queries.workers import map_shards
-from jrdb_avr.schema.errors import AvrWarning, StoreError
-from jrdb_avr.schema.rules import Rules, rules_hash
+from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
+from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY
+from jrdb_avr.schema.rules import Rules, rules_hash, training_rules
 from jrdb_avr.schema.tables import CANDIDATES, QUESTIONS
 
 Advance = Callable[[int], None]
@@ -73,6 +75,8 @@ def generate(
     profile: str = "all",
     seed: int = 0,
     workers: int = 2,
+    n: int | None = None,
+    disjoint_from: str | Path | None = None,
     candidates: Path | None = None,
     excluded: frozenset[str] = frozenset(),
     require_occlusion: bool = False,
@@ -82,12 +86,17 @@ def generate(
     """Generate the questions of a store; the result depends on its tables, the rules, the profile and the seed, and on
     the ids of `excluded` questions alone, whose places others take.
 
+    The profile `train` makes a training set under `training_rules`: every proven question that is no near-duplicate, or
+    `n` of them; with `disjoint_from`, a store, none that needs a person of its questions at the same time.
     `candidates`: a Parquet file for every proven candidate before near-duplicates and selection. `require_occlusion`:
     whether to skip sequences without occlusion attributes; either way an AvrWarning says how many they are. `learned`:
     whether the guesser of scikit-learn joins the blind check. Raises StoreError where nothing is loaded, or under
-    other load rules, LockedError where another process writes the store, InputError where scikit-learn is missing.
+    other load rules, LockedError where another process writes the store, InputError where scikit-learn is missing or an
+    option is of another profile.
     """
     store, rules = Store.of(store), rules or Rules()
+    held_out = _held_out(store, profile, n, disjoint_from)
+    rules = training_rules(rules) if profile == TRAIN else rules
     guesser = learned_guesser() if learned else None
     check_load_rules(store, rules)
     # A first look reads the manifest only, so that a wrong store is refused before it is locked (and thereby made).
@@ -98,7 +107,8 @@ def generate(
         parts = [Path(scratch) / f"{sequence}.parquet" if candidates else None for sequence in sequences]
         lows = ensure_layer(store, rules, workers, progress)
         jobs = [
-            SequenceJob(store.path, name, lows[name], rules, part) for name, part in zip(sequences, parts, strict=True)
+            SequenceJob(store.path, name, lows[name], rules, part, tuple(held_out.extents.get(name, ())))
+            for name, part in zip(sequences, parts, strict=True)
         ]
         advance = step_counter(progress, "searching", len(sequences))
         # Held open, so that this process plans a statement once for all sequences.
@@ -106,7 +116,25 @@ def generate(
             results = _search(jobs, workers, advance)
         if candidates is not None:
             _gather([part for part in parts if part], candidates)
-        return _publish(store, results, rules, profile, seed, excluded, guesser)
+        training = {PROFILE_KEY: TRAIN, DISJOINT_KEY: held_out.generation} if profile == TRAIN else None
+        return _publish(store, results, lambda pool: select(pool, rules, profile, seed, n), excluded, guesser, training)
+
+
+def _held_out(store: Store, profile: str, n: int | None, disjoint_from: str | Path | None) -> HeldOut:
+    """The questions to keep away from; none without a path."""
+    if profile != TRAIN and (n is not None or disjoint_from is not None):
+        raise InputError(f"a number of questions and held-out ones go with the profile {TRAIN!r}", field="profile")
+    if n is not None and n < 1:
+        raise InputError(f"{n} is no number of questions: give 1 or more", field="n")
+    if disjoint_from is None:
+        return HeldOut("", {})
+    if Path(disjoint_from).resolve() == store.path.resolve():
+        raise InputError(
+            f"{store.path} holds the questions to keep away from, which new ones would replace: load the annotations "
+            "into another store, and generate the training set there",
+            field="disjoint_from",
+        )
+    return read_held_out(Path(disjoint_from))
 
 
 def _sequences(store: Store, manifest: Manifest, require_occlusion: bool) -> list[str]:
@@ -172,20 +200,19 @@ def _gather(parts: Sequence[Path], place: Path) -> None:
 def _publish(
     store: Store,
     results: Sequence[SequenceResult],
-    rules: Rules,
-    profile: str,
-    seed: int,
+    choose: Callable[[pa.Table], Selection],
     excluded: frozenset[str],
     learned: Guesser | None,
+    training: Mapping[str, str] | None,
 ) -> Generation:
     pool = pa.concat_tables([POOL.empty_table(), *(result.pool for result in results)])
-    selection = _select(pool, rules, profile, seed, excluded)
+    selection = _select(pool, choose, excluded)
     public = {
         name: selection.table.select(QUESTIONS[name].names).sort_by("question_id") for name in ("questions", "answers")
     }
     rejected = _rejected(results, pool, selection)
     heads = pa.Table.from_pylist([result.head for result in results], schema=QUESTIONS["sequences"])
-    publish(store, {**public, "rejected": rejected, "sequences": heads})
+    publish(store, {**public, "rejected": rejected, "sequences": heads}, training)
     rows = tallies(rejected, public["questions"])
     lacking = Counter(
         (name, layer) for result in results for name, layers in result.lacking.items() for layer in layers
@@ -199,12 +226,12 @@ def _publish(
     )
 
 
-def _select(pool: pa.Table, rules: Rules, profile: str, seed: int, excluded: frozenset[str]) -> Selection:
+def _select(pool: pa.Table, choose: Callable[[pa.Table], Selection], excluded: frozenset[str]) -> Selection:
     """The selection, none of whose questions is excluded: what is chosen and excluded leaves the pool, and the choice
     is made anew."""
     unwanted = pa.array(sorted(excluded), pa.string())
     while True:
-        selection = select(pool, rules, profile, seed)
+        selection = choose(pool)
         gone = selection.table.filter(pc.is_in(selection.table["question_id"], value_set=unwanted))
         if not len(gone):
             return selection

@@ -44,6 +44,9 @@ words of the question; `times` its stated frames; `read_frames` those where the 
 count of the target that only one question may be about, null for none; `sets` the sets of choices that it may have, as
 JSON of `distractors.Choices`."""
 
+TRAIN: Final = "train"
+"""The profile of training sets: of every template as many as there are, under `training_rules`."""
+
 PROFILES: Final[dict[str, dict[str, int]]] = {
     "all": {},
     "paper": {
@@ -55,6 +58,7 @@ PROFILES: Final[dict[str, dict[str, int]]] = {
         "long_range": 30,
         "unique_anchor": 1620,
     },
+    TRAIN: {},
 }
 """Questions per family, in the order of the paper's table; a family not named keeps all that balance leaves."""
 
@@ -69,8 +73,8 @@ class Selection:
     report: tuple[dict[str, Any], ...]
 
 
-def select(table: pa.Table, rules: Rules, profile: str, seed: int) -> Selection:
-    """Choose among the candidates of all sequences; under a profile, its number per family.
+def select(table: pa.Table, rules: Rules, profile: str, seed: int, n: int | None = None) -> Selection:
+    """Choose among the candidates of all sequences; under a profile, its number per family, under TRAIN at most `n`.
 
     No answer takes more than `max_answer_share` of a choice template. What one template of a family cannot give, the
     others give; what one form of a template cannot give, its others give. Families with few candidates for their number
@@ -93,14 +97,22 @@ def select(table: pa.Table, rules: Rules, profile: str, seed: int) -> Selection:
         families[family].append(name)
     sizes = Counter(table["family"].to_pylist())
     aims: dict[str, int] = {}
-    for family in sorted(families, key=lambda name: (sizes[name] / max(wanted.get(name, 1), 1), name)):
+    if profile == TRAIN:
+        # Nothing balances a training set but the turns of templates and answers.
+        _deal([forms[name] for name in sorted(forms)], len(table) if n is None else n)
+        families_in_turn, enough = [], 0
+    else:
+        families_in_turn = sorted(families, key=lambda name: (sizes[name] / max(wanted.get(name, 1), 1), name))
+        enough = FEW
+    for family in families_in_turn:
         names = sorted(families[family])
         if family in wanted:
             aims |= zip(names, _even_shares(len(names), wanted[family]), strict=True)
         _choose([forms[name] for name in names], [aims.get(name) for name in names])
     report = tuple(
         {"family": family, "template": name, "candidates": sum(form.candidates for form in forms[name])}
-        | {"aim": aims.get(name), "kept": _kept(forms[name]), "shortage": _shortage(forms[name], aims.get(name, FEW))}
+        | {"aim": aims.get(name), "kept": _kept(forms[name])}
+        | {"shortage": _shortage(forms[name], aims.get(name, enough))}
         for family, names in families.items()
         for name in sorted(names)
     )

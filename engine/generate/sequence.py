@@ -22,6 +22,7 @@ import pyarrow.parquet as pq
 from jrdb_avr.engine.generate.candidates import OUTCOMES, PASSED, RULES, Candidates, frame_lists, to_table
 from jrdb_avr.engine.generate.context import LayerJob, SearchContext
 from jrdb_avr.engine.generate.diagnostics import refusal_row
+from jrdb_avr.engine.generate.held_out import Extent, refuse_held_out
 from jrdb_avr.engine.generate.near_duplicates import KEPT, thin_out
 from jrdb_avr.engine.generate.records import choice_sets, make_record, needed_boxes
 from jrdb_avr.engine.generate.scene import Ints, Scene
@@ -45,9 +46,11 @@ _BLOCK: Final = 200_000
 
 @dataclass(frozen=True)
 class SequenceJob(LayerJob):
-    """A sequence to search. `candidates` is where to write every proven candidate, or None."""
+    """A sequence to search. `candidates` is where to write every proven candidate, or None; `held_out` are the
+    questions that none may touch."""
 
     candidates: Path | None = None
+    held_out: tuple[Extent, ...] = ()
 
 
 @dataclass
@@ -86,7 +89,8 @@ def search_sequence(job: SequenceJob) -> SequenceResult:
                 search.result.lacking[name] = least
                 continue
             searched = [form for form, layers in zip(forms, missing, strict=True) if not layers]
-            search.judge([find_candidates(context, form) for form in searched])
+            found = (find_candidates(context, form) for form in searched)
+            search.judge([refuse_held_out(context, candidates, job.held_out) for candidates in found])
     search.result.pool = pa.Table.from_pylist(search.rows, schema=POOL)
     return search.result
 

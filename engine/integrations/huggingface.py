@@ -54,6 +54,7 @@ def export_folders(
     Raises StoreError where the store has no questions, InputError where the folder holds something.
     """
     store, folder = Store.of(store), Path(folder)
+    store.refuse_training()
     questions, sequences, *_ = store.question_tables("questions", "sequences", *_COPIED)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder} is not empty: export to a new folder", file=str(folder))

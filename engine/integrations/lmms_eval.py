@@ -167,6 +167,7 @@ def export_tasks(store: Store | str | Path, folder: str | Path) -> int:
     Raises StoreError where there are no questions or panoramas, InputError where the folder holds something.
     """
     store, folder = Store.of(store), Path(folder)
+    store.refuse_training()
     images, bench = find_images(store, None), Bench.open(store)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder} is not empty: export to a new folder", file=str(folder))

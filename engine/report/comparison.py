@@ -232,6 +232,7 @@ def _scored(store: Store, index: QuestionIndex, names: Sequence[str], iou: float
     truth, known = read_truth(store), run_ids(store)
     if not known:
         raise StoreError(f"{store.path} has no runs yet: run 'jrdb-avr evaluate --store {store.path} ...'")
+    store.warn_of_training()
     done = []
     for name in names or known:
         try:

@@ -31,8 +31,8 @@ from jrdb_avr.schema.errors import AvrError, DecodeError, StoreError
 from jrdb_avr.schema.labels import answer_of_choice, overlapping
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan, canonical, parse_plan
-from jrdb_avr.schema.questions import QuestionRecord
-from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, rules_hash
+from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY, QuestionRecord
+from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, rules_hash, training_rules
 from jrdb_avr.schema.tables import CANARY, GENERATION_KEY, QUESTIONS
 from jrdb_avr.schema.templates import forms_of
 from jrdb_avr.schema.wording.text import parse, question_id, question_key, render
@@ -125,7 +125,9 @@ def validate(
     count = store.questions("questions").num_rows
     advance = step_counter(progress, "checking questions", count)
     report = Validation()
-    tables = {name: table for name in _FILES if (table := _read(store, name, report)) is not None}
+    training = bool(store.training_set())
+    rules = training_rules(rules) if training else rules
+    tables = {name: table for name in _FILES if (table := _read(store, name, report, training)) is not None}
     if len(tables) < len(_FILES):
         return report
     marks = {(table.schema.metadata or {}).get(GENERATION_KEY.encode()) for table in tables.values()}
@@ -192,7 +194,7 @@ def check_replay(
 # -- files --------------------------------------------------------------------------------------------------------
 
 
-def _read(store: Store, name: str, report: Validation) -> pa.Table | None:
+def _read(store: Store, name: str, report: Validation, training: bool) -> pa.Table | None:
     """Read a table; None where its file does not have the right form."""
     path = store.question_path(name)
     if not path.exists():
@@ -205,9 +207,10 @@ def _read(store: Store, name: str, report: Validation) -> pa.Table | None:
         f"{name}.parquet has columns {_columns(table.schema)}; expected {_columns(wanted)}",
     )
     metadata = {key: value for key, value in (pq.read_metadata(path).metadata or {}).items() if key != b"ARROW:schema"}
-    keys = {b"canary", GENERATION_KEY.encode()}
+    keys = {key.encode() for key in (GENERATION_KEY, *((PROFILE_KEY, DISJOINT_KEY) if training else ("canary",)))}
     report.check("files", set(metadata) == keys, f"{name}.parquet has metadata {sorted(metadata)}")
-    report.check("files", metadata.get(b"canary") == CANARY.encode(), f"{name}.parquet lacks the canary")
+    lacking = not training and metadata.get(b"canary") != CANARY.encode()
+    report.check("files", not lacking, f"{name}.parquet lacks the canary")
     try:
         table.validate(full=True)
     except pa.ArrowException as error:

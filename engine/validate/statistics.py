@@ -63,6 +63,7 @@ _Row = dict[str, Any]
 def statistics(store: Store, learned: Guesser | None = None) -> dict[str, list[_Row]]:
     """Rows of every table in TITLES; `learned` joins the blind check. Raises StoreError without questions."""
     questions, answers, rejected = store.question_tables("questions", "answers", "rejected")
+    store.warn_of_training()
     rows = zip(*(table.sort_by("question_id").to_pylist() for table in (questions, answers)), strict=True)
     texts = question_texts(questions, answers)
     measured = [_measured(QuestionRecord.read(*row), text) for row, text in zip(rows, texts, strict=True)]

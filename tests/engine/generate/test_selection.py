@@ -16,7 +16,7 @@ from jrdb_avr.engine.generate.bins import answer_bin, wait_bin
 from jrdb_avr.engine.generate.near_duplicates import KEPT, thin_out
 from jrdb_avr.engine.generate.selection import PROFILES, select
 from jrdb_avr.schema.plan import Condition, canonical
-from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.rules import Rules, training_rules
 from jrdb_avr.schema.tables import CANDIDATES
 from jrdb_avr.schema.templates import FAMILIES, TEMPLATES, Slots
 
@@ -175,10 +175,7 @@ CROWD = st.lists(
 )
 
 
-@given(CROWD, st.integers(1, 4), st.integers(1, 6), st.sampled_from(["all", "paper"]))
-@settings(deadline=None)
-def test_no_person_has_too_many_questions_nor_two_that_are_alike(drawn, cap, cap_in_all, profile):
-    rules = Rules(max_per_person=cap, max_per_person_in_all=cap_in_all)
+def crowd(drawn):
     rows = []
     for i, (template, track, read, answer, event) in enumerate(drawn):
         timed = template in ("start", "span")
@@ -186,16 +183,51 @@ def test_no_person_has_too_many_questions_nor_two_that_are_alike(drawn, cap, cap
         more = {"event": event} if timed else {}
         frames = (read, read + 90) if template in ("span", "presence") else (read,)
         rows.append(candidate(i, template, text.get(template, answer), track=track, read=frames, **more))
-    kept = select(table(rows), rules, profile, 0).table.to_pylist()
+    return rows
+
+
+def alike(one, other):
+    """Whether two questions are of one person, and of one event or, in a template, read at nearly the same times."""
+    if one["target_track"] != other["target_track"]:
+        return False
+    if one["event"] and one["event"] == other["event"]:
+        return True
+    near = 75 if one["template"] == "presence" else 30
+    times = zip(one["read_frames"], other["read_frames"], strict=False)
+    return one["template"] == other["template"] and all(abs(x - y) <= near for x, y in times)
+
+
+@given(CROWD, st.integers(1, 4), st.integers(1, 6), st.sampled_from(["all", "paper"]))
+@settings(deadline=None)
+def test_no_person_has_too_many_questions_nor_two_that_are_alike(drawn, cap, cap_in_all, profile):
+    rules = Rules(max_per_person=cap, max_per_person_in_all=cap_in_all)
+    kept = select(table(crowd(drawn)), rules, profile, 0).table.to_pylist()
     people = Counter(row["target_track"] for row in kept)
     assert max(people.values(), default=0) <= cap_in_all
     assert max(Counter((row["target_track"], row["template"]) for row in kept).values(), default=0) <= cap
     events = [(row["target_track"], row["event"]) for row in kept if row["event"]]
     assert len(events) == len(set(events))
-    for one, other in itertools.combinations(kept, 2):
-        if (one["target_track"], one["template"]) == (other["target_track"], other["template"]):
-            apart = [abs(x - y) for x, y in zip(one["read_frames"], other["read_frames"], strict=True)]
-            assert max(apart) > (75 if one["template"] == "presence" else 30)
+    assert not any(alike(one, other) for one, other in itertools.combinations(kept, 2))
+
+
+@given(CROWD, st.sampled_from([None, 2, 9, 60]))
+@settings(deadline=None)
+def test_a_training_set_leaves_out_only_what_is_alike(drawn, n):
+    rows = crowd(drawn)
+    kept = select(table(rows), training_rules(Rules(max_per_person=1)), "train", 0, n).table.to_pylist()
+    assert not any(alike(one, other) for one, other in itertools.combinations(kept, 2))
+    chosen = {row["carried"] for row in kept}
+    left = [row for row in rows if row["carried"] not in chosen]
+    assert len(kept) == n or all(any(alike(one, other) for other in kept) for one in left)
+    assert n is None or len(kept) <= n
+
+
+def test_a_training_set_takes_turns_over_templates_and_answers():
+    rows = choices({"w": 60, "x": 20, "y": 20}, "change") + choices({"w": 60, "x": 4}, "presence")
+    kept = select(table(rows), training_rules(Rules()), "train", 0, 60).table.to_pylist()
+    counts = Counter((row["template"], row["answer"]) for row in kept)
+    assert counts == {("change", answer): 10 for answer in "wxy"} | {("presence", "w"): 26, ("presence", "x"): 4}
+    assert select(table(rows), training_rules(Rules()), "train", 0).table.num_rows == len(rows)
 
 
 def test_a_person_is_in_no_more_questions_of_all_templates_than_the_cap():
