@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 LOG_EVERY_S: Final = 30.0
 """Seconds between two lines of scores so far where there is no bar to print them beside."""
 
+_CHECKED: Final = ("method", "model", "base_url", "world_db", "policy", "history", "isolated")
+"""Options that may contradict each other."""
+
 _EXAMPLE: Final = """\b
 Examples:
   jrdb-avr evaluate --store S --method react --model marker
@@ -111,6 +114,11 @@ panoramas:
     help="Give the method names of sequences that say nothing of the place; they are the same in every run of a store.",
 )
 @click.option(
+    "--isolated",
+    is_flag=True,
+    help="Run the method in a process that can open the public files, the panoramas and its own file alone (Linux).",
+)
+@click.option(
     "--marker",
     "noise",
     multiple=True,
@@ -191,7 +199,7 @@ def _checked(run: dict[str, Any]) -> dict[str, Any]:
     prices, max_cost = run.pop("prices"), run.pop("max_cost")
     price = None if prices is None else read_price(prices, run["model"])
     try:
-        checked = {name: run[name] for name in ("method", "model", "base_url", "world_db", "policy", "history")}
+        checked = {name: run[name] for name in _CHECKED}
         check_arguments(**checked, noisy=bool(run["noise"]))
         return run | {"options": replace(run["options"], price=price, max_cost=max_cost)}
     except InputError as error:

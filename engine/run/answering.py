@@ -12,9 +12,9 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Protocol, TypeVar
 
-from jrdb_avr.engine.run.journal import Finished, Journal, finished_entry
+from jrdb_avr.engine.run.journal import Finished, finished_entry
 from jrdb_avr.schema.beliefs import Write
 from jrdb_avr.schema.errors import AvrError, RunStoppedError
 from jrdb_avr.schema.method import (
@@ -40,6 +40,15 @@ _SWITCH_S: Final = 0.05
 _PACKAGE: Final = f"{__name__.partition('.')[0]}."
 _LIBRARIES: Final = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
 """Folders of code that is neither this package's nor a method's own."""
+
+
+class Entries(Protocol):
+    """Where finished questions go: a journal, or another process that has one."""
+
+    finished: dict[str, Finished]
+
+    def append(self, entry: Finished) -> None:
+        """Add a finished question."""
 
 
 class _Stopped(BaseException):
@@ -139,7 +148,7 @@ def answer_all(
     sequences: Mapping[str, SequenceInfo],
     observe: Observe,
     panorama: GetPanorama,
-    journal: Journal,
+    journal: Entries,
     concurrency: int,
     advance: Callable[[int], None] = lambda steps: None,
 ) -> None:

@@ -13,7 +13,7 @@ import contextlib
 import re
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -30,6 +30,7 @@ from jrdb_avr.agent.simulated.knobs import PERFECT, Knobs, profile_of, turned
 from jrdb_avr.engine.run.answering import answer_all
 from jrdb_avr.engine.run.bench import Bench, find_images
 from jrdb_avr.engine.run.endpoint import Endpoint, serving
+from jrdb_avr.engine.run.isolated import IsolatedMethod, Job
 from jrdb_avr.engine.run.journal import world_rows
 from jrdb_avr.engine.run.live_scores import LiveScore, report_scores
 from jrdb_avr.engine.run.methods import (
@@ -51,7 +52,7 @@ from jrdb_avr.engine.run.selection import QuestionSelection
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError, StoreError
-from jrdb_avr.schema.method import ConfigurableMethod, Method
+from jrdb_avr.schema.method import ConfigurableMethod, Method, Question
 
 _SUMS: Final = ("n_model_calls", "n_observations", "prompt_tokens", "completion_tokens", "seconds")
 """Columns of `predictions` that a run adds up."""
@@ -117,6 +118,7 @@ def evaluate(
     history: int | None = None,
     strict_preflight: bool = False,
     epoch: int | None = None,
+    isolated: bool = False,
     progress: Progress | None = None,
     live_scores: Callable[[LiveScore], None] | None = None,
 ) -> RunResult:
@@ -130,7 +132,8 @@ def evaluate(
     `policy`: who chooses the looks of an agent: the harness, as "driven", if none is named. `history`: how many of the
     newest pictures a method of `CHATS` sends in each turn; all without. `strict_preflight`: whether a failed check of
     the server refuses the run; else it is a warning, and in the manifest. `epoch`: the number of the run among those
-    that answer the same questions again, which ends its id; the simulated model's seed moves with it.
+    that answer the same questions again, which ends its id; the simulated model's seed moves with it. `isolated`:
+    whether the method, given by name, runs in a process that can open the public files alone (`run.isolated`).
     `live_scores` is called from another thread with the scores so far.
     Problems that do not end the run are AvrWarnings.
 
@@ -139,7 +142,7 @@ def evaluate(
         evaluate("store", "react", "simulated:noisy", limit=20)
     """
     store = Store.of(store)
-    check_arguments(method, model, base_url, marker is not None, world_db, policy, history)
+    check_arguments(method, model, base_url, marker is not None, world_db, policy, history, isolated)
     simulated = profile_of(model)
     knobs = marker or simulated or PERFECT
     if epoch is not None:
@@ -157,21 +160,42 @@ def evaluate(
     bench = Bench(store, chosen, image_root, opaque)
     with contextlib.ExitStack() as stack:
         run = stack.enter_context(Run(store, run_id))
-        world = stack.enter_context(_world(store, run_id, name, world_db, run))
-        endpoint = None
+        world = None if isolated else stack.enter_context(_world(store, run_id, name, world_db, run))
+        url, calls = None, folder / "calls.jsonl"
         if model != NO_MODEL:
             url = stack.enter_context(serving(model, base_url, folder / "marker.jsonl", knobs))
-            endpoint = Endpoint(store, model, url, options, folder / "calls.jsonl", player, strict_preflight)
-            for line in endpoint.warnings:
-                warnings.warn(f"preflight: {line}", AvrWarning, stacklevel=2)
-        runner = _runner(method, endpoint, world, policy, history)
+        runner: IsolatedMethod | _InProcess
+        if isolated:
+            job = Job(
+                run_id=run_id,
+                method=str(method),
+                policy=policy,
+                history=history,
+                player=player,
+                model=model,
+                url=url,
+                options=options,
+                strict=strict_preflight,
+                concurrency=concurrency,
+                images=image_root,
+                opaque=opaque,
+                calls=str(calls),
+            )
+            runner = stack.enter_context(IsolatedMethod(store, job))
+        else:
+            endpoint = None
+            if url is not None:
+                endpoint = Endpoint(store, model, url, options, calls, player, strict_preflight)
+            runner = _InProcess(_runner(method, endpoint, world, policy, history), endpoint, world, bench, concurrency)
+        for line in runner.warnings:
+            warnings.warn(f"preflight: {line}", AvrWarning, stacklevel=2)
         manifest = run.start(
             runner.name,
             model,
             [question.question_id for question in chosen],
             {
-                "method": runner.settings(),
-                **({} if endpoint is None else endpoint.settings),
+                "method": runner.settings,
+                **runner.endpoint_settings,
                 **({"marker": turned(knobs)} if knobs != PERFECT else {}),
                 **({"opaque": key_fingerprint(store)} if opaque else {}),
                 **({"epoch": epoch} if epoch is not None else {}),
@@ -182,15 +206,40 @@ def evaluate(
         if live_scores is not None:
             run.listeners.append(stack.enter_context(report_scores(store, run.finished.values(), live_scores)))
         advance = step_counter(progress, f"{name}, {model}", len(chosen))
-        observer = bench.observer
-        answer_all(runner, bench.questions, bench.sequences, observer, observer.stored, run, concurrency, advance)
-        if world is not None:
+        runner.answer_all(run, bench.questions, advance)
+        if runner.counts is not None:
             # Before the tables: a run that has predictions is complete.
-            add_world_counts(store, run_id, world.graph.counts)
+            add_world_counts(store, run_id, runner.counts)
         predictions = run.finish()
-        if endpoint is not None and (changed := endpoint.changed()):
-            warnings.warn(changed, AvrWarning, stacklevel=2)
+        if runner.changed:
+            warnings.warn(runner.changed, AvrWarning, stacklevel=2)
     return RunResult(run_id, predictions, manifest.synthetic, options.price)
+
+
+class _InProcess:
+    """A method in this process, with the members of `IsolatedMethod`."""
+
+    def __init__(
+        self,
+        method: ConfigurableMethod,
+        endpoint: Endpoint | None,
+        world: WorldModel | None,
+        bench: Bench,
+        concurrency: int,
+    ) -> None:
+        self._method, self._endpoint, self._bench, self._concurrency = method, endpoint, bench, concurrency
+        self.name, self.settings = method.name, method.settings()
+        self.endpoint_settings = {} if endpoint is None else endpoint.settings
+        self.warnings = [] if endpoint is None else endpoint.warnings
+        self.counts = None if world is None else world.graph.counts
+
+    @property
+    def changed(self) -> str:
+        return "" if self._endpoint is None else self._endpoint.changed()
+
+    def answer_all(self, run: Run, questions: Sequence[Question], advance: Callable[[int], None]) -> None:
+        see = self._bench.observer
+        answer_all(self._method, questions, self._bench.sequences, see, see.stored, run, self._concurrency, advance)
 
 
 def check_arguments(
@@ -201,6 +250,7 @@ def check_arguments(
     world_db: Path | None,
     policy: Policy | None = None,
     history: int | None = None,
+    isolated: bool = False,
 ) -> None:
     """Raises InputError, in the words of the command's options, for arguments that contradict each other."""
     if isinstance(method, str) and method not in METHODS and not is_custom(method):
@@ -217,6 +267,10 @@ def check_arguments(
         raise InputError(f"--policy {policy}: of the methods {' and '.join(DRIVABLE)} only", field="policy")
     if history is not None and (method not in CHATS or chosen != "model"):
         raise InputError(f"--history: of the methods {' and '.join(CHATS)} with --policy model only", field="history")
+    if isolated and not isinstance(method, str):
+        raise InputError("isolated: give the method by name, or as FILE.py:NAME", field="isolated")
+    if isolated and world_db is not None:
+        raise InputError("--isolated keeps the world model in memory: leave --world-db out", field="world_db")
     if world_db is not None and method not in WORLD_METHODS:
         raise InputError(f"--world-db: {method} has no world model", field="world_db")
 

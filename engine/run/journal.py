@@ -95,15 +95,24 @@ def finished_entry(
     )
     transcript = [_row("steps", step, question_id=question.question_id, step=n) for n, step in enumerate(steps)]
     world = [_row("world", write, question_id=question.question_id) for write in writes]
-    if prediction.status not in get_args(Status):
-        raise ValueError(f"{prediction.status!a} is no status of a prediction"[:120])
-    if prediction.verdict not in (None, *get_args(Verdict)):
-        raise ValueError(f"{prediction.verdict!a} is no verdict of a prediction"[:120])
+    entry = Finished(question.question_id, row, transcript, world)
+    check_entry(entry, question)
+    return entry
+
+
+def check_entry(entry: Finished, question: Question) -> None:
+    """Raises ValueError and the like for an entry that is no answer to the question, or that no table can hold."""
+    row = entry.prediction
+    check_storable(entry)
+    if row["status"] not in get_args(Status):
+        raise ValueError(f"{row['status']!a} is no status of a prediction"[:120])
+    if row["verdict"] not in (None, *get_args(Verdict)):
+        raise ValueError(f"{row['verdict']!a} is no verdict of a prediction"[:120])
     if row["answer"] is not None:
         decode_answer(question.answer_mode, row["answer"])
-    entry = Finished(question.question_id, row, transcript, world)
-    check_storable(entry)
-    return entry
+    rows = (row, *entry.steps, *entry.world)
+    if any(found["question_id"] != question.question_id for found in rows) or question.question_id != entry.question_id:
+        raise ValueError("a row of another question")
 
 
 def _row(table: str, record: object, **known: Any) -> dict[str, Any]:
