@@ -1,15 +1,19 @@
 """The Gymnasium environment: its own checker passes it, and what is played in it is what `evaluate` makes of it."""
 
 import asyncio
+import json
+import runpy
 import warnings
 
 import numpy as np
 import pytest
 from extras import needs
+from places import DOCS
 from tool_host import play
 
 from jrdb_avr.agent.model.messages import jpeg_picture
 from jrdb_avr.engine.run.journal import finished_entry
+from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.errors import AvrError, StoreError
 
@@ -175,3 +179,17 @@ def test_an_action_outside_its_space_is_an_error_and_no_move(make, wrong):
 def test_an_unknown_question_is_refused(make):
     with pytest.raises(AvrError, match="no question"):
         make().reset(options={"question_id": "nope"})
+
+
+def test_the_example_learns_a_question_by_heart(small_demo, by_evaluate):
+    """A reward that tells right from wrong teaches the right choice, and nothing but the seed decides how."""
+    train = runpy.run_path(str(DOCS / "examples" / "reinforce.py"))["train"]
+    store = small_demo[0] / "store"
+    truth = {row["question_id"]: row["answer"] for row in Store(store).questions("answers").to_pylist()}
+    question_id = next(name for name in by_evaluate if truth[name].startswith('{"choice"'))
+    logits, rewards = train(str(store), updates=25, count=2, rate=2.0, questions=[question_id])
+    assert set(rewards) <= {0.0, 0.5, 1.0} and sum(rewards[-10:]) > sum(rewards[:10])
+    assert logits[0, 2].argmax() + 1 == json.loads(truth[question_id])["choice"]
+    assert not logits[1:].any()
+    again, _ = train(str(store), updates=3, count=2, questions=[question_id])
+    assert np.array_equal(again, train(str(store), updates=3, count=2, questions=[question_id])[0])
