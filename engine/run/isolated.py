@@ -107,7 +107,7 @@ class IsolatedMethod(contextlib.ExitStack):
         self.changed = ""
         self.counts: dict[str, int] | None = None
         try:
-            self._start(store, job)
+            self._start(store, _absolute(job))
             ready = self._next()
             if not isinstance(ready, _Ready):
                 raise _ended()
@@ -135,7 +135,7 @@ class IsolatedMethod(contextlib.ExitStack):
         environment |= {
             "HOME": str(private),
             "TMPDIR": str(private),
-            "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+            "PYTHONPATH": os.pathsep.join(str(Path(path).absolute()) for path in sys.path if path),
         }
         receiving, sending = os.pipe()
         self._messages: IO[bytes] = self.enter_context(os.fdopen(receiving, "rb"))
@@ -197,6 +197,17 @@ class IsolatedMethod(contextlib.ExitStack):
         self._process.kill()
         with contextlib.suppress(OSError), self._process:
             pass
+
+
+def _absolute(job: Job) -> Job:
+    """The job with paths that hold in any folder."""
+    where, _, made = job.method.rpartition(":")
+    return msgspec.structs.replace(
+        job,
+        method=f"{Path(where).absolute()}:{made}" if where.endswith(".py") else job.method,
+        images=None if job.images is None else str(Path(job.images).absolute()),
+        calls=str(Path(job.calls).absolute()),
+    )
 
 
 def _ended() -> StoreError:

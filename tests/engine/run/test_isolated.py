@@ -156,7 +156,7 @@ BAD = {
 
 @isolates
 @pytest.mark.parametrize("line", BAD)
-def test_whatever_an_isolated_method_does_the_run_is_whole(store, tmp_path, line):
+def test_whatever_an_isolated_method_does_the_run_is_whole(store, asked_world, tmp_path, line, monkeypatch):
     text = f"""
 import os, stat
 from jrdb_avr.schema.method import Prediction
@@ -174,7 +174,10 @@ class Bad:
         return Prediction("invalid")
 """
     (tmp_path / "bad.py").write_text(text)
-    method = ("--method", f"{tmp_path / 'bad.py'}:Bad", "--model", "none", "--run-id", "r", "--isolated")
+    # Paths as a person writes them, which mean nothing in the folder of the process.
+    monkeypatch.chdir(tmp_path)
+    store, images = Store(store.path.relative_to(tmp_path)), os.path.relpath(asked_world / "images")
+    method = ("--method", "bad.py:Bad", "--model", "none", "--run-id", "r", "--isolated", "--images", images)
     code, _, err = evaluate(store, *method, "--concurrency", "1")
     assert code == 1 and err.splitlines()[-1].count(BAD[line][1]) == 1
     (tmp_path / "bad.py").write_text(text.replace(line, "pass"))
