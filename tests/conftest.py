@@ -12,6 +12,9 @@ import pytest
 from effort import DEEP, examples
 from hypothesis import settings
 
+# Tables are as wide as a terminal says; the tests and the tour expect those of no terminal.
+os.environ.pop("COLUMNS", None)
+
 # A busy machine is no fault of the code, so there is no deadline.
 settings.register_profile("tests", deadline=None, max_examples=examples(30))
 settings.load_profile("tests")

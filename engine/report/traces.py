@@ -93,8 +93,8 @@ class Trace(Transcript):
 
     def __init__(self, store: Store, run_id: str, question_id: str) -> None:
         """Gather a question of a run. Raises as `Transcript` does, and StoreError where a private file is missing."""
-        super().__init__(store, run_id, question_id)
         *tables, sequences = store.question_tables("questions", "answers", "evidence", "sequences")
+        super().__init__(store, run_id, question_id)
         questions, answers, evidence = (_own(table, question_id) for table in tables)
         (self.answer,) = answers.to_pylist()
         truth = Truth(questions, sequences, answers, evidence)

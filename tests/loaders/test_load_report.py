@@ -18,7 +18,7 @@ BOX = (100, 60, 50, 200)
 def run(folder, world, *options):
     write_root(folder / "root", world)
     with without_graph():
-        result = CliRunner().invoke(
+        result = CliRunner(env={"COLUMNS": "120"}).invoke(
             group, ["load", str(folder / "root"), "--store", str(folder / "store"), "--workers", "1", *options]
         )
     assert result.exit_code == 0, result.output

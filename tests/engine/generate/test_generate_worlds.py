@@ -182,6 +182,7 @@ FORMS = (*ALONE, "two_hop", "three_hop", "fork_join", "action_search", "later_po
 HOPS = {"two_hop": 2, "three_hop": 3, "action_search": 2, "later_pose": 2}
 TIMELESS = {"start", "span", "action_search", "consequence", "gap_starts", "gap_absence", "gap_count"}
 NEVER = (
+    ("held_out", set(FORMS), "only a training set is kept apart from another store's questions"),
     ("view.single", set(FORMS) - {"action_search"}, "only a search asks for a turn of the head"),
     (
         "stated",
