@@ -159,7 +159,7 @@ class Episode:
         return self._carry_out(lambda: decode.reply_object(reply, self.attempt.convention))
 
     def malformed(self, reason: str) -> None:
-        """Spend a move on what is none, such as a reply that calls no tool. Raises RefusedError with the reason."""
+        """Count a reply that is no move, such as one that calls no tool, as a move. Raises RefusedError: the reason."""
 
         def read() -> dict[str, Any]:
             raise DecodeError(reason)

@@ -52,7 +52,7 @@ class ReAct:
         return self.play(Episode(task, budget=self.budget, convention=self.convention, chat=self.chat))
 
     def play(self, episode: Episode) -> Prediction:
-        """Play an episode whose `chat` is this method's, to its end."""
+        """Play an episode to its end. Its `chat` must be that of this method."""
         system, schema = episode.rules("react_turns"), react_turn_schema(episode.question)
         looks: list[tuple[Observation, Picture]] = []
         while not episode.over:

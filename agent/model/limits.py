@@ -57,7 +57,7 @@ class RateLimit:
         return self._tokens / self._replies if self._replies else 0.0
 
     def _wait(self, now: float) -> float:
-        """Seconds until requests have left the minute of which there are too many."""
+        """Seconds to wait until the requests and tokens of the last minute are below the limits; 0.0 for no wait."""
         leaving = 0
         if self._rpm is not None:
             leaving = len(self._sent) + 1 - self._rpm

@@ -1,4 +1,4 @@
-"""One HTTP exchange with a server, and what may be said of it: its address, the key, and the end of a wait.
+"""HTTP exchanges with a model's server: addresses, keys that messages must not show, and waits that end.
 
 No redirect is followed and no compressed reply is unpacked. A key is replaced in whatever a server sends back.
 """
@@ -167,7 +167,7 @@ def checked_url(base_url: str) -> str:
 
 
 def address_of(base_url: str, path: str) -> str:
-    """The address of a path below a base address, whose query it keeps."""
+    """Join a path to a base address; the base address's query stays at the end."""
     parts = urlsplit(base_url)
     return parts._replace(path=parts.path + path).geturl()
 
@@ -199,7 +199,7 @@ def environment_header(name: str, variable: str) -> str:
 
 
 def secrets_of(key: str, headers: Iterable[str]) -> list[str]:
-    """What is to be hidden of a key and of the values of headers, the longest first."""
+    """The texts that must not be shown: the key, and header values with their words; the longest first."""
     words = {word for value in headers for word in (value, *value.split()) if len(word) >= _SECRET // 2}
     return sorted({key, *words} - {""}, key=lambda word: (-len(word), word))
 

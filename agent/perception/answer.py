@@ -75,10 +75,10 @@ def conclude(
 
 
 def _evidence(tracks: Tracks, who: str, frame: int, described: Collection[int]) -> tuple[int, FusedBox]:
-    """The frame and box of somebody to be shown: any frame counts, so one on whose box two readings agree.
+    """Choose the frame and box that are submitted as evidence: preferably a box on which two readings agree.
 
-    Of those one at which the plan describes the person, who had to be followed to all others; else the nearest to the
-    answer's frame.
+    Evidence may be of any frame. Of several, a frame at which the plan describes the person comes first, as the person
+    had to be followed to all others; then the one nearest to the answer's frame.
     """
     boxes = {one.frame: fused for one in tracks.people[who] if (fused := tracks.box(who, one.frame))}
 

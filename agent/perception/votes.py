@@ -153,7 +153,7 @@ class Tracks:
         return [one for one in self.people.get(who, ()) if one.frame == frame]
 
     def agreed(self, who: str, frame: int) -> PersonReading | None:
-        """The reading of somebody at a frame whose box overlaps most of the others' boxes; None where there is none.
+        """The reading of a person at a frame whose box agrees with the most other readings; None without a reading.
 
         Of the largest cluster it is a whole one, as near to the others as possible.
         """

@@ -10,7 +10,7 @@ from jrdb_avr.engine.commands._options import STORE_VARIABLE
 
 
 def next_steps(folder: Path) -> list[str]:
-    """Lines that say what is there and what comes next.
+    """Lines for the terminal: the state of each store found, and the commands to run next.
 
     The store is that of the environment variable, or a folder in `folder`, or this itself.
     """

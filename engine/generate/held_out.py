@@ -68,7 +68,7 @@ def _extent(record: QuestionRecord) -> Extent:
 
 
 def refuse_held_out(context: SearchContext, candidates: Candidates, extents: Sequence[Extent]) -> Candidates:
-    """The candidates, of which those that touch a held-out question are refused by the rule `held_out`."""
+    """Refuse the candidates that share a person and a time with a held-out question, by the rule `held_out`."""
     proven = np.flatnonzero(candidates.rule == PASSED)
     if not extents or not len(proven):
         return candidates

@@ -229,7 +229,7 @@ def _content(part: Part) -> Content:
 
 @metric
 def hallucination() -> Metric:
-    """Share of right answers whose evidence is wrong."""
+    """The metric hallucination: the share of right answers whose box is wrong; 0 where no answer is right."""
 
     def compute(scores: list[SampleScore]) -> float:
         right = [own.score.value for own in scores if own.score.value["answer"]]

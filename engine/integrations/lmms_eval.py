@@ -187,7 +187,7 @@ def export_tasks(store: Store | str | Path, folder: str | Path) -> int:
 
 
 def _task(method: str, kind: str) -> str:
-    """A task in lmms-eval's YAML, whose tag `!function` no library here writes."""
+    """The text of a task file for lmms-eval. Written by hand, as no YAML library here writes its tag `!function`."""
     prefix = f"!function utils.{method.replace('-', '_')}"
     return f"""\
 # Written by `jrdb-avr export --lmms-eval`; for lmms-eval 0.7 and later.

@@ -61,7 +61,7 @@ class _Open:
 
 
 class Desk:
-    """Hands out the questions of a run that are not answered yet, carries out moves, and records what is finished."""
+    """The state behind the MCP tools: gives out unanswered questions, carries out moves, records predictions."""
 
     def __init__(self, bench: Bench, run: Run, budget: int = BUDGET) -> None:
         self._bench, self._run, self._budget = bench, run, budget

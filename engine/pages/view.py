@@ -93,7 +93,7 @@ class Viewer:
             self._pages |= {"report": self._report, "trace": self._trace}
 
     def respond(self, request: Request) -> Response:
-        """The page or picture that a request names. Raises AvrError for what is not there."""
+        """Answer a request with a page or a picture. Raises AvrError where there is no such page, run or question."""
         if request.method != "GET" or request.path not in self._pages:
             raise InputError("there is no such page", field="path")
         return self._pages[request.path](request)

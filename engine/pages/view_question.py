@@ -59,8 +59,11 @@ def question_page(
     pictured: bool,
     address: Callable[..., str],
 ) -> str:
-    """The page's HTML. `runs`: those that have the question; `transcript`: of the chosen one, a `Trace` with scores;
-    `missing`: why there is none; `near`: the questions before and after."""
+    """Render the page of one question as HTML.
+
+    `runs`: the runs that have the question; `chosen`: the one shown, with its `transcript` (a `Trace` where scores may
+    be shown), or why there is none, `missing`; `near`: the questions before and after.
+    """
     trace = transcript if isinstance(transcript, Trace) else None
     true = None if trace is None else trace.answer["answer"]
     unit = "" if trace is None else unit_of(parse_plan(trace.answer["plan"]))

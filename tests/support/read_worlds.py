@@ -235,6 +235,17 @@ def _plan(nodes, edges):
     return Plan("a", nodes[-1].id, {"t0": Time(frame=FRAME)}, nodes, edges, answer)
 
 
+WOMAN = Plan(
+    "a",
+    "a",
+    {"t0": Time(frame=15)},
+    (Node("a", (Condition(attribute="gender", value="female"),)),),
+    (),
+    AnswerSpec("multiple_choice", "action", "a", "t0"),
+)
+"""Of the only woman, asked for what she does at frame 15."""
+
+
 def reading_at(plan, read, mode, *frames, **event):
     """The same plan with another read: at stated frames, or at an event of the target after the description."""
     times = {f"t{n}": Time(frame=frame) for n, frame in enumerate(frames, start=1)}

@@ -8,7 +8,7 @@ from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from labelled_people import toward
-from read_worlds import reading_at
+from read_worlds import WOMAN, reading_at
 
 from jrdb_avr.agent.perception.answer import conclude
 from jrdb_avr.agent.perception.attention import next_looks
@@ -19,17 +19,9 @@ from jrdb_avr.agent.perception.support import rank
 from jrdb_avr.agent.perception.votes import UNIT, Tracks
 from jrdb_avr.schema.answers import Choice, Number
 from jrdb_avr.schema.panorama import WIDTH, Box
-from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time
+from jrdb_avr.schema.plan import AnswerSpec, Plan, Time
 
 FRAMES = range(0, 900)
-WOMAN = Plan(
-    "a",
-    "a",
-    {"t0": Time(frame=15)},
-    (Node("a", (Condition(attribute="gender", value="female"),)),),
-    (),
-    AnswerSpec("multiple_choice", "action", "a", "t0"),
-)
 
 
 def read(frame, *poses, observation="o", metres=None):

@@ -7,7 +7,7 @@ from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from labelled_people import toward
-from read_worlds import POSES, Noise, ReadWorld, asked_of, reading_at
+from read_worlds import POSES, WOMAN, Noise, ReadWorld, asked_of, reading_at
 
 from jrdb_avr.agent.perception.attention import RESERVES, next_looks
 from jrdb_avr.agent.perception.geometry import SeenColumns, covered, seen_from
@@ -21,14 +21,6 @@ from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time, 
 FRAMES = range(300)
 ALL = (SeenColumns(0, WIDTH),)
 NOISY = Noise(wrong=0.1, wrong_box=0.1, miss=0.03)
-WOMAN = Plan(
-    "a",
-    "a",
-    {"t0": Time(frame=15)},
-    (Node("a", (Condition(attribute="gender", value="female"),)),),
-    (),
-    AnswerSpec("multiple_choice", "action", "a", "t0"),
-)
 PRESENCE = reading_at(WOMAN, "presence", "multiple_choice", 90, 180)
 START = reading_at(WOMAN, "start", "frame", event="start", action="walking")
 

@@ -1,12 +1,11 @@
 """What the tests of the integrations share: the simulated model, a store as a machine without answers has it."""
 
 import shutil
-import threading
 
 import pyarrow.parquet as pq
 import pytest
+from recorded_server import recorded_server
 
-from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.queries.store import Store
 
 PLAYED = ("status", "answer", "evidence_frame", *(f"evidence_{side}" for side in "xywh"), "reason", "verdict")
@@ -16,13 +15,8 @@ COUNTED = ("n_observations", "n_model_calls")
 @pytest.fixture(scope="module")
 def model():
     """The address of a simulated model, and the bodies of all requests."""
-    server, sent = Server(), []
-    reply = server.reply
-    server.reply = lambda body: (sent.append(body), reply(body))[1]
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield server.url, sent
-    server.shutdown()
-    server.server_close()
+    with recorded_server() as recorded:
+        yield recorded
 
 
 @pytest.fixture(scope="session")

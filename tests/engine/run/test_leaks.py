@@ -12,15 +12,14 @@ import re
 import shutil
 import subprocess
 import sys
-import threading
 
 import pyarrow.parquet as pq
 import pytest
 from asked_world import QUESTIONS_ASKED
 from click.testing import CliRunner
 from painted_world import SEQUENCE
+from recorded_server import recorded_server
 
-from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.engine.commands.evaluate import command
 from jrdb_avr.engine.run.methods import METHODS, WORLD_METHODS
 from jrdb_avr.engine.run.opaque import opaque_names
@@ -48,14 +47,22 @@ for line in sys.stdin:
 """
 
 
-def evaluate_all(store, url, methods, *options):
-    """A run of each method, in a process of their own; fails where one fails or waits for ever."""
+PLAYERS = (*METHODS, "agent --policy model", "agent --policy guided", "agent-no-world --policy model")
+
+
+def run_of(player):
+    return player.replace(" --policy ", "-")
+
+
+def evaluate_all(store, url, players, *options):
+    """A run of each method and policy, in a process of their own; fails where one fails or waits for ever."""
     lines = []
-    for method in methods:
+    for player in players:
+        method = player.split()[0]
         own = f"--world-db {store.path}/world.kuzu" if method in WORLD_METHODS and "--images" in options else ""
         lines.append(
-            f"evaluate --store {store.path} --method {method} --model marker --base-url {url} --run-id {method} "
-            f"--limit {len(ASKED)} --concurrency 2 {' '.join(options)} {own}\n"
+            f"evaluate --store {store.path} --method {player} --model marker --base-url {url} "
+            f"--run-id {run_of(player)} --limit {len(ASKED)} --concurrency 2 {' '.join(options)} {own}\n"
         )
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM],
@@ -73,13 +80,8 @@ def evaluate_all(store, url, methods, *options):
 @pytest.fixture(scope="module")
 def marker():
     """A marker server in this process that keeps what it is sent."""
-    server, sent, reply = Server(), [], None
-    reply = server.reply
-    server.reply = lambda body: (sent.append(body), reply(body))[1]
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield server.url, sent
-    server.shutdown()
-    server.server_close()
+    with recorded_server() as recorded:
+        yield recorded
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +105,7 @@ def full(asked_world, tmp_path_factory, marker):
             },
         )
         graph.execute("CREATE (:Action {name: $label, pose: true})", {"label": LABEL})
-    return store, evaluate_all(store, marker[0], METHODS)
+    return store, evaluate_all(store, marker[0], PLAYERS)
 
 
 def kept(store, method):
@@ -125,7 +127,7 @@ def said(body):
 
 def test_every_method_plays_and_keeps_nothing_private(full):
     store, printed = full
-    for method in METHODS:
+    for method in map(run_of, PLAYERS):
         text = kept(store, method) + printed
         assert not [secret for secret in (*SECRETS, "base64") if secret in text], method
         table = pq.read_table(store.run_path(method) / "predictions.parquet")
@@ -162,7 +164,7 @@ def opaque(asked_world, tmp_path_factory, marker):
     for name in ("questions", "sequences"):
         shutil.copy(asked_world / "store" / "questions" / f"{name}.parquet", store.question_path(name))
     before = len(marker[1])
-    evaluate_all(store, marker[0], METHODS, "--images", str(asked_world / "images"), "--opaque")
+    evaluate_all(store, marker[0], PLAYERS, "--images", str(asked_world / "images"), "--opaque")
     return store, marker[1][before:]
 
 
@@ -170,7 +172,7 @@ def test_opaque_runs_answer_and_never_hold_the_real_name(opaque, full):
     store, sent = opaque
     own = opaque_names(store, [SEQUENCE])[SEQUENCE]
     assert len(sent) > 25 and not [text for body in sent for text in said(body) if SEQUENCE in text]
-    for method in METHODS:
+    for method in map(run_of, PLAYERS):
         text = kept(store, method)
         assert SEQUENCE not in text and own in text, method
         here, there = (pq.read_table(s.run_path(method) / "predictions.parquet") for s in (store, full[0]))
