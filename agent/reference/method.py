@@ -33,10 +33,11 @@ Policy = Literal["model", "guided", "driven"]
 
 @dataclass(frozen=True)
 class ReferenceAgent:
-    """looks: whether it chooses where to look, or is sent panoramas; remembers: whether it has a plan and a world
-    model, `world`, or a chat history in their place. policy: who chooses the looks; where the harness finds them the
-    model reads one picture at a time; history: how many of the newest pictures a chat holds, None for all.
-    Raises InputError for a harness that has no looks to choose.
+    """The reference agent: a plan, looks or panoramas, and an answer from a world model or without one.
+
+    looks: whether it looks, or is sent panoramas; world: None without a world model; policy: who chooses the looks
+    (`make_method` passes "driven" where an agent looks); history: how many of the newest pictures a chat holds, None
+    for all. Raises InputError for a harness that has no looks to choose.
     """
 
     chat: Chat
@@ -75,7 +76,11 @@ class ReferenceAgent:
         return variant | self.limits.settings(self.looks, self.remembers) | shared_settings(self.convention)
 
     def answer(self, task: Task) -> Prediction:
-        """Play one question, within `limits.model_calls` model calls."""
+        """Play one question.
+
+        Under the policy `model` within `limits.model_calls` model calls; else with the plan's tries and at most four
+        calls for each look, two more where the model picks it.
+        """
         attempt = Attempt(task, self.chat, self.convention)
         if self.driven:
             return self._drive(attempt)

@@ -60,8 +60,8 @@ panoramas:
     "--history",
     type=click.IntRange(1),
     metavar="N",
-    help="Of react and agent-no-world: send the last N pictures in each turn, of older ones their metadata line alone. "
-    "All without.",
+    help="Of react, and of agent-no-world with --policy model: send the last N pictures in each turn, of older ones "
+    "their metadata line alone. All without.",
 )
 @endpoint_options(optional=True)
 @click.option(
@@ -73,9 +73,10 @@ panoramas:
     "--max-cost",
     type=click.FloatRange(0, min_open=True),
     metavar="DOLLARS",
-    help="Stop once the run's calls have cost so much; more, and --resume, go on. Calls in flight may exceed it.",
+    help="Stop once the run's calls have cost so much, by --prices; more, and --resume, go on. Calls in flight may "
+    "exceed it.",
 )
-@click.option("--run-id", help="Name of the run; METHOD-MODEL if left out.")
+@click.option("--run-id", help="Name of the run; METHOD-MODEL if left out, METHOD-POLICY-MODEL with --policy.")
 @click.option("--questions", "picked", help="Question ids with commas between, or a file with one id per line.")
 @click.option("--family", "families", multiple=True, metavar="NAME", help="Only of this family; may be repeated.")
 @click.option("--template", "templates", multiple=True, metavar="NAME", help="Only of this template; may be repeated.")

@@ -49,7 +49,7 @@ _blind_option = click.option(
 )
 @click.option("--require-occlusion", is_flag=True, help="Skip sequences whose boxes have no occlusion attributes.")
 @click.option("--exclude-rejected", is_flag=True, help="Leave out what a reviewer rejected (see inspect --import).")
-@pairs_option("--rule", "overrides", "Override a rule; may be repeated.")
+@pairs_option("--rule", "overrides", "Override a rule; may be repeated. Caps that --profile train lifts stay lifted.")
 @_blind_option
 @form_option
 def generate(

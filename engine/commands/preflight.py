@@ -18,7 +18,7 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows
 @endpoint_options()
 @form_option
 def command(model: str, base_url: str | None, options: Any, form: RowFormat) -> None:
-    """Check a model's server: text, JSON schema, pictures, thinking, and what its replies say of themselves.
+    """Check a model's server: text, JSON schema, pictures, system message, thinking, and the largest requests.
 
     'evaluate' makes the same checks before a run, warns of failed ones and records them. Exit code 1 where one fails
     that a run needs.

@@ -129,11 +129,12 @@ def evaluate(
     `marker` stands in place of its profile's knobs. `questions`: ids, or a `QuestionSelection`; all without, at most
     `limit`. `resume` finishes a run, and enlarges it where more questions are selected. `images` and `world_db` stand
     in for the store's panoramas and graph. `opaque`: whether the method gets opaque names of sequences (`run.opaque`).
-    `policy`: who chooses the looks of an agent: the harness, as "driven", if none is named. `history`: how many of the
-    newest pictures a method of `CHATS` sends in each turn; all without. `strict_preflight`: whether a failed check of
-    the server refuses the run; else it is a warning, and in the manifest. `epoch`: the number of the run among those
-    that answer the same questions again, which ends its id; the simulated model's seed moves with it. `isolated`:
-    whether the method, given by name, runs in a process that can open the public files alone (`run.isolated`).
+    `policy`: who chooses the looks of agent and agent-no-world: the harness, as "driven", if none is named. `history`:
+    how many of the newest pictures react, or agent-no-world under "model", sends in each turn; all without.
+    `strict_preflight`: whether a failed check of the server refuses the run; else it is a warning, and in the manifest.
+    `epoch`: the number of the run among those that answer the same questions again, which ends its id; the simulated
+    model's seed moves with it. `isolated`: whether the method, given by name, runs in a process that can open the
+    public files alone (`run.isolated`).
     `live_scores` is called from another thread with the scores so far.
     Problems that do not end the run are AvrWarnings.
 

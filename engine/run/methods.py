@@ -87,7 +87,8 @@ def make_method(
 ) -> ConfigurableMethod:
     """The method of a name in `METHODS`.
 
-    One of `WORLD_METHODS` takes its world model, agents their policy, and one of `CHATS` how many pictures it sends.
+    One of `WORLD_METHODS` takes its world model; agents take a policy, `default_policy` without; one of `CHATS`, where
+    the model chooses its looks, how many pictures it sends.
     """
     from jrdb_avr.agent.methods.chain_of_thought import ChainOfThought
     from jrdb_avr.agent.methods.monolithic import Monolithic
