@@ -41,7 +41,7 @@ class Request(NamedTuple):
 
 
 class Response(NamedTuple):
-    """What a request is answered with. `lasting`: whether the browser may keep it."""
+    """An HTTP response. `lasting`: whether the browser may keep it."""
 
     body: bytes
     kind: str = HTML
@@ -68,12 +68,12 @@ def hosts_of(listener: socket.socket) -> list[str]:
 
 
 def new_token() -> str:
-    """A text that nobody guesses, fit for an address."""
+    """Make a random token that fits into an address."""
     return secrets.token_urlsafe(32)
 
 
 def same_token(sent: bytes, token: bytes) -> bool:
-    """Whether they are equal, in a time that tells nothing."""
+    """Compare two tokens in a time that does not depend on them."""
     return hmac.compare_digest(sent, token)
 
 
@@ -101,7 +101,10 @@ class LocalServer(ThreadingHTTPServer):
         host, origin = headers.get_all("Host", []), headers.get_all("Origin", [])
         if len(host) != 1 or host[0] not in self.hosts or any(own != f"http://{host[0]}" for own in origin):
             return _refused("this server takes requests of its own pages only")
-        address = urllib.parse.urlsplit(target)
+        try:
+            address = urllib.parse.urlsplit(target)
+        except ValueError:
+            return Response(b"no address\n", PLAIN, 400)
         sent, _, path = address.path.removeprefix("/").partition("/")
         if not same_token(sent.encode("utf-8", "replace"), self._token.encode()):
             return _refused("this address needs its token: open the one that the command printed")

@@ -259,8 +259,9 @@ class Client:
     def _try(self, body: bytes, timeout_s: float) -> Reply:
         import httpx2
 
-        sent = self._limit.admit()
         with self._gate.admitted() as own:
+            # Counted as it is sent, not when it began to wait for others.
+            sent = self._limit.admit()
             try:
                 # Sending the request, waiting for the reply and reading it may each take the whole time.
                 response, data = within(min(timeout_s, CONNECT_S) + 3 * timeout_s, lambda: self._post(body, timeout_s))

@@ -55,13 +55,13 @@ class _Choice(msgspec.Struct):
 
 
 class _Failure(msgspec.Struct):
-    """What a body that reports an error holds, whatever its HTTP status."""
+    """The error fields of a reply's body, whatever its HTTP status."""
 
     error: Any = None
     object: Any = None
 
     @property
-    def told(self) -> bool:
+    def reports_error(self) -> bool:
         return bool(self.error) or self.object == "error"
 
 
@@ -101,7 +101,7 @@ def read_completion(data: bytes) -> Reply:
         if _tells_failure(data):
             raise ErrorReply(*server_reason(data)) from None
         raise ValueError(str(error) or "nested too deep") from None
-    if completion.told:
+    if completion.reports_error:
         raise ErrorReply(*server_reason(data))
     if not completion.choices:
         raise ValueError("it holds no choice")
@@ -155,7 +155,7 @@ def _reason(value: object) -> tuple[str | None, object]:
 
 def _tells_failure(data: bytes) -> bool:
     try:
-        return _FAILURE.decode(data).told
+        return _FAILURE.decode(data).reports_error
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return False
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -160,6 +161,7 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **options: Any) 
 
     runs = [options] if matrix is None else matrix_runs(matrix, click.get_current_context(), options)
     runs = [_checked(run) for run in runs]
+    _check_names(runs)
     epochs = [epoch for run in runs for epoch in _epochs(**run)]
     results: list[RunResult] = []
     for epoch in epochs:
@@ -185,6 +187,17 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **options: Any) 
     if not form:
         names = " ".join(run.run_id for run in results)
         note(f"next: jrdb-avr score --store {store.path} {names} && jrdb-avr report --store {store.path}")
+
+
+def _check_names(runs: Sequence[Mapping[str, Any]]) -> None:
+    """Raise UsageError where two runs would have one name, of which the second would fail after the first."""
+    from jrdb_avr.engine.run.evaluate import default_run_id, player_of
+
+    players = [(run["run_id"], player_of(run["method"], run["policy"]), run["model"]) for run in runs]
+    names = [default_run_id(player, model) if name is None else name for name, player, model in players]
+    for name in names:
+        if names.count(name) > 1:
+            raise click.UsageError(f"two runs are named {name}: give each [[run]] a run-id")
 
 
 def _checked(run: dict[str, Any]) -> dict[str, Any]:

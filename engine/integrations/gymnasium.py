@@ -61,7 +61,7 @@ class QuestionEnv(gymnasium.Env):
         reward: Reward | None = None,
         render_mode: str | None = None,
     ) -> None:
-        """Of questions as `Bench.open` takes them; a question of `reset(options={"question_id": ...})` or a drawn one.
+        """Open the questions that `Bench.open` selects; `reset` draws one, or takes options={"question_id": ...}.
 
         `reward`: which score to give at the end; it needs the store's answers. Raises StoreError or InputError where
         something does not fit.

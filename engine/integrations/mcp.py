@@ -26,7 +26,7 @@ from jrdb_avr.agent.methods.episode import BUDGET, Episode
 from jrdb_avr.agent.model.decode import EVIDENCE_SCHEMA, FRAME_ID_SCHEMA
 from jrdb_avr.agent.model.messages import metadata_line, picture_of
 from jrdb_avr.engine.local_server import hosts_of, listen, new_token, same_token
-from jrdb_avr.engine.run.bench import Bench
+from jrdb_avr.engine.run.bench import Bench, find_images, root_of_images
 from jrdb_avr.engine.run.evaluate import default_run_id
 from jrdb_avr.engine.run.playing import Play, due_questions, played_run
 from jrdb_avr.engine.run.run import Run
@@ -124,12 +124,17 @@ class Desk:
                 raise ToolError(f"refused: {error} ({'the question is over' if episode.over else left})") from None
             finally:
                 if episode.over:
-                    self._finish(token, held.play)
+                    try:
+                        self._finish(token, held.play)
+                    except AvrError as error:
+                        raise ToolError(f"the answer is not stored yet: {error}; try again") from None
 
     def _finish(self, token: str, play: Play) -> None:
         with self._lock:
-            if self._open.pop(token, None) is not None:
+            if token in self._open:
+                # What cannot be written stays open, so that the next move of the question tries again.
                 play.record(self._run)
+                del self._open[token]
 
 
 # -- a server over a store --------------------------------------------------------------------------------------------
@@ -157,7 +162,7 @@ def serve(
     Raises InputError for a store that is refused, StoreError or InputError where something else does not fit.
     """
     store = Store.of(store)
-    if port is None and not trusted and (held := private_parts(store)):
+    if port is None and not trusted and (held := private_parts(store, images)):
         raise InputError(
             f"{store.path} holds {held[0]}, which an agent over stdio could read: serve a store without, or over "
             "--http to an agent that has no access to these files, or add --i-trust-the-agent",
@@ -174,11 +179,13 @@ def serve(
     return run_id
 
 
-def private_parts(store: Store) -> list[str]:
-    """What a store holds that an agent must not read: names of its files and folders."""
+def private_parts(store: Store, images: str | Path | None) -> list[str]:
+    """What an agent must not read: files and folders of the store, and annotations beside the panoramas."""
     labels = (store.graph_path, store.path / "annotations", store.path / "intervals")
     places = [*map(store.question_path, PRIVATE), *labels, *store.path.glob("runs/*/scores.parquet")]
-    return [str(place.relative_to(store.path)) for place in places if place.exists()]
+    held = [str(place.relative_to(store.path)) for place in places if place.exists()]
+    folder = find_images(store, images)
+    return held if folder is None else held + [str(place) for place in root_of_images(folder).glob("labels*")]
 
 
 def _serve_http(server: MCPServer, port: int, ready: Callable[[str, str], None]) -> None:

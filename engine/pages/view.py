@@ -27,8 +27,8 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.method import Question
 
-RIGHTNESS: Final = ("both right", "answer only", "box only", "both wrong")
-"""What a run's scores of a question say."""
+OUTCOMES: Final = ("both right", "answer only", "box only", "both wrong")
+"""The outcomes of a question."""
 
 _PER_PAGE: Final = 100
 _PUBLIC: Final = ("family", "template", "sequence")
@@ -50,11 +50,11 @@ class ViewedRun:
         return self.manifest.run_id
 
     def outcome(self, question_id: str) -> str:
-        """One of `RIGHTNESS`; "" where it is not known or the run does not have the question."""
+        """One of `OUTCOMES`; "" where it is not known or the run does not have the question."""
         if question_id not in self.scores:
             return ""
         answer, evidence, _ = self.scores[question_id]
-        return RIGHTNESS[2 * (not answer) + (not evidence)]
+        return OUTCOMES[2 * (not answer) + (not evidence)]
 
     def mean(self, column: str) -> float | None:
         """The mean of a column of `predictions` over the run's questions; None without predictions."""
@@ -113,7 +113,7 @@ class Viewer:
         page = min(int(text) if (text := request.value("page")).isdecimal() and len(text) < 7 else 0, last)
         options = {name: sorted({str(getattr(own, name)) for own in self.questions}) for name in _PUBLIC}
         if self.comparison is not None:
-            options["outcome"] = list(RIGHTNESS)
+            options["outcome"] = list(OUTCOMES)
             options["cause"] = sorted({cause for run in self.runs.values() for cause in run.causes.values()})
         return self._html(
             "view.html",

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 from jrdb_avr.agent.methods.episode import BUDGET, Episode
 from jrdb_avr.engine.observe.observer import Observer
@@ -31,7 +32,7 @@ class Bench:
     """
 
     def __init__(self, store: Store, questions: Sequence[Question], image_root: str | None, opaque: bool) -> None:
-        """Of questions that were chosen already."""
+        """Hold the given questions; `Bench.open` selects them first."""
         found = read_sequences(store)
         names = opaque_names(store, found) if opaque else {name: name for name in found}
         self.sequences = {names[name]: replace(info, sequence=names[name]) for name, info in found.items()}
@@ -84,6 +85,18 @@ class Bench:
     def episode(self, question_id: str, *, budget: int = BUDGET, record: Record = lambda step: None) -> Episode:
         """Begin to play a question. Raises InputError for an unknown id."""
         return Episode(self.task(question_id, record), budget=budget)
+
+
+_LABELS_BESIDE: Final = ("image_stitched", "images")
+"""Names of the folders between panoramas and the root that also holds the labels."""
+
+
+def root_of_images(images: str | Path) -> Path:
+    """The folder in which annotations stand beside these panoramas, if they are part of a JRDB root."""
+    root = Path(images).resolve()
+    for name in _LABELS_BESIDE:
+        root = root.parent if root.name == name else root
+    return root
 
 
 def find_images(store: Store, images: str | Path | None) -> str | None:

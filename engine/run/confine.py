@@ -46,7 +46,7 @@ def check_confinable() -> None:
 
 
 def confine(readable: list[str], writable: list[str]) -> None:
-    """From here on, this thread and what it starts open nothing but these files, and what is in these folders.
+    """Restrict this thread and the processes that it starts to these files and folders, for good.
 
     Missing paths are passed over. Raises StoreError as `check_confinable`, OSError where the kernel refuses.
     """
@@ -103,9 +103,12 @@ def program_files(hidden: list[Path]) -> list[str]:
     Raises StoreError where something hidden is in one of these folders.
     """
     own = Path(__file__).resolve()
+    # An editable install finds the package by other means than `sys.path`.
+    package = str(own.parents[2])
     certificates = [os.environ[name] for name in ("SSL_CERT_FILE", "SSL_CERT_DIR") if os.environ.get(name)]
     found = []
-    for path in map(os.path.realpath, (*_SYSTEM, *certificates, sys.prefix, sys.base_prefix, *filter(None, sys.path))):
+    places = (*_SYSTEM, *certificates, sys.prefix, sys.base_prefix, package, *filter(None, sys.path))
+    for path in map(os.path.realpath, places):
         if path != "/" and not any(place.is_relative_to(path) for place in hidden):
             found.append(path)
         elif path in _SYSTEM or own.is_relative_to(path) or path in (sys.prefix, sys.base_prefix):

@@ -27,7 +27,7 @@ from jrdb_avr.schema.errors import EndpointError, StoreError
 class Endpoint:
     """A server after its preflight. `warnings`: the lines of the checks that failed.
 
-    `settings` are plain JSON for a run's manifest: a resumed run needs equal ones but for what `resume` leaves out.
+    `settings` are plain JSON for a run's manifest: a resumed run needs equal ones (`run.check_manifest`).
     """
 
     def __init__(

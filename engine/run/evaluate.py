@@ -149,7 +149,7 @@ def evaluate(
     if epoch is not None:
         knobs = msgspec.structs.replace(knobs, seed=knobs.seed + epoch - 1)
     name = method if isinstance(method, str) else method.name
-    player = name if policy in (None, default_policy(method)) else f"{name}-{policy}"
+    player = player_of(name, policy)
     run_id = default_run_id(player, model) if run_id is None else run_id
     # Before the epoch, which would make a name of none.
     folder = store.run_path(run_id)
@@ -197,7 +197,7 @@ def evaluate(
             {
                 "method": runner.settings,
                 **runner.endpoint_settings,
-                **({"marker": turned(knobs)} if knobs != PERFECT else {}),
+                **({"marker": turned(knobs)} if simulated is not None and knobs != PERFECT else {}),
                 **({"opaque": key_fingerprint(store)} if opaque else {}),
                 **({"epoch": epoch} if epoch is not None else {}),
             },
@@ -274,6 +274,11 @@ def check_arguments(
         raise InputError("--isolated keeps the world model in memory: leave --world-db out", field="world_db")
     if world_db is not None and method not in WORLD_METHODS:
         raise InputError(f"--world-db: {method} has no world model", field="world_db")
+
+
+def player_of(method: str, policy: Policy | None) -> str:
+    """A method's name, with the policy behind it where that is not the method's own."""
+    return method if policy in (None, default_policy(method)) else f"{method}-{policy}"
 
 
 def default_run_id(method: str, model: str) -> str:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -27,7 +28,7 @@ from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.options import Options
 from jrdb_avr.agent.reference.method import Policy
 from jrdb_avr.engine.run.answering import answer_all
-from jrdb_avr.engine.run.bench import Bench
+from jrdb_avr.engine.run.bench import Bench, root_of_images
 from jrdb_avr.engine.run.confine import DEVICES, check_confinable, program_files
 from jrdb_avr.engine.run.endpoint import Endpoint, convention_path
 from jrdb_avr.engine.run.journal import Finished, check_entry
@@ -43,12 +44,10 @@ from jrdb_avr.schema.method import Question
 _ERRORS: Final = {kind.__name__: kind for kind in (InputError, StoreError, EndpointError, RunStoppedError)}
 _LONGEST: Final = 1 << 28
 """Bytes of a message; a question's steps are texts of some megabytes at most."""
-_LABELS_BESIDE: Final = ("image_stitched", "images")
-"""Names of the folders between panoramas and the root that also holds the labels."""
 
 
 class Job(msgspec.Struct, frozen=True):
-    """What the process is to do: the arguments of `evaluate` that concern it."""
+    """The job of the isolated process: the arguments of `evaluate` that it needs."""
 
     run_id: str
     method: str
@@ -194,7 +193,9 @@ class IsolatedMethod(contextlib.ExitStack):
 
     def _kill(self) -> None:
         # All that it had to say is in the journal.
-        self._process.kill()
+        # It leads a session of its own: what the method started ends with it.
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
         with contextlib.suppress(OSError), self._process:
             pass
 
@@ -232,10 +233,7 @@ def _hidden(store: Store, job: Job) -> list[Path]:
     """Folders of which nothing may be readable: the store, and the root that the panoramas lie in."""
     found = [store.path.resolve()]
     if job.images is not None:
-        root = Path(job.images).resolve()
-        for name in _LABELS_BESIDE:
-            root = root.parent if root.name == name else root
-        found.append(root)
+        found.append(root_of_images(job.images))
     return found
 
 

@@ -77,7 +77,7 @@ class Judge(contextlib.ExitStack):
         return self.score_row(finished_entry(question, prediction, (), (), 0.0).prediction)
 
     def score_row(self, row: Mapping[str, Any]) -> QuestionScore:
-        """The same of a row of `predictions`."""
+        """Score a row of `predictions`; raises as `score` does."""
         with self._lock:
             try:
                 assert self._process.stdin is not None, "stdin is a pipe"

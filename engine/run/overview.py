@@ -1,4 +1,4 @@
-"""The runs of a store: which there are and how far they came, what one of them is, and its removal."""
+"""List, show and remove the runs of a store."""
 
 from __future__ import annotations
 
@@ -53,18 +53,20 @@ def _row(store: Store, run_id: str) -> dict[str, Any]:
         "method": manifest.method,
         "model": manifest.model,
         "label": "synthetic" if manifest.synthetic else "",
-        "state": _state(store, manifest),
+        "state": _state(store, manifest, len(rows)),
         "n": len(manifest.question_ids),
         **{status: counts[status] for status in ("answered", "invalid", "error")},
         "created": manifest.created,
     }
 
 
-def _state(store: Store, manifest: RunManifest) -> str:
+def _state(store: Store, manifest: RunManifest, played: int) -> str:
     path = store.question_path("questions")
     if path.exists() and questions_hash(store) != manifest.questions_sha256:
         return "other questions"
-    return "complete" if (store.run_path(manifest.run_id) / "predictions.parquet").exists() else "unfinished"
+    # A person who stops in the middle leaves tables of what was played.
+    written = (store.run_path(manifest.run_id) / "predictions.parquet").exists()
+    return "complete" if written and played == len(manifest.question_ids) else "unfinished"
 
 
 def show_run(store: Store | str | Path, run_id: str) -> dict[str, Any]:

@@ -131,7 +131,7 @@ def has_manifest(store: Store, run_id: str) -> bool:
 
 
 def _shaping(manifest: RunManifest) -> dict[str, Any]:
-    """What shapes the predictions of a run, by the words of the message about a difference."""
+    """The settings that must be equal where a run is resumed, by their names in the error message."""
     settings = dict(manifest.settings)
     endpoint: Mapping[str, Any] = settings.pop("endpoint", {})
     # What the checks found is known of the server that the run began with.

@@ -65,6 +65,7 @@ def test_what_is_no_request_is_refused(server):
     for length in ("", "x", "-1", "99999999", str(1 << 17)):
         assert fetch(server, "a", method="POST", headers={"Content-Length": length})[0] == 413
     assert fetch(server, "a?" + "&".join("x=1" for _ in range(600)))[0] == 400
+    assert fetch(server, target="http://[/")[0] == 400
     assert fetch(server, "bad") == (404, "two lines \x1b[31m\n")
     for method in ("PUT", "DELETE", "OPTIONS"):
         assert fetch(server, "a", method=method)[0] == 501

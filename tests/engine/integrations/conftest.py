@@ -29,12 +29,13 @@ def by_evaluate(small_demo):
 
 @pytest.fixture
 def public_store(small_demo, tmp_path):
-    """A store without answers and labels, and the folder of its panoramas."""
+    """A store without answers, and a folder of its panoramas beside which there are no labels."""
     whole, bare = Store(small_demo[0] / "store"), Store(tmp_path / "public")
     (bare.path / "questions").mkdir(parents=True)
     for name in ("questions", "sequences"):
         shutil.copy(whole.question_path(name), bare.question_path(name))
-    return bare, whole.manifest().image_root
+    shutil.copytree(whole.manifest().image_root, tmp_path / "pictures")
+    return bare, str(tmp_path / "pictures")
 
 
 @pytest.fixture

@@ -162,6 +162,14 @@ def test_over_stdio_a_store_with_answers_or_labels_is_refused(public_store, held
     assert "\n" not in str(result.exception) and not (store.path / "runs" / "mcp-agent").exists()
 
 
+def test_over_stdio_panoramas_beside_labels_are_refused(public_store, small_demo):
+    store, _ = public_store
+    beside = Store(small_demo[0] / "store").manifest().image_root
+    result = CliRunner().invoke(group, ["mcp", "--store", str(store.path), "--images", beside])
+    assert isinstance(result.exception, InputError) and "labels" in str(result.exception)
+    assert not (store.path / "runs" / "mcp-agent").exists()
+
+
 # -- in this process --------------------------------------------------------------------------------------------------
 
 

@@ -224,6 +224,7 @@ def test_a_run_of_a_matrix_that_fails_leaves_the_others(store, tmp_path):
         ("[", "cannot read"),
         ("", "holds no run"),
         ("run = 3", "holds no run"),
+        ("[[run]]\nmodel = 'marker'\nhistory = [4, 8]", "two runs are named react-marker"),
         ("[[run]]\nmodell = 'marker'", "run 1: no option 'modell': did you mean model?"),
         ("[[run]]\nstore = 'other'", "run 1: no option 'store'"),
         ("[[run]]\nmodel = 'marker'\n[[run]]\nlimit = 'many'", "run 2: Invalid value for '--limit'"),
