@@ -27,7 +27,7 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.method import Question
 
-OUTCOMES: Final = ("both right", "answer only", "box only", "both wrong")
+SCORE_OUTCOMES: Final = ("both right", "answer only", "box only", "both wrong")
 """The outcomes of a question."""
 
 _PER_PAGE: Final = 100
@@ -50,11 +50,11 @@ class ViewedRun:
         return self.manifest.run_id
 
     def outcome(self, question_id: str) -> str:
-        """One of `OUTCOMES`; "" where it is not known or the run does not have the question."""
+        """One of `SCORE_OUTCOMES`; "" where it is not known or the run does not have the question."""
         if question_id not in self.scores:
             return ""
         answer, evidence, _ = self.scores[question_id]
-        return OUTCOMES[2 * (not answer) + (not evidence)]
+        return SCORE_OUTCOMES[2 * (not answer) + (not evidence)]
 
     def mean(self, column: str) -> float | None:
         """The mean of a column of `predictions` over the run's questions; None without predictions."""
@@ -113,7 +113,7 @@ class Viewer:
         page = min(int(text) if (text := request.value("page")).isdecimal() and len(text) < 7 else 0, last)
         options = {name: sorted({str(getattr(own, name)) for own in self.questions}) for name in _PUBLIC}
         if self.comparison is not None:
-            options["outcome"] = list(OUTCOMES)
+            options["outcome"] = list(SCORE_OUTCOMES)
             options["cause"] = sorted({cause for run in self.runs.values() for cause in run.causes.values()})
         return self._html(
             "view.html",

@@ -11,7 +11,7 @@ from known_runs import BOX, ELSEWHERE
 from local_pages import fetch, serving
 from traced_runs import HOSTILE, stored_run, trace_runs
 
-from jrdb_avr.engine.pages.view import OUTCOMES, Viewer, address
+from jrdb_avr.engine.pages.view import SCORE_OUTCOMES, Viewer, address
 from jrdb_avr.engine.report.comparison import report, score
 from jrdb_avr.queries.runs import read_run_manifest, write_run_manifest
 from jrdb_avr.queries.store import Store, read_table
@@ -43,7 +43,7 @@ def addresses(viewer, question):
     yield from (
         "",
         "?cause=wrong+person",
-        address("", outcome=OUTCOMES[0])[2:],
+        address("", outcome=SCORE_OUTCOMES[0])[2:],
         f"?family={viewer.questions[0].family}",
         "?page=9",
     )
