@@ -93,10 +93,11 @@ def _turned(cells: Sequence[dict[str, str]], names: Sequence[str], width: int) -
 
 
 def _key(cells: Sequence[dict[str, str]], names: Sequence[str], width: int) -> list[str]:
-    """The first columns that tell the rows apart, as far as they leave half the width."""
+    """The first columns that tell the rows apart, as far as they leave half the width, and room for every other."""
     for count in range(1, _KEYS + 1):
         key = list(names[:count])
-        if _least(cells, key) > width / 2:
+        most = max((_least(cells, [name]) - 1 for name in names[count:]), default=0)
+        if _least(cells, key) > min(width / 2, width - most):
             return key[:-1] or key
         if len({tuple(own[name] for name in key) for own in cells}) == len(cells):
             return key

@@ -37,8 +37,9 @@ from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.beliefs.record import copy_all
 from jrdb_avr.queries.display import Progress, step_counter
 from jrdb_avr.queries.graph.handle import build_graph, remove_graph
+from jrdb_avr.queries.manifest import Manifest, SequenceEntry
 from jrdb_avr.queries.runs import run_ids
-from jrdb_avr.queries.store import Manifest, SequenceEntry, Store, file_hash
+from jrdb_avr.queries.store import Store, file_hash
 from jrdb_avr.queries.workers import map_shards, without_collector
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
 from jrdb_avr.schema.rules import LoadRules, rules_hash
@@ -273,6 +274,9 @@ def _finish(
     parts: Sequence[str],
 ) -> list[str]:
     """Build the graph, move what is staged in, and put the manifest back last. Returns why runs were left out of it."""
+    place = store.path.resolve()
+    if image_root is not None and Path(image_root).is_relative_to(place):
+        image_root = Path(image_root).relative_to(place).as_posix()
     manifest = Manifest(image_root, rules, rules_hash(rules), entries, {})
     left_out = write_graph(store, partial(_build, store, staging, manifest))
     _move(store, staging, parts)

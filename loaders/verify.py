@@ -35,7 +35,8 @@ from jrdb_avr.queries import workers
 from jrdb_avr.queries.graph.file import check_fingerprint, fingerprint_of, lock_graph
 from jrdb_avr.queries.graph.guard import end_beyond_memory
 from jrdb_avr.queries.graph.handle import Graph
-from jrdb_avr.queries.store import Manifest, Store, file_hash
+from jrdb_avr.queries.manifest import Manifest
+from jrdb_avr.queries.store import Store, file_hash
 from jrdb_avr.schema.errors import AvrError, QueryError, StoreError
 from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, SCENE_RELS
 

@@ -15,6 +15,7 @@ from typing import Any, Final
 import pyarrow as pa
 
 from jrdb_avr.queries.graph.parameters import scalar
+from jrdb_avr.queries.manifest import MANIFEST_NAME, read_manifest
 from jrdb_avr.schema.errors import QueryError, StoreError
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, QUESTIONS, RUNS
 
@@ -34,10 +35,20 @@ _RUN_COLUMNS: Final = ", ".join(f"{name}: '{'BOOL' if name == 'synthetic' else '
 
 
 def views(folder: Path, runs: Collection[str] | None = None) -> Iterator[tuple[str, pa.Schema, list[Path]]]:
-    """Each view's name, its schema and the files behind it, sorted; where `runs` are named, of these only."""
+    """Each view's name, its schema and the files behind it, sorted; where `runs` are named, of these only.
+
+    Of a store with a manifest these are the files that it lists: one that is gone is a fault of its view, not fewer
+    rows. Raises StoreError for a manifest that does not read.
+    """
+    files: dict[Path, list[Path]] = {}
+    if loaded := (folder / MANIFEST_NAME).exists():
+        entries = read_manifest(folder).sequences.values()
+        for path in sorted(folder / path for entry in entries for path in entry.tables):
+            files.setdefault(path.parent, []).append(path)
     for part, tables in (("annotations", ANNOTATIONS), ("intervals", INTERVALS)):
         for name, schema in tables.items():
-            yield f"{part}_{name}", schema, sorted((folder / part / name).glob("*.parquet"))
+            place = folder / part / name
+            yield f"{part}_{name}", schema, files.get(place, []) if loaded else sorted(place.glob("*.parquet"))
     for name, schema in QUESTIONS.items():
         path = folder / "questions" / f"{name}.parquet"
         yield name, schema, [path] if path.exists() else []

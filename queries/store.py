@@ -34,36 +34,17 @@ from jrdb_avr.queries.graph.file import STORE_GRAPH
 from jrdb_avr.queries.graph.guard import query_graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.keyframes import STAMP, keyframe_values
+from jrdb_avr.queries.manifest import MANIFEST_NAME, Manifest, read_manifest
 from jrdb_avr.queries.named import find_query
 from jrdb_avr.queries.sql import query_tables
 from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError, QueryError, StoreError, did_you_mean
 from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY
-from jrdb_avr.schema.rules import LoadRules, Rules
+from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.tables import ANNOTATIONS, GENERATION_KEY, INTERVALS, QUESTIONS, RUNS
 
-MANIFEST_VERSION: Final = 1
 ROW_GROUP: Final = 1 << 18
 
 _PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-
-
-class SequenceEntry(msgspec.Struct, frozen=True):
-    """A sequence in the manifest: its layers, and its files' content hashes by path in the store."""
-
-    layers: tuple[str, ...]
-    tables: dict[str, str]
-
-
-class Manifest(msgspec.Struct, frozen=True):
-    """`store.json`. `image_root` is the folder that holds one folder of panoramas per sequence, or None."""
-
-    image_root: str | None
-    load_rules: LoadRules
-    load_rules_hash: str
-    sequences: dict[str, SequenceEntry]
-    graph: dict[str, int | str]
-    """Rows per table of the scene namespace as built, and its storage version."""
-    version: int = MANIFEST_VERSION
 
 
 def is_plain_name(name: str) -> bool:
@@ -214,17 +195,8 @@ class Store(Displayed):
     # -- the manifest -----------------------------------------------------------------------------------------
 
     def manifest(self) -> Manifest:
-        """The manifest. Raises StoreError where nothing is loaded or another version wrote it."""
-        path = self.path / "store.json"
-        try:
-            manifest = msgspec.json.decode(path.read_bytes(), type=Manifest)
-        except FileNotFoundError:
-            raise StoreError(f"{self.path} is no store: run 'jrdb-avr load ROOT --store {self.path}' first") from None
-        except (msgspec.DecodeError, UnicodeDecodeError, OSError) as error:
-            raise StoreError(f"cannot read {path}: {error}; load the annotations again") from None
-        if manifest.version != MANIFEST_VERSION:
-            raise StoreError(f"{path} has version {manifest.version}, not {MANIFEST_VERSION}: load again")
-        return manifest
+        """Read the manifest. Raises StoreError as `read_manifest` does."""
+        return read_manifest(self.path)
 
     def without_occlusion(self) -> list[str]:
         """The sequences whose 2D boxes come without attributes, so that every box of legal size is a clear view."""
@@ -237,7 +209,7 @@ class Store(Displayed):
 
     def write_manifest(self, manifest: Manifest) -> None:
         """Write the manifest, which makes the folder a store. Raises StoreError if the disk refuses."""
-        write_json(self.path / "store.json", manifest)
+        write_json(self.path / MANIFEST_NAME, manifest)
 
     # -- queries ----------------------------------------------------------------------------------------------
 

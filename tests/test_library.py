@@ -21,7 +21,7 @@ from jrdb_avr.loaders.report import SequenceReport
 from jrdb_avr.loaders.result import LoadResult
 from jrdb_avr.queries import display
 from jrdb_avr.queries.display import step_counter
-from jrdb_avr.queries.store import SequenceEntry
+from jrdb_avr.queries.manifest import SequenceEntry
 from jrdb_avr.schema import answers, errors
 from jrdb_avr.schema.tables import RUNS
 

@@ -12,20 +12,21 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import RELATIONS
 from jrdb_avr.schema.rules import Rules
-from jrdb_avr.schema.tables import ANNOTATIONS
 
 
 class _LayerTables(dict[str, pa.Table]):
-    """A sequence's annotation tables by layer, each read when it is first used; a layer that it lacks is empty."""
+    """A sequence's annotation tables by layer, each read when it is first used.
+
+    A load writes a table of each layer, empty where the sequence lacks it: a missing file is a damaged store. Taken for
+    an empty layer it would refute most questions.
+    """
 
     def __init__(self, store: Store, sequence: str) -> None:
         super().__init__()
         self._store, self._sequence = store, sequence
 
     def __missing__(self, layer: str) -> pa.Table:
-        there = self._store.annotation_path(layer, self._sequence).exists()
-        table = self._store.annotation(layer, self._sequence) if there else ANNOTATIONS[layer].empty_table()
-        return self.setdefault(layer, table)
+        return self.setdefault(layer, self._store.annotation(layer, self._sequence))
 
 
 class Annotations(RelationFacts):
@@ -37,7 +38,7 @@ class Annotations(RelationFacts):
 
     @classmethod
     def read(cls, store: Store, sequence: str, rules: Rules) -> Annotations:
-        """Read a sequence's tables; a layer that it lacks is empty. Raises StoreError for a broken file."""
+        """Read a sequence's tables. Raises StoreError for a missing or broken file, as late as it is first used."""
         return cls(_LayerTables(store, sequence), rules)
 
     # -- descriptions -------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ import shutil
 import signal
 import time
 from functools import cache
+from pathlib import Path
 
 import pytest
 import warm
@@ -20,13 +21,15 @@ from quick_store import without_graph
 from random_worlds import random_world
 from worlds import load_reported, load_world, person, person_3d, write_root
 
+from jrdb_avr.engine.rederive.labels import Annotations
 from jrdb_avr.loaders import load as loading
+from jrdb_avr.loaders.load import rebuild
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.errors import AvrError, LockedError, StoreError
+from jrdb_avr.schema.errors import AvrError, LockedError, QueryError, StoreError
 from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
-from jrdb_avr.schema.rules import LoadRules
+from jrdb_avr.schema.rules import LoadRules, Rules
 
 GOOD = {"2d": {f: [person(1, (100 + f, 60, 50, 200), {"walking": 1}, (5, 1))] for f in range(40)}}
 
@@ -330,6 +333,27 @@ def test_a_store_that_cannot_be_written_is_one_line(tmp_path, place):
     assert code in (1, 2)
     assert "Traceback" not in err and err.strip()
     assert (tmp_path / "file").read_text() == "x"
+
+
+def test_a_file_that_is_gone_is_a_fault_and_not_fewer_rows(tmp_path, loaded_two):
+    store = copied(loaded_two, tmp_path / "store")
+    store.annotation_path("boxes_2d", "yard-1").unlink()
+    with pytest.raises(QueryError, match=r"cannot read the files of annotations_boxes_2d: .*yard-1"):
+        store.sql("SELECT count(*) FROM annotations_boxes_2d")
+    assert store.sql("SELECT count(DISTINCT sequence) AS n FROM intervals_sightings")["n"].to_pylist() == [2]
+    with pytest.raises(StoreError, match=r"boxes_2d.yard-1\.parquet"):
+        Annotations.read(store, "yard-1", Rules()).people(0)
+
+
+@pytest.mark.usefixtures("graphless")
+def test_panoramas_that_lie_in_the_store_move_with_it(tmp_path):
+    write_root(tmp_path / "store" / "root", {"yard-1": GOOD | {"images": range(40)}})
+    assert run("load", tmp_path / "store" / "root", "--store", tmp_path / "store", "--workers", 1)[0] == 0
+    moved = Store((tmp_path / "store").rename(tmp_path / "moved"))
+    place = Path(moved.manifest().image_root)
+    assert place.is_relative_to(moved.path) and (place / "yard-1").is_dir()
+    rebuild(moved, LoadRules(), 1)
+    assert moved.manifest().image_root == str(place)
 
 
 # -- the command ---------------------------------------------------------------------------------------------------

@@ -6,7 +6,8 @@ import pyarrow as pa
 import pytest
 from painted_world import SEQUENCE, Actor, World, still
 
-from jrdb_avr.queries.store import Manifest, Store
+from jrdb_avr.queries.manifest import Manifest
+from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.markers import Mark
 from jrdb_avr.schema.method import Question
 from jrdb_avr.schema.panorama import Box

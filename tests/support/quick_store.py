@@ -18,7 +18,8 @@ from jrdb_avr.loaders.intervals.derive import derive
 from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.loaders.sequence import annotate
-from jrdb_avr.queries.store import SequenceEntry, Store, write_table
+from jrdb_avr.queries.manifest import SequenceEntry
+from jrdb_avr.queries.store import Store, write_table
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS
 

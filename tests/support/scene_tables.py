@@ -15,7 +15,8 @@ import pyarrow as pa
 
 from jrdb_avr.loaders.graph import build_scene
 from jrdb_avr.queries.graph.handle import build_graph
-from jrdb_avr.queries.store import Manifest, SequenceEntry, Store
+from jrdb_avr.queries.manifest import Manifest, SequenceEntry
+from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.labels import ACTIONS, AGES, GENDERS, INTERACTIONS, OCCLUSIONS, POSES, ROBOT_SECTORS
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT
 from jrdb_avr.schema.rules import LoadRules, rules_hash

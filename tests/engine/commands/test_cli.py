@@ -17,8 +17,9 @@ from worlds import person, write_root
 
 from jrdb_avr.engine.cli import COMMANDS, group
 from jrdb_avr.queries.graph.handle import build_graph
+from jrdb_avr.queries.manifest import Manifest, SequenceEntry
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
-from jrdb_avr.queries.store import Manifest, SequenceEntry, Store
+from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import EndpointError
 from jrdb_avr.schema.graph import scene_ddl
 from jrdb_avr.schema.rules import LoadRules, rules_hash

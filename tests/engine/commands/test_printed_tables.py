@@ -6,7 +6,7 @@ import re
 import sys
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from jrdb_avr.engine.console import csv_text, print_rows
@@ -36,6 +36,7 @@ def printed(rows, width=80, terminal=False, **options):
     return out.getvalue()
 
 
+@example([(None, None, -(10**33), *[None] * 4)] * 4, 60)
 @given(
     st.integers(1, 14).flatmap(lambda n: st.lists(st.tuples(*[CELLS] * n), min_size=1, max_size=9)),
     st.integers(60, 140),
