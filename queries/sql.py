@@ -40,15 +40,15 @@ def views(folder: Path, runs: Collection[str] | None = None) -> Iterator[tuple[s
     Of a store with a manifest these are the files that it lists: one that is gone is a fault of its view, not fewer
     rows. Raises StoreError for a manifest that does not read.
     """
-    files: dict[Path, list[Path]] = {}
+    listed: dict[Path, list[Path]] = {}
     if loaded := (folder / MANIFEST_NAME).exists():
         entries = read_manifest(folder).sequences.values()
         for path in sorted(folder / path for entry in entries for path in entry.tables):
-            files.setdefault(path.parent, []).append(path)
+            listed.setdefault(path.parent, []).append(path)
     for part, tables in (("annotations", ANNOTATIONS), ("intervals", INTERVALS)):
         for name, schema in tables.items():
             place = folder / part / name
-            yield f"{part}_{name}", schema, files.get(place, []) if loaded else sorted(place.glob("*.parquet"))
+            yield f"{part}_{name}", schema, listed.get(place, []) if loaded else sorted(place.glob("*.parquet"))
     for name, schema in QUESTIONS.items():
         path = folder / "questions" / f"{name}.parquet"
         yield name, schema, [path] if path.exists() else []
