@@ -31,8 +31,8 @@ def command(
 ) -> None:
     """Write a page that shows questions with their answers, plans, proofs and views, or store what was decided on it.
 
-    On the page: a accepts, r rejects, u undoes, j and k go on and back. With --import, prints how far every two
-    reviewers agree (Cohen's kappa).
+    On the page: a accepts, r rejects, u undoes, j and k go on and back, comma and dot a second earlier and later. With
+    --import, prints how far every two reviewers agree (Cohen's kappa).
     """
     decisions, reviewer = review["decisions"], review["reviewer"]
     if (decisions is None) != (reviewer is None):

@@ -1,11 +1,10 @@
-"use strict";
 (() => {
-  const about = JSON.parse(document.getElementById("about").textContent);
+  const about = JSON.parse(byId("about").textContent);
   const articles = [...document.querySelectorAll("article")];
   const decided = new Map();
   const done = [];
-  const dialog = document.getElementById("why");
-  const reason = document.getElementById("reason");
+  const dialog = byId("why");
+  const reason = byId("reason");
   let current = 0;
   let unsaved = false;
 
@@ -20,7 +19,7 @@
     } catch {
       saved = false;
     }
-    document.getElementById("saved").textContent = saved ? "This browser keeps them until you start anew." : "";
+    byId("saved").textContent = saved ? "This browser keeps them until you start anew." : "";
   };
   const remember = () => {
     try {
@@ -37,27 +36,55 @@
   const changed = () => {
     unsaved = decided.size > 0;
     keep();
+    show();
   };
 
+  /** The nearest question from a place on, in steps, that the filters leave. */
+  const visible = (place, step) => {
+    while (articles[place]?.hidden) place += step;
+    return articles[place] ? place : undefined;
+  };
   const show = () => {
     const count = (what) => [...decided.values()].filter((d) => d.decision === what).length;
-    document.getElementById("count").textContent =
+    byId("count").textContent =
       `${decided.size} of ${articles.length} decided: ${count("accept")} accepted, ${count("reject")} rejected`;
+    byId("progress").value = decided.size;
     for (const [place, article] of articles.entries()) {
       const own = decided.get(article.dataset.id);
-      article.classList.toggle("current", place === current);
-      article.toggleAttribute("aria-current", place === current);
-      article.dataset.decision = own ? own.decision : "";
+      article.dataset.decision = own ? own.decision : "none";
       article.querySelector(".state").textContent = own ? `· ${own.decision}ed` : "";
       article.querySelector(".reason").textContent = own ? own.reason : "";
     }
+    applyFilters();
+    current = visible(current, 1) ?? visible(current, -1) ?? current;
+    for (const [place, article] of articles.entries()) {
+      article.classList.toggle("current", place === current);
+      article.toggleAttribute("aria-current", place === current);
+    }
+    const left = articles.filter((article) => !article.hidden).length;
+    byId("found").textContent = left < articles.length ? `${left} of ${articles.length} shown` : "";
   };
-  const go = (place) => {
-    current = Math.max(0, Math.min(articles.length - 1, place));
+  /** Make the question of a place the current one: with filters the next in this direction, or none. */
+  const go = (place, step = 1) => {
+    const next = visible(place, step);
+    if (next === undefined) return;
+    current = next;
     // The keyboard goes along: what Tab reaches next are this question's own buttons.
     articles[current].focus({ preventScroll: true });
     articles[current].scrollIntoView({ block: "start" });
     show();
+  };
+  /** Show the panoramas of a question a second earlier or later, where there are pictures. */
+  const turn = (figure, seconds) => {
+    for (const part of figure.querySelectorAll("[data-seconds]")) part.toggleAttribute("hidden", part.dataset.seconds !== seconds);
+    for (const button of figure.querySelectorAll("[data-show]")) button.setAttribute("aria-pressed", button.dataset.show === seconds);
+  };
+  const step = (by) => {
+    for (const figure of articles[current].querySelectorAll("figure:has([data-show])")) {
+      const buttons = [...figure.querySelectorAll("[data-show]")];
+      const to = buttons.findIndex((button) => button.ariaPressed === "true") + by;
+      if (buttons[to]) turn(figure, buttons[to].dataset.show);
+    }
   };
   const decide = (place, decision, why) => {
     const id = articles[place].dataset.id;
@@ -94,19 +121,21 @@
   });
   const act = { accept: (place) => decide(place, "accept", ""), reject: ask, undo };
   document.addEventListener("click", (event) => {
-    const button = event.target.closest("button[data-do]");
-    if (button) act[button.dataset.do](articles.indexOf(button.closest("article")));
+    const button = event.target.closest("button[data-do], button[data-show]");
+    if (!button) return;
+    if (button.dataset.show) turn(button.closest("figure"), button.dataset.show);
+    else act[button.dataset.do](articles.indexOf(button.closest("article")));
   });
-  const keys = { a: () => act.accept(current), r: () => ask(current), u: undo, j: () => go(current + 1), k: () => go(current - 1) };
+  const keys = { a: () => act.accept(current), r: () => ask(current), u: undo, j: () => go(current + 1), k: () => go(current - 1, -1), ",": () => step(-1), ".": () => step(1) };
   document.addEventListener("keydown", (event) => {
-    if (dialog.open || event.repeat || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (dialog.open || event.repeat || !isShortcut(event)) return;
     const key = keys[event.key];
-    if (key) {
+    if (key && articles[current]?.hidden === false) {
       event.preventDefault();
       key();
     }
   });
-  document.getElementById("download").addEventListener("click", () => {
+  byId("download").addEventListener("click", () => {
     const file = { ...about, decisions: articles.map((a) => decided.get(a.dataset.id)).filter(Boolean) };
     const link = document.createElement("a");
     link.href = URL.createObjectURL(new Blob([JSON.stringify(file, null, 1)], { type: "application/json" }));
@@ -118,13 +147,14 @@
   window.addEventListener("beforeunload", (event) => {
     if (unsaved && !saved) event.preventDefault();
   });
-  document.getElementById("anew").addEventListener("click", () => {
+  byId("anew").addEventListener("click", () => {
     if (decided.size && !confirm("Forget every decision on this page?")) return;
     decided.clear();
     done.length = 0;
     changed();
     go(0);
   });
+  for (const select of filters) select.addEventListener("change", show);
   remember();
   keep();
   show();

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import random
 import re
@@ -14,7 +15,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.engine.observe.observer import Observer
-from jrdb_avr.engine.pages.page import jpeg_uri, on_strip, readable, render, unit_of
+from jrdb_avr.engine.pages.page import on_strip, picture_uri, readable, render, unit_of
 from jrdb_avr.engine.pages.svg import PlanGraph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice, decode_answer
@@ -35,8 +36,10 @@ _NEAR_MOMENTS: Final = frames_in(5.0)
 _POSE_READS: Final = ("action", "next_action")
 """Reads whose answer is a pose."""
 
-STRIP_WIDTH: Final = 1880
-"""Pixels of a panorama in the page: half size, so that a page of twenty questions stays small enough to send."""
+_STRIP: Final = (2820, 360)
+_AROUND: Final = (1880, 240)
+"""Size in pixels of a panorama in the page, and of those one second before and after it: three quarters and half, so
+that a page of twenty questions stays small enough to send and people can still be seen when it is zoomed."""
 
 CLOSE_UP: Final = 220
 """Pixels of a close-up's side."""
@@ -119,7 +122,8 @@ class Inspected:
 
     people: the plan's nodes as (role, track); counted: further people whom the answer counts, as (role, track);
     moments: named times as frames; annotated: the annotated frame of each named time; boxes: per frame to display, the
-    boxes of all these people by role; decisive: the needed box that answers the question; occlusion: whether boxes of
+    boxes of all these people by role; around: for each of these the frames a second before and after it, with their
+    boxes, as (-1 or 1, frame, boxes); decisive: the needed box that answers the question; occlusion: whether boxes of
     the sequence have occlusion attributes.
     """
 
@@ -134,13 +138,23 @@ class Inspected:
         self.decisive = next((box for box in record.needed if box.decisive), record.needed[0])
         counted = [box for box in record.needed if box.node not in self.people]
         self.counted = {box.node: box.track for box in counted}
-        sightings = {role: sequence.rows("sightings", "track", track) for role, track in self.people.items()}
-        self.boxes: dict[int, list[tuple[str, Box]]] = {
-            frame: [(role, _box(row)) for role, rows in sightings.items() for row in rows if row["frame"] == frame]
-            for frame in sorted({*at.values(), self.decisive.frame, *(box.frame for box in counted)})
-        }
+        tracks = self.people | self.counted
+        sightings = {role: sequence.rows("sightings", "track", track) for role, track in tracks.items()}
+
+        def boxes(roles: Iterable[str], frame: int) -> list[tuple[str, Box]]:
+            return [(role, _box(row)) for role in roles for row in sightings[role] if row["frame"] == frame]
+
+        displayed = sorted({*at.values(), self.decisive.frame, *(box.frame for box in counted)})
+        self.boxes = {frame: boxes(self.people, frame) for frame in displayed}
         for box in counted:
             self.boxes[box.frame].append((box.node, Box(box.x, box.y, box.w, box.h)))
+        self.around = {
+            frame: [
+                (sign, frame + sign * round(self.fps), boxes(dict(own) | self.people, frame + sign * round(self.fps)))
+                for sign in (-1, 1)
+            ]
+            for frame, own in self.boxes.items()
+        }
         self.timeline = [row for role in self.people for row in _timeline(role, self, sightings[role], sequence)]
 
 
@@ -232,7 +246,10 @@ class FramedBox(NamedTuple):
 
 
 class View(NamedTuple):
-    """A picture with boxes; `missing`: why there is none; `near`: close-ups of its people."""
+    """A picture with boxes; `missing`: why there is none; `near`: close-ups of its people.
+
+    `around`: the same a second earlier and later, as (-1 or 1, picture).
+    """
 
     title: str
     uri: str = ""
@@ -242,6 +259,7 @@ class View(NamedTuple):
     missing: str = ""
     plate: float = 28.0
     near: tuple[View, ...] = ()
+    around: Sequence[tuple[int, View]] = ()
 
 
 def inspect_page(
@@ -252,7 +270,11 @@ def inspect_page(
     for one in questions:
         found.append(_question(one, observer))
         advance(1)
-    return render("inspect.html", questions=found, sha256=questions_sha256)
+    options = {
+        name: sorted({str(getattr(one.record, name)) for one in questions})
+        for name in ("family", "template", "sequence")
+    }
+    return render("inspect.html", questions=found, options=options, sha256=questions_sha256)
 
 
 def _question(one: Inspected, observer: Observer) -> dict[str, Any]:
@@ -315,10 +337,20 @@ def _strip(one: Inspected, frame: int, observer: Observer) -> View:
         image = observer.panorama(one.record.sequence, frame)
     except ObserveError as error:
         return View(title, missing=str(error))
-    boxes = [FramedBox(role, *part) for role, box in one.boxes[frame] for part in on_strip(box, STRIP_WIDTH)]
-    size = STRIP_WIDTH, round(HEIGHT * STRIP_WIDTH / WIDTH)
     near = tuple(close_up(role, box, image, frame) for role, box in one.boxes[frame] if role in one.people)
-    return View(title, jpeg_uri(image, size), *size, boxes, near=near)
+    around = []
+    for sign, other, boxes in one.around[frame]:
+        # A second away the store may have no picture, or one that cannot be read: it is only left out.
+        with contextlib.suppress(ObserveError):
+            there = observer.panorama(one.record.sequence, other)
+            around.append((sign, _panorama(f"{sign:+d} s, frame {other}", there, _AROUND, boxes)))
+    return _panorama(title, image, _STRIP, one.boxes[frame])._replace(near=near, around=around)
+
+
+def _panorama(title: str, image: Image, size: tuple[int, int], boxes: Iterable[tuple[str, Box]]) -> View:
+    """A whole panorama, its boxes in stitched pixels whatever its size."""
+    framed = [FramedBox(role, *part) for role, box in boxes for part in on_strip(box, WIDTH)]
+    return View(title, picture_uri(image, size), WIDTH, HEIGHT, framed)
 
 
 def _moment(one: Inspected, name: str) -> str:
@@ -335,7 +367,7 @@ def close_up(role: str, box: Box, image: Image, frame: int) -> View:
     cut = np.take(image, np.arange(left, left + side), axis=1, mode="wrap")[top : top + side]
     scale, size = CLOSE_UP / side, (CLOSE_UP, CLOSE_UP)
     framed = FramedBox(role, (box.x - left) * scale, (box.y - top) * scale, box.w * scale, box.h * scale)
-    return View(f"{role.upper()} in frame {frame}", jpeg_uri(cut, size), *size, (framed,), plate=24.0)
+    return View(f"{role.upper()} in frame {frame}", picture_uri(cut, size), *size, (framed,), plate=24.0)
 
 
 def _crop(one: Inspected, observer: Observer) -> View:
@@ -347,4 +379,4 @@ def _crop(one: Inspected, observer: Observer) -> View:
     except ObserveError as error:
         return View(title, missing=str(error))
     box = FramedBox(needed.node, *to_crop(Box(needed.x, needed.y, needed.w, needed.h), seen.left))
-    return View(title, jpeg_uri(seen.image, (CROP, CROP)), CROP, CROP, (box,))
+    return View(title, picture_uri(seen.image, (CROP, CROP)), CROP, CROP, (box,))

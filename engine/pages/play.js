@@ -1,15 +1,7 @@
-"use strict";
 (() => {
   const WIDTH = 3760;
   const CROP = 480;
   const THOUSAND = 1000;
-  const byId = (id) => document.getElementById(id);
-  const drawn = (name, values, text = "") => {
-    const element = document.createElementNS("http://www.w3.org/2000/svg", name);
-    for (const [key, value] of Object.entries(values)) element.setAttribute(key, value);
-    element.textContent = text;
-    return element;
-  };
   const made = (name, values, text = "") => Object.assign(document.createElement(name), values, { textContent: text });
   const frameId = (frame) => String(frame).padStart(6, "0");
 
@@ -252,8 +244,8 @@
     turn(degrees);
   });
   document.addEventListener("keydown", (event) => {
-    if (event.key !== "l" || event.ctrlKey || event.metaKey || event.altKey) return;
-    if (event.target.closest('input[type="text"]') || byId("look").disabled || byId("playing").hidden) return;
+    if (event.key !== "l" || !isShortcut(event)) return;
+    if (byId("look").disabled || byId("playing").hidden) return;
     look();
   });
   send("state");

@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 import msgspec
 
 from jrdb_avr.engine.observe.observer import Observer
-from jrdb_avr.engine.pages.page import jpeg_uri, on_strip, readable, render, unit_of
+from jrdb_avr.engine.pages.page import on_strip, picture_uri, readable, render, unit_of
 from jrdb_avr.engine.pages.svg import shortened
 from jrdb_avr.engine.report.scoring import read_answer
 from jrdb_avr.engine.report.traces import Look, StoredRow, Trace, Transcript
@@ -45,7 +45,7 @@ Names = Mapping[str, tuple[str, int]]
 def trace_page(trace: Trace, observer: Observer) -> str:
     """The page's HTML."""
     sequence = str(trace.question["sequence"])
-    strip = functools.cache(lambda frame: jpeg_uri(observer.panorama(sequence, frame), _STRIP))
+    strip = functools.cache(lambda frame: picture_uri(observer.panorama(sequence, frame), _STRIP))
     made = [write.fact.entity for write in trace.writes if write.fact.entity is not None]
     names = {entity.id: (entity.name, number % ROLES) for number, entity in enumerate(made)}
     evidence = evidence_box(trace)
@@ -312,7 +312,7 @@ def _view(trace: Trace, look: Look, observer: Observer, strip: Callable[[int], s
     try:
         if look.angle is not None:
             crop = observer(str(trace.question["sequence"]), look.frame, look.angle).image
-            view["crop"] = jpeg_uri(crop, _SMALL)
+            view["crop"] = picture_uri(crop, _SMALL)
         return view | {"strip": strip(look.frame)}
     except ObserveError as error:
         return view | {"missing": str(error)}
@@ -332,7 +332,7 @@ def _final(trace: Trace, frame: int, box: Box, observer: Observer, strip: Callab
     try:
         seen = observer(str(trace.question["sequence"]), frame, angle)
         return found | {
-            "uri": jpeg_uri(seen.image, (CROP, CROP)),
+            "uri": picture_uri(seen.image, (CROP, CROP)),
             "boxes": [(name, to_crop(own, seen.left)) for name, own in boxes.items()],
             "strip": strip(frame),
             "on_strip": [(name, part) for name, own in boxes.items() for part in on_strip(own, _STRIP[0])],

@@ -1,16 +1,8 @@
-"use strict";
 (() => {
   const { scene, pictured } = JSON.parse(document.getElementById("scene").textContent);
-  const byId = (id) => document.getElementById(id);
   const scrub = byId("scrub");
   const picture = byId("picture");
   const frames = scene.frames;
-  const drawn = (name, values, text = "") => {
-    const element = document.createElementNS("http://www.w3.org/2000/svg", name);
-    for (const [key, value] of Object.entries(values)) element.setAttribute(key, value);
-    element.textContent = text;
-    return element;
-  };
   const nearest = (frame) => {
     let best = 0;
     frames.forEach((own, place) => {
@@ -34,7 +26,7 @@
         const group = drawn("g", { ...(own.kind.startsWith("role") && { class: own.kind }) });
         group.append(drawn("rect", { class: "edge", ...place }), drawn("rect", { class: `box ${own.kind}`, ...place }));
         group.append(drawn("title", {}, own.name));
-        if (group.classList.length) group.append(drawn("text", { x: Math.max(4, x), y: Math.max(36, y - 10) }, own.name));
+        if (group.classList.length) group.append(drawn("text", { x: Math.max(4, x), style: `--y: ${y}px` }, own.name));
         parts.push(group);
       }
     }
@@ -106,9 +98,9 @@
   }
   const keys = { ArrowLeft: () => go(at - 1), ArrowRight: () => go(at + 1), n: after, p: before, " ": toggle };
   document.addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey || !keys[event.key]) return;
+    if (!isShortcut(event) || !keys[event.key]) return;
     // A button takes the space bar, and what scrolls takes the arrows.
-    if (event.target.closest(event.key === " " ? "button, summary, a, pre" : "select, .scroll[tabindex], pre")) return;
+    if (event.target.closest(event.key === " " ? "button, summary, a, pre" : ".scroll[tabindex], pre")) return;
     event.preventDefault();
     keys[event.key]();
   });

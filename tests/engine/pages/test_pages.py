@@ -34,7 +34,7 @@ from jrdb_avr.engine.report.bundle import write_bundle
 from jrdb_avr.engine.validate.reviews import read_reviews
 from jrdb_avr.queries.questions import read_sequences
 from jrdb_avr.queries.runs import read_run_manifest, write_run_manifest
-from jrdb_avr.queries.store import read_table
+from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import parse_plan
 
@@ -330,6 +330,154 @@ def test_a_question_shows_answer_plan_people_and_proofs(opened, inspected, sampl
         assert "No picture" in article.text
 
 
+def pressed(driver, *keys):
+    from selenium.webdriver import ActionChains
+
+    for key in keys:
+        ActionChains(driver).send_keys(key).perform()
+
+
+def test_filters_leave_questions_out_and_the_keyboard_goes_past_them(opened, inspected):
+    from selenium.webdriver.support.ui import Select
+
+    driver, _ = opened
+    visit(driver, inspected)
+    articles = shown(driver, "article")
+
+    def left():
+        return [article for article in articles if article.is_displayed()]
+
+    def current():
+        return driver.find_element("css selector", "article.current")
+
+    def choose(name, text):
+        Select(driver.find_element("css selector", f"[data-filter={name}]")).select_by_visible_text(text)
+        driver.find_element("tag name", "h1").click()
+
+    template = articles[-1].get_attribute("data-template")
+    choose("template", template)
+    of_it = [article for article in articles if article.get_attribute("data-template") == template]
+    assert left() == of_it and 0 < len(of_it) < 4
+    assert driver.find_element("id", "found").text == f"{len(of_it)} of 4 shown" and current() == of_it[0]
+    pressed(driver, "j", "j", "j", "j")
+    assert current() == of_it[-1]
+    pressed(driver, "k", "k", "k", "k")
+    assert current() == of_it[0]
+    choose("template", "all")
+    choose("decision", "not decided")
+    # A question that is decided leaves, and the next one comes; a field takes its letters.
+    place = articles.index(current())
+    pressed(driver, "a")
+    assert left() == [article for article in articles if article != articles[place]] and current() in left()
+    assert driver.find_element("id", "progress").get_attribute("value") == "1"
+    driver.find_element("css selector", "[data-filter=decision]").send_keys("a")
+    assert driver.find_element("id", "count").text.startswith("1 of 4 decided")
+    choose("decision", "accepted")
+    assert left() == [articles[place]]
+    driver.execute_script("localStorage.clear()")
+
+
+@pytest.fixture(scope="module")
+def pictured(small_demo, tmp_path_factory):
+    """The page of a question whose frames have pictures, and the question's views."""
+    store = Store(small_demo[0] / "store")
+    asked = store.questions("questions")["question_id"].to_pylist()
+    one = next(one for one in inspect_questions(store, asked) if min(one.boxes) >= 15 and not one.counted)
+    path = tmp_path_factory.mktemp("pictured") / "i.html"
+    assert run("inspect", one.record.question_id, "--store", store.path, "--out", path)[0] == 0
+    return path, store, one
+
+
+def test_a_panorama_is_zoomed_turned_and_shown_again(opened, pictured):
+    from selenium.webdriver import ActionChains
+    from selenium.webdriver.common.actions.wheel_input import ScrollOrigin
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    driver, _ = opened
+    visit(driver, pictured[0])
+    svg = driver.find_element("css selector", ".zoomable > svg")
+    driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", svg)
+
+    def box():
+        own = driver.execute_script("return arguments[0].getAttribute('viewBox')", svg)
+        return [float(part) for part in own.split()]
+
+    def click(label):
+        driver.find_element("css selector", f".zoom [aria-label='{label}']").click()
+
+    assert box() == [0, 0, 3760, 480]
+    wheel = ScrollOrigin.from_element(svg, x_offset=int(svg.rect["width"] / 4))
+    before = driver.execute_script("return scrollY")
+    ActionChains(driver).scroll_from_origin(wheel, 0, -100).perform()
+    WebDriverWait(driver, 30, 0.02).until(lambda _: driver.execute_script("return scrollY") < before)
+    assert box()[2] == 3760, "the wheel scrolls the page until the panorama is clicked"
+    driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", svg)
+    ActionChains(driver).click(svg).perform()
+    ActionChains(driver).scroll_from_origin(wheel, 0, -200).perform()
+    WebDriverWait(driver, 30, 0.02).until(lambda _: box()[2] < 3760)
+    left, top, wide, tall = box()
+    assert wide == pytest.approx(3760 / 1.25**2) and (top, tall) == (0, 480)
+    # What was under the pointer stays there.
+    assert left + 0.75 * wide == pytest.approx(0.75 * 3760, abs=10)
+    pressed(driver, "+")
+    assert box()[2] == pytest.approx(wide / 1.5)
+    click("Zoom in")
+    assert box()[2] == pytest.approx(wide / 1.5**2)
+    before = box()
+    ActionChains(driver).drag_and_drop_by_offset(svg, -100, 0).perform()
+    assert box()[0] == pytest.approx((before[0] + 100 * before[2] / svg.rect["width"]) % 3760, abs=10)
+    click("Whole panorama")
+    assert box() == [0, 0, 3760, 480]
+    # It has no ends: on its left lies what is at its right end.
+    ActionChains(driver).drag_and_drop_by_offset(svg, 200, 0).perform()
+    assert box()[0] > 2900 and shown(driver, ".zoomable use[x='3760']")
+    click("Zoom out")
+    assert box()[0] == 0 and not shown(driver, ".zoomable use")
+    click("Zoom in")
+    driver.execute_script("dispatchEvent(new Event('beforeprint'))")
+    assert box() == [0, 0, 3760, 480], "paper has all of it"
+    # A telephone begins with a part, about the first box.
+    with narrow(driver):
+        visit(driver, pictured[0])
+        svg = driver.find_element("css selector", ".zoomable > svg")
+        left, _, wide, tall = box()
+        first = next(own for _, own in pictured[2].boxes[min(pictured[2].boxes)])
+        assert wide < 2000 and tall == 480 and 0 < (first.x - left) % 3760 < wide
+
+
+def test_frames_a_second_before_and_after_are_those(opened, pictured):
+    import cv2
+
+    driver, _ = opened
+    path, store, one = pictured
+    visit(driver, path)
+    figure = driver.find_element("css selector", "figure:has(.zoomable)")
+    frame = min(one.boxes)
+    observer, sequence = Observer.of(store), one.record.sequence
+    sightings = store.interval("sightings", sequence).to_pylist()
+
+    def displayed():
+        (part,) = (own for own in figure.find_elements("css selector", "[data-seconds]") if own.is_displayed())
+        uri = part.find_element("css selector", "image").get_attribute("href")
+        data = np.frombuffer(base64.b64decode(uri.partition(",")[2]), np.uint8)
+        names = [text.text.lower() for text in part.find_elements("css selector", "text")]
+        boxes = [float(own.get_attribute("x")) % 3760 for own in part.find_elements("css selector", "rect.box")]
+        return cv2.imdecode(data, cv2.IMREAD_COLOR_RGB), dict(zip(names, boxes, strict=True))
+
+    for keys, shift in (("", 0), (",,", -15), (".", 0), ("..", 15)):
+        pressed(driver, *keys)
+        there = [frame + moved for moved in (-15, 0, 15)]
+        picture, boxes = displayed()
+        size = picture.shape[1::-1]
+        apart = [
+            np.abs(cv2.resize(observer.panorama(sequence, own), size).astype(int) - picture).mean() for own in there
+        ]
+        assert there[int(np.argmin(apart))] == frame + shift
+        rows = {row["track"]: row["x"] for row in sightings if row["frame"] == frame + shift}
+        expected = {role: rows[track] % 3760 for role, track in one.people.items() if track in rows}
+        assert boxes == pytest.approx(expected)
+
+
 def test_unknown_questions_are_refused(sample_benchmark, tmp_path):
     code, out, err = run("inspect", "0" * 16, "--store", sample_benchmark.path, "--out", tmp_path / "i.html")
     assert (code, out) == (1, "")
@@ -541,7 +689,7 @@ def test_dots_on_each_other_share_a_tag_inside_the_square():
 
 def test_text_of_data_and_models_is_escaped():
     about = {"questions_sha256": HOSTILE}
-    page = render("inspect.html", questions=[], sha256=about["questions_sha256"])
+    page = render("inspect.html", questions=[], options={}, sha256=about["questions_sha256"])
     assert "<img" not in page and "\x1b" not in page
     text = page.partition('id="about">')[2].partition("</script>")[0]
     assert json.loads(text) == about

@@ -248,6 +248,15 @@ def test_a_question_is_looked_through_by_keyboard(opened, small_demo):
         driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", button)
         button.click()
         assert frame() == int(button.get_attribute("data-frame"))
+        # The arrows belong to the panorama while it is zoomed, and to the frames otherwise.
+        panorama = driver.find_element("css selector", ".zoomable > svg")
+        before = frame()
+        panorama.click()
+        press("+", Keys.ARROW_RIGHT)
+        place = driver.execute_script("return arguments[0].getAttribute('viewBox')", panorama)
+        assert frame() == before and float(place.split()[2]) == pytest.approx(3760 / 1.5)
+        press("0", Keys.ARROW_LEFT)
+        assert frame() != before
         top = driver.execute_script("return document.getElementById('stage').getBoundingClientRect().top")
         assert abs(top) < 1, "the panorama stays in view below"
         assert complaints(driver) == []
