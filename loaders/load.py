@@ -40,7 +40,7 @@ from jrdb_avr.queries.graph.handle import build_graph, remove_graph
 from jrdb_avr.queries.manifest import Manifest, SequenceEntry
 from jrdb_avr.queries.runs import run_ids
 from jrdb_avr.queries.store import Store, file_hash
-from jrdb_avr.queries.workers import map_shards, without_collector
+from jrdb_avr.queries.workers import Workers, map_shards, without_collector
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
 from jrdb_avr.schema.rules import LoadRules, rules_hash
 from jrdb_avr.schema.tables import ANNOTATIONS
@@ -72,7 +72,7 @@ def load(
     root: Root | str | Path,
     store: Store | str | Path,
     rules: LoadRules | None = None,
-    workers: int = 2,
+    workers: Workers = 2,
     *,
     layer_dirs: Mapping[str, Sequence[str]] | None = None,
     progress: Progress | None = None,
@@ -80,7 +80,7 @@ def load(
     """Load a JRDB root into a store: annotation tables, intervals and the scene graph.
 
     `layer_dirs`: folders with a layer's files, in the root or absolute; a layer with an empty list is left out.
-    `workers`: processes that share the sequences; the result does not depend on it.
+    `workers`: processes that share the sequences, or a cluster's address; the result does not depend on it.
 
     An AvrWarning says how many sequences have no occlusion attributes.
 
@@ -114,7 +114,7 @@ def load(
 
 
 def rebuild(
-    store: Store, rules: LoadRules, workers: int = 2, progress: Progress | None = None
+    store: Store, rules: LoadRules, workers: Workers = 2, progress: Progress | None = None
 ) -> dict[str, SequenceEntry]:
     """Derive intervals and graph again from the annotation tables of a store; an AvrWarning names each run whose world
     model is left out of the graph.

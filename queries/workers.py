@@ -1,7 +1,6 @@
 """Run functions in other processes: one over many sequences (the sequence is the shard), or one alone.
 
-The function and its items must be importable and picklable (plain data only travels between our own processes). A
-distributed engine can map the same function; this is the local way.
+The function and its items must be importable and picklable (plain data only travels between our own processes).
 """
 
 from __future__ import annotations
@@ -18,10 +17,14 @@ from multiprocessing.connection import wait
 from multiprocessing.context import ForkServerContext, SpawnContext
 from typing import TypeVar
 
+from jrdb_avr.queries.cluster import map_on_cluster
 from jrdb_avr.schema.errors import StoreError
 
 A = TypeVar("A")
 R = TypeVar("R")
+
+Workers = int | str
+"""Where sequences are worked on: so many processes of this machine, or the address of a cluster (`cluster.py`)."""
 
 context: SpawnContext | ForkServerContext = multiprocessing.get_context("spawn")
 """How a process starts: anew, not forked, as the engine's threads do not survive a fork. Tests put a context here whose
@@ -32,14 +35,17 @@ is_worker = False
 
 
 def map_shards(
-    function: Callable[[A], R], items: Sequence[A], workers: int, weight: Callable[[A], float]
+    function: Callable[[A], R], items: Sequence[A], workers: Workers, weight: Callable[[A], float]
 ) -> Iterator[tuple[int, R]]:
     """Yield (index of the item, result) as results come, heaviest items started first.
 
     Over half of all boxes lie in three sequences, so the order matters. Errors of the function are raised here; a
-    worker that dies (killed, out of memory) raises StoreError.
+    worker that dies (killed, out of memory) raises StoreError, on a cluster where it dies again and again.
     """
     order = sorted(range(len(items)), key=lambda i: (-weight(items[i]), i))
+    if isinstance(workers, str):
+        yield from map_on_cluster(workers, function, items, order)
+        return
     if workers <= 1 or len(items) <= 1:
         for i in order:
             yield i, function(items[i])

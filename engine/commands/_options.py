@@ -61,6 +61,28 @@ def form_option(function: _C) -> Callable[..., Any]:
 
 workers_option = click.option("--workers", type=click.IntRange(1, 256), default=2, show_default=True, help="Processes.")
 
+
+def executor_option(function: _C) -> Callable[..., Any]:
+    """Add the options `--workers` and `--executor`; the command gets `workers`, as `queries.workers.Workers`."""
+
+    @functools.wraps(function)
+    def command(*, workers: int, executor: str | None, **values: Any) -> Any:
+        return function(**values, workers=executor or workers)
+
+    def check(ctx: click.Context, own: click.Parameter, value: str | None) -> str | None:
+        if value is None or value == "ray" or value.startswith("ray://"):
+            return value
+        raise click.BadParameter("write ray, or ray://HOST:PORT")
+
+    executor = click.option(
+        "--executor",
+        metavar="ray[://HOST:PORT]",
+        callback=check,
+        help="Work on a Ray cluster whose machines see the same folders, instead of in processes here.",
+    )
+    return workers_option(executor(command))
+
+
 iou_option = click.option(
     "--iou", type=click.FloatRange(0.0, 1.0, min_open=True), default=0.5, show_default=True, help="Evidence."
 )

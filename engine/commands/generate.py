@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from jrdb_avr.engine.commands._options import FILE, FOLDER, form_option, pairs_option, store_option, workers_option
+from jrdb_avr.engine.commands._options import FILE, FOLDER, executor_option, form_option, pairs_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar, warnings_as_notes
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ _blind_option = click.option(
     metavar="STORE",
     help="With --profile train: no question needs a person of STORE's questions at the same time.",
 )
-@workers_option
+@executor_option
 @click.option("--seed", type=int, default=0, show_default=True, help="Decides between equally good selections.")
 @click.option(
     "--candidates", type=FILE, help="Also write every proven candidate before selection to this Parquet file."

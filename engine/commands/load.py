@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from jrdb_avr.engine.commands._options import form_option, pairs_option, store_option, workers_option
+from jrdb_avr.engine.commands._options import executor_option, form_option, pairs_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar
 from jrdb_avr.engine.text_table import clean
 from jrdb_avr.schema.rules import LoadRules, Rules, override
 
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
+    from jrdb_avr.queries.workers import Workers
 
 MAX_ROWS: Final = 50
 """Printed rows of a table whose length depends on the files."""
@@ -34,9 +35,9 @@ MAX_ROWS: Final = 50
 )
 @click.option("--strict", is_flag=True, help="Exit with 1 if anything was refused or skipped.")
 @pairs_option("--rule", "overrides", "Override a load rule; may be repeated.")
-@workers_option
+@executor_option
 @form_option
-def command(root: Path | None, store: Store, strict: bool, workers: int, form: RowFormat, **options: Any) -> None:
+def command(root: Path | None, store: Store, strict: bool, workers: Workers, form: RowFormat, **options: Any) -> None:
     """Load the JRDB root ROOT: stitched 2D boxes with actions and groups, 3D boxes, social and reasoning labels, poses,
     panoptic things, timestamps, calibration, panoramas.
 

@@ -7,26 +7,27 @@ from typing import TYPE_CHECKING
 
 import click
 
-from jrdb_avr.engine.commands._options import form_option, pairs_option, store_option, workers_option
+from jrdb_avr.engine.commands._options import executor_option, form_option, pairs_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar
 
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
+    from jrdb_avr.queries.workers import Workers
 
 
 @click.command(epilog="Example: jrdb-avr validate --store store --replay")
 @store_option()
 @click.option("--replay", is_flag=True, help="Also run every proof again, and every plan as Cypher on the graph.")
-@workers_option
+@executor_option
 @pairs_option("--rule", "overrides", "As in the call of generate.")
 @form_option
-def command(store: Store, replay: bool, workers: int, overrides: list[tuple[str, str]], form: RowFormat) -> None:
+def command(store: Store, replay: bool, workers: Workers, overrides: list[tuple[str, str]], form: RowFormat) -> None:
     """Check the questions of STORE: files, ids, choices, answers, texts, evidence; derive answers and proofs again.
 
     The second derivation reads the annotation tables and nothing that generation made. With --replay all proofs of
-    all questions are run again from the stored plans (by --workers processes), and each plan, compiled to Cypher, has
-    to find the stored people and answer in the graph; whatever comes out otherwise than stored is named with its
-    question and proof. Exit code 1 on any fault.
+    all questions are run again from the stored plans, and each plan, compiled to Cypher, has to find the stored people
+    and answer in the graph; whatever comes out otherwise than stored is named with its question and proof. Exit code 1
+    on any fault.
     """
     from jrdb_avr.engine.validate.checks import validate
     from jrdb_avr.schema.rules import Rules, override

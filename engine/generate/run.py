@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
+import contextlib
+import shutil
 import warnings
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,7 @@ from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.manifest import Manifest
 from jrdb_avr.queries.store import Store, file_hash, write_atomic
-from jrdb_avr.queries.workers import map_shards
+from jrdb_avr.queries.workers import Workers, map_shards
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
 from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY
 from jrdb_avr.schema.rules import Rules, rules_hash, training_rules
@@ -75,7 +76,7 @@ def generate(
     *,
     profile: str = "all",
     seed: int = 0,
-    workers: int = 2,
+    workers: Workers = 2,
     n: int | None = None,
     disjoint_from: str | Path | None = None,
     candidates: Path | None = None,
@@ -101,11 +102,11 @@ def generate(
     guesser = learned_guesser() if learned else None
     check_load_rules(store, rules)
     # A first look reads the manifest only, so that a wrong store is refused before it is locked (and thereby made).
-    with store.writing("generate"), tempfile.TemporaryDirectory(prefix="jrdb-avr-") as scratch:
+    with store.writing("generate"), _scratch(store) as scratch:
         manifest = check_load_rules(store, rules)
         check_intervals(store, manifest)
         sequences = _sequences(store, manifest, require_occlusion)
-        parts = [Path(scratch) / f"{sequence}.parquet" if candidates else None for sequence in sequences]
+        parts = [scratch / f"{sequence}.parquet" if candidates else None for sequence in sequences]
         lows = ensure_layer(store, rules, workers, progress)
         jobs = [
             SequenceJob(store.path, name, lows[name], rules, part, tuple(held_out.extents.get(name, ())))
@@ -119,6 +120,22 @@ def generate(
             _gather([part for part in parts if part], candidates)
         training = {PROFILE_KEY: TRAIN, DISJOINT_KEY: held_out.generation} if profile == TRAIN else None
         return _publish(store, results, lambda pool: select(pool, rules, profile, seed, n), excluded, guesser, training)
+
+
+@contextlib.contextmanager
+def _scratch(store: Store) -> Iterator[Path]:
+    """The folder of the sequences' candidates, where every worker sees it; gone afterwards."""
+    place = store.path / ".candidates"
+    # What a killed run left behind.
+    shutil.rmtree(place, ignore_errors=True)
+    try:
+        place.mkdir()
+    except OSError as error:
+        raise StoreError(f"cannot write to {store.path}: {error.strerror}") from None
+    try:
+        yield place
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
 
 
 def _held_out(store: Store, profile: str, n: int | None, disjoint_from: str | Path | None) -> HeldOut:
@@ -176,7 +193,7 @@ def check_intervals(store: Store, manifest: Manifest) -> None:
                 )
 
 
-def _search(jobs: Sequence[SequenceJob], workers: int, advance: Advance) -> list[SequenceResult]:
+def _search(jobs: Sequence[SequenceJob], workers: Workers, advance: Advance) -> list[SequenceResult]:
     """Every sequence's candidates, in the order of the jobs."""
     results: dict[int, SequenceResult] = {}
     for index, result in map_shards(search_sequence, jobs, workers, lambda job: job.weight):

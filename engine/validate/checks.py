@@ -26,6 +26,7 @@ from jrdb_avr.engine.rederive import Annotations, prove_again, rederive
 from jrdb_avr.engine.validate.replay import differences, replay, run_compiled
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.store import Store
+from jrdb_avr.queries.workers import Workers
 from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, FrameViewpoint, Span, decode_answer
 from jrdb_avr.schema.errors import AvrError, DecodeError, StoreError
 from jrdb_avr.schema.labels import answer_of_choice, overlapping
@@ -113,12 +114,12 @@ def validate(
     rules: Rules | None = None,
     *,
     replay_proofs: bool = False,
-    workers: int = 2,
+    workers: Workers = 2,
     progress: Progress | None = None,
 ) -> Validation:
     """Check a store's questions, and derive each answer and proof again from the annotations.
 
-    `replay_proofs`: also run every proof again, in `workers` processes, and every plan as Cypher on the graph. Raises
+    `replay_proofs`: also run every proof again, by `workers`, and every plan as Cypher on the graph. Raises
     StoreError for a missing file, and LockedError while another process writes the graph.
     """
     store, rules = Store.of(store), rules or Rules()
@@ -178,7 +179,7 @@ def check_replay(
     store: Store,
     records: Sequence[QuestionRecord],
     rules: Rules,
-    workers: int,
+    workers: Workers,
     advance: Callable[[int], None] = lambda steps: None,
 ) -> None:
     """Run every proof and every compiled plan again; `advance` receives the number of finished steps, two a question.

@@ -1,0 +1,82 @@
+"""Map a function over sequences on a Ray cluster, whose machines see the folders of this one under the same paths.
+
+Ray is an extra: `pip install 'jrdb-avr[ray]'`. A function whose worker or machine dies is run again, so it must bear
+that: it writes files whole (`store.write_atomic`), or returns what it found.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+from jrdb_avr.schema.errors import InputError, StoreError
+
+A = TypeVar("A")
+R = TypeVar("R")
+
+_RETRIES: Final = 3
+"""How often an item is given to another worker before its loss is an error."""
+
+
+def map_on_cluster(
+    address: str, function: Callable[[A], R], items: Sequence[A], order: Sequence[int]
+) -> Iterator[tuple[int, R]]:
+    """Yield (index of the item, result) as results come from the cluster at `address`, begun in `order`.
+
+    `address`: "ray" for the cluster that the environment variable RAY_ADDRESS names, or else one on this machine;
+    "ray://HOST:PORT" for the client's port of another. Errors of the function are raised here. Raises InputError
+    without Ray or where no cluster answers, StoreError where an item's workers died again and again.
+    """
+    with _connected(address) as ray:
+        task = ray.remote(num_cpus=1, max_retries=_RETRIES)(_at_place)
+        place = str(Path.cwd())
+        waiting = {task.remote(place, function, items[i]): i for i in order}
+        try:
+            while waiting:
+                (done,), _ = ray.wait(list(waiting), num_returns=1)
+                yield waiting.pop(done), _result(ray, done)
+        finally:
+            for left in waiting:
+                ray.cancel(left, force=True)
+
+
+def _at_place(place: str, function: Callable[[A], R], item: A) -> R:
+    # Paths of items may be relative; a worker has a process of its own.
+    os.chdir(place)
+    return function(item)
+
+
+def _result(ray: Any, done: Any) -> Any:
+    try:
+        return ray.get(done)
+    except ray.exceptions.RayTaskError as error:
+        raise error.cause from None
+    except ray.exceptions.RayError:
+        raise StoreError(f"workers of the cluster died {_RETRIES + 1} times on one sequence (out of memory?)") from None
+
+
+@contextlib.contextmanager
+def _connected(address: str) -> Iterator[Any]:
+    """The module `ray`, connected; disconnected afterwards where it was not before."""
+    # It reports its use to its makers unless it is told not to.
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    try:
+        import ray
+    except ImportError:
+        raise InputError("--executor ray needs Ray: pip install 'jrdb-avr[ray]'", field="executor") from None
+    if ray.is_initialized():
+        yield ray
+        return
+    try:
+        ray.init(address=None if address == "ray" else address, logging_level=logging.ERROR, log_to_driver=False)
+    except (ConnectionError, ValueError, RuntimeError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"no Ray cluster answers at {address}: {reason}", field="executor") from None
+    try:
+        yield ray
+    finally:
+        ray.shutdown()
