@@ -15,16 +15,16 @@ from typing import Any, Final, TypeVar
 
 from jrdb_avr.schema.errors import InputError, StoreError
 
-A = TypeVar("A")
-R = TypeVar("R")
+_A = TypeVar("_A")
+_R = TypeVar("_R")
 
 _RETRIES: Final = 3
 """How often an item is given to another worker before its loss is an error."""
 
 
 def map_on_cluster(
-    address: str, function: Callable[[A], R], items: Sequence[A], order: Sequence[int]
-) -> Iterator[tuple[int, R]]:
+    address: str, function: Callable[[_A], _R], items: Sequence[_A], order: Sequence[int]
+) -> Iterator[tuple[int, _R]]:
     """Yield (index of the item, result) as results come from the cluster at `address`, begun in `order`.
 
     `address`: "ray" for the cluster that the environment variable RAY_ADDRESS names, or else one on this machine;
@@ -44,7 +44,7 @@ def map_on_cluster(
                 ray.cancel(left, force=True)
 
 
-def _at_place(place: str, function: Callable[[A], R], item: A) -> R:
+def _at_place(place: str, function: Callable[[_A], _R], item: _A) -> _R:
     # Paths of items may be relative; a worker has a process of its own.
     os.chdir(place)
     return function(item)
