@@ -105,6 +105,8 @@ def evaluate_alone(store, *options):
         capture_output=True,
         text=True,
         timeout=120,
+        # The thief leaves links where it works.
+        cwd=store.path.parent,
     )
     return done.returncode, json.loads(done.stdout) if done.stdout else None, done.stderr
 
