@@ -37,7 +37,7 @@ from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.beliefs.record import copy_all
 from jrdb_avr.queries.display import Progress, step_counter
 from jrdb_avr.queries.graph.handle import build_graph, remove_graph
-from jrdb_avr.queries.manifest import Manifest, SequenceEntry
+from jrdb_avr.queries.manifest import Manifest, SequenceEntry, refuse_newer
 from jrdb_avr.queries.runs import run_ids
 from jrdb_avr.queries.store import Store, file_hash
 from jrdb_avr.queries.workers import Workers, map_shards, without_collector
@@ -91,6 +91,7 @@ def load(
     if not isinstance(root, Root):
         root = find_root(Path(root), layer_dirs or {})
     advance = step_counter(progress, "loading", len(root.sequences))
+    refuse_newer(store.path)
     with store.writing("load"), _staging(store) as staging:
         shards = [Shard(files, str(staging.path), rules) for files in root.sequences]
         results: dict[str, ShardResult] = {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Final
 
@@ -12,6 +13,7 @@ from jrdb_avr.schema.rules import LoadRules
 
 MANIFEST_NAME: Final = "store.json"
 MANIFEST_VERSION: Final = 1
+"""The version of a store's tables and manifest: a program reads stores of its own version alone."""
 
 
 class SequenceEntry(msgspec.Struct, frozen=True):
@@ -41,6 +43,7 @@ def read_manifest(store: Path) -> Manifest:
 
     Raises StoreError where nothing is loaded, or another version of the program wrote it.
     """
+    refuse_newer(store)
     path = store / MANIFEST_NAME
     try:
         manifest = msgspec.json.decode(path.read_bytes(), type=Manifest)
@@ -53,3 +56,18 @@ def read_manifest(store: Path) -> Manifest:
     if manifest.image_root is None:
         return manifest
     return msgspec.structs.replace(manifest, image_root=str(store.absolute() / manifest.image_root))
+
+
+class _Version(msgspec.Struct):
+    version: int
+
+
+def refuse_newer(store: Path) -> None:
+    """Raise StoreError where a newer version of the program wrote the store, which this one could only spoil."""
+    with contextlib.suppress(OSError, UnicodeDecodeError, msgspec.DecodeError):
+        found = msgspec.json.decode((store / MANIFEST_NAME).read_bytes(), type=_Version).version
+        if found > MANIFEST_VERSION:
+            raise StoreError(
+                f"{store} was written by a newer jrdb-avr (version {found} of the store, this reads "
+                f"{MANIFEST_VERSION}): update jrdb-avr, or load into another --store"
+            )

@@ -17,7 +17,7 @@ class RunManifest(msgspec.Struct, frozen=True):
     printed. `settings` holds what else shaped the run (budget, sampling, box convention), as plain JSON. `created` is
     an ISO 8601 time. `selection` is how the questions were chosen, a `QuestionSelection` as plain JSON, empty for all.
     `world` counts the statements that read and wrote the world model, `reads` and `writes`, of a run that has ended; a
-    resumed one adds to them.
+    resumed one adds to them, and a session that was killed is not counted.
     """
 
     run_id: str

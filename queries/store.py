@@ -1,4 +1,4 @@
-"""The store on disk: where everything lies, atomic writes, and the Parquet side of it.
+"""The store on disk: where everything lies, and the Parquet side of it.
 
     STORE/
       annotations/<layer>/<sequence>.parquet    the label files as tables
@@ -8,20 +8,18 @@
       questions/*.parquet
       runs/<run_id>/
 
-A file is written beside its place, synced and renamed in, so a reader sees the old one or the new one.
+A file is written whole (`queries/files.py`), so a reader sees the old one or the new one.
 """
 
 from __future__ import annotations
 
 import contextlib
-import errno
 import fcntl
 import hashlib
 import os
 import re
-import tempfile
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -30,6 +28,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from jrdb_avr.queries.display import Displayed, Tables
+from jrdb_avr.queries.files import write_atomic, write_bytes
 from jrdb_avr.queries.graph.file import STORE_GRAPH
 from jrdb_avr.queries.graph.guard import query_graph
 from jrdb_avr.queries.graph.parameters import parameters
@@ -57,39 +56,6 @@ def safe_sequence(name: str) -> str:
     if not is_plain_name(name):
         raise InputError(f"{name!r} cannot be a sequence name: use letters, digits, '.', '_' and '-'", field="sequence")
     return name
-
-
-def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
-    """Call `write` with a path beside `path`, sync the file, rename it in. Raises StoreError if the disk refuses."""
-    temporary: Path | None = None
-    if path.exists() and not path.is_file():
-        raise StoreError(f"cannot write {path}: it is there already and no file; choose another name")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
-        os.close(handle)
-        temporary = Path(name)
-        write(temporary)
-        with temporary.open("rb") as file:
-            os.fsync(file.fileno())
-        # mkstemp makes files private; a store is shared like any other data folder.
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
-        temporary.replace(path)
-    except OSError as error:
-        # pyarrow raises its own OSError without a number; its text then is the reason.
-        reason = os.strerror(error.errno) if error.errno else str(error).splitlines()[0]
-        hint = "; free some space" if error.errno in (errno.ENOSPC, errno.EFBIG) else ""
-        raise StoreError(f"cannot write {path}: {reason}{hint}") from None
-    finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
-
-
-def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file whole, as `write_atomic` does. Raises StoreError if the disk refuses."""
-    write_atomic(path, lambda temporary: temporary.write_bytes(data))
 
 
 def write_json(path: Path, value: msgspec.Struct) -> None:

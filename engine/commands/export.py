@@ -58,7 +58,7 @@ def export(
         return
     from jrdb_avr.engine.report.prediction_lines import write_lines
     from jrdb_avr.engine.report.scoring import read_predictions
-    from jrdb_avr.queries.store import write_bytes
+    from jrdb_avr.queries.files import write_bytes
 
     _, predictions = read_predictions(store, run)
     write_bytes(jsonl, b"".join(write_lines(predictions)))

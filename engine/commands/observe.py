@@ -39,8 +39,8 @@ def command(
 
     from jrdb_avr.engine.observe.observer import Observer
     from jrdb_avr.engine.observe.overlay import draw_people
+    from jrdb_avr.queries.files import write_bytes
     from jrdb_avr.queries.questions import loaded_sequence
-    from jrdb_avr.queries.store import write_bytes
 
     observer = Observer(store.manifest().image_root, [loaded_sequence(store, sequence)])
     if angle is None:

@@ -126,7 +126,7 @@ def _write_parquet(table: Any, path: Path) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    from jrdb_avr.queries.store import write_atomic
+    from jrdb_avr.queries.files import write_atomic
 
     try:
         write_atomic(path, lambda temporary: pq.write_table(table, temporary))

@@ -37,13 +37,15 @@ def command(folder: Path, seed: int, images: str, workers: int, form: RowFormat,
       jrdb-avr sample ./big --full-scale
     """
     from jrdb_avr.loaders.synthetic.write import FULL_SCALE, plan, rows, write
+    from jrdb_avr.queries.files import new_folder
 
     sizes = (
         list(FULL_SCALE) if options["full_scale"] else [(options["frames"], options["people"])] * options["sequences"]
     )
-    orders = plan(folder, sizes, seed, images="none" if options["no_images"] or options["full_scale"] else images)
+    images = "none" if options["no_images"] or options["full_scale"] else images
     done = []
-    with progress_bar() as progress:
+    with new_folder(folder) as made, progress_bar() as progress:
+        orders = plan(made, sizes, seed, images)
         for written in write(orders, workers):
             done.append(written)
             progress("sequences", len(done), len(orders))

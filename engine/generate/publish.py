@@ -20,7 +20,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from jrdb_avr.queries.store import Store, write_atomic, write_table
+from jrdb_avr.queries.files import write_atomic
+from jrdb_avr.queries.store import Store, write_table
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.tables import CANARY, GENERATION_KEY, QUESTIONS
 

@@ -27,9 +27,9 @@ import yaml
 from jrdb_avr import __version__
 from jrdb_avr.engine.integrations.croissant import Release, croissant
 from jrdb_avr.engine.run.opaque import opaque_names
-from jrdb_avr.queries.store import Store, write_atomic, write_bytes, write_table
+from jrdb_avr.queries.files import new_folder, write_atomic, write_bytes
+from jrdb_avr.queries.store import Store, write_table
 from jrdb_avr.schema import card
-from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import ABOUT, CANARY, GENERATION_KEY, QUESTIONS, column
 
 _COPIED: Final = ("answers", "evidence")
@@ -55,10 +55,13 @@ def export_folders(
     """
     store, folder = Store.of(store), Path(folder)
     store.refuse_training()
+    with new_folder(folder) as made:
+        _write(store, made / "public", made / "private", creator, url, published)
+    return folder / "public", folder / "private"
+
+
+def _write(store: Store, public: Path, private: Path, creator: str, url: str, published: datetime.date | None) -> None:
     questions, sequences, *_ = store.question_tables("questions", "sequences", *_COPIED)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{folder} is not empty: export to a new folder", file=str(folder))
-    public, private = folder / "public", folder / "private"
     names = opaque_names(store, sequences["sequence"].to_pylist())
     sources = _sources(store, names)
     unclear = len(names.keys() & set(store.without_occlusion()))
@@ -101,7 +104,6 @@ def export_folders(
         **shared,
     )
     write_bytes(public / "README.md", text)
-    return public, private
 
 
 def _path(table: str) -> str:

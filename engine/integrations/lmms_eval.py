@@ -27,8 +27,9 @@ from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.engine.report.prediction_lines import line_of
 from jrdb_avr.engine.run.bench import Bench, find_images
 from jrdb_avr.engine.run.methods import make_method
-from jrdb_avr.queries.store import Store, write_bytes, write_table
-from jrdb_avr.schema.errors import DecodeError, InputError
+from jrdb_avr.queries.files import new_folder, write_bytes
+from jrdb_avr.queries.store import Store, write_table
+from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Prediction
 from jrdb_avr.schema.tables import CANARY, QUESTIONS
 
@@ -169,20 +170,19 @@ def export_tasks(store: Store | str | Path, folder: str | Path) -> int:
     store, folder = Store.of(store), Path(folder)
     store.refuse_training()
     images, bench = find_images(store, None), Bench.open(store)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{folder} is not empty: export to a new folder", file=str(folder))
     ids = pa.array([question.question_id for question in bench.questions])
     questions = store.questions("questions")
     tables = {
         "questions": questions.filter(pc.is_in(questions["question_id"], ids)),
         "sequences": store.questions("sequences"),
     }
-    for name, table in tables.items():
-        write_table(Store(folder).question_path(name), table, QUESTIONS[name], {"canary": CANARY})
     template = files(__package__).joinpath("lmms_utils.txt").read_text("utf-8")
-    write_bytes(folder / "utils.py", template.replace("IMAGES_OF_THE_STORE", repr(images)).encode())
-    for method, kind in TASKS.items():
-        write_bytes(folder / f"{task_name(method)}.yaml", _task(method, kind).encode())
+    with new_folder(folder) as made:
+        for name, table in tables.items():
+            write_table(Store(made).question_path(name), table, QUESTIONS[name], {"canary": CANARY})
+        write_bytes(made / "utils.py", template.replace("IMAGES_OF_THE_STORE", repr(images)).encode())
+        for method, kind in TASKS.items():
+            write_bytes(made / f"{task_name(method)}.yaml", _task(method, kind).encode())
     return len(ids)
 
 

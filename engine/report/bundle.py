@@ -20,8 +20,9 @@ import pyarrow as pa
 
 from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE, parse_lines, read_regular, write_lines
 from jrdb_avr.engine.report.scoring import Truth, read_predictions, score_predictions
+from jrdb_avr.queries.files import new_folder, write_bytes
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest
-from jrdb_avr.queries.store import Store, is_plain_name, write_bytes
+from jrdb_avr.queries.store import Store, is_plain_name
 from jrdb_avr.schema.errors import InputError, StoreError
 
 _MANIFEST: Final = "run.json"
@@ -56,16 +57,14 @@ def write_bundle(store: Store | str | Path, run_id: str, folder: str | Path) -> 
     store, folder = Store.of(store), Path(folder)
     manifest = _without_address(read_run_manifest(store, run_id))
     _, predictions = read_predictions(store, run_id)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{folder} is not empty: give the bundle a new folder", file=str(folder))
     written = {
         _MANIFEST: msgspec.json.format(msgspec.json.encode(manifest, order="sorted"), indent=1),
         _PREDICTIONS: b"".join(write_lines(predictions)),
     }
-    # The sums come last: a folder that has them is complete.
     written[_SUMS] = "".join(f"{_sha256(data)}  {name}\n" for name, data in written.items()).encode()
-    for name, data in written.items():
-        write_bytes(folder / name, data)
+    with new_folder(folder) as made:
+        for name, data in written.items():
+            write_bytes(made / name, data)
     return read_bundle(folder)
 
 

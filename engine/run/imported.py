@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Final
 
 from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE, parse_lines, read_regular
+from jrdb_avr.engine.run.run import has_manifest
 from jrdb_avr.engine.run.selection import QuestionSelection, matching
 from jrdb_avr.queries.questions import read_questions
-from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
+from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.card import is_of_sample
 from jrdb_avr.schema.errors import InputError, StoreError
@@ -22,15 +23,15 @@ IMPORTED: Final = "imported"
 def import_predictions(store: Store | str | Path, path: str | Path, run_id: str | None = None) -> str:
     """Take a file of prediction lines into a store as a run, and return its id: that of the file's name without one.
 
-    The run's questions are those that the file has lines of. Raises InputError for a file that cannot be
-    read or names a question that the store lacks, StoreError where the run exists.
+    The run's questions are those that the file has lines of. The same file is taken in again, which finishes what was
+    killed. Raises InputError for a file that cannot be read or names a question that the store lacks, StoreError where
+    the run is of other predictions.
     """
     store, path = Store.of(store), Path(path)
     run_id = path.stem if run_id is None else run_id
-    folder = store.run_path(run_id)
-    if folder.exists():
-        raise StoreError(f"run {run_id!r} exists: give the predictions another run id")
     data = read_regular(path, LARGEST_FILE)
+    settings = {"from": path.name, "sha256": hashlib.sha256(data).hexdigest()}
+    begun = _has_begun(store, run_id, settings)
     predictions = parse_lines(data, run_id, path)
     if not len(predictions):
         raise InputError(f"{path} holds no prediction", file=str(path))
@@ -43,10 +44,23 @@ def import_predictions(store: Store | str | Path, path: str | Path, run_id: str 
         questions_sha256=questions_hash(store),
         question_ids=tuple(question.question_id for question in questions),
         synthetic=any(is_of_sample(question.sequence) for question in questions),
-        settings={"from": path.name, "sha256": hashlib.sha256(data).hexdigest()},
+        settings=settings,
         created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     )
-    write_run_manifest(store, manifest)
+    if not begun:
+        write_run_manifest(store, manifest)
     # Predictions come last: a run that has them is complete.
     store.write_run(run_id, "predictions", predictions.sort_by("question_id"))
     return run_id
+
+
+def _has_begun(store: Store, run_id: str, settings: dict[str, str]) -> bool:
+    """Whether the same predictions were taken in before, in full or in part. Raises StoreError for a run of others."""
+    if has_manifest(store, run_id):
+        known = read_run_manifest(store, run_id)
+        if (known.method, known.settings, known.questions_sha256) == (IMPORTED, settings, questions_hash(store)):
+            return True
+    elif not any(not path.name.startswith(".") for path in store.run_path(run_id).glob("*")):
+        # A killed import may have left a hidden file.
+        return False
+    raise StoreError(f"run {run_id!r} exists: give the predictions another run id")

@@ -17,6 +17,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -264,7 +265,7 @@ class _Sender:
 
 
 def _work(lines: IO[bytes], sender: _Sender) -> None:
-    job = msgspec.json.decode(lines.readline(), type=Job)
+    job = msgspec.json.decode(_line(lines), type=Job)
     store = Store(Path.cwd().parent / "store")
     endpoint = None
     if job.url is not None:
@@ -277,7 +278,8 @@ def _work(lines: IO[bytes], sender: _Sender) -> None:
             runner = make_method(job.method, endpoint.client, endpoint.convention, world, job.policy, job.history)
         settings, warned = ({}, []) if endpoint is None else (endpoint.settings, endpoint.warnings)
         sender.send(_Ready(runner.name, runner.settings(), settings, warned))
-        wanted = set(msgspec.json.decode(lines.readline(), type=list[str]))
+        wanted = set(msgspec.json.decode(_line(lines), type=list[str]))
+        threading.Thread(target=_end_with, args=(lines,), daemon=True).start()
         with warnings.catch_warnings():
             # The run's own process has warned of questions without panoramas.
             warnings.simplefilter("ignore", AvrWarning)
@@ -286,6 +288,17 @@ def _work(lines: IO[bytes], sender: _Sender) -> None:
         answer_all(runner, bench.questions, bench.sequences, see, see.stored, sender, job.concurrency)
         changed = "" if endpoint is None else endpoint.changed()
         sender.send(_End(changed, None if world is None else dict(world.graph.counts)))
+
+
+def _line(lines: IO[bytes]) -> bytes:
+    """A line of the run's process; ends this one where that was killed."""
+    return lines.readline() or os._exit(1)
+
+
+def _end_with(lines: IO[bytes]) -> None:
+    """End this process once the run's process is gone, even killed: a method may never come to an end."""
+    lines.read()
+    os._exit(1)
 
 
 @contextlib.contextmanager

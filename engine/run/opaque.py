@@ -6,14 +6,13 @@ every run of the store, and not to be guessed without the file, which nothing of
 
 from __future__ import annotations
 
-import contextlib
 import hmac
-import os
 import secrets
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
+from jrdb_avr.queries.files import write_once
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 
@@ -39,17 +38,9 @@ def key_fingerprint(store: Store) -> str:
 
 def _key(path: Path) -> bytes:
     """The key, made where there is none yet; nobody but the owner may read it."""
+    if not path.exists():
+        write_once(path, secrets.token_hex(_KEY_BYTES).encode())
     try:
-        temporary = path.with_name(f".{path.name}-{os.getpid()}")
-        if not path.exists():
-            try:
-                with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
-                    file.write(secrets.token_hex(_KEY_BYTES))
-                # Of two processes that make a key at once, both take that of the first.
-                with contextlib.suppress(FileExistsError):
-                    os.link(temporary, path)
-            finally:
-                temporary.unlink(missing_ok=True)
         key = bytes.fromhex(path.read_text(encoding="ascii"))
     except (OSError, ValueError) as error:
         raise StoreError(f"{path} cannot be used: {error}; delete it, and runs get new opaque names") from None

@@ -23,6 +23,10 @@ _REASONS: Final = 3
 """Commonest reasons that `show_run` lists of each status."""
 
 
+_TRASH: Final = ".removed-"
+"""Begins the names of folders that are being deleted; whoever removes a run next deletes what a kill left of them."""
+
+
 class _Line(msgspec.Struct):
     """What is read of a line of the journal."""
 
@@ -101,6 +105,8 @@ def remove_run(store: Store | str | Path, run_id: str) -> None:
     from jrdb_avr.queries.beliefs.record import drop_world
 
     store = Store.of(store)
+    for left in store.path.glob(f"{_TRASH}*"):
+        shutil.rmtree(left, ignore_errors=True)
     _require(store, run_id)
     folder = store.run_path(run_id)
     with _idle(folder):
@@ -109,15 +115,15 @@ def remove_run(store: Store | str | Path, run_id: str) -> None:
         except StoreError:
             believes = True
         if believes and store.graph_path.exists():
-            with open_graph(store.graph_path) as graph:
+            with open_graph(store.graph_path) as graph, graph.transaction():
                 drop_world(graph, run_id)
         # Moved out of the runs at once: one that is deleted in part would be taken for a run.
-        trash = Path(tempfile.mkdtemp(prefix=".removed-", dir=store.path))
         try:
+            trash = Path(tempfile.mkdtemp(prefix=_TRASH, dir=store.path))
             shutil.move(folder, trash)
-            shutil.rmtree(trash)
         except OSError as error:
             raise StoreError(f"cannot remove {folder}: {error.strerror}") from None
+        shutil.rmtree(trash, ignore_errors=True)
 
 
 def _require(store: Store, run_id: str) -> None:

@@ -19,7 +19,6 @@ from jrdb_avr.loaders.synthetic.script import NONE
 from jrdb_avr.loaders.synthetic.social_files import SocialFiles
 from jrdb_avr.loaders.synthetic.world import World
 from jrdb_avr.queries.workers import map_shards
-from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
 _PLACES: Final = ("plaza", "cafe", "hall", "library", "street", "lobby", "atrium", "campus", "market")
@@ -75,12 +74,7 @@ def sequence_name(index: int) -> str:
 
 
 def plan(root: Path, sizes: list[tuple[int, int]], seed: int, images: str) -> list[Order]:
-    """Orders for sequences of these (frames, people); `images` as in `render.image_frames`.
-
-    Raises InputError where the folder exists and is not empty.
-    """
-    if root.exists() and (not root.is_dir() or any(root.iterdir())):
-        raise InputError(f"{root} exists and is not empty: name a new folder", file=str(root))
+    """Orders for sequences of these (frames, people), written into `root`; `images` as in `render.image_frames`."""
     return [
         Order(str(root), sequence_name(i), seed, frames, people, images) for i, (frames, people) in enumerate(sizes)
     ]

@@ -10,11 +10,14 @@ from pathlib import Path
 
 import pyarrow as pa
 import pytest
+from entry import run
 from hypothesis import given
 from hypothesis import strategies as st
 from places import DOCS
+from worlds import person, write_root
 
-from jrdb_avr.queries.store import Store, read_table, safe_sequence, write_atomic, write_table
+from jrdb_avr.queries.files import write_atomic
+from jrdb_avr.queries.store import Store, read_table, safe_sequence, write_table
 from jrdb_avr.schema import tables
 from jrdb_avr.schema.errors import InputError, LockedError, StoreError
 
@@ -113,6 +116,16 @@ def test_a_broken_manifest_is_one_error(tmp_path, text):
     (tmp_path / "store.json").write_text(text)
     with pytest.raises(StoreError, match="load"):
         Store(tmp_path).manifest()
+
+
+@pytest.mark.parametrize("command", ["load {root}", "load --rebuild", "generate", "stats"])
+def test_a_store_of_a_newer_version_is_refused_in_one_line_and_stays(tmp_path, command):
+    root = write_root(tmp_path / "root", {"yard-2020-01-01_0": {"2d": {0: [person(1, (100, 100, 50, 90))]}}})
+    (tmp_path / "store").mkdir()
+    (tmp_path / "store/store.json").write_text(text := '{"version": 2, "sequences": ["of another form"]}')
+    code, out, err = run(*command.format(root=root).split(), "--store", tmp_path / "store")
+    assert (code, out, err.count("\n")) == (1, "", 1) and "by a newer jrdb-avr" in err
+    assert (tmp_path / "store/store.json").read_text() == text
 
 
 def test_no_manifest_says_what_to_run(tmp_path):

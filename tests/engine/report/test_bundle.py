@@ -271,3 +271,18 @@ def test_what_cannot_be_scored_is_left_out_of_a_leaderboard(store, bundle, tmp_p
 def test_the_score_of_a_bundle_follows_the_threshold(store, bundle):
     assert math.isclose(score_bundles(store, [bundle], 0.45).rows[0]["evidence"], 200 / 13, abs_tol=0.01)
     assert math.isclose(score_bundles(store, [bundle], 0.5).rows[0]["evidence"], 100 / 13, abs_tol=0.01)
+
+
+def test_an_import_that_was_killed_is_finished_and_is_the_same_again(store, tmp_path):
+    (tmp_path / "mine.jsonl").write_text('{"question_id": "scores", "answer": {"choice": 1}}')
+    import_predictions(store, tmp_path / "mine.jsonl")
+    whole = (store.run_path("mine") / "predictions.parquet").read_bytes()
+    for left in ((), ("run.json",), ("run.json", "predictions.parquet")):
+        for name in {"run.json", "predictions.parquet"} - set(left):
+            (store.run_path("mine") / name).unlink(missing_ok=True)
+        (store.run_path("mine") / ".run.json.killed.tmp").touch()
+        assert import_predictions(store, tmp_path / "mine.jsonl") == "mine"
+        assert (store.run_path("mine") / "predictions.parquet").read_bytes() == whole
+    (tmp_path / "mine.jsonl").write_text('{"question_id": "scores", "answer": {"choice": 2}}')
+    with pytest.raises(StoreError, match="'mine' exists"):
+        import_predictions(store, tmp_path / "mine.jsonl")
