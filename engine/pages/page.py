@@ -72,7 +72,7 @@ def environment() -> Environment:
         lstrip_blocks=True,
         finalize=lambda value: value if isinstance(value, Markup) else _plain(value),
     )
-    environment.filters |= {"cell": cell, "json": _json, "shortened": shortened}
+    environment.filters |= {"cell": functools.partial(cell, decimals=1), "json": _json, "shortened": shortened}
     environment.globals |= {"asset": lambda name: Markup(_text(name)), "node_width": NODE_WIDTH}  # noqa: S704 - own files
     return environment
 

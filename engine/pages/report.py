@@ -29,7 +29,7 @@ def report_page(comparison: Comparison, links: Callable[..., str] | None = None)
     tables = {name: without_rough(comparison.table(name)) for name in TABLES}
     names = [run.manifest.run_id for run in runs]
     own = [row for row in tables["main"] if row["run"]]
-    dots, tags = scatter(own)
+    families = pivot(tables["family"], "family", "run")
     perturbations: Counter[str] = Counter()
     for row in tables["wrong_choices"]:
         perturbations[row["perturbation"]] += row["times"]
@@ -40,8 +40,14 @@ def report_page(comparison: Comparison, links: Callable[..., str] | None = None)
         tables=tables,
         main=own,
         published=[row for row in tables["main"] if not row["run"]],
-        dots=dots,
-        tags=tags,
+        dots=scatter(own),
+        families=families,
+        about={run.manifest.run_id: {"method": run.manifest.method, "model": run.manifest.model} for run in runs},
+        options={
+            "method": sorted({run.manifest.method for run in runs}),
+            "model": sorted({run.manifest.model for run in runs}),
+            "family": list(families),
+        },
         square=SQUARE,
         links=links,
         store=comparison.store.path.name,

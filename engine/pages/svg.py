@@ -25,8 +25,12 @@ _LANE_GAP: Final = 50.0
 SQUARE: Final = 380.0
 """Side of the scatter plot, with a margin of `_MARGIN` around its axes."""
 _MARGIN: Final = 40.0
-_CLOSE: Final = 11.0
 _LETTER: Final = 6.9
+_LINE: Final = 12.0
+_DOT: Final = 5.0
+_STEP: Final = 6.0
+_RINGS: Final = 60
+_DIRECTIONS: Final = 16
 
 
 def wrapped(text: str, characters: int) -> tuple[str, ...]:
@@ -120,45 +124,61 @@ def _condition(condition: Condition) -> str:
 
 
 class Dot(NamedTuple):
-    """A run in the scatter plot, with its row and its number in the legend."""
+    """A run in the scatter plot with its row, its number in the legend, and the middle of that number beside it.
+
+    leads: the number stands so far off that a line leads to it.
+    """
 
     x: float
     y: float
     number: int
     row: Mapping[str, Any]
+    label_x: float
+    label_y: float
+    leads: bool
 
 
-class Tag(NamedTuple):
-    """The numbers of dots that lie on or close to each other, beside them."""
-
-    x: float
-    y: float
-    anchor: str
-    text: str
-
-
-def scatter(rows: Sequence[Mapping[str, Any]]) -> tuple[list[Dot], list[Tag]]:
-    """Answer (to the right) against evidence (upwards) of rows that have both, with one tag per cluster of dots."""
+def scatter(rows: Sequence[Mapping[str, Any]]) -> list[Dot]:
+    """Answer (to the right) against evidence (upwards) of rows that have both, with numbers that cover nothing."""
     scale = (SQUARE - 2 * _MARGIN) / 100
-    dots = [
-        Dot(_MARGIN + scale * row["answer"], SQUARE - _MARGIN - scale * row["evidence"], number, row)
+    places = [
+        (_MARGIN + scale * row["answer"], SQUARE - _MARGIN - scale * row["evidence"], number, row)
         for number, row in enumerate(rows, 1)
         if row.get("answer") is not None and row.get("evidence") is not None
     ]
-    clusters: list[list[Dot]] = []
-    for dot in sorted(dots, key=lambda dot: dot[:2]):
-        near = (own for own in clusters if any(math.dist(other[:2], dot[:2]) < _CLOSE for other in own))
-        if (cluster := next(near, None)) is None:
-            clusters.append([dot])
-        else:
-            cluster.append(dot)
-    return dots, [_tag(cluster) for cluster in clusters]
+    taken = [_Area(x - _DOT, y - _DOT, x + _DOT, y + _DOT) for x, y, *_ in places]
+    dots = []
+    for x, y, number, row in places:
+        area, leads = _free_area(x, y, _LETTER * len(str(number)), taken)
+        taken.append(area)
+        dots.append(Dot(x, y, number, row, (area.left + area.right) / 2, (area.top + area.bottom) / 2, leads))
+    return dots
 
 
-def _tag(dots: Sequence[Dot]) -> Tag:
-    """To the right of the dots, or to their left where it would reach out of the square."""
-    right = max(dot.x for dot in dots) + 8
-    y = sum(dot.y for dot in dots) / len(dots) + 4
-    text = ", ".join(str(number) for number in sorted(dot.number for dot in dots))
-    inside = right + _LETTER * len(text) < SQUARE
-    return Tag(right, y, "start", text) if inside else Tag(min(dot.x for dot in dots) - 8, y, "end", text)
+class _Area(NamedTuple):
+    """A rectangle that something covers."""
+
+    left: float
+    top: float
+    right: float
+    bottom: float
+
+    def meets(self, other: _Area) -> bool:
+        return (
+            self.left < other.right and other.left < self.right and self.top < other.bottom and other.top < self.bottom
+        )
+
+
+def _free_area(x: float, y: float, width: float, taken: Sequence[_Area]) -> tuple[_Area, bool]:
+    """The nearest area for a text about a dot that meets nothing, and whether a line must lead to it."""
+    for ring in range(_RINGS):
+        far = _DOT + 1 + _STEP * ring
+        for direction in range(_DIRECTIONS):
+            turn = 2 * math.pi * direction / _DIRECTIONS
+            middle = x + math.cos(turn) * (far + width / 2), y - math.sin(turn) * (far + _LINE / 2)
+            area = _Area(middle[0] - width / 2, middle[1] - _LINE / 2, middle[0] + width / 2, middle[1] + _LINE / 2)
+            inside = area.left > _MARGIN and area.right < SQUARE and area.top > 0 and area.bottom < SQUARE - _MARGIN
+            if inside and not any(area.meets(other) for other in taken):
+                return area, ring > 1
+    # More runs than the square has room for.
+    return _Area(x + _DOT, y - _LINE / 2, x + _DOT + width, y + _LINE / 2), False

@@ -37,13 +37,13 @@ _SHARE: Final = re.compile(r"n/a|<?-?\d[\d.]*\*?( \[.*\])?")
 _LEAST_P: Final = 0.0001
 
 
-def cell(value: object, column: str = "") -> str:
-    """A value of a column as a person reads it: two decimals, n/a for an unknown value; a p has four."""
+def cell(value: object, column: str = "", decimals: int = 2) -> str:
+    """A value of a column as a person reads it: n/a for an unknown value; a p has four decimals."""
     if value is None:
         return "n/a"
     if column == "p" and isinstance(value, float):
         return f"<{_LEAST_P}" if value < _LEAST_P else f"{value:.4f}"
-    return f"{value:.2f}" if isinstance(value, float) else str(value)
+    return f"{value:.{decimals}f}" if isinstance(value, float) else str(value)
 
 
 def with_intervals(rows: Rows) -> list[dict[str, str]]:

@@ -27,9 +27,9 @@ CASES = {
 }
 
 
-def stored_failures(path, settings=None):
-    """A store in which run r fails in each way once."""
-    benchmark = Benchmark([(name, "s", "long_range") for name in CASES])
+def stored_failures(path, settings=None, families=("long_range",)):
+    """A store in which run r fails in each way once; the questions are of these families in turn."""
+    benchmark = Benchmark([(name, "s", families[place % len(families)]) for place, name in enumerate(CASES)])
     run = benchmark.run([given for given, _, _ in CASES.values()])
     store = Store(path)
     for name, rows in benchmark.tables.items():

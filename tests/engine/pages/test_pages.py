@@ -192,7 +192,7 @@ def test_the_leaderboard_ranks_and_shows_texts_of_bundles_as_text(opened, tmp_pa
     # Each row says its rank, its scores and of which questions they are; the sets are apart.
     assert [(row["rank"], row["run"], row["n"]) for row in board] == [(1, "hostile", 13), (1, "r", 13), (1, "few", 3)]
     for cells, row in zip(rows, board, strict=True):
-        assert [cells[0], cells[1].split()[0], cells[2].split()[0]] == ["1", row["run"], f"{row['combined']:.2f}"]
+        assert [cells[0], cells[1].split()[0], cells[2].split()[0]] == ["1", row["run"], f"{row['combined']:.1f}"]
         assert cells[-1].split() == [str(row["n"]), row["questions"][:8]]
     assert len({row["questions"] for row in board}) == len(shown(driver, ".board")) == 2
     with narrow(driver):
@@ -634,8 +634,27 @@ def test_stretches_and_lines():
 
 def test_dots_are_to_scale():
     row = {"run": "r", "answer": 50.0, "evidence": 10.0, "combined": 5.0}
-    dots, _ = scatter([row, row | {"evidence": 11.0}, row | {"answer": 90.0}, row | {"answer": None}])
+    dots = scatter([row, row | {"evidence": 11.0}, row | {"answer": 90.0}, row | {"answer": None}])
     assert dots[1].y < dots[0].y and dots[0].x == dots[1].x < dots[2].x and len(dots) == 3
+
+
+@pytest.mark.parametrize("spread", [0.0, 1.0, 5.0, 100.0])
+def test_numbers_of_dots_cover_neither_each_other_nor_a_dot(spread):
+    random = np.random.default_rng(int(spread))
+    shares = np.clip(random.uniform(0, 100, 2) + random.uniform(-spread, spread, (30, 2)), 0, 100)
+    dots = scatter([{"run": "r", "answer": answer, "evidence": evidence} for answer, evidence in shares])
+    spots = [(dot.x - 4.5, dot.y - 4.5, dot.x + 4.5, dot.y + 4.5) for dot in dots]
+    halves = [(3.3 * len(str(dot.number)), 5.5) for dot in dots]
+    labels = [
+        (dot.label_x - half, dot.label_y - tall, dot.label_x + half, dot.label_y + tall)
+        for dot, (half, tall) in zip(dots, halves, strict=True)
+    ]
+    for place, one in enumerate(labels):
+        for other in [*labels[:place], *spots]:
+            assert one[0] >= other[2] or other[0] >= one[2] or one[1] >= other[3] or other[1] >= one[3]
+        assert one[0] > 40 and one[2] < 380 and one[1] > 0 and one[3] < 340, "within the axes"
+    assert [dot.number for dot in dots] == list(range(1, 31))
+    assert spread > 5 or any(dot.leads for dot in dots)
 
 
 def test_a_breakdown_says_how_many_were_asked():
@@ -678,13 +697,6 @@ def test_a_close_up_reaches_over_the_seam():
     red = np.flatnonzero(picture[int(box.y + box.h / 2), :, 2] > 128)
     assert (red[0], red[-1] + 1) == pytest.approx((box.x, box.x + box.w), abs=2)
     assert box.h / box.w == pytest.approx(80 / 30)
-
-
-def test_dots_on_each_other_share_a_tag_inside_the_square():
-    rows = [{"run": f"r{n}", "answer": 95.0 + n % 2, "evidence": 98.0, "combined": 1.0} for n in range(9)]
-    _, found = scatter([*rows, {"run": "far", "answer": 5.0, "evidence": 5.0, "combined": 1.0}])
-    assert sorted(tag.text for tag in found) == ["1, 2, 3, 4, 5, 6, 7, 8, 9", "10"]
-    assert [tag.anchor for tag in found if len(tag.text) > 5] == ["end"]
 
 
 def test_text_of_data_and_models_is_escaped():

@@ -1,6 +1,7 @@
 """`view`: what is private stays so without answers, texts are texts, and questions, frames and winners are found."""
 
 import json
+import re
 import shutil
 
 import msgspec
@@ -133,9 +134,10 @@ def test_texts_of_models_are_text(opened, hostile):
 @pytest.fixture(scope="module")
 def failures(tmp_path_factory):
     """Run r, which fails in each way once, and run s, which answers and boxes rightly only where r has no box."""
-    _, _, store = stored_failures(tmp_path_factory.mktemp("failures") / "S")
+    path = tmp_path_factory.mktemp("failures") / "S"
+    _, _, store = stored_failures(path, families=("long_range", "chain_2hop"))
     manifest = read_run_manifest(store, "r")
-    write_run_manifest(store, msgspec.structs.replace(manifest, run_id="s"))
+    write_run_manifest(store, msgspec.structs.replace(manifest, run_id="s", method="agent", model="other"))
     rows = read_table(store.run_path("r") / "predictions.parquet").to_pylist()
     for row in rows:
         box = BOX if row["question_id"] == "no box" else ELSEWHERE
@@ -276,6 +278,71 @@ def test_the_report_leads_to_runs_and_pairs(opened, failures):
         driver.get(server.url + "report")
         driver.find_element("css selector", "#pairs ~ details tbody a").click()
         assert driver.find_element("tag name", "h1").text in ("r and s", "s and r")
+        assert complaints(driver) == []
+
+
+def test_the_report_is_sorted_and_filtered(opened, failures):
+    from selenium.webdriver import Keys
+    from selenium.webdriver.support.ui import Select
+
+    driver = opened
+
+    def visible(selector):
+        found = "[...document.querySelectorAll(arguments[0])].filter((own) => own.getClientRects().length)"
+        return driver.execute_script(f"return {found}.map((own) => own.innerText ?? own.textContent)", selector)
+
+    def column(table, place):
+        return [text.split()[0] for text in visible(f"{table} tbody tr > :nth-child({place + 1})")]
+
+    def head(table, place):
+        return driver.find_elements("css selector", f"{table} thead tr:last-child th")[place]
+
+    def choose(name, text):
+        Select(driver.find_element("css selector", f"[data-filter={name}]")).select_by_value(text)
+
+    comparison = report(failures, paper=True)
+    with serving(Viewer(failures, None, comparison).respond) as server:
+        driver.get(server.url + "report")
+        # Words by the alphabet first, numbers the largest first; the keyboard sorts too.
+        for expected, order in ((["r", "s"], "ascending"), (["s", "r"], "descending")):
+            head(".runs", 0).find_element("tag name", "button").click()
+            assert (column(".runs", 0), head(".runs", 0).get_attribute("aria-sort")) == (expected, order)
+        driver.find_element("css selector", "h2 ~ details summary").click()
+        published = "#runs ~ details:first-of-type table"
+        shares = sorted((row["evidence"] for row in comparison.table() if not row["run"]), reverse=True)
+        for expected, order in ((shares, "descending"), (shares[::-1], "ascending")):
+            head(published, 3).find_element("tag name", "button").send_keys(Keys.ENTER)
+            assert [float(text) for text in column(published, 3)] == pytest.approx(expected, abs=0.051)
+            assert head(published, 3).get_attribute("aria-sort") == order
+        assert not head(published, 2).get_attribute("aria-sort")
+        # A cell of a small picture is sorted by its combined score.
+        head(".multiples", 2).find_element("tag name", "button").click()
+        family = head(".multiples", 2).get_attribute("data-family")
+        rows = {row["run"]: row["combined"] for row in comparison.table("family") if row["family"] == family}
+        found = [rows[name] for name in column(".multiples", 0)]
+        assert found == sorted(found, reverse=True) and len(set(found)) == 2
+
+        pairs = len(driver.find_elements("css selector", "#pairs ~ details tbody tr"))
+        choose("method", "agent")
+        assert column(".runs", 0) == column(".multiples", 0) == ["s"]
+        assert [text.split()[0] for text in visible("#breakdowns ~ details[open] .crossed thead th")] == ["family", "s"]
+        assert driver.find_element("id", "found").text == "1 of 2 runs"
+        assert len(visible(".square circle")) == 1 and set(column(published, 1)) == {"agent"}
+        assert len(visible("#pairs ~ details tbody tr")) == pairs == 1, "a pair stays with either of its runs"
+        choose("family", "chain_2hop")
+        assert visible(".multiples thead button") == ["run", "chain 2hop"]
+        assert column("#breakdowns ~ details[open] .crossed", 0) == ["chain_2hop"]
+        choose("model", "m")
+        assert column(".runs", 0) == []
+        choose("method", "")
+        assert column(".runs", 0) == ["r"]
+        # One decimal everywhere but in p.
+        texts = driver.execute_script(
+            "return [...document.querySelectorAll('td.num, td.num *, svg title')].flatMap((own) => [...own.childNodes])"
+            ".filter((node) => node.nodeType === 3).map((node) => node.data)"
+        )
+        numbers = re.findall(r"(?<!p )(?<![\d.<])\d+\.\d+", "\n".join(texts))
+        assert len(numbers) > 100 and [own for own in numbers if not re.fullmatch(r"\d+\.\d", own)] == []
         assert complaints(driver) == []
 
 
