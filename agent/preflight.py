@@ -175,6 +175,10 @@ def _schema(prober: _Prober, reply: Reply | EndpointError) -> Check:
     }[declared]
     match prober.read(reply):
         case EndpointError() as error:
+            client = prober.client
+            if declared != "none" and client.options.thinks(client.convention):
+                # llama.cpp takes no schema with a template whose thinking it cannot tell from the reply.
+                remedy = f"declare --thinking off; else {remedy}"
             return Check("schema", False, f"{declared} is refused ({error})", remedy)
         case _CutOffError() as error:
             return Check("schema", False, str(error), _LONGER_REMEDY)

@@ -212,6 +212,21 @@ def test_a_format_without_thinking_is_what_is_declared_off():
     assert failed(checks(script, "fake", thinking="on", response_format="none")[0]) == []
 
 
+def test_a_server_that_takes_no_schema_from_a_model_that_thinks():
+    """As llama.cpp does where it cannot tell the template's thinking from the reply: its grammar fits neither."""
+
+    def script(request, n):
+        thinks = request.get("chat_template_kwargs", {}).get("enable_thinking", True)
+        no = thinks and "response_format" in request
+        return Status(400, "Failed to initialize samplers") if no else seeing(request, model="qwen3.5-9b")
+
+    found, _ = checks(script, "qwen3.5-9b", thinking="on")
+    assert failed(found) == ["schema"] and "--thinking off" in found["schema"].remedy
+    assert failed(checks(script, "qwen3.5-9b", thinking="off")[0]) == []
+    found, _ = checks(refuses("sea_state_q7"))
+    assert "--thinking" not in found["schema"].remedy
+
+
 @pytest.mark.parametrize(
     ("cut", "name"), [("prose", "schema"), ("The corner", "picture"), ("The people in the picture", "perception")]
 )
