@@ -1,6 +1,5 @@
 """What the tests share: worlds made once per run, and the two costs of a load that few tests are about."""
 
-import contextlib
 import fcntl
 import gc
 import os
@@ -15,6 +14,9 @@ from hypothesis import settings
 # Tables are as wide as a terminal says; the tests and the tour expect those of no terminal.
 os.environ.pop("COLUMNS", None)
 
+# The workers share the cores already: threads of numpy, scikit-learn and Arrow would only wait for each other.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 # A busy machine is no fault of the code, so there is no deadline.
 settings.register_profile("tests", deadline=None, max_examples=examples(30))
 settings.load_profile("tests")
@@ -23,61 +25,16 @@ settings.load_profile("tests")
 # Fixtures of more than one file.
 pytest_plugins = ["asked_world", "small_demo"]
 
-DEAREST = (
-    "test_verify",
-    "test_docs",
-    "test_generate_worlds",
-    "test_simulated",
-    "test_validate",
-    "test_load_store",
-    "test_evaluate_beliefs",
-    "test_client",
-    "test_generate",
-    "test_hostile_scenes",
-    "test_simulated_sample",
-    "test_evaluate",
-    "test_compiler",
-    "test_sample",
-    "test_pages",
-    "test_leaks",
-    "test_replay",
-    "test_generators_sql",
-    "test_statements_by_name",
-    "test_extending",
-    "test_kill",
-    "test_guard",
-    "test_scoring",
-    "test_sample_images",
-    "test_world_model",
-    "test_live_scores",
-    "test_search_graph",
-    "test_text_reader",
-    "test_belief_reads",
-    "test_preflight",
-    "test_wording",
-    "test_load_broken",
-    "test_generate_oracle",
-    "test_handle",
-    "test_rederive_agrees",
-    "test_explore",
-    "test_reference_hostile",
-    "test_cli",
-    "test_simulated_agent",
-    "test_calibrate",
-    "test_gap",
-    "test_markers",
-    "test_sample_formats",
-    "test_simulated_baselines",
-    "test_awkward_cases",
-    "test_belief_graph",
-    "test_load_facts",
-    "test_react",
-    "test_pose",
-    "test_huggingface",
-    "test_view",
-    "test_human",
-    "test_served",
-)
+DEAREST = """
+    keyframe_graph docs generate verify compiler generate_worlds evaluate_beliefs integrations_docs load_store
+    evaluate simulated validate leaks training rederive_agrees simulated_sample simulated_agent generators_sql
+    inspect_ai isolated learned extending replay beliefs engine_traps sample search_graph mcp hostile_scenes
+    report generate_oracle statements_by_name load_broken occlusion kill text_reader guard gymnasium
+    belief_reads view statistics preflight scoring pages awkward_cases world_model sample_images
+    world_model_hostile cli explore reference reference_hostile client belief_patterns load_facts reviews
+    belief_graph rederive_edges calibrate simulated_baselines driven markers handle gap pose habits social react
+    sample_formats human served huggingface
+"""
 """Files of 2.5 seconds and more: begun first, so that the workers, who take a file at a time, end together."""
 
 
@@ -111,8 +68,8 @@ def pytest_unconfigure():
 
 
 def pytest_collection_modifyitems(items):
-    rank = {name: place for place, name in enumerate(DEAREST)}
-    items.sort(key=lambda item: rank.get(item.path.stem, len(rank)))
+    rank = {name: place for place, name in enumerate(DEAREST.split())}
+    items.sort(key=lambda item: rank.get(item.path.stem.removeprefix("test_"), len(rank)))
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -141,20 +98,13 @@ def no_waiting_for_the_disk():
         yield
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session", autouse=True)
 def known_plans():
-    """A statement's plan is looked at in the first of a module's graphs, and taken as known in the others.
+    """A statement's plan is looked at in the first graph of the process, and taken as known in the others.
 
-    For tests that hold what many small graphs answer against brute force or what is written by hand: looking at a plan
-    takes as long as the answer. `HYPOTHESIS_PROFILE=deep` looks at all of them.
+    Looking at a plan takes as long as the answer from a small graph. `every_plan` and `HYPOTHESIS_PROFILE=deep` look at
+    all of them, as do the commands that tests run as processes.
     """
-    with remembered_plans():
-        yield
-
-
-@contextlib.contextmanager
-def remembered_plans():
-    """A context in which a statement's plan is looked at once, in whichever graph it runs first."""
     from jrdb_avr.queries.graph.handle import Graph
 
     plans, look = {}, Graph._plan
@@ -167,7 +117,15 @@ def remembered_plans():
     with pytest.MonkeyPatch.context() as patch:
         if not DEEP:
             patch.setattr(Graph, "_plan", remembered)
-        yield
+        yield look
+
+
+@pytest.fixture
+def every_plan(known_plans, monkeypatch):
+    """Plans are looked at in each graph: for tests of what is refused for its plan."""
+    from jrdb_avr.queries.graph.handle import Graph
+
+    monkeypatch.setattr(Graph, "_plan", known_plans)
 
 
 @pytest.fixture(scope="session")
@@ -214,8 +172,7 @@ def make_benchmark(folder):
         list(write(plan(folder / "root", [(450, 15)] * 2, 42, "none"), 1))
     store = Store(folder / "store")
     load(find_root(folder / "root"), store, LoadRules(), 1)
-    with remembered_plans():
-        generate(store, Rules(), workers=1)
+    generate(store, Rules(), workers=1)
 
 
 @pytest.fixture

@@ -25,6 +25,8 @@ from jrdb_avr.queries.graph.guard import check_cypher
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.schema.errors import QueryError
 
+pytestmark = pytest.mark.usefixtures("every_plan")
+
 MENDED = "the engine answers rightly now: see whether its guard may go"
 
 

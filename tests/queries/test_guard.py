@@ -29,6 +29,8 @@ from jrdb_avr.schema.errors import AvrError, LockedError, QueryError, StoreError
 from jrdb_avr.schema.graph import scene_ddl
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
 
+pytestmark = pytest.mark.usefixtures("every_plan")
+
 SECRET = "a line that must not be read"
 
 

@@ -1,5 +1,6 @@
 """Conventions per backbone: what is declared of each, and that boxes survive being written and read in every one."""
 
+import itertools
 import json
 import math
 
@@ -170,16 +171,14 @@ def test_junk_is_no_box(convention, value):
     assert 0 <= box.x < box.x + box.w <= 480.001 and 0 <= box.y < box.y + box.h <= 480.001
 
 
-@pytest.mark.parametrize("spoiled", [True, False, None, math.nan, math.inf, "30", [30], 10**400])
-@pytest.mark.parametrize("place", range(4))
 @pytest.mark.parametrize("convention", SCALED, ids=lambda c: c.name)
-def test_one_number_that_is_none_spoils_the_box(convention, place, spoiled):
+def test_one_number_that_is_none_spoils_the_box(convention):
     full = 1 if convention.scales["bbox"] == "unit" else 400
     numbers = [0, 0, full, full]
     read_box(numbers, (480, 480), convention)
-    numbers[place] = spoiled
-    with pytest.raises(DecodeError):
-        read_box(numbers, (480, 480), convention)
+    for place, spoiled in itertools.product(range(4), (True, False, None, math.nan, math.inf, "30", [30], 10**400)):
+        with pytest.raises(DecodeError):
+            read_box([*numbers[:place], spoiled, *numbers[place + 1 :]], (480, 480), convention)
 
 
 @pytest.mark.parametrize(

@@ -21,8 +21,6 @@ from jrdb_avr.queries.keyframes import SPAN
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import TEMPLATES
 
-pytestmark = pytest.mark.usefixtures("known_plans")
-
 SEQUENCE = "yard-2020-01-01_0"
 GROUP = "in the same group as"
 WINDOWS = {

@@ -9,7 +9,6 @@ from collections import Counter
 import msgspec
 import numpy as np
 import pyarrow.parquet as pq
-import pytest
 from effort import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -31,8 +30,6 @@ from jrdb_avr.schema.relations import SAME_GROUP
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import TEMPLATES, Slots
 from jrdb_avr.schema.wording.text import render
-
-pytestmark = pytest.mark.usefixtures("known_plans")
 
 NAME = "yard-2020-01-01_0"
 FORMS = [template for template in TEMPLATES.values() if template.name == "gap"]

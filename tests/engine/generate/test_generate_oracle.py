@@ -29,8 +29,6 @@ from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.rules import LoadRules, Rules
 from jrdb_avr.schema.templates import TEMPLATES
 
-pytestmark = pytest.mark.usefixtures("known_plans")
-
 SIMPLE = {"start", "span", "change", "presence", "distance"}
 CHAINED = {"consequence", "two_hop", "three_hop", "later_pose", "action_search", "fork_join", "gap"}
 FORMS = {"gap_count", "gap_absence"}

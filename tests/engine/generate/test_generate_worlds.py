@@ -21,8 +21,6 @@ from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import TEMPLATES
 
-pytestmark = pytest.mark.usefixtures("known_plans")
-
 LETTERS = {FIRST_LEFT: "L", FIRST_RIGHT: "R", SAME_GROUP: "G", "conversation": "C"}
 LETTERS |= {
     f"within {n} degrees to the {side} of (robot view)": f"{side[0].upper()}{n}"

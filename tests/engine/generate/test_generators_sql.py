@@ -30,8 +30,6 @@ from jrdb_avr.engine.generate.keyframe_graph import stored_layer
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import Rules
 
-pytestmark = pytest.mark.usefixtures("known_plans")
-
 CYPHER = Path(jrdb_avr.__file__).parent / "queries"
 FILES = {
     folder: sorted(path.stem for path in (CYPHER / folder).glob("*.cypher"))

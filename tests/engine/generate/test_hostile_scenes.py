@@ -24,8 +24,6 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.rules import Rules
 
-pytestmark = pytest.mark.usefixtures("known_plans")
-
 RULES = Rules(max_answer_share=1.0)
 """A handful of questions is not to be balanced away."""
 

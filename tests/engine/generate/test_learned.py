@@ -5,14 +5,14 @@ import random
 
 import pytest
 from click.testing import CliRunner
+from extras import needs
 
 from jrdb_avr.engine.generate.blind import QuestionText, blind_check
+from jrdb_avr.engine.generate.learned import learned_guesser, learned_share
 from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.errors import InputError
 
-pytest.importorskip("sklearn")
-
-from jrdb_avr.engine.generate.learned import learned_guesser, learned_share
+needs("sklearn")
 
 POSES = ("walking", "standing", "sitting", "cycling", "lying down", "running")
 

@@ -17,7 +17,8 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.errors import AvrError, StoreError
 
-gymnasium = needs("gymnasium")
+needs("gymnasium")
+
 ID = "jrdb_avr.engine.integrations.gymnasium:JRDBAVR-v0"
 LOOK, ANSWER = 0, 1
 NOTHING = {"frame": np.array(0.0), "angle": np.array(0.0), "numbers": np.zeros(2), "box": np.zeros(4)}
@@ -47,6 +48,8 @@ def numbers(mode, answer, choices, frame_count):
 @pytest.fixture
 def make(public_store):
     """An environment of a folder that holds nothing private."""
+    import gymnasium
+
     made = []
 
     def make(**options):
@@ -136,6 +139,8 @@ def test_numbers_are_an_answer_of_each_mode(make, mode, choices, expected):
 
 
 def test_the_reward_is_the_judges_where_asked_for(small_demo, by_evaluate, make):
+    import gymnasium
+
     from jrdb_avr.engine.run.bench import Bench
 
     store = small_demo[0] / "store"
@@ -157,6 +162,8 @@ def test_the_reward_is_the_judges_where_asked_for(small_demo, by_evaluate, make)
 
 
 def test_environments_run_side_by_side(public_store):
+    import gymnasium
+
     store, images = public_store
     envs = gymnasium.make_vec(ID, num_envs=2, vectorization_mode="sync", store=str(store.path), images=images, budget=1)
     observations, info = envs.reset(seed=[1, 2])

@@ -11,13 +11,13 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError
 from jrdb_avr.schema.tables import PRIVATE
 
-inspect_ai = needs("inspect_ai")
-needs("openai")
+needs("inspect_ai", "openai")
 
 
 @pytest.fixture
 def run(model, tmp_path, monkeypatch):
     """Run a task on the simulated model, or another; returns the log."""
+    import inspect_ai
     from inspect_ai.model import get_model
 
     monkeypatch.setenv("SIMULATED_API_KEY", "none")
@@ -59,6 +59,8 @@ def test_the_simulated_model_plays_as_in_evaluate_without_anything_private(
     blocked, run, same, small_demo, secrets, model, name
 ):
     """Scored afterwards, where the answers are."""
+    import inspect_ai
+
     from jrdb_avr.engine.integrations import inspect_ai as door
 
     log = run(getattr(door, name)(blocked, limit=3), score=False)

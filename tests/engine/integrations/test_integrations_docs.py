@@ -13,8 +13,7 @@ import pytest
 from extras import needs
 from places import DOCS
 
-for extra in ("inspect_ai", "openai", "mcp", "gymnasium"):
-    needs(extra)
+needs("inspect_ai", "openai", "mcp", "gymnasium")
 
 PAGE = (DOCS / "integrations.md").read_text("utf-8")
 CONSOLE = re.findall(r"```console\n(.*?)\n```", PAGE, re.S)

@@ -25,7 +25,7 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import PRIVATE
 
-mcp = needs("mcp")
+needs("mcp")
 
 PROGRAM = ["-c", "from jrdb_avr.engine.cli import main; main()", "mcp", "--store"]
 
@@ -62,6 +62,8 @@ async def play_all(client, url, results):
 
 
 def test_over_stdio_it_plays_as_in_evaluate(public_store, model, same, by_evaluate, tmp_path):
+    import mcp
+
     store, images = public_store
     results = []
     command = [*PROGRAM, str(store.path), "--images", images, "--limit", "3"]
@@ -99,6 +101,8 @@ def http_server(*arguments):
 
 def test_over_http_it_plays_as_in_evaluate_and_reads_nothing_private(small_demo, model, same, secrets, tmp_path):
     """Of a whole store, whose private files are pipes that whoever opens them waits at for ever."""
+    import mcp
+
     shutil.copytree(small_demo[0] / "store", tmp_path / "store", ignore=shutil.ignore_patterns("runs"))
     store, results = Store(tmp_path / "store"), []
     for place in [*map(store.question_path, PRIVATE), store.graph_path, *store.path.glob("annotations/**/*.parquet")]:
@@ -176,6 +180,8 @@ def test_over_stdio_panoramas_beside_labels_are_refused(public_store, small_demo
 @contextlib.asynccontextmanager
 async def desk(store, **options):
     """A client in this process; the run's tables are written at the end."""
+    import mcp
+
     from jrdb_avr.engine.integrations.mcp import METHOD, Desk
     from jrdb_avr.engine.run.bench import Bench
     from jrdb_avr.engine.run.run import Run

@@ -29,8 +29,6 @@ from jrdb_avr.schema.questions import Proof
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import TEMPLATES
 
-pytestmark = pytest.mark.usefixtures("known_plans")
-
 RULES = Rules()
 
 

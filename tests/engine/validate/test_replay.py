@@ -22,8 +22,6 @@ from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.questions import Proof, QuestionRecord
 from jrdb_avr.schema.rules import Rules
 
-pytestmark = pytest.mark.usefixtures("known_plans")
-
 RULES = Rules()
 
 

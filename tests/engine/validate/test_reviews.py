@@ -21,8 +21,6 @@ from jrdb_avr.queries.runs import questions_hash
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.queries.store import Store
 
-pytestmark = pytest.mark.usefixtures("known_plans")
-
 
 def decisions(store, path, given, sha=None):
     """given: {question id: (decision, reason)}."""
