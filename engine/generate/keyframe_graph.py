@@ -50,11 +50,12 @@ def ensure_layer(store: Store, rules: Rules, workers: Workers, progress: Progres
 
     Raises StoreError where there is no sound graph or the disk refuses, LockedError where the graph is in use.
     """
+    stage = store.path / STAGE
+    # What a killed run left behind, the layer finished or not.
+    shutil.rmtree(stage, ignore_errors=True)
     if lows := stored_layer(store, rules):
         return lows
-    names, stage = sorted(store.manifest().sequences), store.path / STAGE
-    # What a killed run left behind.
-    shutil.rmtree(stage, ignore_errors=True)
+    names = sorted(store.manifest().sequences)
     jobs = [LayerJob(store.path, name, number * SPAN, rules) for number, name in enumerate(names)]
     advance = step_counter(progress, "keyframes", 2 * len(jobs))
     try:

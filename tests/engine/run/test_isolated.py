@@ -5,8 +5,11 @@ import os
 import shutil
 import subprocess
 import sys
+import time
+from pathlib import Path
 
 import pytest
+import warm
 from asked_world import QUESTIONS_ASKED
 from entry import run
 
@@ -201,6 +204,42 @@ class Bad:
     (tmp_path / "bad.py").write_text(text.replace(line, "pass"))
     code, (row,), err = evaluate(store, *method, "--resume")
     assert (row["n"], row["invalid"]) == (2, 2), err
+
+
+@isolates
+def test_an_isolated_method_ends_with_the_run_that_is_killed(store, tmp_path, asked_world):
+    (tmp_path / "slow.py").write_text(
+        """
+import time
+class Slow:
+    name = "slow"
+    def __init__(self, chat): pass
+    def answer(self, task):
+        print("begun", flush=True)
+        time.sleep(30)
+"""
+    )
+    method = (
+        "--method",
+        tmp_path / "slow.py:Slow",
+        "--model",
+        "none",
+        "--isolated",
+        "--images",
+        asked_world / "images",
+    )
+    (tmp_path / "err").touch()
+    process = warm.started(warm.command_line, "evaluate", "--store", store.path, *method, folder=tmp_path)
+    try:
+        while b"begun" not in (tmp_path / "err").read_bytes():
+            assert process.is_alive()
+            time.sleep(0.02)
+        (isolated,) = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    finally:
+        process.kill()
+    # Its state is Z while nobody has asked how it ended.
+    while Path(f"/proc/{isolated}/stat").exists() and ") Z " not in Path(f"/proc/{isolated}/stat").read_text():
+        time.sleep(0.02)
 
 
 def test_where_nothing_can_be_isolated_the_run_is_refused_in_a_line(store, monkeypatch):
